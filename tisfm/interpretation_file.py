@@ -124,10 +124,10 @@ def _pack(arrays: dict[str, NDArray[Any]], packed: dict[str, Any]) -> None:
         array = arrays[name]
         if name == "confidence":  # what is above 0 stays so
             array = np.maximum(array, np.float32(STEP), out=array.copy(), where=array > 0)
-        found = pack(array, down=_rows(name), step=step)
+        found = pack(array, row_axis=_rows(name), step=step)
         if found is not None:
             arrays[name], packing = found
-            packed[name] = packing.as_json()
+            packed[name] = packing.to_json()
 
 
 def _rows(name: str) -> int:
@@ -192,7 +192,7 @@ def _packings(file: NpzFile, about: Any) -> dict[str, Packing]:
     packings = {}
     for name, packing in about.items():
         try:
-            packings[name] = Packing.of_json(packing, _PACKED[name])
+            packings[name] = Packing.from_json(packing, _PACKED[name])
         except ValueError as error:
             raise InputError(f"{name} {error}") from error
         stored, kind = file.header(name)
@@ -213,7 +213,7 @@ def _array(file: NpzFile, name: str, packing: Packing | None) -> NDArray[Any]:
     if packing is None:
         return file.read(name).astype(_TYPES[name], copy=False)
     try:
-        return unpack(file.read(name), packing, _TYPES[name], down=_rows(name))
+        return unpack(file.read(name), packing, _TYPES[name], row_axis=_rows(name))
     except ValueError as error:
         raise InputError(f"{name} {error}") from error
 
@@ -223,7 +223,7 @@ def _read_about(file: NpzFile) -> dict[str, Any]:
     if "about" not in file:
         missing = sorted({"about", *_ALWAYS}.difference(file))
         raise InputError(f"it has no {', '.join(missing)}")
-    text = file.read("about", most=_MOST_ABOUT)
+    text = file.read("about", max_bytes=_MOST_ABOUT)
     if text.dtype.kind != "U" or text.shape != ():
         raise InputError(f"about is {text.shape} {text.dtype}, expected one text")
     # NumPy makes a text of any numbers, with which Python's own functions fail.

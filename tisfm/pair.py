@@ -13,7 +13,7 @@ from tisfm.camera import Camera, check_camera
 from tisfm.checks import unmasked_mask
 from tisfm.errors import InputError, InputTypeError
 from tisfm.focal_guess import guess_camera
-from tisfm.formats.packing import STEP, rounded
+from tisfm.formats.packing import STEP, round_as_packed
 from tisfm.frames import check_frame, eight_bit, grey_pair
 from tisfm.interpretation import Interpretation
 from tisfm.lens import Undistortion
@@ -286,12 +286,14 @@ def _keep(
 ) -> None:
     """Keep a flow, (2, H, W), for the next pair, if its status is one to rely on.
 
-    It is rounded as in a compact file, from which a run that is resumed goes on.
+    It is round_as_packed as in a compact file, from which a run that is resumed goes on.
     """
     from tisfm.motion.frame_before import Earlier
 
     is_reliable = status in RELIABLE
-    window.earlier = Earlier.of(pyramid, rounded(flow, STEP), unseen) if is_reliable else None
+    window.earlier = (
+        Earlier.of(pyramid, round_as_packed(flow, STEP), unseen) if is_reliable else None
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

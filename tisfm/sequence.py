@@ -14,7 +14,7 @@ from tisfm.focal_guess import guess_camera
 from tisfm.interpretation import Interpretation
 from tisfm.settings import Settings, check_settings
 from tisfm.sources import BadFrames, FramePair, FrameSource, Source
-from tisfm.sources.frame_reader import warn_of
+from tisfm.sources.frame_reader import warn_notes
 from tisfm.sources.masks import Mask
 from tisfm.window import Window, WindowSize, window_of
 
@@ -119,7 +119,7 @@ def interpret_sequence(
         mask=mask,
         bad_frames=bad_frames,
     )
-    warn_of(frames.notes)
+    warn_notes(frames.notes)
     if poses is not None and settings.motion != "camera":
         raise InputError(
             f'poses are given, but motion="{settings.motion}" leaves the motion free: leave them '

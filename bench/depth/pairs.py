@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bench.shared.sequences import FlowPair
 from tisfm.camera import Camera
 from tisfm.datasets import LAYOUTS, DatasetPair, Layout
-from tisfm.datasets.calibration import STATED
+from tisfm.datasets.calibration import KNOWN_CAMERAS
 from tisfm.datasets.depth_files import read_depth
 from tisfm.frames import grey_pair
 from tisfm.lens import undistort, undistort_depth
@@ -192,7 +192,7 @@ def _loaded(
     loaded = pair.load()
     camera = loaded.camera or Camera()  # of a stereo pair: its depth is of any focal length
     depth, raw = loaded.depth, None
-    if pair.layout in STATED and pair.depth is not None:
+    if pair.layout in KNOWN_CAMERAS and pair.depth is not None:
         raw = read_depth(pair.depth)
     if depth is not None:
         depth = undistort_depth(depth, camera)

@@ -14,7 +14,7 @@ from PIL import Image
 
 import tisfm
 from tests.cases.inputs import sliding, write_film, write_folder
-from tisfm.formats.image_names import in_order, named_times, times_of_names
+from tisfm.formats.image_names import increasing_times, parse_times, sort_by_name
 from tisfm.sources import FrameSource
 from tisfm.sources.frame_reader import SourceWarning
 
@@ -125,11 +125,11 @@ def test_masks_are_in_the_same_order(tmp_path):
     ids=lambda value: value if isinstance(value, str) else value and str(value[:3]),
 )  # fmt: skip
 def test_the_reading_of_names(names, reading):
-    found = named_times(names)
+    found = parse_times(names)
     assert (None if found is None else found.reading) == reading
-    assert (times_of_names(names) is None) == (reading is None)
+    assert (increasing_times(names) is None) == (reading is None)
     files = [Path(f"{name}.png") for name in reversed(names)]
-    assert reading is None or in_order(files) == files[::-1]
+    assert reading is None or sort_by_name(files) == files[::-1]
 
 
 def test_a_note_says_that_numbers_are_not_read_as_times(tmp_path):
@@ -146,7 +146,7 @@ def test_any_clock_of_ros_is_read(second, usual, percent):
     """Nanoseconds have more even steps than decimals, if the steps vary by up to 20 %."""
     instants = np.cumsum(np.array(percent) * usual // 100)
     names = [f"{second + at // 10**9}.{at % 10**9}" for at in instants.tolist()]
-    times = times_of_names(names)
+    times = increasing_times(names)
     assert times is not None
     np.testing.assert_allclose(np.array(times) - second, instants / 1e9, rtol=0, atol=1e-5)
 

@@ -14,7 +14,7 @@ from tisfm.exports import write_kitti_paths, write_tum_paths
 from tisfm.reconstruction.path.given_poses import poses_of_frames
 from tisfm.sources.frame_reader import SourceWarning
 from tisfm.trajectory import Trajectory, read_tum
-from tisfm.trajectory.times import do_rise, times_note, times_or_numbers
+from tisfm.trajectory.times import are_increasing, times_note, times_or_numbers
 
 pytest.importorskip("av")
 SETTINGS = tisfm.Settings.preset("fast", motion="camera")
@@ -58,7 +58,7 @@ def test_a_result_is_complete(tisfm_run, tmp_path, film):  # noqa: F811
     assert json.loads(Path("out/reconstruction.json").read_text())["notes"] == [note]
     assert "How the source was read" in Path("out/report.html").read_text()
     # Times are kept as they are; exports take numbers, and say so.
-    assert not do_rise(result.times) and None not in result.times
+    assert not are_increasing(result.times) and None not in result.times
     assert read_tum(write_tum_paths(result, ".")[0]).times.tolist() == posed.tolist()
     stamps = write_kitti_paths(result, ".")[1].read_text().split()
     assert [float(stamp) for stamp in stamps] == posed.tolist()
@@ -148,7 +148,7 @@ def test_a_run_and_a_batch_print_the_note(tisfm_run, tmp_path):  # noqa: F811
 def test_times_that_can_serve_a_path(times, fault):
     assert fault in times_note(times) and bool(times_note(times)) == bool(fault)
     numbers = [float(k) for k in range(len(times))]
-    expected = times if do_rise(times) else numbers
+    expected = times if are_increasing(times) else numbers
     assert times_or_numbers(times).tolist() == list(expected)
 
 

@@ -12,7 +12,7 @@ from tests.cli.command_line import TISFM, assert_one_line, files
 from tests.waiting import PATIENCE, started, wait_for
 from tisfm.cli import batch as module
 from tisfm.cli.batch import TRIES, read_jobs
-from tisfm.folders.result_folder import is_written_to
+from tisfm.folders.result_folder import is_locked
 
 
 @pytest.fixture
@@ -126,7 +126,7 @@ def test_what_runs_ends_with_it(frames, jobs, sent):
         process.send_signal(sent)
         _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130 and err.endswith("tisfm: interrupted\n")
-    assert not is_written_to("a")  # the job has ended
+    assert not is_locked("a")  # the job has ended
     assert len(list(Path("a").glob("*.npz"))) < 199 and not Path("b").exists()
 
 

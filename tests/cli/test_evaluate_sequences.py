@@ -164,7 +164,7 @@ def test_wrong_words_are_one_line(tisfm_run, place, wall, arguments, words):
     ("arguments", "words"),
     [
         (["--result", "gone.txt"], "gone.txt"),
-        (["--result", "wall/camera.txt"], "wall/camera.txt is no trajectory"),
+        (["--result", "wall/camera.txt"], "wall/camera.txt is not a trajectory"),
         (["--step", "0"], "step is 0: expected a positive whole number"),
         (["--step", "9"], "has 1 frames at a step of 9"),
     ],

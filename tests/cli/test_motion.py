@@ -346,7 +346,7 @@ IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0\n"
         (4 * IDENTITY, ["poses.txt has 4 poses", "3 frames"]),
         (IDENTITY + "1 0 0 0\n" + IDENTITY, ["poses.txt, line 2 has 4 numbers, expected 12"]),
         (2 * IDENTITY + "\nx" + IDENTITY[1:], ["poses.txt, line 4", "expected numbers"]),
-        (IDENTITY + 12 * "1 " + "\n" + IDENTITY, ["poses.txt, line 2 holds no rotation"]),
+        (IDENTITY + 12 * "1 " + "\n" + IDENTITY, ["poses.txt, line 2 is not a rotation"]),
         (2 * IDENTITY + IDENTITY.replace("0 0 0 0", "0 0 0 nan", 1),
          ["poses.txt, line 3 is not finite"]),
         (2 * IDENTITY + "-1 0 0 0 0 1 0 0 0 0 -1 0\n",

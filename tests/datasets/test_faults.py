@@ -34,8 +34,8 @@ POSE_ROW = "1 0 0 5 0 1 0 6 0 0 1 7"
         (POSE_ROW, "has 1 rows, so there is no pose of frame 1"),
         (f"{POSE_ROW}\n{POSE_ROW.replace('6', 'nan')}", "row 1 is not finite"),
         (f"{POSE_ROW}\n{POSE_ROW.replace('7', '-inf')}", "row 1 is not finite"),
-        (f"{POSE_ROW}\n{POSE_ROW.replace('1', '2')}", "row 1 holds no rotation"),
-        (f"{POSE_ROW}\n0 1 0 5 1 0 0 6 0 0 1 7", "row 1 holds no rotation"),
+        (f"{POSE_ROW}\n{POSE_ROW.replace('1', '2')}", "row 1 is not a rotation"),
+        (f"{POSE_ROW}\n0 1 0 5 1 0 0 6 0 0 1 7", "row 1 is not a rotation"),
     ],
 )
 def test_rows_that_are_no_poses(data, text, message):
@@ -52,7 +52,7 @@ def test_rows_that_are_no_poses(data, text, message):
         (["1 0 0", "0 1 0", "0 0 1"], "line 1 has 3 numbers, expected 4"),
         (["1 0 0 5", "0 1 0 6", "0 0 1 7", "0 0 1 1"], r"has the last row .*, expected 0 0 0 1"),
         (["nan nan nan nan"] * 4, "is not finite: there is no pose of this frame"),
-        (["1 0 0 5", "0 1 0 6", "0 0 2 7", "0 0 0 1"], "holds no rotation"),
+        (["1 0 0 5", "0 1 0 6", "0 0 2 7", "0 0 0 1"], "is not a rotation"),
         (["-1.#IND 0 0 5", "0 1 0 6", "0 0 1 7", "0 0 0 1"], "line 1: .*expected numbers"),
     ],
 )

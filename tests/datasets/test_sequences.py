@@ -15,7 +15,7 @@ from tests.datasets.made import (
     put,
 )
 from tisfm.datasets import find_pairs
-from tisfm.datasets.calibration import COLOUR_OFFSET, DEPTH_CAMERA, STATED, for_width
+from tisfm.datasets.calibration import COLOUR_OFFSET, DEPTH_CAMERA, KNOWN_CAMERAS, for_width
 from tisfm.formats import FormatError, write_png
 from tisfm.metrics import pose_errors
 from tisfm.scenes import Box, Plane, Scene, Texture
@@ -61,7 +61,7 @@ def test_cameras_of_sequences(data):
     make_sevenscenes(data)
     scale = W / 640
     for pair in find_pairs(data):
-        camera, whole = pair.load().camera, STATED[pair.layout]
+        camera, whole = pair.load().camera, KNOWN_CAMERAS[pair.layout]
         assert camera.focal == pytest.approx(whole.focal * scale)
         assert camera.center == pytest.approx(((320.5) * scale - 0.5, 240.5 * scale - 0.5))
         assert for_width(whole, 640) == whole
@@ -83,7 +83,7 @@ def test_depth_is_that_of_the_colour_camera(data):
     """Rendered for the depth camera beside it, it is what the colour camera sees."""
     height, width = 120, 160
     views = []
-    for camera, shift in ((STATED["sevenscenes"], 0.0), (DEPTH_CAMERA, COLOUR_OFFSET)):
+    for camera, shift in ((KNOWN_CAMERAS["sevenscenes"], 0.0), (DEPTH_CAMERA, COLOUR_OFFSET)):
         wall = Plane(texture=Texture(wavelength=0.1), point=(shift, 0, 2.5), normal=(0.3, 0.2, -1))
         box = Box(
             texture=Texture(wavelength=0.1), center=(0.2 + shift, 0, 1.0), size=(0.3, 0.25, 0.2)

@@ -5,9 +5,8 @@ import os
 import pytest
 
 from tisfm.folders.result_folder import (
-    is_there,
     locked_folder,
-    make_inner_folder,
+    make_subfolder,
     remove,
     remove_link,
     try_to_remove,
@@ -33,13 +32,13 @@ def test_remove(tmp_path, outside, function):
     (tmp_path / "nothing").symlink_to(tmp_path / "nowhere")
     for name in ("folder", "file", "link", "nothing", "never"):
         function(tmp_path / name)
-        assert not is_there(tmp_path / name)
+        assert not os.path.lexists(tmp_path / name)
 
 
 def test_an_inner_folder_replaces_a_link(tmp_path, outside):
     (tmp_path / "link").symlink_to(outside)
     for _ in range(2):
-        made = make_inner_folder(tmp_path / "link")
+        made = make_subfolder(tmp_path / "link")
         assert made.is_dir() and not made.is_symlink()
         (made / "note").write_text("ours")
 
@@ -48,7 +47,7 @@ def test_only_links_are_removed(tmp_path, outside):
     (tmp_path / "link").symlink_to(outside)
     for name in ("link", "outside", "never"):
         remove_link(tmp_path / name)
-    assert not is_there(tmp_path / "link")
+    assert not os.path.lexists(tmp_path / "link")
 
 
 def test_a_lock_and_temporaries_that_are_links(tmp_path, outside):

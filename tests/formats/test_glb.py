@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tisfm.formats.glb import colors_of, glb_points, glb_surface
+from tisfm.formats.glb import glb_points, glb_surface, srgb_from_light
 
 CORNERS = np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1]], np.float32)
 COLORS = np.array([[255, 128, 0], [0, 64, 255], [188, 188, 188]], np.uint8)
@@ -66,7 +66,7 @@ def test_trimesh_loads_the_colours(kind):
         found = loaded.visual.vertex_colors
         # With its material, they are a vertex attribute, as in the file.
         (unlit,) = trimesh.load(BytesIO(data), "glb").geometry.values()
-        kept = colors_of(unlit.visual.vertex_attributes["color"])
+        kept = srgb_from_light(unlit.visual.vertex_attributes["color"])
         np.testing.assert_array_equal(kept, COLORS)
     where = [np.linalg.norm(loaded.vertices - corner, axis=1).argmin() for corner in CORNERS]
     light = 255 * np.array([[1, 0.2159, 0], [0, 0.0513, 1], [0.5029, 0.5029, 0.5029]])
@@ -77,12 +77,12 @@ def test_trimesh_loads_the_colours(kind):
 def test_every_colour_comes_back():
     colors = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
     light = colors_in(glb_points(np.zeros((256, 3), np.float32), colors), count=256)
-    np.testing.assert_array_equal(colors_of(light), colors)
+    np.testing.assert_array_equal(srgb_from_light(light), colors)
 
 
 def test_light_of_8_bits_has_few_steps_in_the_dark():
     coded = np.arange(256)
     light = np.where(coded <= 10, coded / 12.92 / 255, ((coded / 255 + 0.055) / 1.055) ** 2.4)
-    error = np.abs(colors_of(np.rint(255 * light).astype(np.uint8)).astype(int) - coded)
+    error = np.abs(srgb_from_light(np.rint(255 * light).astype(np.uint8)).astype(int) - coded)
     assert error[0] == error[255] == 0
     assert error.max() <= 13 and error[60:].max() <= 2

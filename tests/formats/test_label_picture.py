@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from tisfm.formats import FormatError
-from tisfm.formats.label_picture import palette, read_label_picture, write_label_png
+from tisfm.formats.label_picture import label_colours, read_label_picture, write_label_png
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (7, 13), (60, 3)])
@@ -22,7 +22,7 @@ def test_others_see_an_indexed_picture_in_the_usual_colours(tmp_path):
         colours = np.array(picture.convert("RGB"))[0]
     expected = [(0, 0, 0), (128, 0, 0), (0, 128, 0), (128, 128, 0)]
     np.testing.assert_array_equal(colours, expected)
-    assert len(np.unique(palette(), axis=0)) == 256
+    assert len(np.unique(label_colours(), axis=0)) == 256
 
 
 @pytest.mark.parametrize(

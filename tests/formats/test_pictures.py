@@ -327,7 +327,7 @@ def test_png_of_any_byte_order(tmp_path):
 
 
 def test_png_in_several_parts(tmp_path, monkeypatch):
-    monkeypatch.setattr(png, "_LARGEST_CHUNK", 100)
+    monkeypatch.setattr(png, "_MAX_CHUNK", 100)
     write_png(tmp_path / "a.png", COLOUR16)
     assert (tmp_path / "a.png").read_bytes().count(b"IDAT") > 3
     assert np.array_equal(read_image(tmp_path / "a.png"), COLOUR16)

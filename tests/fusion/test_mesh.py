@@ -11,7 +11,7 @@ import trimesh
 from tests.fusion.rooms import completeness, noisy_views, poses_in_room, relative_error, room_view
 from tests.fusion.test_points import wall, walls
 from tests.one_thread import bits_on_one_thread, several_threads
-from tisfm.formats.glb import colors_of
+from tisfm.formats.glb import srgb_from_light
 from tisfm.fusion import Mesh, fused_mesh, signed_distance
 from tisfm.fusion.depth_views import Views
 from tisfm.fusion.isosurface import surface_of
@@ -286,7 +286,7 @@ def test_files_hold_the_mesh(tmp_path, suffix):
     np.testing.assert_array_equal(read.faces, mesh.faces)
     if suffix == ".glb":
         light = read.visual.vertex_attributes["color"]
-        np.testing.assert_array_equal(colors_of(light), mesh.colors)
+        np.testing.assert_array_equal(srgb_from_light(light), mesh.colors)
     else:
         np.testing.assert_array_equal(read.visual.vertex_colors[:, :3], mesh.colors)
     assert [p.name for p in tmp_path.iterdir()] == [f"mesh{suffix}"]

@@ -13,7 +13,7 @@ from tests.fuzz import seeds
 from tisfm import camera_file, focal_guess, formats, trajectory
 from tisfm.datasets import calibration, depth_files, pose_files
 from tisfm.datasets.depth_files import read_disparity
-from tisfm.formats.label_picture import has_palette_of_labels, read_label_picture
+from tisfm.formats.label_picture import has_colour_palette, read_label_picture
 from tisfm.interpretation import Interpretation
 from tisfm.reconstruction.result import folder as record
 from tisfm.reconstruction.result.calibration import calibration_in
@@ -146,7 +146,7 @@ TARGETS: dict[str, Target] = {
     "kitti_flow": Target(read=formats.read_kitti_flow, seeds=seeds.kitti_flow),
     "depth_map": Target(read=depth_files.read_depth, seeds=seeds.depth_png),
     "label_picture": Target(read=read_label_picture, seeds=seeds.labels),
-    "palette": Target(read=has_palette_of_labels, seeds=seeds.labels),
+    "palette": Target(read=has_colour_palette, seeds=seeds.labels),
     "focal": Target(
         read=focal_guess.guess_focal, seeds=seeds.pictures, raises=_SAYS, memory=512 * MIB
     ),

@@ -21,7 +21,7 @@ from tisfm.datasets.depth_files import read_disparity
 from tisfm.datasets.pose_files import read_poses
 from tisfm.formats import FormatError, read_depth_png, read_flo, read_image
 from tisfm.formats.image_headers import LARGEST_PICTURE
-from tisfm.formats.label_picture import has_palette_of_labels, read_label_picture
+from tisfm.formats.label_picture import has_colour_palette, read_label_picture
 from tisfm.interpretation import Interpretation
 from tisfm.sources import video_checks
 from tisfm.sources.source import FrameSource
@@ -200,7 +200,7 @@ def png(width, height, pixels, bits=1):
     return repaired(b"\x89PNG\r\n\x1a\n" + data)
 
 
-READ_PICTURES = (read_image, read_depth_png, read_label_picture, has_palette_of_labels)
+READ_PICTURES = (read_image, read_depth_png, read_label_picture, has_colour_palette)
 
 
 @pytest.mark.parametrize("read", READ_PICTURES)

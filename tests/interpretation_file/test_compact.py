@@ -213,7 +213,7 @@ def test_a_stream_longer_than_its_array_is_not_unpacked(compact):
     rewritten(compact, rho=np.frombuffer(zlib.compress(bytes(2**28), 1), np.uint8))
     tracemalloc.start()
     try:
-        refused(compact, "rho is no zlib stream")
+        refused(compact, "rho is not a zlib stream")
         assert tracemalloc.get_traced_memory()[1] < 2**23
     finally:
         tracemalloc.stop()

@@ -6,7 +6,7 @@ import pytest
 import tisfm
 from tests.sources.made import FRAMES, QUICK, H, W
 from tisfm.sources import FrameSource
-from tisfm.sources.crop_resize import View
+from tisfm.sources.crop_resize import CropResize
 
 DISTORTED = tisfm.Camera((50.0, 60.0), center=(20.5, 11.0), distortion=(-0.1, 0.02, 0, 0))
 
@@ -88,7 +88,7 @@ def test_a_sequence_is_that_of_the_smaller_frames(motion, camera):
     options = {"crop": (4, 2, 32, 20), "size": 16}
     settings = tisfm.Settings(motion=motion, warps=1, outer_iterations=1, sweeps=2)
     known = camera or tisfm.Camera(600.0 if motion == "field" else 1.2 * W)
-    after = View(**options).camera_after(known, H, W)
+    after = CropResize(**options).camera_after(known, H, W)
     assert after.focal == known.focal / 2
     results = tisfm.interpret_sequence(FRAMES[:3], camera=camera, settings=settings, **options)
     small = images(FRAMES[:3], **options)

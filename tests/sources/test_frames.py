@@ -11,7 +11,7 @@ import tisfm
 from tests.sources.made import FRAMES, QUICK, numbered
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats import FormatError, write_png
-from tisfm.formats.image_names import times_of_names
+from tisfm.formats.image_names import increasing_times
 from tisfm.sequence import with_poses
 from tisfm.sources import FrameSource
 
@@ -133,7 +133,7 @@ def test_names_that_are_times(tmp_path, names, times):
     ids=str,
 )  # fmt: skip
 def test_names_that_are_no_times(names):
-    assert times_of_names(names) is None
+    assert increasing_times(names) is None
 
 
 # Damaged frames

@@ -18,7 +18,7 @@ from tests.sources.made import (
     numbered,
 )
 from tisfm.formats import write_png
-from tisfm.formats.images import natural_order
+from tisfm.formats.image_names import natural_sort_key
 from tisfm.sources import FrameSource
 
 # Sources
@@ -180,18 +180,18 @@ names = st.lists(st.text("ab1029-_.²٣", min_size=1, max_size=8), min_size=1, m
 def test_natural_order_does_not_depend_on_the_order_before(names, seed):
     paths = [Path("folder") / name for name in names]
     shuffled = random.Random(seed).sample(paths, len(paths))
-    assert sorted(paths, key=natural_order) == sorted(shuffled, key=natural_order)
+    assert sorted(paths, key=natural_sort_key) == sorted(shuffled, key=natural_sort_key)
 
 
 @given(numbers=st.lists(st.integers(0, 10**6), min_size=2, unique=True))
 def test_natural_order_is_that_of_the_numbers(numbers):
-    ordered = sorted((Path(f"x{number}.png") for number in numbers), key=natural_order)
+    ordered = sorted((Path(f"x{number}.png") for number in numbers), key=natural_sort_key)
     assert ordered == [Path(f"x{number}.png") for number in sorted(numbers)]
 
 
 def test_natural_order_of_names_with_several_numbers():
     names = ["a2b10", "a10b1", "a2b9", "a02b9", "b1", "a", "2", "10"]
-    ordered = [path.name for path in sorted(map(Path, names), key=natural_order)]
+    ordered = [path.name for path in sorted(map(Path, names), key=natural_sort_key)]
     assert ordered == ["2", "10", "a", "a02b9", "a2b9", "a2b10", "a10b1", "b1"]
 
 

@@ -6,9 +6,9 @@ from PIL import Image
 
 from tests.sources.made import FRAMES, H, W
 from tisfm.formats import FormatError, write_png
-from tisfm.formats.label_picture import has_palette_of_labels, write_label_png
+from tisfm.formats.label_picture import has_colour_palette, write_label_png
 from tisfm.sources import FrameSource
-from tisfm.sources.labels import holds_labels
+from tisfm.sources.labels import are_labels
 
 FIRST = np.zeros((H, W), np.uint8)
 FIRST[4:10, 5:15], FIRST[12:20, 20:31] = 1, 7
@@ -121,7 +121,7 @@ def test_files_of_labels_are_files_of_the_source(folder, masks):
     [
         (3, TypeError, "labels is 3: expected pictures"),
         (FIRST, ValueError, r"labels is \(24, 40\): expected \(N, H, W\).*\{0: labels\}"),
-        (LABELS[:4], ValueError, "labels has those of 4 frames, but there are 6 frames"),
+        (LABELS[:4], ValueError, "labels are of 4 frames, but there are 6 frames"),
         ({9: FIRST}, ValueError, "some of frame 9, but there is no such frame"),
         ({"a": FIRST}, ValueError, "some of frame 'a'"),
         ({0: "gone.png"}, FileNotFoundError, "no labels gone.png"),
@@ -163,7 +163,7 @@ def test_other_numbers_of_pictures_are_said(masks):
 
 def test_things_of_255_are_said():
     void = [np.where(labels > 0, 255, 0) for labels in LABELS]
-    with pytest.raises(ValueError, match="0 or 255 everywhere, which is ignored"):
+    with pytest.raises(ValueError, match="0 or 255 everywhere, and pixels of 255 are ignored"):
         list(FrameSource(FRAMES, labels=void).frames())
     assert len(labels_of(FRAMES, [0 * labels for labels in LABELS])) == 6  # nothing moves
 
@@ -190,33 +190,33 @@ def test_labels_that_end_early():
      [FIRST.astype(float)] * 2, iter(LABELS), [], np.zeros((2, H, W), int)],
 )  # fmt: skip
 def test_what_says_what_counts(mask):
-    assert not holds_labels(mask)
+    assert not are_labels(mask)
 
 
 def test_numbers_of_several_things_are_labels():
-    assert holds_labels(LABELS)
-    assert holds_labels([[[0, 1], [1, 7]]])
-    assert holds_labels(np.stack(LABELS).astype(int))
-    assert holds_labels([np.where(FIRST == 7, 255, FIRST), np.where(FIRST == 1, 255, FIRST)])
+    assert are_labels(LABELS)
+    assert are_labels([[[0, 1], [1, 7]]])
+    assert are_labels(np.stack(LABELS).astype(int))
+    assert are_labels([np.where(FIRST == 7, 255, FIRST), np.where(FIRST == 1, 255, FIRST)])
 
 
 def test_the_number_of_one_thing_may_be_either():
     with pytest.raises(ValueError, match=r"not 0, 7: give booleans .* or labels="):
-        holds_labels([7 * (FIRST > 0)] * 6)
+        are_labels([7 * (FIRST > 0)] * 6)
 
 
 def test_pictures_with_a_palette_of_colours_are_labels(masks, tmp_path):
-    assert has_palette_of_labels(masks / "frame1.png")
-    assert holds_labels(masks) and holds_labels(f"{masks}/*.png")
-    assert holds_labels(sorted(masks.iterdir()))
-    assert not holds_labels(masks / "frame1.png")  # one for all frames
+    assert has_colour_palette(masks / "frame1.png")
+    assert are_labels(masks) and are_labels(f"{masks}/*.png")
+    assert are_labels(sorted(masks.iterdir()))
+    assert not are_labels(masks / "frame1.png")  # one for all frames
     grey = Image.fromarray(np.uint8(FIRST > 0))
     grey.putpalette([0, 0, 0, 255, 255, 255])
     (tmp_path / "grey").mkdir()
     grey.save(tmp_path / "grey" / "a.png")
     write_png(tmp_path / "grey.png", FIRST)
-    assert not holds_labels(tmp_path / "grey")
-    assert not has_palette_of_labels(tmp_path / "grey.png")
+    assert not are_labels(tmp_path / "grey")
+    assert not has_colour_palette(tmp_path / "grey.png")
     (tmp_path / "grey" / "a.png").write_bytes(b"damaged")
     with pytest.raises(FormatError, match=r"a\.png cannot be read as a picture"):
-        holds_labels(tmp_path / "grey")
+        are_labels(tmp_path / "grey")

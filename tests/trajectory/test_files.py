@@ -87,7 +87,7 @@ def test_comments_and_empty_lines_do_not_count(tmp_path):
     [
         (read_kitti, GOOD + "1 2 3\n", "line 2 has 3 numbers, expected 12"),
         (read_kitti, GOOD + GOOD.replace("0", "x", 1), "line 2: could not convert"),
-        (read_kitti, "#\n" + GOOD.replace("1", "2", 1), "line 2 holds no rotation"),
+        (read_kitti, "#\n" + GOOD.replace("1", "2", 1), "line 2 is not a rotation"),
         (read_kitti, GOOD.replace("0", "nan", 1), "line 1 is not finite"),
         (read_tum, "0 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n", "line 2 has the time 0.0, expected"),
         (read_tum, "0 0 0 0 1 0 0 1\n", "line 1 has a quaternion of length 1.41421"),

@@ -28,7 +28,7 @@ from tisfm.cli.figures import PAPER_FIGURES
 from tisfm.cli.progress import progress_bar
 from tisfm.cores import usable_cores
 from tisfm.errors import InputError
-from tisfm.folders.result_folder import LOCK, make_folder, make_inner_folder
+from tisfm.folders.result_folder import LOCK, make_result_folder, make_subfolder
 from tisfm.folders.run_record import ENDINGS, read_record
 from tisfm.formats.float_maps import require_writable_flow
 from tisfm.running.pool import open_pool
@@ -97,9 +97,9 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
     require_writable_flow("the demo scene", height, width)
     folders = output, output / "camera", output / "objects"
     _refuse_foreign(folders)
-    make_folder(output)
+    make_result_folder(output)
     for folder in folders[1:]:
-        make_inner_folder(folder)
+        make_subfolder(folder)
     workers, each = _shares(threads)
     rows: Rows = {}
     with progress_bar() as progress, open_pool(workers) as processes, NamedTemporaryFile() as alive:

@@ -35,7 +35,7 @@ from tisfm.evaluation.sequences import (
     reconstruct_and_compare,
 )
 from tisfm.evaluation.trajectory_result import TrajectoryResult
-from tisfm.folders.result_folder import InputFiles, make_folder
+from tisfm.folders.result_folder import InputFiles, make_result_folder
 from tisfm.formats import atomic_write
 from tisfm.reconstruction.progress import Progress
 from tisfm.runtime import Arch
@@ -201,7 +201,7 @@ def _write_paths(path: Path, loaded: LoadedSequence, found: Reconstructed) -> No
     for place, number in enumerate(numbers[np.argsort(-counts, kind="stable")]):
         file = path if place == 0 else path.with_name(f"{path.stem}-piece{place + 1}.tum")
         InputFiles(loaded.frames).refuse(file)
-        make_folder(file.parent)
+        make_result_folder(file.parent)
         mine = (found.piece == number)[:, None, None]
         write_tum(file, np.where(mine, found.poses, np.nan), times)
 
@@ -213,7 +213,7 @@ def _write_record(
     settings: Settings,
     camera: Camera | None,
 ) -> None:
-    make_folder(folder)
+    make_result_folder(folder)
     record: dict[str, Any] = {
         "version": __version__,
         "settings": asdict(settings),
@@ -252,7 +252,7 @@ def evaluate_objects(
     if has_true_paths(true_folder):
         paths = compare_object_paths(result, true_folder, labels, step=step or 1)
     if output is not None:
-        make_folder(output)
+        make_result_folder(output)
         record = {
             "version": __version__,
             "objects": {

@@ -15,7 +15,7 @@ from tisfm.checks import hint
 from tisfm.cli.console import tell
 from tisfm.cli.progress import MUCH, progress_bar
 from tisfm.errors import InputError
-from tisfm.folders.result_folder import make_folder
+from tisfm.folders.result_folder import make_result_folder
 from tisfm.machine.amounts import as_duration, as_size
 from tisfm.reconstruction.result.folder import DEPTH, RECORD
 from tisfm.reconstruction.result.reconstruction import Reconstruction
@@ -145,7 +145,7 @@ def export(
     )
     for form in wanted.values():
         form.check(asked)
-    make_folder(output)
+    make_result_folder(output)
     _announce(wanted, asked)
     if result is not None and scale is not None and len(result.unit) > 1:
         piece = int(result.piece[scale[0]])

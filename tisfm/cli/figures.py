@@ -12,7 +12,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from tisfm.camera import Camera
 from tisfm.cli.console import guessed_camera, start_kernels, stated_camera, tell
 from tisfm.cli.options import CameraOptions
-from tisfm.folders.result_folder import InputFiles, make_folder
+from tisfm.folders.result_folder import InputFiles, make_result_folder
 from tisfm.pair import interpret
 from tisfm.settings import PAPER_SMOOTHNESS, Settings
 from tisfm.show import depth_grey, inverse_depth_limit, panel_figure, save_figure
@@ -115,7 +115,7 @@ def write_paper_figures(
         As `tisfm.interpret`; if one of them is an input.
     """
     (inputs or InputFiles()).refuse(*(Path(folder) / name for name in PAPER_FIGURES))
-    folder = make_folder(folder)
+    folder = make_result_folder(folder)
     paper, default = Settings.preset("paper"), Settings()
     comparisons = {
         "figure_lambda.png": (

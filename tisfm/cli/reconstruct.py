@@ -293,7 +293,7 @@ def reconstruct(
         result = run.result(resume=resume, progress=tell_progress)
         stages.end()
     # What was found is written and told before anything that may not be possible with it.
-    with locked_folder(output, with_inner=True):  # fusing takes long
+    with locked_folder(output, reentrant=True):  # fusing takes long
         write_trajectories(result, output)
         _tell(result, output)
         if scale is not None:

@@ -23,7 +23,7 @@ from tisfm.cli.progress import MUCH, Foretelling, RunProgress
 from tisfm.cli.report import report_run
 from tisfm.cores import usable_cores
 from tisfm.errors import InputError
-from tisfm.folders.result_folder import InputFiles, alive_in
+from tisfm.folders.result_folder import InputFiles, presence_file
 from tisfm.folders.run_record import RECORD
 from tisfm.formats.float_maps import require_writable_flow
 from tisfm.interpretation import Interpretation
@@ -354,7 +354,7 @@ def _shared(whole: Chunk, writer: PairWriter, many: WorkerPool) -> Iterator[Fini
     """
     writer.begin()
     error: BaseException | None = None
-    with alive_in(whole.work.files.folder) as alive:
+    with presence_file(whole.work.files.folder) as alive:
         parts = [
             replace(
                 part, known=writer.known(part.first, part.end), alive=alive, ranges=writer.ranges

@@ -1,9 +1,9 @@
-"""Frame pairs and sequences with true motion, depth or pose, as the usual benchmarks lay them out.
+"""Frame pairs and sequences with true motion, depth or poses, in the layouts of usual benchmarks.
 
 Middlebury, KITTI 2012 and 2015, Sintel, Yosemite, stereo pairs with a disparity, and sequences with
-poses: New Tsukuba, 7-Scenes, TUM RGB-D, KITTI's odometry, and any that comes as a folder of images
-with camera, poses and depth maps. Nothing is downloaded: `find_pairs` and `find_sequences` find
-what lies in a folder, and read it when asked to.
+poses: New Tsukuba, 7-Scenes, TUM RGB-D, KITTI's odometry, and any sequence as a folder of images
+with camera, poses and depth maps. Nothing is downloaded: `find_pairs` and `find_sequences` search a
+folder, and `load` reads the files.
 
 May import: `tisfm.formats`, `tisfm.metrics`, `tisfm.trajectory`, and of the top level `camera`,
 `checks` and `rigid`.

@@ -1,4 +1,4 @@
-"""Cameras as the datasets state them."""
+"""Cameras of the datasets: from their files, or from their publications."""
 
 import struct
 from dataclasses import dataclass
@@ -11,18 +11,18 @@ from tisfm.formats import FormatError
 from tisfm.formats.float_maps import TAG
 from tisfm.formats.reading import read_bytes, read_text
 
-STATED_SIZE = (480, 640)
-"""Height and width of the frames that `STATED` is about, px."""
+KNOWN_SIZE = (480, 640)
+"""Height and width of the frames that `KNOWN_CAMERAS` are for, px."""
 
-STATED = {
-    # Its authors give the focal length of the depth camera alone, 585 px; 525 px is the usual one
-    # of the colour camera of that sensor.
+KNOWN_CAMERAS = {
+    # The authors publish only the focal length of the depth camera, 585 px; 525 px is the usual
+    # value of the colour camera of that sensor.
     "sevenscenes": Camera(focal=525.0, center=(320.0, 240.0)),
     "new_tsukuba": Camera(focal=615.0, center=(320.0, 240.0)),
 }
-"""Cameras of layouts that have one for all their frames, which no file says."""
+"""Cameras of layouts that have one camera for all frames, and no file for it."""
 
-TUM = {
+TUM_CAMERAS = {
     "1": Camera(
         focal=(517.3, 516.5),
         center=(318.6, 255.3),
@@ -38,15 +38,16 @@ TUM = {
 """Colour cameras of TUM's sequences, by the number after "freiburg" in the folder's name."""
 
 DEPTH_CAMERA = Camera(focal=585.0, center=(320.0, 240.0))
-"""The depth camera of "sevenscenes"; its maps and the frames are not of one view."""
+"""The depth camera of "sevenscenes". It stands beside the colour camera of the frames."""
 
 COLOUR_OFFSET = 0.025
-"""Where the colour camera of that sensor is, to the right of its depth camera, m."""
+"""Distance of the colour camera of that sensor to the right of its depth camera, m."""
 
-_NAMES = ("fx", "fy", "cx", "cy")
-_LENS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tx", "ty")
+_INTRINSICS = ("fx", "fy", "cx", "cy")
+# OpenCV's coefficients of distortion, in OpenCV's order.
+_DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tx", "ty")
 _DEPTH_SCALE = "depth_scale"
-_CAM = struct.Struct("<f9d12d")  # tag, intrinsics 3×3, extrinsics 3×4
+_SINTEL_CAMERA = struct.Struct("<f9d12d")  # tag, intrinsics 3×3, extrinsics 3×4
 
 
 def read_camera(path: Path, frame: Path) -> Camera:
@@ -57,7 +58,7 @@ def read_camera(path: Path, frame: Path) -> Camera:
     path : Path
         A Sintel .cam file, or a KITTI calibration text of 2012 or 2015.
     frame : Path
-        The frame. In KITTI's folder image_0 it is of the grey camera 0, elsewhere of the colour
+        The frame. KITTI's folder image_0 is of the grey camera 0, other folders of the colour
         camera 2.
 
     Returns
@@ -68,7 +69,7 @@ def read_camera(path: Path, frame: Path) -> Camera:
     Raises
     ------
     FormatError
-        If the file is damaged, or does not state this camera.
+        If the file is damaged, or does not have this camera.
     OSError
         If the file does not exist or cannot be read.
     """
@@ -84,14 +85,14 @@ def read_camera(path: Path, frame: Path) -> Camera:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """What a sequence says about its camera.
+    """The camera of a sequence, and the scale of its depth maps.
 
     Attributes
     ----------
     camera : Camera or None
-        None where nothing says what it is.
+        None if unknown.
     depth_scale : float or None
-        Values of its depth maps per unit of depth, if it says so.
+        Values of the depth maps per unit of depth; None if unknown.
     """
 
     camera: Camera | None
@@ -104,8 +105,8 @@ def read_calibration(path: Path) -> Calibration:
     Parameters
     ----------
     path : Path
-        The heading names the numbers, in any order: fx, fy, cx and cy, px; OpenCV's coefficients
-        of distortion k1, k2, p1, p2, k3, … as far as there are any; and depth_scale.
+        The heading names the numbers, in any order: fx, fy, cx and cy, px; optionally the first
+        of OpenCV's coefficients of distortion k1, k2, p1, p2, k3, …; and optionally depth_scale.
 
     Returns
     -------
@@ -114,7 +115,7 @@ def read_calibration(path: Path) -> Calibration:
     Raises
     ------
     FormatError
-        If the file is of another kind, or states no usable camera.
+        If the file has another structure, or the camera is not valid.
     OSError
         If the file does not exist or cannot be read.
     """
@@ -122,24 +123,27 @@ def read_calibration(path: Path) -> Calibration:
     rows = [line.split() for line in lines if line.strip()]
     if len(rows) != 2 or len(rows[0]) != len(rows[1]):
         raise FormatError(
-            f"{path} is no calibration: expected a heading such as {' '.join(_NAMES)} and below "
-            "it as many numbers"
+            f"{path} is not a calibration: expected a heading such as {' '.join(_INTRINSICS)} and "
+            "below it as many numbers"
         )
     names, words = rows
-    unknown = sorted(set(names).difference(_NAMES, _LENS, [_DEPTH_SCALE]))
-    missing = [name for name in _NAMES if name not in names]
+    unknown = sorted(set(names).difference(_INTRINSICS, _DISTORTION, [_DEPTH_SCALE]))
+    missing = [name for name in _INTRINSICS if name not in names]
     if unknown or missing or len(set(names)) < len(names):
         raise FormatError(
-            f"{path} has the heading {' '.join(names)}: expected each of {' '.join(_NAMES)} once, "
-            f"and of {' '.join((*_LENS, _DEPTH_SCALE))} what there is"
+            f"{path} has the heading {' '.join(names)}: expected each of {' '.join(_INTRINSICS)} "
+            f"once, and optionally {' '.join((*_DISTORTION, _DEPTH_SCALE))}"
         )
     try:
         values = {name: float(word) for name, word in zip(names, words, strict=True)}
     except ValueError as error:
         raise FormatError(f"{path}: {error}, expected numbers") from error
-    lens = [name for name in _LENS if name in values]
-    if tuple(lens) != _LENS[: len(lens)]:
-        raise FormatError(f"{path} has {' '.join(lens)}, but not all that come before the last")
+    lens = [name for name in _DISTORTION if name in values]
+    if tuple(lens) != _DISTORTION[: len(lens)]:
+        raise FormatError(
+            f"{path} has {' '.join(lens)}: expected {' '.join(_DISTORTION[: len(lens)])}, the "
+            "first coefficients without a gap"
+        )
     scale = values.get(_DEPTH_SCALE)
     if scale is not None and not (np.isfinite(scale) and scale > 0):
         raise FormatError(f"{path} has the {_DEPTH_SCALE} {scale:g}, expected a positive number")
@@ -155,23 +159,24 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def for_width(camera: Camera, width: int) -> Camera:
-    """Return a camera that is stated for frames of `STATED_SIZE` for these frames resampled."""
-    return camera.scaled(width / STATED_SIZE[1], *STATED_SIZE)
+    """Return one of `KNOWN_CAMERAS` for frames that are resampled to this width, px."""
+    return camera.scaled(width / KNOWN_SIZE[1], *KNOWN_SIZE)
 
 
 def _sintel_matrix(path: Path) -> np.ndarray:
     data = read_bytes(path)
-    if len(data) != _CAM.size:
-        raise FormatError(f"{path} is no .cam file: {len(data)} bytes, expected {_CAM.size}")
-    tag, *numbers = _CAM.unpack(data)
+    size = _SINTEL_CAMERA.size
+    if len(data) != size:
+        raise FormatError(f"{path} is not a .cam file: {len(data)} bytes, expected {size}")
+    tag, *numbers = _SINTEL_CAMERA.unpack(data)
     if tag != TAG:
-        raise FormatError(f"{path} is no .cam file: its tag is {tag}, expected {TAG}")
+        raise FormatError(f"{path} is not a .cam file: its tag is {tag}, expected {TAG}")
     return np.array(numbers[:9]).reshape(3, 3)
 
 
 def _kitti_matrix(path: Path, index: int) -> np.ndarray:
-    """Return the 3×4 projection of a rectified camera, from the line that holds it."""
-    names = (f"P_rect_{index:02d}", f"P{index}")  # of 2015 and 2012
+    """Return the 3×4 projection matrix of a rectified camera."""
+    names = (f"P_rect_{index:02d}", f"P{index}")  # of KITTI 2015 and 2012
     for line in read_text(path).splitlines():
         name, _, values = line.partition(":")
         if name.strip() in names:

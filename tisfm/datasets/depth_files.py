@@ -13,11 +13,13 @@ from tisfm.camera import Camera
 from tisfm.errors import InputError
 from tisfm.formats import FormatError, read_image
 from tisfm.formats.image_headers import LARGEST_PICTURE
-from tisfm.formats.npz import DAMAGE, PACKINGS
+from tisfm.formats.npz import ALLOWED_COMPRESSIONS, DAMAGE_ERRORS
 from tisfm.formats.reading import read_bytes
 
-_MISSING = (0, 65535)
-MILLIMETRES = 1000.0  # file values per metre
+MILLIMETRES = 1000.0
+"""Scale of a depth map in millimetres: file values per metre."""
+
+_NO_DEPTH = (0, 65535)  # file values without a depth
 
 
 def read_depth(path: str | os.PathLike[str], scale: float = MILLIMETRES) -> NDArray[np.float32]:
@@ -26,19 +28,19 @@ def read_depth(path: str | os.PathLike[str], scale: float = MILLIMETRES) -> NDAr
     Parameters
     ----------
     path : str or os.PathLike
-        A 16-bit picture, 0 or 65535 where there is no depth.
+        A 16-bit grey image, 0 or 65535 where there is no depth.
     scale : float, default 1000
-        File values per unit of depth; by default they are millimetres, and depth is in metres.
+        File values per unit of depth. By default the file is in millimetres, the depth in metres.
 
     Returns
     -------
     (H, W) float32 ndarray
-        Depth Z; NaN where there is none.
+        Depth Z; NaN where there is no depth.
 
     Raises
     ------
     FormatError
-        If the file is damaged, or no (H, W) picture of 16 bits.
+        If the file is damaged, or not an (H, W) image of 16 bits.
     OSError
         If the file does not exist or cannot be read.
     """
@@ -49,42 +51,42 @@ def read_depth(path: str | os.PathLike[str], scale: float = MILLIMETRES) -> NDAr
             "uint16"
         )
     depth = stored.astype(np.float32) / np.float32(scale)
-    depth[np.isin(stored, _MISSING)] = np.nan
+    depth[np.isin(stored, _NO_DEPTH)] = np.nan
     return depth
 
 
-def seen_from(
-    depth: NDArray[np.float32], own: Camera, other: Camera, offset: float
+def reproject_depth(
+    depth: NDArray[np.float32], source: Camera, target: Camera, offset: float
 ) -> NDArray[np.float32]:
-    """Bring a depth map to the picture of a camera beside the one that took it.
+    """Project a depth map into the image of a camera beside the camera that took it.
 
     Parameters
     ----------
     depth : (H, W) float32
-        Z in the axes of the camera that took it, NaN where there is none.
-    own, other : Camera
-        That camera, and the one beside it, which looks the same way and has pictures of the same
-        size. A longer focal length would leave gaps.
+        Z in the axes of the source camera, NaN where there is no depth.
+    source, target : Camera
+        The camera of the map, and the camera beside it, with the same direction and image size. A
+        target with a longer focal length would get gaps.
     offset : float
-        Where the other is, along X, in the unit of the depth.
+        X of the target camera in the axes of the source camera, in the unit of the depth.
 
     Returns
     -------
     (H, W) float32 ndarray
-        Depth at the pixels of the other camera: that of the nearest surface that falls on the
-        pixel. NaN where none does.
+        Depth at the pixels of the target: of the nearest surface that falls on the pixel. NaN where
+        no surface does.
     """
     height, width = depth.shape
     rows, columns = np.nonzero(np.isfinite(depth) & (depth > 0))
     z = depth[rows, columns]
-    (own_x, own_y), (x0, y0) = (camera.center_for(height, width) for camera in (own, other))
-    ratio = other.focal / own.focal
-    x = np.rint((columns - own_x) * ratio - other.focal * offset / z + x0)
-    y = np.rint((rows - own_y) * ratio + y0)
+    (cx, cy), (x0, y0) = (camera.center_for(height, width) for camera in (source, target))
+    ratio = target.focal / source.focal
+    x = np.rint((columns - cx) * ratio - target.focal * offset / z + x0)
+    y = np.rint((rows - cy) * ratio + y0)
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    seen = np.full(depth.shape, np.float32(np.inf))
-    np.minimum.at(seen, (y[inside].astype(int), x[inside].astype(int)), z[inside])
-    return np.where(np.isfinite(seen), seen, np.float32(np.nan))
+    nearest = np.full(depth.shape, np.float32(np.inf))
+    np.minimum.at(nearest, (y[inside].astype(int), x[inside].astype(int)), z[inside])
+    return np.where(np.isfinite(nearest), nearest, np.float32(np.nan))
 
 
 _KITTI_STEPS = 256  # 16-bit file values per pixel of disparity
@@ -96,13 +98,13 @@ _HEADERS = {
 
 
 def read_disparity(path: str | os.PathLike[str]) -> NDArray[np.float32]:
-    """Read the disparity of a left view.
+    """Read the disparity of the left view of a stereo pair.
 
     Parameters
     ----------
     path : str or os.PathLike
-        A picture: uint8 in px, uint16 in px / 256 as in KITTI, both 0 where unknown, or float in
-        px. Or one array in an .npy or .npz file, by the same rules.
+        An image: uint8 in px, or uint16 in px / 256 as in KITTI, both 0 where unknown; or float in
+        px. Or an .npy or .npz file with one such array.
 
     Returns
     -------
@@ -131,7 +133,7 @@ def read_disparity(path: str | os.PathLike[str]) -> NDArray[np.float32]:
 
 
 def _read_array(name: str) -> NDArray[Any]:
-    """Return the one map of an .npy or .npz file; nothing else in it is unpacked."""
+    """Return the only array of an .npy or .npz file; its header is checked before unpacking."""
     data = read_bytes(name)
     try:
         if not data.startswith(_ZIP):
@@ -140,19 +142,21 @@ def _read_array(name: str) -> NDArray[Any]:
             parts = archive.infolist()
             if len(parts) != 1:
                 raise FormatError(f"{name} holds {len(parts)} arrays, expected one: the disparity")
-            if parts[0].compress_type not in PACKINGS:
-                raise FormatError(f"{name} is packed as NumPy never does it: unpack it")
+            if parts[0].compress_type not in ALLOWED_COMPRESSIONS:
+                raise FormatError(
+                    f"{name} has a compression that NumPy does not write: save it with NumPy"
+                )
             with archive.open(parts[0]) as part:
                 return _read_npy(name, part, parts[0].file_size)
     except FormatError:
         raise
-    except DAMAGE as error:
+    except DAMAGE_ERRORS as error:
         reason = " ".join(str(error).split())
         raise FormatError(f"{name} cannot be read as NumPy arrays: {reason}") from error
 
 
 def _read_npy(name: str, file: IO[bytes], length: int) -> NDArray[Any]:
-    """Return the map of an .npy file of so many bytes, whose header is checked first."""
+    """Return the array of an .npy file of `length` bytes."""
     version = np.lib.format.read_magic(file)
     if version not in _HEADERS:
         raise InputError(f"its header is of version {version}")
@@ -164,7 +168,7 @@ def _read_npy(name: str, file: IO[bytes], length: int) -> NDArray[Any]:
             f"{name} is damaged: {rest} bytes of numbers, expected {expected} for {shape} {dtype}"
         )
     numbers = file.read(expected)
-    file.read(1)  # the end, where the check sum is compared
+    file.read(1)  # zipfile compares the check sum at the end
     return np.frombuffer(numbers, dtype).reshape(shape, order="F" if by_columns else "C")
 
 

@@ -1,4 +1,4 @@
-"""One pair of frames and what is known about it: where it lies, and what it holds."""
+"""A pair of frames with ground truth: the paths of its files, and their contents."""
 
 import os
 from dataclasses import dataclass
@@ -12,50 +12,48 @@ from tisfm.camera import Camera
 from tisfm.datasets.calibration import (
     COLOUR_OFFSET,
     DEPTH_CAMERA,
-    STATED,
+    KNOWN_CAMERAS,
     Calibration,
     for_width,
     read_calibration,
     read_camera,
 )
-from tisfm.datasets.depth_files import MILLIMETRES, read_depth, read_disparity, seen_from
+from tisfm.datasets.depth_files import MILLIMETRES, read_depth, read_disparity, reproject_depth
 from tisfm.datasets.pose_files import motion_between, read_pose, read_pose_row
 from tisfm.formats import FormatError, read_flo, read_image, read_kitti_flow
 from tisfm.metrics.valid_pixels import UNKNOWN
 
-# A second view from the right moves the scene to the left; the length of the step is not known.
-_TO_THE_RIGHT_VIEW = (-1.0, 0.0, 0.0)
+# Motion of the scene from the left to the right view; the baseline is unknown, and counts as 1.
+_STEREO_TRANSLATION = (-1.0, 0.0, 0.0)
 
 TruthFormat = Literal["flo", "kitti", "disparity"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoadedPair:
-    """What the files of a pair hold.
+    """The frames and the ground truth of a pair.
 
     Attributes
     ----------
     frame0, frame1 : (H, W) or (H, W, 3) ndarray
         Grey levels or colours (red, green, blue), as stored.
     flow : (H, W, 2) float32 ndarray or None
-        True motion (u, v) from frame 0 to frame 1, px; NaN where it is unknown. None if the
-        dataset has none.
+        True motion (u, v) from frame 0 to frame 1, px; NaN where unknown. None if the dataset has
+        no flow.
     depth : (H, W) float32 ndarray or None
-        True depth Z of frame 0 as it is stored, with distortion where the camera has any, in a
-        unit of the dataset's; NaN where it is unknown. None if the dataset has none.
+        True depth Z of frame 0, in the unit of the dataset, NaN where unknown; with the distortion
+        of the camera, if it has any. None if the dataset has no depth.
     pose : (4, 4) float64 ndarray or None
-        True motion (R, t; 0, 1) of what is at rest, from the camera axes of frame 0 to those of
-        frame 1, in a unit of the dataset's. None if the dataset does not say.
+        True motion (R, t; 0, 1) of the scene at rest, from the camera axes of frame 0 to those of
+        frame 1, in the unit of the dataset. None if unknown.
     pose_given : bool
-        Whether that motion is known beforehand, as of a rectified stereo pair, rather than what
-        is to be found.
+        Whether that motion is an input, as for a rectified stereo pair, and not to be estimated.
     occlusion : (H, W) bool ndarray or None
-        Where a point of frame 0 is not seen in frame 1, as far as its motion is known. None if
-        the dataset does not say.
+        True where a point of frame 0 with known motion is not visible in frame 1. None if unknown.
     sky : (H, W) bool ndarray or None
-        Where the sky is, whose motion is not that of a scene; None if the dataset does not say.
+        True in the sky, whose motion is not that of the scene; None if unknown.
     camera : Camera or None
-        The camera of frame 0, if the dataset states one.
+        The camera of frame 0; None if unknown.
 
     Examples
     --------
@@ -80,12 +78,12 @@ class LoadedPair:
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetPair:
-    """Where a pair of frames and its truth lie. Nothing is read before `load`.
+    """The files of a pair of frames and its ground truth. Nothing is read before `load`.
 
     Attributes
     ----------
     layout : str
-        Name of the layout it was recognised by, one of `LAYOUTS`.
+        Name of the layout of the dataset, one of `LAYOUTS`.
     dataset : str
         Name of the dataset, after its folder.
     name : str
@@ -95,24 +93,24 @@ class DatasetPair:
     truth : Path, optional
         True motion: a .flo file, a KITTI flow PNG, or a disparity.
     truth_format : {"flo", "kitti", "disparity"}
-        Which of these. A disparity d is the flow (-d, 0), the depth 1/d, in units of the distance
-        of the two cameras times the focal length, and a camera that moves to the right.
+        Format of `truth`. A disparity d is the flow (-d, 0), the depth 1/d, in units of the
+        baseline of the two cameras times the focal length, and a camera that moves to the right.
     depth : Path, optional
-        True depth: a map of frame 0, of the unit that the calibration says, or else mm; in layouts
-        whose cameras are in `STATED`, of the depth camera beside that of frame 0.
+        True depth: a map of frame 0, with the scale in the calibration, or else in mm. For layouts
+        in `KNOWN_CAMERAS`, the map of the depth camera beside the camera of frame 0.
     pose0, pose1 : Path, optional
-        The poses of the camera, which may be in one file.
+        Files of the camera poses of the frames; both may be the same file.
     pose_rows : (int, int), optional
-        Rows of the poses, where a file has a row for each.
+        Rows of the poses, for files with one row for each frame.
     occluded, invalid, sky : Path, optional
-        Pictures that are not 0 where a point is not seen in frame 1, where the truth does not
-        count, and where the sky is.
+        Images that are not 0 where a point is not visible in frame 1, where the true motion is
+        invalid, and in the sky.
     visible : Path, optional
-        The opposite of `occluded`: a picture that is not 0 where a point is seen in frame 1 too;
-        of a KITTI flow PNG, where it is valid.
+        The opposite of `occluded`: an image that is not 0 where a point is visible in frame 1; or a
+        KITTI flow PNG, which is valid there.
     calibration : Path, optional
-        The camera: a Sintel .cam, a KITTI calibration text, or of the layout "calibrated" a
-        heading and a line.
+        File of the camera: a Sintel .cam, a KITTI calibration text, or, in the layout "calibrated",
+        a heading and a line of numbers.
 
     Examples
     --------
@@ -160,7 +158,7 @@ class DatasetPair:
 
     @property
     def knows_pose(self) -> bool:
-        """Whether there is a true pose to be found: not that of a disparity, which is given."""
+        """Whether there is a true pose to compare with; the pose of a stereo pair is an input."""
         return self.pose0 is not None
 
     def load(self) -> LoadedPair:
@@ -169,12 +167,12 @@ class DatasetPair:
         Returns
         -------
         LoadedPair
-            Frames, the truth, and masks where there are any, all of one size.
+            Frames, ground truth, and masks if any, all of one size.
 
         Raises
         ------
         FileNotFoundError, OSError
-            If a file is missing or cannot be read; the text names it.
+            If a file is missing or cannot be read; the message names it.
         tisfm.formats.FormatError
             A ValueError: if a file is damaged, incomplete or of another format, the files differ
             in size, or flow or depth are unknown everywhere.
@@ -214,7 +212,7 @@ class DatasetPair:
             nothing = np.where(np.isnan(disparity), disparity, np.float32(0))
             return np.stack([-disparity, nothing], axis=2)
         flow = read_flo(path)
-        # A comparison with NaN is false, as wanted.
+        # NaN compares as false, so it counts as unknown.
         known = (np.abs(flow) <= UNKNOWN).all(axis=2)
         flow[~known] = np.nan
         return flow
@@ -225,11 +223,10 @@ class DatasetPair:
         if self.depth is not None:
             depth = read_depth(self.depth, scale)
             self._require_size(self.depth, depth, size)
-            if self.layout in STATED:
-                own, other = (
-                    for_width(camera, size[1]) for camera in (DEPTH_CAMERA, STATED[self.layout])
-                )
-                depth = seen_from(depth, own, other, COLOUR_OFFSET)
+            if self.layout in KNOWN_CAMERAS:
+                depth_camera = for_width(DEPTH_CAMERA, size[1])
+                colour_camera = for_width(KNOWN_CAMERAS[self.layout], size[1])
+                depth = reproject_depth(depth, depth_camera, colour_camera, COLOUR_OFFSET)
         elif flow is not None and self.truth_format == "disparity":
             disparity = -flow[..., 0]
             depth = np.full(disparity.shape, np.nan, np.float32)
@@ -244,7 +241,7 @@ class DatasetPair:
     def _read_pose(self) -> NDArray[np.float64] | None:
         if self.truth_format == "disparity":
             pose = np.eye(4)
-            pose[:3, 3] = _TO_THE_RIGHT_VIEW
+            pose[:3, 3] = _STEREO_TRANSLATION
             return pose
         if self.pose0 is None or self.pose1 is None:
             return None
@@ -255,8 +252,8 @@ class DatasetPair:
 
     def _read_calibration(self, size: tuple[int, ...]) -> Calibration:
         if self.calibration is None:
-            stated = STATED.get(self.layout)
-            return Calibration(camera=None if stated is None else for_width(stated, size[1]))
+            camera = KNOWN_CAMERAS.get(self.layout)
+            return Calibration(camera=None if camera is None else for_width(camera, size[1]))
         if self.layout == "calibrated":
             return read_calibration(self.calibration)
         return Calibration(camera=read_camera(self.calibration, self.frame0))

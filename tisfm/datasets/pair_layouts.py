@@ -1,8 +1,8 @@
-"""How the datasets lay out their files.
+"""Layouts of datasets of frame pairs.
 
-A finder gets one folder and returns the pairs of which this folder is the root, without reading
-any. What counts is the truth: a pair whose frames are missing is found, and says so when it is
-loaded; frames without truth are no pair.
+A finder gets one folder and yields the pairs whose root is this folder, without reading files. It
+searches for the files of ground truth. Frames without ground truth are not a pair. A pair whose
+frames are missing is yielded, and `load` raises an error for it.
 """
 
 import re
@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 from tisfm.datasets.pair import DatasetPair
 from tisfm.formats import IMAGE_SUFFIXES
-from tisfm.formats.image_names import in_order
+from tisfm.formats.image_names import sort_by_name
 
 Layout = Literal[
     "middlebury",
@@ -33,7 +33,7 @@ _DISPARITY_SUFFIXES = (".npz", ".npy", ".png", ".tif", ".tiff")
 
 
 def find_middlebury(folder: Path) -> Iterator[DatasetPair]:
-    """Find flow10.flo beside its frames, or in other-gt-flow/NAME with them in other-data/NAME."""
+    """Find flow10.flo beside frames, or in other-gt-flow/NAME with frames in other-data/NAME."""
     truth = folder / "flow10.flo"
     if not truth.is_file():
         return
@@ -52,7 +52,7 @@ def find_middlebury(folder: Path) -> Iterator[DatasetPair]:
 
 
 def find_kitti(folder: Path) -> Iterator[DatasetPair]:
-    """Find flow_occ/NNNNNN_10.png, or flow_noc alone, with the frames in folders beside it."""
+    """Find flow_occ/NNNNNN_10.png, or else flow_noc, with the frames in folders beside it."""
     with_occlusion, without = folder / "flow_occ", folder / "flow_noc"
     truths = with_occlusion if with_occlusion.is_dir() else without
     frames = _first_folder(folder, _KITTI_FRAMES) or folder / _KITTI_FRAMES[0]
@@ -156,7 +156,7 @@ def find_stereo(folder: Path) -> Iterator[DatasetPair]:
         )
         truth = next((path for path in candidates if path.is_file()), None)
         if truth is not None:
-            suffix = next(iter(found.values())).suffix  # of the other view, should one be missing
+            suffix = next(iter(found.values())).suffix  # assumed also for a missing view
             mask = folder / f"{prefix}mask.png"
             yield DatasetPair(
                 layout="stereo",
@@ -171,7 +171,7 @@ def find_stereo(folder: Path) -> Iterator[DatasetPair]:
 
 
 def find_new_tsukuba(folder: Path, *, step: int) -> Iterator[DatasetPair]:
-    """Find rgb_NNNNN.png beside a file with a row of the pose of each."""
+    """Find rgb_NNNNN.png beside a file with a row for the pose of each frame."""
     poses = folder / TSUKUBA_POSES
     if not poses.is_file():
         return
@@ -196,7 +196,7 @@ def find_sevenscenes(folder: Path, *, step: int) -> Iterator[DatasetPair]:
     frames = numbered(folder, "frame-*.color.*", r"frame-(\d+)\.color\.(?:png|jpg)")
     if not poses or not frames:
         return
-    suffix = next(iter(frames.values())).suffix  # of the others, should one be missing
+    suffix = next(iter(frames.values())).suffix  # assumed also for a missing frame
     digits = len(next(iter(poses.values())).name) - len("frame-.pose.txt")
     is_part = re.fullmatch(r"seq-\d+", folder.name) is not None
     numbers = poses.keys() | frames.keys()
@@ -216,15 +216,15 @@ def find_sevenscenes(folder: Path, *, step: int) -> Iterator[DatasetPair]:
 
 
 def find_calibrated(folder: Path, *, step: int) -> Iterator[DatasetPair]:
-    """Find images/ with camera.txt, and with poses.txt, a row for each image, or depth/, or both.
+    """Find images/ with camera.txt, and with poses.txt (a row for each image), or depth/, or both.
 
-    A depth map is named as its image. A pair is left out where neither is known of it.
+    A depth map has the name of its image. Pairs without pose and depth are left out.
     """
     camera, poses = folder / "camera.txt", folder / "poses.txt"
     images, depth = folder / "images", folder / "depth"
     if not camera.is_file() or not images.is_dir():
         return
-    frames = in_order(
+    frames = sort_by_name(
         file for file in sorted_files(images, "*") if file.suffix.lower() in IMAGE_SUFFIXES
     )
     maps = {file.stem: file for file in sorted_files(depth, "*.png")}
@@ -248,11 +248,11 @@ def find_calibrated(folder: Path, *, step: int) -> Iterator[DatasetPair]:
 
 
 class Rule(NamedTuple):
-    """A layout: its finder, the files that it looks for, and the usual step of a sequence."""
+    """A layout of pairs."""
 
-    find: Callable[..., Iterator[DatasetPair]]  # in a folder, of a sequence also a `step`
-    expected: str
-    step: int | None = None  # from frame to frame of a sequence with poses, unless another is given
+    find: Callable[..., Iterator[DatasetPair]]  # takes a folder; for sequences also a `step`
+    expected: str  # description of its files, for messages
+    step: int | None = None  # default frames from the first to the second frame, for sequences
 
 
 LAYOUTS: dict[str, Rule] = {
@@ -289,7 +289,7 @@ LAYOUTS: dict[str, Rule] = {
         step=1,
     ),
 }
-"""Of each layout its finder, the files that it looks for, and for sequences the usual step."""
+"""The rules of the layouts, by name."""
 
 
 def _first_folder(folder: Path, names: tuple[str, ...]) -> Path | None:
@@ -297,16 +297,16 @@ def _first_folder(folder: Path, names: tuple[str, ...]) -> Path | None:
 
 
 def numbered(folder: Path, pattern: str, name: str) -> dict[int, Path]:
-    """Return the files of a pattern by the number in their names, the group of an expression."""
+    """Return the files of a pattern by the number in their names, group 1 of a regex `name`."""
     matches = ((file, re.fullmatch(name, file.name)) for file in sorted_files(folder, pattern))
     return {int(match.group(1)): file for file, match in matches if match is not None}
 
 
 def _above_training(folder: Path) -> Path:
-    """Return the folder that a dataset is named by: not its part for training."""
+    """Return the folder that a dataset is named after: the parent of a folder "training"."""
     return folder.parent if folder.name == "training" else folder
 
 
 def sorted_files(folder: Path, pattern: str) -> list[Path]:
-    """Return the files of a pattern in order of their names, without hidden ones."""
+    """Return the files of a pattern in the order of their names, without hidden files."""
     return sorted(path for path in folder.glob(pattern) if not path.name.startswith("."))

@@ -1,4 +1,4 @@
-"""Poses of cameras along a sequence, and the motion from one frame to another."""
+"""Files of camera poses, and the motion between two poses."""
 
 from pathlib import Path
 
@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.formats import FormatError
-from tisfm.trajectory.text_files import checked_pose, pose_of_twelve, read_rows
+from tisfm.trajectory.text_files import check_pose, pose_of_twelve, read_rows
 
 
 def read_pose(path: Path) -> NDArray[np.float64]:
-    """Read the pose of one camera from a file of its own.
+    """Read a camera pose from a file that holds this pose alone.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ def read_pose(path: Path) -> NDArray[np.float64]:
     Raises
     ------
     FormatError
-        If the file does not hold a pose, or one that is not finite.
+        If the file is not a pose, or has values that are not finite.
     OSError
         If the file does not exist or cannot be read.
     """
@@ -34,18 +34,18 @@ def read_pose(path: Path) -> NDArray[np.float64]:
     pose = np.array(rows)
     if np.isfinite(pose).all() and not np.array_equal(pose[3], [0, 0, 0, 1]):
         raise FormatError(f"{path} has the last row {pose[3].tolist()}, expected 0 0 0 1")
-    return checked_pose(pose, str(path))
+    return check_pose(pose, str(path))
 
 
 def read_pose_row(path: Path, row: int) -> NDArray[np.float64]:
-    """Read the pose of one camera from a file that has a row for each.
+    """Read a camera pose from a file with one row for each frame.
 
     Parameters
     ----------
     path : Path
         Text of twelve numbers a row: the upper three rows of a 4 × 4 matrix, camera to world.
     row : int
-        Which row, from 0.
+        Number of the row, from 0.
 
     Returns
     -------
@@ -54,8 +54,7 @@ def read_pose_row(path: Path, row: int) -> NDArray[np.float64]:
     Raises
     ------
     FormatError
-        If a row of the file does not have twelve numbers, or the one asked for is missing or
-        holds no pose.
+        If a row of the file does not have twelve numbers, or this row is missing or not a pose.
     OSError
         If the file does not exist or cannot be read.
     """
@@ -65,7 +64,7 @@ def read_pose_row(path: Path, row: int) -> NDArray[np.float64]:
             f"{path} has {len(rows)} rows, so there is no pose of frame {row}: expected a row for "
             "every frame, from 0"
         )
-    return checked_pose(pose_of_twelve(rows[row]), f"{path}, row {row}")
+    return check_pose(pose_of_twelve(rows[row]), f"{path}, row {row}")
 
 
 def read_poses(path: Path) -> list[NDArray[np.float64]]:
@@ -74,8 +73,8 @@ def read_poses(path: Path) -> list[NDArray[np.float64]]:
     Parameters
     ----------
     path : Path
-        Text of twelve numbers a line, one for every frame, as KITTI's odometry has it: the upper
-        three rows of a 4 × 4 matrix, camera to world. Empty lines do not count.
+        Text with a line of twelve numbers for every frame, as in KITTI's odometry: the upper three
+        rows of a 4 × 4 matrix, camera to world. Empty lines are skipped.
 
     Returns
     -------
@@ -84,18 +83,18 @@ def read_poses(path: Path) -> list[NDArray[np.float64]]:
     Raises
     ------
     FormatError
-        If a line does not hold a pose; it is named.
+        If a line is not a pose; the message names the line.
     OSError
         If the file does not exist or cannot be read.
     """
     return [
-        checked_pose(pose_of_twelve(numbers), f"{path}, line {line}")
+        check_pose(pose_of_twelve(numbers), f"{path}, line {line}")
         for line, numbers in read_rows(path, columns=12)
     ]
 
 
 def motion_between(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the motion of a scene at rest, as seen by a camera that goes from one pose to another.
+    """Return the motion of a scene at rest relative to a camera that moves between two poses.
 
     Parameters
     ----------
@@ -105,8 +104,8 @@ def motion_between(first: NDArray[np.float64], second: NDArray[np.float64]) -> N
     Returns
     -------
     (4, 4) float64 ndarray
-        Takes points in the axes of the first camera to the axes of the second.
+        Transforms points from the axes of the first camera to the axes of the second.
     """
     motion: NDArray[np.float64] = np.linalg.inv(second) @ first
-    motion[3] = 0, 0, 0, 1  # but for rounding
+    motion[3] = 0, 0, 0, 1  # exactly, without rounding errors
     return motion

@@ -1,4 +1,4 @@
-"""Pairs and sequences with ground truth, anywhere below a folder."""
+"""Search for pairs and sequences with ground truth below a folder."""
 
 import os
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ from tisfm.formats import FormatError
 def find_pairs(
     folder: str | os.PathLike[str], layout: Layout | None = None, *, step: int | None = None
 ) -> list[DatasetPair]:
-    """Find the pairs of frames with a truth in a folder, and in all folders below it.
+    """Find the pairs of frames with ground truth in a folder, and in all folders below it.
 
     Parameters
     ----------
@@ -28,19 +28,18 @@ def find_pairs(
     layout : str, optional
         How the files are laid out, one of `LAYOUTS`; by default, every layout that is recognised.
     step : int, optional
-        In a sequence ("new_tsukuba", "sevenscenes", "calibrated") pairs are of the frames i and
-        i + `step`, for every i; by default by 1, 3 and 1. Other datasets say which frames are a
-        pair.
+        In a sequence ("new_tsukuba", "sevenscenes", "calibrated") the pairs are the frames i and
+        i + `step`, for every i; by default 1, 3 and 1. In other datasets files define the pairs.
 
     Returns
     -------
     list of DatasetPair
-        In the order of their folders and names, at least one. No picture is read yet.
+        At least one pair, in the order of folders and names. No image is read yet.
 
     Raises
     ------
     FileNotFoundError
-        If there is no such folder, or no pair in it; the text says what was looked for.
+        If there is no such folder, or no pair in it; the message lists the expected files.
     NotADirectoryError
         If `folder` is a file.
     ValueError
@@ -69,12 +68,12 @@ def find_pairs(
         raise InputError(f"step is {step!r}: expected a positive whole number")
     root = root_of(folder)
     rules = list(LAYOUTS.values()) if layout is None else [LAYOUTS[layout]]
-    # Datasets are named after folders, and "." and ".." are no names.
+    # The absolute path: datasets are named after folders, and "." and ".." are not names.
     pairs = [
         pair
-        for place in folders_below(Path(os.path.abspath(root)))
+        for subfolder in folders_below(Path(os.path.abspath(root)))
         for rule in rules
-        for pair in _find(rule, place, step)
+        for pair in _find(rule, subfolder, step)
     ]
     if not pairs:
         names = [layout] if layout is not None else list(LAYOUTS)
@@ -87,7 +86,7 @@ def find_pairs(
 
 
 def root_of(folder: str | os.PathLike[str]) -> Path:
-    """Return a folder that exists, or raise as `find_pairs` does."""
+    """Return the path of an existing folder, or raise the errors of `find_pairs`."""
     root = Path(folder)
     if not root.exists():
         raise FileNotFoundError(
@@ -104,28 +103,28 @@ def _find(rule: Rule, folder: Path, step: int | None) -> Iterator[DatasetPair]:
 
 
 def folders_below(root: Path) -> Iterator[Path]:
-    """Yield a folder and all below it, each once, in order of their names."""
-    seen = set()
-    for place, below, _ in os.walk(root, followlinks=True):
-        real = os.path.realpath(place)
-        if real in seen:  # by a link to a folder above, or to one of the others
-            below.clear()
+    """Yield a folder and all folders below it, each once, in the order of their names."""
+    visited = set()
+    for folder, subfolders, _ in os.walk(root, followlinks=True):
+        real = os.path.realpath(folder)
+        if real in visited:  # a link leads to a folder that was visited
+            subfolders.clear()
             continue
-        seen.add(real)
-        below[:] = sorted(name for name in below if not name.startswith("."))
-        yield Path(place)
+        visited.add(real)
+        subfolders[:] = sorted(name for name in subfolders if not name.startswith("."))
+        yield Path(folder)
 
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetSequence:
-    """Where a sequence lies. Nothing is read before `load`.
+    """A sequence in a folder. Nothing is read before `load`.
 
     Attributes
     ----------
     layout : str
-        Name of the layout it was recognised by, one of `SEQUENCE_LAYOUTS`.
+        Name of its layout, one of `SEQUENCE_LAYOUTS`.
     name : str
-        After its folder.
+        Name of the sequence, after its folder.
     folder : Path
 
     Examples
@@ -141,12 +140,12 @@ class DatasetSequence:
     folder: Path
 
     def load(self, step: int = 1) -> LoadedSequence:
-        """Read all but the frames and the depth maps, of every `step`-th frame.
+        """Read poses, times and camera of every `step`-th frame; not the frames and depth maps.
 
         Raises
         ------
         FormatError
-            If a file is damaged or says too little; the text names it.
+            If a file is damaged or incomplete; the message names it.
         OSError
             If a file is missing or cannot be read.
         ValueError
@@ -166,7 +165,7 @@ class DatasetSequence:
 def find_sequences(
     folder: str | os.PathLike[str], layout: SequenceLayout | None = None
 ) -> list[DatasetSequence]:
-    """Find the sequences in a folder, and in all folders below it, whose path or depth is known.
+    """Find the sequences with true poses or depth in a folder, and in all folders below it.
 
     Parameters
     ----------
@@ -180,12 +179,12 @@ def find_sequences(
     Returns
     -------
     list of DatasetSequence
-        In the order of their folders, at least one.
+        At least one sequence, in the order of the folders.
 
     Raises
     ------
     FileNotFoundError
-        If there is no such folder, or no sequence in it; the text says what was looked for.
+        If there is no such folder, or no sequence in it; the message lists the expected files.
     NotADirectoryError
         If `folder` is a file.
     ValueError
@@ -207,16 +206,16 @@ def find_sequences(
     wanted = {
         name: rule for name, rule in SEQUENCE_LAYOUTS.items() if layout is None or name == layout
     }
-    found = [
-        DatasetSequence(layout=name, name=rule.name(place), folder=place)
-        for place in folders_below(Path(os.path.abspath(root)))
+    sequences = [
+        DatasetSequence(layout=name, name=rule.name(subfolder), folder=subfolder)
+        for subfolder in folders_below(Path(os.path.abspath(root)))
         for name, rule in wanted.items()
-        if rule.recognises(place)
+        if rule.recognises(subfolder)
     ]
-    if not found:
+    if not sequences:
         expected = "; ".join(f"{name}: {rule.expected}" for name, rule in wanted.items())
         raise FileNotFoundError(
             f"{root} holds no sequence whose path or depth is known. Looked there and in the "
             f"folders below for {expected}"
         )
-    return found
+    return sequences

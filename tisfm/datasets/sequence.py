@@ -1,4 +1,4 @@
-"""What the files of a sequence say."""
+"""A sequence with ground truth."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -13,20 +13,20 @@ from tisfm.datasets.depth_files import MILLIMETRES, read_depth
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoadedSequence:
-    """What the files of a sequence say. Frames and depth maps are not read yet.
+    """The ground truth of a sequence, and the paths of its frames and depth maps.
 
     Attributes
     ----------
     frames : tuple of Path
-        In order.
+        Image files of the frames, in order.
     poses : (N, 4, 4) float64 ndarray
-        True poses, camera to world, m; NaN where there is none.
+        True poses, camera to world, m; NaN for a frame without a pose.
     camera : Camera or None
-        If the dataset states one.
+        None if unknown.
     times : (N,) float64 ndarray or None
-        When the frames were taken, s; None if the dataset does not say.
+        Times of the frames, s; None if unknown.
     depths : tuple of Path or None
-        The true depth map of each frame; None where there is none.
+        File of the true depth map of each frame; None for a frame without one.
     depth_scale : float
         Values of a depth map per metre.
 
@@ -58,15 +58,15 @@ class LoadedSequence:
         Raises
         ------
         FormatError
-            If the file is damaged, or no depth map.
+            If the file is damaged, or not a depth map.
         OSError
-            If it does not exist or cannot be read.
+            If the file does not exist or cannot be read.
         """
         path = self.depths[index]
         return None if path is None else read_depth(path, self.depth_scale)
 
     def take(self, indices: Iterable[int]) -> "LoadedSequence":
-        """Return some of the frames alone, in the order given."""
+        """Return the sequence of some of the frames, in the order of `indices`."""
         kept = list(indices)
         return replace(
             self,

@@ -1,6 +1,7 @@
-"""How the datasets lay out their sequences.
+"""Layouts of datasets of sequences.
 
-A loader gets the folder of one and reads all but its frames and depth maps.
+A loader gets the folder of a sequence and reads its poses, times and camera; `LoadedSequence` has
+the paths of its frames and depth maps.
 """
 
 import re
@@ -12,23 +13,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
-from tisfm.datasets.calibration import STATED, TUM, for_width, read_calibration, read_camera
+from tisfm.datasets.calibration import (
+    KNOWN_CAMERAS,
+    TUM_CAMERAS,
+    for_width,
+    read_calibration,
+    read_camera,
+)
 from tisfm.datasets.depth_files import MILLIMETRES
 from tisfm.datasets.pair_layouts import TSUKUBA_POSES, numbered, sorted_files
 from tisfm.datasets.pose_files import read_pose, read_poses
 from tisfm.datasets.sequence import LoadedSequence
 from tisfm.formats import IMAGE_SUFFIXES, FormatError, read_image
-from tisfm.formats.image_names import in_order
+from tisfm.formats.image_names import sort_by_name
 from tisfm.trajectory import associate, read_kitti, read_tum
 from tisfm.trajectory.poses import check_times
 from tisfm.trajectory.text_files import read_lines, read_rows
 
 SequenceLayout = Literal["new_tsukuba", "sevenscenes", "calibrated", "tum", "kitti_odometry"]
 
-_CENTIMETRES = 100.0  # per metre
-_TUM_DEPTH = 5000.0  # values of a depth map per metre
-_TUM_KIND = re.compile(r"(?:freiburg|fr)(\d)")
-_KITTI_FRAMES = ("image_0", "image_2")  # the poses are those of camera 0
+_CENTIMETRES = 100.0  # per metre; the unit of New Tsukuba's poses
+_TUM_DEPTH_SCALE = 5000.0  # values of a depth map per metre
+_TUM_CAMERA = re.compile(r"(?:freiburg|fr)(\d)")
+_KITTI_FRAMES = ("image_0", "image_2")  # image_0 first: the poses are of camera 0
 
 
 def _load_new_tsukuba(folder: Path) -> LoadedSequence:
@@ -89,16 +96,16 @@ def _load_tum(folder: Path) -> LoadedSequence:
     if (folder / "groundtruth.txt").is_file():
         truth = read_tum(folder / "groundtruth.txt")
         assert truth.times is not None
-        mine, theirs = associate(times, truth.times)
-        poses[mine] = truth.poses[theirs]
-    kind = _TUM_KIND.search(folder.name)
+        own, others = associate(times, truth.times)
+        poses[own] = truth.poses[others]
+    number = _TUM_CAMERA.search(folder.name)
     return LoadedSequence(
         frames=tuple(frames),
         poses=poses,
-        camera=TUM.get(kind.group(1)) if kind else None,
+        camera=TUM_CAMERAS.get(number.group(1)) if number else None,
         times=times,
         depths=tuple(depths),
-        depth_scale=_TUM_DEPTH,
+        depth_scale=_TUM_DEPTH_SCALE,
     )
 
 
@@ -130,7 +137,7 @@ def _kitti_poses(folder: Path) -> Path:
 
 
 def _listed(path: Path) -> tuple[NDArray[np.float64], list[Path]]:
-    """Return times and files of a list of TUM's: a time and a name on every line."""
+    """Return times and files of a TUM list, which has a time and a file name on every line."""
     times, files = [], []
     for number, words in read_lines(path):
         try:
@@ -149,12 +156,12 @@ def _listed(path: Path) -> tuple[NDArray[np.float64], list[Path]]:
 
 def _pictures(folder: Path) -> list[Path]:
     files = [file for file in sorted_files(folder, "*") if file.suffix.lower() in IMAGE_SUFFIXES]
-    return in_order(files)
+    return sort_by_name(files)
 
 
 def _stated(layout: SequenceLayout, frames: tuple[Path, ...]) -> Camera:
-    """Return the camera of a layout that has one, for frames of this size."""
-    return for_width(STATED[layout], read_image(frames[0]).shape[1])
+    """Return the known camera of a layout, for the size of these frames."""
+    return for_width(KNOWN_CAMERAS[layout], read_image(frames[0]).shape[1])
 
 
 def _no_pose() -> NDArray[np.float64]:
@@ -166,18 +173,18 @@ def _folder_name(folder: Path) -> str:
 
 
 def _part_name(folder: Path) -> str:
-    """Return the name of a folder, with that above it if it is a numbered part."""
+    """Return the name of a folder, after the name of its parent if it is a numbered part."""
     is_part = re.fullmatch(r"seq-\d+|\d+", folder.name) is not None
     return f"{folder.parent.name} {folder.name}" if is_part else folder.name
 
 
 class SequenceRule(NamedTuple):
-    """A layout: whether a folder is of it, what its files say, and what is looked for."""
+    """A layout of sequences."""
 
-    recognises: Callable[[Path], bool]
+    recognises: Callable[[Path], bool]  # whether a folder has this layout
     load: Callable[[Path], LoadedSequence]
-    expected: str
-    name: Callable[[Path], str] = _folder_name
+    expected: str  # description of its files, for messages
+    name: Callable[[Path], str] = _folder_name  # name of the sequence in a folder
 
 
 def _is_new_tsukuba(folder: Path) -> bool:
@@ -225,4 +232,4 @@ SEQUENCE_LAYOUTS: dict[SequenceLayout, SequenceRule] = {
         _part_name,
     ),
 }
-"""Of each layout how it is recognised and read, and the files that it looks for."""
+"""The rules of the layouts, by name."""

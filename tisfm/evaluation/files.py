@@ -14,7 +14,7 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.datasets import DatasetPair, LoadedPair
 from tisfm.evaluation.pairs import Evaluation, PairEvaluation, as_record
-from tisfm.folders.result_folder import InputFiles, make_folder, make_inner_folder
+from tisfm.folders.result_folder import InputFiles, make_result_folder, make_subfolder
 from tisfm.formats import atomic_write, write_flo
 from tisfm.interpretation import Interpretation
 from tisfm.metrics import endpoint_error_map
@@ -81,7 +81,7 @@ class EvaluationWriter:
         self._inputs.refuse(self.folder / EVALUATION_RECORD)
         for pair in pairs:
             self._inputs.refuse(*self._files(self._stem(pair)))
-        make_folder(folder)
+        make_result_folder(folder)
         self._record: dict[str, Any] = {
             "version": __version__,
             "versions": {
@@ -129,7 +129,7 @@ class EvaluationWriter:
         if result is not None and loaded is not None:
             stem = self._stem(evaluation.pair)
             self._inputs.refuse(*self._files(stem))
-            make_inner_folder((self.folder / stem).parent)
+            make_subfolder((self.folder / stem).parent)
             self._write_files(f"{self.folder / stem}", evaluation, result, loaded)
         self._record["pairs"].append({**as_record(evaluation), "outputs": stem})
         self._write_record()

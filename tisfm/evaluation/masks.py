@@ -14,7 +14,7 @@ from tisfm.camera_file import read_camera
 from tisfm.checks import whole
 from tisfm.errors import InputError
 from tisfm.formats import IMAGE_SUFFIXES
-from tisfm.formats.image_names import in_order
+from tisfm.formats.image_names import sort_by_name
 from tisfm.formats.label_picture import read_label_picture
 from tisfm.lens import Undistortion
 from tisfm.metrics import LabelScores, label_scores
@@ -153,4 +153,4 @@ def _pictures(folder: Path) -> Sequence[Path]:
     ]
     if not files:
         raise FileNotFoundError(f"the folder {folder} has no pictures: expected a mask for a frame")
-    return in_order(files)
+    return sort_by_name(files)

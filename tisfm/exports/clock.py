@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.errors import InputError
-from tisfm.trajectory.times import do_rise, times_or_numbers
+from tisfm.trajectory.times import are_increasing, times_or_numbers
 
 FRAME_RATE = 25.0  # 1/s, where nothing says otherwise
 _SLOWEST, _FASTEST = 0.01, 1000.0
@@ -50,7 +50,7 @@ def frame_rate(
     if frames_per_second is not None:
         return check_rate(frames_per_second)
     known = [times[frame] for frame in frames]
-    if len(known) < 2 or not do_rise(known):
+    if len(known) < 2 or not are_increasing(known):
         return FRAME_RATE
     apart = float(np.median(np.diff(np.array(known, float))))
     return float(np.clip(1 / apart, _SLOWEST, _FASTEST))

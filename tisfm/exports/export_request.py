@@ -9,7 +9,7 @@ from tisfm.camera_file import NAME as CAMERA
 from tisfm.camera_file import read_camera, record_in
 from tisfm.errors import InputError
 from tisfm.exports.result_frames import PairFrames, SequenceFrames
-from tisfm.folders.result_folder import make_inner_folder
+from tisfm.folders.result_folder import make_subfolder
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 
@@ -54,7 +54,7 @@ class Export:
 
     def subfolder(self, name: str) -> Path:
         """Return a folder in that which is written to; it is made if need be."""
-        return make_inner_folder(self.folder / name)
+        return make_subfolder(self.folder / name)
 
 
 def source_camera(export: Export) -> tuple[Camera, tuple[int, int]]:

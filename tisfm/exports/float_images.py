@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tisfm.errors import MissingPackageError
 from tisfm.formats import atomic_write
-from tisfm.formats.atomic import BEGINNING, ENDING
+from tisfm.formats.atomic import TEMPORARY_PREFIX, TEMPORARY_SUFFIX
 
 _DEFLATE = 8  # of the ways that TIFF compresses in
 
@@ -49,7 +49,9 @@ def write_exr(path: str | os.PathLike[str], channels: Mapping[str, NDArray[np.fl
     arrays = {name: np.ascontiguousarray(values, "<f4") for name, values in channels.items()}
     place = Path(path).absolute().parent
     # The library takes names of files alone, and says what went wrong as a RuntimeError.
-    with tempfile.TemporaryDirectory(prefix=BEGINNING, suffix=ENDING, dir=place) as folder:
+    with tempfile.TemporaryDirectory(
+        prefix=TEMPORARY_PREFIX, suffix=TEMPORARY_SUFFIX, dir=place
+    ) as folder:
         file = Path(folder, "picture.exr")
         try:
             OpenEXR.File(header, arrays).write(str(file))

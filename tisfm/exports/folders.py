@@ -1,6 +1,7 @@
 """The folder of an export: all of it, or what was there before."""
 
 import json
+import os
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -8,7 +9,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from tisfm.folders.result_folder import LOCK, is_there, locked_folder, make_folder, remove
+from tisfm.folders.result_folder import LOCK, locked_folder, make_result_folder, remove
 from tisfm.formats import atomic_write
 from tisfm.formats.atomic import is_temporary
 
@@ -48,7 +49,7 @@ def renewed_export(folder: str | PathLike[str], about: dict[str, Any]) -> Iterat
         If it cannot be made or written to, or another run writes to it.
     """
     is_new = not Path(folder).exists()
-    path = make_folder(folder)
+    path = make_result_folder(folder)
     try:
         with _renewed(path, about) as new:
             yield new
@@ -84,7 +85,7 @@ def _exchange(path: Path) -> None:
     try:
         _move(path, path / EARLIER, PARTS)
         for name in reversed(PARTS):
-            if is_there(path / NEW / name):
+            if os.path.lexists(path / NEW / name):
                 placed.append(name)
                 (path / NEW / name).replace(path / name)
     except BaseException:
@@ -100,7 +101,7 @@ def _exchange(path: Path) -> None:
 
 def _move(source: Path, target: Path, names: Iterable[str]) -> None:
     for name in names:
-        if is_there(source / name):
+        if os.path.lexists(source / name):
             (source / name).replace(target / name)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from tisfm.exports.pieces import chosen_frames
 from tisfm.exports.result_frames import ResultFrames
-from tisfm.folders.result_folder import make_inner_folder
+from tisfm.folders.result_folder import make_subfolder
 from tisfm.formats import write_png
 
 
@@ -59,7 +59,7 @@ def write_masks(
     taken, written = chosen_frames(chosen, len(frames)), []
     for done, frame in enumerate(taken, 1):
         for name, mask in frames.masks(frame).items():
-            place = make_inner_folder(Path(folder) / name)
+            place = make_subfolder(Path(folder) / name)
             file = place / f"{frames.names[frame]}.png"
             write_png(file, np.where(mask, np.uint8(255), np.uint8(0)))
             written.append(file)

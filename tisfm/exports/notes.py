@@ -9,7 +9,7 @@ from tisfm.exports.export_request import Export, source_camera
 from tisfm.exports.pieces import pieces_of
 from tisfm.exports.result_frames import PairFrames
 from tisfm.focal_guess import at_size
-from tisfm.trajectory.times import do_rise
+from tisfm.trajectory.times import are_increasing
 
 
 def of_poses(export: Export) -> list[str]:
@@ -48,14 +48,14 @@ def of_largest(export: Export) -> list[str]:
 
 def of_times(export: Export) -> list[str]:
     """Tell where times are numbers of frames."""
-    if do_rise(export.frames.times) or export.frames_per_second is not None:
+    if are_increasing(export.frames.times) or export.frames_per_second is not None:
         return []
     return [f"{_without(export)}: their numbers stand for seconds; --fps says how many a second"]
 
 
 def of_rate(export: Export) -> list[str]:
     """Tell where the frame rate is a guess."""
-    known = do_rise([export.frames.times[frame] for frame in export.chosen])
+    known = are_increasing([export.frames.times[frame] for frame in export.chosen])
     if (known and len(export.chosen) > 1) or export.frames_per_second is not None:
         return []
     return [f"{_without(export)}: {FRAME_RATE:g} a second are assumed; --fps says how many"]

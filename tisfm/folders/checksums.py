@@ -1,4 +1,4 @@
-"""Records of runs: check sums of files, and differences between two records."""
+"""Check sums of files, and differences between two records of a run."""
 
 import hashlib
 import json
@@ -10,43 +10,44 @@ from typing import Any
 
 from isal import isal_zlib
 
-_PIECE = 2**20  # bytes of a file that are read at a time
-_MOST_SAID = 4  # differences
+_READ_SIZE = 2**20  # bytes of a file that are read at a time
+_MAX_DIFFERENCES = 4  # differences that a message names
 
 
-def check_sum(path: Path) -> tuple[int, int] | None:
-    """Return the length of a file, bytes, and its CRC-32; None if there is none."""
+def file_checksum(path: Path) -> tuple[int, int] | None:
+    """Return the length of a file, bytes, and its CRC-32; None if there is no such file."""
     try:
-        if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe would be waited for
+        if not stat.S_ISREG(os.stat(path).st_mode):  # reading a pipe would wait for a writer
             return None
         with open(path, "rb", 0) as file:
-            length, total = 0, 0
-            while piece := file.read(_PIECE):
-                length, total = length + len(piece), isal_zlib.crc32(piece, total)
+            length, checksum = 0, 0
+            while data := file.read(_READ_SIZE):
+                length, checksum = length + len(data), isal_zlib.crc32(data, checksum)
     except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
         return None
-    return length, total
+    return length, checksum
 
 
-def content(files: Iterable[Path]) -> str:
-    """Return a digest of what files hold, and of their names, but not of their folders."""
+def files_digest(files: Iterable[Path]) -> str:
+    """Return a digest of the contents and names of files; their folders do not count."""
     digest = hashlib.sha256()
     for file in files:
-        digest.update(f"{file.name} {check_sum(file)}\n".encode("utf-8", "surrogateescape"))
+        digest.update(f"{file.name} {file_checksum(file)}\n".encode("utf-8", "surrogateescape"))
     return digest.hexdigest()[:32]
 
 
-def differing(before: Any, now: Any, name: str = "") -> Iterator[str]:
-    """Yield what differs between two accounts."""
+def compare_records(before: Any, now: Any, name: str = "") -> Iterator[str]:
+    """Yield a description of each difference between two records (nested dicts of JSON values)."""
     if isinstance(before, dict) and isinstance(now, dict):
         for key in sorted(before.keys() | now.keys()):
-            yield from differing(before.get(key), now.get(key), f"{name}.{key}" if name else key)
+            inner = f"{name}.{key}" if name else key
+            yield from compare_records(before.get(key), now.get(key), inner)
     elif before != now:
         yield f"{name} was {json.dumps(before)}, now {json.dumps(now)}"
 
 
-def said(differences: Iterable[str]) -> str:
-    """Return the first differences in words; nothing if there are none."""
-    found = list(differences)
-    more = len(found) - _MOST_SAID
-    return "; ".join(found[:_MOST_SAID] + [f"and {more} more"] * (more > 0))
+def summarise_differences(differences: Iterable[str]) -> str:
+    """Return the first differences as one text; an empty text if there is none."""
+    listed = list(differences)
+    more = len(listed) - _MAX_DIFFERENCES
+    return "; ".join(listed[:_MAX_DIFFERENCES] + [f"and {more} more"] * (more > 0))

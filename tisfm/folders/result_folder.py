@@ -1,4 +1,8 @@
-"""Folders for results: one run at a time writes to each, and no result replaces an input file."""
+"""Folders for results: one run at a time writes to each, and no result replaces an input file.
+
+Functions here do not follow links inside a folder for results: such a link may lead out of it. The
+folder itself may be a link.
+"""
 
 import contextlib
 import os
@@ -12,79 +16,33 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from tisfm.errors import InputError
-from tisfm.formats.atomic import BEGINNING, ENDING, is_temporary
+from tisfm.formats.atomic import TEMPORARY_PREFIX, TEMPORARY_SUFFIX, is_temporary
 
+LOCK = ".tisfm.lock"
+"""Name of the file whose lock a run holds while it writes to the folder."""
 
-def is_there(path: Path) -> bool:
-    """Return whether a path exists; a link to nothing counts."""
-    return os.path.lexists(path)
-
-
-def remove(path: Path) -> None:
-    """Remove a file, a link, or a folder with its contents, if it exists.
-
-    The target of a link stays.
-
-    Raises
-    ------
-    OSError
-        If it cannot be removed.
-    """
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
-
-
-def try_to_remove(path: Path) -> None:
-    """Remove as `remove` does, but leave what cannot be removed."""
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        with contextlib.suppress(OSError):
-            path.unlink(missing_ok=True)
-
-
-def remove_link(path: Path) -> None:
-    """Remove a path if it is a link."""
-    if path.is_symlink():
-        path.unlink()
-
-
-def make_inner_folder(path: Path) -> Path:
-    """Make a folder within a folder for results, unless it exists; return its path.
-
-    A link in its place is removed: it may lead out of the folder for results. The folder for
-    results itself may be a link.
-
-    Raises
-    ------
-    OSError
-        If it cannot be made.
-    """
-    remove_link(path)
-    try:
-        path.mkdir(exist_ok=True)
-    except FileExistsError as error:
-        raise FileExistsError(
-            f"{path} is a file, but a folder with this name is needed: move or delete the file"
-        ) from error
-    return path
-
+# A process that tests whether a lock is held (`is_locked`) holds it for an instant: wait for that.
+_LOCK_TIMEOUT = 0.2  # s; a guess
+_LOCK_POLL = 0.02  # s between two attempts; a guess
+_thread_state = threading.local()  # .reentrant: folders that the thread locked as reentrant
 
 Paths = Iterable[str | os.PathLike[str]]
+
+
+class FolderInUseError(OSError):
+    """Another run writes to the folder."""
 
 
 class InputFiles:
     """The files that a command reads, none of which a result may replace.
 
-    Files are compared by what they are, not by how they are called: through symbolic and hard
-    links, "..", and names that a file system takes for the same.
+    Files are compared by their identity in the file system, not by their names: symbolic and hard
+    links, "..", and names that differ only in case may all lead to one file.
 
     Parameters
     ----------
     files : iterable of paths
-        Those that do not exist do not count.
+        Files that do not exist are ignored.
     """
 
     def __init__(self, files: Paths = ()) -> None:
@@ -98,12 +56,12 @@ class InputFiles:
         Parameters
         ----------
         *outputs : path
-            Files about to be written, whether they exist or not.
+            Files that are about to be written, whether they exist or not.
 
         Raises
         ------
         ValueError
-            If one of them is one of the files.
+            If an output is one of the input files.
         """
         for output in outputs:
             for identity in _identities(output):
@@ -114,13 +72,96 @@ class InputFiles:
                     )
 
 
-def make_folder(folder: str | os.PathLike[str]) -> Path:
-    """Make a folder for results, unless there is one, and check that it can be written to.
+@contextlib.contextmanager
+def locked_folder(folder: str | os.PathLike[str], *, reentrant: bool = False) -> Iterator[None]:
+    """Lock a folder within the block, and remove the temporary files of runs that were killed.
+
+    The operating system releases the lock when the process ends, in whatever way it ends.
+
+    Parameters
+    ----------
+    folder : path
+        An existing folder.
+    reentrant : bool
+        Whether the same thread may lock the folder again within the block. Such inner blocks do
+        nothing.
+
+    Raises
+    ------
+    FolderInUseError
+        An OSError: if another run holds the lock.
+    """
+    path = Path(folder)
+    reentrant_folders: set[Path] = _thread_state.__dict__.setdefault("reentrant", set())
+    name = path.resolve()
+    if name in reentrant_folders:
+        yield
+        return
+    remove_link(path / LOCK)
+    lock = FileLock(path / LOCK)
+    try:
+        lock.acquire(timeout=_LOCK_TIMEOUT, poll_interval=_LOCK_POLL)
+    except Timeout:
+        raise FolderInUseError(
+            f"another run writes to {path}: wait until it ends, or give another folder with -o"
+        ) from None
+    except NotImplementedError:  # the file system has no locks
+        yield
+        return
+    if reentrant:
+        reentrant_folders.add(name)
+    try:
+        remove_temporaries(path)
+        yield
+        remove_temporaries(path)  # of worker processes of this run that were killed
+    finally:
+        reentrant_folders.discard(name)
+        with contextlib.suppress(OSError):  # Windows does not remove an open file
+            os.unlink(path / LOCK)
+        lock.release()
+
+
+def is_locked(folder: str | os.PathLike[str]) -> bool:
+    """Return whether another run holds the lock of a folder.
+
+    The lock file alone tells nothing: a run that was killed leaves it behind. True also where the
+    answer is unknown: the file system has no locks, or another user owns the file.
+    """
+    path = Path(folder) / LOCK
+    if not path.is_file():
+        return False
+    lock = FileLock(path)
+    try:
+        lock.acquire(timeout=0)
+    except (Timeout, NotImplementedError, PermissionError):
+        return True
+    except OSError:  # the folder was removed meanwhile
+        return False
+    lock.release()
+    return False
+
+
+@contextlib.contextmanager
+def presence_file(folder: Path) -> Iterator[Path]:
+    """Make a file that exists within the block: other processes see by it that this one runs.
+
+    If this process is killed, its file counts as temporary: the next run removes it.
+    """
+    path = folder / f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}{TEMPORARY_SUFFIX}"
+    path.touch()
+    try:
+        yield path
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def make_result_folder(folder: str | os.PathLike[str]) -> Path:
+    """Make a folder for results, unless it exists, and check that files can be written to it.
 
     Raises
     ------
     OSError
-        If it cannot be made or written to.
+        If the folder cannot be made or written to.
     """
     folder = Path(folder)
     try:
@@ -133,108 +174,68 @@ def make_folder(folder: str | os.PathLike[str]) -> Path:
     return folder
 
 
-def _identities(path: str | os.PathLike[str]) -> Iterator[Hashable]:
-    """Yield by what a file that exists is known: its number, if it has one, and its real path."""
-    with contextlib.suppress(OSError, ValueError):  # there is no such file, and can be none
-        about = os.stat(path)
-        if about.st_ino:  # 0 where the file system numbers nothing
-            yield about.st_dev, about.st_ino
-        yield os.path.normcase(os.path.realpath(path))
+def make_subfolder(path: Path) -> Path:
+    """Make a folder inside a folder for results, unless it exists; return its path.
 
-
-LOCK = ".tisfm.lock"
-_PATIENCE, _POLL = 0.2, 0.02  # s: who only looks whether a lock is held has it for a moment
-_of_thread = threading.local()  # the folders that it has locked
-
-
-class FolderInUseError(OSError):
-    """Another run writes to the folder."""
-
-
-@contextlib.contextmanager
-def locked_folder(folder: str | os.PathLike[str], *, with_inner: bool = False) -> Iterator[None]:
-    """Let nobody else write to a folder within the block, and remove what killed runs left half.
-
-    The lock belongs to the process: it ends with it, however that ends.
-
-    Parameters
-    ----------
-    folder : path
-        There is one.
-    with_inner : bool
-        Whether blocks of the same thread within this one are part of it, rather than another run.
+    A link of this name is removed first.
 
     Raises
     ------
-    FolderInUseError
-        An OSError: if another run is in such a block with it.
+    OSError
+        If the folder cannot be made.
     """
-    path = Path(folder)
-    held: set[Path] = _of_thread.__dict__.setdefault("held", set())
-    name = path.resolve()
-    if name in held:
-        yield
-        return
-    remove_link(path / LOCK)
-    lock = FileLock(path / LOCK)
+    remove_link(path)
     try:
-        lock.acquire(timeout=_PATIENCE, poll_interval=_POLL)
-    except Timeout:
-        raise FolderInUseError(
-            f"another run writes to {path}: wait until it ends, or give another folder with -o"
-        ) from None
-    except NotImplementedError:  # a file system without locks
-        yield
-        return
-    if with_inner:
-        held.add(name)
-    try:
-        remove_temporaries(path)
-        yield
-        remove_temporaries(path)  # of processes of this run that were killed
-    finally:
-        held.discard(name)
-        with contextlib.suppress(OSError):  # Windows removes no open file
-            os.unlink(path / LOCK)
-        lock.release()
+        path.mkdir(exist_ok=True)
+    except FileExistsError as error:
+        raise FileExistsError(
+            f"{path} is a file, but a folder with this name is needed: move or delete the file"
+        ) from error
+    return path
 
 
-def is_written_to(folder: str | os.PathLike[str]) -> bool:
-    """Return whether another run holds the lock of a folder; the file alone says nothing.
+def remove(path: Path) -> None:
+    """Remove a file, a link, or a folder with its contents, if it exists.
 
-    True also where that cannot be known: the file system has no locks, or the file is of somebody
-    else.
+    The target of a link stays.
+
+    Raises
+    ------
+    OSError
+        If the path cannot be removed.
     """
-    path = Path(folder) / LOCK
-    if not path.is_file():
-        return False
-    lock = FileLock(path)
-    try:
-        lock.acquire(timeout=0)
-    except (Timeout, NotImplementedError, PermissionError):
-        return True
-    except OSError:  # the folder has just gone
-        return False
-    lock.release()
-    return False
-
-
-@contextlib.contextmanager
-def alive_in(folder: Path) -> Iterator[Path]:
-    """Make a file that is there within the block, by which other processes know that it goes on.
-
-    That of a process that was killed counts as temporary, and goes with the next one.
-    """
-    path = folder / f"{BEGINNING}{secrets.token_hex(8)}{ENDING}"
-    path.touch()
-    try:
-        yield path
-    finally:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
         path.unlink(missing_ok=True)
 
 
+def try_to_remove(path: Path) -> None:
+    """Remove as `remove` does, but leave whatever cannot be removed."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+
+
+def remove_link(path: Path) -> None:
+    """Remove a path if it is a link."""
+    if path.is_symlink():
+        path.unlink()
+
+
 def remove_temporaries(folder: Path) -> None:
-    """Remove what killed processes left half in a folder."""
+    """Remove the temporary files that killed processes left in a folder."""
     for item in folder.iterdir():
         if is_temporary(item.name):
             remove(item)
+
+
+def _identities(path: str | os.PathLike[str]) -> Iterator[Hashable]:
+    """Yield the identities of a file: its inode, if it exists, and its real path."""
+    with contextlib.suppress(OSError, ValueError):  # there is no such file, or no such name
+        status = os.stat(path)
+        if status.st_ino:  # 0 where the file system has no inode numbers
+            yield status.st_dev, status.st_ino
+        yield os.path.normcase(os.path.realpath(path))

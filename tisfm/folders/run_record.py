@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from tisfm.errors import InputError
-from tisfm.folders.checksums import check_sum, differing, said
+from tisfm.folders.checksums import compare_records, file_checksum, summarise_differences
 from tisfm.folders.side_files import TIMINGS
 from tisfm.formats import atomic_write
 from tisfm.formats.csv_table import csv_table
 from tisfm.formats.reading import FormatError
 from tisfm.outcome import Status
-from tisfm.trajectory.times import fault_between
+from tisfm.trajectory.times import time_fault
 
 RECORD = "run.json"
 TABLE = "run.csv"
@@ -117,7 +117,9 @@ class RunRecord:
         if before is None:
             return
         asked = json.loads(json.dumps({key: self._about[key] for key in ASKED}))
-        differences = said(differing({key: before.get(key) for key in ASKED}, asked))
+        differences = summarise_differences(
+            compare_records({key: before.get(key) for key in ASKED}, asked)
+        )
         if differences:
             raise InputError(
                 f"{self._folder} holds a run with another camera, other settings or outputs, of "
@@ -154,7 +156,7 @@ class RunRecord:
         pairs = sorted(self.pairs.items(), key=lambda item: item[1]["number"])
         for name, pair in pairs:
             before, after = pair.get("times") or (None, None)
-            if fault := fault_between(before, after, f"frame {name}", "the next"):
+            if fault := time_fault(before, after, f"frame {name}", "the next"):
                 return f"{fault}: paths use the numbers of frames instead of times"
         return ""
 
@@ -227,7 +229,7 @@ def is_unchanged(
             "without --resume to start again"
         )
     return set(pair["files"]) == set(endings) and all(
-        check_sum(folder / f"{name}{ending}") == tuple(known)
+        file_checksum(folder / f"{name}{ending}") == tuple(known)
         for ending, known in pair["files"].items()
     )
 

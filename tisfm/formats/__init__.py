@@ -1,7 +1,7 @@
-"""Files: optical flow, pictures and depth.
+"""Files of optical flow, images and depth, records of runs, and folders for results.
 
-Readers refuse a file that is not complete, with a `FormatError` that names it; writers leave a
-complete file or none. They refuse arrays with masked values, for which no format has a place.
+Readers refuse an incomplete file with a `FormatError` that names it. Writers leave a complete file
+or none, and refuse arrays with masked values, which no format can store.
 
 May import: of the top level `checks`.
 """

@@ -10,10 +10,13 @@ from typing import BinaryIO
 
 from tisfm.formats.reading import open_file
 
-BEGINNING, ENDING = ".tisfm-", ".tmp"
-# What a disk says that is full, or fails, while a file is written.
-_OF_THE_DISK = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EIO, errno.EFBIG)
-_BUFFER = 2**20  # bytes: every write to the disk takes turns with other threads
+TEMPORARY_PREFIX = ".tisfm-"
+TEMPORARY_SUFFIX = ".tmp"
+# Error numbers of a disk that is full, or fails, while a file is written.
+_DISK_ERRORS = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EIO, errno.EFBIG)
+# Bytes. Each write to the disk releases and takes Python's lock, for which other threads compete:
+# a large buffer needs few writes.
+_BUFFER_SIZE = 2**20
 
 
 @contextlib.contextmanager
@@ -22,16 +25,17 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = False) -> Iter
 
     The block writes to a temporary file in the same folder, so that replacing is one rename
     within one file system. After any exception, ``KeyboardInterrupt`` included, the temporary
-    file is removed and whatever was at `path` before is untouched. A symbolic link at `path` is
-    replaced as well: what it leads to stays as it is. The folder may be a link.
+    file is removed and the file that was at `path` before is untouched. A symbolic link at `path`
+    is replaced as well: its target stays as it is. The folder may be a link.
 
     Parameters
     ----------
     path : str or os.PathLike
         File to write. Its folder must exist.
     durable : bool, default False
-        Wait until it is on the disk, so that it is whole after a power failure as well. A sequence
-        writes hundreds of files: it does so for the one that says which of them are.
+        Wait until the file is on the disk, so that it is complete after a power failure as well.
+        That is slow: of the hundreds of files of a sequence only the record, which lists the
+        others, is written so.
 
     Yields
     ------
@@ -41,7 +45,7 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = False) -> Iter
     Raises
     ------
     FileNotFoundError, NotADirectoryError, IsADirectoryError, PermissionError, OSError
-        If the file cannot be written, with a text that says what to do.
+        If the file cannot be written; the text says what to do.
 
     Examples
     --------
@@ -57,15 +61,15 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = False) -> Iter
     if os.path.isdir(target):
         raise IsADirectoryError(f"cannot write {name}: it is a folder; give the path of a file")
     if os.path.exists(target) and not os.path.isfile(target):
-        # Renaming over a device or a pipe, or a link to one, would delete it (root could lose
-        # /dev/null).
+        # Renaming over a device or a pipe, or a link to one, would delete it: root could lose
+        # /dev/null.
         raise OSError(f"cannot write {name}: it is a device or a pipe, not a file; give a file")
     folder = os.path.dirname(target)
-    # The name does not contain the target's, which may already be as long as the system allows.
-    temporary = os.path.join(folder, f"{BEGINNING}{secrets.token_hex(8)}{ENDING}")
+    # The name of the target is not part of this name: it may be as long as the system allows.
+    temporary = os.path.join(folder, f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}{TEMPORARY_SUFFIX}")
     try:
         # Plain open, not tempfile.mkstemp: the file gets the permissions the user's umask asks for.
-        file = open(temporary, "xb", _BUFFER)  # noqa: SIM115 (closed below, before the rename)
+        file = open(temporary, "xb", _BUFFER_SIZE)  # noqa: SIM115 (closed below, before the rename)
     except OSError as error:
         raise _explained(error, name, folder) from error
     try:
@@ -81,28 +85,27 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = False) -> Iter
     except BaseException as error:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)
-        if isinstance(error, OSError) and error.strerror and error.errno in _OF_THE_DISK:
+        if isinstance(error, OSError) and error.strerror and error.errno in _DISK_ERRORS:
             raise _explained(error, name, folder) from error
         raise
 
 
 def copy_file(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> None:
-    """Copy a file; the copy is complete, or does not exist.
+    """Copy a file; after an error there is no incomplete copy.
 
     Raises
     ------
     OSError
         If the source cannot be read, or the target cannot be written.
     """
-    with open_file(source) as given, atomic_write(target) as file:
-        shutil.copyfileobj(given, file, _BUFFER)
+    with open_file(source) as original, atomic_write(target) as file:
+        shutil.copyfileobj(original, file, _BUFFER_SIZE)
 
 
 def link_or_copy(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> None:
-    """Give a file a second name by a hard link; copy it where the file system has none.
+    """Give a file a second name by a hard link; copy it where the file system has no hard links.
 
-    If the source is a symbolic link, the file that it leads to is copied: the target is never
-    a link.
+    The file behind a symbolic link is copied: the target is never a symbolic link.
 
     Raises
     ------
@@ -117,8 +120,8 @@ def link_or_copy(source: str | os.PathLike[str], target: str | os.PathLike[str])
 
 
 def is_temporary(name: str) -> bool:
-    """Return whether a file is called as those are that `atomic_write` did not finish."""
-    return name.startswith(BEGINNING) and name.endswith(ENDING)
+    """Return whether a file has the name of a file that `atomic_write` did not finish."""
+    return name.startswith(TEMPORARY_PREFIX) and name.endswith(TEMPORARY_SUFFIX)
 
 
 def _explained(error: OSError, name: str, folder: str) -> OSError:
@@ -131,7 +134,8 @@ def _explained(error: OSError, name: str, folder: str) -> OSError:
         advice = f"no permission to write in {folder}; give a path in a folder of your own"
     else:
         advice = f"{error.strerror}; give a path in another folder"
+    # A class of a library may take other arguments: raise the built-in class that it derives from.
     kind = next(one for one in type(error).__mro__ if one.__module__ == "builtins")
-    explained: OSError = kind(f"cannot write {name}: {advice}")  # others may take other arguments
+    explained: OSError = kind(f"cannot write {name}: {advice}")
     explained.errno = error.errno
     return explained

@@ -15,17 +15,17 @@ from tisfm.formats.image_headers import missing_part
 from tisfm.formats.png import encode_png
 from tisfm.formats.reading import FormatError, read_bytes
 
-_SCALE_KEYWORD = "tisfm:depth_scale"
-_MEDIAN_VALUE = 2000.0
+_SCALE_KEYWORD = "tisfm:depth_scale"  # of the text chunk that states the scale
+_MEDIAN_VALUE = 2000.0  # file value of the median depth; `choose_depth_scale` says why
 
 
 def choose_depth_scale(depth: ArrayLike) -> float:
     """Choose a scale that stores the median of the valid depths as 2000.
 
-    Relative depth has no unit, so the scale has to come from the depth itself. At 2000 for the
-    median, a step of the file is 0.05 % of it, and depths from 1/2000 of it to 32 times it fit.
-    A sequence takes the scale of its first pair that has one for all of its files: until then no
-    depth is valid, and a file without valid depth is all zeros at any scale (1.0 will do).
+    Relative depth has no unit, so the scale has to come from the depth itself. With the median
+    stored as 2000, one step of the file is 0.05 % of the median, and depths from 1/2000 of the
+    median to 32 times the median fit. Use one scale for all files of a sequence, that of its first
+    pair with a valid depth. Files without valid depth are all zeros at any scale, such as 1.0.
 
     Parameters
     ----------
@@ -40,8 +40,8 @@ def choose_depth_scale(depth: ArrayLike) -> float:
     Raises
     ------
     ValueError
-        If a value is masked, or no depth is valid. (An answer such as 1.0 could be kept by mistake
-        for a sequence.)
+        If a value is masked, or no depth is valid. (A default such as 1.0 could become the scale
+        of a whole sequence by mistake.)
 
     Examples
     --------
@@ -62,11 +62,10 @@ def choose_depth_scale(depth: ArrayLike) -> float:
 
 
 def write_depth_png(path: str | os.PathLike[str], depth: ArrayLike, *, scale: float) -> None:
-    """Write depth as a 16-bit grey PNG, whole or not at all.
+    """Write depth as a 16-bit grey PNG; after an error there is no incomplete file.
 
-    The value of a pixel is depth times scale, rounded. Missing depth is 0; a valid depth never
-    is: values clip to 1 below and to 65535 above. The scale is written into the file as the text
-    chunk "tisfm:depth_scale".
+    The value of a pixel is depth times scale, rounded and clipped to 1 to 65535; 0 stands for
+    missing depth. The scale is written into the file as the text chunk "tisfm:depth_scale".
 
     Parameters
     ----------
@@ -97,7 +96,7 @@ def write_depth_png(path: str | os.PathLike[str], depth: ArrayLike, *, scale: fl
     if values.ndim != 2 or values.size == 0:
         raise InputError(f"depth is {values.shape}, expected (H, W) with some pixels")
     _check_scale(scale)
-    with np.errstate(over="ignore", invalid="ignore"):  # infinity clips, and NaN is not valid
+    with np.errstate(over="ignore", invalid="ignore"):  # infinity is clipped, NaN is not valid
         scaled = values * scale
         np.rint(scaled, out=scaled)
         np.clip(scaled, 1, 65535, out=scaled)
@@ -117,7 +116,7 @@ def read_depth_png(
     path : str or os.PathLike
         File to read.
     scale : float, optional
-        File values per unit of depth, instead of what the file states.
+        File values per unit of depth, instead of the scale that the file states.
 
     Returns
     -------
@@ -157,7 +156,7 @@ def read_depth_png(
             stated = picture.info.get(_SCALE_KEYWORD)
     except MemoryError:
         raise
-    except Exception as error:  # Pillow's decoder raises whatever a damaged file leads it to
+    except Exception as error:  # damaged files make Pillow's decoder raise many kinds of errors
         raise FormatError(f"{name} cannot be read as a depth PNG: {error}") from error
     if kind not in ("I;16", "I;16B", "I"):
         raise FormatError(f"{name} is a PNG of mode {kind}, expected 16-bit grey: not a depth file")
@@ -191,6 +190,6 @@ def _is_valid(depth: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def _check_scale(scale: float) -> None:
-    """Refuse a scale that cannot be divided by."""
+    """Raise ValueError unless a scale is finite and positive."""
     if not (math.isfinite(scale) and scale > 0):
         raise InputError(f"scale is {scale!r}, expected a finite positive number")

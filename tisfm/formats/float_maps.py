@@ -15,25 +15,26 @@ from tisfm.formats.atomic import atomic_write
 from tisfm.formats.reading import FormatError, read_bytes
 
 TAG = 202021.25
-"""Tag of .flo, .dpt and Sintel's .cam files: a check of type and byte order. The little-endian
-bytes of this float32 read "PIEH"."""
+"""First float32 of .flo, .dpt and Sintel's .cam files, by which readers check the type of the file
+and the byte order. Its little-endian bytes read "PIEH"."""
+
+LARGEST_SIDE = 99_999
+"""Largest width and height, px. Middlebury's readers of .flo files and Sintel's readers of .dpt
+files take a larger one for a damaged header."""
 
 _TAG = struct.pack("<f", TAG)
-_HEADER = struct.Struct("<4sii")
-LARGEST_SIDE = 99_999
-"""Middlebury's readers of .flo files, and Sintel's of .dpt files, refuse greater sizes, which they
-take for the sign of a damaged header."""
+_HEADER = struct.Struct("<4sii")  # tag, width, height
 
 
 def read_tagged(path: str | os.PathLike[str], *, suffix: str, channels: int) -> NDArray[np.float32]:
-    """Read a file of a tag, int32 width and height, and float32 values, rows from the top.
+    """Read a file with a tag, int32 width and height, and float32 values, the top row first.
 
     Parameters
     ----------
     path : str or os.PathLike
         File to read.
     suffix : str
-        What such a file is called in errors, such as ".flo".
+        Suffix of such files, such as ".flo", for messages.
     channels : int
         Values per pixel.
 
@@ -79,23 +80,23 @@ def read_tagged(path: str | os.PathLike[str], *, suffix: str, channels: int) -> 
 def write_tagged(
     path: str | os.PathLike[str], name: str, values: ArrayLike, *, channels: int
 ) -> None:
-    """Write what `read_tagged` reads, whole or not at all.
+    """Write a file as `read_tagged` reads it; after an error there is no incomplete file.
 
     Parameters
     ----------
     path : str or os.PathLike
         File to write.
     name : str
-        What the values are called in errors.
-    values : (H, W) or, of several channels, (H, W, channels) array_like of real numbers
-        Values, stored as float32.
+        Name of the values in messages.
+    values : (H, W) or (H, W, channels) array_like of real numbers
+        Values, stored as float32; (H, W) for one channel.
     channels : int
         Values per pixel.
 
     Raises
     ------
     ValueError
-        If the shape is another, a side is not from 1 to 99999, or a value is masked.
+        If `values` has another shape, a side is not from 1 to 99999, or a value is masked.
     TypeError
         If `values` does not hold real numbers.
     OSError
@@ -171,8 +172,8 @@ def write_flo(path: str | os.PathLike[str], flow: ArrayLike) -> None:
     path : str or os.PathLike
         File to write.
     flow : (H, W, 2) array_like of real numbers
-        Flow (u, v), px, stored as float32. The format marks unknown flow by values beyond 1e9;
-        nothing is translated here.
+        Flow (u, v), px, stored as float32. The format marks unknown flow by values beyond 1e9; NaN
+        is stored as NaN.
 
     Raises
     ------
@@ -195,7 +196,7 @@ def write_flo(path: str | os.PathLike[str], flow: ArrayLike) -> None:
 
 
 def require_writable_flow(name: str, height: int, width: int) -> None:
-    """Raise ValueError unless a .flo file can hold the flow of a frame, by its name and size."""
+    """Raise ValueError if the frame `name` is too large for a .flo file of its flow."""
     if max(height, width) > LARGEST_SIDE:
         raise InputError(
             f"{name} is {height} × {width} px, but its flow goes into a .flo file, whose sides are "

@@ -1,7 +1,7 @@
 """Coloured points and surfaces as binary glTF (GLB).
 
-What glTF keeps at a vertex is an amount of light, not the coded value of a picture, and a viewer
-casts light on it unless the material is unlit.
+glTF stores linear light at a vertex, not the sRGB value of an image. A viewer shades the colours by
+its own lamps unless the material is unlit.
 
 References
 ----------
@@ -18,14 +18,15 @@ from tisfm.formats.srgb import linear_from_srgb, srgb_from_linear
 if TYPE_CHECKING:
     from trimesh import Scene
 
-_FLOAT = 5126  # in the specification
-UNLIT = "KHR_materials_unlit"  # colours are those of a picture or a legend: no light on them
+_FLOAT = 5126  # componentType of float32 in the specification
+UNLIT = "KHR_materials_unlit"
+"""Extension of glTF for a material that viewers show in its own colours, without shading."""
 
 
 def glb_surface(
     vertices: NDArray[np.floating], faces: NDArray[np.integer], colors: NDArray[np.uint8]
 ) -> bytes:
-    """Return a surface with a colour at each vertex, seen from both sides.
+    """Return a surface with a colour at each vertex, visible from both sides.
 
     Parameters
     ----------
@@ -34,10 +35,10 @@ def glb_surface(
     colors : (N, 3) uint8
         sRGB.
     """
-    from trimesh import Trimesh  # takes a while to load
+    from trimesh import Trimesh  # slow to import
 
     mesh = Trimesh(vertices=vertices, faces=faces, vertex_colors=colors, process=False)
-    return _exported(mesh.scene(), colors)
+    return _export(mesh.scene(), colors)
 
 
 def glb_points(positions: NDArray[np.floating], colors: NDArray[np.uint8]) -> bytes:
@@ -50,56 +51,60 @@ def glb_points(positions: NDArray[np.floating], colors: NDArray[np.uint8]) -> by
     colors : (N, 3) uint8
         sRGB.
     """
-    from trimesh import PointCloud, Scene  # takes a while to load
+    from trimesh import PointCloud, Scene  # slow to import
 
     opaque = np.column_stack([colors, np.full(len(colors), 255, np.uint8)])
-    return _exported(Scene(PointCloud(positions, colors=opaque)), colors)
+    return _export(Scene(PointCloud(positions, colors=opaque)), colors)
 
 
-def colors_of(light: NDArray[np.floating] | NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the sRGB colours of light, (..., 3) uint8.
+def srgb_from_light(light: NDArray[np.floating] | NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the sRGB colours of linear light, (..., 3) uint8.
 
-    Light is from 0 to 1, or in 8 bits, as trimesh and older files have it: then the dark tones are
-    those of a few steps.
+    Floats are light from 0 to 1. uint8 is light from 0 to 255, as trimesh writes it; several dark
+    sRGB values share one such level, so dark tones come back in coarse steps.
     """
     if light.dtype == np.uint8:
         return srgb_from_linear()[257 * light.astype(np.uint16)]
     return srgb_from_linear()[np.rint(65535 * np.clip(light, 0, 1)).astype(np.uint16)]
 
 
-def unlit(tree: dict[str, Any]) -> None:
-    """Let no light fall on the materials of a glTF tree; it is modified."""
+def make_unlit(tree: dict[str, Any]) -> None:
+    """Mark all materials of a glTF tree as unlit; the tree is modified in place."""
     tree.setdefault("extensionsUsed", []).append(UNLIT)
     for material in tree["materials"]:
         material.setdefault("extensions", {})[UNLIT] = {}
 
 
-def _exported(scene: "Scene", colors: NDArray[np.uint8]) -> bytes:
-    """Return a scene of one thing, the light of its colours, (N, 3), in floats.
+def _export(scene: "Scene", colors: NDArray[np.uint8]) -> bytes:
+    """Return a scene of one object as GLB; the light of its colours, (N, 3), as float32.
 
-    trimesh writes 8 bits, of which the dark tones of a picture would share a few.
+    trimesh writes light in 8 bits, in which several dark sRGB values share one level.
     """
     from trimesh.exchange.gltf import export_glb
 
     light = linear_from_srgb()[colors]
 
-    def put_light(buffers: dict[Any, bytes], tree: dict[str, Any]) -> None:
+    def replace_colours(buffers: dict[Any, bytes], tree: dict[str, Any]) -> None:
         ((primitive,),) = (mesh["primitives"] for mesh in tree["meshes"])
         accessor = list(tree["accessors"].values())[primitive["attributes"]["COLOR_0"]]
         del accessor["normalized"]
-        ends = {"min": light.min(axis=0).tolist(), "max": light.max(axis=0).tolist()}
-        accessor.update(componentType=_FLOAT, type="VEC3", **ends)
+        bounds = {"min": light.min(axis=0).tolist(), "max": light.max(axis=0).tolist()}
+        accessor.update(componentType=_FLOAT, type="VEC3", **bounds)
         buffers[list(buffers)[accessor["bufferView"]]] = light.tobytes()
 
     data = export_glb(
-        scene, include_normals=False, buffer_postprocessor=put_light, tree_postprocessor=_plain
+        scene,
+        include_normals=False,
+        buffer_postprocessor=replace_colours,
+        tree_postprocessor=_use_one_material,
     )
     return bytes(data)
 
 
-def _plain(tree: dict[str, Any]) -> None:
+def _use_one_material(tree: dict[str, Any]) -> None:
+    """Give all meshes of a glTF tree one unlit, double-sided material."""
     tree["materials"] = [{"doubleSided": True}]
     for mesh in tree["meshes"]:
         for primitive in mesh["primitives"]:
             primitive["material"] = 0
-    unlit(tree)
+    make_unlit(tree)

@@ -1,6 +1,6 @@
 """What an image file states about itself: its size in pixels, and where its parts end.
 
-PNG and TIFF say where each of their parts ends. Checking that before decoding is exact, and keeps
+PNG and TIFF state where each of their parts ends. Checking that before decoding is exact, and keeps
 libpng and libtiff from printing complaints of their own to standard error.
 """
 
@@ -15,21 +15,35 @@ from PIL import Image
 from tisfm.formats.png import SIGNATURE
 from tisfm.formats.reading import FormatError
 
-# TIFF value types to NumPy: byte, ASCII, short, long, rational (as bytes), ... long8, ifd8.
+LARGEST_PICTURE = 2**28
+"""Pixels beyond which no image is read: a damaged file of kilobytes may state any number."""
+
+PILLOW_FORMATS = ("BMP", "JPEG", "JPEG2000", "PNG", "PPM", "TIFF", "WEBP")
+"""Pillow's names of the formats that it may decode here; for some others it runs other programs."""
+
+FLOAT_SIGNATURES = (b"PF", b"Pf", b"#?")
+"""First bytes of PFM files, colour and grey, and of Radiance HDR files."""
+
+TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+"""First bytes of TIFF files (little- and big-endian) and of BigTIFF files."""
+
+_RADIANCE_SIZE = re.compile(rb"[-+][XY] +(\d{1,18}) +[-+][XY] +(\d{1,18})\s")
+_PFM_SIZE = re.compile(rb"\AP[Ff]\s+(\d{1,18})\s+(\d{1,18})\s+[-+.\deE]+\s")
+_FLOAT_HEADER = 64 * 1024  # bytes of the file in which the size of a Radiance file is looked for
+_PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # samples per pixel, by colour type
+_DEFLATE_RATIO = 1032  # bytes that one byte of a deflate stream unpacks to, at most
+# NumPy types of TIFF value types: byte, ASCII, short, long, rational (as bytes), ... long8, ifd8.
 _TIFF_TYPES = {
     1: "u1", 2: "u1", 3: "u2", 4: "u4", 5: "V8", 6: "i1", 7: "u1", 8: "i2", 9: "i4", 10: "V8",
     11: "f4", 12: "f8", 13: "u4", 16: "u8", 17: "i8", 18: "u8",
 }  # fmt: skip
-TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # what the files begin with
-_SIDE_TAGS = (256, 257)  # ImageWidth, ImageLength
+_SIZE_TAGS = (256, 257)  # ImageWidth, ImageLength
 _STRIP_TAGS = (273, 279)  # StripOffsets, StripByteCounts
-_PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by the type of colour
-_DEFLATE = 1032  # bytes that one packed byte may hold, at most
 _TILE_TAGS = (324, 325)  # TileOffsets, TileByteCounts
 
 
 def missing_part(data: bytes) -> str | None:
-    """Name the first part of a PNG or TIFF file that lies beyond its end.
+    """Name the first part of a PNG or TIFF file that lies beyond the end of the file.
 
     Parameters
     ----------
@@ -39,43 +53,92 @@ def missing_part(data: bytes) -> str | None:
     Returns
     -------
     str or None
-        What is missing, such as "its end mark"; None if nothing is, or for another format.
+        The part, such as "its end mark"; None if no part is missing, and for other formats.
     """
     if data.startswith(SIGNATURE):
-        return _missing_from_png(data)
-    if data.startswith(TIFF):
+        return _missing_part_of_png(data)
+    if data.startswith(TIFF_SIGNATURES):
         try:
-            return _missing_from_tiff(data)
-        except (struct.error, OverflowError):  # of offsets beyond 2⁶³
+            return _missing_part_of_tiff(data)
+        except (struct.error, OverflowError):  # OverflowError: an offset beyond 2⁶³
             return "its directory"
     return None
 
 
-def _missing_from_png(data: bytes) -> str | None:
+def refuse_large_image(name: str, data: bytes, pixels: int | None = None) -> None:
+    """Raise FormatError for an image of more than `LARGEST_PICTURE` pixels.
+
+    Parameters
+    ----------
+    name : str
+        Name of the file, for the message.
+    data : bytes
+        The whole file.
+    pixels : int, optional
+        Number of pixels; read from the header of the file if not given.
+    """
+    pixels = _stated_pixels(data) if pixels is None else pixels
+    if pixels is None and data.startswith(FLOAT_SIGNATURES):
+        # OpenCV may take other numbers in the file for its size.
+        raise FormatError(f"{name} is damaged: it states no size")
+    if pixels is not None and pixels > LARGEST_PICTURE:
+        raise FormatError(
+            f"{name} is a picture of {pixels} pixels, more than {LARGEST_PICTURE}: it is damaged, "
+            "or has to be shrunk"
+        )
+
+
+def _stated_pixels(data: bytes) -> int | None:
+    """Return the number of pixels that a file states; None if its format is unknown."""
+    if data.startswith(FLOAT_SIGNATURES):
+        size = _RADIANCE_SIZE if data.startswith(b"#?") else _PFM_SIZE
+        # The largest of several matches: a comment may contain a size as well.
+        return max(
+            (int(match[1]) * int(match[2]) for match in size.finditer(data[:_FLOAT_HEADER])),
+            default=None,
+        )
+    if data.startswith(TIFF_SIGNATURES):
+        return _tiff_pixels(data)
+    Image.init()
+    for image_format in PILLOW_FORMATS:
+        open_image, accepts = Image.OPEN[image_format]
+        try:
+            if accepts is None or accepts(data[:16]) is True:
+                # Image.open would refuse images above a limit of its own.
+                with open_image(io.BytesIO(data), "") as image:
+                    return image.width * image.height
+        except MemoryError:
+            raise
+        except Exception:  # damaged files make Pillow's decoders raise many kinds of errors
+            continue
+    return None
+
+
+def _missing_part_of_png(data: bytes) -> str | None:
     """Walk the chunks (length, type, payload, check sum) up to the end mark."""
     position, packed, pixels = len(SIGNATURE), 0, 0
     while position + 12 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, position)
         if kind == b"IHDR" and length == 13 and position + 25 <= len(data):
-            width, height, bits, colours = struct.unpack_from(">IIBB", data, position + 8)
-            pixels = height * -(-width * bits * _PNG_CHANNELS.get(colours, 1) // 8)
+            width, height, bits, colour_type = struct.unpack_from(">IIBB", data, position + 8)
+            pixels = height * -(-width * bits * _PNG_CHANNELS.get(colour_type, 1) // 8)
         if kind == b"IDAT":
             packed += length
         position += 12 + length
         if kind == b"IEND" and position <= len(data):
-            # A header that lies would have memory taken for pixels that are not there.
-            return None if pixels <= _DEFLATE * packed else "part of its pixels"
+            # A header with a false size would make decoders allocate memory for missing pixels.
+            return None if pixels <= _DEFLATE_RATIO * packed else "part of its pixels"
     return "its end mark"
 
 
-def tiff_pixels(data: bytes) -> int | None:
+def _tiff_pixels(data: bytes) -> int | None:
     """Return the number of pixels that a TIFF file states, None if it states none."""
     values, _ = _tiff_values(data)
-    sides = [int(values[tag][0]) for tag in _SIDE_TAGS if tag in values]
+    sides = [int(values[tag][0]) for tag in _SIZE_TAGS if tag in values]
     return sides[0] * sides[1] if len(sides) == 2 else None
 
 
-def _missing_from_tiff(data: bytes) -> str | None:
+def _missing_part_of_tiff(data: bytes) -> str | None:
     """Check the first directory, the values it points to, and the strips or tiles of pixels.
 
     Raises ``struct.error`` or ``OverflowError`` where the directory itself is cut off.
@@ -86,14 +149,14 @@ def _missing_from_tiff(data: bytes) -> str | None:
     for offsets_tag, lengths_tag in (_STRIP_TAGS, _TILE_TAGS):
         offsets = values.get(offsets_tag, np.empty(0)).tolist()
         lengths = values.get(lengths_tag, np.empty(0)).tolist()
-        # One may be left out by a sloppy writer, in which case the decoder has the last word.
+        # Some writers leave one of the two tags out: then only decoding tells.
         if any(start + length > len(data) for start, length in zip(offsets, lengths, strict=False)):
             return "part of its pixels"
     return None
 
 
 def _tiff_values(data: bytes) -> tuple[dict[int, NDArray[np.generic]], str | None]:
-    """Return the whole numbers of the first directory by their tags, and what is missing of it."""
+    """Return the integers of the first directory by their tags, and the part that is missing."""
     order = "<" if data[:2] == b"II" else ">"
     big = 43 in data[2:4]  # BigTIFF: 64-bit offsets and counts
     offset_type, count_type = ("Q", "Q") if big else ("I", "H")
@@ -107,7 +170,7 @@ def _tiff_values(data: bytes) -> tuple[dict[int, NDArray[np.generic]], str | Non
         start = position + 4 + inline
         position = start + inline
         if kind not in _TIFF_TYPES or count == 0:
-            continue  # a type of later years, or nothing: readers skip it as well
+            continue  # a type of a later version, or no value: readers skip such entries
         dtype = np.dtype(order + _TIFF_TYPES[kind])
         if dtype.itemsize * count > inline:
             (start,) = struct.unpack_from(order + offset_type, data, start)
@@ -115,67 +178,5 @@ def _tiff_values(data: bytes) -> tuple[dict[int, NDArray[np.generic]], str | Non
             return values, f"the value of its tag {tag}"
         if dtype.kind in "ui":
             values[tag] = np.frombuffer(data, dtype, count, start)
-    struct.unpack_from(order + offset_type, data, position)  # where the next directory is
+    struct.unpack_from(order + offset_type, data, position)  # the offset of the next directory
     return values, None
-
-
-LARGEST_PICTURE = 2**28
-"""Pixels beyond which no picture is read: a file of kilobytes may state any number."""
-
-PILLOW_FORMATS = ("BMP", "JPEG", "JPEG2000", "PNG", "PPM", "TIFF", "WEBP")
-"""Pillow's names of the formats that are read; of the others some run other programs."""
-
-FLOATS = (b"PF", b"Pf", b"#?")
-"""What PFM and Radiance files begin with."""
-
-_RADIANCE = re.compile(rb"[-+][XY] +(\d{1,18}) +[-+][XY] +(\d{1,18})\s")
-_FLOATS = re.compile(rb"\AP[Ff]\s+(\d{1,18})\s+(\d{1,18})\s+[-+.\deE]+\s")
-_HEADER = 64 * 1024  # bytes in which a Radiance file states its size
-
-
-def refuse_large(name: str, data: bytes, pixels: int | None = None) -> None:
-    """Raise FormatError for a picture of more than `LARGEST_PICTURE` pixels.
-
-    Parameters
-    ----------
-    name : str
-        What the error calls it.
-    data : bytes
-        The whole file.
-    pixels : int, optional
-        What it has, where that is known.
-    """
-    pixels = _stated(data) if pixels is None else pixels
-    if pixels is None and data.startswith(FLOATS):  # OpenCV may see a size where there is none
-        raise FormatError(f"{name} is damaged: it states no size")
-    if pixels is not None and pixels > LARGEST_PICTURE:
-        raise FormatError(
-            f"{name} is a picture of {pixels} pixels, more than {LARGEST_PICTURE}: it is damaged, "
-            "or has to be shrunk"
-        )
-
-
-def _stated(data: bytes) -> int | None:
-    """Return the number of pixels, None of an unknown format."""
-    if data.startswith(FLOATS):
-        header = _RADIANCE if data.startswith(b"#?") else _FLOATS
-        # The largest: a comment may state a size as well.
-        return max(
-            (int(found[1]) * int(found[2]) for found in header.finditer(data[:_HEADER])),
-            default=None,
-        )
-    if data.startswith(TIFF):
-        return tiff_pixels(data)
-    Image.init()
-    for kind in PILLOW_FORMATS:
-        open_picture, known = Image.OPEN[kind]
-        try:
-            if known is None or known(data[:16]) is True:
-                # Not by Image.open, which refuses what is too large for its own taste.
-                with open_picture(io.BytesIO(data), "") as picture:
-                    return picture.width * picture.height
-        except MemoryError:
-            raise
-        except Exception:  # Pillow's decoders raise whatever a damaged file leads them to
-            continue
-    return None

@@ -1,4 +1,4 @@
-"""Times that the names of pictures state, and the order of pictures by their names."""
+"""Times in the file names of images, and the order of images by their names."""
 
 import math
 import re
@@ -10,39 +10,38 @@ from typing import Literal
 
 import numpy as np
 
-from tisfm.formats.images import natural_order
-
 Reading = Literal["decimals", "nanoseconds", "integers"]
 
-_NANOSECONDS = re.compile(r"\d{19}")
-_FLOAT = r"(-?\d+(?:\.\d+)?(?:e[+-]\d{2,})?)"  # as Python prints it
-# The number alone, or with a beginning that ends in a separator, or in a letter.
-_NUMBER, _PREFIXED, _LETTERED = (
-    re.compile(before + _FLOAT, re.DOTALL)
-    for before in ("()", r"(.*?[^0-9a-zA-Z.])", r"(.*?[a-zA-Z])")
+_EPOCH_NANOSECONDS = re.compile(r"\d{19}")  # since 1970
+_FLOAT = r"(-?\d+(?:\.\d+)?(?:e[+-]\d{2,})?)"  # as Python prints a float
+_NAME_PATTERNS = (
+    re.compile("()" + _FLOAT, re.DOTALL),  # a number alone
+    re.compile(r"(.*?[^0-9a-zA-Z.])" + _FLOAT, re.DOTALL),  # a prefix that ends in a separator
+    re.compile(r"(.*?[a-zA-Z])" + _FLOAT, re.DOTALL),  # a prefix that ends in a letter
 )
 _SIGN_OR_EXPONENT = re.compile("[-e]")
-_EVEN = 0.1  # mean deviation of steps from their median, as a share of it
-_MOST_NANOSECONDS = 9  # digits
-_MOST_COUNTER_DIGITS = 4  # of the number of a picture behind the number of its take
-_FEWEST_NANOSECONDS = 7  # digits of some name: 1 ms or more after a full second
-_SHORTEST = 1e-4  # s: frames closer than that in the median are numbers, not times
+# Set by hand:
+_EVEN = 0.1  # unevenness (see `_unevenness`) up to which steps count as even
+_MAX_NANOSECOND_DIGITS = 9
+_MIN_NANOSECOND_DIGITS = 7  # some name must have as many: 1 ms or more after a full second
+_MAX_COUNTER_DIGITS = 4  # digits of the number of an image behind the number of its take
+_MIN_STEP = 1e-4  # s; a smaller median step means numbers of frames or versions, not times
 
 
 @dataclass(frozen=True)
-class NamedTimes:
-    """Times that the names of pictures state.
+class ParsedTimes:
+    """Times read from the file names of images.
 
     Attributes
     ----------
     seconds : tuple of float
-        In the order of the names.
+        Times in the order of the names.
     reading : {"decimals", "nanoseconds", "integers"}
-        Seconds with decimals; seconds, a point and nanoseconds without leading zeros; or a whole
-        number of nanoseconds.
+        The notation: seconds with decimals; seconds, a point and nanoseconds without leading
+        zeros; or a whole number of nanoseconds.
     is_inferred : bool
-        Whether the digits after the point differ in number, or a name has a minus or an exponent,
-        so that only all names together tell what they mean.
+        Whether one name alone is ambiguous, and only all names together tell the notation: the
+        digits after the point differ in number, or a name has a minus or an exponent.
     """
 
     seconds: tuple[float, ...]
@@ -50,7 +49,7 @@ class NamedTimes:
     is_inferred: bool
 
     def note(self, stems: Sequence[str]) -> str:
-        """Return a note on how inferred times were read, "" if they were not inferred."""
+        """Return a note on how inferred times were read; "" if they were not inferred."""
         if not self.is_inferred:
             return ""
         if self.reading == "decimals":
@@ -65,59 +64,58 @@ class NamedTimes:
         )
 
 
-def named_times(stems: Sequence[str]) -> NamedTimes | None:
-    """Return the times that names state, None if they state none.
+def parse_times(stems: Sequence[str]) -> ParsedTimes | None:
+    """Return the times in file names; None if the names have no times.
 
-    Names that are 19 digits are nanoseconds, as in EuRoC's. Names with the same number of digits
-    after a point are seconds with decimals, as in TUM's. Where that number differs, a name such as
-    ``12.5`` may be 12.5 s (a float that was printed), 12 s and 5 ns (ROS, printed without leading
-    zeros), or the fifth picture of the twelfth take. A zero at the beginning of the digits excludes
-    nanoseconds and takes, one at the end excludes a float, and frames less than 0.1 ms apart are no
-    times. Of the readings that are left, the one with the most even steps is taken. Numbers right
-    behind a letter, as in ``t0.05``, are times only if their steps are even. Floats may have a
-    minus or an exponent.
+    Names of 19 digits are nanoseconds, as in EuRoC. Names with the same number of digits after a
+    point are seconds with decimals, as in TUM RGB-D. Where that number differs, a name such as
+    ``12.5`` may be 12.5 s (a printed float), 12 s and 5 ns (ROS, printed without leading zeros), or
+    the fifth image of the twelfth take. A leading zero after the point excludes nanoseconds and
+    takes, and a trailing zero excludes a float. A median step below 0.1 ms excludes times. Of the
+    remaining notations, the one with the most even steps is used. Numbers right behind a letter, as
+    in ``t0.05``, are times only if their steps are even. Floats may have a minus or an exponent.
 
     Parameters
     ----------
     stems : sequence of str
-        Names without their suffix. Those with digits of different lengths may have a common
-        beginning, such as ``frame_``.
+        Names without their suffix. They may have a common prefix, such as ``frame_``, if their
+        digits after the point differ in number.
 
     Returns
     -------
-    NamedTimes or None
+    ParsedTimes or None
     """
     if len(stems) < 2:
         return None
-    if all(map(_NANOSECONDS.fullmatch, stems)):
-        return NamedTimes(tuple(int(stem) / 1e9 for stem in stems), "integers", False)
-    found = _numbers(stems)
-    if found is None:
+    if all(map(_EPOCH_NANOSECONDS.fullmatch, stems)):
+        return ParsedTimes(tuple(int(stem) / 1e9 for stem in stems), "integers", False)
+    prefix_and_numbers = _prefix_and_numbers(stems)
+    if prefix_and_numbers is None:
         return None
-    beginning, numbers = found
+    prefix, numbers = prefix_and_numbers
     lengths = {len(_fraction(number)) for number in numbers}
-    is_sorted_anew = any(map(_SIGN_OR_EXPONENT.search, numbers))
+    is_inferred = any(map(_SIGN_OR_EXPONENT.search, numbers))
     if lengths == {0} or (0 in lengths and len(stems) < 3):
         return None
     if len(lengths) == 1:
-        if beginning:
+        if prefix:
             return None  # frame_1.05 may be a version and a number
-        return _finite(NamedTimes(tuple(map(float, numbers)), "decimals", is_sorted_anew))
+        return _if_finite(ParsedTimes(tuple(map(float, numbers)), "decimals", is_inferred))
     decimals, nanoseconds = _as_decimals(numbers), _as_nanoseconds(numbers)
     if decimals is not None and nanoseconds is not None:
         if _unevenness(nanoseconds.seconds) < _unevenness(decimals.seconds):
             return nanoseconds
         return decimals
     times = decimals or nanoseconds
-    if times and _unevenness_of_counters(numbers) < _unevenness(times.seconds):
+    if times and _take_unevenness(numbers) < _unevenness(times.seconds):
         return None
-    follows_letter = beginning[-1:].isalpha()
+    follows_letter = prefix[-1:].isalpha()
     return None if times and follows_letter and _unevenness(times.seconds) > _EVEN else times
 
 
-def unread_note(stems: Sequence[str]) -> str:
-    """Return a note that numbers with a point are not times, "" without such numbers."""
-    found = _numbers(stems)
+def unread_times_note(stems: Sequence[str]) -> str:
+    """Return a note that numbers with a point are not read as times; "" without such numbers."""
+    found = _prefix_and_numbers(stems)
     if found is None or len({len(_fraction(number)) for number in found[1]}) == 1:
         return ""
     return (
@@ -127,17 +125,17 @@ def unread_note(stems: Sequence[str]) -> str:
     )
 
 
-def _numbers(stems: Sequence[str]) -> tuple[str, list[str]] | None:
-    """Return the beginning that all names share, and the numbers that follow it; or None."""
-    for pattern in (_NUMBER, _PREFIXED, _LETTERED):
+def _prefix_and_numbers(stems: Sequence[str]) -> tuple[str, list[str]] | None:
+    """Return the prefix that all names share, and the numbers behind it; None if they differ."""
+    for pattern in _NAME_PATTERNS:
         matches = [match for stem in stems if (match := pattern.fullmatch(stem))]
         if len(matches) == len(stems) and len({match[1] for match in matches}) == 1:
             return matches[0][1], [match[2] for match in matches]
     return None
 
 
-def times_of_names(stems: Sequence[str]) -> tuple[float, ...] | None:
-    """Return the times of pictures in this order, s, if their names state times that rise.
+def increasing_times(stems: Sequence[str]) -> tuple[float, ...] | None:
+    """Return the times in the names of images, s, if they increase in this order.
 
     Parameters
     ----------
@@ -147,25 +145,25 @@ def times_of_names(stems: Sequence[str]) -> tuple[float, ...] | None:
     Returns
     -------
     tuple of float or None
-        None if `named_times` finds none, or they do not rise: they may be numbers of frames.
+        None if `parse_times` finds no times, or they do not increase: then they may be numbers of
+        frames.
     """
-    found = named_times(stems)
+    found = parse_times(stems)
     if found is None or not all(later > sooner for sooner, later in pairwise(found.seconds)):
         return None
     return found.seconds
 
 
-def in_order(files: Iterable[Path]) -> list[Path]:
-    """Return pictures in the order of their names.
+def sort_by_name(files: Iterable[Path]) -> list[Path]:
+    """Return images in the order of the times in their names, or else in natural order.
 
-    That is the order of the times that they state, or else the natural one, where frame2 comes
-    before frame10. Pictures of a folder stay together.
+    In natural order frame2 comes before frame10. Images of one folder stay together.
     """
-    listed = sorted(files, key=natural_order)
+    listed = sorted(files, key=natural_sort_key)
     ordered: list[Path] = []
     for _, group in groupby(listed, key=lambda file: file.parent):
         pictures = list(group)
-        found = named_times([file.stem for file in pictures])
+        found = parse_times([file.stem for file in pictures])
         if found is not None and found.is_inferred:
             time = dict(zip(pictures, found.seconds, strict=True))
             pictures.sort(key=time.__getitem__)
@@ -173,23 +171,34 @@ def in_order(files: Iterable[Path]) -> list[Path]:
     return ordered
 
 
+def natural_sort_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+    """Return a sort key by which frame2 comes before frame10.
+
+    Names that differ in leading zeros alone, frame2 and frame02, are sorted as text.
+    """
+    parts = re.split(r"(\d+)", str(path))
+    # isdecimal matches as \d does; isdigit would also accept a superscript two.
+    numbered = [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
+    return numbered, str(path)
+
+
 def _fraction(number: str) -> str:
     """Return the digits after the point, without an exponent."""
     return number.rpartition(".")[2].partition("e")[0] if "." in number else ""
 
 
-def _as_decimals(numbers: Sequence[str]) -> NamedTimes | None:
-    """Return numbers as floats, None if one ends in a zero: printed floats do not."""
+def _as_decimals(numbers: Sequence[str]) -> ParsedTimes | None:
+    """Return numbers read as floats; None if one ends in a zero, as no printed float does."""
     fractions = map(_fraction, numbers)
     if any(len(digits) > 1 and digits.endswith("0") for digits in fractions):
         return None
-    return _plausible(NamedTimes(tuple(map(float, numbers)), "decimals", True))
+    return _if_plausible(ParsedTimes(tuple(map(float, numbers)), "decimals", True))
 
 
-def _as_nanoseconds(numbers: Sequence[str]) -> NamedTimes | None:
-    """Return numbers as seconds and nanoseconds, None if one cannot be read so.
+def _as_nanoseconds(numbers: Sequence[str]) -> ParsedTimes | None:
+    """Return numbers read as seconds and nanoseconds; None if one cannot be read so.
 
-    Too many digits, a zero first, a minus and an exponent exclude it.
+    Too many digits, a leading zero after the point, a minus and an exponent exclude this notation.
     """
     seconds = []
     for number in numbers:
@@ -197,49 +206,48 @@ def _as_nanoseconds(numbers: Sequence[str]) -> NamedTimes | None:
             return None
         whole, point, digits = number.partition(".")
         padded = len(digits) > 1 and digits.startswith("0")
-        if not point or padded or len(digits) > _MOST_NANOSECONDS:
+        if not point or padded or len(digits) > _MAX_NANOSECOND_DIGITS:
             return None
         seconds.append(float(whole) + int(digits) / 1e9)
-    if not any(len(_fraction(number)) >= _FEWEST_NANOSECONDS for number in numbers):
+    if not any(len(_fraction(number)) >= _MIN_NANOSECOND_DIGITS for number in numbers):
         return None
-    return _plausible(NamedTimes(tuple(seconds), "nanoseconds", True))
+    return _if_plausible(ParsedTimes(tuple(seconds), "nanoseconds", True))
 
 
-def _plausible(found: NamedTimes) -> NamedTimes | None:
-    """Return times if frames can be taken at them, else None."""
-    known = _finite(found)
-    if known is None:
+def _if_plausible(times: ParsedTimes) -> ParsedTimes | None:
+    """Return times that are finite and all differ, with a median step of 0.1 ms or more."""
+    if _if_finite(times) is None:
         return None
-    steps = np.diff(np.sort(known.seconds))
-    return known if (steps > 0).all() and np.median(steps) >= _SHORTEST else None
+    steps = np.diff(np.sort(times.seconds))
+    return times if (steps > 0).all() and np.median(steps) >= _MIN_STEP else None
 
 
-def _finite(found: NamedTimes) -> NamedTimes | None:
-    return found if all(map(math.isfinite, found.seconds)) else None
+def _if_finite(times: ParsedTimes) -> ParsedTimes | None:
+    return times if all(map(math.isfinite, times.seconds)) else None
 
 
-def _unevenness_of_counters(numbers: Sequence[str]) -> float:
-    """Return the unevenness of the steps between the pictures of a take, if names are take.picture.
+def _take_unevenness(numbers: Sequence[str]) -> float:
+    """Return the unevenness of the steps within the takes, for names that are take.image.
 
-    Infinite if they cannot be, or if a take has one picture.
+    Infinite if the names cannot be such, or if there are fewer than two steps.
     """
     takes: dict[str, list[int]] = {}
     for number in numbers:
         digits = _fraction(number)
-        if not 0 < len(digits) <= _MOST_COUNTER_DIGITS or _SIGN_OR_EXPONENT.search(number):
+        if not 0 < len(digits) <= _MAX_COUNTER_DIGITS or _SIGN_OR_EXPONENT.search(number):
             return math.inf
         if digits.startswith("0") and digits != "0":
             return math.inf
         takes.setdefault(number.partition(".")[0], []).append(int(digits))
     steps = np.concatenate([np.diff(sorted(take)) for take in takes.values()])
-    return _unevenness_of(steps) if len(steps) > 1 and (steps > 0).all() else math.inf
+    return _mean_deviation(steps) if len(steps) > 1 and (steps > 0).all() else math.inf
 
 
 def _unevenness(seconds: Sequence[float]) -> float:
-    """Return the mean distance of steps from their median, as a share of it."""
-    return _unevenness_of(np.diff(np.sort(seconds)))
+    """Return the mean deviation of the steps from their median, as a share of the median."""
+    return _mean_deviation(np.diff(np.sort(seconds)))
 
 
-def _unevenness_of(steps: np.ndarray) -> float:
-    usual = float(np.median(steps))
-    return float(np.mean(np.abs(steps - usual))) / usual
+def _mean_deviation(steps: np.ndarray) -> float:
+    median = float(np.median(steps))
+    return float(np.mean(np.abs(steps - median))) / median

@@ -1,12 +1,10 @@
-"""Pictures in the common formats, read whole or refused."""
+"""Images in the common formats. A file that is cut off or damaged is refused."""
 
 import contextlib
 import io
 import os
-import re
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -17,35 +15,42 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from tisfm.checks import unmasked
 from tisfm.errors import InputError, InputTypeError
 from tisfm.formats.atomic import atomic_write
-from tisfm.formats.image_headers import FLOATS, PILLOW_FORMATS, TIFF, missing_part, refuse_large
+from tisfm.formats.image_headers import (
+    FLOAT_SIGNATURES,
+    PILLOW_FORMATS,
+    TIFF_SIGNATURES,
+    missing_part,
+    refuse_large_image,
+)
 from tisfm.formats.png import SIGNATURE, encode_png
-from tisfm.formats.reading import FormatError, opencv_memory, read_bytes
+from tisfm.formats.reading import FormatError, opencv_memory_errors, read_bytes
 
 IMAGE_SUFFIXES = (
     ".bmp", ".jp2", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp",
 )  # fmt: skip
-"""Suffixes, lower case, of the files in a folder that count as pictures."""
+"""Suffixes, lower case, of the files in a folder that count as images."""
 
-_BITS_PER_SAMPLE, _EXTRA_SAMPLES = 258, 338  # tags of TIFF
-_SEPARATE_ALPHA = (2,)  # colours were not multiplied by it
-# PNG and JPEG begin so, and Pillow knows all of their kinds.
-_KNOWN_BEGINNINGS = (SIGNATURE, b"\xff\xd8\xff")
-# What OpenCV alone reads: kinds of TIFF, and the floats of PFM and Radiance.
-_OTHER_BEGINNINGS = (*TIFF, *FLOATS)
+_BITS_PER_SAMPLE = 258  # tag of TIFF
+_EXTRA_SAMPLES = 338  # tag of TIFF
+_UNASSOCIATED_ALPHA = (2,)  # value of that tag: colours are not multiplied by the transparency
+# First bytes of PNG and JPEG, of which Pillow can read every kind.
+_PILLOW_SIGNATURES = (SIGNATURE, b"\xff\xd8\xff")
+# First bytes of formats of which OpenCV reads kinds that Pillow does not: TIFF, PFM, Radiance.
+_OPENCV_SIGNATURES = (*TIFF_SIGNATURES, *FLOAT_SIGNATURES)
 _log_level_lock = threading.Lock()
 
 
 def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
-    """Read a picture, grey or colour, at its own depth.
+    """Read an image, grey or colour, at its own bit depth.
 
-    Transparency is dropped, and colours are those that the file holds: not mixed with a background,
-    and neither multiplied nor divided by it. A palette becomes colours, and the orientation that a
-    camera wrote beside a picture is applied. Of a file with several pictures the first is read.
+    Transparency is dropped: colours are returned as stored, not mixed with a background, and
+    neither multiplied nor divided by the transparency. A palette becomes colours, and the EXIF
+    orientation is applied. Of a file with several images the first is read.
 
     Parameters
     ----------
     path : str or os.PathLike
-        File to read. What it is follows from its contents, not from its suffix.
+        File to read. Its contents tell the format, not its suffix.
 
     Returns
     -------
@@ -59,19 +64,18 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
     IsADirectoryError
         If `path` is a folder.
     FormatError
-        If the file is empty, not a picture, cut off, damaged, of another number type, or of more
+        If the file is empty, not an image, cut off, damaged, of another number type, or of more
         than 2²⁸ pixels.
     MemoryError
-        If memory does not suffice for the picture.
+        If memory does not suffice for the image.
 
     Notes
     -----
-    Some versions of OpenCV return a picture that is complete only at its top for a file that is
-    cut off. Every file is therefore checked first: PNG and TIFF against their own account of
-    their length, and the formats of `IMAGE_SUFFIXES` by decoding them once more with Pillow, which
-    is not asked about any other. What Pillow does not know of these (float colour TIFF), or
-    refuses for its size alone (above 179 million pixels), and what else is read (Radiance HDR,
-    PFM), is as safe as OpenCV makes it.
+    For a file that is cut off, some versions of OpenCV return an image that is complete only at its
+    top. Every file is therefore checked first: PNG and TIFF by the lengths that they state, and the
+    formats of `IMAGE_SUFFIXES` by decoding them with Pillow as well. OpenCV alone checks the images
+    that Pillow cannot read (float colour TIFF), the images that Pillow refuses as too large (above
+    179 million pixels), and other formats (Radiance HDR, PFM).
 
     Examples
     --------
@@ -85,13 +89,13 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
     missing = missing_part(data)
     if missing is not None:
         raise FormatError(f"{name} is cut off after {len(data)} bytes: {missing} is missing")
-    if data.startswith(FLOATS):
-        refuse_large(name, data)
-    plain = _verify_with_pillow(name, data)
-    if plain is not None:
-        return plain
+    if data.startswith(FLOAT_SIGNATURES):
+        refuse_large_image(name, data)
+    decoded = _check_with_pillow(name, data)
+    if decoded is not None:
+        return decoded
     image = decode(name, data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
-    if image is None:  # float TIFF with transparency is read with it or not at all
+    if image is None:  # OpenCV reads a float TIFF with transparency only with this flag
         image = decode(name, data, cv2.IMREAD_UNCHANGED)
         if image is not None and image.ndim == 3:
             image = image[..., :3]
@@ -105,13 +109,13 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
             f"{name} holds {image.dtype} pixels, expected uint8, uint16 or float32: convert it"
         )
     if image.ndim == 3:
-        with opencv_memory(name):
+        with opencv_memory_errors(name):
             return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
     return image
 
 
 def write_png(path: str | os.PathLike[str], image: NDArray[Any]) -> None:
-    """Write a picture as PNG, whole or not at all.
+    """Write an image as PNG; after an error there is no incomplete file.
 
     Parameters
     ----------
@@ -149,8 +153,11 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any]) -> None:
 
 
 def decode(name: str, data: bytes, flags: int) -> NDArray[Any] | None:
-    """Return what OpenCV reads, blue first, or None; MemoryError if memory does not suffice."""
-    with opencv_silenced(), opencv_memory(name):
+    """Return the image that OpenCV decodes, blue first; None if OpenCV cannot decode it.
+
+    MemoryError if memory does not suffice.
+    """
+    with silence_opencv(), opencv_memory_errors(name):
         try:
             return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
         except cv2.error as error:
@@ -159,51 +166,52 @@ def decode(name: str, data: bytes, flags: int) -> NDArray[Any] | None:
             return None
 
 
-def _verify_with_pillow(name: str, data: bytes) -> NDArray[np.uint8] | None:
-    """Raise FormatError if Pillow knows the format and cannot decode all of the picture.
+def _check_with_pillow(name: str, data: bytes) -> NDArray[np.uint8] | None:
+    """Raise FormatError if Pillow knows the format and cannot decode the whole image.
 
-    Returns the picture where OpenCV would multiply its colours by its transparency, else None.
+    Returns the image where OpenCV would multiply its colours by its transparency, else None.
     """
     try:
         with Image.open(io.BytesIO(data), formats=PILLOW_FORMATS) as picture:
-            refuse_large(name, data, picture.width * picture.height)
+            refuse_large_image(name, data, picture.width * picture.height)
             picture.load()
-            separate = getattr(picture, "tag_v2", {}).get(_EXTRA_SAMPLES) == _SEPARATE_ALPHA
-            if picture.mode == "RGBA" and separate and _eight_bits(picture):
+            alpha_kind = getattr(picture, "tag_v2", {}).get(_EXTRA_SAMPLES)
+            unassociated = alpha_kind == _UNASSOCIATED_ALPHA
+            if picture.mode == "RGBA" and unassociated and _has_eight_bits(picture):
                 upright = ImageOps.exif_transpose(picture)
                 return np.ascontiguousarray(np.asarray(upright)[..., :3])
     except (Image.DecompressionBombError, Image.DecompressionBombWarning):
-        # Too large for its taste: no verdict. (The warning is an exception only where the
+        # Larger than Pillow's own limit: not checked. (The warning is an exception only where the
         # application turned warnings into errors.)
-        refuse_large(name, data)
+        refuse_large_image(name, data)
         return None
     except (MemoryError, FormatError):
         raise
     except UnidentifiedImageError as error:
-        refuse_large(name, data)
-        if data.startswith(_KNOWN_BEGINNINGS):
+        refuse_large_image(name, data)
+        if data.startswith(_PILLOW_SIGNATURES):
             raise FormatError(f"{name} is damaged at its beginning: write it again") from error
-        if not data.startswith(_OTHER_BEGINNINGS):
+        if not data.startswith(_OPENCV_SIGNATURES):
             raise FormatError(
                 f"{name} cannot be read as a picture ({len(data)} bytes, starting with "
                 f"{data[:8]!r}): it is damaged or of an unknown format; convert it to PNG"
             ) from error
-    except Exception as error:  # Pillow's decoders raise whatever a damaged file leads them to
+    except Exception as error:  # damaged files make Pillow's decoders raise many kinds of errors
         raise FormatError(f"{name} is cut off or damaged: {error}") from error
     return None
 
 
-def _eight_bits(picture: Image.Image) -> bool:
-    """Return whether a TIFF has 8 bits a sample; of more, Pillow would drop some."""
+def _has_eight_bits(picture: Image.Image) -> bool:
+    """Return whether a TIFF has 8 bits a sample; of 16 bits Pillow would drop the lower 8."""
     return set(getattr(picture, "tag_v2", {}).get(_BITS_PER_SAMPLE, ())) == {8}
 
 
 @contextlib.contextmanager
-def opencv_silenced() -> Iterator[None]:
-    """Keep OpenCV from printing what is raised as one line here."""
+def silence_opencv() -> Iterator[None]:
+    """Keep OpenCV from printing messages: errors are raised here instead."""
     logging = cv2.utils.logging
-    # The level belongs to the whole process: the lock makes sure that the value put back is the
-    # application's, not another thread's silence.
+    # The log level belongs to the whole process. Without the lock, a thread could save and restore
+    # the silent level of another thread instead of the level of the application.
     with _log_level_lock:
         level = logging.getLogLevel()
         logging.setLogLevel(logging.LOG_LEVEL_SILENT)
@@ -211,11 +219,3 @@ def opencv_silenced() -> Iterator[None]:
             yield
         finally:
             logging.setLogLevel(level)
-
-
-def natural_order(path: Path) -> tuple[list[tuple[int, int, str]], str]:
-    """Sort key by which frame2 comes before frame10, and frame02 always on the same side of it."""
-    parts = re.split(r"(\d+)", str(path))
-    # Decimal is what \d matches; a superscript two is a digit, but not a decimal one.
-    numbered = [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
-    return numbered, str(path)

@@ -12,7 +12,8 @@ from tisfm.formats.reading import FormatError
 
 _ZERO = 2**15  # file value of no motion
 _STEPS = 64  # file values per pixel of motion
-_LEAST, _MOST = -_ZERO / _STEPS, (2**16 - 1 - _ZERO) / _STEPS  # px
+_MIN_FLOW = -_ZERO / _STEPS  # px
+_MAX_FLOW = (2**16 - 1 - _ZERO) / _STEPS  # px
 
 
 def read_kitti_flow(path: str | os.PathLike[str]) -> NDArray[np.float32]:
@@ -27,7 +28,7 @@ def read_kitti_flow(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     Returns
     -------
     (H, W, 2) float32 ndarray
-        Flow (u, v), px; NaN where the file says that it is not valid.
+        Flow (u, v), px; NaN where the file marks it as not valid.
 
     Raises
     ------
@@ -98,7 +99,7 @@ def write_kitti_flow(path: str | os.PathLike[str], flow: ArrayLike) -> None:
     outside = (levels < 0) | (levels >= 2**16)
     if outside.any():
         raise InputError(
-            f"flow is outside {_LEAST:g} to {_MOST} px, the range of a KITTI flow PNG, at "
+            f"flow is outside {_MIN_FLOW:g} to {_MAX_FLOW} px, the range of a KITTI flow PNG, at "
             f"{np.count_nonzero(outside.any(axis=1))} pixels, for instance "
             f"{known[outside][0]:g}: set unknown flow to NaN, or write a .flo file"
         )

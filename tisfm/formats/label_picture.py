@@ -1,4 +1,4 @@
-"""Pictures whose values are labels: indexed or grey."""
+"""Images whose pixel values are labels: indices of a palette, or grey levels."""
 
 import io
 import os
@@ -15,12 +15,13 @@ from tisfm.formats.reading import FormatError, read_bytes
 
 
 def read_label_picture(path: str | os.PathLike[str]) -> NDArray[np.uint8]:
-    """Read the labels of pixels: indices of a palette, whatever its colours, or grey levels.
+    """Read the labels of pixels: indices of a palette of any colours, or grey levels.
 
     Parameters
     ----------
     path : str or os.PathLike
-        File to read: an indexed or grey picture of at most 8 bits, or a coloured one that is grey.
+        File to read: an indexed or grey image of at most 8 bits, or an RGB image whose three
+        channels are equal.
 
     Returns
     -------
@@ -29,7 +30,7 @@ def read_label_picture(path: str | os.PathLike[str]) -> NDArray[np.uint8]:
     Raises
     ------
     FormatError
-        If the file is damaged, not a picture, or has more bits or colours.
+        If the file is damaged, or is not such an image.
     OSError
         If the file does not exist or cannot be read.
     """
@@ -41,7 +42,7 @@ def read_label_picture(path: str | os.PathLike[str]) -> NDArray[np.uint8]:
             kind, values = picture.mode, np.asarray(picture)
     except MemoryError:
         raise
-    except Exception as error:  # Pillow's decoder raises whatever a damaged file leads it to
+    except Exception as error:  # damaged files make Pillow's decoder raise many kinds of errors
         raise FormatError(f"{name} cannot be read as a picture of labels: {error}") from error
     if kind == "RGB" and (values == values[..., :1]).all():
         return np.ascontiguousarray(values[..., 0])
@@ -52,15 +53,15 @@ def read_label_picture(path: str | os.PathLike[str]) -> NDArray[np.uint8]:
     return values.astype(np.uint8)
 
 
-def has_palette_of_labels(path: str | os.PathLike[str]) -> bool:
-    """Return whether a picture is indexed, with colours in its palette, as labels mostly are.
+def has_colour_palette(path: str | os.PathLike[str]) -> bool:
+    """Return whether an image is indexed and its palette has colours other than grey.
 
-    A picture of grey levels is not, though it may be indexed.
+    Most images of labels do; an indexed image of grey levels does not.
 
     Raises
     ------
     FormatError
-        If it is not a picture.
+        If the file is not an image.
     OSError
         If the file does not exist or cannot be read.
     """
@@ -71,14 +72,14 @@ def has_palette_of_labels(path: str | os.PathLike[str]) -> bool:
             colours = picture.getpalette("RGB") if picture.mode == "P" else None
     except MemoryError:
         raise
-    except Exception as error:  # Pillow's decoder raises whatever a damaged file leads it to
+    except Exception as error:  # damaged files make Pillow's decoder raise many kinds of errors
         raise FormatError(f"{name} cannot be read as a picture: {error}") from error
     table = np.array(colours or [0, 0, 0]).reshape(-1, 3)
     return bool((table != table[:, :1]).any())
 
 
 def _whole(name: str) -> bytes:
-    """Return the bytes of a picture, FormatError if some are missing by its own account."""
+    """Return the bytes of an image file; FormatError if it is shorter than it states."""
     data = read_bytes(name)
     missing = missing_part(data)
     if missing is not None:
@@ -86,22 +87,22 @@ def _whole(name: str) -> bytes:
     return data
 
 
-def palette() -> NDArray[np.uint8]:
+def label_colours() -> NDArray[np.uint8]:
     """Return the colours of labels 0 to 255, (256, 3) uint8 RGB.
 
-    They are those of PASCAL VOC and DAVIS: bits of the label, in turn from the lowest, are the
-    highest that are left of red, green and blue.
+    They are the colours of PASCAL VOC and DAVIS: the lowest three bits of the label are the highest
+    bits of red, green and blue, the next three bits the second highest, and so on.
     """
     label, colours = np.arange(256), np.zeros((256, 3), np.uint8)
-    for place in range(8):
+    for bit in range(8):
         for channel in range(3):
-            colours[:, channel] |= ((label >> channel & 1) << (7 - place)).astype(np.uint8)
+            colours[:, channel] |= ((label >> channel & 1) << (7 - bit)).astype(np.uint8)
         label = label >> 3
     return colours
 
 
 def write_label_png(path: str | os.PathLike[str], labels: NDArray[Any]) -> None:
-    """Write labels as an indexed PNG picture, whole or not at all.
+    """Write labels as an indexed PNG image; after an error there is no incomplete file.
 
     Parameters
     ----------
@@ -112,19 +113,17 @@ def write_label_png(path: str | os.PathLike[str], labels: NDArray[Any]) -> None:
     Raises
     ------
     ValueError
-        If they are of another shape or kind, or not within 0 to 255.
+        If `labels` has another shape or type, or values outside 0 to 255.
     OSError
         If the file cannot be written.
     """
     array = np.asarray(labels)
     if array.ndim != 2 or array.dtype.kind not in "biu":
-        raise InputError(
-            f"labels are {array.shape} {array.dtype}: expected (H, W) of whole numbers"
-        )
+        raise InputError(f"labels are {array.shape} {array.dtype}: expected (H, W) integers")
     if array.size == 0 or array.min() < 0 or array.max() > 255:
-        raise InputError(f"labels of {path} are not within 0 to 255, or there are none")
+        raise InputError(f"labels of {path} are empty or not within 0 to 255: expected 0 to 255")
     picture = Image.fromarray(np.ascontiguousarray(array, np.uint8))
-    picture.putpalette(palette().tobytes())
+    picture.putpalette(label_colours().tobytes())
     data = io.BytesIO()
     picture.save(data, format="PNG")
     with atomic_write(path) as file:

@@ -1,4 +1,8 @@
-"""Arrays in one file: NumPy's .npz, stored as they are, and read with no trust in what it says."""
+"""NumPy's .npz files, written without compression, and checked before any part of them is read.
+
+`numpy.load` unpacks and allocates as much as a damaged or hostile file states. Here no array is
+longer than the file.
+"""
 
 import contextlib
 import errno
@@ -20,10 +24,12 @@ from tisfm.formats.atomic import atomic_write
 from tisfm.formats.reading import FormatError, open_file
 
 _SUFFIX = ".npy"
-PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # others may unpack to any size at once
 _ENCRYPTED = 1  # bit of a part's flags
-# What zipfile and NumPy's reader of headers raise for damaged files.
-DAMAGE = (
+
+ALLOWED_COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""Compressions that NumPy writes. With others, one read may unpack to any size at once."""
+
+DAMAGE_ERRORS = (
     zipfile.BadZipFile,
     zipfile.LargeZipFile,
     EOFError,
@@ -40,17 +46,18 @@ DAMAGE = (
     tokenize.TokenError,
     zlib.error,
 )
+"""Errors that zipfile and NumPy's reader of headers raise for damaged files."""
 
 
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays to an .npz file without compression, whole or not at all.
+    """Write arrays to an .npz file without compression; after an error there is no incomplete file.
 
     Parameters
     ----------
     path : path
         File to write; no suffix is added.
     arrays : mapping of str to ndarray
-        Arrays without Python objects, by their name.
+        Arrays without Python objects, by their names.
 
     Raises
     ------
@@ -67,9 +74,9 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) 
 
 
 def write_npy(path: str | os.PathLike[str], array: NDArray[Any]) -> None:
-    """Write an array for `numpy.load`, completely or not at all.
+    """Write an .npy file; after an error there is no incomplete file.
 
-    Unlike `numpy.save`, an error names the file and the reason, such as a full disk.
+    Unlike those of `numpy.save`, errors name the file and the reason, such as a full disk.
 
     Raises
     ------
@@ -81,18 +88,18 @@ def write_npy(path: str | os.PathLike[str], array: NDArray[Any]) -> None:
 
 
 def _write_array(file: Any, array: NDArray[Any]) -> None:
-    """Write the header and the numbers of an array to a file that is open for bytes."""
-    whole = np.ascontiguousarray(array).reshape(array.shape)  # it changes () to (1,)
-    header = np.lib.format.header_data_from_array_1_0(whole)
+    """Write the header and the values of an array to a file that is open for bytes."""
+    contiguous = np.ascontiguousarray(array).reshape(array.shape)  # NumPy changes () to (1,)
+    header = np.lib.format.header_data_from_array_1_0(contiguous)
     np.lib.format.write_array_header_1_0(file, header)
-    file.write(whole.reshape(-1).view(np.uint8).data)
+    file.write(contiguous.reshape(-1).view(np.uint8).data)
 
 
 class NpzFile:
-    """An .npz file whose parts are looked at before they are read.
+    """An .npz file whose parts are checked before they are read.
 
-    No array that comes out is longer than the file. Nothing is unpacked, but for parts that are
-    read up to a given length.
+    No array is longer than the file. Compressed parts are refused, unless `read` is given a
+    greatest length.
 
     Parameters
     ----------
@@ -101,15 +108,16 @@ class NpzFile:
     Attributes
     ----------
     name : str
+        Path of the file.
     length : int
-        Of the file, bytes.
+        Length of the file, bytes.
 
     Raises
     ------
     FileNotFoundError, IsADirectoryError, OSError
         If there is no such file, or it cannot be read.
     FormatError
-        If it is not an .npz file, or cut off.
+        If the file is not an .npz file, or is cut off.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -142,7 +150,7 @@ class NpzFile:
         return (name.removesuffix(_SUFFIX) for name in self._archive.namelist())
 
     def require_only(self, known: Collection[str]) -> None:
-        """Raise FormatError for a part that is not known, twice there, packed or too long."""
+        """Raise FormatError for a part that is unknown, repeated, compressed or too long."""
         seen = set()
         for part in self._archive.infolist():
             name = part.filename.removesuffix(_SUFFIX)
@@ -150,26 +158,26 @@ class NpzFile:
                 raise FormatError(f"{self.name} has the unknown part {part.filename!r}")
             if name in seen:
                 raise FormatError(f"{self.name} has the part {name} twice")
-            self._refuse_packed(part)
+            self._refuse_compressed(part)
             seen.add(name)
-        # Parts that overlap in the file may add up to more than it holds.
+        # Parts that overlap in the file may add up to more bytes than the file has.
         if sum(part.file_size for part in self._archive.infolist()) > self.length:
             raise FormatError(f"{self.name} has parts longer than the whole file")
 
     def header(self, name: str) -> tuple[tuple[int, ...], np.dtype]:
-        """Return shape and type of an array without reading it."""
+        """Return shape and dtype of an array without reading the array."""
         with self._part(name) as part:
             shape, dtype, _ = self._checked(_read_header, name, part)
             return shape, dtype
 
-    def read(self, name: str, *, most: int | None = None) -> NDArray[Any]:
+    def read(self, name: str, *, max_bytes: int | None = None) -> NDArray[Any]:
         """Read an array.
 
         Parameters
         ----------
         name : str
-        most : int, optional
-            Bytes beyond which it is refused. It may be packed then.
+        max_bytes : int, optional
+            Greatest length of the array. With this bound, the part may be compressed.
 
         Returns
         -------
@@ -179,51 +187,54 @@ class NpzFile:
         Raises
         ------
         FormatError
-            If it is damaged, longer or shorter than its header says, or longer than `most`.
+            If the part is damaged, longer or shorter than its header states, or longer than
+            `max_bytes`.
         """
-        with self._part(name, PACKINGS if most is not None else (zipfile.ZIP_STORED,)) as part:
+        allowed = ALLOWED_COMPRESSIONS if max_bytes is not None else (zipfile.ZIP_STORED,)
+        with self._part(name, allowed) as part:
             shape, dtype, start = self._checked(_read_header, name, part)
             expected = math.prod(shape) * dtype.itemsize
             declared = self._archive.getinfo(f"{name}{_SUFFIX}").file_size - start
-            if declared != expected or dtype.hasobject or (most is not None and expected > most):
+            too_long = max_bytes is not None and expected > max_bytes
+            if declared != expected or dtype.hasobject or too_long:
                 raise FormatError(
                     f"{self.name} has {declared} bytes of {name}, but its header says {shape} "
                     f"{dtype}"
                 )
             data = self._checked(part.read, expected)
-            self._checked(part.read, 1)  # the end, where the check sum is compared
+            self._checked(part.read, 1)  # zipfile compares the check sum at the end
         if len(data) != expected:
             raise FormatError(f"{self.name} is damaged: {name} is cut off")
         return np.frombuffer(data, dtype).reshape(shape).copy()
 
-    def _part(self, name: str, packings: Collection[int] = (zipfile.ZIP_STORED,)) -> Any:
+    def _part(self, name: str, allowed: Collection[int] = (zipfile.ZIP_STORED,)) -> Any:
         part = self._checked(self._archive.getinfo, f"{name}{_SUFFIX}")
-        self._refuse_packed(part, packings)
+        self._refuse_compressed(part, allowed)
         return self._checked(self._archive.open, part)
 
-    def _refuse_packed(
-        self, part: zipfile.ZipInfo, packings: Collection[int] = (zipfile.ZIP_STORED,)
+    def _refuse_compressed(
+        self, part: zipfile.ZipInfo, allowed: Collection[int] = (zipfile.ZIP_STORED,)
     ) -> None:
-        """Raise FormatError for a part that is packed in another way, or longer than the file."""
+        """Raise FormatError for a part of another compression, or longer than the file."""
         name = part.filename.removesuffix(_SUFFIX)
-        if part.compress_type not in packings or part.flag_bits & _ENCRYPTED:
+        if part.compress_type not in allowed or part.flag_bits & _ENCRYPTED:
             raise FormatError(f"{self.name} has {name} compressed or encrypted: unpack it")
         if part.compress_type == zipfile.ZIP_STORED and part.file_size > self.length:
             raise FormatError(f"{self.name} has parts longer than the whole file")
 
     def _checked(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Call a decoder; what a damaged file leads it to raise becomes a FormatError."""
+        """Call a decoder; turn the errors that it raises for a damaged file into a FormatError."""
         try:
             return function(*arguments)
-        except DAMAGE as error:
+        except DAMAGE_ERRORS as error:
             if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
-                raise  # of the disk; EINVAL is a seek to before the file's beginning
+                raise  # an error of the disk (EINVAL: a seek to before the start of the file)
             reason = " ".join(str(error).split())
             raise FormatError(f"{self.name} is not a whole .npz file: {reason}") from error
 
 
 def _read_header(name: str, part: Any) -> tuple[tuple[int, ...], np.dtype, int]:
-    """Return shape and type, and where the numbers begin."""
+    """Return shape and dtype, and the position where the values begin."""
     version = np.lib.format.read_magic(part)
     if version != (1, 0):
         raise InputError(f"the header of {name} is of version {version}, expected (1, 0)")

@@ -1,4 +1,4 @@
-"""Files read whole into memory: bytes, text and JSON, with errors that say what to do."""
+"""Files read whole into memory, as bytes, text or JSON; errors name the file and say what to do."""
 
 import contextlib
 import json
@@ -15,7 +15,7 @@ from tisfm.errors import InputError, OutOfMemoryError
 class FormatError(InputError):
     """A file is damaged, incomplete or not of the format it was read as.
 
-    The text is one line that names the file and what is wrong with it.
+    The message is one line that names the file and its fault.
     """
 
 
@@ -39,7 +39,7 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
     IsADirectoryError
         If `path` is a folder.
     OSError
-        If it is a device or a pipe, or the file cannot be read for another reason.
+        If `path` is a device or a pipe, or the file cannot be read for another reason.
     FormatError
         If the file is empty.
     """
@@ -64,7 +64,7 @@ def open_file(path: str | os.PathLike[str]) -> BinaryIO:
     Returns
     -------
     BinaryIO
-        To be closed by the caller.
+        The caller closes it.
 
     Raises
     ------
@@ -73,8 +73,8 @@ def open_file(path: str | os.PathLike[str]) -> BinaryIO:
     """
     name = os.fspath(path)
     try:
-        # Asked first: opening a pipe would wait for a writer, a device may never end, and Windows
-        # reports an opened folder as a lack of permission.
+        # Checked before opening: opening a pipe waits for a writer, reading a device may never
+        # end, and Windows reports opening a folder as a lack of permission.
         mode = os.stat(name).st_mode
         if stat.S_ISREG(mode):
             return open(name, "rb")
@@ -82,17 +82,17 @@ def open_file(path: str | os.PathLike[str]) -> BinaryIO:
         raise _explained(error, name) from error
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(f"{name} is a folder, not a file: give the path of one file in it")
-    raise OSError(f"{name} is a device or a pipe, not a file: save what it gives first")
+    raise OSError(f"{name} is a device or a pipe, not a file: save its data to a file first")
 
 
 @contextlib.contextmanager
-def opencv_memory(name: str) -> Iterator[None]:
-    """Raise a MemoryError where OpenCV says in its own way that memory does not suffice.
+def opencv_memory_errors(name: str) -> Iterator[None]:
+    """Turn OpenCV's error for too little memory into a MemoryError.
 
     Parameters
     ----------
     name : str
-        What is read or written.
+        File that is read or written, for the message.
     """
     try:
         yield
@@ -116,7 +116,7 @@ def _explained(error: OSError, name: str) -> OSError:
 def read_text(path: str | os.PathLike[str]) -> str:
     """Read a text in UTF-8, with or without a byte-order mark.
 
-    Bytes that are no UTF-8 become U+FFFD: in a comment they do no harm, and they are no number.
+    Bytes that are not UTF-8 become U+FFFD: that is harmless in a comment, and fails as a number.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def read_json(path: str | os.PathLike[str]) -> Any:
     Raises
     ------
     FormatError
-        If it is none, nested too deeply, or has a number of thousands of digits.
+        If the file is not JSON, is nested too deeply, or has a number of thousands of digits.
     OSError
         As `tisfm.formats.reading.read_bytes`.
     """
@@ -141,4 +141,4 @@ def read_json(path: str | os.PathLike[str]) -> Any:
         return json.loads(data)
     except (ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())
-        raise FormatError(f"{os.fspath(path)} is damaged, or no JSON: {reason}") from error
+        raise FormatError(f"{os.fspath(path)} is damaged, or not JSON: {reason}") from error

@@ -26,8 +26,8 @@ from tisfm.reconstruction.result.renewal import renewed_folder
 from tisfm.reconstruction.result.temporary_folder import TemporaryFolder
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
-from tisfm.sources.frame_reader import warn_of
-from tisfm.sources.labels import GivenLabels, holds_labels, without_labels
+from tisfm.sources.frame_reader import warn_notes
+from tisfm.sources.labels import LabelSource, are_labels, refuse_label_values
 from tisfm.sources.masks import Mask
 from tisfm.trajectory import Trajectory
 
@@ -40,7 +40,7 @@ def reconstruct(
     settings: Settings | None = None,
     poses: npt.ArrayLike | Trajectory | None = None,
     mask: Mask | None = None,
-    labels: GivenLabels | None = None,
+    labels: LabelSource | None = None,
     object_sizes: Mapping[int, float] | None = None,
     depth_of: DepthOf = "all",
     step: int = 1,
@@ -191,7 +191,7 @@ def reconstruct(
         labels=labels if of_result is None else of_result.files,
         bad_frames=bad_frames,
     )
-    warn_of(frames.notes)
+    warn_notes(frames.notes)
     if given is not None and bad_frames == "skip":
         raise InputError('poses are given and bad_frames="skip": they would not fit what is left')
     if given is not None and frames.times is not None:  # before the long computation
@@ -252,8 +252,8 @@ def refuse_inside(files: Iterable[Path], folder: Path) -> None:
 
 
 def _mask_and_labels(
-    mask: Mask | None, labels: GivenLabels | None, settings: Settings
-) -> tuple[Mask | None, GivenLabels | None]:
+    mask: Mask | None, labels: LabelSource | None, settings: Settings
+) -> tuple[Mask | None, LabelSource | None]:
     """Return what counts, and which things there are, where they are given as either."""
     if settings.motion != "objects":
         if labels is not None:
@@ -264,8 +264,8 @@ def _mask_and_labels(
     if mask is None:
         return None, labels
     if isinstance(mask, Iterable) and not isinstance(mask, (str, Sequence, np.ndarray)):
-        return without_labels(mask), labels
-    if holds_labels(mask):
+        return refuse_label_values(mask), labels
+    if are_labels(mask):
         if labels is not None:
             raise InputError(
                 "mask has numbers of things, and labels are given as well: expected these there, "

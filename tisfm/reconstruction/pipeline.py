@@ -38,7 +38,7 @@ from tisfm.reconstruction.tracks.triangulation import depths_of
 from tisfm.settings import Settings
 from tisfm.shutter import instants_of
 from tisfm.sources import FrameSource
-from tisfm.sources.frame_reader import warn_of
+from tisfm.sources.frame_reader import warn_notes
 from tisfm.trajectory import Trajectory
 from tisfm.trajectory.times import times_note
 from tisfm.version import __version__
@@ -211,7 +211,7 @@ class Run:
         self._progress("path", 0, len(names))
         if note := times_note(times):
             self._notes.append(note)
-            warn_of([note], stacklevel=4)
+            warn_notes([note], stacklevel=4)
         instants = instants_of(indices, times)
         if found is not None:
             path = found.finish(times, instants)

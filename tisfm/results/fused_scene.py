@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tisfm.errors import InputError
 from tisfm.formats import FormatError
-from tisfm.formats.glb import colors_of
+from tisfm.formats.glb import srgb_from_light
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 WholeKind = Literal["points", "surface"]
@@ -68,7 +68,7 @@ def stored_whole(folder: Path, kind: WholeKind) -> Whole | None:
         colors = np.asarray(colors).reshape(-1, np.shape(colors)[-1])[:, :3]
         if path.suffix == ".glb":  # there Y points up, and colours are amounts of light
             positions = positions * np.array((1, -1, -1), np.float32)
-            colors = colors_of(colors)
+            colors = srgb_from_light(colors)
         else:
             colors = colors.astype(np.uint8)
         found = Whole(

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from tisfm.errors import InputError
-from tisfm.folders.result_folder import is_written_to
+from tisfm.folders.result_folder import is_locked
 from tisfm.reconstruction.result.folder import BEGUN, DEPTH, PICTURES
 from tisfm.reconstruction.result.folder import RECORD as RECONSTRUCTION
 from tisfm.results.reconstruction_result import ReconstructionResult
@@ -56,7 +56,7 @@ def how_far(folder: Path) -> str:
 
 def _require_being_made(folder: Path) -> None:
     """Raise FileNotFoundError if nobody writes to a folder without a result."""
-    if is_written_to(folder):
+    if is_locked(folder):
         return
     if (folder / BEGUN).is_file():
         raise FileNotFoundError(

@@ -178,7 +178,7 @@ class _Reading:
         begin = frames.start + chunk.first * frames.step
         self._whole = chunk.source
         opened, self._pairs = replace(chunk.source, frames=replace(frames, start=begin)).open()
-        opened.continue_another()
+        opened.allow_no_pairs()
         self._opened = opened
         self._waiting: FramePair | None = None
         self.alive = chunk.alive

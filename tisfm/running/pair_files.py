@@ -11,7 +11,7 @@ import numpy as np
 
 from tisfm.checks import hint
 from tisfm.errors import InputError
-from tisfm.folders.checksums import check_sum
+from tisfm.folders.checksums import file_checksum
 from tisfm.folders.result_folder import InputFiles
 from tisfm.folders.run_record import ENDINGS
 from tisfm.formats import (
@@ -249,7 +249,8 @@ class PairFiles:
             **_summary(result),
         }
         files = {
-            ending: check_sum(self.folder / f"{name}{ending}") for ending in self.endings(number)
+            ending: file_checksum(self.folder / f"{name}{ending}")
+            for ending in self.endings(number)
         }
         gone = [ending for ending, known in files.items() if known is None]
         if gone:

@@ -10,7 +10,7 @@ import numpy as np
 
 from tisfm import runtime
 from tisfm.camera import Camera
-from tisfm.folders.result_folder import InputFiles, locked_folder, make_folder
+from tisfm.folders.result_folder import InputFiles, locked_folder, make_result_folder
 from tisfm.folders.run_record import ENDINGS, FOUND, RECORD, TABLE, RunRecord
 from tisfm.folders.side_files import TIMINGS
 from tisfm.interpretation import Interpretation
@@ -115,7 +115,7 @@ class PairWriter:
             *(self.folder / name for name in (RECORD, TABLE, TIMINGS)),
             *(file for name in names for file in self.files.all(name)),
         )
-        make_folder(folder)
+        make_result_folder(folder)
         asked = {
             "version": __version__,
             "arch": None,

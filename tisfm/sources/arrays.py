@@ -1,4 +1,4 @@
-"""Arrays as a source."""
+"""Arrays as a source of frames."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import count, islice
@@ -13,7 +13,7 @@ from tisfm.sources.frame_reader import RawFrame, is_path
 
 
 class Arrays:
-    """Frames that the caller holds or makes; they are made in the caller's thread."""
+    """Frames from an array, a sequence or an iterator, which runs in the caller's thread."""
 
     title = "frames"
     files: tuple[Path, ...] = ()
@@ -38,7 +38,7 @@ class Arrays:
         self.count: int | None = len(items) if sized else None  # type: ignore[arg-type]
 
     def read(self, chosen: slice) -> Iterator[RawFrame]:
-        """Take the frames of these numbers."""
+        """Yield the frames with these numbers."""
         numbers = count(chosen.start, chosen.step)
         items = islice(self._items, chosen.start, chosen.stop, chosen.step)
         for index, item in zip(numbers, items, strict=False):
@@ -48,6 +48,6 @@ class Arrays:
                     "the order of the frames"
                 )
             name = f"{self.prefix}_{index:06d}"
-            # Its mask is refused when the pair is interpreted.
+            # Interpreting the pair refuses masked values, and names the frame.
             frame = item if isinstance(item, np.ma.MaskedArray) else unmasked(item, name)
             yield RawFrame(index=index, name=name, image=frame)

@@ -1,4 +1,4 @@
-"""Videos that PyAV decodes: exact times, and which frames are damaged."""
+"""Videos that PyAV decodes, with exact times, and marks on damaged frames."""
 
 import re
 from collections.abc import Iterator
@@ -16,46 +16,47 @@ from av.video.stream import VideoStream
 
 from tisfm.errors import InputError
 from tisfm.formats import FormatError
-from tisfm.sources.frame_reader import BadFrame, RawFrame, is_chosen
+from tisfm.sources.frame_reader import BadFrame, RawFrame, is_selected
 from tisfm.sources.video_checks import (
     LARGEST_FRAME,
-    cut_off,
+    cut_off_error,
     ends_early,
-    misses_frames,
+    lacks_frames,
     refuse_large_frames,
+    resample_to_square_pixels,
     resampling_note,
     square_size,
-    with_square_pixels,
 )
 
-_TEXT = "tty"  # FFmpeg draws a text file as a video
-_LISTS = ("concat", "dash", "hls", "imf", "sdp")  # which name other files
-_LIMITS = {"max_pixels": str(LARGEST_FRAME)}  # of decoders, which may find sizes of their own
-_NO_VIDEO = Disposition.attached_pic | Disposition.timed_thumbnails  # pictures beside a video
-_HOURS = re.compile(r"(\d+):(\d+):(\d+(?:\.\d+)?)")
+_TEXT_FORMAT = "tty"  # FFmpeg renders a text file as a video
+_PLAYLIST_FORMATS = ("concat", "dash", "hls", "imf", "sdp")  # they name other files
+# For decoders: a stream may have frames of another size than its container states.
+_LIMITS = {"max_pixels": str(LARGEST_FRAME)}
+_STILL_IMAGES = Disposition.attached_pic | Disposition.timed_thumbnails  # such as a cover
+_HOURS = re.compile(r"(\d+):(\d+):(\d+(?:\.\d+)?)")  # hours:minutes:seconds
 
 
 class AvVideo:
     """A video that PyAV decodes.
 
-    Of several video streams the one that is marked as default is read, or else the largest. Frames
-    get square pixels.
+    Of several video streams the one marked as default is read, or else the largest. Frames are
+    resampled to square pixels.
 
     Parameters
     ----------
     path : str
-        Its file.
+        Path of the file.
 
     Raises
     ------
     ValueError
-        If it has no frame that PyAV can decode.
+        If the file has no frame that PyAV can decode.
     tisfm.formats.FormatError
-        A ValueError: if it names other files, or its frames are larger than `LARGEST_FRAME`.
+        A ValueError: if it is a playlist, or its frames are larger than `LARGEST_FRAME`.
     """
 
     names: tuple[str, ...] | None = None
-    count: int | None = None  # only reading tells: a video may announce a frame or two too many
+    count: int | None = None  # only reading tells: a video may state a frame or two too many
     times: tuple[float, ...] | None = None
     ahead = True
 
@@ -64,15 +65,17 @@ class AvVideo:
         self.files: tuple[Path, ...] = (Path(path),)
         try:
             with _opened(path) as container:
-                if container.format.name in _LISTS:
-                    raise FormatError(f"{path} is a list of other files, no video")
-                if not container.streams.video or container.format.name == _TEXT:
-                    raise InputError(f"{path} is no video")
-                stream = _chosen(container)
+                if container.format.name in _PLAYLIST_FORMATS:
+                    raise FormatError(
+                        f"{path} is a list of other files, not a video: give one of those files"
+                    )
+                if not container.streams.video or container.format.name == _TEXT_FORMAT:
+                    raise InputError(f"{path} is not a video")
+                stream = _choose_stream(container)
                 self._stream = stream.index
                 self.announced: int | None = stream.frames or None
                 self._end = _end(stream)
-                # Of a codec that FFmpeg does not know there is none, whatever PyAV's types say.
+                # Missing for codecs that FFmpeg does not know, although PyAV's types promise it.
                 if getattr(stream, "codec_context", None) is None:
                     raise InputError(f"{path} is of an unknown codec")
                 self._aspect = float(stream.sample_aspect_ratio or 1)
@@ -90,7 +93,7 @@ class AvVideo:
             raise InputError(f"{path} cannot be decoded: {error}") from error
 
     def read(self, chosen: slice) -> Iterator[RawFrame | BadFrame]:
-        """Decode the frames of these numbers."""
+        """Decode the frames with these numbers."""
         index, time, sound = 0, None, True
         with _opened(self.title) as container:
             stream = container.streams[self._stream]
@@ -98,13 +101,14 @@ class AvVideo:
             frames = iter(decoding)
             try:
                 while index != chosen.stop and (frame := next(frames, None)) is not None:
-                    # What is predicted from a damaged frame shows it too, up to the next key frame.
+                    # A damaged frame also damages the frames predicted from it, up to the next key
+                    # frame.
                     if isinstance(frame, VideoFrame):
                         time = _time(frame, stream)
                         sound = not frame.is_corrupt and (sound or frame.key_frame)
                     else:
                         sound = False
-                    if is_chosen(index, chosen):
+                    if is_selected(index, chosen):
                         yield self._read(frame, index, time, sound)
                     index += 1
             except av.FFmpegError as error:
@@ -116,49 +120,49 @@ class AvVideo:
         early = ends_early(index, time, self._end)
         if self.announced is None:
             if early:
-                raise cut_off(self.title, f"{index} frames, {time:.2f}", f"{self._end:.2f} s")
-        # A file may leave out frames that repeat the one before: what is shown last tells.
-        elif misses_frames(decoding.packets, self.announced) and early is not False:
-            raise cut_off(self.title, f"{index}", f"{self.announced} frames")
+                raise cut_off_error(self.title, f"{index} frames, {time:.2f}", f"{self._end:.2f} s")
+        # A file may leave out frames that repeat the one before: then the time of the last frame
+        # tells whether the file is cut off.
+        elif lacks_frames(decoding.packets, self.announced) and early is not False:
+            raise cut_off_error(self.title, f"{index}", f"{self.announced} frames")
 
     def _read(
         self, frame: VideoFrame | av.FFmpegError, index: int, time: float | None, sound: bool
     ) -> RawFrame | BadFrame:
         name = f"{self.prefix}_{index:06d}"
         if not isinstance(frame, VideoFrame):
-            what = "cannot be decoded"
+            fault = "cannot be decoded"
         elif frame.is_corrupt:
-            what = "is damaged"
+            fault = "is damaged"
         elif not sound:
-            what = "is predicted from a damaged one"
+            fault = "is predicted from a damaged one"
         else:
             return RawFrame(index=index, name=name, image=self._pixels(frame), time=time)
-        error = FormatError(f"frame {index} of {self.title} {what}: the file is damaged there")
+        error = FormatError(f"frame {index} of {self.title} {fault}: the file is damaged there")
         return BadFrame(index=index, name=name, error=error)
 
     def _pixels(self, frame: VideoFrame) -> np.ndarray:
-        """Return a frame upright, (H, W, 3) uint8, red first, with the pixels that OpenCV gives."""
+        """Return a frame upright, (H, W, 3) uint8 RGB, with the same pixels as OpenCV's."""
         blue_first = frame.to_ndarray(format="bgr24", interpolation="BICUBIC")
-        image = with_square_pixels(cv2.cvtColor(blue_first, cv2.COLOR_BGR2RGB), self._aspect)
+        image = resample_to_square_pixels(cv2.cvtColor(blue_first, cv2.COLOR_BGR2RGB), self._aspect)
         if frame.rotation % 90 == 0:
             image = np.rot90(image, frame.rotation // 90)
         return np.ascontiguousarray(image)
 
 
-def _chosen(container: InputContainer) -> VideoStream:
+def _choose_stream(container: InputContainer) -> VideoStream:
     """Return the video stream that is read: the one marked as default, or else the largest."""
-    streams = _videos(container)
+    streams = _video_streams(container)
     if not streams:
         return container.streams.video[0]
     default = [one for one in streams if one.disposition & Disposition.default]
     return default[0] if len(default) == 1 else max(default or streams, key=_pixels_of)
 
 
-def _videos(container: InputContainer) -> list[VideoStream]:
-    """Return the video streams that can be decoded, except pictures such as a cover."""
-    # Codecs that FFmpeg does not know have no codec_context, although PyAV's types promise one.
+def _video_streams(container: InputContainer) -> list[VideoStream]:
+    """Return the video streams that can be decoded, without still images such as a cover."""
     known = [one for one in container.streams.video if getattr(one, "codec_context", None)]
-    return [one for one in known if not one.disposition & _NO_VIDEO] or known
+    return [one for one in known if not one.disposition & _STILL_IMAGES] or known
 
 
 def _pixels_of(stream: VideoStream) -> int:
@@ -166,8 +170,8 @@ def _pixels_of(stream: VideoStream) -> int:
 
 
 def _streams_note(path: str, container: InputContainer, taken: VideoStream) -> str:
-    """Return a note on which stream is read and which are not, "" if there is one."""
-    streams = _videos(container)
+    """Return a note on the streams that are read and left out; "" if there is only one."""
+    streams = _video_streams(container)
     if len(streams) < 2:
         return ""
     others = ", ".join(
@@ -189,23 +193,23 @@ def _opened(path: str) -> InputContainer:
 
 
 class _Decoding:
-    """The frames of a video in the order they are shown in; for one that is lost, the error.
+    """The frames of a video in the order of their times, with an error in place of a lost frame.
 
     Attributes
     ----------
     packets : int
-        How many the file has had so far: one for each frame, those included that are not shown.
+        Packets of the file so far: one for each frame, also for frames that are not shown.
     """
 
     def __init__(self, container: InputContainer, stream: VideoStream) -> None:
-        # Threads over slices alone: those over frames say too late whose an error is.
+        # Threads over frames would raise errors too late to tell which frame they belong to.
         stream.thread_type = ThreadType.SLICE
         stream.codec_context.options = _LIMITS
         self._container, self._stream = container, stream
         self.packets = 0
 
     def __iter__(self) -> Iterator[VideoFrame | av.FFmpegError]:
-        lost: list[tuple[int, int, av.FFmpegError]] = []  # with the times they were to be shown at
+        lost: list[tuple[int, int, av.FFmpegError]] = []  # time, number of the packet, error
         for packet in self._container.demux(self._stream):
             self.packets += packet.size > 0
             try:
@@ -227,21 +231,21 @@ class _Decoding:
 
 
 def _time(frame: VideoFrame, stream: VideoStream) -> float | None:
-    """Return when a frame is shown, in seconds from the beginning of the video."""
+    """Return the time of a frame, s from the beginning of the video."""
     if frame.pts is None or frame.time_base is None:
         return None
     return float((frame.pts - (stream.start_time or 0)) * frame.time_base)
 
 
 def _end(stream: VideoStream) -> float | None:
-    """Return when a video ends by its own account, s from its beginning, or None."""
-    # Not by the duration, which FFmpeg makes shorter for an AVI that is cut off.
+    """Return the end that a video states, s from its beginning; None if it states none."""
+    # The count comes first: for an AVI that is cut off FFmpeg corrects the duration.
     if stream.frames and stream.average_rate:
         return float(stream.frames / stream.average_rate)
     if stream.duration is not None and stream.time_base is not None:
         return float(stream.duration * stream.time_base)
-    written = _HOURS.match(stream.metadata.get("DURATION", ""))  # Matroska and WebM
-    if written is None:
+    duration = _HOURS.match(stream.metadata.get("DURATION", ""))  # in Matroska and WebM
+    if duration is None:
         return None
-    hours, minutes, seconds = map(float, written.groups())
+    hours, minutes, seconds = map(float, duration.groups())
     return 3600 * hours + 60 * minutes + seconds

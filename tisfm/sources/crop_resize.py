@@ -1,4 +1,4 @@
-"""What is used of a frame: a part of it, at a smaller size."""
+"""Cropping and shrinking of frames, and of their masks, labels and cameras."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -10,25 +10,25 @@ from numpy.typing import NDArray
 from tisfm.camera import Camera
 from tisfm.errors import InputError
 from tisfm.frames import MIN_SIDE, check_frame
-from tisfm.sources.frame_reader import is_whole
+from tisfm.sources.frame_reader import is_integer
 
 
 @dataclass(frozen=True, kw_only=True)
-class View:
-    """A part of a frame, and the size that it is brought to.
+class CropResize:
+    """A crop of a frame, and the size that it is shrunk to.
 
     Parameters
     ----------
     crop : (int, int, int, int), optional
-        Left, top, width and height of the part, px of the frame. By default all of it.
+        Left, top, width and height of the crop, px of the frame. By default the whole frame.
     size : int, optional
-        Longer side, px. A larger part is shrunk to it by averaging over areas; a smaller one stays
-        as it is. Pixels keep their shape.
+        Longer side of the result, px. A larger crop is shrunk to it by averaging over areas, with
+        the same scale along both axes; a smaller one stays as it is.
 
     Raises
     ------
     TypeError, ValueError
-        If these are not whole numbers, or too small.
+        If the values are not integers, or are too small.
     """
 
     crop: tuple[int, int, int, int] | None = None
@@ -37,31 +37,31 @@ class View:
     def __post_init__(self) -> None:
         if self.crop is not None:
             object.__setattr__(self, "crop", _checked_crop(self.crop))
-        if self.size is not None and not (is_whole(self.size) and self.size >= MIN_SIDE):
+        if self.size is not None and not (is_integer(self.size) and self.size >= MIN_SIDE):
             raise InputError(
                 f"size is {self.size!r}: expected the longer side as a whole number of px, at "
                 f"least {MIN_SIDE}"
             )
 
     @property
-    def is_all(self) -> bool:
-        """Whether frames are left as they are."""
+    def keeps_frames(self) -> bool:
+        """Whether frames stay as they are."""
         return self.crop is None and self.size is None
 
     def apply(self, frame: np.ndarray, name: str) -> np.ndarray:
-        """Return this part of a frame, at this size.
+        """Return a frame, cropped and shrunk.
 
         Parameters
         ----------
         frame : (H, W) or (H, W, 3) array
             uint8, uint16 or float. Not modified.
         name : str
-            What errors call it.
+            Name of the frame in messages.
 
         Raises
         ------
         TypeError, ValueError
-            If it is not such an array, or the part is not in it or becomes too small.
+            If it is not such an array, does not contain the crop, or becomes too small.
         """
         image = check_frame(frame, name)
         part = image[self._window(image.shape, name)]
@@ -69,12 +69,12 @@ class View:
         if scale == 1:
             return np.ascontiguousarray(part)
         kind = image.dtype
-        if kind not in (np.uint8, np.uint16):  # what OpenCV shrinks
+        if kind not in (np.uint8, np.uint16):  # OpenCV shrinks these, float32 and float64
             part = part.astype(np.float32 if kind.itemsize <= 4 else np.float64)
         return _shrunk(part, scale).astype(kind, copy=False)
 
     def apply_to_mask(self, ignored: NDArray[np.bool_], name: str) -> NDArray[np.bool_]:
-        """Return where pixels of the view are ignored: where any that they are made of is."""
+        """Return where pixels of the result are ignored: where any of their source pixels is."""
         part = ignored[self._window(ignored.shape, name)]
         scale = self._scale(part.shape, name)
         if scale == 1:
@@ -82,7 +82,7 @@ class View:
         return _shrunk(part.astype(np.float32), scale) > 0
 
     def apply_to_labels(self, labels: NDArray[np.uint8], name: str) -> NDArray[np.uint8]:
-        """Return the labels of the view's pixels: those of the nearest of the frame."""
+        """Return the labels of the result, each from the nearest source pixel."""
         part = labels[self._window(labels.shape, name)]
         scale = self._scale(part.shape, name)
         if scale == 1:
@@ -91,18 +91,18 @@ class View:
         return cv2.resize(part, size, interpolation=cv2.INTER_NEAREST_EXACT).astype(np.uint8)
 
     def camera_after(self, camera: Camera, height: int, width: int) -> Camera:
-        """Return the camera of the view.
+        """Return the camera of the cropped and shrunk frame.
 
         Parameters
         ----------
         camera : Camera
-            That of the whole frame. Its distortion stays the same.
+            Camera of the whole frame. Its distortion stays the same.
         height, width : int
             Size of the whole frame, px.
         """
         rows, columns = self._window((height, width), "the frame")
         cx, cy = camera.center_for(height, width)
-        share = (rows.stop - rows.start) / height  # of the time that rows are read in
+        share = (rows.stop - rows.start) / height  # of the readout time of the whole frame
         part = replace(
             camera,
             center=(cx - columns.start, cy - rows.start),
@@ -136,13 +136,16 @@ class View:
 
 
 def _shrunk(image: np.ndarray, scale: float) -> np.ndarray:
-    """Return an image shrunk by averaging, by the same factor both ways whatever is rounded."""
+    """Return an image shrunk by averaging.
+
+    The scale is the same along both axes, though the sides are rounded: so the focal length is.
+    """
     return cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
 
 
 def _checked_crop(crop: Iterable[int]) -> tuple[int, int, int, int]:
     values = tuple(crop) if isinstance(crop, Iterable) else ()
-    if len(values) != 4 or not all(map(is_whole, values)):
+    if len(values) != 4 or not all(map(is_integer, values)):
         raise InputError(
             f"crop is {crop!r}: expected four whole numbers, (left, top, width, height), in px"
         )

@@ -1,4 +1,4 @@
-"""The protocol of a frame reader, the frames it yields, and the warnings about how it reads."""
+"""The protocol of frame readers, the frames that they yield, and warnings about a source."""
 
 import hashlib
 import os
@@ -17,7 +17,7 @@ from tisfm.formats import FormatError
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RawFrame:
-    """A frame as it was read: its number in the source, its name, its time in seconds if known."""
+    """A frame as it was read: its number in the source, its name, and its time, s, if known."""
 
     index: int
     name: str
@@ -27,7 +27,7 @@ class RawFrame:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BadFrame:
-    """A frame that is damaged, and the error that says so."""
+    """A damaged frame: its number in the source, its name, and the error of reading it."""
 
     index: int
     name: str
@@ -41,22 +41,23 @@ class SourceFrame:
     Attributes
     ----------
     index : int
-        Its number in the source, from 0; frames that were left out count.
+        Number in the source, from 0; skipped frames count.
     name : str
-        Stem of its file; or that of the video, ``frame`` or ``webcam``, with its number.
+        Stem of the image file; or the stem of the video, ``frame`` or ``webcam``, and the number.
     time : float or None
-        Seconds: since the first frame of a video or webcam, or what the name of its file says.
+        Seconds since the first frame of a video or webcam, or the time in the file name.
     image : (H, W) or (H, W, 3) array
-        Cropped and shrunk, where the source was told to.
+        The frame, cropped and shrunk if the source does so.
     ignored : (H, W) bool array, or None
-        Where pixels do not count; None where all do.
+        True where pixels are ignored; None if the frame has no such pixels.
     labels : (H, W) uint8 array, or None
-        Which thing each pixel belongs to, where that is given: 0 is at rest.
+        Given number of the moving object at each pixel, 0 for the background at rest; None if the
+        frame has no given labels.
     stretch : bool
-        False where the frames so far show that float frames of the source are on the 8-bit scale,
-        though this one may look as if it were in [0, 1].
+        Whether the values of a float frame may be from 0 to 1, to be stretched to 0 to 255. False
+        once a frame of the source had larger values: then all of its frames are on the 8-bit scale.
     full : (int, int) or None
-        Height and width before it was cropped or shrunk, px; None where it was not.
+        Height and width before cropping and shrinking, px; None if the frame is unchanged.
     """
 
     index: int
@@ -69,29 +70,29 @@ class SourceFrame:
     full: tuple[int, int] | None = None
 
 
-class Reader(Protocol):
-    """One kind of source.
+class FrameReader(Protocol):
+    """Reads the frames of one kind of source.
 
     Attributes
     ----------
     title : str
-        What errors call it.
+        Name of the source in messages.
     files : tuple of Path
-        All files that it reads frames from.
+        All files with frames.
     names : tuple of str or None
-        Names of all frames, where they have files of their own.
+        Names of all frames if each frame has a file, else None.
     prefix : str
-        What names begin with, where they are numbered.
+        Prefix of the names of numbered frames.
     count : int or None
-        Number of frames, where it is known beforehand.
+        Number of frames, if it is known before reading.
     announced : int or None
-        Number of frames that the source states, where it may be wrong by a few.
+        Number of frames that a video states; it may be wrong by a few.
     times : tuple of float or None
-        Of all frames, s, if they are known before reading.
+        Times of all frames, s, if they are known before reading.
     notes : tuple of str
-        On how the source is read.
+        Notes to the user on how the source is read.
     ahead : bool
-        Whether frames may be read in another thread, before they are asked for.
+        Whether frames may be read ahead in a thread.
     """
 
     title: str
@@ -105,27 +106,30 @@ class Reader(Protocol):
     ahead: bool
 
     def read(self, chosen: slice) -> Iterator[RawFrame | BadFrame]:
-        """Read the frames of these numbers (start, stop or None, step), in order."""
+        """Read the frames with these numbers (start, stop or None, step), in order."""
         ...
 
 
-def is_chosen(index: int, chosen: slice) -> bool:
-    """Return whether a frame before `chosen.stop` is one of those that are read."""
+def is_selected(index: int, chosen: slice) -> bool:
+    """Return whether a slice contains the number of a frame, which is below `chosen.stop`."""
     return index >= chosen.start and (index - chosen.start) % chosen.step == 0
 
 
 def is_path(item: Any) -> bool:
-    """Return whether an item is the path of a file."""
+    """Return whether an item is a path."""
     return isinstance(item, (str, os.PathLike))
 
 
-def is_whole(value: Any) -> bool:
-    """Return whether a value is a whole number, and no truth value."""
+def is_integer(value: Any) -> bool:
+    """Return whether a value is an integer, and not a boolean."""
     return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
 
 
 class SourceWarning(UserWarning):
-    """Files or streams are left out, frames are resampled, or names or times are read in one way.
+    """A note on how a source is read.
+
+    Files or streams are left out, frames are resampled, or ambiguous file names are read in one of
+    several ways.
 
     Examples
     --------
@@ -135,28 +139,31 @@ class SourceWarning(UserWarning):
     """
 
 
-def warn_of(notes: Iterable[str], *, stacklevel: int = 2) -> None:
-    """Give each note as a `SourceWarning` at the caller, or further up, as `warnings.warn` does."""
+def warn_notes(notes: Iterable[str], *, stacklevel: int = 2) -> None:
+    """Issue each note as a `SourceWarning`; `stacklevel` as in `warnings.warn`."""
     for note in notes:
         warnings.warn(note, SourceWarning, stacklevel=stacklevel + 1)
 
 
 @dataclass(frozen=True)
 class Listing:
-    """How many files there are, and a digest of their names, and of their sizes if these count."""
+    """The number of files of a source, and a digest of their names and, for videos, their sizes.
+
+    Processes on several machines compare their listings, so that all work on the same files.
+    """
 
     count: int
     digest: str
 
     @classmethod
     def of(cls, files: Sequence[Path], *, with_sizes: bool = False) -> "Listing":
-        """Return that of files in their order."""
+        """Return the listing of files in this order."""
         sizes = [f"/{path.stat().st_size}" if with_sizes else "" for path in files]
         names = "\0".join(f"{path.name}{size}" for path, size in zip(files, sizes, strict=True))
         return cls(len(files), hashlib.sha256(names.encode("utf-8", "surrogateescape")).hexdigest())
 
     def check(self, other: "Listing", title: str) -> None:
-        """Refuse what another process sees, with RuntimeError, if it is not the same."""
+        """Raise RuntimeError if the listing of another process differs from this one."""
         if other != self:
             raise RunError(
                 f"a worker sees other files in {title} ({other.count}) than the process that began "

@@ -8,33 +8,33 @@ from PIL import Image
 
 from tisfm.formats import FormatError, read_image
 from tisfm.formats.image_headers import PILLOW_FORMATS
-from tisfm.formats.image_names import named_times, times_of_names, unread_note
+from tisfm.formats.image_names import increasing_times, parse_times, unread_times_note
 from tisfm.formats.reading import open_file
 from tisfm.sources.frame_reader import BadFrame, RawFrame
 
 _FORMATS = (*PILLOW_FORMATS, "GIF", "AVIF")
-_LOOKED_AT = 100  # pictures of a folder, at most: each is opened
+_MAX_CHECKED = 100  # images of a folder that are opened to count their frames; set by hand
 
 
-def frames_in_picture(file: Path) -> int:
-    """Return how many frames a picture has; 1 if that is not known.
+def count_frames(file: Path) -> int:
+    """Return the number of frames of an image file; 1 if unknown.
 
-    Further pictures in a JPEG (MPO) are previews, depth or gain maps, or the view of a second lens:
-    they are not counted.
+    Further images in a JPEG (MPO) are previews, depth or gain maps, or the view of a second lens:
+    they do not count.
     """
     try:
         with warnings.catch_warnings(), open_file(file) as opened:
-            warnings.simplefilter("ignore")  # of large pictures
+            warnings.simplefilter("ignore")  # Pillow warns of large images
             with Image.open(opened, formats=_FORMATS) as picture:
                 return 1 if picture.format == "MPO" else int(getattr(picture, "n_frames", 1))
-    except Exception:  # Pillow's decoders raise many kinds for damaged files
+    except Exception:  # damaged files make Pillow's decoders raise many kinds of errors
         return 1
 
 
 def animations_note(files: Sequence[Path]) -> str:
-    """Return a note that only first frames are read, "" if all pictures have one frame."""
-    for file in files[:_LOOKED_AT]:
-        count = frames_in_picture(file)
+    """Return a note that only first frames are read; "" if all images have one frame."""
+    for file in files[:_MAX_CHECKED]:
+        count = count_frames(file)
         if count > 1:
             return (
                 f"of pictures with several frames, such as {file.name} ({count}), only the first "
@@ -44,21 +44,21 @@ def animations_note(files: Sequence[Path]) -> str:
 
 
 class ImageFiles:
-    """Image files, read one after the other.
+    """Image files as frames.
 
     Parameters
     ----------
     files : sequence of Path
-        In the order of the frames.
+        The files in the order of the frames.
     title : str
-        What errors call them all.
+        Name of the source in messages.
     notes : sequence of str
-        On how they were found.
+        Notes to the user on the selection of the files.
 
     Raises
     ------
     FileNotFoundError
-        If one of them does not exist.
+        If a file does not exist.
     """
 
     prefix = ""
@@ -73,18 +73,21 @@ class ImageFiles:
         self.files = tuple(files)
         self.count: int | None = len(files)
         stems = [file.stem for file in files]
-        self.times = times_of_names(stems)
-        named = named_times(stems)
-        note = unread_note(stems) if named is None else named.note(stems) if self.times else ""
+        self.times = increasing_times(stems)
+        named = parse_times(stems)
+        note = (
+            unread_times_note(stems) if named is None else named.note(stems) if self.times else ""
+        )
         self.notes = (*notes, *filter(None, (note, animations_note(files))))
-        # Of different folders or suffixes; some file systems take a and A for the same.
+        # Files of different folders or suffixes may share a stem; names of results must differ,
+        # also on file systems that ignore case.
         if len({stem.lower() for stem in stems}) < len(stems):
             stems = [f"{index:06d}_{stem}" for index, stem in enumerate(stems)]
         self._names = tuple(stems)
         self.names: tuple[str, ...] | None = self._names
 
     def read(self, chosen: slice) -> Iterator[RawFrame | BadFrame]:
-        """Read the files of these numbers."""
+        """Read the files with these numbers."""
         for index in range(len(self.files))[chosen]:
             name = self._names[index]
             try:
@@ -95,4 +98,4 @@ class ImageFiles:
                 continue
             time = None if self.times is None else self.times[index]
             yield RawFrame(index=index, name=name, image=image, time=time)
-            del image  # or it would be held while the next one is read
+            del image  # free its memory before the next one is read

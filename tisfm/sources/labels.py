@@ -1,4 +1,4 @@
-"""Labels that are given: which thing each pixel of a frame belongs to, with a number for each."""
+"""Given labels: the number of the moving object that each pixel of a frame belongs to."""
 
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from tisfm.checks import unmasked
 from tisfm.errors import InputError, InputTypeError
-from tisfm.formats.label_picture import has_palette_of_labels, read_label_picture
-from tisfm.sources.frame_reader import is_path, is_whole
-from tisfm.sources.paths import several_pictures
+from tisfm.formats.label_picture import has_colour_palette, read_label_picture
+from tisfm.sources.frame_reader import is_integer, is_path
+from tisfm.sources.paths import list_image_files
 
-VOID = 255  # a label of what belongs to nothing that is known, as DAVIS has it
+VOID = 255
+"""Label of pixels that are ignored, as in DAVIS."""
 
-GivenLabels = (
+LabelSource = (
     str
     | os.PathLike[str]
     | npt.NDArray[Any]
@@ -30,46 +31,47 @@ GivenLabels = (
 
 
 class Labels:
-    """The labels of a source: 0 is at rest, 1 to 254 a thing of this number, 255 is ignored.
+    """The labels of a source: 0 for the background at rest, 1 to 254 for objects, 255 for ignored.
 
     Parameters
     ----------
     labels : path, array, sequence, mapping, or iterable
-        Pictures, whose values or indices of a palette are labels: a folder, a glob pattern, or a
-        file. They belong to the frames that they are called like: ``a.png`` or ``a.jpg.png`` to
-        ``a.jpg``, ``walk_000012.png`` to frame 12 of ``walk.mp4``; others have none. Where none is
-        called like a frame, there has to be one for each, in order.
-        Or a sequence, an (N, H, W) array of integers, or an iterable, of one for every frame of the
-        source, None where a frame has none. Or a mapping from numbers or names of frames.
+        Image files, whose grey levels or palette indices are labels: a folder, a glob pattern, or
+        one file. They are matched with the frames by name: ``a.png`` or ``a.jpg.png`` with
+        ``a.jpg``, ``walk_000012.png`` with frame 12 of ``walk.mp4``; other frames have no labels.
+        If no name matches, there must be one file for each frame, in order.
+        Or a sequence, an (N, H, W) array of integers, or an iterable, with one item for every frame
+        of the source, None for a frame without labels. Or a mapping from numbers or names of
+        frames.
     names : sequence of str, optional
-        Names of all frames, where they are known.
+        Names of all frames, if known.
     frame_files : sequence of Path, optional
-        Files of all frames, where they have such.
+        Files of all frames, if each frame has a file.
     prefix : str, optional
-        What the names of frames begin with, where they are numbered.
+        Prefix of the names of numbered frames.
     count : int, optional
-        Number of frames, where it is known.
+        Number of frames, if known.
 
     Attributes
     ----------
     ahead : bool
-        Whether labels may be read in another thread, before they are asked for.
+        Whether labels may be read ahead in a thread.
     files : tuple of Path
-        Files that labels are read from.
+        Files of the labels.
 
     Raises
     ------
     FileNotFoundError
         If a path does not exist or a pattern matches nothing.
     TypeError
-        If the labels are none of these.
+        If the labels are of another type.
     ValueError
-        If they are not of the frames.
+        If there are labels for frames that do not exist, or not as many labels as frames.
     """
 
     def __init__(
         self,
-        labels: GivenLabels,
+        labels: LabelSource,
         *,
         names: Sequence[str] | None = None,
         frame_files: Sequence[Path] = (),
@@ -82,8 +84,8 @@ class Labels:
         self.ahead = True
         self._items: Mapping[int, Any] | Iterable[Any]
         if isinstance(labels, (str, os.PathLike)):
-            self._items = self._of_pictures(
-                several_pictures(os.fspath(labels), "picture or folder of labels")
+            self._items = self._match_files(
+                list_image_files(os.fspath(labels), "picture or folder of labels")
             )
         elif isinstance(labels, Mapping):
             self._items = {self._number(key): item for key, item in labels.items()}
@@ -107,32 +109,32 @@ class Labels:
             if not file.exists():
                 raise FileNotFoundError(f"there are no labels {file}: check the path")
 
-    def in_turn(self) -> "LabelsInTurn":
-        """Return what gives the frames their labels, from the first frame on."""
-        return LabelsInTurn(self._items)
+    def reader(self) -> "LabelReader":
+        """Return a reader of the labels, from the first frame on."""
+        return LabelReader(self._items)
 
-    def _of_pictures(self, files: Sequence[Path]) -> dict[int, Path]:
-        """Return pictures by the numbers of the frames that they belong to."""
-        called = {self._number_of(file.stem): file for file in files}
-        called.pop(None, None)
-        if called:
-            return {number: file for number, file in called.items() if number is not None}
-        self._check_count(len(files), "; none of them is called like a frame")
+    def _match_files(self, files: Sequence[Path]) -> dict[int, Path]:
+        """Return label files by the numbers of their frames."""
+        matched = {self._number_of(file.stem): file for file in files}
+        matched.pop(None, None)
+        if matched:
+            return {number: file for number, file in matched.items() if number is not None}
+        self._check_count(len(files), "; none of them has the name of a frame")
         return dict(enumerate(files))
 
     def _number(self, key: Any) -> int:
         """Return the number of the frame that a key of a mapping names."""
-        if not is_whole(key) and not isinstance(key, str):
+        if not is_integer(key) and not isinstance(key, str):
             raise InputTypeError(
                 f"labels has the key {key!r}: expected the number or name of a frame"
             )
-        number = int(key) if is_whole(key) else self._number_of(key)
+        number = int(key) if is_integer(key) else self._number_of(key)
         if number is None or number < 0 or (self._count is not None and number >= self._count):
-            raise InputError(f"labels has some of frame {key!r}, but there is no such frame")
+            raise InputError(f"labels has an entry for frame {key!r}, which does not exist")
         return number
 
     def _number_of(self, name: str) -> int | None:
-        """Return the number of the frame that is called so; None if there is none."""
+        """Return the number of the frame with this name; None if there is no such frame."""
         if self._numbers:
             return self._numbers.get(name)
         beginning, _, number = name.rpartition("_")
@@ -141,36 +143,36 @@ class Labels:
     def _check_count(self, count: int, more: str = "") -> None:
         if self._count is not None and count != self._count:
             raise InputError(
-                f"labels has those of {count} frame{'s' * (count != 1)}, but there are "
-                f"{self._count} frames{more}: expected one for every frame"
+                f"labels are of {count} frame{'s' * (count != 1)}, but there are "
+                f"{self._count} frames{more}: expected labels for every frame"
             )
 
 
-class LabelsInTurn:
-    """Gives frames their labels, in order."""
+class LabelReader:
+    """Reads the labels of frames, in the order of the frames."""
 
     def __init__(self, items: Mapping[int, Any] | Iterable[Any]) -> None:
         self._items = items if isinstance(items, Mapping) else iter(items)
-        self._following = 0
-        self._has_void = self._has_things = False
+        self._next_index = 0
+        self._has_void = self._has_objects = False
 
-    def of(self, index: int, name: str, shapes: Sequence[tuple[int, ...]]) -> np.ndarray | None:
-        """Return the labels of a frame of this number, (H, W) uint8; None if it has none.
+    def labels(self, index: int, name: str, shapes: Sequence[tuple[int, ...]]) -> np.ndarray | None:
+        """Return the labels of the frame with this number, (H, W) uint8; None if it has none.
 
         Parameters
         ----------
         index : int
         name : str
-            What errors call the frame.
+            Name of the frame in messages.
         shapes : sequence of tuple of int
-            Those that it may have, (H, W[, 3]): of the frame as it is read, and as it is used.
+            Shapes, (H, W[, 3]), that the labels may have: of the frame as read, and as used.
 
         Raises
         ------
         OSError, tisfm.formats.FormatError
-            If they cannot be read.
+            If the labels cannot be read.
         TypeError, ValueError
-            If they are none, or of another size.
+            If the item is not an array of labels, or has another size.
         """
         item = self._item(index, name)
         if item is None:
@@ -179,7 +181,7 @@ class LabelsInTurn:
             title, labels = os.fspath(item), read_label_picture(item)
         else:
             title = f"labels of frame {name}"
-            labels = checked_labels(item, title)
+            labels = check_labels(item, title)
         sizes = list(dict.fromkeys(shape[:2] for shape in shapes))
         if labels.shape not in sizes:
             raise InputError(
@@ -187,27 +189,27 @@ class LabelsInTurn:
                 f"{' or '.join(map(str, sizes))}: expected the same"
             )
         self._has_void |= bool((labels == VOID).any())
-        self._has_things |= bool(((labels > 0) & (labels < VOID)).any())
+        self._has_objects |= bool(((labels > 0) & (labels < VOID)).any())
         return labels
 
     def check(self) -> None:
-        """Raise ValueError if the labels so far have pixels that are ignored, but no thing."""
-        if self._has_void and not self._has_things:
+        """Raise ValueError if the labels so far have ignored pixels, but no object."""
+        if self._has_void and not self._has_objects:
             raise InputError(
-                "labels are 0 or 255 everywhere, which is ignored: expected numbers from 1 to 254 "
-                "for things"
+                "labels are 0 or 255 everywhere, and pixels of 255 are ignored: expected numbers "
+                "from 1 to 254 for moving objects"
             )
 
     def _item(self, index: int, name: str) -> Any:
         if isinstance(self._items, Mapping):
             return self._items.get(index)
-        skipped, self._following = index - self._following, index + 1
+        skipped, self._next_index = index - self._next_index, index + 1
         for item in islice(self._items, skipped, None):
             return item
         raise InputError(f"labels ended before frame {name}: expected None where a frame has none")
 
 
-def checked_labels(values: Any, title: str) -> NDArray[np.uint8]:
+def check_labels(values: Any, title: str) -> NDArray[np.uint8]:
     """Return the labels of a frame, (H, W) uint8, or raise TypeError or ValueError."""
     array = unmasked(values, title)
     if array.ndim == 3:
@@ -219,70 +221,69 @@ def checked_labels(values: Any, title: str) -> NDArray[np.uint8]:
         raise InputError(f"{title} have the shape {array.shape}: expected (H, W)")
     if array.dtype.kind not in "biu":
         raise InputTypeError(
-            f"{title} are of type {array.dtype}: expected whole numbers, 0 for what is at rest, "
-            "and 1 to 254 for things"
+            f"{title} are of type {array.dtype}: expected integers, 0 for the background at rest, "
+            "and 1 to 254 for moving objects"
         )
     if array.size and (array.min() < 0 or array.max() > VOID):
         raise InputError(
-            f"{title} go from {array.min()} to {array.max()}: expected 0 for what is at rest, 1 to "
-            "254 for things, and 255 for what is ignored"
+            f"{title} go from {array.min()} to {array.max()}: expected 0 for the background at "
+            "rest, 1 to 254 for moving objects, and 255 for ignored pixels"
         )
     return array.astype(np.uint8)
 
 
-def holds_labels(mask: Any) -> bool:
-    """Return whether a mask, as `tisfm.sources.masks.Masks` takes it, holds labels of things.
+def are_labels(mask: Any) -> bool:
+    """Return whether an argument for `tisfm.sources.masks.Masks` holds labels of moving objects.
 
-    It does if it is one for every frame, and either pictures with a palette of colours, as DAVIS
-    has them, or arrays of integers in which there are several numbers from 1 to 254. All else says
-    what counts.
+    It does if there is one item for every frame, and the items are images with a colour palette, as
+    in DAVIS, or arrays of integers with several numbers from 1 to 254. Otherwise it holds masks.
 
     Raises
     ------
     ValueError
-        If it can be read both ways: arrays of integers with a single number from 1 to 254.
+        If both are possible: arrays of integers with a single number from 1 to 254.
     tisfm.formats.FormatError
-        If a picture is damaged.
+        If an image is damaged.
     """
     if isinstance(mask, (str, os.PathLike)):
         path = os.fspath(mask)
-        return not os.path.isfile(path) and has_palette_of_labels(several_pictures(path, "mask")[0])
+        return not os.path.isfile(path) and has_colour_palette(list_image_files(path, "mask")[0])
     if isinstance(mask, np.ndarray) and mask.ndim != 3:
         return False
     if not isinstance(mask, (Sequence, np.ndarray)) or not len(mask):
         return False
     if all(map(is_path, mask)):
-        return has_palette_of_labels(mask[0])
+        return has_colour_palette(mask[0])
     numbers: set[int] = set()
     for one in mask:
         numbers |= _numbers_in(one)
     if len(numbers) == 1:
         raise InputError(
-            f"mask has one number for every pixel that is not 0, {numbers.pop()}: give booleans "
-            "if 0 is to be ignored, or labels= if it is the number of a thing that moves"
+            f"mask has the number {numbers.pop()} at every pixel that is not 0: give booleans "
+            "if 0 is to be ignored, or labels= if it is the number of a moving object"
         )
     return bool(numbers)
 
 
-def without_labels(masks: Iterable[Any]) -> Iterator[Any]:
-    """Yield masks as they come, of which it cannot be told beforehand whether they hold labels.
+def refuse_label_values(masks: Iterable[Any]) -> Iterator[Any]:
+    """Yield masks from an iterator, whose items `are_labels` cannot check beforehand.
 
     Raises
     ------
     ValueError
-        If they do.
+        If an item holds labels of moving objects.
     """
     for mask in masks:
         if _numbers_in(mask):
             raise InputError(
-                "mask has numbers other than 0 and 255: give them as labels= if they are those of "
-                "things that move, or booleans if 0 is to be ignored"
+                "mask has numbers other than 0 and 255: give them as labels= if they are numbers "
+                "of moving objects, or give booleans if 0 is to be ignored"
             )
         yield mask
 
 
 def _numbers_in(mask: Any) -> set[int]:
-    """Return the numbers from 1 to 254 in a mask of integers, (H, W); none in anything else."""
+    """Return the numbers from 1 to 254 in a mask of integers, (H, W); an empty set for others."""
     if mask is None or is_path(mask):
         return set()
     array = np.asarray(mask)

@@ -1,4 +1,4 @@
-"""Masks: which pixels of each frame are ignored."""
+"""Masks, which mark the pixels of each frame that are ignored."""
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
@@ -14,7 +14,7 @@ from tisfm.checks import unmasked_mask
 from tisfm.errors import InputError, InputTypeError
 from tisfm.formats import read_image
 from tisfm.sources.frame_reader import is_path
-from tisfm.sources.paths import several_pictures
+from tisfm.sources.paths import list_image_files
 
 Mask = (
     str
@@ -25,47 +25,47 @@ Mask = (
 )
 
 
-class _Picture(NamedTuple):
-    """A mask that was read: its file, and where pixels count."""
+class _MaskFile(NamedTuple):
+    """A mask read from a file: its path, and where pixels are used."""
 
     path: str
-    counted: NDArray[np.bool_]
+    used: NDArray[np.bool_]
 
 
 class Masks:
-    """The masks of a source: one for all of its frames, or one for each.
+    """The masks of a source: one mask for all frames, or one for each frame.
 
-    Black (zero, False) is what does not count, as in COLMAP and other photogrammetry, and as
-    ``mask=`` is in `tisfm.metrics`.
+    Black (zero, False) pixels are ignored, as in COLMAP and other photogrammetry software, and as
+    with ``mask=`` in `tisfm.metrics`.
 
     Parameters
     ----------
     mask : path, array, sequence of paths, or iterable of arrays
-        A picture or an (H, W) array for all frames. Or one for each frame of the source, those
-        that are left out included: a folder, a glob pattern, a list of files, an (N, H, W) array,
-        or any iterable of (H, W) arrays.
+        An image file or an (H, W) array for all frames. Or one mask for each frame of the source,
+        skipped frames included: a folder, a glob pattern, a list of files, an (N, H, W) array, or
+        an iterable of (H, W) arrays.
     frame_files : sequence of Path, optional
-        Files of all frames, where they have such. Masks of a folder or pattern are found by them:
-        the mask of ``a.jpg`` is ``a.png`` or ``a.jpg.png``. Where no mask is called like a frame,
-        they belong to the frames in their order.
+        Files of all frames, if each frame has a file. The masks of a folder or pattern are matched
+        with them by name: the mask of ``a.jpg`` is ``a.png`` or ``a.jpg.png``. If no name matches,
+        the masks belong to the frames in order.
     count : int, optional
-        Number of frames, where it is known.
+        Number of frames, if known.
 
     Attributes
     ----------
     ahead : bool
-        Whether masks may be read in another thread, before they are asked for.
+        Whether masks may be read ahead in a thread.
     files : tuple of Path
-        Files that masks are read from.
+        Files of the masks.
 
     Raises
     ------
     FileNotFoundError
         If a path does not exist or a pattern matches nothing.
     TypeError
-        If the mask is none of these.
+        If the mask is of another type.
     ValueError
-        If there are not as many masks as frames, or a frame has none.
+        If there are not as many masks as frames, or a frame has no mask.
     """
 
     def __init__(
@@ -79,9 +79,9 @@ class Masks:
             path = os.fspath(mask)
             if os.path.isfile(path):
                 self.files = (Path(path),)
-                self._items = repeat(_Picture(path, _counted(read_image(path))))
+                self._items = repeat(_MaskFile(path, _nonzero(read_image(path))))
             else:
-                self.files = _by_name(several_pictures(path, "mask"), frame_files, path)
+                self.files = _by_name(list_image_files(path, "mask"), frame_files, path)
                 self._items, number = self.files, len(self.files)
         elif isinstance(mask, Sequence) and mask and all(map(is_path, mask)):
             self.files = tuple(Path(os.fspath(item)) for item in mask)
@@ -109,61 +109,61 @@ class Masks:
                 "expected one for every frame, or a single one"
             )
 
-    def ignored(self) -> "Ignored":
-        """Return what gives the frames their masks, from the first frame on."""
-        return Ignored(self._items)
+    def reader(self) -> "MaskReader":
+        """Return a reader of the masks, from the first frame on."""
+        return MaskReader(self._items)
 
 
-class Ignored:
-    """Gives frames their masks, in order."""
+class MaskReader:
+    """Reads the masks of frames, in the order of the frames."""
 
     def __init__(self, items: Iterable[Any]) -> None:
         self._items: Iterator[Any] = iter(items)
-        self._following = 0
+        self._next_index = 0
 
-    def of(self, index: int, name: str, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        """Return where a frame of this number and shape (H, W[, 3]) is ignored.
+    def ignored(self, index: int, name: str, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        """Return where a frame with this number and shape, (H, W[, 3]), is ignored.
 
         Raises
         ------
         OSError, tisfm.formats.FormatError
-            If its mask cannot be read.
+            If the mask cannot be read.
         ValueError
-            If there is none, or it is of another size.
+            If there is no mask of this frame, or it has another size.
         """
-        item = next(islice(self._items, index - self._following, None), None)
-        self._following = index + 1
+        item = next(islice(self._items, index - self._next_index, None), None)
+        self._next_index = index + 1
         if item is None:
             raise InputError(f"mask ended before frame {name}: expected one for every frame")
-        if isinstance(item, _Picture):
-            title, counted = item
+        if isinstance(item, _MaskFile):
+            title, used = item
         elif is_path(item):
-            title, counted = os.fspath(item), _counted(read_image(item))
+            title, used = os.fspath(item), _nonzero(read_image(item))
         else:
-            title, counted = f"the mask of frame {name}", unmasked_mask(item, "mask")
-        if counted.shape != shape[:2]:
+            title, used = f"the mask of frame {name}", unmasked_mask(item, "mask")
+        if used.shape != shape[:2]:
             raise InputError(
-                f"{title} is {counted.shape} but frame {name} is {shape[:2]}: expected a mask of "
+                f"{title} is {used.shape} but frame {name} is {shape[:2]}: expected a mask of "
                 "the size of the frame as it is read"
             )
-        return ~counted
+        return ~used
 
 
-def _counted(picture: np.ndarray) -> NDArray[np.bool_]:
-    """Return where a picture, grey or colour, is not black."""
-    return (picture if picture.ndim == 2 else picture.max(axis=-1)) != 0
+def _nonzero(image: np.ndarray) -> NDArray[np.bool_]:
+    """Return where an image, grey or colour, is not black."""
+    return (image if image.ndim == 2 else image.max(axis=-1)) != 0
 
 
 def _by_name(masks: list[Path], frames: Sequence[Path], title: str) -> tuple[Path, ...]:
-    """Return the masks in the order of the frames: by their names, where these say so."""
-    named = {mask.stem: mask for mask in masks}
-    found = [named.get(frame.name, named.get(frame.stem)) for frame in frames]
-    if not any(found):
+    """Return the masks in the order of the frames, matched by name if any name matches."""
+    by_stem = {mask.stem: mask for mask in masks}
+    matched = [by_stem.get(frame.name, by_stem.get(frame.stem)) for frame in frames]
+    if not any(matched):
         return tuple(masks)
-    for frame, mask in zip(frames, found, strict=True):
+    for frame, mask in zip(frames, matched, strict=True):
         if mask is None:
             raise InputError(
                 f"{title} has no mask for {frame.name}: expected {frame.stem}.png or "
                 f"{frame.name}.png"
             )
-    return tuple(mask for mask in found if mask is not None)
+    return tuple(mask for mask in matched if mask is not None)

@@ -16,16 +16,29 @@ from tisfm.window import Window
 
 @dataclass(frozen=True, kw_only=True)
 class FramePair:
-    """Two consecutive frames of a source, with their names (file stems, or frame numbers).
+    """Two consecutive frames of a source.
 
-    The pose, if there is one, is a known motion as for `tisfm.interpret`. `stretch` is False where
-    the frames so far show that float frames of the source are on the 8-bit scale, though those of
-    this pair may look as if they were in [0, 1]. `full` is height and width of the frames before
-    they were cropped or shrunk, px, or None where they were not. `times` is when they were taken,
-    s, or None where the source does not say. `ignored0` and `ignored1`, (H, W) bool, are the pixels
-    of the frames that do not count, or None where all do. `interval` is how many frames of the
-    source it is from the first, whose number there is `index`, to the second: by it a camera's
-    readout is counted.
+    Attributes
+    ----------
+    name0, name1 : str
+        Names of the frames: file stems, or names with frame numbers.
+    frame0, frame1 : (H, W) or (H, W, 3) array
+    pose : (4, 4) array_like or None
+        Known motion, as for `tisfm.interpret`.
+    stretch : bool
+        Whether the values of float frames may be from 0 to 1, to be stretched to 0 to 255. False
+        once a frame of the source had larger values: then all of its frames are on the 8-bit scale.
+    full : (int, int) or None
+        Height and width before cropping and shrinking, px; None if the frames are unchanged.
+    times : (float, float) or None
+        Times of the frames, s; None if unknown.
+    ignored0, ignored1 : (H, W) bool array or None
+        True where pixels are ignored; None if a frame has no such pixels.
+    interval : int
+        Frames of the source from the first to the second one; the readout time of a camera, which
+        is a share of one frame interval, is divided by it.
+    index : int
+        Number of the first frame in the source.
     """
 
     name0: str
@@ -51,7 +64,8 @@ class FramePair:
     ) -> Interpretation:
         """Interpret the pair; errors name its frames.
 
-        `window`, for motion ``"field"``, has what is known of the pair before, and then of this.
+        `window`, for motion ``"field"``, holds the result of the pair before; afterwards it holds
+        the result of this pair.
         """
         from tisfm.pair import interpret, interpret_pair
 
@@ -71,7 +85,7 @@ class FramePair:
             raise
 
     def keep(self, window: Window, result: Interpretation, *, camera: Camera | None) -> None:
-        """Keep for the next pair what `interpret` keeps that made this result with this camera."""
+        """Store a result of `interpret` in the window, as `interpret` with a window does."""
         from tisfm.pair import keep_pair
 
         window.begin(self.interval)
@@ -87,10 +101,7 @@ class FramePair:
 
     @property
     def digest(self) -> str:
-        """A short hash of both frames, to know them again by.
-
-        And of their masks and the pose, if there are such.
-        """
+        """A short hash of both frames, and of their masks and the pose, if any."""
         both = hashlib.blake2b(digest_size=8)
         for frame in self._digests or (Digest(self.frame0), Digest(self.frame1)):
             both.update(frame.value)
@@ -103,7 +114,7 @@ class FramePair:
 
 
 class Digest:
-    """The hash of a frame, computed once though the frame is in two pairs."""
+    """The hash of a frame, computed once for the two pairs that contain the frame."""
 
     def __init__(self, frame: np.ndarray) -> None:
         self._frame: np.ndarray | None = frame
@@ -111,7 +122,7 @@ class Digest:
 
     @property
     def value(self) -> bytes:
-        """Eight bytes or more that differ between frames."""
+        """The hash, 16 bytes; computing it releases the frame."""
         frame = self._frame
         if frame is not None:
             pixels = hashlib.blake2b(f"{frame.shape} {frame.dtype}".encode(), digest_size=16)

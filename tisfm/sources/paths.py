@@ -1,4 +1,4 @@
-"""Files of a folder or of a glob pattern, in the order of their names; URLs are refused."""
+"""The image files of a folder or a glob pattern, in the order of their names."""
 
 import glob
 import os
@@ -12,25 +12,49 @@ from urllib.request import url2pathname
 
 from tisfm.errors import InputError
 from tisfm.formats import IMAGE_SUFFIXES
-from tisfm.formats.image_names import in_order
-from tisfm.formats.images import natural_order
+from tisfm.formats.image_names import natural_sort_key, sort_by_name
 
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://?", re.DOTALL)
-_WITHOUT_SCHEME = re.compile(r"www\.[^/]+\.[^/]+(/|$)|youtu\.be/")  # as browsers show them
-_STREAMS = ("mms", "rtmp", "rtmps", "rtp", "rtsp", "rtsps", "srt", "tcp", "udp", "v4l2")
+_URL_WITHOUT_SCHEME = re.compile(r"www\.[^/]+\.[^/]+(/|$)|youtu\.be/")  # as browsers show them
+_STREAM_SCHEMES = ("mms", "rtmp", "rtmps", "rtp", "rtsp", "rtsps", "srt", "tcp", "udp", "v4l2")
+
+# Suffixes of images that tisfm cannot read.
+_UNREADABLE = (
+    ".arw", ".avif", ".cr2", ".cr3", ".dng", ".exr", ".heic", ".heif", ".jxl", ".nef",
+    ".orf", ".psd", ".raf", ".raw", ".rw2",
+)  # fmt: skip
+# Suffixes of images that are read if a pattern matches them; folders are not searched for them.
+_BY_PATTERN = (".dib", ".hdr", ".jfif", ".jpe", ".pbm", ".pfm", ".pic", ".ras", ".sr")
+_VIDEOS = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ts", ".webm", ".wmv")
+_SAME_KIND = {".jpeg": ".jpg", ".tiff": ".tif", ".pgm": ".pnm", ".ppm": ".pnm"}
+_MAX_LISTED = 3  # files or folders that a message lists
+_MAX_SEARCHED = 200  # folders that are searched for images, for advice; set by hand
+# The number of a frame, as FFmpeg and renderers write it (%03d, ####); a single # only before a
+# suffix. In %20d, %20 is an encoded space.
+_FRAME_NUMBER = re.compile(
+    r"%(0\d*|\d?)d|#{2,}|#(?=(" + "|".join(map(re.escape, IMAGE_SUFFIXES)) + ")$)", re.IGNORECASE
+)
+
+
+@dataclass(frozen=True)
+class ImageSelection:
+    """Image files in the order of the frames, and notes to the user on their selection."""
+
+    files: list[Path]
+    notes: tuple[str, ...] = ()
 
 
 def refuse_url(source: str) -> None:
-    """Raise ValueError if a source is a URL; it says what to give instead."""
+    """Raise ValueError if a source is a URL; the message says what to do instead."""
     match = _URL.match(source)
-    is_without_scheme = _WITHOUT_SCHEME.match(source) and not os.path.exists(source.split("/")[0])
-    if match is None and not is_without_scheme:
+    lacks_scheme = _URL_WITHOUT_SCHEME.match(source) and not os.path.exists(source.split("/")[0])
+    if match is None and not lacks_scheme:
         return
     scheme = match[1].lower() if match else "https"
     if scheme == "file":
-        path = _path_of(source)
+        path = _path_of_url(source)
         instead = f"give the path, {path}" if path else "give the path of the file"
-    elif scheme in _STREAMS:
+    elif scheme in _STREAM_SCHEMES:
         instead = (
             "record a part of it to a file first, for instance by "
             f"`ffmpeg -i {source} -t 60 -c copy film.mkv`, and give that"
@@ -40,8 +64,8 @@ def refuse_url(source: str) -> None:
     raise InputError(f"{source} is a URL, and only files are read: {instead}")
 
 
-def _path_of(url: str) -> str:
-    """Return the path that a file:// URL stands for, "" if it is of another machine."""
+def _path_of_url(url: str) -> str:
+    """Return the path in a file:// URL; "" if it names another machine."""
     try:
         parts = urlsplit(url)
     except ValueError:
@@ -49,138 +73,119 @@ def _path_of(url: str) -> str:
     return url2pathname(parts.path) if parts.netloc in ("", "localhost") else ""
 
 
-# Suffixes of pictures that cannot be read, and of pictures that only a pattern finds: folders are
-# not searched for them.
-_UNREADABLE = (
-    ".arw", ".avif", ".cr2", ".cr3", ".dng", ".exr", ".heic", ".heif", ".jxl", ".nef",
-    ".orf", ".psd", ".raf", ".raw", ".rw2",
-)  # fmt: skip
-_BY_PATTERN = (".dib", ".hdr", ".jfif", ".jpe", ".pbm", ".pfm", ".pic", ".ras", ".sr")
-_VIDEOS = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ts", ".webm", ".wmv")
-_SAME_KIND = {".jpeg": ".jpg", ".tiff": ".tif", ".pgm": ".pnm", ".ppm": ".pnm"}
-_NAMED = 3  # files or folders that a message lists, at most
-_LOOKED_AT = 200  # folders, for one that has pictures
-# The number of a frame, as FFmpeg and renderers write it; a single # only before a suffix. In %20d,
-# %20 is an encoded space.
-_PRINTF = re.compile(
-    r"%(0\d*|\d?)d|#{2,}|#(?=(" + "|".join(map(re.escape, IMAGE_SUFFIXES)) + ")$)", re.IGNORECASE
-)
-
-
-@dataclass(frozen=True)
-class Found:
-    """Pictures that were found, in order, and notes on the search."""
-
-    files: list[Path]
-    notes: tuple[str, ...] = ()
-
-
-def pictures_of(folder: str) -> Found:
-    """Return the pictures of a folder, hidden files apart; FileNotFoundError if it has none."""
-    there = [file for file in Path(folder).iterdir() if not file.name.startswith(".")]
-    files = [file for file in there if file.suffix.lower() in IMAGE_SUFFIXES]
+def list_images(folder: str) -> ImageSelection:
+    """Return the images of a folder, without hidden files; FileNotFoundError if it has none."""
+    present = [file for file in Path(folder).iterdir() if not file.name.startswith(".")]
+    files = [file for file in present if file.suffix.lower() in IMAGE_SUFFIXES]
     if not files:
-        raise FileNotFoundError(f"the folder {folder} has no images{_instead(folder, there)}")
-    return Found(in_order(files), tuple(_left_out(folder, there) + _of_kinds(folder, files)))
+        advice = _advice_without_images(folder, present)
+        raise FileNotFoundError(f"the folder {folder} has no images{advice}")
+    notes = _skipped_notes(folder, present) + _kinds_note(folder, files)
+    return ImageSelection(sort_by_name(files), tuple(notes))
 
 
-def matching_files(pattern: str) -> Found:
-    """Return the files that match a glob pattern; FileNotFoundError if there is none.
+def match_pattern(pattern: str) -> ImageSelection:
+    """Return the files that match a glob pattern; FileNotFoundError if there are none.
 
-    Brackets that match nothing as a pattern are taken literally: ``set [1]/*.png`` is the folder
-    ``set [1]``, unless there is a ``set 1``.
+    Brackets count as part of a name if no file matches them as a pattern: ``set [1]/*.png`` is the
+    folder ``set [1]``, unless there is a folder ``set 1``.
     """
-    matches = {written: files for written in _ways_of(pattern) if (files := _files_of(written))}
+    matches = {reading: files for reading in _readings_of(pattern) if (files := _glob(reading))}
     if not matches:
-        raise FileNotFoundError(f"no file matches {pattern}: {_advice(pattern)}")
-    written, files = next(iter(matches.items()))
+        raise FileNotFoundError(f"no file matches {pattern}: {_advice_on_pattern(pattern)}")
+    reading, files = next(iter(matches.items()))
     notes = [
         f"{pattern} is read as a pattern, where [ ] stand for one character; for the files with "
         f"these brackets in their path, write {other}"
         for other, others in matches.items()
-        if written == pattern and set(others) != set(files)
+        if reading == pattern and set(others) != set(files)
     ]
-    return Found(in_order(files), tuple(notes[:1]))
+    return ImageSelection(sort_by_name(files), tuple(notes[:1]))
 
 
-def files_matching(pattern: str) -> list[Path]:
-    """Return the files of `matching_files`, an empty list if there are none."""
-    return next(filter(None, map(_files_of, _ways_of(pattern))), [])
+def files_of_pattern(pattern: str) -> list[Path]:
+    """Return the files of `match_pattern`; an empty list if there are none."""
+    return next(filter(None, map(_glob, _readings_of(pattern))), [])
 
 
-def _ways_of(pattern: str) -> list[str]:
-    """Return a pattern, and the same with literal brackets."""
+def _readings_of(pattern: str) -> list[str]:
+    """Return a pattern, and the same pattern with brackets as part of the name."""
     if "[" not in pattern:
         return [pattern]
-    folder = os.path.dirname(pattern)
+    folder = _existing_folder(pattern)
+    rest = pattern[len(folder) :]
+    readings = (pattern, glob.escape(folder) + rest, pattern.replace("[", "[[]"))
+    return list(dict.fromkeys(readings))
+
+
+def _existing_folder(path: str) -> str:
+    """Return the longest beginning of a path that is an existing folder, or ""."""
+    folder = os.path.dirname(path)
     while folder and not os.path.isdir(folder) and os.path.dirname(folder) != folder:
         folder = os.path.dirname(folder)
-    escaped = glob.escape(folder)
-    ways = (pattern, escaped + pattern[len(folder) :], pattern.replace("[", "[[]"))
-    return list(dict.fromkeys(ways))
+    return folder
 
 
-def several_pictures(path: str, name: str) -> list[Path]:
-    """Return the pictures of a folder or pattern, or the one of a file.
+def list_image_files(path: str, name: str) -> list[Path]:
+    """Return the images of a folder or pattern, or a single file as a list.
 
     Raises
     ------
     FileNotFoundError
-        If there is none; `name` is what the error calls it.
+        If there are none; the message calls them `name`.
     """
     if os.path.isdir(path):
-        return pictures_of(path).files
+        return list_images(path).files
     if os.path.isfile(path):
         return [Path(path)]
     if glob.has_magic(path):
-        return matching_files(path).files
+        return match_pattern(path).files
     refuse_url(path)
-    refuse_numbered(path)
+    refuse_numbered_pattern(path)
     raise FileNotFoundError(f"there is no {name} {path}: check the path")
 
 
 def order_notes(files: Sequence[Path]) -> list[str]:
-    """Return a note if files are given in alphabetical order, but their names state another.
+    """Return a note if files are in alphabetical order, and not in the order of their numbers.
 
-    A shell sorts so for a pattern that is not quoted.
+    A shell sorts the files of an unquoted pattern alphabetically. Any other order is the choice of
+    the user.
     """
     if list(files) != sorted(files, key=str):
-        return []  # somebody has chosen the order
-    for given, wanted in zip(files, in_order(files), strict=True):
-        if given != wanted:
+        return []
+    for first, sorted_first in zip(files, sort_by_name(files), strict=True):
+        if first != sorted_first:
             return [
-                f"files are read in the order given, where {given.name} comes before "
-                f"{wanted.name}; to have them in the order of their numbers or times, quote the "
-                "pattern"
+                f"files are read in the order given, where {first.name} comes before "
+                f"{sorted_first.name}; to have them in the order of their numbers or times, quote "
+                "the pattern"
             ]
     return []
 
 
-def refuse_numbered(path: str) -> None:
+def refuse_numbered_pattern(path: str) -> None:
     """Raise FileNotFoundError for a pattern such as ``f%03d.png`` or ``f.####.png``.
 
-    It says which glob pattern to write. Not if the path matches files as it is.
+    The message says which glob pattern to write. A path that exists, or matches files, is accepted.
     """
-    folder = os.path.dirname(path)
-    while folder and not os.path.isdir(folder) and os.path.dirname(folder) != folder:
-        folder = os.path.dirname(folder)
+    folder = _existing_folder(path)
     rest = path[len(folder) :]
-    if not _PRINTF.search(rest) or os.path.exists(path) or files_matching(path):
+    if not _FRAME_NUMBER.search(rest) or os.path.exists(path) or files_of_pattern(path):
         return
-    pattern = glob.escape(folder) + _PRINTF.sub("*", rest)
-    are_there = "" if files_matching(pattern) else ", though no file matches it now"
+    pattern = glob.escape(folder) + _FRAME_NUMBER.sub("*", rest)
+    no_match = "" if files_of_pattern(pattern) else ", though no file matches it now"
     raise FileNotFoundError(
         f"there is no file {path}: for pictures with a number in their names write a pattern with "
-        f"*, '{pattern}'{are_there}"
+        f"*, '{pattern}'{no_match}"
     )
 
 
-def _files_of(pattern: str) -> list[Path]:
+def _glob(pattern: str) -> list[Path]:
     return [file for file in map(Path, glob.glob(pattern)) if file.is_file()]
 
 
-def _advice(pattern: str) -> str:
-    """Return advice for a pattern that matches nothing."""
+def _advice_on_pattern(pattern: str) -> str:
+    """Return advice for a pattern that no file matches."""
     folder = os.path.dirname(pattern)
     if folder and not glob.has_magic(folder) and not os.path.isdir(folder):
         return f"there is no folder {folder}"
@@ -189,47 +194,49 @@ def _advice(pattern: str) -> str:
     return "check the pattern"
 
 
-def _instead(folder: str, there: Sequence[Path]) -> str:
-    """Return what a folder without pictures has instead, with advice."""
-    videos = [file for file in there if file.suffix.lower() in _VIDEOS]
-    if left_out := _left_out(folder, there, is_all=True):
-        return ", but " + "; ".join(left_out)
+def _advice_without_images(folder: str, present: Sequence[Path]) -> str:
+    """Return advice for a folder without images, by the files and folders that are present."""
+    videos = [file for file in present if file.suffix.lower() in _VIDEOS]
+    if skipped := _skipped_notes(folder, present, is_all=True):
+        return ", but " + "; ".join(skipped)
     if videos:
         return f", but {_listed([file.name for file in videos])}: give the path of one video"
-    if below := list(_folders_with_pictures(Path(folder))):
+    if below := list(_folders_with_images(Path(folder))):
         begin = "a folder below it has" if len(below) == 1 else "folders below it have"
         return f", but {begin}: give {_listed([str(one) for one in below], 'or')}"
     return f": expected files ending in {', '.join(IMAGE_SUFFIXES)}"
 
 
-def _folders_with_pictures(folder: Path) -> Iterator[Path]:
-    """Yield folders below one that have pictures, the nearest first."""
-    waiting, looked_at = [folder], 0
-    while waiting and looked_at < _LOOKED_AT:
-        here, looked_at = waiting.pop(0), looked_at + 1
+def _folders_with_images(folder: Path) -> Iterator[Path]:
+    """Yield the folders below a folder that have images, the nearest first."""
+    queue, searched = [folder], 0
+    while queue and searched < _MAX_SEARCHED:
+        current, searched = queue.pop(0), searched + 1
         try:
-            inside = sorted(
-                (one for one in here.iterdir() if not one.name.startswith(".")), key=natural_order
-            )
-        except OSError:  # it may not be looked at
+            visible = [one for one in current.iterdir() if not one.name.startswith(".")]
+        except OSError:  # no permission to list it
             continue
-        if here != folder and any(one.suffix.lower() in IMAGE_SUFFIXES for one in inside):
-            yield here
-        waiting += [one for one in inside if one.is_dir() and not one.is_symlink()]
+        entries = sorted(visible, key=natural_sort_key)
+        if current != folder and any(one.suffix.lower() in IMAGE_SUFFIXES for one in entries):
+            yield current
+        queue += [one for one in entries if one.is_dir() and not one.is_symlink()]
 
 
-def _left_out(folder: str, there: Sequence[Path], *, is_all: bool = False) -> list[str]:
-    """Return notes on files that are pictures by their suffix, but are not read."""
+def _skipped_notes(folder: str, present: Sequence[Path], *, is_all: bool = False) -> list[str]:
+    """Return notes on files that are images by their suffix, but are not read.
+
+    `is_all` tells that the folder has no images that are read.
+    """
     notes = []
     for suffixes, advice in (
         (_UNREADABLE, "tisfm cannot read them; convert them to PNG or JPEG"),
         ((".gif",), "a GIF is read as a video; give the path of one GIF"),
         (_BY_PATTERN, "a folder is not searched for them; give a pattern such as {pattern}"),
     ):
-        names = [file.name for file in there if file.suffix.lower() in suffixes]
+        names = [file.name for file in present if file.suffix.lower() in suffixes]
         if not names:
             continue
-        names.sort(key=lambda name: natural_order(Path(name)))
+        names.sort(key=lambda name: natural_sort_key(Path(name)))
         pattern = os.path.join(glob.escape(folder), f"*{Path(names[0]).suffix}")
         advice = advice.format(pattern=pattern)
         if is_all:
@@ -243,14 +250,15 @@ def _left_out(folder: str, there: Sequence[Path], *, is_all: bool = False) -> li
     return notes
 
 
-def _of_kinds(folder: str, files: Sequence[Path]) -> list[str]:
-    """Return a note on pictures of several kinds: they may be the same frames twice."""
-    kinds = Counter(_SAME_KIND.get(one, one) for one in (file.suffix.lower() for file in files))
+def _kinds_note(folder: str, files: Sequence[Path]) -> list[str]:
+    """Return a note on images of several formats: they may be the same frames twice."""
+    suffixes = (file.suffix.lower() for file in files)
+    kinds = Counter(_SAME_KIND.get(suffix, suffix) for suffix in suffixes)
     if len(kinds) == 1:
         return []
     counted = ", ".join(f"{number} {kind}" for kind, number in kinds.most_common())
-    usual = kinds.most_common(1)[0][0]
-    pattern = os.path.join(glob.escape(folder), f"*{usual}")
+    most_common = kinds.most_common(1)[0][0]
+    pattern = os.path.join(glob.escape(folder), f"*{most_common}")
     return [
         f"{folder} has pictures of several kinds ({counted}), and all are read, in the order of "
         f"their names; a pattern such as {pattern} takes one kind"
@@ -258,10 +266,10 @@ def _of_kinds(folder: str, files: Sequence[Path]) -> list[str]:
 
 
 def _listed(names: Sequence[str], conjunction: str = "and") -> str:
-    """Return a list of names, the first few of many."""
+    """Return names as text; of many names the first few."""
     if len(names) == 1:
         return names[0]
-    if len(names) > _NAMED:
-        rest = len(names) - _NAMED
-        return f"{', '.join(names[:_NAMED])} {conjunction} {rest} more"
+    if len(names) > _MAX_LISTED:
+        rest = len(names) - _MAX_LISTED
+        return f"{', '.join(names[:_MAX_LISTED])} {conjunction} {rest} more"
     return f"{', '.join(names[:-1])} {conjunction} {names[-1]}"

@@ -1,4 +1,4 @@
-"""Reading ahead: the next items are made in a thread while the consumer is busy."""
+"""Reading ahead: a thread makes the next items of a generator while the consumer is busy."""
 
 from collections import deque
 from collections.abc import Callable, Generator
@@ -6,34 +6,34 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, TypeVar
 
-AHEAD = 2  # items beside the one in use: more would only take memory
+AHEAD = 2  # items beside the one in use; more items would only take memory
 
 T = TypeVar("T")
 _END = object()
 
 
 def read_ahead(items: Generator[T, None, None], count: int = AHEAD) -> Generator[T, None, None]:
-    """Yield the items of a generator, made in a thread of their own.
+    """Yield the items of a generator, which runs in a thread.
 
     Parameters
     ----------
     items : generator
-        It is closed at the end, also where the consumer stops before.
+        It is closed at the end, also if the consumer stops early.
     count : int
-        How many items are made before they are asked for.
+        Number of items that are made before the consumer needs them.
 
     Yields
     ------
     object
-        The items, in their order. An error of the generator is raised after what came before it.
+        The items in order. An error of the generator is raised after the items before it.
     """
-    # Its thread waits for work alone, so that nothing of it outlives the interpreter.
+    # The thread ends with the interpreter: while idle it only waits for work.
     executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="tisfm-frames")
 
     def start() -> Callable[[], Any]:
         try:
             return executor.submit(next, items, _END).result
-        except RuntimeError:  # the main thread has ended, and lets nobody start work
+        except RuntimeError:  # the main thread has ended: an executor accepts no more work
             return partial(next, items, _END)
 
     try:
@@ -41,7 +41,7 @@ def read_ahead(items: Generator[T, None, None], count: int = AHEAD) -> Generator
         while (item := waiting.popleft()()) is not _END:
             waiting.append(start())
             yield item
-            del item  # or it would be held until the next one is there
+            del item  # free its memory before the next item is made
     finally:
         executor.shutdown(cancel_futures=True)
         items.close()

@@ -1,4 +1,4 @@
-"""Frames of any source, one after the other, and pairs of them."""
+"""The frames of any source, one after the other, and the pairs of consecutive frames."""
 
 import glob
 import os
@@ -16,25 +16,25 @@ from tisfm.errors import InputError, InputTypeError
 from tisfm.formats import IMAGE_SUFFIXES
 from tisfm.frames import in_unit_range
 from tisfm.sources.arrays import Arrays
-from tisfm.sources.crop_resize import View
+from tisfm.sources.crop_resize import CropResize
 from tisfm.sources.frame_reader import (
     BadFrame,
+    FrameReader,
     Listing,
     RawFrame,
-    Reader,
     SourceFrame,
+    is_integer,
     is_path,
-    is_whole,
 )
-from tisfm.sources.image_files import ImageFiles, frames_in_picture
-from tisfm.sources.labels import VOID, GivenLabels, Labels, LabelsInTurn
-from tisfm.sources.masks import Ignored, Mask, Masks
+from tisfm.sources.image_files import ImageFiles, count_frames
+from tisfm.sources.labels import VOID, LabelReader, Labels, LabelSource
+from tisfm.sources.masks import Mask, MaskReader, Masks
 from tisfm.sources.pairs import Digest, FramePair
 from tisfm.sources.paths import (
-    matching_files,
+    list_images,
+    match_pattern,
     order_notes,
-    pictures_of,
-    refuse_numbered,
+    refuse_numbered_pattern,
     refuse_url,
 )
 from tisfm.sources.read_ahead import read_ahead
@@ -46,71 +46,71 @@ BadFrames = Literal["raise", "skip"]
 
 
 class FrameSource:
-    """A source of frames, checked when it is made and read as it is iterated.
+    """A source of frames, checked when it is constructed and read while it is iterated.
 
-    Image files and videos are read and decoded ahead in a thread; arrays are not.
+    A thread reads and decodes image files and videos ahead; arrays are used in the caller's thread.
 
     Parameters
     ----------
     source : path, sequence of paths, or iterable of arrays
-        A folder of images (in natural order of their names, hidden files apart), a glob pattern,
+        A folder of images (in natural order of their names, without hidden files), a glob pattern,
         a video file, a list of image files, or any iterable of (H, W) or (H, W, 3) arrays; or
         ``"webcam"``, ``"webcam:1"``, … for a camera.
     step : int
         Take every `step`-th frame.
     start, stop : int
-        The first frame that is taken, and the first that is not any more, by their numbers in the
-        source, from 0. By default all.
+        Numbers of the first frame that is taken, and of the first frame after the last one taken,
+        from 0. By default all frames.
     size : int, optional
-        Longer side of the frames, px. Larger ones are shrunk by averaging over areas.
+        Longer side of the frames, px. Larger frames are shrunk by averaging over areas.
     crop : (int, int, int, int), optional
-        Left, top, width and height of the part of the frames that is used, px. It is cut out before
-        the rest is shrunk.
+        Left, top, width and height of the part of the frames that is used, px. Frames are cropped
+        before they are shrunk.
     mask : path, array, sequence of paths, or iterable of arrays, optional
-        Pixels that count: black, zero or False are those that are ignored. A picture or an array
-        for all frames, or one for every frame, as `tisfm.sources.masks.Masks` says. They have the
-        size of the frames before these are cropped and shrunk.
+        Pixels that are black, zero or False are ignored. An image file or an array for all frames,
+        or one for every frame, as for `tisfm.sources.masks.Masks`. Masks have the size of the
+        frames before cropping and shrinking.
     labels : path, array, sequence, mapping, or iterable, optional
-        Which thing pixels belong to, as `tisfm.sources.labels.Labels` says: 0 is at rest, 1 to 254
-        a thing of this number, 255 is ignored. They have the size of the frames before these are
-        cropped and shrunk, or after.
+        Numbers of moving objects, as for `tisfm.sources.labels.Labels`: 0 for the background at
+        rest, 1 to 254 for objects, 255 for ignored pixels. Labels have the size of the frames
+        before cropping and shrinking, or after both.
     bad_frames : {"raise", "skip"}
-        What becomes of frames that are damaged: an error, or they are left out.
+        Whether a damaged frame raises an error or is skipped.
 
     Attributes
     ----------
     files : tuple of Path
-        All files of the source: the images, those between the steps included, or the video, the
+        All files of the source: the images, including those between the steps, or the video; the
         masks and the labels.
     names : tuple of str or None
-        Names of the frames that are read, where frames have files of their own.
+        Names of the frames that are taken, if each frame has a file.
     prefix : str
-        What the names begin with, where they are numbered.
+        Prefix of the names of numbered frames.
     count : int or None
-        Number of frames, those that are not taken included. None where only reading tells: a video
-        may announce a frame or two too many.
+        Number of all frames of the source. None if only reading tells: a video may state a frame or
+        two too many.
     chosen : slice
         Start, stop and step.
     bad_frames : {"raise", "skip"}
         As given.
     times : tuple of float or None
-        Of the frames that are taken, s, if they are known before reading.
+        Times of the frames that are taken, s, if they are known before reading.
     notes : tuple of str
-        On how the source is read: files or streams that are left out, the meaning of names of
-        files, frames that are resampled.
+        Notes to the user on how the source is read: files or streams that are left out, ambiguous
+        file names, frames that are resampled.
     skipped : list of (int, str)
-        Numbers of the frames that were skipped, and why, as far as it was read.
+        Numbers of the frames that were skipped so far, each with the reason.
 
     Raises
     ------
     FileNotFoundError
         If a path does not exist or a pattern matches nothing.
     OSError
-        If a camera cannot be opened, or a path is that of a device or a pipe.
+        If a camera cannot be opened, or a path leads to a device or a pipe.
     TypeError
-        If the source is none of these.
+        If the source is of another type.
     ValueError
-        If there is only one frame, or none; if another value is not one of those said here.
+        If there are fewer than two frames, or another argument has a value not listed here.
     """
 
     def __init__(
@@ -123,14 +123,14 @@ class FrameSource:
         size: int | None = None,
         crop: tuple[int, int, int, int] | None = None,
         mask: Mask | None = None,
-        labels: GivenLabels | None = None,
+        labels: LabelSource | None = None,
         bad_frames: BadFrames = "raise",
     ) -> None:
         self.chosen = _chosen(start, stop, step)
         if bad_frames not in get_args(BadFrames):
             raise InputError(f'bad_frames is {bad_frames!r}: expected "raise" or "skip"')
         self.bad_frames = bad_frames
-        self._view = View(crop=crop, size=size)
+        self._crop_resize = CropResize(crop=crop, size=size)
         reader = _open(source)
         self._reader = reader
         for number in (reader.count, reader.announced):
@@ -156,16 +156,16 @@ class FrameSource:
             )
             self.files += self._labels.files
         self.skipped: list[tuple[int, str]] = []
-        self._is_rest = False
+        self._may_lack_pairs = False
 
     @property
     def has_labels(self) -> bool:
-        """Whether labels are given, of some frames at least."""
+        """Whether labels are given, at least of some frames."""
         return self._labels is not None
 
     @property
     def frame_files(self) -> tuple[Path, ...]:
-        """Files of the frames: all images of the source, or the video."""
+        """Files of the frames: all images of the source, or the video file."""
         return self._reader.files
 
     @property
@@ -175,7 +175,7 @@ class FrameSource:
 
     @property
     def first_file(self) -> Path | None:
-        """The image file of the first frame not skipped, where frames have files of their own."""
+        """The image file of the first frame that was not skipped; None without image files."""
         if self.names is None:
             return None
         skipped = {index for index, _ in self.skipped}
@@ -184,20 +184,20 @@ class FrameSource:
 
     @property
     def listing(self) -> Listing:
-        """The files of the frames as they are seen here, up to the last one that is taken."""
+        """The files of the frames as this process sees them, up to the last frame taken."""
         files = self.frame_files
-        if self.names is None:  # a video that is being copied has its name already
+        if self.names is None:  # while a video is being copied, only its size tells
             return Listing.of(files, with_sizes=True)
         return Listing.of(files[: self.chosen.stop])
 
-    def continue_another(self) -> None:
-        """Take it for the rest of a source that has pairs: of its own it may have none."""
-        self._is_rest = True
+    def allow_no_pairs(self) -> None:
+        """Raise no error if the source has no pair: it is the rest of a sequence with pairs."""
+        self._may_lack_pairs = True
 
     def __len__(self) -> int:
-        """Return the number of pairs, where it is known beforehand; TypeError where not.
+        """Return the number of pairs if it is known before reading, else raise TypeError.
 
-        It is smaller once frames are skipped.
+        There are fewer pairs if frames are skipped.
         """
         count = self._reader.announced if self.count is None else self.count
         if count is None:
@@ -205,7 +205,7 @@ class FrameSource:
         return max(0, len(range(count)[self.chosen]) - 1)
 
     def __iter__(self) -> Generator[FramePair, None, None]:
-        """Read the frames, and yield every pair of consecutive ones."""
+        """Read the frames, and yield each pair of consecutive frames."""
         previous: tuple[SourceFrame, Digest] | None = None
         pairs = 0
         with closing(self.frames()) as frames:
@@ -230,10 +230,10 @@ class FrameSource:
                         index=before.index,
                         _digests=(digest0, digest),
                     )
-                    del before, digest0  # or the frame would be held while the next is read
+                    del before, digest0  # free their memory before the next frame is read
                     pairs += 1
                 previous = frame, digest
-        if pairs == 0 and not self._is_rest:
+        if pairs == 0 and not self._may_lack_pairs:
             skipped = f" ({len(self.skipped)} were skipped)" if self.skipped else ""
             raise InputError(
                 f"{self.title} ended before there was a pair{skipped}: expected more frames"
@@ -242,7 +242,7 @@ class FrameSource:
     def frames(self) -> Generator[SourceFrame, None, None]:
         """Read the frames, one after the other.
 
-        Close it, or use it up, to end the thread that reads ahead.
+        Exhaust or close the generator to end the thread that reads ahead.
 
         Yields
         ------
@@ -251,16 +251,16 @@ class FrameSource:
         Raises
         ------
         OSError, tisfm.formats.FormatError
-            If a frame cannot be read; only where bad frames raise, if it is damaged.
+            If a frame cannot be read. A damaged frame raises only with ``bad_frames="raise"``.
         TypeError, ValueError
             If frames differ in size, do not contain the crop, or have no mask of their size; if
-            labels are none; if a video is cut off.
+            labels are of a wrong type; if a video is cut off.
         """
         self.skipped = []
-        found = self._found()
+        prepared = self._prepare_frames()
         ahead = all(one is None or one.ahead for one in (self._reader, self._masks, self._labels))
         stretch = True
-        with closing(read_ahead(found) if ahead else found) as frames:
+        with closing(read_ahead(prepared) if ahead else prepared) as frames:
             for frame in frames:
                 if isinstance(frame, BadFrame):
                     if self.bad_frames == "raise":
@@ -271,21 +271,21 @@ class FrameSource:
                 yield replace(frame, stretch=stretch)
 
     def camera_after(self, camera: Camera, full: tuple[int, int] | None) -> Camera:
-        """Return the camera of the frames as they are yielded.
+        """Return the camera of the cropped and shrunk frames.
 
         Parameters
         ----------
         camera : Camera
-            That of the frames before they are cropped and shrunk.
+            Camera of the frames before cropping and shrinking.
         full : (int, int) or None
-            Height and width of these, px, as a frame or pair has them; None where nothing changes.
+            Height and width of the frames before that, px: the attribute `full` of a frame or pair.
         """
-        return camera if full is None else self._view.camera_after(camera, *full)
+        return camera if full is None else self._crop_resize.camera_after(camera, *full)
 
-    def _found(self) -> Generator[BadFrame | SourceFrame, None, None]:
-        """Yield the frames with their masks, cropped and shrunk, and those that are damaged."""
-        masks = None if self._masks is None else self._masks.ignored()
-        labels = None if self._labels is None else self._labels.in_turn()
+    def _prepare_frames(self) -> Generator[BadFrame | SourceFrame, None, None]:
+        """Yield the frames, cropped and shrunk, with masks and labels; and the damaged frames."""
+        masks = None if self._masks is None else self._masks.reader()
+        labels = None if self._labels is None else self._labels.reader()
         before: tuple[str, tuple[int, ...]] | None = None
         for raw in self._reader.read(self.chosen):
             if isinstance(raw, BadFrame):
@@ -297,31 +297,31 @@ class FrameSource:
                     f"{raw.image.shape}, but they must have the same size and channels"
                 )
             before = raw.name, raw.image.shape
-            yield self._seen(raw, masks, labels)
-            del raw  # or it would be held while the next one is read
+            yield self._prepare(raw, masks, labels)
+            del raw  # free its memory before the next frame is read
         if labels is not None:
             labels.check()
 
-    def _seen(
-        self, raw: RawFrame, masks: Ignored | None, given: LabelsInTurn | None
+    def _prepare(
+        self, raw: RawFrame, masks: MaskReader | None, given: LabelReader | None
     ) -> SourceFrame:
-        """Return a frame as it is yielded."""
+        """Return a frame, cropped and shrunk, with its mask and labels."""
         image, full = raw.image, None
-        if not self._view.is_all:
-            image, full = self._view.apply(image, raw.name), image.shape[:2]
+        if not self._crop_resize.keeps_frames:
+            image, full = self._crop_resize.apply(image, raw.name), image.shape[:2]
         ignored = None
         if masks is not None:
-            ignored = masks.of(raw.index, raw.name, raw.image.shape)
-            ignored = self._view.apply_to_mask(ignored, raw.name)
+            ignored = masks.ignored(raw.index, raw.name, raw.image.shape)
+            ignored = self._crop_resize.apply_to_mask(ignored, raw.name)
         labels = None
         if given is not None:
-            labels = given.of(raw.index, raw.name, (raw.image.shape, image.shape))
+            labels = given.labels(raw.index, raw.name, (raw.image.shape, image.shape))
         if labels is not None:
             void = labels == VOID
             labels = np.where(void, np.uint8(0), labels)
             if labels.shape != image.shape[:2]:
-                void = self._view.apply_to_mask(void, raw.name)
-                labels = self._view.apply_to_labels(labels, raw.name)
+                void = self._crop_resize.apply_to_mask(void, raw.name)
+                labels = self._crop_resize.apply_to_labels(labels, raw.name)
             if void.any():
                 ignored = void if ignored is None else ignored | void
         return SourceFrame(
@@ -347,8 +347,8 @@ class FrameSource:
 
 
 def _refuse_animation(file: Path) -> None:
-    """Raise ValueError if a picture has several frames: only the first one would be read."""
-    count = frames_in_picture(file)
+    """Raise ValueError if an image file has several frames: only the first one would be read."""
+    count = count_frames(file)
     if count > 1 and file.suffix.lower() == ".gif":
         raise InputError(
             f"{file} is a GIF of {count} frames, which is read as a video: give its path, not a "
@@ -363,14 +363,14 @@ def _refuse_animation(file: Path) -> None:
 
 
 def _chosen(start: int, stop: int | None, step: int) -> slice:
-    """Return the numbers of the frames that are taken, once they are checked."""
+    """Check start, stop and step; return them as a slice."""
     for name, value, least, kind in (
         ("step", step, 1, "a positive integer"),
         ("start", start, 0, "the number of a frame, from 0"),
     ):
-        if not is_whole(value) or value < least:
+        if not is_integer(value) or value < least:
             raise InputError(f"{name} is {value!r}: expected {kind}")
-    if stop is not None and (not is_whole(stop) or stop < start + step + 1):
+    if stop is not None and (not is_integer(stop) or stop < start + step + 1):
         raise InputError(
             f"stop is {stop!r}: expected at least {start + step + 1}, to make a pair of frames "
             f"from {start} on"
@@ -378,8 +378,8 @@ def _chosen(start: int, stop: int | None, step: int) -> slice:
     return slice(int(start), None if stop is None else int(stop), int(step))
 
 
-def _open(source: Source) -> Reader:
-    """Return what reads a source."""
+def _open(source: Source) -> FrameReader:
+    """Return the reader of a source."""
     if isinstance(source, (str, os.PathLike)):
         return _open_path(os.fspath(source))
     if isinstance(source, Sequence) and source and all(map(is_path, source)):
@@ -388,21 +388,21 @@ def _open(source: Source) -> Reader:
     return Arrays(source)
 
 
-def _open_path(source: str) -> Reader:
+def _open_path(source: str) -> FrameReader:
     if os.path.isdir(source):
-        found = pictures_of(source)
-        return ImageFiles(found.files, source, found.notes)
+        images = list_images(source)
+        return ImageFiles(images.files, source, images.notes)
     if os.path.isfile(source):
         if source.lower().endswith(IMAGE_SUFFIXES):
             return ImageFiles([Path(source)], source)
         return open_video(source)
     refuse_url(source)
     if os.path.exists(source):
-        raise OSError(f"{source} is a device or a pipe, not a file: save what it gives first")
-    refuse_numbered(source)
+        raise OSError(f"{source} is a device or a pipe, not a file: save its data to a file first")
+    refuse_numbered_pattern(source)
     if glob.has_magic(source):
-        found = matching_files(source)
-        return ImageFiles(found.files, source, found.notes)
+        images = match_pattern(source)
+        return ImageFiles(images.files, source, images.notes)
     number = webcam_number(source)
     if number is not None:
         return Webcam(number)

@@ -1,10 +1,10 @@
-"""Videos, decoded one frame after the other: by PyAV where it is installed, by OpenCV elsewhere.
+"""Videos: decoded by PyAV if it is installed, else by OpenCV.
 
-Both decode by FFmpeg, apply the rotation that a camera wrote into the file, resample frames to
-square pixels, and give the same pixels and, within a millisecond, the same times. PyAV also says
-which frames are damaged, and goes on after frames that cannot be decoded. OpenCV hands damaged
-frames on unmarked, and stops at those that it cannot decode. Of several video streams PyAV reads
-the one that is marked as default, or else the largest; OpenCV reads the first.
+Both use FFmpeg, apply the rotation stated in the file, resample frames to square pixels, and give
+the same pixels and, within a millisecond, the same times. PyAV also marks damaged frames, and
+continues after a frame that cannot be decoded. OpenCV does not mark damaged frames, and stops at a
+frame that it cannot decode. Of several video streams PyAV reads the one marked as default, or else
+the largest; OpenCV reads the first.
 """
 
 import math
@@ -17,29 +17,34 @@ import cv2
 
 from tisfm.errors import InputError
 from tisfm.formats import FormatError
-from tisfm.formats.reading import open_file, opencv_memory
-from tisfm.sources.frame_reader import BadFrame, RawFrame, Reader, is_chosen
+from tisfm.formats.reading import open_file, opencv_memory_errors
+from tisfm.sources.frame_reader import BadFrame, FrameReader, RawFrame, is_selected
 from tisfm.sources.video_checks import (
-    cut_off,
+    cut_off_error,
     ends_early,
-    misses_frames,
+    lacks_frames,
     refuse_large_frames,
+    resample_to_square_pixels,
     resampling_note,
     square_size,
-    with_square_pixels,
 )
 from tisfm.sources.video_containers import video_streams, why_without_frames
+
+# First bytes of playlists (HLS, FFmpeg's, XML such as DASH, tags before HLS). They only name other
+# files or URLs, which FFmpeg would open, wherever they are.
+_PLAYLIST_SIGNATURES = (b"#EXTM3U", b"ffconcat", b"<?xml", b"<MPD", b"ID3")
+MIN_AV_VERSION = 17  # major version of PyAV; older versions give other pixels than OpenCV
 
 
 class OpenCvVideo:
     """A video that OpenCV decodes.
 
-    Of several video streams OpenCV reads the first. Frames get square pixels.
+    Of several video streams OpenCV reads the first. Frames are resampled to square pixels.
 
     Parameters
     ----------
     path : str
-        Its file.
+        Path of the file.
 
     Raises
     ------
@@ -48,7 +53,7 @@ class OpenCvVideo:
     """
 
     names: tuple[str, ...] | None = None
-    count: int | None = None  # only reading tells: a video may announce a frame or two too many
+    count: int | None = None  # only reading tells: a video may state a frame or two too many
     times: tuple[float, ...] | None = None
     ahead = True
 
@@ -79,13 +84,13 @@ class OpenCvVideo:
         self._end = announced / rate if announced > 0 and rate > 0 else None
 
     def read(self, chosen: slice) -> Iterator[RawFrame | BadFrame]:
-        """Decode the frames of these numbers."""
+        """Decode the frames with these numbers."""
         capture = cv2.VideoCapture(self.title)
         index, time = 0, None
         try:
             while index != chosen.stop and self._call(capture.grab):
                 time = _finite(self._call(capture.get, cv2.CAP_PROP_POS_MSEC) / 1000)
-                if is_chosen(index, chosen):
+                if is_selected(index, chosen):
                     read, frame = self._call(capture.retrieve)
                     if not read:
                         break
@@ -93,26 +98,27 @@ class OpenCvVideo:
                     yield RawFrame(
                         index=index,
                         name=f"{self.prefix}_{index:06d}",
-                        image=with_square_pixels(image, self._aspect),
+                        image=resample_to_square_pixels(image, self._aspect),
                         time=time,
                     )
-                    del frame, image  # to free it before the next one is decoded
+                    del frame, image  # free their memory before the next frame is decoded
                 index += 1
         finally:
             capture.release()
-        # The count is a guess from the duration where the file does not state it: both must say so.
+        # If the file states no count, OpenCV guesses one from the duration: a video counts as cut
+        # off only if both the count and the time of the last frame are too small.
         early = ends_early(index, time, self._end) is not False
-        if index != chosen.stop and misses_frames(index, self.announced) and early:
-            raise cut_off(self.title, f"{index}", f"{self.announced} frames")
+        if index != chosen.stop and lacks_frames(index, self.announced) and early:
+            raise cut_off_error(self.title, f"{index}", f"{self.announced} frames")
 
     def _call(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return what OpenCV reads of the file."""
-        with opencv_memory(self.title):
+        """Call a function of OpenCV; MemoryError if memory does not suffice."""
+        with opencv_memory_errors(self.title):
             return function(*arguments)
 
 
 def _aspect(capture: cv2.VideoCapture) -> float:
-    """Return the width of a pixel over its height, of frames as they are read, upright."""
+    """Return width over height of a pixel, in the frames that OpenCV reads, which are upright."""
     across, down = capture.get(cv2.CAP_PROP_SAR_NUM), capture.get(cv2.CAP_PROP_SAR_DEN)
     if not (across > 0 and down > 0):
         return 1.0
@@ -121,7 +127,7 @@ def _aspect(capture: cv2.VideoCapture) -> float:
 
 
 def _streams_note(path: str) -> str:
-    """Return a note that only the first video stream is read, "" if no more are known."""
+    """Return a note that only the first video stream is read; "" if no other is known."""
     count = video_streams(path) or 1
     if count < 2:
         return ""
@@ -135,13 +141,7 @@ def _finite(time: float) -> float | None:
     return time if math.isfinite(time) else None
 
 
-# Beginnings of files that only name others, which FFmpeg would open wherever they are: lists of
-# HLS, of its own and in XML, and tags before them.
-_LISTS = (b"#EXTM3U", b"ffconcat", b"<?xml", b"<MPD", b"ID3")
-AV_FROM = 17  # the first version of PyAV
-
-
-def open_video(path: str) -> Reader:
+def open_video(path: str) -> FrameReader:
     """Open a video.
 
     Parameters
@@ -151,19 +151,19 @@ def open_video(path: str) -> Reader:
 
     Returns
     -------
-    Reader
+    FrameReader
 
     Raises
     ------
     ValueError
-        If it is no video that can be decoded, or names other files to be read.
+        If the file is not a video that can be decoded, or is a playlist.
     OSError
-        If it cannot be read.
+        If the file cannot be read.
     """
     with open_file(path) as file:
-        beginning = file.read(max(map(len, _LISTS)))
-    if beginning.startswith(_LISTS):
-        raise FormatError(f"{path} is a list of other files, no video: give one of those")
+        beginning = file.read(max(map(len, _PLAYLIST_SIGNATURES)))
+    if beginning.startswith(_PLAYLIST_SIGNATURES):
+        raise FormatError(f"{path} is a list of other files, not a video: give one of those files")
     if not beginning:
         raise FormatError(f"{path} is empty (0 bytes): copy or record it again")
     if reason := why_without_frames(path):
@@ -178,7 +178,7 @@ def open_video(path: str) -> Reader:
             return AvVideo(path)
         except FormatError:
             raise
-        except ValueError:  # OpenCV knows some that FFmpeg does not, and else says the same
+        except ValueError:  # OpenCV reads a few formats more, and else raises the same error
             pass
     return OpenCvVideo(path)
 
@@ -186,6 +186,6 @@ def open_video(path: str) -> Reader:
 def has_av() -> bool:
     """Return whether PyAV is installed, in a version that gives the same pixels as OpenCV."""
     try:
-        return int(version("av").partition(".")[0]) >= AV_FROM
+        return int(version("av").partition(".")[0]) >= MIN_AV_VERSION
     except (PackageNotFoundError, ValueError):
         return False

@@ -7,28 +7,32 @@ from tisfm.errors import InputError
 from tisfm.formats import FormatError
 
 
-def misses_frames(count: int, announced: int | None) -> bool:
-    """Return whether there are fewer frames than announced, but for a few that are miscounted."""
+def lacks_frames(count: int, announced: int | None) -> bool:
+    """Return whether a video has fewer frames than it states.
+
+    Files state up to two frames, or 2 %, too many without being cut off.
+    """
     return announced is not None and count < announced - max(2, announced // 50)
 
 
 def ends_early(count: int, last: float | None, end: float | None) -> bool | None:
-    """Return whether the last frame comes long before the end that is stated, None if unknown.
+    """Return whether the last frame comes long before the stated end of a video; None if unknown.
 
     Parameters
     ----------
     count : int
         Number of frames.
     last, end : float or None
-        Time of the last one, and of the end, s, where they are known.
+        Time of the last frame, and the stated end, s, if known.
     """
     if last is None or end is None:
         return None
+    # Tolerance, set by hand: 2 % of the length and three frames.
     return last < 0.98 * end - 3 * last / max(count - 1, 1)
 
 
-def cut_off(path: str, after: str, of: str) -> ValueError:
-    """Return the error of a video that ends after less than it stated."""
+def cut_off_error(path: str, after: str, of: str) -> ValueError:
+    """Return the error for a video that ends before its stated end."""
     return InputError(
         f"{path} ends after {after} of {of}: the file is cut off or damaged; the results up to "
         "there are complete"
@@ -36,7 +40,8 @@ def cut_off(path: str, after: str, of: str) -> ValueError:
 
 
 LARGEST_FRAME = 2**26
-"""Pixels beyond which no video is decoded; 8192 × 8192. Decoders hold up to 17 frames at once."""
+"""Pixels of a frame beyond which no video is decoded, 8192 × 8192: a damaged file of kilobytes may
+state any size, and decoders hold up to 17 frames at once."""
 
 
 def refuse_large_frames(path: str, width: int, height: int) -> None:
@@ -59,14 +64,14 @@ def square_size(width: int, height: int, aspect: float) -> tuple[int, int]:
     width, height : int
         Of the frame, px.
     aspect : float
-        Width of a pixel over its height. Values outside 1/8 to 8 are taken for 1.
+        Width of a pixel over its height. Values outside 1/8 to 8 count as 1.
     """
     if not 1 / _LARGEST_ASPECT <= aspect <= _LARGEST_ASPECT:
         return width, height
     return (round(width * aspect), height) if aspect > 1 else (width, round(height / aspect))
 
 
-def with_square_pixels(image: np.ndarray, aspect: float) -> np.ndarray:
+def resample_to_square_pixels(image: np.ndarray, aspect: float) -> np.ndarray:
     """Return a frame, (H, W, 3) uint8, resampled to the size of `square_size`."""
     height, width = image.shape[:2]
     size = square_size(width, height, aspect)
@@ -76,7 +81,7 @@ def with_square_pixels(image: np.ndarray, aspect: float) -> np.ndarray:
 
 
 def resampling_note(path: str, width: int, height: int, aspect: float) -> str:
-    """Return a note on a video with frames of this size, "" if its pixels are square."""
+    """Return a note that frames of this size are resampled; "" if their pixels are square."""
     size = square_size(width, height, aspect)
     if size == (width, height):
         return ""

@@ -1,4 +1,4 @@
-"""Reading the containers of videos without a decoder: their table of frames, their streams."""
+"""The structure of video files, read without a decoder: table of frames, number of streams."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -6,29 +6,34 @@ from typing import BinaryIO
 
 from tisfm.formats.reading import open_file
 
-_MP4 = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot")  # boxes that may come first
-# First box and brand of pictures in such a container: HEIC and AVIF.
-_PICTURES = tuple(b"ftyp" + brand for brand in (b"heic", b"heix", b"mif1", b"avif"))
-_EBML, _SEGMENT, _TRACKS, _ENTRY, _TYPE = 0x1A45DFA3, 0x18538067, 0x1654AE6B, 0xAE, 0x83
-_CLUSTER = 0x1F43B675  # frames, after the descriptions of streams
-_MOST_BOXES = 100_000
-_VIDEO = 1  # type of a Matroska track
+# Boxes that an MP4 or QuickTime file may begin with.
+_MP4_FIRST_BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot")
+# First box and brand of images in such a container: HEIC and AVIF.
+_IMAGE_BRANDS = tuple(b"ftyp" + brand for brand in (b"heic", b"heix", b"mif1", b"avif"))
+# Elements of Matroska files, by their ids in the specification.
+_EBML = 0x1A45DFA3  # the header
+_SEGMENT = 0x18538067
+_TRACKS = 0x1654AE6B  # descriptions of the streams
+_TRACK_ENTRY = 0xAE
+_TRACK_TYPE = 0x83
+_CLUSTER = 0x1F43B675  # frames; they come after the descriptions of the streams
+_VIDEO_TRACK = 1  # value of _TRACK_TYPE
+_MAX_BOXES = 100_000  # boxes or elements that are read of a file: a damaged one may have no end
 
 
 def why_without_frames(path: str) -> str | None:
-    """Return why no frame of an MP4 or QuickTime file can be found, None if not known.
-
-    None for pictures in such a container too, as HEIC and AVIF are.
+    """Return why no frame of an MP4 or QuickTime file can be found; None if no reason is found.
 
     Such a file ends with the moov box, the table of its frames, unless it was made for streaming.
-    It is missing where a recording or a copy did not end.
+    The box is missing if a recording or a copy was interrupted. None also for other containers,
+    and for images in this one (HEIC, AVIF).
     """
     end = Path(path).stat().st_size
     with open_file(path) as file:
-        if file.read(12)[4:] in _PICTURES:
+        if file.read(12)[4:] in _IMAGE_BRANDS:
             return None
         boxes = list(_boxes(file, 0, end))
-    if not boxes or boxes[0][0] not in _MP4:
+    if not boxes or boxes[0][0] not in _MP4_FIRST_BOXES:
         return None
     tables = [stop for kind, _, stop in boxes if kind == b"moov"]
     if not tables:
@@ -39,20 +44,20 @@ def why_without_frames(path: str) -> str | None:
 
 
 def video_streams(path: str) -> int | None:
-    """Return how many video streams an MP4, QuickTime or Matroska file has; None for others."""
+    """Return the number of video streams of an MP4, QuickTime or Matroska file; None for others."""
     end = Path(path).stat().st_size
     with open_file(path) as file:
         beginning = file.read(8)
         if beginning[:4] == _EBML.to_bytes(4, "big"):
             return _matroska_videos(file, end)
-        if beginning[4:8] in _MP4:
+        if beginning[4:8] in _MP4_FIRST_BOXES:
             return _mp4_videos(file, end)
     return None
 
 
 def _boxes(file: BinaryIO, begin: int, end: int) -> Iterator[tuple[bytes, int, int]]:
-    """Yield kind, begin of the content and end of the boxes of an MP4 file between two places."""
-    for _ in range(_MOST_BOXES):
+    """Yield kind, begin of the content and end of the boxes of an MP4 file in a range of bytes."""
+    for _ in range(_MAX_BOXES):
         if begin + 8 > end:
             return
         file.seek(begin)
@@ -68,7 +73,7 @@ def _boxes(file: BinaryIO, begin: int, end: int) -> Iterator[tuple[bytes, int, i
 
 
 def _mp4_videos(file: BinaryIO, end: int) -> int:
-    """Return how many tracks of an MP4 file are video tracks."""
+    """Return the number of video tracks of an MP4 file."""
     return sum(
         _handler(file, media, stop) == b"vide"
         for media, stop in _inside(file, 0, end, (b"moov", b"trak", b"mdia", b"hdlr"))
@@ -78,7 +83,7 @@ def _mp4_videos(file: BinaryIO, end: int) -> int:
 def _inside(
     file: BinaryIO, begin: int, end: int, kinds: tuple[bytes, ...]
 ) -> Iterator[tuple[int, int]]:
-    """Yield begin and end of the boxes of the last kind, each kind within the one before."""
+    """Yield begin and end of the boxes with a path of kinds, each inside the kind before it."""
     for kind, content, stop in _boxes(file, begin, end):
         if kind != kinds[0] or stop > end:
             continue
@@ -94,7 +99,7 @@ def _handler(file: BinaryIO, begin: int, end: int) -> bytes:
 
 
 def _matroska_videos(file: BinaryIO, end: int) -> int:
-    """Return how many tracks of a Matroska or WebM file are video tracks."""
+    """Return the number of video tracks of a Matroska or WebM file."""
     count = 0
     for kind, begin, stop in _elements(file, 0, end):
         if kind != _SEGMENT:
@@ -103,25 +108,25 @@ def _matroska_videos(file: BinaryIO, end: int) -> int:
             if inner == _CLUSTER:
                 return count
             for entry, inside, beyond in _elements(file, first, last) if inner == _TRACKS else ():
-                count += entry == _ENTRY and _is_video(file, inside, beyond)
+                count += entry == _TRACK_ENTRY and _is_video(file, inside, beyond)
     return count
 
 
 def _is_video(file: BinaryIO, begin: int, end: int) -> bool:
     """Return whether a track of a Matroska file is a video track."""
     for kind, content, stop in _elements(file, begin, end):
-        if kind == _TYPE:
+        if kind == _TRACK_TYPE:
             file.seek(content)
-            return int.from_bytes(file.read(stop - content), "big") == _VIDEO
+            return int.from_bytes(file.read(stop - content), "big") == _VIDEO_TRACK
     return False
 
 
 def _elements(file: BinaryIO, begin: int, end: int) -> Iterator[tuple[int, int, int]]:
     """Yield kind, begin of the content and end of the elements of a Matroska file."""
-    for _ in range(_MOST_BOXES):
+    for _ in range(_MAX_BOXES):
         file.seek(begin)
-        kind = _number(file, with_mark=True)
-        size = _number(file, with_mark=False)
+        kind = _vint(file, with_marker=True)
+        size = _vint(file, with_marker=False)
         content = file.tell()
         if kind is None or size is None or content > end:
             return
@@ -133,8 +138,11 @@ def _elements(file: BinaryIO, begin: int, end: int) -> Iterator[tuple[int, int, 
             return
 
 
-def _number(file: BinaryIO, *, with_mark: bool) -> tuple[int, bool] | None:
-    """Return a number of Matroska's variable length, and whether all its bits are ones."""
+def _vint(file: BinaryIO, *, with_marker: bool) -> tuple[int, bool] | None:
+    """Return an integer of variable length, as Matroska has it, and whether all its bits are ones.
+
+    The first bits of the first byte, the marker, state the length: ids keep them, sizes do not.
+    """
     first = file.read(1)
     if not first or not first[0]:
         return None
@@ -144,4 +152,4 @@ def _number(file: BinaryIO, *, with_mark: bool) -> tuple[int, bool] | None:
         return None
     value = int.from_bytes(data, "big")
     rest = value & ((1 << 7 * length) - 1)
-    return (value if with_mark else rest), rest == (1 << 7 * length) - 1
+    return (value if with_marker else rest), rest == (1 << 7 * length) - 1

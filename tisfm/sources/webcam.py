@@ -1,4 +1,4 @@
-"""A camera at the computer, as a source without end."""
+"""A webcam as a source of frames without end."""
 
 import re
 import time
@@ -7,35 +7,36 @@ from pathlib import Path
 
 import cv2
 
-from tisfm.formats.images import opencv_silenced
-from tisfm.sources.frame_reader import RawFrame, is_chosen
+from tisfm.formats.images import silence_opencv
+from tisfm.sources.frame_reader import RawFrame, is_selected
 
 _WEBCAM = re.compile(r"webcam(?::(\d+))?", re.IGNORECASE)
-_WAITED = 0.25  # of the time between two frames: what comes sooner had been waiting
-_USUAL_RATE = 30.0  # frames/s, where the driver does not say
-_MOST_WAITING = 16  # frames that a driver keeps
+# All set by hand:
+_FRESH_WAIT = 0.25  # of a frame interval: a frame that arrives sooner was in the driver's queue
+_DEFAULT_RATE = 30.0  # frames/s, if the driver states no rate
+_MAX_QUEUED = 16  # frames that a driver may queue
 
 
 def webcam_number(source: str) -> int | None:
-    """Return the number of the camera that ``"webcam"`` or ``"webcam:1"`` names, or None."""
+    """Return the camera number in ``"webcam"`` (0) or ``"webcam:1"``; None for other strings."""
     match = _WEBCAM.fullmatch(source)
     return None if match is None else int(match.group(1) or 0)
 
 
 class Webcam:
-    """A camera, read as fast as its frames are asked for.
+    """A camera. Each frame is taken when the consumer needs it.
 
-    Frames that came while nobody asked are dropped and not counted: the next one is always new.
+    Frames that the driver queued meanwhile are dropped and do not count.
 
     Parameters
     ----------
     number : int
-        Which camera, from 0.
+        Number of the camera, from 0.
 
     Raises
     ------
     OSError
-        If it cannot be opened.
+        If the camera cannot be opened.
     """
 
     files: tuple[Path, ...] = ()
@@ -45,24 +46,24 @@ class Webcam:
     announced: int | None = None
     times: tuple[float, ...] | None = None
     notes: tuple[str, ...] = ()
-    ahead = False  # what is read ahead would be old when it is used
+    ahead = False  # a frame that is read ahead would be old when it is used
 
     def __init__(self, number: int) -> None:
         self.title, self._number = f"webcam:{number}", number
         self._open().release()
 
     def read(self, chosen: slice) -> Iterator[RawFrame]:
-        """Take frames until `chosen.stop`, or for ever."""
+        """Take frames until `chosen.stop`, or forever."""
         capture = self._open()
         rate = capture.get(cv2.CAP_PROP_FPS)
-        fresh = _WAITED / (rate if rate > 0 else _USUAL_RATE)
+        fresh = _FRESH_WAIT / (rate if rate > 0 else _DEFAULT_RATE)
         index, first = 0, None
         try:
             while index != chosen.stop:
                 self._grab(capture, fresh)
                 now = time.monotonic()
                 first = now if first is None else first
-                if is_chosen(index, chosen):
+                if is_selected(index, chosen):
                     read, frame = capture.retrieve()
                     if not read:
                         raise self._ended()
@@ -78,8 +79,8 @@ class Webcam:
             capture.release()
 
     def _grab(self, capture: cv2.VideoCapture, fresh: float) -> None:
-        """Take a frame that it took at least `fresh` seconds to wait for."""
-        for _ in range(_MOST_WAITING):
+        """Drop queued frames: grab until the camera makes us wait `fresh` seconds or more."""
+        for _ in range(_MAX_QUEUED):
             begin = time.monotonic()
             if not capture.grab():
                 raise self._ended()
@@ -90,11 +91,11 @@ class Webcam:
         return OSError(f"{self.title} gives no more frames: check that it is still plugged in")
 
     def _open(self) -> cv2.VideoCapture:
-        with opencv_silenced():
+        with silence_opencv():
             capture = cv2.VideoCapture(self._number)
             if capture.isOpened():
                 return capture
         raise OSError(
-            f"there is no {self.title} that can be opened: check that it is plugged in, and used "
-            "by no other program"
+            f"there is no {self.title} that can be opened: check that it is plugged in and that no "
+            "other program uses it"
         )

@@ -1,6 +1,7 @@
-"""Paths of a camera: the poses of the frames of a sequence, in the files that others read.
+"""Trajectories: the poses of the frames of a sequence, and the text files of TUM and KITTI.
 
-Poses are (N, 4, 4) float64, camera to world; a frame without a pose has NaN.
+Poses are (N, 4, 4) float64, camera to world; NaN stands for a frame without a pose.
+
 May import: `tisfm.formats`, and of the top level `checks` and `rigid`.
 """
 

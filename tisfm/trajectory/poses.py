@@ -1,4 +1,4 @@
-"""A path of a camera."""
+"""The poses of a camera along a sequence, with the times of the frames."""
 
 from dataclasses import dataclass
 
@@ -17,15 +17,14 @@ class Trajectory:
     Attributes
     ----------
     poses : (N, 4, 4) float64 ndarray
-        Camera to world; NaN where a frame has none.
+        Camera to world; NaN for a frame without a pose.
     times : (N,) float64 ndarray or None
-        When the frames were taken, s, each later than the one before; None where that is not
-        known.
+        Times of the frames, s, each later than the one before; None if unknown.
 
     Raises
     ------
     ValueError
-        If `poses` or `times` is not that.
+        If `poses` or `times` has other shapes or values.
 
     Examples
     --------
@@ -41,7 +40,7 @@ class Trajectory:
     times: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        """Check both."""
+        """Check poses and times."""
         object.__setattr__(self, "poses", check_poses(self.poses))
         if self.times is not None:
             object.__setattr__(self, "times", check_times(self.times, len(self.poses)))
@@ -53,17 +52,17 @@ class Trajectory:
 
 
 def check_poses(poses: ArrayLike) -> NDArray[np.float64]:
-    """Return poses as float64, or raise ValueError unless each is one, or NaN in its place.
+    """Return poses as float64; raise ValueError unless each is a rigid motion, or has NaN.
 
     Parameters
     ----------
     poses : array_like, shape (N, 4, 4)
-        Camera to world; NaN anywhere in a matrix stands for no pose.
+        Camera to world; a matrix with any NaN stands for a missing pose.
 
     Returns
     -------
     (N, 4, 4) float64 ndarray
-        NaN in all of a matrix where there is no pose.
+        All NaN for a missing pose.
     """
     given = unmasked(poses, "poses", np.float64)
     if given.ndim != 3 or given.shape[1:] != (4, 4):
@@ -79,7 +78,7 @@ def check_poses(poses: ArrayLike) -> NDArray[np.float64]:
 
 
 def check_times(times: ArrayLike, count: int) -> NDArray[np.float64]:
-    """Return times as float64, or raise ValueError unless there are `count` that increase."""
+    """Return times as float64; raise ValueError unless they are `count` increasing numbers."""
     given = unmasked(times, "times", np.float64)
     if given.shape != (count,):
         raise InputError(f"times are {given.shape}: expected ({count},), one for every pose")

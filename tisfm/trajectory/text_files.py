@@ -57,7 +57,7 @@ def pose_of_twelve(numbers: list[float]) -> NDArray[np.float64]:
     return np.vstack([np.reshape(numbers, (3, 4)), [0, 0, 0, 1]])
 
 
-def checked_pose(pose: NDArray[np.float64], where: str) -> NDArray[np.float64]:
+def check_pose(pose: NDArray[np.float64], where: str) -> NDArray[np.float64]:
     """Return a (4, 4) pose, or raise FormatError, which begins with `where`, if it is none."""
     if not np.isfinite(pose).all():
         raise FormatError(f"{where} is not finite: there is no pose of this frame")
@@ -103,7 +103,7 @@ def read_kitti(path: str | os.PathLike[str]) -> Trajectory:
     poses = [
         np.full((4, 4), np.nan)
         if np.isnan(numbers).all()
-        else checked_pose(pose_of_twelve(numbers), f"{file}, line {line}")
+        else check_pose(pose_of_twelve(numbers), f"{file}, line {line}")
         for line, numbers in read_rows(file, columns=12)
     ]
     return Trajectory(poses=np.reshape(poses, (-1, 4, 4)))

@@ -1,4 +1,4 @@
-"""Times of frames: whether they increase, and which times of two clocks belong together."""
+"""Times of frames: checks that they increase, and association of two lists of times."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.trajectory.poses import check_times
 
 
-def do_rise(times: Sequence[float | None]) -> bool:
-    """Return whether all times are known and finite, and each is later than the one before."""
+def are_increasing(times: Sequence[float | None]) -> bool:
+    """Return whether all times are known and finite, and increase."""
     return _fault(times) == ""
 
 
 def times_or_numbers(times: Sequence[float | None]) -> NDArray[np.float64]:
-    """Return times, (N,) float64, s, if they rise; or else the numbers 0, 1, …, N − 1."""
-    if do_rise(times):
+    """Return times, (N,) float64, s, if they increase, else the numbers 0, 1, …, N − 1."""
+    if are_increasing(times):
         return np.array(times, np.float64)
     return np.arange(len(times), dtype=np.float64)
 
@@ -28,12 +28,12 @@ def times_note(times: Sequence[float | None]) -> str:
     Parameters
     ----------
     times : sequence of float or None
-        Of all frames, s.
+        Times of all frames, s.
 
     Returns
     -------
     str
-        "" if times rise or no frame has a time.
+        "" if the times increase, or no frame has a time.
     """
     fault = _fault(times)
     if not fault or all(time is None for time in times):
@@ -42,25 +42,25 @@ def times_note(times: Sequence[float | None]) -> str:
 
 
 def _fault(times: Sequence[float | None]) -> str:
-    """Return why times cannot serve a path, "" if they can."""
+    """Return why times cannot be the times of a path; "" if they can."""
     for number, time in enumerate(times):
         if time is None or not isfinite(time):
             return f"frame {number} has no time"
     for number, (before, after) in enumerate(pairwise(times), 1):
-        if fault := fault_between(before, after, f"frame {number - 1}", f"frame {number}"):
+        if fault := time_fault(before, after, f"frame {number - 1}", f"frame {number}"):
             return fault
     return ""
 
 
-def fault_between(before: float | None, after: float | None, first: str, second: str) -> str:
-    """Return why the times of two frames cannot serve a path, "" if they can.
+def time_fault(before: float | None, after: float | None, first: str, second: str) -> str:
+    """Return why the times of two consecutive frames cannot be used; "" if they can.
 
     Parameters
     ----------
     before, after : float or None
-        When the frames were taken, s.
+        Times of the frames, s.
     first, second : str
-        Names of the frames in the answer.
+        Names of the frames in the text.
     """
     if before is None and after is None:
         return ""
@@ -73,25 +73,26 @@ def fault_between(before: float | None, after: float | None, first: str, second:
     return f"the times of frames go back: {first} is at {before:.9g} s, {second} at {after:.9g} s"
 
 
-FARTHEST = 0.02  # s, as in the benchmark
+FARTHEST = 0.02
+"""Largest difference of two associated times, s, as in the TUM RGB-D benchmark."""
 
 
 def associate(
     times: ArrayLike, others: ArrayLike, *, farthest: float = FARTHEST
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Pair times that are nearest to one another.
+    """Pair the times of two lists that are mutual nearest neighbours.
 
     Parameters
     ----------
     times, others : array_like, shapes (N,) and (M,)
-        s, each above the one before.
+        Times, s, increasing.
     farthest : float, default 0.02
-        No pair is farther apart, s.
+        Largest difference of the two times of a pair, s.
 
     Returns
     -------
     (K,) int ndarray, (K,) int ndarray
-        Where the pairs are in `times` and in `others`, both in order. No time is in two.
+        Indices of the pairs in `times` and in `others`, both increasing. No index occurs twice.
 
     Raises
     ------
@@ -114,15 +115,15 @@ def associate(
     second = check_times(others, len(np.atleast_1d(others)))
     if not len(first) or not len(second):
         return np.empty(0, np.intp), np.empty(0, np.intp)
-    there, back = _nearest(first, second), _nearest(second, first)
-    mutual = back[there] == np.arange(len(first))
-    near = np.abs(first - second[there]) <= farthest
-    found = np.flatnonzero(mutual & near)
-    return found, there[found]
+    nearest_other, nearest_time = _nearest(first, second), _nearest(second, first)
+    mutual = nearest_time[nearest_other] == np.arange(len(first))
+    near = np.abs(first - second[nearest_other]) <= farthest
+    matched = np.flatnonzero(mutual & near)
+    return matched, nearest_other[matched]
 
 
 def _nearest(times: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return where in `others` the nearest one of every time is, the earlier one of two."""
+    """Return the index in `others` nearest to each time; of two equally near ones the earlier."""
     after = np.searchsorted(others, times).clip(1, len(others) - 1) if len(others) > 1 else None
     if after is None:
         return np.zeros(len(times), np.intp)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from tisfm.formats.glb import unlit
+from tisfm.formats.glb import make_unlit
 from tisfm.view.frame_cloud import Cloud
 
 _TORN = 0.05  # neighbours whose depth differs by a larger share are of different surfaces
@@ -61,4 +61,4 @@ def surface_file(points: Cloud, triangles: NDArray[np.int32], colors: NDArray[np
         visual=TextureVisuals(uv=np.stack([across, up], axis=-1), material=material),
         process=False,
     )
-    return bytes(export_glb(mesh.scene(), include_normals=False, tree_postprocessor=unlit))
+    return bytes(export_glb(mesh.scene(), include_normals=False, tree_postprocessor=make_unlit))

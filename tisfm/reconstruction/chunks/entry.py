@@ -15,9 +15,9 @@ from tisfm.camera_file import file_of
 from tisfm.errors import InputError, InputTypeError
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.folders.result_folder import (
-    alive_in,
     locked_folder,
-    make_folder,
+    make_result_folder,
+    presence_file,
     remove,
     remove_link,
     remove_temporaries,
@@ -51,7 +51,7 @@ from tisfm.reconstruction.result.request import (
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
-from tisfm.sources.frame_reader import is_path, warn_of
+from tisfm.sources.frame_reader import is_path, warn_notes
 from tisfm.sources.paths import refuse_url
 from tisfm.sources.webcam import webcam_number
 from tisfm.trajectory import Trajectory
@@ -219,13 +219,13 @@ class ChunkedRun:
         """
         from tisfm.reconstruction.chunks.joining import write_whole
 
-        warn_of(self._notes)
+        warn_notes(self._notes)
         tell: Progress = progress or (lambda stage, done, total: None)
-        path = make_folder(self.folder)
+        path = make_result_folder(self.folder)
         with locked_folder(path), ExitStack() as living:
             refuse_others(path)
             self._begin(path / CHUNKS, resume)
-            alive = living.enter_context(alive_in(path / CHUNKS))
+            alive = living.enter_context(presence_file(path / CHUNKS))
             chunks, count = [replace(one, alive=alive) for one in self._chunks], len(self._taken)
             tell("path", 0, count)
             found = None  # what the camera is found with

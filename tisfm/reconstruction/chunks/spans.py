@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from tisfm.errors import InputError
-from tisfm.sources.frame_reader import is_whole
+from tisfm.sources.frame_reader import is_integer
 
 CHUNK = 150  # frames of a chunk, at most
 # Frames that a chunk shares with the next: so many, or that share of a short one.
@@ -38,7 +38,7 @@ class Span:
 
 def check_chunk(chunk: int) -> None:
     """Raise ValueError if chunks are not to have enough frames."""
-    if not is_whole(chunk) or chunk < SMALLEST:
+    if not is_integer(chunk) or chunk < SMALLEST:
         raise InputError(f"chunk is {chunk!r}: expected a number of frames, at least {SMALLEST}")
 
 

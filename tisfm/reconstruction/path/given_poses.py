@@ -8,7 +8,7 @@ from tisfm.checks import check_count
 from tisfm.errors import InputError
 from tisfm.outcome import Status
 from tisfm.trajectory import Trajectory
-from tisfm.trajectory.times import associate, do_rise
+from tisfm.trajectory.times import are_increasing, associate
 
 REACH = 0.5  # of the time from a frame to the next, in the median: no pose is farther away
 
@@ -40,7 +40,7 @@ def poses_of_frames(
         If poses belong to frames in their order, and are more or fewer; or if none is near in time.
     """
     told = "no pose is given for it"
-    if given.times is None or len(times) < 2 or not do_rise(times):
+    if given.times is None or len(times) < 2 or not are_increasing(times):
         check_poses_count(given, len(times))
         poses = given.poses
     else:

@@ -17,10 +17,10 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
 from tisfm.errors import InputError
-from tisfm.folders.result_folder import make_inner_folder
+from tisfm.folders.result_folder import make_subfolder
 from tisfm.folders.side_files import REPORT, TIMINGS
 from tisfm.formats import FormatError, atomic_write
-from tisfm.formats.image_headers import LARGEST_PICTURE, refuse_large
+from tisfm.formats.image_headers import LARGEST_PICTURE, refuse_large_image
 from tisfm.formats.images import decode
 from tisfm.formats.label_picture import read_label_picture, write_label_png
 from tisfm.formats.npz import NpzFile, write_npz
@@ -104,7 +104,7 @@ def read_depth(folder: Path, number: int, shape: tuple[int, int]) -> tuple[np.nd
 
 def write_labels(folder: Path, number: int, labels: np.ndarray) -> None:
     """Write which thing each pixel of a frame belongs to, (H, W) uint8."""
-    make_inner_folder(folder / MASKS)
+    make_subfolder(folder / MASKS)
     write_label_png(mask_path(folder, number), labels)
 
 
@@ -169,7 +169,7 @@ def read_picture(folder: Path, number: int) -> np.ndarray:
     if not path.exists():
         raise FileNotFoundError(f"there is no {path}: the folder is not complete")
     data = read_bytes(path)
-    refuse_large(str(path), data)
+    refuse_large_image(str(path), data)
     picture = decode(str(path), data, cv2.IMREAD_UNCHANGED)
     if picture is None or picture.dtype != np.uint8 or picture.shape[2:] not in ((), (3,)):
         raise FormatError(f"{path} is damaged: it is no picture of 8 bits")

@@ -6,7 +6,7 @@ from numbers import Real
 import numpy as np
 
 from tisfm.errors import InputError, InputTypeError
-from tisfm.sources.frame_reader import is_whole
+from tisfm.sources.frame_reader import is_integer
 
 
 def checked_object_sizes(sizes: Mapping[int, float] | None) -> dict[int, float]:
@@ -23,7 +23,7 @@ def checked_object_sizes(sizes: Mapping[int, float] | None) -> dict[int, float]:
         )
     found: dict[int, float] = {}
     for number, size in (sizes or {}).items():
-        if not is_whole(number):
+        if not is_integer(number):
             raise InputTypeError(f"object_sizes has the id {number!r}: expected a whole number")
         if isinstance(size, bool) or not isinstance(size, Real):
             raise InputTypeError(f"object_sizes[{number}] is {size!r}: expected a length")

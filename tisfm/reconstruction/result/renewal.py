@@ -8,10 +8,9 @@ from typing import Any
 
 from tisfm.folders.result_folder import (
     LOCK,
-    is_there,
     locked_folder,
-    make_folder,
-    make_inner_folder,
+    make_result_folder,
+    make_subfolder,
     remove,
     remove_link,
     try_to_remove,
@@ -62,7 +61,7 @@ def renewed_folder(folder: str | os.PathLike[str]) -> Iterator[Path]:
     OSError
         If it cannot be made or written to, or another run writes to it.
     """
-    path = make_folder(folder)
+    path = make_result_folder(folder)
     with locked_folder(path):
         with renewed(path):
             yield path
@@ -92,7 +91,7 @@ def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
         for name in (DEPTH, PICTURES, MASKS):
             if not (source / name).is_dir():
                 continue
-            make_inner_folder(path / name)
+            make_subfolder(path / name)
             for file in sorted((source / name).iterdir()):
                 copy_file(file, path / name / file.name)
         if (source / CAMERA).exists():  # somebody may have deleted it
@@ -110,9 +109,9 @@ def _begin(path: Path) -> None:
     if (path / RESTORING).exists():
         _move(path / RESTORING, path)
         (path / RESTORING).rmdir()
-    if is_there(path / RECORD) and (path / EARLIER).exists():
+    if os.path.lexists(path / RECORD) and (path / EARLIER).exists():
         remove(path / EARLIER)  # the newer one is complete
-    if is_there(path / RECORD) or (path / LEAVING).exists():
+    if os.path.lexists(path / RECORD) or (path / LEAVING).exists():
         (path / LEAVING).mkdir(exist_ok=True)
         _move(path, path / LEAVING)
         (path / LEAVING).rename(path / EARLIER)
@@ -153,7 +152,7 @@ def _put_back(path: Path) -> None:
 def _move(source: Path, target: Path) -> None:
     """Move what there is of a result, what says that it is complete last."""
     for name in (*(name for name in (*PARTS, *OTHERS) if name != RECORD), RECORD):
-        if is_there(source / name):
+        if os.path.lexists(source / name):
             (source / name).replace(target / name)
 
 

@@ -12,7 +12,12 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.camera_file import record_in
 from tisfm.errors import InputError
-from tisfm.folders.checksums import check_sum, content, differing, said
+from tisfm.folders.checksums import (
+    compare_records,
+    file_checksum,
+    files_digest,
+    summarise_differences,
+)
 from tisfm.folders.result_folder import LOCK
 from tisfm.folders.side_files import REPORT, TIMINGS
 from tisfm.formats import FormatError, atomic_write
@@ -20,7 +25,7 @@ from tisfm.formats.reading import read_json
 from tisfm.reconstruction.result.folder import ASKED, BEGUN, RECORD
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource
-from tisfm.sources.paths import files_matching
+from tisfm.sources.paths import files_of_pattern
 from tisfm.trajectory import Trajectory
 from tisfm.version import __version__
 
@@ -57,14 +62,14 @@ def asked_for(
         "version": __version__,
         "arch": arch or os.environ.get("TI_ARCH", "cpu"),
         "lanes": runtime.cpu_lanes(),
-        "frames": content(taken if frames.names is None else taken[frames.chosen]),
+        "frames": files_digest(taken if frames.names is None else taken[frames.chosen]),
         "start": frames.chosen.start,
         "stop": frames.chosen.stop,
         "step": frames.chosen.step,
         "camera": record_in(camera) if isinstance(camera, Path) else camera and asdict(camera),
         "settings": asdict(settings),
         "poses": None if poses is None else _digest(poses),
-        **{name: path and content(_files(path)) for name, path in (files or {}).items()},
+        **{name: path and files_digest(_files(path)) for name, path in (files or {}).items()},
         **others,
     }
     plain: Asked = json.loads(json.dumps(asked))
@@ -88,7 +93,7 @@ def _files(path: str) -> Sequence[Path]:
         return [file for file in sorted(Path(path).rglob("*")) if file.is_file()]
     if Path(path).exists():
         return [Path(path)]
-    return sorted(files_matching(path))
+    return sorted(files_of_pattern(path))
 
 
 def files_below(folder: Path) -> dict[str, list[int]]:
@@ -102,7 +107,7 @@ def files_below(folder: Path) -> dict[str, list[int]]:
         name = path.relative_to(folder).as_posix()
         if name.startswith(".") or name in (LOCK, ASKED, BEGUN, REPORT, TIMINGS):
             continue
-        total = check_sum(path)
+        total = file_checksum(path)
         if total is not None:
             found[name] = list(total)
     return found
@@ -144,7 +149,7 @@ def is_done(folder: Path, asked: Asked) -> bool:
 
 def refuse_differing(folder: Path, before: Asked, asked: Asked) -> None:
     """Raise ValueError, with what differs, unless the same is asked for as before."""
-    differences = said(differing(before, asked))
+    differences = summarise_differences(compare_records(before, asked))
     if differences:
         raise InputError(
             f"{folder} holds a reconstruction of other frames, with other options, or of another "

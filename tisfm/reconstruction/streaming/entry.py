@@ -11,7 +11,7 @@ from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.streaming.streamed_frame import StreamedFrame
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
-from tisfm.sources.frame_reader import is_whole
+from tisfm.sources.frame_reader import is_integer
 from tisfm.sources.masks import Mask
 
 DELAY = 60  # frames
@@ -95,7 +95,7 @@ def reconstruct_stream(
             'calibrate is "radial": distortion is found from a whole sequence, by tisfm.reconstruct'
         )
     camera, _ = checked_camera(camera)
-    if not is_whole(delay):
+    if not is_integer(delay):
         raise InputTypeError(f"delay is {delay!r}: expected a whole number of frames")
     if delay < SHORTEST:
         raise InputError(f"delay is {delay}: expected {SHORTEST} frames at least")

@@ -34,8 +34,8 @@ from tisfm.reconstruction.streaming.streamed_frame import StreamedFrame
 from tisfm.reconstruction.tracks.triangulation import depths_of
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource, SourceFrame
-from tisfm.sources.frame_reader import warn_of
-from tisfm.trajectory.times import fault_between
+from tisfm.sources.frame_reader import warn_notes
+from tisfm.trajectory.times import time_fault
 
 AHEAD = 3  # a third of the delay is used for the path, but not given out yet
 
@@ -101,7 +101,7 @@ class Stream:
                     break
                 finally:
                     self._warn_of_skipped()
-                    warn_of(self._notes, stacklevel=4)
+                    warn_notes(self._notes, stacklevel=4)
                     self._notes.clear()
                 del frame  # or it would be held while others are worked on
                 count += 1
@@ -156,7 +156,7 @@ class Stream:
         if self._have_times_fault or number - 1 not in self._about:
             return
         before = self._about[number - 1]
-        fault = fault_between(before[2], frame.time, f"frame {before[1]}", f"frame {frame.name}")
+        fault = time_fault(before[2], frame.time, f"frame {before[1]}", f"frame {frame.name}")
         if fault:
             self._have_times_fault = True
             self._notes.append(f"{fault}: use the numbers of frames instead of times")
