@@ -70,18 +70,19 @@ def pose_errors(pose: ArrayLike, truth: ArrayLike) -> PoseErrors:
     >>> round(errors.direction, 3), round(errors.rotation, 3)  # degrees; lengths do not count
     (0.0, 0.0)
     """
+    from scipy.spatial.transform import Rotation  # slow to import
+
     rotation, translation = _rigid("pose", pose)
     true_rotation, true_translation = _rigid("truth", truth)
-    turn = true_rotation.T @ rotation
-    # Twice its sine and its cosine: an arc cosine would lose small angles to rounding.
-    axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    turn = Rotation.from_matrix(true_rotation.T @ rotation)
     direction = None
     if translation.any() and true_translation.any():
+        # An arc cosine would lose small angles to rounding.
         cross = np.linalg.norm(np.cross(translation, true_translation))
         direction = float(np.degrees(np.arctan2(cross, translation @ true_translation)))
     return PoseErrors(
         direction=direction,
-        rotation=float(np.degrees(np.arctan2(np.linalg.norm(axis), np.trace(turn) - 1))),
+        rotation=float(np.degrees(turn.magnitude())),
     )
 
 

@@ -330,11 +330,10 @@ def _left_over(
 
 
 def rotation_angles(motions: NDArray) -> NDArray[np.float64]:
-    """Return the angles of rotations in the upper left of (K, 4, 4), degrees."""
-    # Twice the sine and the cosine: an arc cosine would lose small angles to rounding.
-    axis = np.stack([motions[:, i, j] - motions[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))])
-    cosine = np.trace(motions[:, :3, :3], axis1=1, axis2=2) - 1
-    return np.asarray(np.degrees(np.arctan2(np.linalg.norm(axis, axis=0), cosine)))
+    """Return the angles of the rotations in rigid motions, (K, 4, 4), degrees."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
+    return np.degrees(Rotation.from_matrix(motions[:, :3, :3]).magnitude())
 
 
 def _travelled(poses: NDArray) -> NDArray[np.float64]:

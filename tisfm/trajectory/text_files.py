@@ -1,4 +1,4 @@
-"""Trajectories as text: KITTI's 12 numbers a line, and TUM's 8 numbers a line."""
+"""Trajectories as text files: KITTI's with 12 numbers a line, and TUM's with 8 numbers a line."""
 
 import os
 from pathlib import Path
@@ -13,28 +13,25 @@ from tisfm.trajectory.poses import Trajectory, check_poses, check_times
 
 
 def read_lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Return the words of every line of a text, with its number.
-
-    Lines that are empty or begin with # do not count.
-    """
+    """Return the number and the words of each line that is not empty and no comment (#)."""
     lines = read_text(path).splitlines()
     words = [(number, line.split()) for number, line in enumerate(lines, 1)]
     return [(number, line) for number, line in words if line and not line[0].startswith("#")]
 
 
 def read_rows(path: Path, *, columns: int) -> list[tuple[int, list[float]]]:
-    """Return the numbers of every line of a text, with its number.
+    """Return the line number and the values of each line of a text file.
 
     Parameters
     ----------
     path : Path
     columns : int
-        Numbers that each line must have. Lines that are empty or begin with # do not count.
+        Number of values in each line. Empty lines and lines that begin with # are skipped.
 
     Raises
     ------
     FormatError
-        If a line has others; it is named.
+        If a line has other words or another number of values; the message names the line.
     OSError
         If the file does not exist or cannot be read.
     """
@@ -53,17 +50,17 @@ def read_rows(path: Path, *, columns: int) -> list[tuple[int, list[float]]]:
 
 
 def pose_of_twelve(numbers: list[float]) -> NDArray[np.float64]:
-    """Return the (4, 4) matrix of its upper three rows."""
+    """Return the (4, 4) matrix of a pose from its upper three rows."""
     return np.vstack([np.reshape(numbers, (3, 4)), [0, 0, 0, 1]])
 
 
 def check_pose(pose: NDArray[np.float64], where: str) -> NDArray[np.float64]:
-    """Return a (4, 4) pose, or raise FormatError, which begins with `where`, if it is none."""
+    """Return a (4, 4) pose; raise FormatError, which begins with `where`, if it is not rigid."""
     if not np.isfinite(pose).all():
         raise FormatError(f"{where} is not finite: there is no pose of this frame")
     if not is_rotation(pose[:3, :3]):
         raise FormatError(
-            f"{where} holds no rotation: expected an orthonormal matrix in the first three columns"
+            f"{where} is not a rotation: expected an orthonormal matrix in the first three columns"
         )
     return pose
 
@@ -74,7 +71,7 @@ def read_kitti(path: str | os.PathLike[str]) -> Trajectory:
     Parameters
     ----------
     path : str or os.PathLike
-        A line for every frame. One of twelve nan stands for a frame without a pose.
+        A line for every frame. A line of twelve nan stands for a frame without a pose.
 
     Returns
     -------
@@ -84,7 +81,7 @@ def read_kitti(path: str | os.PathLike[str]) -> Trajectory:
     Raises
     ------
     FormatError
-        If a line does not hold a pose; it is named.
+        If a line is not a pose; the message names the line.
     OSError
         If the file does not exist or cannot be read.
 
@@ -117,13 +114,14 @@ def write_kitti(path: str | os.PathLike[str], poses: ArrayLike) -> None:
     path : str or os.PathLike
         Replaced when all is written.
     poses : array_like, shape (N, 4, 4)
-        Camera to world. A frame without a pose, NaN, has a line of twelve nan, because lines are
-        counted. Programs that expect a pose on every line stop there: give them `write_tum`'s.
+        Camera to world. The line of a frame without a pose, NaN, is twelve nan, because the number
+        of the line is the number of the frame. Some programs expect a pose on every line: use
+        `write_tum` for these.
 
     Raises
     ------
     ValueError
-        If `poses` are none.
+        If `poses` are not poses.
     OSError
         If the file cannot be written.
 
@@ -143,7 +141,7 @@ def write_kitti(path: str | os.PathLike[str], poses: ArrayLike) -> None:
         file.write(text.encode())
 
 
-_UNIT = 1e-2  # of the length of a quaternion: files round to four digits
+_UNIT_TOLERANCE = 1e-2  # of the length of a quaternion: files round to four digits
 _HEADING = "# time tx ty tz qx qy qz qw\n"
 
 
@@ -158,12 +156,12 @@ def read_tum(path: str | os.PathLike[str]) -> Trajectory:
     Returns
     -------
     Trajectory
-        Of the lines that there are.
+        The poses and times of the lines.
 
     Raises
     ------
     FormatError
-        If a line does not hold a pose, or a time does not follow the one before; it is named.
+        If a line is not a pose, or times do not increase; the message names the line.
     OSError
         If the file does not exist or cannot be read.
 
@@ -180,6 +178,8 @@ def read_tum(path: str | os.PathLike[str]) -> Trajectory:
     >>> read_tum("path.txt").poses.shape
     (3, 4, 4)
     """
+    from scipy.spatial.transform import Rotation  # slow to import
+
     file = Path(path)
     rows = read_rows(file, columns=8)
     last = -np.inf
@@ -187,7 +187,7 @@ def read_tum(path: str | os.PathLike[str]) -> Trajectory:
         if not np.isfinite(numbers).all():
             raise FormatError(f"{file}, line {line} is not finite: leave out frames without a pose")
         length = float(np.linalg.norm(numbers[4:]))
-        if abs(length - 1) > _UNIT:
+        if abs(length - 1) > _UNIT_TOLERANCE:
             raise FormatError(
                 f"{file}, line {line} has a quaternion of length {length:g}, expected 1: "
                 "qx qy qz qw are the last four numbers"
@@ -199,7 +199,7 @@ def read_tum(path: str | os.PathLike[str]) -> Trajectory:
         last = numbers[0]
     values = np.reshape([numbers for _, numbers in rows], (-1, 8))
     poses = np.tile(np.eye(4), (len(values), 1, 1))
-    poses[:, :3, :3] = _rotations(values[:, 4:])
+    poses[:, :3, :3] = Rotation.from_quat(values[:, 4:]).as_matrix()
     poses[:, :3, 3] = values[:, 1:4]
     return Trajectory(poses=poses, times=values[:, 0])
 
@@ -214,12 +214,12 @@ def write_tum(path: str | os.PathLike[str], poses: ArrayLike, times: ArrayLike) 
     poses : array_like, shape (N, 4, 4)
         Camera to world. A frame without a pose, NaN, has no line.
     times : array_like, shape (N,)
-        Of the frames, s, each above the one before. Where none are known, numbers of frames do.
+        Times of the frames, s, increasing. Numbers of frames may stand for unknown times.
 
     Raises
     ------
     ValueError
-        If `poses` or `times` are not that.
+        If `poses` or `times` have other shapes or values.
     OSError
         If the file cannot be written.
 
@@ -231,47 +231,22 @@ def write_tum(path: str | os.PathLike[str], poses: ArrayLike, times: ArrayLike) 
     >>> read_tum("path.txt").times.tolist()
     [0.0, 0.1, 0.2]
     """
+    from scipy.spatial.transform import Rotation  # slow to import
+
     matrices = check_poses(poses)
     stamps = check_times(times, len(matrices))
     posed = np.isfinite(matrices[:, 0, 0])
     matrices = matrices[posed]
-    rows = np.column_stack([stamps[posed], matrices[:, :3, 3], _quaternions(matrices[:, :3, :3])])
+    quaternions = Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
+    quaternions[quaternions[:, 3] < 0] *= -1  # q and -q are one rotation: write qw ≥ 0
+    rows = np.column_stack([stamps[posed], matrices[:, :3, 3], quaternions])
     text = "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
     with atomic_write(path) as file:
         file.write((_HEADING + text).encode())
 
 
-def _rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (N, 3, 3) rotations of quaternions x, y, z, w, which need not be of length 1."""
-    unit = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
-    vector, w = unit[:, :3], unit[:, 3, None, None]
-    x, y, z = vector.T
-    nothing = np.zeros(len(unit))
-    cross = np.stack([nothing, -z, y, z, nothing, -x, -y, x, nothing], axis=1).reshape(-1, 3, 3)
-    return np.asarray(np.eye(3) + 2 * w * cross + 2 * cross @ cross)
-
-
-def _quaternions(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (N, 4) quaternions x, y, z, w ≥ 0 of rotations.
-
-    4 q qᵀ is linear in R. Its row of the largest diagonal element is a multiple of q, and no other
-    is as far from rounding (Shepperd, Journal of Guidance and Control 1 (1978) 223–224,
-    doi 10.2514/3.55767b).
-    """
-    trace = np.trace(rotations, axis1=1, axis2=2)[:, None, None]
-    square = np.empty((len(rotations), 4, 4))
-    square[:, :3, :3] = rotations + rotations.transpose(0, 2, 1) + (1 - trace) * np.eye(3)
-    square[:, 3, 3] = 1 + trace[:, 0, 0]
-    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
-        square[:, 3, k] = square[:, k, 3] = rotations[:, i, j] - rotations[:, j, i]
-    largest = np.argmax(np.diagonal(square, axis1=1, axis2=2), axis=1)
-    found = square[np.arange(len(rotations)), largest]
-    found /= np.linalg.norm(found, axis=1, keepdims=True)
-    return np.where(found[:, 3:] < 0, -found, found)
-
-
 def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
-    """Read a file in the format of TUM or of KITTI, whichever it is.
+    """Read a file in the format of TUM or of KITTI, which is recognised by its first line.
 
     Parameters
     ----------
@@ -285,7 +260,7 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     Raises
     ------
     FormatError
-        If it is of neither format, or a line holds no pose; the line is named.
+        If the file is of neither format, or a line is not a pose; the message names the line.
     OSError
         If the file does not exist or cannot be read.
 
@@ -300,7 +275,7 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     count = len(lines[0][1]) if lines else 0
     if count not in (8, 12):
         raise FormatError(
-            f"{file} is no trajectory: its first line has {count} words, expected 8 numbers (TUM: "
-            "time tx ty tz qx qy qz qw) or 12 (KITTI: the rows of R | t)"
+            f"{file} is not a trajectory: its first line has {count} words, expected 8 numbers "
+            "(TUM: time tx ty tz qx qy qz qw) or 12 (KITTI: the rows of R | t)"
         )
     return read_tum(file) if count == 8 else read_kitti(file)
