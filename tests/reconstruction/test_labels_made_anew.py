@@ -171,7 +171,7 @@ def test_a_shutter_is_undone_beside_things_that_move():
 
 @pytest.mark.slow
 def test_what_is_found_is_of_middle_rows():
-    scene = film(shaken, 8, READOUT, (180, 240))
+    scene = film(shaken, 8, READOUT, (120, 160))
     result = tisfm.reconstruct(
         list(scene.frames),
         camera=replace(scene.camera, readout=READOUT),

@@ -1,19 +1,15 @@
 """Second-order smoothness: minima, cycles, and inverse depth carried over bare regions."""
 
-import os
-import subprocess
-import sys
+import hashlib
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bench import reference
 from tests.lanes import LANES
+from tests.one_thread import bits_on_one_thread, several_threads
 from tests.pairwise import pairwise
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
@@ -68,7 +64,7 @@ def minimiser_of(solver, anchors, frame, lanes, settings, *, lines=None, **optio
     return minimiser, smoothness
 
 
-@pairwise(size=[(9, 13), (11, 8), (1, 17), (14, 1)], lanes=LANES, spacing=[1.0, 2.0])
+@pairwise(size=[(7, 9), (8, 6), (1, 11), (10, 1)], lanes=LANES, spacing=[1.0, 2.0])
 def test_the_minimum_is_that_of_exact_solutions(size, lanes, spacing, solver):
     settings = solver.SecondOrderSettings(alpha=3.0, beta=100.0, turn=0.05, bend=0.3)
     anchors, frame = problem(*size)
@@ -392,21 +388,9 @@ def bits():
 
     anchors, frame = problem(203, 317)
     depth, slopes = fill(anchors[1], anchors[0], frame)
-    import hashlib
-
     return hashlib.sha256(depth.tobytes() + slopes.tobytes()).hexdigest()
 
 
-@pytest.mark.skipif(os.cpu_count() == 1, reason="there is one core, so one thread for any number")
-def test_same_bits_with_one_thread_and_with_two(solver):
-    answers = []
-    for threads in (1, 2):
-        script = (
-            f"from tisfm import runtime\nruntime.start(threads={threads})\n"
-            "from tests.solver.test_second_order import bits\nprint(bits())\n"
-        )
-        done = subprocess.run(
-            [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
-        )
-        answers.append(done.stdout.strip())
-    assert answers[0] == answers[1] == bits()
+@several_threads
+def test_same_bits_with_one_thread_and_with_all(solver):
+    assert bits_on_one_thread(__name__) == bits()
