@@ -26,7 +26,7 @@ DATA = Path(__file__).parents[3] / "shared" / "data"
 @cache
 def film(bodies=3, count=16):
     """Return a film of bodies."""
-    return bodies_film(bodies_path(count), 240, 320, bodies=bodies)
+    return bodies_film(bodies_path(count), 180, 240, bodies=bodies)
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +168,7 @@ def test_a_stream_refuses_objects():
 
 def test_what_is_ignored_is_no_thing():
     mask = np.full(film().frames.shape[1:], 255, np.uint8)
-    mask[:, :160] = 0
+    mask[:, :120] = 0
     result = tisfm.reconstruct(
         list(film().frames[:8]),
         camera=film().camera,
@@ -176,7 +176,7 @@ def test_what_is_ignored_is_no_thing():
         mask=mask,
         depth_of="none",
     )
-    assert not any(result.labels(k)[:, :160].any() for k in range(len(result)))
+    assert not any(result.labels(k)[:, :120].any() for k in range(len(result)))
 
 
 @pytest.mark.parametrize("kind", ["constant", "noise", "two frames", "cut", "moving stripes"])
