@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.draws import nightly_except
 from tests.reconstruction.films import depth_error, walk
 from tisfm import Settings
 from tisfm.reconstruction.depth import segment_depth as depths
@@ -171,11 +172,12 @@ def within_one(film, poses):
     return np.mean(shares)
 
 
-def test_errors_of_poses_are_in_the_deviation(monkeypatch):
-    film = walk()
+@pytest.mark.parametrize("draws", nightly_except(3, of=[3, 6]))
+def test_errors_of_poses_are_in_the_deviation(monkeypatch, draws):
+    film = walk(height=120, width=160)
     with_comparison, without = [], []
     # Three keyframes agree or not by chance: of one draw alone the share is anything above a half.
-    for seed in range(6):
+    for seed in range(draws):
         random = np.random.default_rng(seed)
         twists = random.normal(0, 1, (len(film.poses), 6)) * np.repeat((0.02, 0.004), 3)
         shaken = film.poses @ np.array([pose_matrix(twist) for twist in twists])

@@ -18,7 +18,7 @@ from tisfm.rigid import pose_matrix
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource
 
-COUNT, READOUT = 12, 0.8
+COUNT, READOUT = 16, 0.8
 
 
 def shaken(count=COUNT):
