@@ -47,7 +47,7 @@ noise = np.random.default_rng(0).integers(0, 255, (60, 80), np.uint8)
 found = tisfm.Reconstruction.load(sys.argv[2])
 resource.setrlimit(resource.RLIMIT_FSIZE, ({LIMIT}, {LIMIT}))
 frames = PreparedFrames(tisfm.Camera(50.0), folder / "cache", folder / "frames")
-shelved = shelf.Shelf(lambda item: (item,), lambda item: item)
+shelved = shelf.DiskCache(lambda item: (item,), lambda item: item)
 steps = dict(
     grey=lambda: frames.add(SourceFrame(index=0, name="f0", time=None, image=noise)),
     depth=lambda: write_depth(folder, 0, noise / np.float32(255), noise / np.float32(255)),

@@ -5,12 +5,12 @@ import pytest
 
 from tests.exports.exported import predicted, true_places
 from tisfm.exports.guided_matching import Pose, is_smooth, measured, positions_of
-from tisfm.reconstruction.tracks.tracker import seeds
+from tisfm.reconstruction.tracks.tracker import choose_new_points
 
 
 @pytest.fixture(scope="module")
 def begun(film):
-    points = seeds(film.frames[3], np.empty((0, 2)), ~is_smooth(inverse(film)), 24)
+    points = choose_new_points(film.frames[3], np.empty((0, 2)), ~is_smooth(inverse(film)), 24)
     assert len(points) > 150
     return points
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from tests.reconstruction.films import path_error, walk
-from tisfm.reconstruction.depth.pose_adjustment import adjusted, star_of
+from tisfm.reconstruction.depth.pose_adjustment import adjust_poses, make_keyframe_window
 from tisfm.rigid import pose_matrix
 from tisfm.settings import Settings
 
@@ -19,7 +19,9 @@ def stars_of(film, keys, noise=0.0):
         inverse = inverse * (1 + noise * random.standard_normal(inverse.shape))
         members = [k for k in range(len(film.frames)) if k != key and abs(k - key) <= 4]
         frame = film.frames[key].astype(np.float32)
-        stars.append(star_of(key, members, frame, inverse.astype("f4"), 0.02 * inverse))
+        stars.append(
+            make_keyframe_window(key, members, frame, inverse.astype("f4"), 0.02 * inverse)
+        )
     return stars
 
 
@@ -34,7 +36,7 @@ def shaken(poses, amount, seed=1):
 
 
 def adjusted_path(film, start, stars, rounds=3):
-    found = adjusted(
+    found = adjust_poses(
         start, stars, lambda k: film.frames[k].astype(np.float32), film.camera, SETTINGS,
         rounds=rounds,
     )  # fmt: skip
@@ -55,7 +57,7 @@ def test_frames_that_are_held_stay_and_draw_others_to_them():
     start = shaken(film.poses, 0.003)
     held = {k: film.poses[k] for k in (0, 1, 2, 3)}
     images = [frame.astype(np.float32) for frame in film.frames]
-    found = adjusted(
+    found = adjust_poses(
         {**start, **held}, stars_of(film, (0, 4, 8), noise=0.02), images.__getitem__, film.camera,
         SETTINGS, held=held, rounds=5,
     )  # fmt: skip
@@ -95,14 +97,16 @@ def test_depth_of_a_star_is_found_with_its_motions():
 def test_without_stars_nothing_moves():
     film = walk()
     start = dict(enumerate(film.poses))
-    found = adjusted(start, [], lambda k: film.frames[k], film.camera, SETTINGS)
+    found = adjust_poses(start, [], lambda k: film.frames[k], film.camera, SETTINGS)
     assert all((found[k] == start[k]).all() for k in start)
 
 
 def test_stars_whose_frames_have_no_poses_are_left_out():
     film = walk()
     start = {0: film.poses[0], 8: film.poses[8]}
-    found = adjusted(start, stars_of(film, (0,)), lambda k: film.frames[k], film.camera, SETTINGS)
+    found = adjust_poses(
+        start, stars_of(film, (0,)), lambda k: film.frames[k], film.camera, SETTINGS
+    )
     assert all((found[k] == start[k]).all() for k in start)
 
 
@@ -110,7 +114,7 @@ def test_frames_that_no_star_has_stay():
     film = walk()
     start = {k: pose for k, pose in enumerate(film.poses)}
     stars = stars_of(film, (0,))
-    found = adjusted(
+    found = adjust_poses(
         start, stars, lambda k: film.frames[k].astype(np.float32), film.camera, SETTINGS
     )
     np.testing.assert_allclose(found[8], start[8], atol=1e-12)

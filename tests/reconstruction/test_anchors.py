@@ -62,7 +62,7 @@ def test_directions_are_derivatives_of_places():
 
 
 def test_bare_cells_beside_an_outline_do_not_count():
-    from tisfm.reconstruction.depth.match_deviation import anchors_of
+    from tisfm.reconstruction.depth.match_deviation import match_weights
     from tisfm.reconstruction.depth.window_planes import WindowPlanes
 
     step = np.full((40, 60), 60, np.float32)
@@ -75,23 +75,23 @@ def test_bare_cells_beside_an_outline_do_not_count():
         slopes=np.zeros((2, 40, 60), np.float32),
         believed=np.ones((40, 60), bool),
     )
-    weight, target = anchors_of(shifted(step, (1, 0, 0)), planes)
+    weight, target = match_weights(shifted(step, (1, 0, 0)), planes)
     assert (weight[:, 29:31] > 0.9).all()
     assert weight[:, :25].mean() < 0.3 > weight[:, 35:].mean()
     np.testing.assert_array_equal(target, np.where(weight > 0, 5, 0))
     nowhere = replace(planes, believed=np.zeros((40, 60), bool))
-    assert not anchors_of(shifted(step, (1, 0, 0)), nowhere).any()
+    assert not match_weights(shifted(step, (1, 0, 0)), nowhere).any()
 
 
 @pytest.mark.parametrize("kind", ["sideways", "room"])
 def test_sure_anchors_are_better(kind):
-    from tisfm.reconstruction.depth.match_deviation import anchors_of
+    from tisfm.reconstruction.depth.match_deviation import match_weights
     from tisfm.reconstruction.depth.window_planes import window_planes
 
     scene = views(kind)
     window = window_of(*scene.first(3))
     planes = window_planes(window)
-    weight, target = anchors_of(window, planes)
+    weight, target = match_weights(window, planes)
     scale = window.unit * window.camera.focal
     errors = np.abs(target / scale * scene.depth - 1)
     sure, unsure = errors[weight > 0.95], errors[(weight > 0) & (weight < 0.6)]

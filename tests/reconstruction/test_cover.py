@@ -8,9 +8,9 @@ import pytest
 import tisfm
 from tests.reconstruction.films import board_film, path_error
 from tisfm.reconstruction.mapping.colmap import pycolmap
-from tisfm.reconstruction.mapping.coverage import Cover, places_in
+from tisfm.reconstruction.mapping.coverage import Coverage, places_in
 from tisfm.reconstruction.mapping.database import colmap_camera
-from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 from tisfm.rigid import pose_matrix
 
@@ -37,7 +37,9 @@ def points_seen(random, low, high, count):
 def view_of(frame, points):
     """Return a view of tracks alone."""
     tracks = np.arange(len(points), dtype=np.int64)
-    return View(frame=frame, seen=Seen(points=points, tracks=tracks), detected=np.empty((0, 2)))
+    return View(
+        frame=frame, seen=Observations(points=points, tracks=tracks), detected=np.empty((0, 2))
+    )
 
 
 def model_of(*motions):
@@ -63,7 +65,7 @@ def crowd():
     after = np.vstack([projected(thing, OTHER), projected(world, MOTION)])
     same = np.arange(len(before))
     pairs = {(0, 1): np.stack([same, same], axis=1)}
-    return Cover([view_of(0, before), view_of(1, after)], pairs, SHAPE)
+    return Coverage([view_of(0, before), view_of(1, after)], pairs, SHAPE)
 
 
 def test_a_model_explains_what_lies_on_its_epipolar_lines(crowd):
@@ -84,7 +86,7 @@ def test_shares_are_those_of_the_nearest_points():
     random = np.random.default_rng(1)
     points = random.uniform(0, 100, (9, 2))
     pairs = {(0, 1): np.array([[0, 0], [2, 2], [5, 5], [8, 8]])}
-    cover = Cover([view_of(0, points), view_of(1, points)], pairs, (100, 130))
+    cover = Coverage([view_of(0, points), view_of(1, points)], pairs, (100, 130))
     places = places_in((100, 130))
     distance = np.linalg.norm(places[:, None] - points[None, [0, 2, 5, 8]], axis=-1)
     expected = np.bincount(distance.argmin(axis=1), minlength=4) / len(places)
@@ -94,10 +96,10 @@ def test_shares_are_those_of_the_nearest_points():
 
 
 def test_nothing_matched_is_nothing_explained():
-    assert Cover([], {}, SHAPE).share({}) == 0
+    assert Coverage([], {}, SHAPE).share({}) == 0
     points = np.empty((0, 2))
     pairs = {(0, 1): np.empty((0, 2), np.int32)}
-    cover = Cover([view_of(0, points), view_of(1, points)], pairs, SHAPE)
+    cover = Coverage([view_of(0, points), view_of(1, points)], pairs, SHAPE)
     assert cover.share(cover.explained([])) == 0
     assert cover.share(cover.explained([model_of(MOTION)])) == 0
 
@@ -106,7 +108,7 @@ def test_pairs_across_pieces_do_not_count():
     points = np.random.default_rng(2).uniform(10, 110, (20, 2))
     same = np.stack([np.arange(20)] * 2, axis=1)
     views = [view_of(k, points) for k in range(4)]
-    cover = Cover(views, {(0, 1): same, (1, 2): same, (0, 3): same}, SHAPE)
+    cover = Coverage(views, {(0, 1): same, (1, 2): same, (0, 3): same}, SHAPE)
     first, second = model_of(MOTION), model_of(MOTION)
     second.images = {number + 2: image for number, image in second.images.items()}
     second.reg_image_ids = lambda: list(second.images)

@@ -10,16 +10,16 @@ from tests.draws import nightly_except
 from tests.reconstruction.films import depth_error, walk
 from tisfm import Settings
 from tisfm.reconstruction.depth import segment_depth as depths
-from tisfm.reconstruction.depth.edge_alignment import on_own_edges
-from tisfm.reconstruction.depth.segment_depth import effort_of
+from tisfm.reconstruction.depth.edge_alignment import align_edges
+from tisfm.reconstruction.depth.segment_depth import depth_effort
 from tisfm.reconstruction.depth.view_fusion import (
     GUESSED,
     MOST_APART,
-    apart_from,
-    at_every_pixel,
-    filled,
-    together,
-    unsure_where_apart,
+    fill_holes,
+    fuse_views,
+    raise_deviation_where_different,
+    relative_difference,
+    upsample,
 )
 from tisfm.rigid import pose_matrix
 
@@ -32,28 +32,28 @@ def flat(value=0.5):
 
 
 def test_what_agrees_is_not_apart():
-    np.testing.assert_array_equal(apart_from(flat(), [flat(), flat()]), 0)
+    np.testing.assert_array_equal(relative_difference(flat(), [flat(), flat()]), 0)
 
 
 @pytest.mark.parametrize("others", [[], [flat(np.nan)]])
 def test_what_is_not_compared_is_not_apart(others):
-    np.testing.assert_array_equal(apart_from(flat(), others), 0)
+    np.testing.assert_array_equal(relative_difference(flat(), others), 0)
 
 
 def test_the_mean_of_all_that_are_compared_counts():
-    apart = apart_from(flat(), [flat(0.55), flat(0.6)])
+    apart = relative_difference(flat(), [flat(0.55), flat(0.6)])
     np.testing.assert_allclose(apart, 0.15, rtol=1e-5)
 
 
 def test_surfaces_of_others_are_limited():
-    np.testing.assert_allclose(apart_from(flat(), [flat(5.0)]), MOST_APART, rtol=1e-6)
+    np.testing.assert_allclose(relative_difference(flat(), [flat(5.0)]), MOST_APART, rtol=1e-6)
 
 
 def test_it_counts_where_it_is_and_else_as_usual():
     other = flat()
     other[:, :30] = 0.6
     other[:, 50:] = np.nan
-    apart = apart_from(flat(), [other])
+    apart = relative_difference(flat(), [other])
     np.testing.assert_allclose(apart[:, :25], 0.2, rtol=0.05)
     assert (apart[:, 35:48] < 0.02).all()
     np.testing.assert_allclose(apart[:, 55:], 0.2, rtol=1e-5)  # the median of what is compared
@@ -63,14 +63,14 @@ def test_it_counts_where_it_is_and_else_as_usual():
 def test_what_shows_nothing_is_not_compared():
     mine = flat()
     mine[:, :40] = np.nan
-    apart = apart_from(mine, [flat(0.55)])
+    apart = relative_difference(mine, [flat(0.55)])
     np.testing.assert_allclose(apart[:, 60:], 0.1, rtol=1e-5)
     assert np.isfinite(apart).all()
 
 
 def test_views_are_unsure_by_what_others_say():
     views = [(flat(0.5), flat(0.01)), (flat(0.5), flat(0.02)), (flat(0.4), flat(0.01))]
-    first, second, third = unsure_where_apart(views, 2.0)
+    first, second, third = raise_deviation_where_different(views, 2.0)
     np.testing.assert_array_equal(first[0], 0.5)
     np.testing.assert_allclose(first[1], np.hypot(0.01, 2 * 0.1 * 0.5), rtol=1e-5)
     np.testing.assert_allclose(second[1], np.hypot(0.02, 2 * 0.1 * 0.5), rtol=1e-5)
@@ -81,7 +81,7 @@ def test_together_they_say_what_most_say():
     one, other = flat(0.5), flat(0.52)
     wrong = flat(0.9)
     one[:, :20] = other[:, :20] = wrong[:, :10] = np.nan
-    depth, deviation = together([(each, 0.1 * each) for each in (wrong, one, other)])
+    depth, deviation = fuse_views([(each, 0.1 * each) for each in (wrong, one, other)])
     assert np.isnan(depth[:, :10]).all() and np.isnan(deviation[:, :10]).all()
     np.testing.assert_allclose(depth[:, 10:20], 0.9, rtol=1e-6)
     np.testing.assert_allclose(depth[:, 20:], 0.51, rtol=1e-5)
@@ -100,7 +100,7 @@ def test_planes_go_on_where_nothing_is_shown(hole):
     shown = plane.copy()
     shown[hole] = np.nan
     deviation = 0.01 * shown
-    inverse_depth, spread = filled(shown, deviation, flat(100))
+    inverse_depth, spread = fill_holes(shown, deviation, flat(100))
     np.testing.assert_allclose(inverse_depth, plane, rtol=0.02)
     known = np.isfinite(shown)
     np.testing.assert_array_equal(inverse_depth[known], plane[known])
@@ -113,7 +113,7 @@ def test_holes_end_at_the_edges_of_the_frame():
     depth[:, 40:], frame[:, 40:] = 1.0, 150
     shown = depth.copy()
     shown[:, 30:50] = np.nan
-    inverse_depth, _ = filled(shown, 0.01 * shown, frame)
+    inverse_depth, _ = fill_holes(shown, 0.01 * shown, frame)
     np.testing.assert_allclose(inverse_depth[:, 30:39], 0.5, rtol=0.05)
     np.testing.assert_allclose(inverse_depth[:, 41:50], 1.0, rtol=0.05)
 
@@ -123,7 +123,7 @@ def test_surfaces_end_where_the_frame_has_an_edge(beside):
     column = np.arange(SHAPE[1])
     depth, frame = flat(0.5), flat(50)
     depth[:, column >= beside], frame[:, column >= 40] = 1.0, 150
-    found, deviation = on_own_edges(depth, 0.1 * depth, frame)
+    found, deviation = align_edges(depth, 0.1 * depth, frame)
     expected = np.where(column < 40, 0.5, 1.0)
     np.testing.assert_allclose(found, np.broadcast_to(expected, SHAPE), rtol=1e-6)
     np.testing.assert_allclose(deviation, 0.1 * found, rtol=1e-6)
@@ -133,20 +133,20 @@ def test_planes_have_no_edges():
     plane = slanted()
     frame = flat(50)
     frame[:, 40:] = 150
-    found, _ = on_own_edges(plane, 0.1 * plane, frame)
+    found, _ = align_edges(plane, 0.1 * plane, frame)
     np.testing.assert_array_equal(found, plane)
 
 
 def test_nothing_is_made_of_nothing():
-    inverse_depth, deviation = filled(flat(np.nan), flat(np.nan), flat(100))
+    inverse_depth, deviation = fill_holes(flat(np.nan), flat(np.nan), flat(100))
     assert np.isnan(inverse_depth).all() and np.isposinf(deviation).all()
-    assert np.isnan(on_own_edges(inverse_depth, deviation, flat(100))[0]).all()
+    assert np.isnan(align_edges(inverse_depth, deviation, flat(100))[0]).all()
 
 
 @pytest.mark.parametrize("stride", [1, 2, 4])
 def test_planes_lie_where_they_were_between_the_pixels_that_show_them(stride):
     plane = slanted()
-    found = at_every_pixel(plane[::stride, ::stride], stride, SHAPE)
+    found = upsample(plane[::stride, ::stride], stride, SHAPE)
     assert found.shape == SHAPE and found.flags.c_contiguous
     inside = np.s_[: 1 - stride or None, : 1 - stride or None]  # beyond, the last pixel stays
     np.testing.assert_allclose(found[inside], plane[inside], rtol=1e-6)
@@ -155,7 +155,7 @@ def test_planes_lie_where_they_were_between_the_pixels_that_show_them(stride):
 def test_nothing_lies_between_two_surfaces():
     depth = flat(0.5)
     depth[:, 41:], depth[:20, :10] = 1.0, np.nan
-    found = at_every_pixel(depth[::2, ::2], 2, SHAPE)
+    found = upsample(depth[::2, ::2], 2, SHAPE)
     assert set(np.unique(found[np.isfinite(found)])) == {np.float32(0.5), np.float32(1.0)}
     np.testing.assert_array_equal(np.isnan(found), np.isnan(depth))
     np.testing.assert_array_equal(
@@ -192,14 +192,14 @@ def test_errors_of_poses_are_in_the_deviation(monkeypatch, draws):
 
 @pytest.mark.parametrize("preset", ["fast", "balanced", "accurate"])
 def test_presets_make_the_effort_of_their_name(preset):
-    assert effort_of(Settings.preset(preset, motion="camera")) == preset
+    assert depth_effort(Settings.preset(preset, motion="camera")) == preset
 
 
 def test_effort_follows_what_a_pair_takes():
     balanced = Settings.preset("balanced", motion="camera")
-    assert effort_of(replace(balanced, warps=3)) == "accurate"
-    assert effort_of(replace(balanced, warps=1, tolerance=0.01)) == "balanced"
-    assert effort_of(replace(balanced, finest_level=1, tolerance=0.01)) == "fast"
+    assert depth_effort(replace(balanced, warps=3)) == "accurate"
+    assert depth_effort(replace(balanced, warps=1, tolerance=0.01)) == "balanced"
+    assert depth_effort(replace(balanced, finest_level=1, tolerance=0.01)) == "fast"
 
 
 def test_keyframes_are_righter_together(monkeypatch):

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.mapping import incremental as growing
-from tisfm.reconstruction.mapping.models import Shared, models_of
-from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.mapping.models import ViewGraph, find_models
+from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 
 CAMERA, SHAPE = Camera(focal=770.0), (360, 640)
@@ -66,7 +66,7 @@ def view_of(number, local, is_track, random):
     tracks = np.flatnonzero(inside & is_track)
     return View(
         frame=number,
-        seen=Seen(points=points[tracks], tracks=tracks),
+        seen=Observations(points=points[tracks], tracks=tracks),
         detected=np.where(inside[:, None], points, -1)[~is_track],
     )
 
@@ -100,16 +100,16 @@ def is_forward(poses):
 
 def test_most_drives_go_forward():
     """With a tolerance of 4 px at first pairs, 6 of 20 drives went forward, and 19 with 1 px."""
-    models = [models_of(*drive(seed), CAMERA, SHAPE) for seed in range(4)]
+    models = [find_models(*drive(seed), CAMERA, SHAPE) for seed in range(4)]
     assert sum(bool(found) and is_forward(found[0].poses) for found in models) >= 3
 
 
 def test_a_forward_path_scores_more_than_one_that_goes_sideways(monkeypatch):
     """Triangulated observations prefer the wrong one."""
-    shared = Shared.of(*drive(2), SHAPE)
-    right = shared.grown(CAMERA)[0]
+    shared = ViewGraph.of(*drive(2), SHAPE)
+    right = shared.grow_models(CAMERA)[0]
     monkeypatch.setattr(growing, "first_pair_tolerance", lambda longer_side: 4.0)
-    wrong = shared.grown(CAMERA)[0]
+    wrong = shared.grow_models(CAMERA)[0]
     assert is_forward(shared.model(right).poses)
     assert forward_and_turn(shared.model(wrong).poses)[0] < 0.5
     assert wrong.compute_num_observations() > 1.5 * right.compute_num_observations()
@@ -120,5 +120,5 @@ def test_a_forward_path_scores_more_than_one_that_goes_sideways(monkeypatch):
 def test_a_camera_that_hardly_moves_shows_no_parallax(seed):
     """Noise then passes for parallax in some pairs, and a focal length found from them is wrong."""
     turning = drive(seed, step=0.01, turn=0.02, gain=0.0)
-    assert not Shared.of(*turning, SHAPE).shows_parallax(CAMERA)
-    assert Shared.of(*drive(seed), SHAPE).shows_parallax(CAMERA)
+    assert not ViewGraph.of(*turning, SHAPE).shows_parallax(CAMERA)
+    assert ViewGraph.of(*drive(seed), SHAPE).shows_parallax(CAMERA)

@@ -9,9 +9,9 @@ from tests.reconstruction.films import path_error
 from tests.rendered import bodies_film
 from tisfm.evaluation.object_paths import compare_object_paths, has_true_paths
 from tisfm.formats.label_picture import write_label_png
-from tisfm.reconstruction.frames.frame_flow import TRACKING
+from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
 from tisfm.reconstruction.frames.image_motion import ImageMotion
-from tisfm.reconstruction.objects.label_propagation import carried_labels
+from tisfm.reconstruction.objects.label_propagation import propagate_labels
 from tisfm.reconstruction.objects.sequence_labels import SequenceLabels
 from tisfm.reconstruction.result.folder import write_objects
 from tisfm.reconstruction.result.moving_object import MovingObject
@@ -180,14 +180,14 @@ def test_a_thing_at_rest_is_followed_as_well():
 
 
 def test_labels_come_from_the_nearest_frame():
-    motion = ImageMotion(tisfm.Camera(focal=50.0), TRACKING)
+    motion = ImageMotion(tisfm.Camera(focal=50.0), TRACKING_SETTINGS)
     random = np.random.default_rng(5)
     grey = cv2.GaussianBlur(random.integers(0, 256, (40, 48), np.uint8), (0, 0), 1.5)
     for _ in range(9):
         motion.add(grey)
     of = {2: np.zeros((40, 48), np.uint8), 6: np.zeros((40, 48), np.uint8)}
     of[2][10:30, 10:30], of[6][10:30, 10:30] = 1, 2
-    found = {k: int(labels.max()) for k, labels in carried_labels(motion, [2, 6], of.get)}
+    found = {k: int(labels.max()) for k, labels in propagate_labels(motion, [2, 6], of.get)}
     assert found == {0: 1, 1: 1, 3: 1, 4: 1, 5: 2, 7: 2, 8: 2}
 
 

@@ -17,7 +17,7 @@ from tisfm.lens import Undistortion
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.objects.sequence_labels import SequenceLabels
-from tisfm.reconstruction.objects.static_path import path_at_rest
+from tisfm.reconstruction.objects.static_path import find_static_path
 from tisfm.reconstruction.path.path_finder import CameraPath
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import bodies_path
@@ -122,7 +122,7 @@ def test_all_begins_again_with_frames_that_are_made_anew(tmp_path, is_given):
         taken.append(path.camera)
         frames.take(path.camera)
 
-    path = path_at_rest(frames, labels, path_of, take_camera)
+    path = find_static_path(frames, labels, path_of, take_camera)
     assert path.focal is estimate
     assert taken[0] == lens and all(camera.is_pinhole for camera in taken[1:])
     assert asked == [None] if is_given else asked[:2] == [None, "nothing"]

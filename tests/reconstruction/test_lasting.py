@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tisfm.reconstruction.tracks import long_tracks as module
-from tisfm.reconstruction.tracks.long_tracks import CELLS, ENOUGH, lasting
-from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.tracks.long_tracks import CELLS, ENOUGH, choose_long_tracks
+from tisfm.reconstruction.tracks.tracker import Observations
 
 SIDE = 400  # px: of the frames
 CELL = SIDE / CELLS[0]
@@ -23,7 +23,7 @@ def views(seed=0, count=5):
     seen = []
     for _ in range(count):
         tracks = np.sort(random.choice(400, 250, replace=False))
-        seen.append(Seen(points=random.uniform(0, SIDE, (250, 2)), tracks=tracks))
+        seen.append(Observations(points=random.uniform(0, SIDE, (250, 2)), tracks=tracks))
     return seen
 
 
@@ -44,7 +44,7 @@ def expected(seen):
 def test_every_cell_gives_the_track_that_most_views_see(any_number):
     seen = views()
     kept = expected(seen)
-    few = lasting(seen, SIDE)
+    few = choose_long_tracks(seen, SIDE)
     assert len(few) == len(seen)
     for one, before in zip(few, seen, strict=True):
         inside = np.array([track in kept for track in before.tracks.tolist()])
@@ -54,25 +54,25 @@ def test_every_cell_gives_the_track_that_most_views_see(any_number):
 
 
 def test_views_without_tracks_stay():
-    nothing = Seen(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
-    few = lasting([nothing, *views(count=2), nothing], SIDE)
+    nothing = Observations(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
+    few = choose_long_tracks([nothing, *views(count=2), nothing], SIDE)
     assert [len(one.tracks) for one in (few[0], few[-1])] == [0, 0]
     assert len(few[1].tracks) > 0
-    assert lasting([], SIDE) == []
+    assert choose_long_tracks([], SIDE) == []
 
 
 def test_one_track_of_a_cell_is_enough(any_number):
     points = np.array([[3.0, 3.0], [5.0, 4.0], [3.0 + CELL, 3.0]])
     seen = [
-        Seen(points=points, tracks=np.array([0, 1, 2])),
-        Seen(points=points[1:], tracks=np.array([1, 2])),
+        Observations(points=points, tracks=np.array([0, 1, 2])),
+        Observations(points=points[1:], tracks=np.array([1, 2])),
     ]
-    assert [one.tracks.tolist() for one in lasting(seen, SIDE)] == [[1, 2], [1, 2]]
+    assert [one.tracks.tolist() for one in choose_long_tracks(seen, SIDE)] == [[1, 2], [1, 2]]
 
 
 def test_a_part_of_the_frames_gives_enough_tracks():
     points = np.stack(np.meshgrid(np.arange(5, SIDE, 10.0), np.arange(5, 100, 10.0)), -1)
     tracks = np.arange(points.size // 2)
-    seen = [Seen(points=points.reshape(-1, 2), tracks=tracks)] * 3
-    few = lasting(seen, SIDE)
+    seen = [Observations(points=points.reshape(-1, 2), tracks=tracks)] * 3
+    few = choose_long_tracks(seen, SIDE)
     assert ENOUGH <= len(few[0].tracks) < len(tracks)

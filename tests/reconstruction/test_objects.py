@@ -13,9 +13,9 @@ import tisfm
 from tests.reconstruction.films import path_error
 from tests.rendered import bodies_film
 from tisfm.formats import FormatError
-from tisfm.reconstruction.frames.frame_flow import TRACKING
+from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
 from tisfm.reconstruction.frames.image_motion import ImageMotion
-from tisfm.reconstruction.objects.sequence_labels import SequenceLabels, enlarged_labels
+from tisfm.reconstruction.objects.sequence_labels import SequenceLabels, enlarge_labels
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.scenes import bodies_path
 
@@ -207,11 +207,11 @@ def test_frames_that_show_little_end_well(kind, shape):
 def test_labels_are_enlarged_to_the_size_of_frames(shape):
     small = np.zeros(((shape[0] + 1) // 2, (shape[1] + 1) // 2), np.uint8)
     small[5:12, 6:20] = 3
-    large = enlarged_labels(small, 0.5, shape)
+    large = enlarge_labels(small, 0.5, shape)
     assert large.shape == shape
     assert (large[11:23, 13:39] == 3).all()
     assert not large[:9].any()
-    np.testing.assert_array_equal(enlarged_labels(small, 1.0, small.shape), small)
+    np.testing.assert_array_equal(enlarge_labels(small, 1.0, small.shape), small)
 
 
 def test_json_of_a_thing_comes_back():
@@ -252,7 +252,7 @@ def test_clips_of_one_thing_that_moves(clip, least):
 
 @pytest.mark.parametrize("shape", [(120, 161), (480, 640), (1081, 1919)])
 def test_the_camera_of_smaller_frames_has_its_center_in_their_middle(shape):
-    motion = ImageMotion(tisfm.Camera(focal=500.0), TRACKING)
+    motion = ImageMotion(tisfm.Camera(focal=500.0), TRACKING_SETTINGS)
     motion.add(np.zeros(shape, np.uint8))
     height, width = motion.grey(0).shape
     x, y = motion.camera().center_for(height, width)

@@ -7,14 +7,14 @@ import pytest
 
 from tests.rendered import bodies_film
 from tisfm.camera import Camera
-from tisfm.reconstruction.depth.segment_depth import PieceDepths, effort_of
-from tisfm.reconstruction.frames.frame_flow import TRACKING
+from tisfm.reconstruction.depth.segment_depth import PieceDepths, depth_effort
+from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.objects import object_path as own_path
-from tisfm.reconstruction.objects.object_path import ALIGNED, own_depths
+from tisfm.reconstruction.objects.object_path import ALIGNED, find_object_depths
 from tisfm.reconstruction.tracks.tracker import Tracker
-from tisfm.reconstruction.tracks.triangulation import triangulated
+from tisfm.reconstruction.tracks.triangulation import triangulate_tracks
 from tisfm.scenes import bodies_path
 from tisfm.settings import Settings
 from tisfm.sources.frame_reader import SourceFrame
@@ -56,13 +56,13 @@ def part(where):
 def test_depth_is_as_of_whole_frames(where):
     counted = part(where)
     frames = Part(counted)
-    tracker = Tracker(frames.camera, TRACKING, cells=48)
-    seen = [tracker.go_on(np.uint8(frames.grey(k)), ~counted) for k in range(COUNT)]
+    tracker = Tracker(frames.camera, TRACKING_SETTINGS, cells=48)
+    seen = [tracker.track(np.uint8(frames.grey(k)), ~counted) for k in range(COUNT)]
     poses = {k: film().poses[k] for k in range(COUNT)}
-    points = triangulated(seen, poses, frames.camera, SIZE)
+    points = triangulate_tracks(seen, poses, frames.camera, SIZE)
     piece = Piece(poses=poses, views=tuple(poses), points=points)
-    cut = own_depths(frames, piece, seen, SETTINGS)
-    whole = list(PieceDepths(frames, piece, seen, SETTINGS, effort=effort_of(SETTINGS)))
+    cut = find_object_depths(frames, piece, seen, SETTINGS)
+    whole = list(PieceDepths(frames, piece, seen, SETTINGS, effort=depth_effort(SETTINGS)))
     assert [one.frame for one in cut] == [one.frame for one in whole]
     for one, other in zip(cut, whole, strict=True):
         assert one.inverse_depth.shape == one.deviation.shape == SIZE

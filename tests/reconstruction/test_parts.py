@@ -17,7 +17,7 @@ from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.path import path_finder as path
 from tisfm.reconstruction.path.path_finder import PathFinder
 from tisfm.reconstruction.submaps import joining as parts
-from tisfm.reconstruction.submaps.joining import focal_from_parts, parts_of
+from tisfm.reconstruction.submaps.joining import focal_from_submaps, submap_spans
 
 WALK = [(0.02 * k, 0.04 * k, 0.01 * k) for k in range(24)]
 
@@ -47,7 +47,7 @@ def bits():
 
 @pytest.mark.parametrize("count", [1, 370, 371, 700, 701, 2000, 12345])
 def test_parts_overlap_and_are_no_larger_than_they_may(count):
-    spans = parts_of(count)
+    spans = submap_spans(count)
     assert spans[0][0] == 0 and spans[-1][1] == count
     assert all(end - begin <= parts.MOST for begin, end in spans)
     shared = [end - begin for (_, end), (begin, _) in pairwise(spans)]
@@ -79,9 +79,9 @@ def test_a_round_trip_closes_across_parts():
 
     def placed(count, given):
         edges.extend(given)
-        return similarity_graph.placed(count, given)
+        return similarity_graph.optimise_sim3_graph(count, given)
 
-    with mock.patch.object(parts, "placed", placed):
+    with mock.patch.object(parts, "optimise_sim3_graph", placed):
         (piece,) = path_in_parts(images).pieces
     found = np.array([piece.poses[k][:3, 3] for k in range(48)])
     length = np.linalg.norm(np.diff(found, axis=0), axis=1).sum()
@@ -156,8 +156,8 @@ def test_the_focal_length_is_that_of_the_first_part_that_shows_it(monkeypatch):
 
     monkeypatch.setattr(parts, "models_and_focal", models_and_focal)
     views = list(range(4 * 330 + 40))
-    assert [begin for begin, _ in parts_of(len(views))] == list(shares)
-    found = focal_from_parts(views, {}, SMALL_CAMERA, (240, 320), "focal", limit=0.3)
+    assert [begin for begin, _ in submap_spans(len(views))] == list(shares)
+    found = focal_from_submaps(views, {}, SMALL_CAMERA, (240, 320), "focal", limit=0.3)
     assert found.deviation == 5
-    found = focal_from_parts(views[:700], {}, SMALL_CAMERA, (240, 320), "focal", limit=0.3)
+    found = focal_from_submaps(views[:700], {}, SMALL_CAMERA, (240, 320), "focal", limit=0.3)
     assert found.deviation == 50  # no part shows it well

@@ -24,7 +24,7 @@ from tisfm.focal_guess import FocalGuess, GuessedFocalWarning
 from tisfm.formats import FormatError
 from tisfm.lens import undistort
 from tisfm.reconstruction.calibration import self_calibration
-from tisfm.reconstruction.calibration.self_calibration import calibration_of
+from tisfm.reconstruction.calibration.self_calibration import make_calibration
 from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.result.calibration import GIVEN, Calibration, as_json
 from tisfm.rigid import pose_matrix
@@ -269,7 +269,7 @@ def models_where_the_focal_is_hardly_seen(monkeypatch, again, *, shows_parallax)
         ("models_of", lambda *_, **__: again),
     ):
         monkeypatch.setattr(self_calibration, name, answer)
-    return self_calibration.models_and_focal([], {}, Camera(focal=90.0), SIZE, "focal")
+    return self_calibration.find_models_and_focal([], {}, Camera(focal=90.0), SIZE, "focal")
 
 
 def test_a_guess_is_told_before_depth_is_found():
@@ -407,7 +407,7 @@ def test_what_is_said_of_an_estimate(deviation, origin, seen, text):
     camera = estimate.taken(CAMERA)
     assert camera.focal == (100 if origin == "guessed" else 50)
     shape, focal = (300, 400), 2 * camera.focal
-    told = calibration_of(estimate, GUESS, camera, sought=True, focal=focal, shape=shape)
+    told = make_calibration(estimate, GUESS, camera, sought=True, focal=focal, shape=shape)
     assert (told.origin, told.seen) == (origin, seen)
     assert (told.focal, told.shape) == (focal, shape)
     assert told.focal_std == (math.inf if origin == "guessed" else 2 * deviation)

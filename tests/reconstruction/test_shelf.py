@@ -7,13 +7,13 @@ import tempfile
 import numpy as np
 import pytest
 
-from tisfm.reconstruction.frames.disk_cache import Shelf
-from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.frames.disk_cache import DiskCache
+from tisfm.reconstruction.tracks.tracker import Observations
 
 
 def seen_of(count, seed=0):
     points = np.random.default_rng(seed).normal(size=(count, 2))
-    return Seen(points=points, tracks=np.arange(count) * 3)
+    return Observations(points=points, tracks=np.arange(count) * 3)
 
 
 def assert_same(found, kept):
@@ -23,7 +23,7 @@ def assert_same(found, kept):
 
 
 def test_items_come_back_as_they_were_in_any_order():
-    shelf = Shelf(Seen.arrays, Seen.of_arrays)
+    shelf = DiskCache(Observations.arrays, Observations.of_arrays)
     kept = [seen_of(count, seed=count) for count in (5, 0, 17)]
     for number, one in enumerate(kept):
         shelf.append(one)
@@ -35,7 +35,7 @@ def test_items_come_back_as_they_were_in_any_order():
 
 
 def test_what_is_read_may_be_changed_and_the_shelf_stays():
-    shelf = Shelf(Seen.arrays, Seen.of_arrays)
+    shelf = DiskCache(Observations.arrays, Observations.of_arrays)
     shelf.append(seen_of(4))
     shelf[0].points[:] = 0
     assert_same(shelf[0], seen_of(4))
@@ -48,9 +48,9 @@ def test_the_error_of_a_full_disk_has_advice(monkeypatch):
 
     monkeypatch.setattr(tempfile, "TemporaryFile", lambda prefix: Full())
     with pytest.raises(OSError, match="No space left on device; set TMPDIR to another folder"):
-        Shelf(Seen.arrays, Seen.of_arrays).append(seen_of(1))
+        DiskCache(Observations.arrays, Observations.of_arrays).append(seen_of(1))
 
 
 def test_there_is_no_item_after_the_last():
     with pytest.raises(IndexError):
-        Shelf(Seen.arrays, Seen.of_arrays)[0]
+        DiskCache(Observations.arrays, Observations.of_arrays)[0]

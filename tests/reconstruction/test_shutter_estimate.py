@@ -6,7 +6,7 @@ import pytest
 from tisfm.camera import Camera
 from tisfm.reconstruction.rolling_shutter.readout import estimate_readout
 from tisfm.reconstruction.rolling_shutter.unrolled_path import _is_seen
-from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 from tisfm.rigid import pose_matrix
 from tisfm.shutter import at_middle, rates_of, transported
@@ -46,7 +46,7 @@ def seen_by(poses, readout, noise, outliers=0.0):
         views.append(
             View(
                 frame=frame,
-                seen=Seen(points=place[tracks], tracks=tracks),
+                seen=Observations(points=place[tracks], tracks=tracks),
                 detected=np.where((inside & ~half)[:, None], place, -1)[250:],
             )
         )
@@ -128,7 +128,7 @@ def test_it_depends_on_no_choice_of_axes():
 
 def test_nothing_is_said_of_views_that_share_nothing():
     poses = shaken(4)
-    nothing = Seen(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
+    nothing = Observations(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
     views = [View(frame=k, seen=nothing, detected=np.empty((0, 2))) for k in range(4)]
     rates = rates_of(poses, np.arange(4))
     assert estimate_readout(views, {}, poses, rates, CAMERA, SHAPE) is None

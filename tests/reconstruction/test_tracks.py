@@ -7,9 +7,14 @@ import pytest
 from tests.noise import moving_noise
 from tests.reconstruction.walks import CAMERA
 from tisfm import Camera
-from tisfm.reconstruction.frames.frame_flow import TRACKING, FoundFlow, share_of, smaller
+from tisfm.reconstruction.frames.frame_flow import (
+    TRACKING_SETTINGS,
+    FlowCache,
+    flow_scale,
+    shrink_for_flow,
+)
 from tisfm.reconstruction.frames.image_motion import ImageMotion
-from tisfm.reconstruction.tracks.tracker import Tracker, seeds, spread
+from tisfm.reconstruction.tracks.tracker import Tracker, choose_new_points, thin_out
 
 
 def picture(shift):
@@ -22,13 +27,13 @@ def picture(shift):
 
 
 def test_tracks_follow_a_shift():
-    tracker = Tracker(CAMERA, TRACKING)
-    first, second = (tracker.go_on(picture(shift)) for shift in ((0, 0), (3.25, -1.5)))
+    tracker = Tracker(CAMERA, TRACKING_SETTINGS)
+    first, second = (tracker.track(picture(shift)) for shift in ((0, 0), (3.25, -1.5)))
     before, after = first.shared(second)
     np.testing.assert_array_equal(first.tracks[before], second.tracks[after])
     there = first.points - (3.25, -1.5)
     inside = there[((there > 5) & (there < (314, 234))).all(axis=1)]
-    assert len(before) > 0.95 * len(spread(inside, 6.0))
+    assert len(before) > 0.95 * len(thin_out(inside, 6.0))
     away = second.points[after] - first.points[before] - (-3.25, 1.5)
     assert np.median(np.hypot(*away.T)) < 0.1  # px
 
@@ -41,31 +46,31 @@ def test_tracks_are_the_same_along_image_motion_that_is_found_before():
         asked.append(number)
         return frames[number]
 
-    flow = FoundFlow(CAMERA, grey)
-    found, given = Tracker(CAMERA, TRACKING), Tracker(CAMERA, TRACKING)
+    flow = FlowCache(CAMERA, grey)
+    found, given = Tracker(CAMERA, TRACKING_SETTINGS), Tracker(CAMERA, TRACKING_SETTINGS)
     for number, frame in enumerate(frames):
-        one = found.go_on(frame)
-        two = given.go_on(frame, flow=flow.to(number) if number else None)
+        one = found.track(frame)
+        two = given.track(frame, flow=flow.to(number) if number else None)
         np.testing.assert_array_equal(one.tracks, two.tracks)
         np.testing.assert_allclose(one.points, two.points, atol=0.02)  # 3 px have 11 bits
     times = len(asked)
     np.testing.assert_array_equal(flow.to(1), flow.to(1))
     assert len(asked) == times
-    misled = Tracker(CAMERA, TRACKING)
-    first = misled.go_on(frames[0])
-    here, _ = first.shared(misled.go_on(frames[1], flow=flow.to(1) + 50))
+    misled = Tracker(CAMERA, TRACKING_SETTINGS)
+    first = misled.track(frames[0])
+    here, _ = first.shared(misled.track(frames[1], flow=flow.to(1) + 50))
     assert len(here) < 0.1 * len(first.tracks)
 
 
 def test_of_tracks_that_meet_the_first_goes_on():
     points = np.array([[10.2, 5.0], [12.9, 5.1], [10.5, 5.3], [40.0, 5.0]])
-    assert spread(points, 6.0).tolist() == [0, 1, 3]
+    assert thin_out(points, 6.0).tolist() == [0, 1, 3]
 
 
 def test_no_point_is_begun_on_ignored_pixels():
     ignored = np.zeros((240, 320), bool)
     ignored[:, :160] = True
-    begun = seeds(picture((0, 0)), np.empty((0, 2)), ignored)
+    begun = choose_new_points(picture((0, 0)), np.empty((0, 2)), ignored)
     assert len(begun) > 100
     assert (begun[:, 0] >= 160).all()
 
@@ -73,12 +78,12 @@ def test_no_point_is_begun_on_ignored_pixels():
 @pytest.mark.parametrize("width", [1241, 1240])
 def test_odd_sides_are_filled_up_before_they_are_halved(width):
     grey = np.zeros((376, width), np.uint8)
-    assert share_of(smaller(grey), grey) == 0.5
+    assert flow_scale(shrink_for_flow(grey), grey) == 0.5
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_image_motion_that_diverges_leaves_the_frame_but_no_further():
-    motion = ImageMotion(Camera(focal=0.01), TRACKING)
+    motion = ImageMotion(Camera(focal=0.01), TRACKING_SETTINGS)
     for frame in moving_noise(48, 64, (3, 1)):
         motion.add(np.rint(frame.clip(0, 255)).astype(np.uint8))
     for flow in (motion.forward(0), motion.backward(1)):

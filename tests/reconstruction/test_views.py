@@ -3,16 +3,16 @@
 import numpy as np
 
 from tests.reconstruction.walks import CAMERA, frames
-from tisfm.reconstruction.frames.frame_flow import TRACKING
+from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
 from tisfm.reconstruction.tracks import retrieval as loops
-from tisfm.reconstruction.tracks.retrieval import Look, similar
-from tisfm.reconstruction.tracks.tracker import Seen, Tracker
-from tisfm.reconstruction.tracks.views import View, Views
+from tisfm.reconstruction.tracks.retrieval import ImageDescriptors, find_similar_views
+from tisfm.reconstruction.tracks.tracker import Observations, Tracker
+from tisfm.reconstruction.tracks.views import View, ViewSelection
 
 
 def views_with(pairs, count=10):
-    views = Views(CAMERA)
-    nothing = Seen(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
+    views = ViewSelection(CAMERA)
+    nothing = Observations(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
     views.chosen = [View(frame=k, seen=nothing, detected=np.empty((0, 2))) for k in range(count)]
     views.matches = {pair: np.zeros((30, 2), int) for pair in pairs}
     return views
@@ -33,21 +33,21 @@ def test_views_that_match_nothing_may_be_in_order():
 def test_a_frame_becomes_a_view_where_tracks_have_moved():
     views = views_with([], count=0)
     points, tracks = np.random.default_rng(0).uniform(0, 300, (50, 2)), np.arange(50)
-    seen = Seen(points=points, tracks=tracks)
+    seen = Observations(points=points, tracks=tracks)
     views.chosen = [View(frame=0, seen=seen, detected=points)]
-    assert not views.needs(Seen(points=np.add(points, (7, 0)), tracks=tracks), 320)
-    assert views.needs(Seen(points=np.add(points, (9, 0)), tracks=tracks), 320)
-    assert views.needs(Seen(points=points[:15], tracks=tracks[:15]), 320)
-    assert not views.needs(Seen(points=points[:20], tracks=tracks[:20]), 320)
+    assert not views.needs(Observations(points=np.add(points, (7, 0)), tracks=tracks), 320)
+    assert views.needs(Observations(points=np.add(points, (9, 0)), tracks=tracks), 320)
+    assert views.needs(Observations(points=points[:15], tracks=tracks[:15]), 320)
+    assert not views.needs(Observations(points=points[:20], tracks=tracks[:20]), 320)
 
 
 def test_views_on_disk_are_those_in_memory():
     images = frames([(0.02 * k, 0.04 * k, 0.01 * k) for k in range(6)])
     found = []
     for on_disk in (False, True):
-        views, tracker = Views(CAMERA, on_disk=on_disk), Tracker(CAMERA, TRACKING)
+        views, tracker = ViewSelection(CAMERA, on_disk=on_disk), Tracker(CAMERA, TRACKING_SETTINGS)
         for k, image in enumerate(images):
-            views.add(k, image, tracker.go_on(image), None)
+            views.add(k, image, tracker.track(image), None)
         views.close_loops(images[0].shape)
         found.append((list(views.chosen), views.matches))
     for one, other in zip(*(views for views, _ in found), strict=True):
@@ -60,8 +60,10 @@ def test_places_are_found_in_blocks_as_at_once(monkeypatch):
     random = np.random.default_rng(0)
     places = random.integers(0, 120, (30, 60, 128)).astype(np.uint8)
     noisy = [np.clip(places[k % 15] + random.integers(0, 9, (60, 128)), 0, 255) for k in range(30)]
-    looks = [Look(points=np.zeros((60, 2)), levels=one.astype(np.uint8)) for one in noisy]
-    whole = similar(looks, apart=4)
+    looks = [
+        ImageDescriptors(points=np.zeros((60, 2)), levels=one.astype(np.uint8)) for one in noisy
+    ]
+    whole = find_similar_views(looks, apart=4)
     monkeypatch.setattr(loops, "BLOCK", 7)
-    assert similar(looks, apart=4) == whole
+    assert find_similar_views(looks, apart=4) == whole
     assert {(k, k + 15) for k in range(15)} <= set(whole)

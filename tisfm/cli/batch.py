@@ -23,7 +23,7 @@ from tisfm.cli.progress import Foretelling, progress_bar
 from tisfm.cores import usable_cores
 from tisfm.errors import InputError
 from tisfm.folders.run_record import RECORD
-from tisfm.reconstruction.result.folder import ASKED
+from tisfm.reconstruction.result.folder import REQUEST
 from tisfm.reconstruction.result.renewal import CHUNKS
 
 Command = Literal["run", "reconstruct"]
@@ -280,7 +280,7 @@ def _notes(errors: str) -> list[str]:
 
 def _state(output: Path) -> object:
     """Return what changes when the record of a run, or what chunks are asked for, is written."""
-    return [_about(path) for path in (output / RECORD, output / CHUNKS / ASKED)]
+    return [_about(path) for path in (output / RECORD, output / CHUNKS / REQUEST)]
 
 
 def _about(path: Path) -> tuple[int, int, int] | None:

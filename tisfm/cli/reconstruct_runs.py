@@ -17,12 +17,12 @@ from tisfm.reconstruction.progress import Progress
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.result.renewal import CHUNKS
 from tisfm.reconstruction.result.request import (
-    Asked,
-    asked_for,
+    Request,
     is_done,
-    read_asked,
+    make_request,
+    read_request,
     refuse_differing,
-    write_asked,
+    write_request,
 )
 from tisfm.running.pairs import FrameSelection
 from tisfm.runtime import Arch
@@ -73,15 +73,15 @@ class WholeRun:
         self._source, self._folder = source, folder
         self._options, self._frames = options, frames
         self._arch, self._threads = arch, threads
-        self._asked: Asked | None = None
+        self._asked: Request | None = None
         if not (isinstance(source, str) and webcam_number(source) is not None):
             self._asked = self._asked_for(others)
 
-    def _asked_for(self, others: Mapping[str, Any]) -> Asked:
+    def _asked_for(self, others: Mapping[str, Any]) -> Request:
         plain = {k: self._options[k] for k in ("calibrate", "depth_of")}
         sizes = self._options["object_sizes"] or {}
         cut = {k: v for k, v in asdict(self._frames).items() if k not in ("start", "stop", "step")}
-        return asked_for(
+        return make_request(
             self._frames.open(self._source),
             camera=self._options["camera"],
             settings=self._options["settings"],
@@ -100,7 +100,7 @@ class WholeRun:
             raise InputError(
                 f"resume is given, but {self._source} shows other frames now: leave it out"
             )
-        chunks = read_asked(self._folder / CHUNKS)
+        chunks = read_request(self._folder / CHUNKS)
         if chunks is not None:
             refuse_differing(self._folder, chunks["asked"], self._asked)
         return is_done(self._folder, self._asked)
@@ -120,7 +120,7 @@ class WholeRun:
         """Say that all that was asked for is there."""
         if self._asked is not None:
             with locked_folder(self._folder):
-                write_asked(self._folder, self._asked)
+                write_request(self._folder, self._asked)
 
 
 class ChunksRun:

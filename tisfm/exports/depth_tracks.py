@@ -8,7 +8,7 @@ import numpy as np
 from tisfm.exports.guided_matching import is_smooth, measured, positions_of
 from tisfm.exports.track_frames import PieceFrames, SeenPoints
 from tisfm.exports.track_triangulation import consistent
-from tisfm.reconstruction.tracks.tracker import seeds
+from tisfm.reconstruction.tracks.tracker import choose_new_points
 
 AROUND = 4  # keyframes to either side that a keyframe is compared with, and all frames to the next
 MOST = 120  # frames to either side
@@ -58,7 +58,7 @@ class DepthTracks:
             trusted = (inverse_depth > 0) & (relative_std < LARGEST_STD)
         trusted &= frames.usable(frame) & is_smooth(inverse_depth)
         taken = np.vstack([np.empty((0, 2)), *self._taken[frame]])
-        points = seeds(frames.grey(frame), taken, ~trusted, self._cells)
+        points = choose_new_points(frames.grey(frame), taken, ~trusted, self._cells)
         if not len(points):
             return []
         column, row = points.astype(np.intp).T

@@ -8,9 +8,9 @@ import numpy as np
 from tisfm.exports.guided_matching import are_held
 from tisfm.exports.track_frames import PieceFrames, SeenPoints
 from tisfm.exports.track_triangulation import consistent
-from tisfm.reconstruction.frames.frame_flow import TRACKING
-from tisfm.reconstruction.tracks.tracker import Seen, Tracker
-from tisfm.reconstruction.tracks.triangulation import triangulated
+from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
+from tisfm.reconstruction.tracks.tracker import Observations, Tracker
+from tisfm.reconstruction.tracks.triangulation import triangulate_tracks
 
 LONGEST = 48  # frames of a track; a longer one goes on as another
 RELATIVE_STD = 1.0  # of the depth that points begin at: it hardly holds them
@@ -24,7 +24,7 @@ class _Group:
     frames: list[int] = field(default_factory=list)
     places: list[np.ndarray] = field(default_factory=list)  # of every frame: (N, 2), NaN if lost
 
-    def take(self, frame: int, seen: Seen) -> np.ndarray:
+    def take(self, frame: int, seen: Observations) -> np.ndarray:
         """Take the places of tracks in a frame, and return which of `seen` are of the group."""
         mine = np.isin(seen.tracks, self.tracks)
         places = np.full((len(self.tracks), 2), np.nan)
@@ -78,12 +78,12 @@ def _groups(
     yield from going
 
 
-def _carried(frames: PieceFrames, cells: int) -> Iterator[tuple[int, Seen]]:
+def _carried(frames: PieceFrames, cells: int) -> Iterator[tuple[int, Observations]]:
     """Give frames and the tracks in them, each up to where something else is taken for it."""
-    tracker = Tracker(frames.result.camera, TRACKING, cells)
+    tracker = Tracker(frames.result.camera, TRACKING_SETTINGS, cells)
     before, lost = None, np.empty(0, np.int64)
     for frame, grey in zip(frames.numbers, map(frames.grey, frames.numbers), strict=True):
-        seen = tracker.go_on(grey, ~frames.usable(frame))
+        seen = tracker.track(grey, ~frames.usable(frame))
         if before is not None:
             earlier, was = before
             old, now = was.shared(seen)
@@ -91,7 +91,7 @@ def _carried(frames: PieceFrames, cells: int) -> Iterator[tuple[int, Seen]]:
             lost = np.union1d(np.intersect1d(lost, seen.tracks), seen.tracks[now[~held]])
         before = grey, seen
         left = ~np.isin(seen.tracks, lost)
-        yield frame, Seen(points=seen.points[left], tracks=seen.tracks[left])
+        yield frame, Observations(points=seen.points[left], tracks=seen.tracks[left])
 
 
 def _located(frames: PieceFrames, group: _Group) -> list[SeenPoints]:
@@ -100,14 +100,14 @@ def _located(frames: PieceFrames, group: _Group) -> list[SeenPoints]:
         return []
     places = np.stack(group.places, axis=1)
     seen = [
-        Seen(points=there[known], tracks=group.tracks[known])
+        Observations(points=there[known], tracks=group.tracks[known])
         for there in group.places
         for known in [np.isfinite(there[:, 0])]
     ]
     poses = [frames.pose(frame) for frame in group.frames]
     result = frames.result
     matrices = {k: pose.matrix for k, pose in enumerate(poses)}
-    begun = triangulated(seen, matrices, result.camera, result.shape)
+    begun = triangulate_tracks(seen, matrices, result.camera, result.shape)
     before = (begun.positions - poses[0].matrix[:3, 3]) @ poses[0].matrix[:3, 2] > 0
     begun = begun.among(begun.tracks[before])
     if not len(begun):

@@ -14,11 +14,11 @@ from tisfm.camera_file import read_camera, write_camera
 from tisfm.errors import InputError
 from tisfm.focal_guess import FocalGuess, GuessedFocalWarning, guess_focal
 from tisfm.outcome import Status
-from tisfm.reconstruction.calibration.self_calibration import OF_EXIF, calibration_of
+from tisfm.reconstruction.calibration.self_calibration import MAX_EXIF_DEVIATION, make_calibration
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
-from tisfm.reconstruction.mapping.solution import WORTHLESS, Piece
+from tisfm.reconstruction.mapping.solution import MAX_USEFUL_DEVIATION, Piece
 from tisfm.reconstruction.objects.sequence_labels import SequenceLabels
-from tisfm.reconstruction.objects.static_path import label_others, path_at_rest
+from tisfm.reconstruction.objects.static_path import find_static_path, label_remaining_frames
 from tisfm.reconstruction.path.frames_path import FramesPath
 from tisfm.reconstruction.path.path_finder import CameraPath
 from tisfm.reconstruction.progress import DepthOf, Enough, Progress
@@ -33,8 +33,8 @@ from tisfm.reconstruction.result.folder import CACHE, PICTURES, write_depth, wri
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.result.object_sizes import refuse_unknown
 from tisfm.reconstruction.result.reconstruction import Reconstruction
-from tisfm.reconstruction.tracks.tracker import Seen
-from tisfm.reconstruction.tracks.triangulation import depths_of
+from tisfm.reconstruction.tracks.tracker import Observations
+from tisfm.reconstruction.tracks.triangulation import track_depths
 from tisfm.settings import Settings
 from tisfm.shutter import instants_of
 from tisfm.sources import FrameSource
@@ -135,7 +135,7 @@ class Run:
                     status[frame] = NO_PARALLAX
             if number > 0:
                 first = min(part.poses)
-                status[first] = begins_piece(status[first])
+                status[first] = add_piece_note(status[first])
         about = as_json(calibration)
         del about["shape"]  # the file has width and height
         write_camera(self._folder / CAMERA, *self._taken, about=about)
@@ -226,7 +226,7 @@ class Run:
                     anew.add(*self._frames.tracked(number), self._frames.flow(number))
                 return anew.finish(times, instants)
 
-            path = path_at_rest(self._frames, labels, path_of, self._take_camera)
+            path = find_static_path(self._frames, labels, path_of, self._take_camera)
             refuse_unknown(self._sizes, self._frames.things())
         self._progress("path", len(names), len(names))
         return _Read(names=_distinct(names), times=tuple(times)), path
@@ -238,7 +238,7 @@ class Run:
                 f"labels has none of a frame of {self._source.title} that is taken: expected those "
                 "of one at least"
             )
-        label_others(self._frames, labelled)
+        label_remaining_frames(self._frames, labelled)
         refuse_unknown(self._sizes, self._frames.things())  # before what takes long
 
     def _objects(self, poses: np.ndarray, piece: np.ndarray) -> tuple[MovingObject, ...]:
@@ -267,7 +267,7 @@ class Run:
             self._frames.camera,
             self._given,
             calibrate or self._calibrate,
-            limit=OF_EXIF if stated else WORTHLESS,
+            limit=MAX_EXIF_DEVIATION if stated else MAX_USEFUL_DEVIATION,
             readout=readout,
             focal_known=(
                 self._calibrate == "nothing" and self._guess is None and self._stated.seen
@@ -307,7 +307,7 @@ class Run:
 
     def _calibration(self, path: CameraPath) -> Calibration:
         """Return where the focal length is from; warn if it is not to be relied on."""
-        found = calibration_of(
+        found = make_calibration(
             path.focal,
             self._guess,
             self._frames.camera,
@@ -324,67 +324,67 @@ class Run:
             warnings.warn(found.message, GuessedFocalWarning, stacklevel=4)
         return found
 
-    def _adjusted(self, piece: Piece, seen: Sequence[Seen]) -> Piece:
+    def _adjusted(self, piece: Piece, seen: Sequence[Observations]) -> Piece:
         """Return the piece with poses adjusted to the images, if there are any to adjust."""
-        from tisfm.reconstruction.depth.pose_adjustment import adjusted
-        from tisfm.reconstruction.depth.segment_depth import PieceDepths, effort_of
+        from tisfm.reconstruction.depth.pose_adjustment import adjust_poses
+        from tisfm.reconstruction.depth.segment_depth import PieceDepths, depth_effort
 
-        effort = effort_of(self._settings)
+        effort = depth_effort(self._settings)
         if self._given is not None or effort != "accurate":
             return piece
         stars = PieceDepths(self._frames, piece, seen, self._settings, effort="fast").stars()
         frames, camera = self._frames.grey, self._frames.camera
-        poses = adjusted(piece.poses, stars, frames, camera, self._settings)
+        poses = adjust_poses(piece.poses, stars, frames, camera, self._settings)
         return replace(piece, poses=poses)
 
     def _depths(
-        self, piece: Piece, seen: Sequence[Seen], done: int
+        self, piece: Piece, seen: Sequence[Observations], done: int
     ) -> tuple[dict[int, str], float]:
         """Write the depth of a piece's frames; return what each is, and the unit of its depth."""
         if self._depth_of == "none":
-            return {}, unit_of_points(piece, seen)
-        from tisfm.reconstruction.depth.segment_depth import PieceDepths, effort_of, unit_of
+            return {}, median_track_depth(piece, seen)
+        from tisfm.reconstruction.depth.segment_depth import PieceDepths, depth_effort, median_depth
 
         depths = PieceDepths(
             self._frames,
             piece,
             seen,
             self._settings,
-            effort=effort_of(self._settings),
+            effort=depth_effort(self._settings),
             after=max(piece.poses) if self._depth_of == "keyframes" else -1,
         )
         found: dict[int, str] = {}
         unit = 1.0
         for depth in depths:
             if not found and self._given is None:
-                unit = unit_of(depth.inverse_depth)
+                unit = median_depth(depth.inverse_depth)
             write_depth(
                 self._folder, depth.frame, depth.inverse_depth * unit, depth.deviation * unit
             )
             found[depth.frame] = "keyframe" if depth.frame in depths.keyframes else "between"
             self._progress("depth", done + len(found), len(seen))
         if not found and self._given is None:
-            unit = unit_of_points(piece, seen)
+            unit = median_track_depth(piece, seen)
         return found, unit
 
 
-def unit_of_points(piece: Piece, seen: Sequence[Seen]) -> float:
+def median_track_depth(piece: Piece, seen: Sequence[Observations]) -> float:
     """Return the median depth of tracks in the first frame of a piece that shows any; 1 if none."""
     for frame, pose in piece.poses.items():
-        _, depths = depths_of(seen[frame], piece.points, pose)
+        _, depths = track_depths(seen[frame], piece.points, pose)
         if len(depths):
             return float(np.median(depths))
     return 1.0
 
 
-def begins_piece(status: Status) -> Status:
+def add_piece_note(status: Status) -> Status:
     """Return the status of a frame that begins another piece than the first."""
     message = f"{status.message}; {NEW_PIECE}" if status.message else NEW_PIECE
     return Status(str(status), message)
 
 
-def begins_none(status: Status) -> Status:
-    """Return what the status of a frame was before `begins_piece` said that a piece begins."""
+def remove_piece_note(status: Status) -> Status:
+    """Return what the status of a frame was before `add_piece_note` said that a piece begins."""
     return Status(str(status), status.message.removesuffix(NEW_PIECE).removesuffix("; "))
 
 

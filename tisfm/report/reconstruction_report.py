@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.result.calibration import focal_in_words
+from tisfm.reconstruction.result.calibration import describe_focal
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.report.drawings import MOST_PIECES, path_drawing
 from tisfm.report.embedded_images import Pictures, chosen
@@ -155,7 +155,7 @@ def _summary(result: Reconstruction, folder: Path, source: str | None) -> list[t
     placed = int((result.piece >= 0).sum())
     sizes = np.bincount(result.piece[result.piece >= 0])
     about = result.calibration
-    focal = focal_in_words(about.focal or result.camera.focal, about.focal_std, about.shape)
+    focal = describe_focal(about.focal or result.camera.focal, about.focal_std, about.shape)
     height, width = result.shape
     rows = [
         *([("Source", source)] if source else []),

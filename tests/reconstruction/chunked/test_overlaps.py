@@ -9,12 +9,12 @@ import tisfm
 from tests.reconstruction.films import along
 from tisfm.reconstruction.chunks import overlaps
 from tisfm.reconstruction.chunks.overlaps import (
-    scale_of_depth,
-    scale_of_places,
-    similarity_of,
-    turn_of,
+    mean_rotation,
+    overlap_sim3,
+    scale_from_depth,
+    scale_from_positions,
 )
-from tisfm.reconstruction.geometry.sim3 import moved_pose, scale_of
+from tisfm.reconstruction.geometry.sim3 import sim3_scale, transform_pose
 from tisfm.reconstruction.result.folder import write_depth
 from tisfm.rigid import pose_matrix
 
@@ -53,9 +53,9 @@ def both(tmp_path):
     """Return two chunks of a plane before a camera, the second in coordinates of its own."""
     poses = along(COUNT)
     depth = np.stack([_plane(pose) for pose in poses])
-    there = np.array([moved_pose(np.linalg.inv(SIMILARITY), pose) for pose in poses])
+    there = np.array([transform_pose(np.linalg.inv(SIMILARITY), pose) for pose in poses])
     first = chunk(tmp_path / "0", poses, depth)
-    second = chunk(tmp_path / "1", there, depth / scale_of(SIMILARITY))
+    second = chunk(tmp_path / "1", there, depth / sim3_scale(SIMILARITY))
     return first, second
 
 
@@ -70,15 +70,15 @@ SHARED = [(k, k) for k in range(COUNT)]
 
 
 def test_the_similarity_is_found(both):
-    found = similarity_of(*both, SHARED)
+    found = overlap_sim3(*both, SHARED)
     np.testing.assert_allclose(found, SIMILARITY, atol=1e-5)
 
 
 def test_the_surer_scale_counts_more(both, monkeypatch):
     """That of depth or of the camera's places, each by its precision."""
-    monkeypatch.setattr(overlaps, "scale_of_depth", lambda *_: (0.01, 0.01))
-    monkeypatch.setattr(overlaps, "scale_of_places", lambda *_: (0.06, 0.02))
-    found = np.log(scale_of(similarity_of(*both, SHARED)))
+    monkeypatch.setattr(overlaps, "scale_from_depth", lambda *_: (0.01, 0.01))
+    monkeypatch.setattr(overlaps, "scale_from_positions", lambda *_: (0.06, 0.02))
+    found = np.log(sim3_scale(overlap_sim3(*both, SHARED)))
     assert found == pytest.approx((0.01 / 0.01**2 + 0.06 / 0.02**2) / (0.01**-2 + 0.02**-2))
 
 
@@ -87,14 +87,14 @@ def test_depth_of_other_frames_will_do(both, tmp_path):
     first, second = both
     one = chunk(tmp_path / "a", first.poses, 1 / first.inverse, with_depth=(1, 5))
     two = chunk(tmp_path / "b", second.poses, 1 / second.inverse, with_depth=(2, 7))
-    scale, _ = scale_of_depth(one, two, SHARED)
-    assert scale == pytest.approx(np.log(scale_of(SIMILARITY)), abs=2e-3)
+    scale, _ = scale_from_depth(one, two, SHARED)
+    assert scale == pytest.approx(np.log(sim3_scale(SIMILARITY)), abs=2e-3)
 
 
 def test_a_camera_at_rest_is_placed_by_depth_alone(both):
     first, second = both
     shared = [(3, 3)]
-    found = similarity_of(first, second, shared)
+    found = overlap_sim3(first, second, shared)
     np.testing.assert_allclose(found, SIMILARITY, atol=1e-5)
 
 
@@ -102,15 +102,15 @@ def test_places_alone_will_do(both, tmp_path):
     first, second = both
     one = chunk(tmp_path / "a", first.poses, 1 / first.inverse, with_depth=())
     two = chunk(tmp_path / "b", second.poses, 1 / second.inverse, with_depth=())
-    assert scale_of_depth(one, two, SHARED) is None
-    np.testing.assert_allclose(similarity_of(one, two, SHARED), SIMILARITY, atol=1e-9)
-    assert similarity_of(one, two, SHARED[:3]) is None  # too few to tell
+    assert scale_from_depth(one, two, SHARED) is None
+    np.testing.assert_allclose(overlap_sim3(one, two, SHARED), SIMILARITY, atol=1e-9)
+    assert overlap_sim3(one, two, SHARED[:3]) is None  # too few to tell
 
 
 def test_a_third_of_wrong_depth_changes_little(both):
     first, second = both
     second.inverse[:, : SHAPE[0] // 3] *= 2
-    found = similarity_of(first, second, SHARED)
+    found = overlap_sim3(first, second, SHARED)
     np.testing.assert_allclose(found, SIMILARITY, rtol=0.01, atol=0.02)
 
 
@@ -118,22 +118,22 @@ def test_nothing_is_told_by_depth_that_agrees_on_nothing(both):
     first, second = both
     random = np.random.default_rng(0)
     second.inverse *= np.exp(random.normal(0, 1, second.inverse.shape))
-    assert scale_of_depth(first, second, SHARED) is None
+    assert scale_from_depth(first, second, SHARED) is None
 
 
 def test_depth_that_is_not_sure_counts_nothing(both):
     first, second = both
     second.deviation = 0.5 * second.inverse
-    assert scale_of_depth(first, second, SHARED) is None
+    assert scale_from_depth(first, second, SHARED) is None
 
 
 def test_places_of_two_ways_tell_nothing():
     random = np.random.default_rng(0)
     poses, others = along(COUNT), along(COUNT)
     others[:, :3, 3] = random.normal(0, 1, (COUNT, 3))
-    assert scale_of_places(poses, others, np.eye(3)) is None
+    assert scale_from_positions(poses, others, np.eye(3)) is None
     others[:, :3, 3] = 0
-    assert scale_of_places(poses, others, np.eye(3)) is None
+    assert scale_from_positions(poses, others, np.eye(3)) is None
 
 
 def test_the_rotation_is_the_mean_of_all():
@@ -141,4 +141,4 @@ def test_the_rotation_is_the_mean_of_all():
     poses = along(COUNT)
     others = poses.copy()
     others[:, :3, :3] = turn.T @ poses[:, :3, :3]
-    np.testing.assert_allclose(turn_of(poses, others), turn, atol=1e-12)
+    np.testing.assert_allclose(mean_rotation(poses, others), turn, atol=1e-12)

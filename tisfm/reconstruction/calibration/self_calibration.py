@@ -17,11 +17,11 @@ import numpy as np
 from tisfm.camera import LONGEST, SHORTEST, Camera
 from tisfm.focal_guess import FocalGuess, at_size
 from tisfm.reconstruction.mapping.colmap import pycolmap
-from tisfm.reconstruction.mapping.incremental import robust
-from tisfm.reconstruction.mapping.models import Model, Shared, models_of
-from tisfm.reconstruction.mapping.solution import WORTHLESS, FocalEstimate
-from tisfm.reconstruction.result.calibration import GIVEN, Calibrate, Calibration, focal_in_words
-from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.mapping.incremental import robust_adjustment
+from tisfm.reconstruction.mapping.models import Model, ViewGraph, find_models
+from tisfm.reconstruction.mapping.solution import MAX_USEFUL_DEVIATION, FocalEstimate
+from tisfm.reconstruction.result.calibration import GIVEN, Calibrate, Calibration, describe_focal
+from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 
 STARTS = (1.0, 0.42, 2.4)  # times the guess: focal lengths to begin with
@@ -35,7 +35,7 @@ STAYED = 0.1  # of the way back from there: a part that goes less says nothing
 # Of the logarithm: what parts are off by, as a share of it the deviation of the whole.
 OF_PARTS = 0.7
 BENT = 0.03  # of the focal length, and more than parts are off by: then it seems to distort
-OF_EXIF = 0.1  # what a camera writes into a file is better than what deviates by more
+MAX_EXIF_DEVIATION = 0.1  # what a camera writes into a file is better than what deviates by more
 UNSEEN_SAID = (
     "the motion does not show the focal length, as where the camera goes straight on without "
     "turning or all lies in one plane"
@@ -45,7 +45,7 @@ HARDLY_SAID = "the motion hardly shows it"
 ADVICE = "give it if you know it, for instance from a calibration"
 
 
-def calibration_of(
+def make_calibration(
     found: FocalEstimate | None,
     guess: FocalGuess | None,
     camera: Camera,
@@ -92,7 +92,7 @@ def calibration_of(
             message=message,
         )
     deviation = found.deviation * focal / camera.focal
-    told = f"{focal_in_words(focal, deviation, shape)}, found from the sequence"
+    told = f"{describe_focal(focal, deviation, shape)}, found from the sequence"
     if found.radial:
         told += f" with k1 = {found.radial:.3f} ± {float(f'{found.radial_deviation:.1g}'):g}"
     doubt = BENT_SAID if found.bent else HARDLY_SAID
@@ -109,21 +109,21 @@ def calibration_of(
     )
 
 
-def models_and_focal(
+def find_models_and_focal(
     views: Sequence[View],
     matches: Mapping[tuple[int, int], np.ndarray],
     camera: Camera,
     shape: tuple[int, int],
     calibrate: Calibrate,
     *,
-    limit: float = WORTHLESS,
+    limit: float = MAX_USEFUL_DEVIATION,
 ) -> tuple[list[Model], FocalEstimate | None]:
     """Find poses of views and points of tracks, and the focal length with which they fit best.
 
     Parameters
     ----------
     views, matches, shape
-        As for `tisfm.reconstruction.mapping.models.models_of`.
+        As for `tisfm.reconstruction.mapping.models.find_models`.
     camera : Camera
         A pinhole, whose centre is known and whose focal length is a guess.
     calibrate : {"focal", "radial"}
@@ -138,22 +138,22 @@ def models_and_focal(
     found : FocalEstimate or None
         None if no path is found with any, or if few views show parallax with the one that is found.
     """
-    shared = Shared.of(views, matches, shape, focal_known=False)
+    shared = ViewGraph.of(views, matches, shape, focal_known=False)
     begun = _best_start(shared, camera, calibrate)
     found = [] if begun is None else _grown(shared, camera, begun, calibrate)
     if not found:
-        models = models_of(views, matches, camera, shape, focal_known=False)
+        models = find_models(views, matches, camera, shape, focal_known=False)
         return models, _unknown(camera) if models else None
     _adjust(found[0], calibrate)
     estimate = replace(_estimate(found[0], camera, shape, calibrate), limit=limit)
     if not estimate.is_of_use:
-        return models_of(views, matches, camera, shape, focal_known=False), estimate
+        return find_models(views, matches, camera, shape, focal_known=False), estimate
     if not estimate.radial and not shared.shows_parallax(estimate.taken(camera)):
         return [], None
     if not estimate.is_seen and not estimate.radial:
         # What a wrong focal length has made of a turn may look like a path: from the one that was
         # found it is not begun. But what comes of the same focal length may be bent as well.
-        again = models_of(views, matches, estimate.taken(camera), shape, focal_known=False)
+        again = find_models(views, matches, estimate.taken(camera), shape, focal_known=False)
         explained = shared.score(found) * shared.matches()
         if not again or sum(model.score for model in again) >= WELL * explained:
             return again, estimate
@@ -161,21 +161,25 @@ def models_and_focal(
         _set(other, estimate.focal, estimate.radial)
         _adjust(other, "nothing")
     lens = estimate.taken(camera)
-    straight = [replace(view, seen=without_distortion(view.seen, lens, shape)) for view in views]
-    return shared.models(found, straight, lens.pinhole()), estimate
+    straight_views = [
+        replace(view, seen=undistort_observations(view.seen, lens, shape)) for view in views
+    ]
+    return shared.models(found, straight_views, lens.pinhole()), estimate
 
 
-def without_distortion(seen: Seen, lens: Camera, shape: tuple[int, int]) -> Seen:
+def undistort_observations(
+    seen: Observations, lens: Camera, shape: tuple[int, int]
+) -> Observations:
     """Return where a pinhole would see the tracks; those that it would not are left out."""
     if lens.is_pinhole or not len(seen.points):
         return seen
     height, width = shape
-    points = straight(seen.points, lens, shape)
+    points = undistort_points(seen.points, lens, shape)
     inside = ((points >= 0) & (points <= (width - 1, height - 1))).all(axis=1)
-    return Seen(points=points[inside], tracks=seen.tracks[inside])
+    return Observations(points=points[inside], tracks=seen.tracks[inside])
 
 
-def straight(points: np.ndarray, lens: Camera, shape: tuple[int, int]) -> np.ndarray:
+def undistort_points(points: np.ndarray, lens: Camera, shape: tuple[int, int]) -> np.ndarray:
     """Return where a pinhole would see points, (N, 2), px."""
     if lens.is_pinhole or not len(points):
         return points
@@ -237,16 +241,16 @@ def _bend(whole: Any) -> float:
     return math.log(focal / _found(whole)[0]) if _is_possible(focal) else math.inf
 
 
-def _grown(shared: Shared, camera: Camera, begun: float, calibrate: Calibrate) -> list[Any]:
+def _grown(shared: ViewGraph, camera: Camera, begun: float, calibrate: Calibrate) -> list[Any]:
     """Return reconstructions from a focal length, or from another if they explain too little.
 
     Windows may be explained by what is bent, as where the camera follows something that moves.
     """
-    best = shared.grown(replace(camera, focal=begun), calibrate)
+    best = shared.grow_models(replace(camera, focal=begun), calibrate)
     if best and shared.score(best) >= WELL:
         return best
     for times in STARTS:
-        others = shared.grown(replace(camera, focal=times * camera.focal), calibrate)
+        others = shared.grow_models(replace(camera, focal=times * camera.focal), calibrate)
         if (
             others
             and shared.score(others) > shared.score(best)
@@ -256,13 +260,13 @@ def _grown(shared: Shared, camera: Camera, begun: float, calibrate: Calibrate) -
     return best
 
 
-def _best_start(shared: Shared, camera: Camera, calibrate: Calibrate) -> float | None:
+def _best_start(shared: ViewGraph, camera: Camera, calibrate: Calibrate) -> float | None:
     """Return the focal length, px, that explains the matches of views in windows best."""
     best, most = None, 0.0
     for times in STARTS:
         explained, found = 0.0, []
         for window in _windows(shared):
-            grown = window.grown(replace(camera, focal=times * camera.focal), calibrate)
+            grown = window.grow_models(replace(camera, focal=times * camera.focal), calibrate)
             if grown and _is_possible(_found(grown[0])[0]):
                 explained += window.score(grown[:1])
                 found.append(_found(grown[0])[0])
@@ -271,7 +275,7 @@ def _best_start(shared: Shared, camera: Camera, calibrate: Calibrate) -> float |
     return best
 
 
-def _windows(shared: Shared) -> list[Shared]:
+def _windows(shared: ViewGraph) -> list[ViewGraph]:
     count = len(shared.views)
     if count <= 2 * WINDOW:
         return [shared]
@@ -335,7 +339,7 @@ def _adjust(whole: Any, calibrate: Calibrate) -> None:
     for number in sorted(whole.reg_image_ids()):
         scene.add_image(number)
     scene.fix_gauge(pycolmap().BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    robust(options, STEPS, TOLERANCE)
+    robust_adjustment(options, STEPS, TOLERANCE)
     pycolmap().create_default_bundle_adjuster(options, scene, whole).solve()
 
 

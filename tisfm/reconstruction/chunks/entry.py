@@ -25,7 +25,7 @@ from tisfm.folders.result_folder import (
 )
 from tisfm.outcome import Status
 from tisfm.reconstruction.chunks.chunk import Chunk
-from tisfm.reconstruction.chunks.placement import Part, places_of
+from tisfm.reconstruction.chunks.placement import ChunkResult, place_chunks
 from tisfm.reconstruction.chunks.shared_camera import Finished, is_sought, made, shared_camera
 from tisfm.reconstruction.chunks.spans import CHUNK, check_chunk, spans_of
 from tisfm.reconstruction.entry import (
@@ -41,12 +41,12 @@ from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.result.renewal import CHUNKS, refuse_others, renewed
 from tisfm.reconstruction.result.request import (
-    asked_for,
     digest_of,
     is_done,
-    read_asked,
+    make_request,
+    read_request,
     refuse_differing,
-    write_asked,
+    write_request,
 )
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
@@ -145,7 +145,7 @@ class ChunkedRun:
         known = None
         if given is not None:
             known, self._missing = poses_of_frames(given, times)
-        self.asked = asked_for(
+        self.asked = make_request(
             sources,
             camera=camera,
             settings=settings,
@@ -188,11 +188,11 @@ class ChunkedRun:
         ValueError
             If it holds a result, or chunks, of something else.
         """
-        chunks = read_asked(self.folder / CHUNKS)
+        chunks = read_request(self.folder / CHUNKS)
         if chunks is None:
             return is_done(self.folder, self.asked)
         refuse_differing(self.folder, chunks["asked"], self.asked)
-        whole = read_asked(self.folder)
+        whole = read_request(self.folder)
         same = whole is not None and whole["asked"] == self.asked
         return same and is_done(self.folder, self.asked)
 
@@ -242,9 +242,10 @@ class ChunkedRun:
                 done += chunks[number].span.count
                 tell("depth", min(done, count), count)
             parts = [
-                Part.of(Reconstruction.load(one.folder), one.span, self._taken) for one in chunks
+                ChunkResult.of(Reconstruction.load(one.folder), one.span, self._taken)
+                for one in chunks
             ]
-            places = places_of(parts, are_given=chunks[0].poses is not None)
+            places = place_chunks(parts, are_given=chunks[0].poses is not None)
             with renewed(path):
                 return write_whole(
                     path,
@@ -258,19 +259,19 @@ class ChunkedRun:
     def finish(self) -> None:
         """Say that the result in the folder is complete, and remove the chunks."""
         with locked_folder(self.folder):
-            write_asked(self.folder, self.asked)
+            write_request(self.folder, self.asked)
             try_to_remove(self.folder / CHUNKS)
 
     def _begin(self, chunks: Path, resume: bool) -> None:
         remove_link(chunks)  # it would lead elsewhere
-        before = read_asked(chunks) if resume else None
+        before = read_request(chunks) if resume else None
         if before is not None:
             refuse_differing(self.folder, before["asked"], self.asked)
             remove_temporaries(chunks)
             return
         remove(chunks)
         chunks.mkdir()
-        write_asked(chunks, self.asked)
+        write_request(chunks, self.asked)
 
 
 def reconstruct_in_chunks(

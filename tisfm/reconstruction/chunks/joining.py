@@ -10,16 +10,16 @@ from tisfm.camera_file import NAME as CAMERA
 from tisfm.formats.atomic import link_or_copy
 from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.outcome import Status
-from tisfm.reconstruction.chunks.placement import Part, Place
-from tisfm.reconstruction.pipeline import begins_none, begins_piece
+from tisfm.reconstruction.chunks.placement import ChunkPlacement, ChunkResult
+from tisfm.reconstruction.pipeline import add_piece_note, remove_piece_note
 from tisfm.reconstruction.result.folder import CACHE, PICTURES, depth_path, write_record
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 
 def write_whole(
     folder: Path,
-    parts: Sequence[Part],
-    places: Sequence[Place],
+    parts: Sequence[ChunkResult],
+    places: Sequence[ChunkPlacement],
     *,
     camera: Reconstruction,
     missing: Mapping[int, Status],
@@ -31,8 +31,8 @@ def write_whole(
     ----------
     folder : Path
         Ready to be written to.
-    parts : sequence of Part
-    places : sequence of Place
+    parts : sequence of ChunkResult
+    places : sequence of ChunkPlacement
         Of its frames.
     camera : Reconstruction
         The result that the camera of all is from.
@@ -76,15 +76,17 @@ def write_whole(
 
 
 def _statuses(
-    results: Sequence[Reconstruction], places: Sequence[Place], missing: Mapping[int, Status]
+    results: Sequence[Reconstruction],
+    places: Sequence[ChunkPlacement],
+    missing: Mapping[int, Status],
 ) -> list[Status]:
     """Return the status of each frame; the first of a piece says so, but for the first piece."""
     found, begun = [], {-1, 0}
     for frame, (one, place) in enumerate(zip(results, places, strict=True)):
-        status = missing.get(frame, begins_none(one.status[place.number]))
+        status = missing.get(frame, remove_piece_note(one.status[place.number]))
         if place.piece not in begun:
             begun.add(place.piece)
-            status = begins_piece(status)
+            status = add_piece_note(status)
         found.append(status)
     return found
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tisfm.reconstruction.geometry.sim3 import mean_pose, moved
+from tisfm.reconstruction.geometry.sim3 import mean_pose, transform_points
 from tisfm.reconstruction.result.folder import depth_path
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
@@ -26,7 +26,7 @@ Shared = Sequence[tuple[int, int]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Joint:
+class ChunkOverlap:
     """How a piece of one chunk lies to a piece of the next.
 
     Attributes
@@ -45,7 +45,7 @@ class Joint:
     frames: int
 
 
-def similarity_of(
+def overlap_sim3(
     first: Reconstruction, second: Reconstruction, shared: Shared
 ) -> np.ndarray | None:
     """Return the similarity from one piece's coordinates to another's; None if nothing tells it.
@@ -64,9 +64,10 @@ def similarity_of(
     poses, others = (
         one.poses[[pair[k] for pair in shared]] for k, one in enumerate((first, second))
     )
-    turn = turn_of(poses, others)
+    turn = mean_rotation(poses, others)
+    both = scale_from_depth(first, second, shared), scale_from_positions(poses, others, turn)
     told = [
-        one for one in (scale_of_depth(first, second, shared), scale_of_places(poses, others, turn))
+        one for one in both
         if one is not None
     ]  # fmt: skip
     if not told:
@@ -79,14 +80,14 @@ def similarity_of(
     return similarity
 
 
-def turn_of(poses: np.ndarray, others: np.ndarray) -> np.ndarray:
+def mean_rotation(poses: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Return the mean rotation from other poses, (N, 4, 4), to poses."""
     turns = np.tile(np.eye(4), (len(poses), 1, 1))
     turns[:, :3, :3] = poses[:, :3, :3] @ others[:, :3, :3].mT
     return mean_pose(turns, np.ones(len(turns)))[:3, :3]
 
 
-def scale_of_places(
+def scale_from_positions(
     poses: np.ndarray, others: np.ndarray, turn: np.ndarray
 ) -> tuple[float, float] | None:
     """Return the logarithm of the scale that places of the camera show, and its deviation."""
@@ -102,7 +103,7 @@ def scale_of_places(
     return None if deviation > DOUBT else (float(np.log(scale)), deviation)
 
 
-def scale_of_depth(
+def scale_from_depth(
     first: Reconstruction, second: Reconstruction, shared: Shared
 ) -> tuple[float, float] | None:
     """Return the logarithm of the scale that depth shows, and its deviation."""
@@ -157,7 +158,7 @@ def _ratios(
     pixels = np.stack([columns, rows, np.ones_like(rows)], axis=1)
     points = depth[:, None] * (pixels @ np.linalg.inv(lens).T)
     if frame != ours:
-        points = moved(np.linalg.solve(first.poses[ours], first.poses[frame]), points)
+        points = transform_points(np.linalg.solve(first.poses[ours], first.poses[frame]), points)
         with np.errstate(divide="ignore", invalid="ignore"):
             seen = (points @ lens.T)[:, :2] / np.where(points[:, 2:] > 0, points[:, 2:], np.nan)
         columns, rows = np.rint(np.nan_to_num(seen, nan=-1.0).clip(-1, 1e6)).astype(int).T

@@ -7,15 +7,15 @@ from itertools import pairwise
 import numpy as np
 
 from tisfm.errors import InputError
-from tisfm.reconstruction.chunks.overlaps import Joint, similarity_of
+from tisfm.reconstruction.chunks.overlaps import ChunkOverlap, overlap_sim3
 from tisfm.reconstruction.chunks.spans import Span
-from tisfm.reconstruction.geometry.sim3 import moved_pose, scale_of
-from tisfm.reconstruction.geometry.sim3_graph import connected
+from tisfm.reconstruction.geometry.sim3 import sim3_scale, transform_pose
+from tisfm.reconstruction.geometry.sim3_graph import chain_sim3
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
+class ChunkResult:
     """What came of a chunk.
 
     Attributes
@@ -29,7 +29,7 @@ class Part:
     frames: dict[int, int]
 
     @classmethod
-    def of(cls, result: Reconstruction, span: Span, taken: range) -> "Part":
+    def of(cls, result: Reconstruction, span: Span, taken: range) -> "ChunkResult":
         """Return the part of a span of the frames that are taken.
 
         Raises
@@ -52,7 +52,7 @@ class Part:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
+class ChunkPlacement:
     """Where a frame of the whole is from, and where it lies.
 
     Attributes
@@ -74,12 +74,12 @@ class Place:
     scale: float
 
 
-def places_of(parts: Sequence[Part], *, are_given: bool) -> list[Place]:
+def place_chunks(parts: Sequence[ChunkResult], *, are_given: bool) -> list[ChunkPlacement]:
     """Return where the frames of the whole lie, in order.
 
     Parameters
     ----------
-    parts : sequence of Part
+    parts : sequence of ChunkResult
         In order; each shares frames with the next.
     are_given : bool
         Whether poses were given: parts are in one world and one unit then.
@@ -100,10 +100,12 @@ def places_of(parts: Sequence[Part], *, are_given: bool) -> list[Place]:
         node, number = (owner, part.piece(index)), part.frames[index]
         if node[1] < 0:
             nowhere = np.full((4, 4), np.nan)
-            found.append(Place(part=owner, number=number, piece=-1, pose=nowhere, scale=1.0))
+            found.append(
+                ChunkPlacement(part=owner, number=number, piece=-1, pose=nowhere, scale=1.0)
+            )
             continue
         world = of_node[node]
-        pose = moved_pose(similarity[node], part.result.poses[number])
+        pose = transform_pose(similarity[node], part.result.poses[number])
         if world not in pieces:
             pieces[world] = len(pieces)
             unit = _unit(parts, owners, similarity, of_node, world)
@@ -112,12 +114,14 @@ def places_of(parts: Sequence[Part], *, are_given: bool) -> list[Place]:
         base, unit = bases[world]
         pose = np.linalg.solve(base, pose)
         pose[:3, 3] /= unit
-        scale = scale_of(similarity[node]) / unit
-        found.append(Place(part=owner, number=number, piece=pieces[world], pose=pose, scale=scale))
+        scale = sim3_scale(similarity[node]) / unit
+        found.append(
+            ChunkPlacement(part=owner, number=number, piece=pieces[world], pose=pose, scale=scale)
+        )
     return found
 
 
-def _owners(parts: Sequence[Part]) -> dict[int, int]:
+def _owners(parts: Sequence[ChunkResult]) -> dict[int, int]:
     """Return which part a frame is taken from, by its number in the source, in order."""
     owners: dict[int, int] = {}
     cuts = [_cut(before, after) for before, after in pairwise(parts)]
@@ -134,7 +138,7 @@ def _owners(parts: Sequence[Part]) -> dict[int, int]:
     return dict(sorted(owners.items()))
 
 
-def _cut(before: Part, after: Part) -> int:
+def _cut(before: ChunkResult, after: ChunkResult) -> int:
     """Return the first frame that is taken from the later of two parts.
 
     It is the keyframe of that nearest to the middle of the frames that both have, if there is one
@@ -152,7 +156,9 @@ def _cut(before: Part, after: Part) -> int:
     return shared[min(keys, key=lambda k: (abs(k - middle), k), default=middle)]
 
 
-def _worlds(parts: Sequence[Part], nodes: Sequence[tuple[int, int]]) -> list[dict[int, np.ndarray]]:
+def _worlds(
+    parts: Sequence[ChunkResult], nodes: Sequence[tuple[int, int]]
+) -> list[dict[int, np.ndarray]]:
     """Return the pieces of parts, by their numbers, that lie in one world, and where."""
     number = {node: n for n, node in enumerate(nodes)}
     joints = []
@@ -163,10 +169,10 @@ def _worlds(parts: Sequence[Part], nodes: Sequence[tuple[int, int]]) -> list[dic
             if min(pair) >= 0:
                 both.setdefault(pair, []).append((before.frames[index], after.frames[index]))
         for (first, second), shared in sorted(both.items()):
-            similarity = similarity_of(before.result, after.result, shared)
+            similarity = overlap_sim3(before.result, after.result, shared)
             if similarity is not None:
                 joints.append(
-                    Joint(
+                    ChunkOverlap(
                         first=number[k, first],
                         second=number[k + 1, second],
                         similarity=similarity,
@@ -174,11 +180,11 @@ def _worlds(parts: Sequence[Part], nodes: Sequence[tuple[int, int]]) -> list[dic
                     )
                 )
     joints.sort(key=lambda joint: -joint.frames)
-    return connected(len(nodes), joints)
+    return chain_sim3(len(nodes), joints)
 
 
 def _unit(
-    parts: Sequence[Part],
+    parts: Sequence[ChunkResult],
     owners: dict[int, int],
     similarity: dict[tuple[int, int], np.ndarray],
     of_node: dict[tuple[int, int], int],
@@ -197,4 +203,4 @@ def _unit(
         (one for one in own if parts[one[0]].frames[one[1]] in parts[one[0]].result.keyframes),
         own[0],
     )
-    return scale_of(similarity[first[0], parts[first[0]].piece(first[1])])
+    return sim3_scale(similarity[first[0], parts[first[0]].piece(first[1])])

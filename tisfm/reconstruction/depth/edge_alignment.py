@@ -12,7 +12,7 @@ JUMP = 0.1  # of the inverse depth: neighbours that differ by more lie on two su
 SIMILAR = 10.0  # grey levels: pixels that differ by so much count 1/e as much
 
 
-def on_own_edges(
+def align_edges(
     inverse_depth: np.ndarray, deviation: np.ndarray, frame: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return inverse depth and its deviation, its edges moved to those of the frame nearby.

@@ -18,7 +18,7 @@ HALF = 0.5
 NOISE_IN_SLOPES = 3 / 16  # variance of the slopes of noise of variance 1, by Sobel's mask
 
 
-def anchors_of(window: Window, planes: WindowPlanes) -> np.ndarray:
+def match_weights(window: Window, planes: WindowPlanes) -> np.ndarray:
     """Return weight, from 0 to 1, and D* of every cell, (2, h, w) float32."""
     depth = planes.inverse_depth
     if planes.believed.any():

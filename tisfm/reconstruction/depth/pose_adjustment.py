@@ -46,7 +46,7 @@ Frames = Callable[[int], np.ndarray]
 
 
 @dataclass(kw_only=True)
-class Star:
+class KeyframeWindow:
     """A keyframe, its depth, and the frames that are compared with it.
 
     Attributes
@@ -67,14 +67,14 @@ class Star:
     level: int
 
 
-def star_of(
+def make_keyframe_window(
     key: int,
     members: Sequence[int],
     frame: np.ndarray,
     inverse_depth: np.ndarray,
     deviation: np.ndarray,
     counted: np.ndarray | None = None,
-) -> Star:
+) -> KeyframeWindow:
     """Return a star of a keyframe, (H, W) float32, with depth of any deviation.
 
     Parameters
@@ -104,7 +104,7 @@ def star_of(
         shown = np.pad(counted[half::stride, half::stride], [(0, 1)] * 2, mode="edge")
         weight *= shown[:height, :width]
     usual = np.median(depth[known]) if known.any() else np.float32(1)
-    return Star(
+    return KeyframeWindow(
         key=key,
         members=tuple(members),
         inverse_depth=np.where(known, depth, usual).astype(np.float32),
@@ -113,9 +113,9 @@ def star_of(
     )
 
 
-def adjusted(
+def adjust_poses(
     poses: Mapping[int, np.ndarray],
-    stars: Sequence[Star],
+    stars: Sequence[KeyframeWindow],
     frames: Frames,
     camera: Camera,
     settings: Settings,
@@ -129,7 +129,7 @@ def adjusted(
     ----------
     poses : mapping of int to (4, 4) array
         Camera to world.
-    stars : sequence of Star
+    stars : sequence of KeyframeWindow
     frames : callable
         Returns a frame by its number, (H, W) float32.
     camera : Camera
@@ -204,7 +204,7 @@ class _System:
 
 
 def _system(
-    star: Star, poses: Mapping[int, np.ndarray], views: _Views, *, move_depth: bool
+    star: KeyframeWindow, poses: Mapping[int, np.ndarray], views: _Views, *, move_depth: bool
 ) -> _System:
     """Linearise the images of a star about its poses and depth.
 
@@ -272,7 +272,9 @@ def _system(
     )
 
 
-def _move_depth(star: Star, grid: LaneGrid, sums: LaneData, held: float, scale: float) -> None:
+def _move_depth(
+    star: KeyframeWindow, grid: LaneGrid, sums: LaneData, held: float, scale: float
+) -> None:
     """Move the depth of a star, D over `scale`, by (aᵀJa + held) δD = −aᵀe, which are `sums`."""
     images = np.empty((2, grid.height, grid.width), np.float32)
     lanes_to_images(grid, sums, images)

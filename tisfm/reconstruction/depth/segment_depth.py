@@ -10,20 +10,20 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.kernels.rigid.rendering import rendered
-from tisfm.reconstruction.depth.edge_alignment import on_own_edges
+from tisfm.reconstruction.depth.edge_alignment import align_edges
 from tisfm.reconstruction.depth.neighbour_frames import choose_neighbours
-from tisfm.reconstruction.depth.pose_adjustment import Star, star_of
+from tisfm.reconstruction.depth.pose_adjustment import KeyframeWindow, make_keyframe_window
 from tisfm.reconstruction.depth.view_fusion import (
     View,
-    at_every_pixel,
-    filled,
-    together,
-    unsure_where_apart,
+    fill_holes,
+    fuse_views,
+    raise_deviation_where_different,
+    upsample,
 )
 from tisfm.reconstruction.depth.window_depth import Effort, WindowDepth, window_depth
 from tisfm.reconstruction.mapping.solution import Piece
-from tisfm.reconstruction.tracks.tracker import Seen
-from tisfm.reconstruction.tracks.triangulation import depths_of
+from tisfm.reconstruction.tracks.tracker import Observations
+from tisfm.reconstruction.tracks.triangulation import track_depths
 from tisfm.settings import Settings
 
 # A frame becomes a keyframe where tracks have moved by this share of the longer side since the
@@ -76,7 +76,7 @@ class PieceDepths:
     ----------
     frames : Frames
     piece : Piece
-    seen : sequence of Seen
+    seen : sequence of Observations
         Tracks of every frame.
     settings : Settings
     effort : {"fast", "balanced", "accurate"}
@@ -101,7 +101,7 @@ class PieceDepths:
         self,
         frames: Frames,
         piece: Piece,
-        seen: Sequence[Seen],
+        seen: Sequence[Observations],
         settings: Settings,
         effort: Effort,
         *,
@@ -118,7 +118,7 @@ class PieceDepths:
         # written.
         self._known: dict[int, WindowDepth] = {} if before is None else dict([before])
         self.settled = dict(self._known)
-        self.keyframes = chosen_keyframes(piece, seen, max(self._whole), self._previous)
+        self.keyframes = choose_keyframes(piece, seen, max(self._whole), self._previous)
 
     def __iter__(self) -> Iterator[FrameDepth]:
         """Yield the depth of every frame that has any: keyframes once the next one is known."""
@@ -159,13 +159,15 @@ class PieceDepths:
             image[::COMPARED, ::COMPARED] for image in (found.inverse_depth, found.deviation)
         )
         others = [self._shown(self._known[k], k, key, COMPARED) for k in self._known if k != key]
-        mean, deviation = together(unsure_where_apart([(own, spread), *others], APART))
+        mean, deviation = fuse_views(
+            raise_deviation_where_different([(own, spread), *others], APART)
+        )
         # Its own is known at every pixel: what is carried there is by how much others correct it.
-        inverse_depth = found.inverse_depth * at_every_pixel(mean / own, COMPARED, shape)
-        deviation = at_every_pixel(deviation, COMPARED, shape)
+        inverse_depth = found.inverse_depth * upsample(mean / own, COMPARED, shape)
+        deviation = upsample(deviation, COMPARED, shape)
         return replace(found, inverse_depth=inverse_depth, deviation=deviation)
 
-    def stars(self) -> list[Star]:
+    def stars(self) -> list[KeyframeWindow]:
         """Return the keyframes with a rough depth, each with the frames up to the next ones."""
         frames = sorted(self._piece.poses)
         limits = [frames[0], *self.keyframes, frames[-1]]
@@ -179,7 +181,7 @@ class PieceDepths:
             about = self._frames.grey(key), found.inverse_depth, found.deviation
             for begin in range(0, len(members), STAR):
                 lot = members[begin : begin + STAR]
-                stars.append(star_of(key, lot, *about, self._frames.counted(key)))
+                stars.append(make_keyframe_window(key, lot, *about, self._frames.counted(key)))
         return stars
 
     def _between(self, after: int, before: int) -> Iterator[FrameDepth]:
@@ -204,7 +206,7 @@ class PieceDepths:
         They are chosen by what its tracks say of its depth, or else the keyframe before.
         """
         poses = self._piece.poses
-        places, depths = depths_of(self._seen[key], self._piece.points, poses[key])
+        places, depths = track_depths(self._seen[key], self._piece.points, poses[key])
         rough = _spread(places, depths, self._frames.shape)
         if rough is None and previous is not None:
             rough = self._shown(self._known[previous], previous, key, 1)[0]
@@ -265,15 +267,15 @@ class PieceDepths:
         """Return the depth of a frame as the keyframes show it, and its deviation."""
         stride = SHOWN[self._effort]
         views = [self._shown(known, key, frame, stride) for key, known in self.settled.items()]
-        inverse_depth, deviation = together(views)
+        inverse_depth, deviation = fuse_views(views)
         grey = np.ascontiguousarray(self._frames.grey(frame)[::stride, ::stride])
-        found, spread = on_own_edges(*filled(inverse_depth, deviation, grey), grey)
+        found, spread = align_edges(*fill_holes(inverse_depth, deviation, grey), grey)
         shape = self._frames.shape
-        return at_every_pixel(found, stride, shape), at_every_pixel(spread, stride, shape)
+        return upsample(found, stride, shape), upsample(spread, stride, shape)
 
 
-def chosen_keyframes(
-    piece: Piece, seen: Sequence[Seen], side: int, previous: int | None = None
+def choose_keyframes(
+    piece: Piece, seen: Sequence[Observations], side: int, previous: int | None = None
 ) -> list[int]:
     """Return the frames of a piece that are far enough from one another, in order.
 
@@ -308,13 +310,13 @@ def _spread(places: np.ndarray, depths: np.ndarray, shape: tuple[int, int]) -> n
     return table[nearest]
 
 
-def unit_of(inverse_depth: np.ndarray) -> float:
+def median_depth(inverse_depth: np.ndarray) -> float:
     """Return the median depth of a frame; 1 if it has none."""
     known = inverse_depth[np.isfinite(inverse_depth) & (inverse_depth > 0)]
     return 1 / float(np.median(known)) if len(known) else 1.0
 
 
-def effort_of(settings: Settings) -> Effort:
+def depth_effort(settings: Settings) -> Effort:
     """Return how densely planes are sought: as much as the preset that does as much for a pair."""
     if settings.finest_level > 0:
         return "fast"

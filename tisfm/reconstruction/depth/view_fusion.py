@@ -25,7 +25,7 @@ CELLS, SPAN = 2**13, 20.0  # at most, to fill holes with; and their median of D,
 View = tuple[np.ndarray, np.ndarray]  # inverse depth and its deviation, (H, W) float32 each
 
 
-def apart_from(inverse_depth: np.ndarray, others: Sequence[np.ndarray]) -> np.ndarray:
+def relative_difference(inverse_depth: np.ndarray, others: Sequence[np.ndarray]) -> np.ndarray:
     """Return how far others are from an inverse depth around every pixel.
 
     Parameters
@@ -55,17 +55,19 @@ def apart_from(inverse_depth: np.ndarray, others: Sequence[np.ndarray]) -> np.nd
     return apart
 
 
-def unsure_where_apart(views: Sequence[View], times: float) -> list[View]:
+def raise_deviation_where_different(views: Sequence[View], times: float) -> list[View]:
     """Return views as unsure as the others contradict each: `times` how far they are from it."""
     depths = [depth for depth, _ in views]
     unsure = []
     for number, (depth, deviation) in enumerate(views):
-        apart = np.float32(times) * apart_from(depth, depths[:number] + depths[number + 1 :])
+        apart = np.float32(times) * relative_difference(
+            depth, depths[:number] + depths[number + 1 :]
+        )
         unsure.append((depth, np.hypot(deviation, apart * depth)))
     return unsure
 
 
-def together(views: Sequence[View]) -> View:
+def fuse_views(views: Sequence[View]) -> View:
     """Return what several keyframes say of the same pixels: the mean of those that agree most.
 
     Parameters
@@ -86,7 +88,7 @@ def together(views: Sequence[View]) -> View:
     return np.where(out > 0, out, np.nan), np.where(out > 0, deviation, np.nan)
 
 
-def filled(
+def fill_holes(
     inverse_depth: np.ndarray, deviation: np.ndarray, frame: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Carry inverse depth to where no keyframe shows any, and say how unsure that is.
@@ -119,7 +121,7 @@ def filled(
     )
 
 
-def at_every_pixel(image: np.ndarray, stride: int, shape: tuple[int, int]) -> np.ndarray:
+def upsample(image: np.ndarray, stride: int, shape: tuple[int, int]) -> np.ndarray:
     """Return an image of some pixels at all of them: between two that are alike, their mean.
 
     Where they are not, the image has an edge, and the one before stands for both.

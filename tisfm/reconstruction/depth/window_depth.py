@@ -24,7 +24,7 @@ from tisfm.kernels.rigid.epipolar import displacement
 from tisfm.kernels.rigid.several_frames import add_along, as_constraint
 from tisfm.motion.carried_depth import SECOND_ORDER, texture_weight
 from tisfm.motion.problems import depth_problem
-from tisfm.reconstruction.depth.match_deviation import anchors_of
+from tisfm.reconstruction.depth.match_deviation import match_weights
 from tisfm.reconstruction.depth.window_planes import (
     COST,
     Window,
@@ -152,7 +152,7 @@ def window_depth(
         whole=whole,
     )
     planes = window_planes(window)
-    anchors = anchors_of(window, planes)
+    anchors = match_weights(window, planes)
     planes = replace(planes, believed=anchors[0] > 0)
     if planes.believed.sum() < max(1, FEWEST * window.counted.sum()):
         return None

@@ -14,7 +14,7 @@ T = TypeVar("T")
 _FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
-class Shelf(Sequence[T], Generic[T]):
+class DiskCache(Sequence[T], Generic[T]):
     """A sequence whose items lie in a temporary file, and are read when they are asked for.
 
     The file is in the folder that `tempfile.gettempdir` names, and deleted with the shelf.

@@ -8,16 +8,16 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.motion.flow_proposals import proposals
 from tisfm.motion.problems import flow_problem
-from tisfm.reconstruction.frames.disk_cache import Shelf
+from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import coarse_to_fine
 from tisfm.solver.image_pyramid import ImagePyramid
 
 FLOW_PIXELS = 2**16  # at least, of the level that the image motion is found on
-TRACKING = Settings.preset("fast")  # of the image motion that tracks follow
+TRACKING_SETTINGS = Settings.preset("fast")  # of the image motion that tracks follow
 
 
-def flow_between(
+def find_flow(
     small0: np.ndarray,
     small1: np.ndarray,
     share: float,
@@ -26,7 +26,7 @@ def flow_between(
     *,
     fast_things: bool = False,
 ) -> np.ndarray:
-    """Return the image motion from one of two `smaller` frames to the other.
+    """Return the image motion from one of two `shrink_for_flow` frames to the other.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def flow_between(
     return cv2.merge(list(flow))
 
 
-def smaller(grey: np.ndarray) -> np.ndarray:
+def shrink_for_flow(grey: np.ndarray) -> np.ndarray:
     """Return the frame as float32, halved as often as `FLOW_PIXELS` allows."""
     small: np.ndarray = grey.astype(np.float32)
     while small.size >= 4 * FLOW_PIXELS:
@@ -72,12 +72,12 @@ def smaller(grey: np.ndarray) -> np.ndarray:
     return small
 
 
-def share_of(small: np.ndarray, grey: np.ndarray) -> float:
-    """Return how many px of `smaller` a px of the frame is: odd sides are filled up first."""
+def flow_scale(small: np.ndarray, grey: np.ndarray) -> float:
+    """Return the scale of a frame from `shrink_for_flow`, in its px per px of the full frame."""
     return float(2.0 ** np.rint(np.log2(small.shape[1] / grey.shape[1])))
 
 
-class FoundFlow:
+class FlowCache:
     """Finds the image motion to frames, and keeps it with 11 significant bits.
 
     Parameters
@@ -91,17 +91,17 @@ class FoundFlow:
     def __init__(self, camera: Camera, grey: Callable[[int], np.ndarray]) -> None:
         self._camera, self._grey = camera, grey
         self._places: dict[int, int] = {}
-        self._found: Shelf[np.ndarray] = Shelf(
+        self._found: DiskCache[np.ndarray] = DiskCache(
             lambda flow: (flow.astype(np.float16),), lambda flow: flow.astype(np.float32)
         )
 
     def to(self, number: int) -> np.ndarray:
-        """Return the motion from the frame before, (h, w, 2) float32, px of `smaller` frames."""
+        """Return the motion from the previous frame, (h, w, 2) float32, px of the shrunk frames."""
         if number not in self._places:
             before, now = self._grey(number - 1), self._grey(number)
-            small = smaller(now)
-            share = share_of(small, now)
-            flow = flow_between(smaller(before), small, share, self._camera, TRACKING)
+            small = shrink_for_flow(now)
+            share = flow_scale(small, now)
+            flow = find_flow(shrink_for_flow(before), small, share, self._camera, TRACKING_SETTINGS)
             self._places[number] = len(self._found)
             self._found.append(flow)
         return self._found[self._places[number]]

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.frames.disk_cache import Shelf
-from tisfm.reconstruction.frames.frame_flow import flow_between, share_of, smaller
+from tisfm.reconstruction.frames.disk_cache import DiskCache
+from tisfm.reconstruction.frames.frame_flow import find_flow, flow_scale, shrink_for_flow
 from tisfm.settings import Settings
 
 # There and back, a point ends no further from where it was: px, and a share of the way.
@@ -17,7 +17,7 @@ HELD = 20  # steps in memory at a time: as many as a frame is led over, and some
 
 
 @dataclass(frozen=True, kw_only=True)
-class Step:
+class FlowPair:
     """Image motion from a frame to the next, and back.
 
     Attributes
@@ -30,7 +30,7 @@ class Step:
     backward: np.ndarray
 
     @classmethod
-    def of_arrays(cls, forward: np.ndarray, backward: np.ndarray) -> "Step":
+    def of_arrays(cls, forward: np.ndarray, backward: np.ndarray) -> "FlowPair":
         """Return what has these arrays."""
         return cls(forward=forward.astype(np.float32), backward=backward.astype(np.float32))
 
@@ -40,7 +40,7 @@ class Step:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Led:
+class ChainedFlow:
     """Where the image motion leads from a frame to another.
 
     Attributes
@@ -79,21 +79,21 @@ class ImageMotion:
 
     def __init__(self, camera: Camera, settings: Settings) -> None:
         self._camera, self._settings = camera, settings
-        self._greys = Shelf(lambda grey: (grey,), lambda grey: grey)
-        self._steps = Shelf(Step.arrays, Step.of_arrays)
-        self._held: dict[int, tuple[Step, np.ndarray, np.ndarray]] = {}
+        self._greys = DiskCache(lambda grey: (grey,), lambda grey: grey)
+        self._steps = DiskCache(FlowPair.arrays, FlowPair.of_arrays)
+        self._held: dict[int, tuple[FlowPair, np.ndarray, np.ndarray]] = {}
         self._shape = (0, 0)  # of the sequence's frames
         self.share = 1.0
 
     def add(self, grey: np.ndarray) -> None:
         """Take the next frame, (H, W) uint8."""
         self._shape = grey.shape
-        small = smaller(grey)
-        self.share = share_of(small, grey)
+        small = shrink_for_flow(grey)
+        self.share = flow_scale(small, grey)
         if len(self._greys):
             before = self._greys[len(self._greys) - 1]
             self._steps.append(
-                Step(forward=self._flow(before, small), backward=self._flow(small, before))
+                FlowPair(forward=self._flow(before, small), backward=self._flow(small, before))
             )
         self._greys.append(small)
 
@@ -117,9 +117,9 @@ class ImageMotion:
         """Return the motion from a frame to the one before, (H, W, 2) float32."""
         return self._step(frame - 1)[0].backward
 
-    def led(self, frame: int, furthest: int) -> Iterator[Led]:
+    def chained_flows(self, frame: int, furthest: int) -> Iterator[ChainedFlow]:
         """Yield where every pixel is led, up to so many frames later, then before."""
-        start = places_of(self.grey(frame).shape)
+        start = pixel_grid(self.grey(frame).shape)
         for way in (1, -1):
             places, found, at = start, np.ones(start.shape[:2], bool), frame
             for steps in range(1, furthest + 1):
@@ -127,12 +127,12 @@ class ImageMotion:
                     break
                 step, returns, comes = self._step(min(at, at + way))
                 motion, fits = (step.forward, returns) if way > 0 else (step.backward, comes)
-                moved = at_places(motion, places)
-                found = found & (at_places(fits, places) > 0.99)
+                moved = sample_image(motion, places)
+                found = found & (sample_image(fits, places) > 0.99)
                 places, at = places + moved, at + way
-                yield Led(frame=at, steps=steps, places=places, found=found)
+                yield ChainedFlow(frame=at, steps=steps, places=places, found=found)
 
-    def _step(self, frame: int) -> tuple[Step, np.ndarray, np.ndarray]:
+    def _step(self, frame: int) -> tuple[FlowPair, np.ndarray, np.ndarray]:
         """Return the motion from a frame to the next, and where it leads back, both ways."""
         if frame not in self._held:
             while len(self._held) >= HELD:
@@ -140,40 +140,38 @@ class ImageMotion:
             step = self._steps[frame]
             self._held[frame] = (
                 step,
-                returning(step.forward, step.backward),
-                returning(step.backward, step.forward),
+                returns_to_start(step.forward, step.backward),
+                returns_to_start(step.backward, step.forward),
             )
         return self._held[frame]
 
     def _flow(self, small0: np.ndarray, small1: np.ndarray) -> np.ndarray:
-        return flow_between(
-            small0, small1, self.share, self._camera, self._settings, fast_things=True
-        )
+        return find_flow(small0, small1, self.share, self._camera, self._settings, fast_things=True)
 
 
-def returning(there: np.ndarray, back: np.ndarray) -> np.ndarray:
+def returns_to_start(there: np.ndarray, back: np.ndarray) -> np.ndarray:
     """Return where the way there and back ends where it began, (H, W) float32: 1, or else 0."""
     height, width = there.shape[:2]
-    places = places_of((height, width)) + there
-    missed = length_of(there + at_places(back, places))
-    fits = missed < RETURN + RETURN_SHARE * length_of(there)
+    places = pixel_grid((height, width)) + there
+    missed = vector_lengths(there + sample_image(back, places))
+    fits = missed < RETURN + RETURN_SHARE * vector_lengths(there)
     x, y = cv2.split(places)
     inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
     return np.float32(fits & inside)
 
 
-def length_of(vectors: np.ndarray) -> np.ndarray:
+def vector_lengths(vectors: np.ndarray) -> np.ndarray:
     """Return the lengths, (H, W) float32, of vectors, (H, W, 2) float32."""
     return cv2.magnitude(*cv2.split(vectors))  # many times as fast as `np.linalg.norm`
 
 
-def places_of(shape: tuple[int, ...]) -> np.ndarray:
+def pixel_grid(shape: tuple[int, ...]) -> np.ndarray:
     """Return (x, y) of every pixel, (H, W, 2) float32."""
     rows, columns = np.indices(shape[:2], np.float32)
     return np.stack([columns, rows], axis=-1)
 
 
-def at_places(image: np.ndarray, places: np.ndarray, *, nearest: bool = False) -> np.ndarray:
+def sample_image(image: np.ndarray, places: np.ndarray, *, nearest: bool = False) -> np.ndarray:
     """Return an image, (H, W[, C]), at places, (h, w, 2) px, bilinearly or of nearest pixels."""
     x, y = cv2.split(np.ascontiguousarray(places, np.float32))
     how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR

@@ -21,7 +21,7 @@ from tisfm.solver.counted import filled
 from tisfm.sources.frame_reader import SourceFrame
 
 if TYPE_CHECKING:
-    from tisfm.reconstruction.frames.frame_flow import FoundFlow
+    from tisfm.reconstruction.frames.frame_flow import FlowCache
 
 QUALITY = 95  # of the JPEG pictures that colours are taken from
 HELD = 24  # frames in memory at a time
@@ -63,7 +63,7 @@ class PreparedFrames:
         self._masked: set[int] = set()
         self._labelled: set[int] = set()  # frames that show a thing
         self._as_read: set[int] = set()  # frames of which what was read is kept as well
-        self._flow: FoundFlow | None = None
+        self._flow: FlowCache | None = None
 
     def add(self, frame: SourceFrame) -> tuple[np.ndarray, np.ndarray | None]:
         """Prepare a frame and keep it; return it as the tracker takes it.
@@ -159,9 +159,9 @@ class PreparedFrames:
         if number == 0:
             return None
         if self._flow is None:
-            from tisfm.reconstruction.frames.frame_flow import FoundFlow
+            from tisfm.reconstruction.frames.frame_flow import FlowCache
 
-            self._flow = FoundFlow(self.camera, lambda one: self.tracked(one)[0])
+            self._flow = FlowCache(self.camera, lambda one: self.tracked(one)[0])
         return self._flow.to(number)
 
     def _make_anew(self, number: int, map_: Resampling) -> None:

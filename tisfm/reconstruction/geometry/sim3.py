@@ -8,20 +8,20 @@ TOLERATED = 0.05  # of its distance: by so much a point may be off
 ROUNDS = 5  # of the fit to those that agree
 
 
-def scale_of(similarity: np.ndarray) -> float:
+def sim3_scale(similarity: np.ndarray) -> float:
     """Return s."""
     return float(np.cbrt(np.linalg.det(similarity[:3, :3])))
 
 
-def moved(similarity: np.ndarray, points: np.ndarray) -> np.ndarray:
+def transform_points(similarity: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return where points, (N, 3), go to."""
     return np.asarray(points @ similarity[:3, :3].T + similarity[:3, 3])
 
 
-def moved_pose(similarity: np.ndarray, pose: np.ndarray) -> np.ndarray:
+def transform_pose(similarity: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """Return where a pose, (4, 4) camera to world, goes to."""
     there = similarity @ pose
-    there[:3, :3] /= scale_of(similarity)
+    there[:3, :3] /= sim3_scale(similarity)
     return np.asarray(there)
 
 
@@ -33,7 +33,7 @@ def mean_pose(poses: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return mean
 
 
-def step(scale: float, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
+def sim3_from_vector(scale: float, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """Return the similarity of the logarithm of a scale, a rotation vector and a translation."""
     similarity = np.eye(4)
     similarity[:3, :3] = np.exp(scale) * cv2.Rodrigues(turn)[0]
@@ -41,7 +41,7 @@ def step(scale: float, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
     return similarity
 
 
-def fitted(points: np.ndarray, others: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def fit_sim3(points: np.ndarray, others: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return the similarity that brings other points, (N, 3), nearest to points.
 
     Neither are more exact than the others: the scale is that of their spread, as Horn has it.
@@ -64,7 +64,7 @@ def fitted(points: np.ndarray, others: np.ndarray, weights: np.ndarray) -> np.nd
     return similarity
 
 
-def agreed(
+def fit_sim3_ransac(
     points: np.ndarray, others: np.ndarray, distances: np.ndarray, *, fewest: int, share: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the similarity from other points to points that most agree on, and which these are.
@@ -89,21 +89,21 @@ def agreed(
     random, best, most = np.random.default_rng(0), np.eye(4), 0
     for _ in range(TRIALS):
         three = random.choice(len(points), 3, replace=False)
-        found = fitted(points[three], others[three], np.ones(3))
-        count = int((misfit(found, points, others, distances) < TOLERATED).sum())
+        found = fit_sim3(points[three], others[three], np.ones(3))
+        count = int((relative_errors(found, points, others, distances) < TOLERATED).sum())
         if count > most:
             best, most = found, count
     for _ in range(ROUNDS):
-        off = misfit(best, points, others, distances)
+        off = relative_errors(best, points, others, distances)
         agree = off < TOLERATED
         if agree.sum() < max(3, least):
             return None
         weights = _weights(off[agree]) / distances[agree] ** 2
-        best = fitted(points[agree], others[agree], weights)
-    return best, misfit(best, points, others, distances) < TOLERATED
+        best = fit_sim3(points[agree], others[agree], weights)
+    return best, relative_errors(best, points, others, distances) < TOLERATED
 
 
-def refined(
+def refine_sim3(
     similarity: np.ndarray,
     points: tuple[np.ndarray, np.ndarray],
     distances: np.ndarray,
@@ -131,7 +131,7 @@ def refined(
     away = np.concatenate([distances, np.full(len(poses[0]), np.median(distances))])
     count = len(distances)
     for _ in range(ROUNDS):
-        off = misfit(similarity, here, there, away)
+        off = relative_errors(similarity, here, there, away)
         weights = np.concatenate([_weights(off[:count]), _weights(off[count:])]) / away**2
         share = (weights / weights.sum())[:, None]
         middle, other = (share * here).sum(axis=0), (share * there).sum(axis=0)
@@ -148,10 +148,11 @@ def _weights(off: np.ndarray) -> np.ndarray:
     return np.asarray(1 / (usual**2 + (off / 2) ** 2))
 
 
-def misfit(
+def relative_errors(
     similarity: np.ndarray, points: np.ndarray, others: np.ndarray, distances: np.ndarray
 ) -> np.ndarray:
     """Return how far others come to points, (N,), as shares of distances."""
     return np.asarray(
-        np.linalg.norm(moved(similarity, others) - points, axis=1) / np.maximum(distances, 1e-300)
+        np.linalg.norm(transform_points(similarity, others) - points, axis=1)
+        / np.maximum(distances, 1e-300)
     )

@@ -11,7 +11,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from tisfm.reconstruction.geometry.sim3 import moved, scale_of, step
+from tisfm.reconstruction.geometry.sim3 import sim3_from_vector, sim3_scale, transform_points
 
 ROUNDS = 20  # of Gauss–Newton
 # Of edges that may be wrong: the misfit, as a share of the distance of points, from which on they
@@ -74,7 +74,7 @@ class Link(Protocol):
         """From the second's coordinates to those of the first, (4, 4) float64."""
 
 
-def placed(count: int, edges: Sequence[Edge]) -> list[dict[int, np.ndarray]]:
+def optimise_sim3_graph(count: int, edges: Sequence[Edge]) -> list[dict[int, np.ndarray]]:
     """Place nodes by their edges.
 
     Parameters
@@ -97,14 +97,14 @@ def placed(count: int, edges: Sequence[Edge]) -> list[dict[int, np.ndarray]]:
     """
     return [
         _adjusted(begun, [edge for edge in edges if edge.first in begun])
-        for begun in connected(count, edges)
+        for begun in chain_sim3(count, edges)
     ]
 
 
-def connected(count: int, edges: Sequence[Link]) -> list[dict[int, np.ndarray]]:
+def chain_sim3(count: int, edges: Sequence[Link]) -> list[dict[int, np.ndarray]]:
     """Return the groups of connected nodes, each node placed along the first edges that connect.
 
-    Arguments and what is returned are as for `placed`.
+    Arguments and what is returned are as for `optimise_sim3_graph`.
     """
     group = {node: [node] for node in range(count)}
     place = {node: np.eye(4) for node in range(count)}
@@ -148,17 +148,19 @@ def _adjusted(begun: dict[int, np.ndarray], edges: Sequence[Edge]) -> dict[int, 
             vector[first] += pull
             vector[second] -= pull
         change = np.zeros(7 * len(nodes))
-        change[7:] = -solved(matrix[7:, 7:], vector[7:])
+        change[7:] = -solve_sparse(matrix[7:, 7:], vector[7:])
         for node in nodes[1:]:
             scale, *rest = change[7 * number[node] : 7 * number[node] + 7]
-            place[node] = step(scale, np.array(rest[:3]), np.array(rest[3:])) @ place[node]
+            place[node] = (
+                sim3_from_vector(scale, np.array(rest[:3]), np.array(rest[3:])) @ place[node]
+            )
         if doubted == DOUBTED_AT_END and np.abs(change).max() < SETTLED:
             break
         doubted = max(LESS * doubted, DOUBTED_AT_END)
     return place
 
 
-def solved(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+def solve_sparse(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Return the solution of a symmetric, positive definite system, by elimination in blocks.
 
     BLAS and LAPACK have other last bits with more threads. Most of the system is empty.
@@ -188,15 +190,15 @@ def _misfit(edge: Edge, place: dict[int, np.ndarray]) -> tuple[np.ndarray, np.nd
     its scale, its rotation vector and its translation.
     """
     first, second = place[edge.first], place[edge.second]
-    points, unit = moved(first, edge.points), scale_of(first)
+    points, unit = transform_points(first, edge.points), sim3_scale(first)
     centre = points.mean(axis=0)
     left = first @ edge.similarity @ np.linalg.inv(second)
-    scale = scale_of(left)
+    scale = sim3_scale(left)
     off = np.concatenate(
         [
             [np.log(scale)],
             cv2.Rodrigues(left[:3, :3] / scale)[0].ravel(),
-            moved(left, centre[None])[0] - centre,
+            transform_points(left, centre[None])[0] - centre,
         ]
     )
     slope = np.eye(7)

@@ -19,7 +19,7 @@ ON_LINE = 2.0  # px, of 640 across: from the epipolar line of a match that a mod
 Pairs = Mapping[tuple[int, int], np.ndarray]
 
 
-class Cover:
+class Coverage:
     """Tells how much of the frames models explain.
 
     A match of two views stands for what is nearest to its points in either. It is explained where
@@ -57,7 +57,7 @@ class Cover:
             poses = {
                 k - 1: model.images[k].cam_from_world().matrix() for k in model.reg_image_ids()
             }
-            rays = {view: rays_of(self._points[view], camera) for view in poses}
+            rays = {view: camera_rays(self._points[view], camera) for view in poses}
             for (first, second), both in self._pairs.items():
                 if first in poses and second in poses:
                     before, after = rays[first][both[:, 0]], rays[second][both[:, 1]]
@@ -99,7 +99,7 @@ def places_in(shape: tuple[int, int]) -> np.ndarray:
     return np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
 
 
-def rays_of(points: np.ndarray, camera: Any) -> np.ndarray:
+def camera_rays(points: np.ndarray, camera: Any) -> np.ndarray:
     """Return the directions of points in a view, (N, 3), of unit length."""
     rays = np.column_stack([camera.cam_from_img(points + CENTRE), np.ones(len(points))])
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)

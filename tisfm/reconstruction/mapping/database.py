@@ -10,7 +10,7 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.mapping.colmap import pycolmap
 from tisfm.reconstruction.mapping.incremental import FEWEST
 from tisfm.reconstruction.result.calibration import Calibrate
-from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 
 CALIBRATED = 2  # of pycolmap's configurations of two views
@@ -124,7 +124,7 @@ def _write_pairs(database: Any, pairs: Mapping[tuple[int, int], np.ndarray]) -> 
         database.write_two_view_geometry(first + 1, second + 1, pair)
 
 
-def _shared(first: Seen, second: Seen) -> np.ndarray:
+def _shared(first: Observations, second: Observations) -> np.ndarray:
     """Return the indices in two views of the tracks that they share, (N, 2)."""
     index0, index1 = first.shared(second)
     if len(index0) < FEWEST_SHARED:

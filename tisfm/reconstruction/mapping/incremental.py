@@ -6,7 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from tisfm.reconstruction.mapping.colmap import pycolmap
-from tisfm.reconstruction.mapping.low_parallax import OnePlace
+from tisfm.reconstruction.mapping.low_parallax import LowParallaxFilter
 from tisfm.reconstruction.mapping.parallax import beyond_homography, beyond_rotation
 from tisfm.reconstruction.result.calibration import Calibrate
 
@@ -70,7 +70,7 @@ class Score(Protocol):
         """Return the number of matches between views, whose numbers begin with 1."""
 
 
-def grown(
+def grow_models(
     database: Any,
     pairs: Pairs,
     count: int,
@@ -113,7 +113,7 @@ def grown(
     return sorted(found, key=lambda one: (-one.num_reg_images(), min(one.reg_image_ids())))
 
 
-def grown_from(
+def grow_from_poses(
     database: Any,
     known: Mapping[int, np.ndarray],
     *,
@@ -163,7 +163,7 @@ def shows_parallax(database: Any, pairs: Pairs) -> bool:
     database : pycolmap.Database
         Whose camera has the focal length that was found.
     pairs : mapping of (int, int) to two (N, 3) arrays
-        As for `grown`, with that focal length.
+        As for `grow_models`, with that focal length.
     """
     cache = _cache(database)
     mapper = pycolmap().IncrementalMapper(cache)
@@ -201,9 +201,9 @@ class _FirstPairs:
     Parameters
     ----------
     pairs : mapping of (int, int) to two (N, 3) arrays
-        As for `grown`.
+        As for `grow_models`.
     focal_known : bool
-        As for `grown`.
+        As for `grow_models`.
     """
 
     def __init__(self, pairs: Pairs, focal_known: bool) -> None:
@@ -312,7 +312,7 @@ def _grow(
 ) -> None:
     """Grow a reconstruction; `roughly` if all of it has to move first."""
     local = options.get_local_bundle_adjustment()
-    one_place = OnePlace(mapper, reconstruction)
+    one_place = LowParallaxFilter(mapper, reconstruction)
 
     def adjust_all(
         refinements: int, limits: tuple[int, float] = GROWING, outlying: float = OUTLYING
@@ -372,10 +372,12 @@ def _options(calibrate: Calibrate = "nothing") -> Any:
 
 def _adjustment(options: Any, steps: int, tolerance: float, outlying: float) -> Any:
     """Return what all views and points are adjusted by, robustly."""
-    return robust(options.get_global_bundle_adjustment(), steps, tolerance, outlying)
+    return robust_adjustment(options.get_global_bundle_adjustment(), steps, tolerance, outlying)
 
 
-def robust(adjustment: Any, steps: int, tolerance: float, outlying: float = OUTLYING) -> Any:
+def robust_adjustment(
+    adjustment: Any, steps: int, tolerance: float, outlying: float = OUTLYING
+) -> Any:
     """Return pycolmap's options of an adjustment, made robust, of so many steps at most."""
     adjustment.print_summary = False
     adjustment.ceres.loss_function_type = pycolmap().LossFunctionType.CAUCHY

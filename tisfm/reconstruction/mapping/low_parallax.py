@@ -12,7 +12,7 @@ import numpy as np
 APART = 0.02
 
 
-class OnePlace:
+class LowParallaxFilter:
     """Finds the points of a model that are seen from one place only, and deletes them.
 
     Parameters

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tisfm.reconstruction.mapping.coverage import rays_of
+from tisfm.reconstruction.mapping.coverage import camera_rays
 from tisfm.reconstruction.mapping.incremental import first_pair_tolerance
 from tisfm.reconstruction.tracks.views import View
 
@@ -78,7 +78,7 @@ class MatchScore:
         """Return the sum of the scores, and the number, of the matches of every pair of views."""
         camera = next(iter(model.cameras.values()))
         poses = {k - 1: model.images[k].cam_from_world().matrix() for k in model.reg_image_ids()}
-        rays = {view: rays_of(self._points[view], camera) for view in poses}
+        rays = {view: camera_rays(self._points[view], camera) for view in poses}
         found = {}
         for (first, second), both in self._pairs.items():
             if first in poses and second in poses:

@@ -11,7 +11,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.mapping.colmap import pycolmap
-from tisfm.reconstruction.mapping.coverage import Cover
+from tisfm.reconstruction.mapping.coverage import Coverage
 from tisfm.reconstruction.mapping.database import (
     CENTRE,
     Directions,
@@ -24,15 +24,19 @@ from tisfm.reconstruction.mapping.incremental import (
     INLIER,
     LEAST_SEEN,
     OUTLYING,
-    grown,
-    grown_from,
+    grow_from_poses,
+    grow_models,
     shows_parallax,
 )
 from tisfm.reconstruction.mapping.match_score import MatchScore
 from tisfm.reconstruction.result.calibration import Calibrate
-from tisfm.reconstruction.tracks.long_tracks import lasting
-from tisfm.reconstruction.tracks.tracker import Seen
-from tisfm.reconstruction.tracks.triangulation import TrackPoints, located, triangulated
+from tisfm.reconstruction.tracks.long_tracks import choose_long_tracks
+from tisfm.reconstruction.tracks.tracker import Observations
+from tisfm.reconstruction.tracks.triangulation import (
+    TrackPoints,
+    points_of_tracks,
+    triangulate_tracks,
+)
 from tisfm.reconstruction.tracks.views import View
 
 MOST = 0.75  # of the frames, by area: what explains as much is the world
@@ -59,7 +63,7 @@ class Model:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shared:
+class ViewGraph:
     """What views have in common, as models are grown from it.
 
     Attributes
@@ -87,13 +91,13 @@ class Shared:
         shape: tuple[int, int],
         *,
         focal_known: bool = True,
-    ) -> "Shared":
-        """Return what views have in common; arguments are those of `models_of`."""
-        kept = lasting([view.seen for view in views], max(shape))
+    ) -> "ViewGraph":
+        """Return what views have in common; arguments are those of `find_models`."""
+        kept = choose_long_tracks([view.seen for view in views], max(shape))
         few = [replace(view, seen=seen) for view, seen in zip(views, kept, strict=True)]
         return cls(views=few, pairs=pairs_of(few, matches), shape=shape, focal_known=focal_known)
 
-    def part(self, first: int, last: int) -> "Shared":
+    def part(self, first: int, last: int) -> "ViewGraph":
         """Return what the views from one up to another, that one left out, have in common."""
         inside = range(first, last)
         pairs = {
@@ -103,7 +107,7 @@ class Shared:
         }
         return replace(self, views=self.views[first:last], pairs=pairs)
 
-    def grown(self, camera: Camera, calibrate: Calibrate = "nothing") -> list[Any]:
+    def grow_models(self, camera: Camera, calibrate: Calibrate = "nothing") -> list[Any]:
         """Return pycolmap's reconstructions, the largest first.
 
         Each has the focal length of the camera, or one of its own if that is to be found, and maybe
@@ -112,7 +116,7 @@ class Shared:
         from that alone, and those count that explain more.
         """
         found = self._grown(self.pairs, camera, calibrate)
-        cover = Cover(self.views, self.pairs, self.shape)
+        cover = Coverage(self.views, self.pairs, self.shape)
         explained = cover.explained(found)
         while found and cover.share(explained) < MOST:
             rest = {**self.pairs, **{pair: self.pairs[pair][~e] for pair, e in explained.items()}}
@@ -130,7 +134,7 @@ class Shared:
         known = colmap_camera(camera, self.shape, calibrate)
         directions = Directions(self.views, pairs, camera, self.shape)
         with database_of(self.views, pairs, known) as database:
-            return grown(
+            return grow_models(
                 database,
                 directions,
                 len(self.views),
@@ -154,7 +158,7 @@ class Shared:
         """Return the number of matches."""
         return sum(map(len, self.pairs.values()))
 
-    def continued(self, camera: Camera, known: Mapping[int, np.ndarray]) -> Any:
+    def continue_model(self, camera: Camera, known: Mapping[int, np.ndarray]) -> Any:
         """Return pycolmap's reconstruction, grown from poses that are known, by frame, and stay."""
         matrices = {
             number: np.linalg.inv(known[view.frame])[:3]
@@ -163,7 +167,7 @@ class Shared:
         }
         known_camera = colmap_camera(camera, self.shape)
         with database_of(self.views, self.pairs, known_camera) as database:
-            return grown_from(database, matrices)
+            return grow_from_poses(database, matrices)
 
     def models(
         self, reconstructions: Sequence[Any], views: Sequence[View], camera: Camera
@@ -178,7 +182,7 @@ class Shared:
         return replace(_model(reconstruction, self.views), score=score)
 
 
-def models_of(
+def find_models(
     views: Sequence[View],
     matches: Mapping[tuple[int, int], np.ndarray],
     camera: Camera,
@@ -213,11 +217,11 @@ def models_of(
     Schönberger and Frahm, "Structure-from-motion revisited", CVPR 2016,
     doi 10.1109/CVPR.2016.445: incremental mapping, whose steps pycolmap does.
     """
-    shared = Shared.of(views, matches, shape, focal_known=focal_known)
-    return shared.models(shared.grown(camera), views, camera)
+    shared = ViewGraph.of(views, matches, shape, focal_known=focal_known)
+    return shared.models(shared.grow_models(camera), views, camera)
 
 
-def continued(
+def continue_model(
     views: Sequence[View],
     matches: Mapping[tuple[int, int], np.ndarray],
     camera: Camera,
@@ -229,7 +233,7 @@ def continued(
     Parameters
     ----------
     views, matches, camera, shape
-        As for `models_of`.
+        As for `find_models`.
     known : mapping of int to (4, 4) array
         Camera to world, by frame, of two views at least.
 
@@ -238,13 +242,13 @@ def continued(
     Model
         In the axes and the unit of the known poses; these are in it as they are.
     """
-    shared = Shared.of(views, matches, shape)
-    model = _model(shared.continued(camera, known), shared.views)
+    shared = ViewGraph.of(views, matches, shape)
+    model = _model(shared.continue_model(camera, known), shared.views)
     poses = {**model.poses, **{f: known[f] for f in known if f in model.poses}}
     return _with_others(Model(poses=poses, points=model.points), views, camera, shape)
 
 
-def models_again(
+def readjust_models(
     views: Sequence[View],
     matches: Mapping[tuple[int, int], np.ndarray],
     camera: Camera,
@@ -256,7 +260,7 @@ def models_again(
     Parameters
     ----------
     views, matches, camera, shape
-        As for `models_of`.
+        As for `find_models`.
     known : sequence of mapping of int to (4, 4) array
         Camera to world, by frame, for each model.
 
@@ -265,27 +269,27 @@ def models_again(
     list of Model
         One for each; views that are in none may be added to any, the first before others.
     """
-    shared = Shared.of(views, matches, shape)
+    shared = ViewGraph.of(views, matches, shape)
     number = {view.frame: k for k, view in enumerate(views, start=1)}
     left = set(number.values()) - {number[frame] for poses in known for frame in poses}
     found = []
     with database_of(shared.views, shared.pairs, colmap_camera(camera, shape)) as database:
         for poses in known:
             matrices = {number[frame]: np.linalg.inv(pose)[:3] for frame, pose in poses.items()}
-            model = grown_from(database, matrices, fixed=False, left=left)
+            model = grow_from_poses(database, matrices, fixed=False, left=left)
             left -= set(model.reg_image_ids())
             found.append(model)
     return [model for model in shared.models(found, views, camera) if model.poses]
 
 
 def pose_from_points(
-    seen: Seen, points: Mapping[int, np.ndarray], camera: Camera, shape: tuple[int, int]
+    seen: Observations, points: Mapping[int, np.ndarray], camera: Camera, shape: tuple[int, int]
 ) -> np.ndarray | None:
     """Return the pose of a frame, (4, 4) camera to world, from tracks whose points are known.
 
     None if too few of them agree.
     """
-    known, world = located(seen, points)
+    known, world = points_of_tracks(seen, points)
     if len(known) < FEWEST:
         return None
     estimation = pycolmap().AbsolutePoseEstimationOptions()
@@ -324,7 +328,7 @@ def _with_others(
     """Add the points of the tracks that poses were not adjusted for."""
     seen = [view.seen for view in views if view.frame in model.poses]
     poses = {k: model.poses[frame] for k, frame in enumerate(sorted(model.poses))}
-    return replace(model, points=triangulated(seen, poses, camera, shape) | model.points)
+    return replace(model, points=triangulate_tracks(seen, poses, camera, shape) | model.points)
 
 
 def _matrix(cam_from_world: Any) -> np.ndarray:

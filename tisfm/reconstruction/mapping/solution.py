@@ -6,11 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 
-UNSEEN = 0.05  # of the focal length: with a larger deviation, the motion does not show it
-WORTHLESS = 0.3  # with a larger one, a guess is as good: lenses of 0.6 to 2 longer sides are common
+MAX_SEEN_DEVIATION = (
+    0.05  # of the focal length: with a larger deviation, the motion does not show it
+)
+MAX_USEFUL_DEVIATION = (
+    0.3  # with a larger one, a guess is as good: lenses of 0.6 to 2 longer sides are common
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +39,7 @@ class FocalEstimate:
     deviation: float
     radial: float = 0.0
     radial_deviation: float = 0.0
-    limit: float = WORTHLESS
+    limit: float = MAX_USEFUL_DEVIATION
     bent: bool = False
 
     def taken(self, camera: Camera) -> Camera:
@@ -48,7 +52,7 @@ class FocalEstimate:
     @property
     def is_seen(self) -> bool:
         """Whether the motion shows it."""
-        return self.deviation <= UNSEEN * self.focal
+        return self.deviation <= MAX_SEEN_DEVIATION * self.focal
 
     @property
     def is_of_use(self) -> bool:
@@ -76,7 +80,7 @@ class Piece:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Way:
+class PathSolution:
     """Pieces, and what they were found from.
 
     Attributes
@@ -86,7 +90,7 @@ class Way:
         Frames in none of them.
     views : sequence of View
         As frames show them.
-    seen : sequence of Seen
+    seen : sequence of Observations
         Tracks in every frame, as the camera's pinhole has them.
     camera : Camera
     focal : FocalEstimate or None
@@ -99,7 +103,7 @@ class Way:
     pieces: list[Piece]
     unplaced: list[int]
     views: Sequence[View]
-    seen: Sequence[Seen]
+    seen: Sequence[Observations]
     camera: Camera
     focal: FocalEstimate | None
     score: float

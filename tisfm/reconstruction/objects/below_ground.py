@@ -13,8 +13,14 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.motion.objects.candidates import smallest_object
-from tisfm.reconstruction.frames.image_motion import ImageMotion, Led, at_places
-from tisfm.reconstruction.objects.motion_evidence import CLEAR, MOVING, AtRest, Evidence, missed_by
+from tisfm.reconstruction.frames.image_motion import ChainedFlow, ImageMotion, sample_image
+from tisfm.reconstruction.objects.motion_evidence import (
+    CLEAR,
+    MOVING,
+    Evidence,
+    StaticMotion,
+    grey_difference,
+)
 
 # Of the frame: as much shows the ground, at least. Its inverse depth changes by this much more from
 # above to below than from left to right, and than it is in the middle: cameras are held upright.
@@ -31,7 +37,7 @@ HIDDEN = 1.0  # of the root of its area: as many points a thing has to hide that
 
 
 @dataclass(frozen=True, kw_only=True)
-class Depth:
+class StaticDepth:
     """Depth of a frame under the camera's path, as far as it is at rest.
 
     Attributes
@@ -45,12 +51,12 @@ class Depth:
     at_rest: np.ndarray
 
     @classmethod
-    def unknown(cls, shape: tuple[int, ...]) -> "Depth":
+    def unknown(cls, shape: tuple[int, ...]) -> "StaticDepth":
         """Return that of which nothing is known."""
         return cls(inverse_depth=np.zeros(shape, np.float32), at_rest=np.zeros(shape, bool))
 
     @classmethod
-    def of_arrays(cls, inverse_depth: np.ndarray, at_rest: np.ndarray) -> "Depth":
+    def of_arrays(cls, inverse_depth: np.ndarray, at_rest: np.ndarray) -> "StaticDepth":
         """Return what has these arrays."""
         return cls(inverse_depth=inverse_depth.astype(np.float32), at_rest=at_rest)
 
@@ -69,7 +75,7 @@ class BelowGround:
         Camera to world, of every frame in one scale; None where there is none.
     camera : Camera
         Of the frames of the image motion.
-    depths : sequence of Depth or None
+    depths : sequence of StaticDepth or None
         Of every frame; None where there is none.
     """
 
@@ -78,7 +84,7 @@ class BelowGround:
         motion: ImageMotion,
         poses: Sequence[np.ndarray | None],
         camera: Camera,
-        depths: Sequence[Depth],
+        depths: Sequence[StaticDepth],
     ) -> None:
         self._motion, self._poses, self._camera, self._depths = motion, poses, camera, depths
         self._rays = _rays(camera, motion.grey(0).shape)
@@ -113,7 +119,7 @@ class BelowGround:
         weight = np.float32(found * self._clear(frame, depth))
         return Evidence(moving=MOVING * weight, weight=weight)
 
-    def _ground(self, depth: Depth) -> np.ndarray | None:
+    def _ground(self, depth: StaticDepth) -> np.ndarray | None:
         """Return the plane of the ground, (3,), whose product with rays is its inverse depth."""
         below_middle = depth.at_rest & (self._rays[..., 1] > 0)
         rays, inverse_depth = self._rays[below_middle], depth.inverse_depth[below_middle]
@@ -170,9 +176,9 @@ class BelowGround:
                 there = at_rest.inverse_depth(other.inverse_depth)
                 inside = (places > 0).all(axis=-1) & (places < (width - 1, height - 1)).all(axis=-1)
                 lost = other.at_rest & inside & ~self._led(number, frame).found
-                behind = at_places(own.inverse_depth, places) * BELOW < there
-                known = at_places(np.float32(own.at_rest), places) > 0.5
-                unlike = missed_by(grey, places, self._motion.grey(number)) > UNLIKE
+                behind = sample_image(own.inverse_depth, places) * BELOW < there
+                known = sample_image(np.float32(own.at_rest), places) > 0.5
+                unlike = grey_difference(grey, places, self._motion.grey(number)) > UNLIKE
                 x, y = np.rint(places[lost & behind & known & unlike]).astype(int).T
                 found[y, x] = True
         return found
@@ -191,21 +197,21 @@ class BelowGround:
             if not furthest:
                 continue
             at_rest, other = self._at_rest(frame, furthest[-1]), self._motion.grey(furthest[-1])
-            missed = missed_by(other, at_rest.places(depth), grey)
-            on_ground = missed_by(other, at_rest.places(ground), grey)
+            missed = grey_difference(other, at_rest.places(depth), grey)
+            on_ground = grey_difference(other, at_rest.places(ground), grey)
             clear = np.maximum(clear, (on_ground - missed) / (CLEAR + missed))
         return np.clip(clear, 0, 1)
 
-    def _at_rest(self, frame: int, other: int) -> AtRest:
+    def _at_rest(self, frame: int, other: int) -> StaticMotion:
         pose, pose_of_other = self._poses[frame], self._poses[other]
         assert pose is not None and pose_of_other is not None
         relative = np.linalg.inv(pose_of_other) @ pose
         shape = self._rays.shape[:2]
-        return AtRest(relative[:3, :3], relative[:3, 3], self._camera, shape)
+        return StaticMotion(relative[:3, :3], relative[:3, 3], self._camera, shape)
 
-    def _led(self, frame: int, other: int) -> Led:
+    def _led(self, frame: int, other: int) -> ChainedFlow:
         steps = abs(other - frame)
-        return next(led for led in self._motion.led(frame, steps) if led.frame == other)
+        return next(led for led in self._motion.chained_flows(frame, steps) if led.frame == other)
 
 
 def _rays(camera: Camera, shape: tuple[int, ...]) -> np.ndarray:

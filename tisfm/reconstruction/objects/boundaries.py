@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from tisfm.motion.objects.potts import Potts
-from tisfm.reconstruction.frames.image_motion import ImageMotion, at_places, places_of
+from tisfm.reconstruction.frames.image_motion import ImageMotion, pixel_grid, sample_image
 
 REACH = 10  # px that a boundary may move
 RIM, FEWEST = 5, 30  # px at a boundary whose motion is not relied on, across; pixels that are left
@@ -13,7 +13,7 @@ OTHERWISE_LABELLED, MOST = 2.0, 16.0  # of costs: of another label than before, 
 SEEN = 0.5  # what pixels near a boundary weigh
 
 
-def bordered(labels: np.ndarray, motion: ImageMotion, frame: int) -> np.ndarray:
+def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np.ndarray:
     """Return labels with boundaries where the frames before and after show them, (H, W) int32.
 
     What lies on either side of a boundary goes on beyond it. A pixel belongs to what the frame
@@ -22,19 +22,19 @@ def bordered(labels: np.ndarray, motion: ImageMotion, frame: int) -> np.ndarray:
     numbers = np.unique(labels)
     if len(numbers) < 2:
         return labels
-    grey, places = motion.grey(frame), places_of(labels.shape)
+    grey, places = motion.grey(frame), pixel_grid(labels.shape)
     window = np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8)
     near = np.stack([cv2.dilate(np.uint8(labels == k), window) > 0 for k in numbers])
     band = near.sum(axis=0) > 1
     missed = np.full((len(numbers), *labels.shape), np.inf, np.float32)
-    for led in motion.led(frame, 1):
+    for led in motion.chained_flows(frame, 1):
         flow, other = led.places - places, motion.grey(led.frame)
         for index, number in enumerate(numbers):
             mine = labels == number
             core = cv2.erode(np.uint8(mine), np.ones((RIM, RIM), np.uint8)) > 0
             source = core if core.sum() >= FEWEST else mine
             gone = _going_on(flow, source)
-            off = np.abs(at_places(other, places + gone) - grey)
+            off = np.abs(sample_image(other, places + gone) - grey)
             x, y = np.moveaxis(places + gone, -1, 0)
             outside = (x < 0) | (y < 0) | (x > labels.shape[1] - 1) | (y > labels.shape[0] - 1)
             off = np.where(outside, np.inf, cv2.blur(off, (3, 3)))

@@ -9,17 +9,17 @@ import numpy as np
 from tisfm.motion.objects.candidates import smallest_object
 from tisfm.motion.objects.layers import nearest_known
 from tisfm.motion.objects.potts import Potts
-from tisfm.reconstruction.frames.disk_cache import Shelf
+from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.frames.image_motion import (
     ImageMotion,
-    at_places,
-    places_of,
-    returning,
+    pixel_grid,
+    returns_to_start,
+    sample_image,
 )
-from tisfm.reconstruction.objects.boundaries import bordered
+from tisfm.reconstruction.objects.boundaries import refine_boundaries
 from tisfm.reconstruction.objects.motion_evidence import Evidence
-from tisfm.reconstruction.objects.moving_regions import moving_parts
-from tisfm.reconstruction.objects.smooth_motion import FEWEST, Moves, Terms
+from tisfm.reconstruction.objects.moving_regions import find_moving_regions
+from tisfm.reconstruction.objects.smooth_motion import FEWEST, SmoothMotions, Terms
 
 CARRIED = 0.1  # of a part's pixels: so many that a label is carried to are the same thing
 HIDDEN = 15  # frames that a thing may be hidden
@@ -104,7 +104,7 @@ class Identities:
 
         They are 0 for what is at rest, and else from 1 on, in the order in which things appear.
         """
-        found: Shelf[np.ndarray] = Shelf(lambda labels: (labels,), lambda labels: labels)
+        found: DiskCache[np.ndarray] = DiskCache(lambda labels: (labels,), lambda labels: labels)
         before = None
         for frame in range(len(self._motion)):
             before = self._labelled(frame, before)
@@ -119,8 +119,8 @@ class Identities:
         labels = np.zeros(grey.shape, np.int32)
         carried = np.zeros_like(labels) if before is None else self._carried(frame, before)
         sure = [number for number, thing in self._things.items() if thing.core >= LASTING]
-        parts = list(moving_parts(grey, self._evidence[frame], np.isin(carried, sure)))
-        moves = Moves(self._motion, frame)
+        parts = list(find_moving_regions(grey, self._evidence[frame], np.isin(carried, sure)))
+        moves = SmoothMotions(self._motion, frame)
         for part, _ in parts:
             counts = np.bincount(carried[part], minlength=1)
             counts[0] = 0
@@ -132,7 +132,7 @@ class Identities:
             else:
                 labels[part] = nearest_known(carried, part & np.isin(carried, known))[part]
             self._by_motion(frame, part, known, labels, carried, moves)
-        labels = bordered(labels, self._motion, frame)
+        labels = refine_boundaries(labels, self._motion, frame)
         self._note(frame, labels, parts, moves)
         return labels
 
@@ -143,7 +143,7 @@ class Identities:
         known: list[int],
         labels: np.ndarray,
         carried: np.ndarray,
-        moves: Moves,
+        moves: SmoothMotions,
     ) -> None:
         """Let motions decide which of several things a pixel of a part belongs to.
 
@@ -250,7 +250,7 @@ class Identities:
         frame: int,
         labels: np.ndarray,
         parts: Sequence[tuple[np.ndarray, bool]],
-        moves: Moves,
+        moves: SmoothMotions,
     ) -> None:
         """Note where things are, and which of them touch."""
         flow = moves.flow
@@ -353,10 +353,10 @@ class Identities:
     def _carried(self, frame: int, before: np.ndarray) -> np.ndarray:
         """Return the labels of the frame before where the image motion carries them, or else 0."""
         backward = self._motion.backward(frame)
-        carried = at_places(
-            before.astype(np.float32), places_of(before.shape) + backward, nearest=True
+        carried = sample_image(
+            before.astype(np.float32), pixel_grid(before.shape) + backward, nearest=True
         )
-        returns = returning(backward, self._motion.forward(frame - 1)) > 0
+        returns = returns_to_start(backward, self._motion.forward(frame - 1)) > 0
         return np.where(returns, carried.astype(np.int32), 0)
 
     def _look(self, frame: int, mask: np.ndarray) -> np.ndarray:

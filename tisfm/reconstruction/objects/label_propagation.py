@@ -5,22 +5,21 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from tisfm.motion.objects.potts import Potts
-from tisfm.reconstruction.frames.image_motion import ImageMotion, at_places
-from tisfm.reconstruction.objects.boundaries import bordered
+from tisfm.reconstruction.frames.image_motion import ImageMotion, sample_image
+from tisfm.reconstruction.objects.boundaries import refine_boundaries
 
 ANOTHER = 6.0  # what another label than the one that is carried costs
 SEEN, UNSEEN = 0.5, 0.02  # what pixels weigh: those that the motion leads to and back, and others
 
 
-def carried_labels(
+def propagate_labels(
     motion: ImageMotion, known: Sequence[int], labelled: Callable[[int], np.ndarray]
 ) -> Iterator[tuple[int, np.ndarray]]:
     """Yield the other frames and their labels, (H, W) int32, from the nearest frame that has some.
 
     From frame to frame, a pixel keeps the label of where it was. Where the motion does not lead
     back, as at what was hidden, the neighbours and the edges of the image decide; boundaries are
-    drawn as `tisfm.reconstruction.objects.boundaries.bordered` does. What is hidden for a while is
-    lost.
+    drawn as `refine_boundaries` does. The labels of hidden pixels are lost.
 
     Parameters
     ----------
@@ -44,9 +43,9 @@ def carried_labels(
 def _carried(motion: ImageMotion, frame: int, other: int, labels: np.ndarray) -> np.ndarray:
     """Return the labels of a frame, (H, W) int32, from those of the one before or after it."""
     numbers = np.unique(labels)
-    led = next(led for led in motion.led(frame, 1) if led.frame == other)
-    shares = np.stack([at_places(np.float32(labels == k), led.places) for k in numbers])
+    led = next(led for led in motion.chained_flows(frame, 1) if led.frame == other)
+    shares = np.stack([sample_image(np.float32(labels == k), led.places) for k in numbers])
     costs = np.where(led.found, ANOTHER * (1 - shares), 0).astype(np.float32)
     weight = np.where(led.found, SEEN, UNSEEN).astype(np.float32)
     found = numbers[Potts(motion.grey(frame)).assign(costs, weight)]
-    return bordered(found, motion, frame)
+    return refine_boundaries(found, motion, frame)

@@ -12,8 +12,8 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
-from tisfm.reconstruction.frames.disk_cache import Shelf
-from tisfm.reconstruction.frames.image_motion import ImageMotion, at_places, places_of
+from tisfm.reconstruction.frames.disk_cache import DiskCache
+from tisfm.reconstruction.frames.image_motion import ImageMotion, pixel_grid, sample_image
 
 AWAY = (1, 3)  # frames, before and after, that a frame is compared with
 # Deviation of the image motion: that of the fit, and of as much as this share of the longer side.
@@ -101,8 +101,8 @@ def evidence_of(motion: ImageMotion, frame: int) -> Evidence:
     """
     shape, camera = motion.grey(frame).shape, motion.camera()
     total, weight = (np.zeros(shape, np.float32) for _ in range(2))
-    start, grey = places_of(shape), motion.grey(frame)
-    for led in motion.led(frame, max(AWAY)):
+    start, grey = pixel_grid(shape), motion.grey(frame)
+    for led in motion.chained_flows(frame, max(AWAY)):
         if led.steps not in AWAY:
             continue
         flow = led.places - start
@@ -111,7 +111,7 @@ def evidence_of(motion: ImageMotion, frame: int) -> Evidence:
         except TooFewPixelsError:
             continue
         usual = fitted.residual + LEAST_DEVIATION * max(shape) * led.steps**0.5
-        at_rest = AtRest(fitted.rotation, fitted.translation, camera, shape)
+        at_rest = StaticMotion(fitted.rotation, fitted.translation, camera, shape)
         inverse_depth = at_rest.nearest(led.places)
         far = np.linalg.norm(at_rest.places(inverse_depth) - led.places, axis=-1) / usual
         says = np.clip((far / NEUTRAL) ** 2 - 1, AT_REST, MOVING)
@@ -126,10 +126,10 @@ def evidence_of(motion: ImageMotion, frame: int) -> Evidence:
     return Evidence(moving=total / comparisons, weight=weight / comparisons)
 
 
-def accumulated(motion: ImageMotion, evidence: Sequence[Evidence]) -> Sequence[Evidence]:
+def accumulate_evidence(motion: ImageMotion, evidence: Sequence[Evidence]) -> Sequence[Evidence]:
     """Return what frames say together with those before and after, along the image motion."""
     before, after = _one_way(motion, evidence, 1), _one_way(motion, evidence, -1)
-    found = Shelf(Evidence.arrays, Evidence.of_arrays)
+    found = DiskCache(Evidence.arrays, Evidence.of_arrays)
     for frame, own in enumerate(evidence):
         one, two = before[frame], after[len(evidence) - 1 - frame]
         found.append(
@@ -141,27 +141,27 @@ def accumulated(motion: ImageMotion, evidence: Sequence[Evidence]) -> Sequence[E
     return found
 
 
-def _one_way(motion: ImageMotion, evidence: Sequence[Evidence], way: int) -> Shelf[Evidence]:
+def _one_way(motion: ImageMotion, evidence: Sequence[Evidence], way: int) -> DiskCache[Evidence]:
     """Return what frames say together with those before, or, way −1, with those after.
 
     In the order in which they were taken, or the opposite one.
     """
-    found, last = Shelf(Evidence.arrays, Evidence.of_arrays), None
+    found, last = DiskCache(Evidence.arrays, Evidence.of_arrays), None
     for frame in range(len(evidence))[::way]:
         own = evidence[frame]
         if last is not None:
-            led = next(led for led in motion.led(frame, 1) if led.frame == frame - way)
+            led = next(led for led in motion.chained_flows(frame, 1) if led.frame == frame - way)
             kept = np.float32(LASTING) * led.found
             own = Evidence(
-                moving=own.moving + kept * at_places(last.moving, led.places),
-                weight=own.weight + kept * at_places(last.weight, led.places),
+                moving=own.moving + kept * sample_image(last.moving, led.places),
+                weight=own.weight + kept * sample_image(last.weight, led.places),
             )
         found.append(own)
         last = own
     return found
 
 
-class AtRest:
+class StaticMotion:
     """Where points at rest go, under one motion of the camera, by their inverse depth.
 
     Parameters
@@ -182,7 +182,7 @@ class AtRest:
     ) -> None:
         self._focal = np.float32(camera.focal)
         self._center = np.array(camera.center_for(*shape[:2]), np.float32)
-        start = (places_of(shape) - self._center) / self._focal
+        start = (pixel_grid(shape) - self._center) / self._focal
         rays = cv2.merge([*cv2.split(start), np.ones(shape[:2], np.float32)])
         self._turned = cv2.transform(rays, rotation.astype(np.float32))
         self._translation = translation.astype(np.float32)
@@ -239,7 +239,7 @@ class AtRest:
 
 def shown(
     grey: np.ndarray,
-    views: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, AtRest]],
+    views: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, StaticMotion]],
     nearest: np.ndarray,
     usual: np.ndarray,
 ) -> np.ndarray:
@@ -251,7 +251,7 @@ def shown(
     Parameters
     ----------
     grey : (H, W) float32
-    views : sequence of (other, places, found, AtRest)
+    views : sequence of (other, places, found, StaticMotion)
         Another frame, (H, W) float32; where the image motion leads in it, (H, W, 2) float32; and
         where it does, (H, W) bool.
     nearest : (H, W) float32
@@ -287,14 +287,14 @@ def _missed(
     """Return by how many grey levels places in other frames differ, (H, W) float32, on average."""
     total, count = np.zeros(grey.shape, np.float32), np.zeros(grey.shape, np.float32)
     for other, places, found in views:
-        total += found * missed_by(other, places, grey)
+        total += found * grey_difference(other, places, grey)
         count += found
     return total / np.maximum(count, 1)
 
 
-def missed_by(other: np.ndarray, places: np.ndarray, grey: np.ndarray) -> np.ndarray:
+def grey_difference(other: np.ndarray, places: np.ndarray, grey: np.ndarray) -> np.ndarray:
     """Return by how many grey levels another frame at places differs from a frame, (H, W) float32.
 
     On average over windows.
     """
-    return cv2.blur(np.abs(at_places(other, places) - grey), (WINDOW, WINDOW))
+    return cv2.blur(np.abs(sample_image(other, places) - grey), (WINDOW, WINDOW))

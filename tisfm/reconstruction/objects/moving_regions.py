@@ -18,7 +18,7 @@ SURE = 4.0  # frames that say something: more have no more say in the boundary
 SEEN, UNSEEN = 0.5, 0.02  # what pixels weigh in the boundary: those of sure evidence, and others
 
 
-def moving_parts(
+def find_moving_regions(
     grey: np.ndarray, evidence: Evidence, known: np.ndarray
 ) -> Iterator[tuple[np.ndarray, bool]]:
     """Yield the connected parts of a frame that move, (H, W) bool, and whether they have a core.

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
-from tisfm.reconstruction.objects.object_path import OwnPath, own_path
-from tisfm.reconstruction.objects.object_scale import own_scale, reach
+from tisfm.reconstruction.objects.object_path import ObjectPath, find_object_path
+from tisfm.reconstruction.objects.object_scale import find_object_scale, reach
 from tisfm.reconstruction.result.folder import depth_path, read_depth, write_depth
 from tisfm.reconstruction.result.moving_object import MovingObject, ScaleFrom, seen_objects
 from tisfm.settings import Settings
@@ -53,7 +53,7 @@ def objects_with_depth(
     world = np.where((piece == largest)[:, None, None], poses, np.nan)
     found = []
     for thing in seen_objects(len(poses), frames.labels):
-        own = own_path(thing, frames, frames.labels, settings, with_depth=with_depth)
+        own = find_object_path(thing, frames, frames.labels, settings, with_depth=with_depth)
         if isinstance(own, str):
             found.append(replace(thing, message=own))
             continue
@@ -71,7 +71,7 @@ def objects_with_depth(
             depths=[depth for depth in own.depths if depth.frame in in_world],
         )
         size = (sizes or {}).get(thing.id)
-        scale, scale_from = own_scale(own, thing.id, at_rest, frames.labels, size)
+        scale, scale_from = find_object_scale(own, thing.id, at_rest, frames.labels, size)
         found.append(placed(thing, own, world, scale, scale_from))
         for depth in own.depths:
             frame = own.frames[depth.frame]
@@ -86,14 +86,14 @@ def objects_with_depth(
 
 
 def placed(
-    thing: MovingObject, own: OwnPath, poses: np.ndarray, scale: float, scale_from: ScaleFrom
+    thing: MovingObject, own: ObjectPath, poses: np.ndarray, scale: float, scale_from: ScaleFrom
 ) -> MovingObject:
     """Return a thing with its path in the world.
 
     Parameters
     ----------
     thing : MovingObject
-    own : OwnPath
+    own : ObjectPath
     poses : (N, 4, 4) array
         Of the camera, camera to world.
     scale : float

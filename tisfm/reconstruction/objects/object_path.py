@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.depth.segment_depth import FrameDepth, Frames, PieceDepths, effort_of
+from tisfm.reconstruction.depth.segment_depth import FrameDepth, Frames, PieceDepths, depth_effort
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.path.path_finder import PathFinder
 from tisfm.reconstruction.result.moving_object import MovingObject
-from tisfm.reconstruction.tracks.tracker import CELLS, Seen
+from tisfm.reconstruction.tracks.tracker import CELLS, Observations
 from tisfm.settings import Settings
 
 FEWEST_FRAMES, FEWEST_PIXELS = 3, 400
@@ -28,7 +28,7 @@ MARGIN, ALIGNED = 24, 16
 
 
 @dataclass(frozen=True, kw_only=True)
-class OwnPath:
+class ObjectPath:
     """A thing's path and depth in a unit and axes of its own.
 
     Attributes
@@ -89,14 +89,14 @@ class _FramesOf:
         return self._labelled(self._numbers[number]) == self._number
 
 
-def own_path(
+def find_object_path(
     thing: MovingObject,
     frames: PreparedFrames,
     labelled: Callable[[int], np.ndarray],
     settings: Settings,
     *,
     with_depth: bool = True,
-) -> OwnPath | str:
+) -> ObjectPath | str:
     """Return the path and depth of a thing, or why it has none.
 
     Parameters
@@ -132,12 +132,12 @@ def own_path(
     if not path.pieces:
         return "it does not turn or come nearer enough, or is not rigid: its motion shows no depth"
     piece = max(path.pieces, key=lambda one: len(one.poses))
-    depths = own_depths(own, piece, path.seen, settings) if with_depth else []
-    return OwnPath(frames=numbers, piece=piece, depths=depths)
+    depths = find_object_depths(own, piece, path.seen, settings) if with_depth else []
+    return ObjectPath(frames=numbers, piece=piece, depths=depths)
 
 
-def own_depths(
-    own: Frames, piece: Piece, seen: Sequence[Seen], settings: Settings
+def find_object_depths(
+    own: Frames, piece: Piece, seen: Sequence[Observations], settings: Settings
 ) -> list[FrameDepth]:
     """Return the depth of frames within the box of what counts in any of them.
 
@@ -147,14 +147,16 @@ def own_depths(
     ----------
     own : Frames
     piece : Piece
-    seen : sequence of Seen
+    seen : sequence of Observations
         Tracks of every frame, on what counts.
     settings : Settings
     """
     part = _PartOf(own, _box_of(own, piece.poses))
     top, left = part.corner
     moved = [replace(one, points=one.points - (left, top)) for one in seen]
-    found = PieceDepths(part, piece, moved, settings, effort=effort_of(settings), whole=own.shape)
+    found = PieceDepths(
+        part, piece, moved, settings, effort=depth_effort(settings), whole=own.shape
+    )
     return [part.within_the_whole(depth) for depth in found]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tisfm.motion.objects.contacts import contact_scale
-from tisfm.reconstruction.objects.object_path import OwnPath
+from tisfm.reconstruction.objects.object_path import ObjectPath
 from tisfm.reconstruction.result.moving_object import ScaleFrom
 
 # Of its points along an axis: what they reach over leaves out as many at both ends.
@@ -20,8 +20,8 @@ AROUND = 15  # px about a thing, that may tell how far away it is
 BOXES, MOST_POINTS = 2000, 1000  # of which the smallest is taken, and points that are looked at
 
 
-def own_scale(
-    own: OwnPath,
+def find_object_scale(
+    own: ObjectPath,
     number: int,
     inverse_depth: Callable[[int], np.ndarray],
     labelled: Callable[[int], np.ndarray],
@@ -31,7 +31,7 @@ def own_scale(
 
     Parameters
     ----------
-    own : OwnPath
+    own : ObjectPath
     number : int
         Its label.
     inverse_depth : callable

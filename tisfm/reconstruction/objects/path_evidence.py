@@ -9,14 +9,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.frames.image_motion import ImageMotion, Led
+from tisfm.reconstruction.frames.image_motion import ChainedFlow, ImageMotion
 from tisfm.reconstruction.objects.motion_evidence import (
     AT_REST,
     LEAST_DEVIATION,
     MOVING,
     NEUTRAL,
-    AtRest,
     Evidence,
+    StaticMotion,
     shown,
 )
 
@@ -53,12 +53,12 @@ def path_evidence(
     if pose is None:
         return None
     shape = motion.grey(frame).shape
-    views: list[tuple[Led, AtRest]] = []
-    for led in motion.led(frame, max(STEPS)):
+    views: list[tuple[ChainedFlow, StaticMotion]] = []
+    for led in motion.chained_flows(frame, max(STEPS)):
         other = poses[led.frame]
         if led.steps in STEPS and other is not None:
             relative = np.linalg.inv(other) @ pose
-            views.append((led, AtRest(relative[:3, :3], relative[:3, 3], camera, shape)))
+            views.append((led, StaticMotion(relative[:3, :3], relative[:3, 3], camera, shape)))
     if len(views) < 2:
         return None
     inverse_depth, far = _joint_depth(views, shape)
@@ -83,7 +83,7 @@ def path_evidence(
 
 
 def _joint_depth(
-    views: Sequence[tuple[Led, AtRest]], shape: tuple[int, ...]
+    views: Sequence[tuple[ChainedFlow, StaticMotion]], shape: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the inverse depth that serves frames best, and how far it is off, px, (H, W) each."""
     inverse_depth = np.zeros(shape, np.float32)

@@ -6,12 +6,17 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.frames.disk_cache import Shelf
-from tisfm.reconstruction.frames.frame_flow import TRACKING
+from tisfm.reconstruction.frames.disk_cache import DiskCache
+from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
 from tisfm.reconstruction.frames.image_motion import ImageMotion
-from tisfm.reconstruction.objects.below_ground import BelowGround, Depth
+from tisfm.reconstruction.objects.below_ground import BelowGround, StaticDepth
 from tisfm.reconstruction.objects.identities import MOST_THINGS, Identities
-from tisfm.reconstruction.objects.motion_evidence import AT_REST, Evidence, accumulated, evidence_of
+from tisfm.reconstruction.objects.motion_evidence import (
+    AT_REST,
+    Evidence,
+    accumulate_evidence,
+    evidence_of,
+)
 from tisfm.reconstruction.objects.moving_regions import BOUNDARY
 from tisfm.reconstruction.objects.path_evidence import path_evidence
 
@@ -28,9 +33,9 @@ class SequenceLabels:
     """
 
     def __init__(self, camera: Camera) -> None:
-        self._motion = ImageMotion(camera, TRACKING)
+        self._motion = ImageMotion(camera, TRACKING_SETTINGS)
         self._shape = (0, 0)
-        self._evidence = Shelf(Evidence.arrays, Evidence.of_arrays)
+        self._evidence = DiskCache(Evidence.arrays, Evidence.of_arrays)
         self._together: Sequence[Evidence] = ()
 
     def add(self, grey: np.ndarray) -> None:
@@ -57,27 +62,27 @@ class SequenceLabels:
         elif not len(self._evidence):
             for frame in range(len(self._motion)):
                 self._evidence.append(evidence_of(self._motion, frame))
-        self._together = accumulated(self._motion, self._evidence)
+        self._together = accumulate_evidence(self._motion, self._evidence)
         labels = Identities(self._motion, self._together).labels()
         for labelled in labels if ground is None else self._with_ground(labels, ground):
-            yield enlarged_labels(labelled, self._motion.share, self._shape)
+            yield enlarge_labels(labelled, self._motion.share, self._shape)
 
     def _add_path(self, poses: Sequence[np.ndarray | None], camera: Camera) -> BelowGround:
         """Let the path say what it can, and return what may lie below the ground under it."""
         small = self._motion.camera(camera)
-        both = Shelf(Evidence.arrays, Evidence.of_arrays)
-        depths = Shelf(Depth.arrays, Depth.of_arrays)
+        both = DiskCache(Evidence.arrays, Evidence.of_arrays)
+        depths = DiskCache(StaticDepth.arrays, StaticDepth.of_arrays)
         for frame, own in enumerate(self._evidence):
             moving = self._together[frame].mean() > BOUNDARY
             more = path_evidence(self._motion, frame, poses, small, moving)
             if more is None:
                 both.append(own)
-                depths.append(Depth.unknown(moving.shape))
+                depths.append(StaticDepth.unknown(moving.shape))
                 continue
             many, inverse_depth = more
             both.append(own.judged_by(many))
             at_rest = ~moving & (many.weight > KNOWN) & (many.moving < HALF * many.weight)
-            depths.append(Depth(inverse_depth=inverse_depth, at_rest=at_rest))
+            depths.append(StaticDepth(inverse_depth=inverse_depth, at_rest=at_rest))
         self._evidence = both
         return BelowGround(self._motion, poses, small, depths)
 
@@ -89,8 +94,8 @@ class SequenceLabels:
         Those are things of their own: nothing shows where they end on the ground, which may lead to
         what moves otherwise.
         """
-        known: Shelf[np.ndarray] = Shelf(lambda labels: (labels,), lambda labels: labels)
-        evidence = Shelf(Evidence.arrays, Evidence.of_arrays)
+        known: DiskCache[np.ndarray] = DiskCache(lambda labels: (labels,), lambda labels: labels)
+        evidence = DiskCache(Evidence.arrays, Evidence.of_arrays)
         count, is_any = 0, False
         for frame, labelled in enumerate(labels):
             known.append(labelled)
@@ -102,13 +107,13 @@ class SequenceLabels:
         if not is_any:
             yield from known
             return
-        more = Identities(self._motion, accumulated(self._motion, evidence)).labels()
+        more = Identities(self._motion, accumulate_evidence(self._motion, evidence)).labels()
         for labelled, others in zip(known, more, strict=True):
             is_new = (labelled == 0) & (others > 0) & (others <= MOST_THINGS - count)
             yield np.where(is_new, others + np.uint8(count), labelled)
 
 
-def enlarged_labels(labels: np.ndarray, share: float, shape: Sequence[int]) -> np.ndarray:
+def enlarge_labels(labels: np.ndarray, share: float, shape: Sequence[int]) -> np.ndarray:
     """Return labels, (h, w), of frames that are made smaller, as those of the frames, (H, W) uint8.
 
     Parameters

@@ -4,7 +4,7 @@ from typing import Literal
 
 import numpy as np
 
-from tisfm.reconstruction.frames.image_motion import ImageMotion, length_of, places_of
+from tisfm.reconstruction.frames.image_motion import ImageMotion, pixel_grid, vector_lengths
 
 FEWEST, FEWEST_QUADRATIC = 30, 400  # pixels that a smooth motion is fitted to
 STARTING = 1.0  # px from a velocity: what moves otherwise counts little at first
@@ -13,7 +13,7 @@ LEAST_DEVIATION = 0.2  # px, of what a smooth motion misses
 Terms = Literal[1, 3, 6]
 
 
-class Moves:
+class SmoothMotions:
     """How the pixels of a frame move to the frames after and before.
 
     Attributes
@@ -26,7 +26,8 @@ class Moves:
 
     def __init__(self, motion: ImageMotion, frame: int) -> None:
         self._ways = [
-            (led.places - places_of(led.found.shape), led.found) for led in motion.led(frame, 1)
+            (led.places - pixel_grid(led.found.shape), led.found)
+            for led in motion.chained_flows(frame, 1)
         ]
         self._later = frame + 1 < len(motion)
         self.known = np.any([found for _, found in self._ways], axis=0)
@@ -59,7 +60,7 @@ class Moves:
                 continue
             sign = 1 if self._later and way == 0 else -1
             start = None if velocity is None else sign * velocity
-            missed = length_of(flow - smooth_motion(flow, inside, start, terms))
+            missed = vector_lengths(flow - smooth_motion(flow, inside, start, terms))
             deviations.append(1.48 * float(np.median(missed[inside])))
             total += np.where(found, missed, 0)
             count += found
@@ -84,7 +85,7 @@ def smooth_motion(
     rows, columns = np.nonzero(mask)
     middle = np.array([np.median(columns), np.median(rows)])
     size = max(1.0, float(max(np.ptp(columns), np.ptp(rows))) / 2)
-    x, y = np.moveaxis((places_of(flow.shape) - middle) / size, -1, 0).clip(-2, 2)
+    x, y = np.moveaxis((pixel_grid(flow.shape) - middle) / size, -1, 0).clip(-2, 2)
     shapes = [np.ones_like(x), x, y, x * x, x * y, y * y]
     stacked = np.stack(shapes[: terms if len(rows) >= FEWEST_QUADRATIC else min(terms, 3)], -1)
     every = max(1, len(rows) // 4000)

@@ -6,16 +6,16 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from tisfm.reconstruction.frames.frame_flow import TRACKING
+from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
 from tisfm.reconstruction.frames.image_motion import ImageMotion
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
-from tisfm.reconstruction.objects.label_propagation import carried_labels
-from tisfm.reconstruction.objects.sequence_labels import SequenceLabels, enlarged_labels
+from tisfm.reconstruction.objects.label_propagation import propagate_labels
+from tisfm.reconstruction.objects.sequence_labels import SequenceLabels, enlarge_labels
 from tisfm.reconstruction.path.path_finder import CameraPath
 from tisfm.reconstruction.result.calibration import Calibrate
 
 
-def path_at_rest(
+def find_static_path(
     frames: PreparedFrames,
     labels: SequenceLabels | None,
     path_of: Callable[[Calibrate | None], CameraPath],
@@ -58,11 +58,11 @@ def path_at_rest(
     return path if calibrate is None else replace(path, focal=focal)
 
 
-def label_others(frames: PreparedFrames, known: Sequence[int]) -> None:
+def label_remaining_frames(frames: PreparedFrames, known: Sequence[int]) -> None:
     """Carry the labels of frames that have some, in order, to those that have none."""
     if len(known) == frames.count:
         return
-    motion = ImageMotion(frames.camera, TRACKING)
+    motion = ImageMotion(frames.camera, TRACKING_SETTINGS)
     for number in range(frames.count):
         motion.add(frames.tracked(number)[0])
     height, width = motion.grey(0).shape
@@ -71,8 +71,8 @@ def label_others(frames: PreparedFrames, known: Sequence[int]) -> None:
         size = (width, height)
         return cv2.resize(frames.labels(number), size, interpolation=cv2.INTER_NEAREST_EXACT)
 
-    for number, labels in carried_labels(motion, known, labelled):
-        frames.label(number, enlarged_labels(labels, motion.share, frames.shape))
+    for number, labels in propagate_labels(motion, known, labelled):
+        frames.label(number, enlarge_labels(labels, motion.share, frames.shape))
 
 
 def _label(frames: PreparedFrames, labels: Iterable[np.ndarray]) -> bool:

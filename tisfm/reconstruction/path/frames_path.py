@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.frames.disk_cache import Shelf
-from tisfm.reconstruction.frames.frame_flow import TRACKING
-from tisfm.reconstruction.mapping.solution import WORTHLESS, Piece
+from tisfm.reconstruction.frames.disk_cache import DiskCache
+from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
+from tisfm.reconstruction.mapping.solution import MAX_USEFUL_DEVIATION, Piece
 from tisfm.reconstruction.path.given_poses import poses_of_frames
 from tisfm.reconstruction.path.path_finder import CameraPath, PathFinder
 from tisfm.reconstruction.result.calibration import Calibrate
-from tisfm.reconstruction.rolling_shutter.unrolled_tracks import Unrolling
-from tisfm.reconstruction.tracks.tracker import Seen, Tracker
-from tisfm.reconstruction.tracks.triangulation import triangulated
+from tisfm.reconstruction.rolling_shutter.unrolled_tracks import TrackUnroller
+from tisfm.reconstruction.tracks.tracker import Observations, Tracker
+from tisfm.reconstruction.tracks.triangulation import triangulate_tracks
 from tisfm.trajectory import Trajectory
 
 
@@ -43,14 +43,14 @@ class FramesPath:
         given: Trajectory | None,
         calibrate: Calibrate,
         *,
-        limit: float = WORTHLESS,
+        limit: float = MAX_USEFUL_DEVIATION,
         readout: float | None = None,
         focal_known: bool = True,
     ) -> None:
         self._camera, self._given, self._readout = camera, given, readout
         self._shape = (0, 0)
-        self._seen = Shelf(Seen.arrays, Seen.of_arrays)
-        self._tracker = Tracker(camera, TRACKING)
+        self._seen = DiskCache(Observations.arrays, Observations.of_arrays)
+        self._tracker = Tracker(camera, TRACKING_SETTINGS)
         self._finder = PathFinder(
             camera, calibrate, limit=limit, readout=readout, focal_known=focal_known
         )
@@ -66,7 +66,7 @@ class FramesPath:
         if self._given is None:
             self._finder.add(grey, ignored, flow)
         else:
-            self._seen.append(self._tracker.go_on(grey, ignored, flow))
+            self._seen.append(self._tracker.track(grey, ignored, flow))
 
     def finish(self, times: Sequence[float | None], instants: np.ndarray) -> CameraPath:
         """Return the path of the frames.
@@ -86,15 +86,15 @@ class FramesPath:
         if self._given is None:
             return self._finder.finish(instants)
         camera, shape = self._camera, self._shape
-        seen: Sequence[Seen] = self._seen
+        seen: Sequence[Observations] = self._seen
         poses, lost = poses_of_frames(self._given, times)
         known = {k: pose for k, pose in enumerate(poses) if k not in lost}
-        points = triangulated(seen, known, camera, shape)
+        points = triangulate_tracks(seen, known, camera, shape)
         piece, rolling = Piece(poses=known, views=tuple(known), points=points), None
         if known and self._readout:  # poses are those of middle rows
-            unrolling = Unrolling(seen, [piece], instants, self._readout, 0.0, camera, shape)
+            unrolling = TrackUnroller(seen, [piece], instants, self._readout, 0.0, camera, shape)
             seen, rolling = unrolling.all_tracks(), unrolling.rolling
-            piece = replace(piece, points=triangulated(seen, known, camera, shape))
+            piece = replace(piece, points=triangulate_tracks(seen, known, camera, shape))
         return CameraPath(
             pieces=(piece,) if known else (),
             lost=lost,

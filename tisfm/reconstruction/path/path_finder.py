@@ -10,21 +10,31 @@ from tisfm.camera import Camera
 from tisfm.errors import InputError
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration.self_calibration import (
-    models_and_focal,
-    straight,
-    without_distortion,
+    find_models_and_focal,
+    undistort_observations,
+    undistort_points,
 )
-from tisfm.reconstruction.frames.disk_cache import Shelf
-from tisfm.reconstruction.frames.frame_flow import TRACKING
+from tisfm.reconstruction.frames.disk_cache import DiskCache
+from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
 from tisfm.reconstruction.mapping.incremental import FEWEST, SMALLEST
-from tisfm.reconstruction.mapping.models import Model, models_again, models_of, pose_from_points
-from tisfm.reconstruction.mapping.solution import WORTHLESS, FocalEstimate, Piece, Way
+from tisfm.reconstruction.mapping.models import (
+    Model,
+    find_models,
+    pose_from_points,
+    readjust_models,
+)
+from tisfm.reconstruction.mapping.solution import (
+    MAX_USEFUL_DEVIATION,
+    FocalEstimate,
+    PathSolution,
+    Piece,
+)
 from tisfm.reconstruction.result.calibration import Calibrate
-from tisfm.reconstruction.rolling_shutter.unrolled_path import unrolled_way
-from tisfm.reconstruction.rolling_shutter.unrolled_tracks import Unrolling
-from tisfm.reconstruction.submaps.joining import MOST, focal_from_parts, models_in_parts
-from tisfm.reconstruction.tracks.tracker import CELLS, Seen, Tracker
-from tisfm.reconstruction.tracks.views import View, Views
+from tisfm.reconstruction.rolling_shutter.unrolled_path import find_unrolled_path
+from tisfm.reconstruction.rolling_shutter.unrolled_tracks import TrackUnroller
+from tisfm.reconstruction.submaps.joining import MOST, focal_from_submaps, models_from_submaps
+from tisfm.reconstruction.tracks.tracker import CELLS, Observations, Tracker
+from tisfm.reconstruction.tracks.views import View, ViewSelection
 from tisfm.shutter import Rolling
 
 # Where fewer views are found, those count between which tracks move by this share of a frame.
@@ -41,7 +51,7 @@ class CameraPath:
         In the order of their first frames. A frame is in one of them at most.
     lost : dict of int to Status
         Frames in none of them.
-    seen : sequence of Seen
+    seen : sequence of Observations
         Tracks in every frame.
     camera : Camera
         With the focal length that poses are found with. Poses, points and tracks are those of its
@@ -54,7 +64,7 @@ class CameraPath:
 
     pieces: tuple[Piece, ...]
     lost: dict[int, Status]
-    seen: Sequence[Seen]
+    seen: Sequence[Observations]
     camera: Camera
     focal: FocalEstimate | None = None
     rolling: Rolling | None = None
@@ -85,7 +95,7 @@ class PathFinder:
         camera: Camera,
         calibrate: Calibrate = "nothing",
         *,
-        limit: float = WORTHLESS,
+        limit: float = MAX_USEFUL_DEVIATION,
         readout: float | None = None,
         cells: int = CELLS,
         focal_known: bool = True,
@@ -93,10 +103,12 @@ class PathFinder:
         self._focal_known = focal_known and calibrate == "nothing"
         self._camera, self._calibrate, self._limit = camera, calibrate, limit
         self._readout = readout
-        self._tracker = Tracker(camera, TRACKING, cells)
-        self._seen = Shelf(Seen.arrays, Seen.of_arrays)
-        self._views = Views(camera, focal_known=calibrate == "nothing", on_disk=True)
-        self._closer: Views | None = Views(camera, focal_known=calibrate == "nothing", on_disk=True)
+        self._tracker = Tracker(camera, TRACKING_SETTINGS, cells)
+        self._seen = DiskCache(Observations.arrays, Observations.of_arrays)
+        self._views = ViewSelection(camera, focal_known=calibrate == "nothing", on_disk=True)
+        self._closer: ViewSelection | None = ViewSelection(
+            camera, focal_known=calibrate == "nothing", on_disk=True
+        )
         self._last: tuple[np.ndarray, np.ndarray | None] | None = None
         self._shape = (0, 0)
 
@@ -108,9 +120,9 @@ class PathFinder:
     ) -> None:
         """Take the next frame, (H, W) uint8, and which of its pixels to ignore, (H, W) bool.
 
-        And the image motion from the frame before, where it is known, as `Tracker.go_on` does.
+        And the image motion from the frame before, where it is known, as `Tracker.track` does.
         """
-        seen = self._tracker.go_on(grey, ignored, flow)
+        seen = self._tracker.track(grey, ignored, flow)
         if self._views.needs(seen, max(grey.shape)):
             self._views.add(len(self._seen), grey, seen, ignored)
         if len(self._views.chosen) >= FEW:
@@ -155,7 +167,9 @@ class PathFinder:
             instants = np.arange(len(self._seen)) if instants is None else np.asarray(instants)
             way, rolling = self._unrolled(way, instants)
         lost = {
-            frame: why_lost(way.seen[frame], way.pieces, different, focal_known=self._focal_known)
+            frame: status_of_lost(
+                way.seen[frame], way.pieces, different, focal_known=self._focal_known
+            )
             for frame in way.unplaced
         }
         return CameraPath(
@@ -167,21 +181,27 @@ class PathFinder:
             rolling=rolling,
         )
 
-    def _unrolled(self, way: Way, instants: np.ndarray) -> tuple[Way, Rolling | None]:
+    def _unrolled(
+        self, way: PathSolution, instants: np.ndarray
+    ) -> tuple[PathSolution, Rolling | None]:
         """Return the way of middle rows, and how frames moved while they were read, if they did."""
         pinhole, matches = way.camera.pinhole(), self._views.matches
 
-        def near(views: Sequence[View], seen: Sequence[Seen], before: Sequence[Piece]) -> Way:
+        def near(
+            views: Sequence[View], seen: Sequence[Observations], before: Sequence[Piece]
+        ) -> PathSolution:
             if len(views) > MOST:
-                models = models_in_parts(
+                models = models_from_submaps(
                     views, matches, pinhole, self._shape, seen, focal_known=self._focal_known
                 )
             else:
                 known = [{frame: piece.poses[frame] for frame in piece.views} for piece in before]
-                models = models_again(views, matches, pinhole, self._shape, known)
+                models = readjust_models(views, matches, pinhole, self._shape, known)
             return self._complete(models, views, seen, pinhole)
 
-        found, rolling = unrolled_way(way, near, matches, instants, self._readout, self._shape)
+        found, rolling = find_unrolled_path(
+            way, near, matches, instants, self._readout, self._shape
+        )
         if rolling is None:
             return way, None
         if len(found.views) <= MOST:
@@ -195,7 +215,7 @@ class PathFinder:
         if found.focal is None:
             found = replace(found, camera=way.camera, focal=way.focal)
         # Frames that have got a pose only now.
-        late = Unrolling(
+        late = TrackUnroller(
             way.seen, found.pieces, instants, rolling.readout, 0.0, rolling.camera, self._shape
         ).rolling
         rates = {**late.rates, **rolling.rates}
@@ -205,15 +225,15 @@ class PathFinder:
     def _way(
         self,
         views: Sequence[View],
-        tracks: Sequence[Seen],
+        tracks: Sequence[Observations],
         camera: Camera,
         calibrate: Calibrate,
-    ) -> Way:
+    ) -> PathSolution:
         """Return the path through views and tracks in every frame."""
         matches, shape, focal = self._views.matches, self._shape, None
         if len(views) > MOST:  # memory is to be bounded
             if calibrate != "nothing":
-                focal = focal_from_parts(
+                focal = focal_from_submaps(
                     views, matches, camera, shape, calibrate, limit=self._limit
                 )
                 if focal is None:  # no part has a path
@@ -221,14 +241,14 @@ class PathFinder:
             lens = camera if focal is None else focal.taken(camera)
             seen = _straight(tracks, lens, shape)
             straight_views = _straight_views(views, lens, shape)
-            models = models_in_parts(
+            models = models_from_submaps(
                 straight_views, matches, lens.pinhole(), shape, seen, focal_known=self._focal_known
             )
             return self._complete(models, views, seen, lens, focal)
         if calibrate == "nothing":
-            models = models_of(views, matches, camera, shape, focal_known=self._focal_known)
+            models = find_models(views, matches, camera, shape, focal_known=self._focal_known)
         else:
-            models, focal = models_and_focal(
+            models, focal = find_models_and_focal(
                 views, matches, camera, shape, calibrate, limit=self._limit
             )
         lens = camera if focal is None else focal.taken(camera)
@@ -238,19 +258,19 @@ class PathFinder:
         self,
         models: Sequence[Model],
         views: Sequence[View],
-        seen: Sequence[Seen],
+        seen: Sequence[Observations],
         camera: Camera,
         focal: FocalEstimate | None = None,
-    ) -> Way:
+    ) -> PathSolution:
         """Return the way of models and of the frames between their views."""
-        pieces, unplaced = with_others(
+        pieces, unplaced = add_other_frames(
             [Piece(poses=one.poses, views=tuple(one.poses), points=one.points) for one in models],
             seen,
             range(len(seen)),
             camera.pinhole(),
             self._shape,
         )
-        return Way(
+        return PathSolution(
             pieces=pieces,
             unplaced=unplaced,
             views=views,
@@ -266,13 +286,15 @@ def _is_of_use(focal: FocalEstimate | None) -> bool:
     return focal is None or focal.is_of_use
 
 
-def _straight(tracks: Sequence[Seen], lens: Camera, shape: tuple[int, int]) -> Sequence[Seen]:
+def _straight(
+    tracks: Sequence[Observations], lens: Camera, shape: tuple[int, int]
+) -> Sequence[Observations]:
     """Return where a pinhole would see the tracks of every frame."""
     if lens.is_pinhole:
         return tracks
-    found = Shelf(Seen.arrays, Seen.of_arrays)
+    found = DiskCache(Observations.arrays, Observations.of_arrays)
     for one in tracks:
-        found.append(without_distortion(one, lens, shape))
+        found.append(undistort_observations(one, lens, shape))
     return found
 
 
@@ -280,21 +302,21 @@ def _straight_views(views: Sequence[View], lens: Camera, shape: tuple[int, int])
     """Return views as a pinhole has them."""
     if lens.is_pinhole:
         return views
-    found = Shelf(View.arrays, View.of_arrays)
+    found = DiskCache(View.arrays, View.of_arrays)
     for view in views:
         found.append(
             View(
                 frame=view.frame,
-                seen=without_distortion(view.seen, lens, shape),
-                detected=straight(view.detected, lens, shape),
+                seen=undistort_observations(view.seen, lens, shape),
+                detected=undistort_points(view.detected, lens, shape),
             )
         )
     return found
 
 
-def with_others(
+def add_other_frames(
     pieces: Sequence[Piece],
-    seen: Sequence[Seen],
+    seen: Sequence[Observations],
     frames: Iterable[int],
     camera: Camera,
     shape: tuple[int, int],
@@ -304,7 +326,7 @@ def with_others(
     Parameters
     ----------
     pieces : sequence of Piece
-    seen : sequence of Seen
+    seen : sequence of Observations
         Tracks in every frame.
     frames : iterable of int
         Those that are to be in a piece.
@@ -333,14 +355,14 @@ def with_others(
     ], unplaced
 
 
-def why_lost(
-    seen: Seen, pieces: Sequence[Piece], different: int, *, focal_known: bool = True
+def status_of_lost(
+    seen: Observations, pieces: Sequence[Piece], different: int, *, focal_known: bool = True
 ) -> Status:
     """Return the status of a frame without a pose.
 
     Parameters
     ----------
-    seen : Seen
+    seen : Observations
         Tracks in the frame.
     pieces : sequence of Piece
         All that were found.

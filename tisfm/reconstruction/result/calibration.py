@@ -77,7 +77,7 @@ class Calibration:
 GIVEN = Calibration(origin="given")
 
 
-def focal_in_words(focal: float, deviation: float, shape: tuple[int, int] | None) -> str:
+def describe_focal(focal: float, deviation: float, shape: tuple[int, int] | None) -> str:
     """Return a focal length and its deviation, px, with the size (H, W) of their frames.
 
     A deviation of 0 is left out, and so is an infinite one.

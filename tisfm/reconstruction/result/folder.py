@@ -40,9 +40,9 @@ LARGEST_HALF = 60000.0  # what a value is scaled to at most: numbers have 11 sig
 _DAMAGE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA, MASKS, OBJECTS)
 _HALVES = ("inverse_depth", "inverse_depth_std")
-ASKED = "asked.json"  # what `tisfm reconstruct` was asked for
+REQUEST = "asked.json"  # what `tisfm reconstruct` was asked for
 OTHERS = (
-    ASKED, "poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb", REPORT, TIMINGS
+    REQUEST, "poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb", REPORT, TIMINGS
 )  # fmt: skip
 
 

@@ -22,17 +22,17 @@ from tisfm.folders.result_folder import LOCK
 from tisfm.folders.side_files import REPORT, TIMINGS
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.reading import read_json
-from tisfm.reconstruction.result.folder import ASKED, BEGUN, RECORD
+from tisfm.reconstruction.result.folder import BEGUN, RECORD, REQUEST
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource
 from tisfm.sources.paths import files_of_pattern
 from tisfm.trajectory import Trajectory
 from tisfm.version import __version__
 
-Asked = dict[str, Any]
+Request = dict[str, Any]
 
 
-def asked_for(
+def make_request(
     frames: FrameSource,
     *,
     camera: Camera | Path | None,
@@ -41,7 +41,7 @@ def asked_for(
     arch: str | None,
     others: Mapping[str, Any],
     files: Mapping[str, str | None] | None = None,
-) -> Asked:
+) -> Request:
     """Return all that a result depends on, as JSON has it.
 
     Parameters
@@ -72,11 +72,11 @@ def asked_for(
         **{name: path and files_digest(_files(path)) for name, path in (files or {}).items()},
         **others,
     }
-    plain: Asked = json.loads(json.dumps(asked))
+    plain: Request = json.loads(json.dumps(asked))
     return plain
 
 
-def digest_of(asked: Asked) -> str:
+def digest_of(asked: Request) -> str:
     """Return a short digest of it."""
     return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:32]
 
@@ -105,7 +105,7 @@ def files_below(folder: Path) -> dict[str, list[int]]:
     found = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
-        if name.startswith(".") or name in (LOCK, ASKED, BEGUN, REPORT, TIMINGS):
+        if name.startswith(".") or name in (LOCK, REQUEST, BEGUN, REPORT, TIMINGS):
             continue
         total = file_checksum(path)
         if total is not None:
@@ -113,17 +113,17 @@ def files_below(folder: Path) -> dict[str, list[int]]:
     return found
 
 
-def write_asked(folder: Path, asked: Asked) -> None:
+def write_request(folder: Path, asked: Request) -> None:
     """Write what was asked for, and which files it led to: the result is complete."""
     about = {"asked": asked, "files": files_below(folder)}
-    with atomic_write(folder / ASKED, durable=True) as file:
+    with atomic_write(folder / REQUEST, durable=True) as file:
         file.write((json.dumps(about, indent=1) + "\n").encode())
 
 
-def read_asked(folder: Path) -> Asked | None:
-    """Return what `write_asked` wrote, with ``asked`` and ``files``; None if there is nothing."""
+def read_request(folder: Path) -> Request | None:
+    """Return what `write_request` wrote, with ``asked`` and ``files``; None if there is nothing."""
     try:
-        about = read_json(folder / ASKED)
+        about = read_json(folder / REQUEST)
     except (FormatError, OSError):
         return None
     known = isinstance(about, dict) and all(
@@ -132,7 +132,7 @@ def read_asked(folder: Path) -> Asked | None:
     return about if known else None
 
 
-def is_done(folder: Path, asked: Asked) -> bool:
+def is_done(folder: Path, asked: Request) -> bool:
     """Return whether a folder holds the complete result of what is asked for.
 
     Raises
@@ -140,14 +140,14 @@ def is_done(folder: Path, asked: Asked) -> bool:
     ValueError
         If it holds one of something else; it says what differs.
     """
-    about = read_asked(folder)
+    about = read_request(folder)
     if about is None or not (folder / RECORD).exists():
         return False
     refuse_differing(folder, about["asked"], asked)
     return bool(about["files"] == files_below(folder))
 
 
-def refuse_differing(folder: Path, before: Asked, asked: Asked) -> None:
+def refuse_differing(folder: Path, before: Request, asked: Request) -> None:
     """Raise ValueError, with what differs, unless the same is asked for as before."""
     differences = summarise_differences(compare_records(before, asked))
     if differences:

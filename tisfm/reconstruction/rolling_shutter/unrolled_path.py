@@ -5,12 +5,12 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.calibration.self_calibration import straight
-from tisfm.reconstruction.frames.disk_cache import Shelf
-from tisfm.reconstruction.mapping.solution import Piece, Way
+from tisfm.reconstruction.calibration.self_calibration import undistort_points
+from tisfm.reconstruction.frames.disk_cache import DiskCache
+from tisfm.reconstruction.mapping.solution import PathSolution, Piece
 from tisfm.reconstruction.rolling_shutter.readout import ReadoutEstimate, estimate_readout
-from tisfm.reconstruction.rolling_shutter.unrolled_tracks import Unrolling
-from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.rolling_shutter.unrolled_tracks import TrackUnroller
+from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 from tisfm.shutter import Rolling, rates_of
 
@@ -22,24 +22,24 @@ KNOWN_ROUNDS = 2  # of a path whose readout is known
 # is foreseen to come again, at most.
 HIDDEN = 0.6
 
-Near = Callable[[Sequence[View], Sequence[Seen], Sequence[Piece]], Way]
+Near = Callable[[Sequence[View], Sequence[Observations], Sequence[Piece]], PathSolution]
 
 
-def unrolled_way(
-    way: Way,
+def find_unrolled_path(
+    way: PathSolution,
     near: Near,
     matches: Mapping[tuple[int, int], np.ndarray],
     instants: np.ndarray,
     readout: float | None,
     shape: tuple[int, int],
-) -> tuple[Way, Rolling | None]:
+) -> tuple[PathSolution, Rolling | None]:
     """Return the way of middle rows, and how frames moved while they were read.
 
     If all rows seem to be read at once, it is the way as it was, and None.
 
     Parameters
     ----------
-    way : Way
+    way : PathSolution
         Found as if all rows were read at once.
     near : callable
         Returns the way through other views and tracks, which are what a pinhole sees, near those
@@ -54,9 +54,9 @@ def unrolled_way(
         Height and width of the frames, px.
     """
     camera = way.camera.pinhole()
-    views = Shelf(View.arrays, View.of_arrays)
+    views = DiskCache(View.arrays, View.of_arrays)
     for view in way.views:
-        detected = straight(view.detected, way.camera, shape)
+        detected = undistort_points(view.detected, way.camera, shape)
         views.append(View(frame=view.frame, seen=way.seen[view.frame], detected=detected))
     found, rolling = way, None
     value, deviation, change = readout or 0.0, 0.0, 0.0
@@ -73,9 +73,9 @@ def unrolled_way(
             deviation = float(f"{estimate.deviation:.3g}")
             if number and value == last:  # it is as much as it can be
                 break
-        unrolling = Unrolling(way.seen, found.pieces, instants, value, deviation, camera, shape)
+        unrolling = TrackUnroller(way.seen, found.pieces, instants, value, deviation, camera, shape)
         rolling = unrolling.rolling
-        corrected = Shelf(View.arrays, View.of_arrays)
+        corrected = DiskCache(View.arrays, View.of_arrays)
         for view in views:
             corrected.append(unrolling.view(view))
         found = near(corrected, unrolling.all_tracks(), found.pieces)
@@ -99,7 +99,7 @@ def _taken(readout: float) -> float:
 
 
 def _estimate(
-    way: Way,
+    way: PathSolution,
     views: Sequence[View],
     matches: Mapping[tuple[int, int], np.ndarray],
     instants: np.ndarray,

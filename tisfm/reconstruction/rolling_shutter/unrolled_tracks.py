@@ -7,22 +7,22 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.frames.disk_cache import Shelf
+from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.mapping.solution import Piece
-from tisfm.reconstruction.tracks.tracker import Seen
-from tisfm.reconstruction.tracks.triangulation import located
+from tisfm.reconstruction.tracks.tracker import Observations
+from tisfm.reconstruction.tracks.triangulation import points_of_tracks
 from tisfm.reconstruction.tracks.views import View
 from tisfm.shutter import Rolling, at_middle, rates_of
 
 NEAR = 3  # tracks around a point, whose median depth it is taken to have
 
 
-class Unrolling:
+class TrackUnroller:
     """Undoes what a readout does to the points of frames.
 
     Parameters
     ----------
-    seen : sequence of Seen, or mapping
+    seen : sequence of Observations, or mapping
         Tracks of every frame, as the camera sees them.
     pieces : sequence of Piece
         A frame is in one of them at most.
@@ -42,7 +42,7 @@ class Unrolling:
 
     def __init__(
         self,
-        seen: Sequence[Seen] | Mapping[int, Seen],
+        seen: Sequence[Observations] | Mapping[int, Observations],
         pieces: Sequence[Piece],
         instants: np.ndarray | Mapping[int, float],
         readout: float,
@@ -68,7 +68,7 @@ class Unrolling:
             inverse_depth=usual,
         )
 
-    def tracks(self, frame: int) -> Seen:
+    def tracks(self, frame: int) -> Observations:
         """Return the tracks of a frame; those that would lie outside of it are left out."""
         seen = self._seen[frame]
         if frame not in self._depths:
@@ -78,11 +78,11 @@ class Unrolling:
         points = self._moved(frame, seen.points, np.where(known, depth, usual))
         height, width = self._shape
         inside = ((points >= 0) & (points <= (width - 1, height - 1))).all(axis=1)
-        return Seen(points=points[inside], tracks=seen.tracks[inside])
+        return Observations(points=points[inside], tracks=seen.tracks[inside])
 
-    def all_tracks(self) -> Shelf[Seen]:
+    def all_tracks(self) -> DiskCache[Observations]:
         """Return the tracks of every frame."""
-        found = Shelf(Seen.arrays, Seen.of_arrays)
+        found = DiskCache(Observations.arrays, Observations.of_arrays)
         for frame in range(len(self._seen)):
             found.append(self.tracks(frame))
         return found
@@ -109,10 +109,10 @@ class Unrolling:
 
 
 def _depths(
-    seen: Seen, points: Mapping[int, np.ndarray], pose: np.ndarray
+    seen: Observations, points: Mapping[int, np.ndarray], pose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return Z of every track of a frame, (N,), and which are known and before the camera, (N,)."""
-    known, world = located(seen, points)
+    known, world = points_of_tracks(seen, points)
     depth = np.zeros(len(seen.tracks))
     depth[known] = (world - pose[:3, 3]) @ pose[:3, 2]
     return depth, depth > 0

@@ -7,16 +7,21 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.outcome import Status
-from tisfm.reconstruction.calibration.self_calibration import models_and_focal
-from tisfm.reconstruction.frames.disk_cache import Shelf
-from tisfm.reconstruction.frames.frame_flow import TRACKING
-from tisfm.reconstruction.mapping.models import continued, models_again, models_of
-from tisfm.reconstruction.mapping.solution import WORTHLESS, FocalEstimate, Piece, Way
-from tisfm.reconstruction.path.path_finder import why_lost, with_others
-from tisfm.reconstruction.rolling_shutter.unrolled_path import KNOWN_ROUNDS, unrolled_way
-from tisfm.reconstruction.rolling_shutter.unrolled_tracks import Unrolling
-from tisfm.reconstruction.tracks.tracker import Seen, Tracker
-from tisfm.reconstruction.tracks.views import View, Views
+from tisfm.reconstruction.calibration.self_calibration import find_models_and_focal
+from tisfm.reconstruction.frames.disk_cache import DiskCache
+from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
+from tisfm.reconstruction.mapping.models import continue_model, find_models, readjust_models
+from tisfm.reconstruction.mapping.solution import (
+    MAX_USEFUL_DEVIATION,
+    FocalEstimate,
+    PathSolution,
+    Piece,
+)
+from tisfm.reconstruction.path.path_finder import add_other_frames, status_of_lost
+from tisfm.reconstruction.rolling_shutter.unrolled_path import KNOWN_ROUNDS, find_unrolled_path
+from tisfm.reconstruction.rolling_shutter.unrolled_tracks import TrackUnroller
+from tisfm.reconstruction.tracks.tracker import Observations, Tracker
+from tisfm.reconstruction.tracks.views import View, ViewSelection
 from tisfm.shutter import Rolling, instants_of
 
 REMEMBERED = 16  # views with poses that stay, from which the path is continued
@@ -24,7 +29,7 @@ ANCHORS = 6  # of them at least: where there are fewer, later ones stay as well
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stretch:
+class SlidingSolution:
     """Poses of the frames that are remembered.
 
     Attributes
@@ -46,14 +51,14 @@ class Stretch:
     rolling: Rolling | None = None
 
 
-class Remembered(Sequence[Seen]):
+class RecentObservations(Sequence[Observations]):
     """Tracks in every frame of a sequence, of which early ones are forgotten."""
 
     def __init__(self) -> None:
-        self._seen: dict[int, Seen] = {}
+        self._seen: dict[int, Observations] = {}
         self._count = 0
 
-    def append(self, seen: Seen) -> None:
+    def append(self, seen: Observations) -> None:
         """Add the next frame."""
         self._seen[self._count] = seen
         self._count += 1
@@ -66,9 +71,9 @@ class Remembered(Sequence[Seen]):
         """Forget a frame."""
         del self._seen[frame]
 
-    def changed(self, others: Mapping[int, Seen]) -> "Remembered":
+    def changed(self, others: Mapping[int, Observations]) -> "RecentObservations":
         """Return the same with other tracks in some frames."""
-        changed = Remembered()
+        changed = RecentObservations()
         changed._seen = {frame: others.get(frame, seen) for frame, seen in self._seen.items()}
         changed._count = self._count
         return changed
@@ -76,10 +81,10 @@ class Remembered(Sequence[Seen]):
     def __len__(self) -> int:
         return self._count
 
-    def __getitem__(self, frame: int) -> Seen:  # type: ignore[override]
+    def __getitem__(self, frame: int) -> Observations:  # type: ignore[override]
         return self._seen[frame]
 
-    def __iter__(self) -> Iterator[Seen]:
+    def __iter__(self) -> Iterator[Observations]:
         return iter(self._seen.values())
 
 
@@ -112,7 +117,7 @@ class SlidingPath:
         As it is known; 0 once the first path shows none.
     readout_deviation : float
         Its standard deviation; 0 where it was given.
-    seen : Remembered
+    seen : RecentObservations
         Tracks in every frame, those of middle rows where a readout is undone.
     settled : int
         Frames up to this one have their final poses, or none for ever; −1 before there are any.
@@ -124,7 +129,7 @@ class SlidingPath:
         *,
         focal_known: bool = True,
         readout: float | None = 0.0,
-        limit: float = WORTHLESS,
+        limit: float = MAX_USEFUL_DEVIATION,
         is_guess: bool = False,
     ) -> None:
         self.camera = camera
@@ -132,13 +137,13 @@ class SlidingPath:
         self.readout, self.readout_deviation = readout, 0.0
         self._focal_known, self._limit = focal_known, limit
         self._focal_stated = focal_known and not is_guess
-        self.seen = Remembered()
-        self._read = Remembered()  # tracks as rows were read
+        self.seen = RecentObservations()
+        self._read = RecentObservations()  # tracks as rows were read
         self._unrolled: dict[int, View] = {}
         self._taken: dict[int, tuple[int, float | None]] = {}  # index and time, by frame
         self.settled = -1
-        self._tracker = Tracker(camera, TRACKING)
-        self._views = Views(camera, focal_known=focal_known)
+        self._tracker = Tracker(camera, TRACKING_SETTINGS)
+        self._views = ViewSelection(camera, focal_known=focal_known)
         self._last: tuple[np.ndarray, np.ndarray | None]
         self._shape = (0, 0)
         self._held: dict[int, dict[int, np.ndarray]] = {}  # poses that stay, by piece and frame
@@ -161,7 +166,7 @@ class SlidingPath:
         taken : (int, float or None), optional
             Its number in the source, and when it was taken, s; by default the next number.
         """
-        seen = self._tracker.go_on(grey, ignored)
+        seen = self._tracker.track(grey, ignored)
         if self._views.needs(seen, max(grey.shape)):
             self._views.add(len(self.seen), grey, seen, ignored)
         self._taken[len(self.seen)] = taken or (len(self.seen), None)
@@ -169,7 +174,7 @@ class SlidingPath:
         self._read.append(seen)
         self._last = grey, ignored
 
-    def found(self, *, at_end: bool = False) -> Stretch:
+    def found(self, *, at_end: bool = False) -> SlidingSolution:
         """Return the path of the frames that are remembered; at the end, no more will come."""
         views, (grey, ignored) = self._views, self._last
         self._shape = grey.shape
@@ -187,7 +192,7 @@ class SlidingPath:
             stretch = replace(self._through(different), rolling=rolling)
         return stretch
 
-    def _through(self, different: int) -> Stretch:
+    def _through(self, different: int) -> SlidingSolution:
         """Return the path through views and tracks as they are known."""
         views = self._views
         settled = {frame for poses in self._held.values() for frame in poses}
@@ -196,15 +201,17 @@ class SlidingPath:
         for number in sorted(self._held, key=lambda one: -max(self._held[one])):
             held = self._held[number]
             known = [k for k, view in enumerate(views.chosen) if view.frame in held]
-            model = continued(*self._among(sorted(known + left)), self.camera, self._shape, held)
+            model = continue_model(
+                *self._among(sorted(known + left)), self.camera, self._shape, held
+            )
             poses = dict(sorted({**model.poses, **held}.items()))
             pieces[number] = Piece(poses=poses, views=tuple(model.poses), points=model.points)
             left = [k for k in left if views.chosen[k].frame not in model.poses]
         among = self._among(left)
         if self._focal_known:
-            models = models_of(*among, self.camera, self._shape, focal_known=self._focal_stated)
+            models = find_models(*among, self.camera, self._shape, focal_known=self._focal_stated)
         else:
-            models, self.focal = models_and_focal(
+            models, self.focal = find_models_and_focal(
                 *among, self.camera, self._shape, "focal", limit=self._limit
             )
             if self.focal is not None:  # from now on it is known
@@ -214,14 +221,16 @@ class SlidingPath:
             number = max([*pieces, self._pieces - 1]) + 1
             pieces[number] = Piece(poses=model.poses, views=tuple(model.poses), points=model.points)
         later = [frame for frame in self.seen.frames() if frame > self.settled]
-        complete, unplaced = with_others(
+        complete, unplaced = add_other_frames(
             list(pieces.values()), self.seen, later, self.camera, self._shape
         )
         lost = {
-            frame: why_lost(self.seen[frame], complete, different, focal_known=self._focal_stated)
+            frame: status_of_lost(
+                self.seen[frame], complete, different, focal_known=self._focal_stated
+            )
             for frame in unplaced
         }
-        return Stretch(
+        return SlidingSolution(
             pieces=dict(zip(pieces, complete, strict=True)),
             held={frame: pose for poses in self._held.values() for frame, pose in poses.items()},
             lost=lost,
@@ -278,22 +287,26 @@ class SlidingPath:
         chosen = [self._views.chosen[number] for number in numbers]
         return [self._unrolled.get(view.frame, view) for view in chosen], matches
 
-    def _find_readout(self, stretch: Stretch) -> None:
+    def _find_readout(self, stretch: SlidingSolution) -> None:
         """Find the readout with the first path; what that does not show is taken for 0."""
         views, camera, shape = list(self._views.chosen), self.camera.pinhole(), self._shape
         matches = self._views.matches
-        tracks = Shelf(Seen.arrays, Seen.of_arrays)  # of all frames, forgotten ones without any
+        tracks = DiskCache(
+            Observations.arrays, Observations.of_arrays
+        )  # of all frames, forgotten ones without any
         there, none = (
             set(self._read.frames()),
-            Seen.of_arrays(np.empty((0, 2)), np.empty(0, np.int64)),
+            Observations.of_arrays(np.empty((0, 2)), np.empty(0, np.int64)),
         )
         for frame in range(len(self._read)):
             tracks.append(self._read[frame] if frame in there else none)
 
-        def near(views: Sequence[View], seen: Sequence[Seen], before: Sequence[Piece]) -> Way:
+        def near(
+            views: Sequence[View], seen: Sequence[Observations], before: Sequence[Piece]
+        ) -> PathSolution:
             known = [{frame: piece.poses[frame] for frame in piece.views} for piece in before]
-            models = models_again(views, matches, camera, shape, known)
-            pieces, unplaced = with_others(
+            models = readjust_models(views, matches, camera, shape, known)
+            pieces, unplaced = add_other_frames(
                 [Piece(poses=m.poses, views=tuple(m.poses), points=m.points) for m in models],
                 seen,
                 sorted(there),
@@ -302,7 +315,7 @@ class SlidingPath:
             )
             return replace(way, pieces=pieces, unplaced=unplaced, views=views, seen=seen)
 
-        way = Way(
+        way = PathSolution(
             pieces=list(stretch.pieces.values()),
             unplaced=list(stretch.lost),
             views=views,
@@ -314,16 +327,16 @@ class SlidingPath:
         instants = np.zeros(len(self._read))
         for frame, instant in self._instants().items():
             instants[frame] = instant
-        _, rolling = unrolled_way(way, near, matches, instants, None, shape)
+        _, rolling = find_unrolled_path(way, near, matches, instants, None, shape)
         self.readout = 0.0 if rolling is None else rolling.readout
         self.readout_deviation = 0.0 if rolling is None else rolling.deviation
 
-    def _unroll(self, stretch: Stretch) -> Rolling:
+    def _unroll(self, stretch: SlidingSolution) -> Rolling:
         """Undo the readout in views and tracks that are not settled, by a path through them."""
         views = self._views.chosen
         read = {view.frame: view.seen for view in views}
         read |= {frame: self._read[frame] for frame in self._read.frames()}
-        unrolling = Unrolling(
+        unrolling = TrackUnroller(
             read,
             list(stretch.pieces.values()),
             self._instants(),

@@ -14,24 +14,24 @@ from tisfm.camera_file import read_camera
 from tisfm.errors import InputError
 from tisfm.focal_guess import FocalGuess, GuessedFocalWarning, guess_focal
 from tisfm.outcome import Status
-from tisfm.reconstruction.calibration.self_calibration import OF_EXIF, calibration_of
-from tisfm.reconstruction.depth.pose_adjustment import adjusted
+from tisfm.reconstruction.calibration.self_calibration import MAX_EXIF_DEVIATION, make_calibration
+from tisfm.reconstruction.depth.pose_adjustment import adjust_poses
 from tisfm.reconstruction.depth.segment_depth import (
     REACH,
     FrameDepth,
     PieceDepths,
-    effort_of,
-    unit_of,
+    depth_effort,
+    median_depth,
 )
 from tisfm.reconstruction.depth.window_depth import WindowDepth
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
-from tisfm.reconstruction.mapping.solution import WORTHLESS, Piece
-from tisfm.reconstruction.pipeline import NO_PARALLAX, begins_piece
+from tisfm.reconstruction.mapping.solution import MAX_USEFUL_DEVIATION, Piece
+from tisfm.reconstruction.pipeline import NO_PARALLAX, add_piece_note
 from tisfm.reconstruction.result.calibration import GIVEN, Calibrate, calibration_in
 from tisfm.reconstruction.result.folder import CACHE, PICTURES, read_picture
-from tisfm.reconstruction.streaming.sliding_path import SlidingPath, Stretch
+from tisfm.reconstruction.streaming.sliding_path import SlidingPath, SlidingSolution
 from tisfm.reconstruction.streaming.streamed_frame import StreamedFrame
-from tisfm.reconstruction.tracks.triangulation import depths_of
+from tisfm.reconstruction.tracks.triangulation import track_depths
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource, SourceFrame
 from tisfm.sources.frame_reader import warn_notes
@@ -70,7 +70,7 @@ class Stream:
         self._share_of_rows = 1.0  # of a frame, where it is cropped
         self._shape = (0, 0)  # height and width of the source's frames, px
         self._scale = 1.0  # px of the source's frames to a px of those that are used
-        self._delay, self._effort = delay, effort_of(settings)
+        self._delay, self._effort = delay, depth_effort(settings)
         self._folder = Path()
         self._frames: PreparedFrames
         self._path: SlidingPath
@@ -144,7 +144,7 @@ class Stream:
                 self._frames.camera,
                 focal_known=self._calibrate == "nothing",
                 readout=self._frames.camera.readout,
-                limit=OF_EXIF if stated else WORTHLESS,
+                limit=MAX_EXIF_DEVIATION if stated else MAX_USEFUL_DEVIATION,
                 is_guess=self._guess is not None or not self._stated.seen,
             )
         self._path.add(*self._frames.add(frame), taken=(frame.index, frame.time))
@@ -189,7 +189,7 @@ class Stream:
                 self._keys[number] = key
             status = Status("converged") if depth is not None else NO_PARALLAX
             if number not in self._begun and number > 0:
-                status = begins_piece(status)
+                status = add_piece_note(status)
             self._begun.add(number)
             keyframe = key is not None and key[0] == frame
             yield self._frame(frame, pieces[number].poses[frame], number, status, depth, keyframe)
@@ -199,7 +199,7 @@ class Stream:
         """Take the camera of the path, and warn once if it is not to be relied on."""
         path = self._path
         self._frames.camera = replace(path.camera, readout=0.0) if path.readout else path.camera
-        found = calibration_of(
+        found = make_calibration(
             self._path.focal,
             self._guess,
             self._path.camera,
@@ -218,7 +218,7 @@ class Stream:
             warnings.warn(found.message, GuessedFocalWarning, stacklevel=5)
         self._calibration = found
 
-    def _final(self, number: int, piece: Piece, stretch: Stretch, first: int) -> Piece:
+    def _final(self, number: int, piece: Piece, stretch: SlidingSolution, first: int) -> Piece:
         """Return a piece with its final poses, in its own axes and unit."""
         piece = self._adjusted(number, piece, stretch)
         if number in self._begun:
@@ -226,13 +226,13 @@ class Stream:
         begin = min(frame for frame in piece.poses if frame >= first)
         depth = next(iter(self._depths(number, piece, first - 1)), None)
         if depth is not None:
-            unit = unit_of(depth.inverse_depth)
+            unit = median_depth(depth.inverse_depth)
         else:
             seen = self._path.seen[begin]
-            unit = float(np.median([*depths_of(seen, piece.points, piece.poses[begin])[1], 1.0]))
+            unit = float(np.median([*track_depths(seen, piece.points, piece.poses[begin])[1], 1.0]))
         return _moved(piece, piece.poses[begin], unit)
 
-    def _adjusted(self, number: int, piece: Piece, stretch: Stretch) -> Piece:
+    def _adjusted(self, number: int, piece: Piece, stretch: SlidingSolution) -> Piece:
         """Return the piece with its new poses adjusted to the images, if it is to be accurate."""
         if self._effort != "accurate":
             return piece
@@ -242,7 +242,7 @@ class Stream:
             here = replace(here, poses={f: pose for f, pose in here.poses.items() if f >= since})
         stars = self._depths(number, here, -1).stars()
         held = {frame: stretch.held[frame] for frame in here.poses if frame in stretch.held}
-        poses = adjusted(
+        poses = adjust_poses(
             here.poses, stars, self._frames.grey, self._frames.camera, self._settings, held=held
         )
         return replace(piece, poses={**piece.poses, **poses, **held})

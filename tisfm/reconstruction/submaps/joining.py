@@ -11,16 +11,22 @@ from itertools import pairwise
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.calibration.self_calibration import models_and_focal
-from tisfm.reconstruction.geometry.sim3 import agreed, mean_pose, misfit, moved_pose, refined
-from tisfm.reconstruction.geometry.sim3_graph import Edge, placed
+from tisfm.reconstruction.calibration.self_calibration import find_models_and_focal
+from tisfm.reconstruction.geometry.sim3 import (
+    fit_sim3_ransac,
+    mean_pose,
+    refine_sim3,
+    relative_errors,
+    transform_pose,
+)
+from tisfm.reconstruction.geometry.sim3_graph import Edge, optimise_sim3_graph
 from tisfm.reconstruction.mapping.incremental import SMALLEST
 from tisfm.reconstruction.mapping.models import Model
 from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.result.calibration import Calibrate
-from tisfm.reconstruction.submaps.submap import GrownPart, Matches, PartGrower
-from tisfm.reconstruction.tracks.tracker import Seen
-from tisfm.reconstruction.tracks.triangulation import triangulated
+from tisfm.reconstruction.submaps.submap import Matches, Submap, SubmapBuilder
+from tisfm.reconstruction.tracks.tracker import Observations
+from tisfm.reconstruction.tracks.triangulation import triangulate_tracks
 from tisfm.reconstruction.tracks.views import View
 
 MOST, OVERLAP = 370, 40  # views of a part, at most, and of two parts that follow one another
@@ -32,7 +38,7 @@ SAMPLE = 60  # points that an edge keeps
 EXACT = 0.002  # of their distance: no points are more exact
 
 
-def parts_of(count: int) -> list[tuple[int, int]]:
+def submap_spans(count: int) -> list[tuple[int, int]]:
     """Return the first view of each part, and the one after its last."""
     if count <= MOST:
         return [(0, count)]
@@ -41,7 +47,7 @@ def parts_of(count: int) -> list[tuple[int, int]]:
     return [(begin, end + OVERLAP) for begin, end in pairwise(begins)]
 
 
-def focal_from_parts(
+def focal_from_submaps(
     views: Sequence[View],
     matches: Matches,
     camera: Camera,
@@ -52,17 +58,17 @@ def focal_from_parts(
 ) -> FocalEstimate | None:
     """Return the focal length of the first part that shows it, or else of that which does best.
 
-    Arguments are as for `models_and_focal`. None is returned if no part leads to a path.
+    Arguments are as for `find_models_and_focal`. None is returned if no part leads to a path.
     """
     best = None
-    for begin, end in parts_of(len(views)):
+    for begin, end in submap_spans(len(views)):
         inside = {
             (earlier - begin, later - begin): both
             for (earlier, later), both in matches.items()
             if begin <= earlier and later < end
         }
         own = [views[k] for k in range(begin, end)]
-        _, found = models_and_focal(own, inside, camera, shape, calibrate, limit=limit)
+        _, found = find_models_and_focal(own, inside, camera, shape, calibrate, limit=limit)
         if found is None:
             continue
         if best is None or found.deviation * best.focal < best.deviation * found.focal:
@@ -72,12 +78,12 @@ def focal_from_parts(
     return best
 
 
-def models_in_parts(
+def models_from_submaps(
     views: Sequence[View],
     matches: Matches,
     camera: Camera,
     shape: tuple[int, int],
-    seen: Sequence[Seen],
+    seen: Sequence[Observations],
     *,
     focal_known: bool = True,
 ) -> list[Model]:
@@ -87,7 +93,7 @@ def models_in_parts(
     ----------
     views, matches, camera, shape, focal_known
         As for `tisfm.reconstruction.mapping.models.models_of`.
-    seen : sequence of Seen
+    seen : sequence of Observations
         Tracks in every frame.
 
     Returns
@@ -96,14 +102,14 @@ def models_in_parts(
         The largest first. A view is in one of them at most.
     """
     size = max(SMALLEST_GROUP, len(views) // GROUPS)
-    spans = parts_of(len(views))
-    grower = PartGrower(views, matches, camera, shape, spans, size, focal_known=focal_known)
+    spans = submap_spans(len(views))
+    grower = SubmapBuilder(views, matches, camera, shape, spans, size, focal_known=focal_known)
     parts = grower.parts()
     begins = np.cumsum([0, *(len(part.groups) for part in parts)]).tolist()
     edges = [*_inside(parts, begins), *_joints(parts, begins, views)]
     edges += sorted(_loops(parts, begins, matches), key=lambda edge: -edge.worth)
     whole = []
-    for place in placed(begins[-1], edges):
+    for place in optimise_sim3_graph(begins[-1], edges):
         inside = [number for number, begin in enumerate(begins[:-1]) if begin in place]
         poses = _merged(
             [parts[k] for k in inside],
@@ -116,11 +122,11 @@ def models_in_parts(
         own = {frame: pose for frame, pose in poses.items() if frame not in taken}
         if len(own) >= SMALLEST:
             taken.update(own)
-            models.append(Model(poses=own, points=triangulated(seen, own, camera, shape)))
+            models.append(Model(poses=own, points=triangulate_tracks(seen, own, camera, shape)))
     return sorted(models, key=lambda one: (-len(one.poses), min(one.poses)))
 
 
-def _inside(parts: Sequence[GrownPart], begins: Sequence[int]) -> Iterator[Edge]:
+def _inside(parts: Sequence[Submap], begins: Sequence[int]) -> Iterator[Edge]:
     """Give edges between groups of one part: as it was grown, they lie right."""
     for part, begin in zip(parts, begins[:-1], strict=True):
         for first in range(len(part.groups)):
@@ -136,7 +142,7 @@ def _inside(parts: Sequence[GrownPart], begins: Sequence[int]) -> Iterator[Edge]
 
 
 def _joints(
-    parts: Sequence[GrownPart], begins: Sequence[int], views: Sequence[View]
+    parts: Sequence[Submap], begins: Sequence[int], views: Sequence[View]
 ) -> Iterator[Edge]:
     """Give edges between groups of parts that have views in common, by the tracks of these."""
     for k, part in enumerate(parts):
@@ -150,11 +156,13 @@ def _joints(
             points, others = part.tracks.positions[at], other.tracks.positions[there]
             middle = part.posed(shared)[:, :3, 3].mean(axis=0)
             distances = np.linalg.norm(points - middle, axis=1)
-            found = agreed(points, others, distances, fewest=FEWEST_AGREE, share=SHARE_AGREE)
+            found = fit_sim3_ransac(
+                points, others, distances, fewest=FEWEST_AGREE, share=SHARE_AGREE
+            )
             if found is None:
                 continue
             similarity, agree = found
-            similarity = refined(
+            similarity = refine_sim3(
                 similarity,
                 (points[agree], others[agree]),
                 distances[agree],
@@ -171,7 +179,7 @@ def _joints(
 
 
 def _common(
-    part: GrownPart, other: GrownPart, shared: Sequence[int]
+    part: Submap, other: Submap, shared: Sequence[int]
 ) -> Iterator[tuple[int, int, list[int]]]:
     """Give groups of two parts with the views that both have."""
     for first, views in enumerate(part.groups):
@@ -181,7 +189,7 @@ def _common(
                 yield first, second, common
 
 
-def _loops(parts: Sequence[GrownPart], begins: Sequence[int], matches: Matches) -> Iterator[Edge]:
+def _loops(parts: Sequence[Submap], begins: Sequence[int], matches: Matches) -> Iterator[Edge]:
     """Give edges between groups of different parts that show the same place."""
     found: dict[tuple[int, int], list[tuple[np.ndarray, ...]]] = {}
     holding: dict[int, list[int]] = {}
@@ -208,10 +216,10 @@ def _loops(parts: Sequence[GrownPart], begins: Sequence[int], matches: Matches) 
         points, others, distances = map(np.concatenate, zip(*lots, strict=True))
         _, once = np.unique(np.hstack([points, others]), axis=0, return_index=True)
         points, others, distances = points[once], others[once], distances[once]
-        fit = agreed(points, others, distances, fewest=FEWEST_AGREE, share=SHARE_AGREE)
+        fit = fit_sim3_ransac(points, others, distances, fewest=FEWEST_AGREE, share=SHARE_AGREE)
         if fit is not None:
             similarity, agree = fit
-            off = misfit(similarity, points[agree], others[agree], distances[agree])
+            off = relative_errors(similarity, points[agree], others[agree], distances[agree])
             deviation = float(np.median(off))
             yield _edge(
                 first, second, similarity, points[agree], distances[agree], deviation, certain=False
@@ -241,7 +249,7 @@ def _edge(
 
 
 def _merged(
-    parts: Sequence[GrownPart], places: Sequence[Sequence[np.ndarray]]
+    parts: Sequence[Submap], places: Sequence[Sequence[np.ndarray]]
 ) -> dict[int, np.ndarray]:
     """Return the poses of views in common coordinates.
 
@@ -260,7 +268,7 @@ def _merged(
             for group, share in ((low, 1 - at + low), (high, at - low)):
                 if share > 0:
                     found.setdefault(view, []).append(
-                        (moved_pose(place[group], pose), share * inside)
+                        (transform_pose(place[group], pose), share * inside)
                     )
     return {
         view: mean_pose(np.array([pose for pose, _ in several]), np.array([w for _, w in several]))

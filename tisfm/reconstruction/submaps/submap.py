@@ -8,7 +8,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.mapping.incremental import SMALLEST
-from tisfm.reconstruction.mapping.models import Shared
+from tisfm.reconstruction.mapping.models import ViewGraph
 from tisfm.reconstruction.tracks.triangulation import TrackPoints
 from tisfm.reconstruction.tracks.views import View
 
@@ -16,7 +16,7 @@ Matches = Mapping[tuple[int, int], np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class GrownPart:
+class Submap:
     """Views of a part that are in one coordinate system.
 
     Attributes
@@ -69,7 +69,7 @@ class GrownPart:
         return there
 
 
-class PartGrower:
+class SubmapBuilder:
     """Grows parts of a sequence, one at a time.
 
     Parameters
@@ -98,7 +98,7 @@ class PartGrower:
         self._focal_known = focal_known
         self._elsewhere = _matched_elsewhere(matches, spans)
 
-    def parts(self) -> list[GrownPart]:
+    def parts(self) -> list[Submap]:
         """Return all parts; one that falls apart is several."""
         found = [self._grown(list(range(*span))) for span in self._spans]
         # Where a part has no beginning of its own, it continues the one before, or after.
@@ -110,8 +110,8 @@ class PartGrower:
         return [part for several in found for part in several]
 
     def _continued(
-        self, span: tuple[int, int], own: Sequence[GrownPart], others: Sequence[GrownPart]
-    ) -> list[GrownPart]:
+        self, span: tuple[int, int], own: Sequence[Submap], others: Sequence[Submap]
+    ) -> list[Submap]:
         """Return what views of a part that are left are in, grown from those of another part."""
         left = set(range(*span)).difference(*(part.poses for part in own))
         if len(left) < SMALLEST:
@@ -127,7 +127,7 @@ class PartGrower:
 
     def _grown(
         self, numbers: Sequence[int], known: Mapping[int, np.ndarray] | None = None
-    ) -> list[GrownPart]:
+    ) -> list[Submap]:
         """Return what some views are in, by themselves, or grown from poses that are known."""
         views, place = (
             [self._views[k] for k in numbers],
@@ -138,12 +138,12 @@ class PartGrower:
             for (earlier, later), both in self._matches.items()
             if earlier in place and later in place
         }
-        shared = Shared.of(views, inside, self._shape, focal_known=self._focal_known)
+        shared = ViewGraph.of(views, inside, self._shape, focal_known=self._focal_known)
         if known is None:
-            grown = shared.grown(self._camera)
+            grown = shared.grow_models(self._camera)
         else:
             by_frame = {views[place[view]].frame: pose for view, pose in known.items()}
-            grown = [shared.continued(self._camera, by_frame)]
+            grown = [shared.continue_model(self._camera, by_frame)]
         return [
             self._part(shared, whole, views, numbers)
             for whole in grown
@@ -152,11 +152,11 @@ class PartGrower:
 
     def _part(
         self,
-        shared: Shared,
+        shared: ViewGraph,
         whole: Any,
         views: Sequence[View],
         numbers: Sequence[int],
-    ) -> GrownPart:
+    ) -> Submap:
         model = shared.model(whole)
         inside = [k for k, view in enumerate(views) if view.frame in model.poses]
         groups = np.array_split(np.array(inside), max(1, round(len(inside) / self._size)))
@@ -166,7 +166,7 @@ class PartGrower:
             for k in inside
             if sum(begin <= numbers[k] < end for begin, end in self._spans) > 1
         ]
-        return GrownPart(
+        return Submap(
             span=(numbers[0], numbers[-1] + 1),
             poses={numbers[k]: model.poses[views[k].frame] for k in inside},
             groups=[[numbers[k] for k in some] for some in groups],
@@ -208,7 +208,7 @@ def _by_group(shown: np.ndarray, ends: Sequence[int], count: int) -> np.ndarray:
 
 
 def _detected(
-    shared: Shared,
+    shared: ViewGraph,
     points: np.ndarray,
     shown: np.ndarray,
     numbers: Sequence[int],

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.tracks.tracker import Observations
 
 # Along the longer side: each of a view's cells gives the track that most views see. The first
 # number that gives views so many, in the median, is taken: parts of frames may show nothing.
 CELLS, ENOUGH = (10, 16, 24), 60
 
 
-def lasting(seen: Sequence[Seen], longer_side: int) -> list[Seen]:
+def choose_long_tracks(seen: Sequence[Observations], longer_side: int) -> list[Observations]:
     """Return what views see of the tracks that last longest, of every place in every view.
 
     A track that few views see adds work, and little else: what it says of the path, those say
@@ -19,7 +19,7 @@ def lasting(seen: Sequence[Seen], longer_side: int) -> list[Seen]:
 
     Parameters
     ----------
-    seen : sequence of Seen
+    seen : sequence of Observations
         Tracks in views.
     longer_side : int
         Of the frames, px.
@@ -35,7 +35,7 @@ def lasting(seen: Sequence[Seen], longer_side: int) -> list[Seen]:
     return [_of(one, np.isin(one.tracks, kept)) for one in seen]
 
 
-def _chosen(seen: Sequence[Seen], side: float) -> list[np.ndarray]:
+def _chosen(seen: Sequence[Observations], side: float) -> list[np.ndarray]:
     """Return, for each view, the track of each cell of a side in px that most views see."""
     tracks, views = np.unique(np.concatenate([one.tracks for one in seen]), return_counts=True)
     chosen = []
@@ -50,5 +50,5 @@ def _chosen(seen: Sequence[Seen], side: float) -> list[np.ndarray]:
     return chosen
 
 
-def _of(seen: Seen, kept: np.ndarray) -> Seen:
-    return Seen(points=seen.points[kept], tracks=seen.tracks[kept])
+def _of(seen: Observations, kept: np.ndarray) -> Observations:
+    return Observations(points=seen.points[kept], tracks=seen.tracks[kept])

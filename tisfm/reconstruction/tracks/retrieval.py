@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tisfm.motion.sparse_matches import Described
-from tisfm.reconstruction.frames.disk_cache import Shelf
+from tisfm.reconstruction.frames.disk_cache import DiskCache
 
 WORDS, SAMPLE, ROUNDS = 32, 8192, 8  # of the codebook: descriptors that it is clustered from
 PER_VIEW = 3  # earlier views that are compared with a view
@@ -18,7 +18,7 @@ BLOCK = 512  # views whose codes are in memory at a time
 
 
 @dataclass(frozen=True, kw_only=True)
-class Look:
+class ImageDescriptors:
     """What a view looks like, in little memory.
 
     Attributes
@@ -33,12 +33,12 @@ class Look:
     levels: np.ndarray
 
     @classmethod
-    def of(cls, found: Described) -> "Look":
+    def of(cls, found: Described) -> "ImageDescriptors":
         """Return the look of a view with these points."""
         return cls(points=found.points, levels=np.rint(found.roots * LEVELS).astype(np.uint8))
 
     @classmethod
-    def of_arrays(cls, points: np.ndarray, levels: np.ndarray) -> "Look":
+    def of_arrays(cls, points: np.ndarray, levels: np.ndarray) -> "ImageDescriptors":
         """Return the look that has these arrays."""
         return cls(points=points, levels=levels)
 
@@ -51,12 +51,12 @@ class Look:
         return Described(points=self.points, roots=self.levels.astype(np.float32) / LEVELS)
 
 
-def similar(looks: Sequence[Look], *, apart: int) -> list[tuple[int, int]]:
+def find_similar_views(looks: Sequence[ImageDescriptors], *, apart: int) -> list[tuple[int, int]]:
     """Return pairs of views that may show the same place, the earlier first, in order.
 
     Parameters
     ----------
-    looks : sequence of Look
+    looks : sequence of ImageDescriptors
         Of views in the order of their frames.
     apart : int
         Views from the earlier to the later one, at least.
@@ -72,7 +72,7 @@ def similar(looks: Sequence[Look], *, apart: int) -> list[tuple[int, int]]:
     if len(seen) < 2 or seen[-1] - seen[0] < apart:
         return []
     codebook = _codebook(looks, seen)
-    codes = Shelf[np.ndarray](lambda block: (block,), np.asarray)
+    codes = DiskCache[np.ndarray](lambda block: (block,), np.asarray)
     found: list[tuple[float, int, int]] = []
     following = []
     for begin in range(0, len(seen), BLOCK):
@@ -102,7 +102,7 @@ def _most_alike(alike: np.ndarray, seen: Sequence[int], last: int) -> list[int]:
     return sorted(chosen)
 
 
-def _codebook(looks: Sequence[Look], seen: Sequence[int]) -> np.ndarray:
+def _codebook(looks: Sequence[ImageDescriptors], seen: Sequence[int]) -> np.ndarray:
     """Return the centres of clusters of descriptors, (WORDS, 128) float32."""
     each = max(1, SAMPLE // len(seen))
     # Some of each view, evenly: seeds of a random choice are not needed.

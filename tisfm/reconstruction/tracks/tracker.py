@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.frames.frame_flow import flow_between, share_of, smaller
+from tisfm.reconstruction.frames.frame_flow import find_flow, flow_scale, shrink_for_flow
 from tisfm.settings import Settings
 
 CELLS = 32  # along the longer side, unless told otherwise: each has a point begun that has none
@@ -24,7 +24,7 @@ FURTHEST = 1.0  # px from where the flow leads: what is found beyond is somethin
 
 
 @dataclass(frozen=True, kw_only=True)
-class Seen:
+class Observations:
     """Where tracks are in a frame.
 
     Attributes
@@ -39,7 +39,7 @@ class Seen:
     tracks: np.ndarray
 
     @classmethod
-    def of_arrays(cls, points: np.ndarray, tracks: np.ndarray) -> "Seen":
+    def of_arrays(cls, points: np.ndarray, tracks: np.ndarray) -> "Observations":
         """Return what has these arrays."""
         return cls(points=points, tracks=tracks)
 
@@ -47,7 +47,7 @@ class Seen:
         """Return what it is made of."""
         return self.points, self.tracks
 
-    def shared(self, other: "Seen") -> tuple[np.ndarray, np.ndarray]:
+    def shared(self, other: "Observations") -> tuple[np.ndarray, np.ndarray]:
         """Return the indices, here and in another frame, of the tracks that are in both."""
         _, here, there = np.intersect1d(
             self.tracks, other.tracks, assume_unique=True, return_indices=True
@@ -72,15 +72,15 @@ class Tracker:
         self._camera, self._settings, self._cells = camera, settings, cells
         self._grey: np.ndarray | None = None
         self._small: np.ndarray | None = None
-        self._seen = Seen(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
+        self._seen = Observations(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
         self._count = 0
 
-    def go_on(
+    def track(
         self,
         grey: np.ndarray,
         ignored: np.ndarray | None = None,
         flow: np.ndarray | None = None,
-    ) -> Seen:
+    ) -> Observations:
         """Take the next frame, (H, W) uint8, and return where tracks are in it.
 
         Parameters
@@ -89,31 +89,31 @@ class Tracker:
         ignored : (H, W) bool, optional
             Pixels that no track may lie on.
         flow : (h, w, 2) float32, optional
-            Image motion from the frame before, px of its own size, which is that of `smaller`. By
-            default it is found.
+            Image motion from the frame before, px of its own size, which is that of
+            `shrink_for_flow`. By default it is found.
         """
-        small = smaller(grey)
+        small = shrink_for_flow(grey)
         points, tracks = self._seen.points, self._seen.tracks
         if self._grey is not None and self._small is not None:
             if flow is None:
-                share = share_of(small, grey)
-                flow = flow_between(self._small, small, share, self._camera, self._settings)
-            points, kept = carried(self._grey, grey, points, flow)
+                share = flow_scale(small, grey)
+                flow = find_flow(self._small, small, share, self._camera, self._settings)
+            points, kept = carry_points(self._grey, grey, points, flow)
             points, tracks = points[kept], tracks[kept]
-            kept = spread(points, APART * _cell(grey, self._cells))
+            kept = thin_out(points, APART * _cell(grey, self._cells))
             points, tracks = points[kept], tracks[kept]
         if ignored is not None:
             x, y = np.rint(points).astype(np.intp).T
             points, tracks = points[~ignored[y, x]], tracks[~ignored[y, x]]
-        begun = seeds(grey, points, ignored, self._cells)
+        begun = choose_new_points(grey, points, ignored, self._cells)
         numbers = np.arange(self._count, self._count + len(begun))
         self._count += len(begun)
         self._grey, self._small = grey, small
-        self._seen = Seen(points=np.vstack([points, begun]), tracks=np.r_[tracks, numbers])
+        self._seen = Observations(points=np.vstack([points, begun]), tracks=np.r_[tracks, numbers])
         return self._seen
 
 
-def carried(
+def carry_points(
     grey0: np.ndarray, grey1: np.ndarray, points: np.ndarray, flow: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return where points of frame 0 are in frame 1, and which of them were found there.
@@ -176,7 +176,7 @@ def _sought(
     return found.astype(np.float64), seen[:, 0] > 0
 
 
-def seeds(
+def choose_new_points(
     grey: np.ndarray, points: np.ndarray, ignored: np.ndarray | None, cells: int = CELLS
 ) -> np.ndarray:
     """Return the points that stand out most in each cell without a point, (N, 2) float64.
@@ -222,7 +222,7 @@ def _cell(grey: np.ndarray, cells: int) -> int:
     return max(BORDER, round(max(grey.shape) / cells))
 
 
-def spread(points: np.ndarray, side: float) -> np.ndarray:
+def thin_out(points: np.ndarray, side: float) -> np.ndarray:
     """Return the indices of the first points in squares of this side, ascending."""
     _, first = np.unique(points // side, axis=0, return_index=True)
     return np.sort(first)
@@ -230,7 +230,7 @@ def spread(points: np.ndarray, side: float) -> np.ndarray:
 
 def _flow_at(flow: np.ndarray, points: np.ndarray, grey: np.ndarray) -> np.ndarray:
     """Return the flow at points of the frame, px of the frame."""
-    scale = share_of(flow, grey)
+    scale = flow_scale(flow, grey)
     return _sampled(flow, (points + 0.5) * scale - 0.5) / scale
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.tracks.tracker import Observations
 
 FEWEST = 2  # frames that see a track
 LEAST_ANGLE = 0.5  # degrees between the rays of a track that says anything of its depth
@@ -61,7 +61,9 @@ class TrackPoints(Mapping[int, np.ndarray]):
         return len(self.tracks)
 
 
-def located(seen: Seen, points: Mapping[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def points_of_tracks(
+    seen: Observations, points: Mapping[int, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
     """Return which of a frame's tracks have points, (M,), and where these are, (M, 3)."""
     if isinstance(points, TrackPoints):
         places = np.searchsorted(points.tracks, seen.tracks)
@@ -73,8 +75,8 @@ def located(seen: Seen, points: Mapping[int, np.ndarray]) -> tuple[np.ndarray, n
     return np.array(index, np.intp), positions.reshape(-1, 3)
 
 
-def triangulated(
-    seen: Sequence[Seen],
+def triangulate_tracks(
+    seen: Sequence[Observations],
     poses: Mapping[int, np.ndarray],
     camera: Camera,
     shape: tuple[int, int],
@@ -83,7 +85,7 @@ def triangulated(
 
     Parameters
     ----------
-    seen : sequence of Seen
+    seen : sequence of Observations
         Of every frame.
     poses : mapping of int to (4, 4) array
         Camera to world, by frame.
@@ -99,7 +101,9 @@ def triangulated(
     )
 
 
-def _lots(seen: Sequence[Seen], poses: Mapping[int, np.ndarray]) -> Iterator[Mapping[int, Seen]]:
+def _lots(
+    seen: Sequence[Observations], poses: Mapping[int, np.ndarray]
+) -> Iterator[Mapping[int, Observations]]:
     """Give what frames with poses see of some tracks at a time, so that memory is bounded."""
     count = np.zeros(0, np.int64)
     spans = {}  # of the tracks that a frame sees
@@ -124,12 +128,14 @@ def _lots(seen: Sequence[Seen], poses: Mapping[int, np.ndarray]) -> Iterator[Map
             one = seen[frame]
             first, last = np.searchsorted(one.tracks, (begin, end))
             if last > first:
-                some[frame] = Seen(points=one.points[first:last], tracks=one.tracks[first:last])
+                some[frame] = Observations(
+                    points=one.points[first:last], tracks=one.tracks[first:last]
+                )
         yield some
 
 
 def _triangulated(
-    seen: Mapping[int, Seen],
+    seen: Mapping[int, Observations],
     poses: Mapping[int, np.ndarray],
     camera: Camera,
     shape: tuple[int, int],
@@ -175,10 +181,10 @@ def _triangulated(
     return TrackPoints(tracks=numbers[good], positions=point[good])
 
 
-def depths_of(
-    seen: Seen, points: Mapping[int, np.ndarray], pose: np.ndarray
+def track_depths(
+    seen: Observations, points: Mapping[int, np.ndarray], pose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the places of a frame's tracks whose points lie before it, (N, 2), and their Z."""
-    known, world = located(seen, points)
+    known, world = points_of_tracks(seen, points)
     depth = (world - pose[:3, 3]) @ pose[:3, 2]
     return seen.points[known][depth > 0], depth[depth > 0]

@@ -8,10 +8,10 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.errors import InputTypeError
 from tisfm.motion.sparse_matches import Described, alike, described
-from tisfm.reconstruction.frames.disk_cache import Shelf
-from tisfm.reconstruction.frames.frame_flow import share_of, smaller
-from tisfm.reconstruction.tracks.retrieval import Look, similar
-from tisfm.reconstruction.tracks.tracker import Seen
+from tisfm.reconstruction.frames.disk_cache import DiskCache
+from tisfm.reconstruction.frames.frame_flow import flow_scale, shrink_for_flow
+from tisfm.reconstruction.tracks.retrieval import ImageDescriptors, find_similar_views
+from tisfm.reconstruction.tracks.tracker import Observations
 
 # A frame becomes a view where tracks have moved by this share of the longer side since the last
 # view, or fewer than this share of its tracks are still seen.
@@ -35,28 +35,30 @@ class View:
     Attributes
     ----------
     frame : int
-    seen : Seen
+    seen : Observations
         Tracks.
     detected : (M, 2) float64
         Points that are matched by what they look like, px.
     """
 
     frame: int
-    seen: Seen
+    seen: Observations
     detected: np.ndarray
 
     @classmethod
     def of_arrays(cls, frame: np.ndarray, *arrays: np.ndarray) -> "View":
         """Return the view that has these arrays."""
         points, tracks, detected = arrays
-        return cls(frame=int(frame.item()), seen=Seen.of_arrays(points, tracks), detected=detected)
+        return cls(
+            frame=int(frame.item()), seen=Observations.of_arrays(points, tracks), detected=detected
+        )
 
     def arrays(self) -> tuple[np.ndarray, ...]:
         """Return what it is made of."""
         return np.array(self.frame), *self.seen.arrays(), self.detected
 
 
-class Views:
+class ViewSelection:
     """Chooses views among the frames of a sequence, and matches them.
 
     Parameters
@@ -70,20 +72,20 @@ class Views:
 
     Attributes
     ----------
-    chosen : list of View, or Shelf of View
+    chosen : list of View, or DiskCache of View
         In the order of their frames.
     matches : dict of (int, int) to (N, 2) int32 array
         For pairs of indices of views: indices of their detected points that are the same.
     """
 
     def __init__(self, camera: Camera, *, focal_known: bool = True, on_disk: bool = False) -> None:
-        self.chosen: list[View] | Shelf[View] = (
-            Shelf(View.arrays, View.of_arrays) if on_disk else []
+        self.chosen: list[View] | DiskCache[View] = (
+            DiskCache(View.arrays, View.of_arrays) if on_disk else []
         )
         self.matches: dict[tuple[int, int], np.ndarray] = {}
         self._camera, self._focal_known = camera, focal_known
-        self._looks: list[Look] | Shelf[Look] = (
-            Shelf(Look.arrays, Look.of_arrays) if on_disk else []
+        self._looks: list[ImageDescriptors] | DiskCache[ImageDescriptors] = (
+            DiskCache(ImageDescriptors.arrays, ImageDescriptors.of_arrays) if on_disk else []
         )
         self._matchable: list[int] = []  # views that show enough
         self._compared: set[tuple[int, int]] = set()
@@ -92,7 +94,7 @@ class Views:
         """Let matches from now on fit a camera whose focal length is known."""
         self._camera, self._focal_known = camera, True
 
-    def needs(self, seen: Seen, longer_side: int, share: float = MOVED) -> bool:
+    def needs(self, seen: Observations, longer_side: int, share: float = MOVED) -> bool:
         """Return whether a frame shows enough that is new to become a view."""
         if not self.chosen:
             return len(seen.tracks) > 0
@@ -105,12 +107,14 @@ class Views:
         moved = np.hypot(*(seen.points[index1] - before.points[index0]).T)
         return bool(np.median(moved) > share * longer_side)
 
-    def add(self, frame: int, grey: np.ndarray, seen: Seen, ignored: np.ndarray | None) -> None:
+    def add(
+        self, frame: int, grey: np.ndarray, seen: Observations, ignored: np.ndarray | None
+    ) -> None:
         """Make a view of a frame, (H, W) uint8, without its ignored pixels, (H, W) bool."""
         found = _described(grey, ignored)
         number = len(self.chosen)
         self.chosen.append(View(frame=frame, seen=seen, detected=found.points))
-        self._looks.append(Look.of(found))
+        self._looks.append(ImageDescriptors.of(found))
         for earlier in self._matchable[-MATCHED:]:
             self._match(earlier, number, grey.shape, fewest=FEWEST_MATCHES, share=0.0)
         if len(found.points) >= FEWEST_MATCHES:
@@ -118,13 +122,13 @@ class Views:
 
     def close_loops(self, shape: tuple[int, int]) -> None:
         """Match views that show the same place again; shape is that of frames."""
-        for pair in similar(self._looks, apart=MATCHED + 1):
+        for pair in find_similar_views(self._looks, apart=MATCHED + 1):
             if pair not in self._compared:
                 self._match(*pair, shape, fewest=FEWEST_OF_LOOP, share=SHARE_OF_LOOP)
 
     def forget(self, count: int) -> None:
         """Forget the first views."""
-        if isinstance(self.chosen, Shelf) or isinstance(self._looks, Shelf):
+        if isinstance(self.chosen, DiskCache) or isinstance(self._looks, DiskCache):
             raise InputTypeError("views lie on disk: they cannot be forgotten")
         del self.chosen[:count], self._looks[:count]
         self._matchable = [k - count for k in self._matchable if k >= count]
@@ -195,9 +199,9 @@ class Views:
 
 def _described(grey: np.ndarray, ignored: np.ndarray | None) -> Described:
     """Return points of a frame and what they look like, found on the level of the flow."""
-    small = smaller(grey)
+    small = shrink_for_flow(grey)
     found = described(small, per_cell=PER_CELL)
-    points = (found.points + 0.5) / share_of(small, grey) - 0.5
+    points = (found.points + 0.5) / flow_scale(small, grey) - 0.5
     if ignored is None:
         return Described(points=points, roots=found.roots)
     column, row = np.rint(points).astype(np.intp).T
