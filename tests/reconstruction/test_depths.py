@@ -210,5 +210,5 @@ def test_keyframes_are_righter_together(monkeypatch):
         return np.mean([depth_error(found.depth(k), film.depth[k]) for k in found.keyframes])
 
     both = error()
-    monkeypatch.setattr(depths, "together", lambda views: views[0])
+    monkeypatch.setattr(depths, "fuse_views", lambda views: views[0])
     assert both < 0.96 * error()

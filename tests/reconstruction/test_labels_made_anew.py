@@ -18,7 +18,7 @@ from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.objects.sequence_labels import SequenceLabels
 from tisfm.reconstruction.objects.static_path import find_static_path
-from tisfm.reconstruction.path.path_finder import CameraPath
+from tisfm.reconstruction.path.path_solver import CameraPath
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import bodies_path
 from tisfm.shutter import Rolling
@@ -85,12 +85,13 @@ def test_labels_move_with_the_pixels(tmp_path, what):
     frames = prepared(tmp_path, [np.uint8(20 + 200 * (labels > 0))], [labels])
     np.testing.assert_array_equal(frames.labels(0), labels)
     if what == "lens":
-        frames.take(Camera(focal=60.0, distortion=(0.15, 0, 0, 0)))
+        frames.correct(Camera(focal=60.0, distortion=(0.15, 0, 0, 0)))
     else:
         rate = np.array([0.0, 0, 0, 0, 0.15, 0])
-        frames.unroll(
-            Rolling(camera=frames.camera, readout=0.9, rates={0: rate}, inverse_depth={0: 1.0})
+        rolling = Rolling(
+            camera=frames.camera, readout=0.9, rates={0: rate}, inverse_depth={0: 1.0}
         )
+        frames.correct(frames.camera, rolling)
     found, ignored = frames.labels(0), frames.ignored(0)
     seen = np.ones_like(found, bool) if ignored is None else ~ignored
     assert set(np.unique(found)) == {0, 3, 9} and not found[~seen].any()
@@ -120,7 +121,7 @@ def test_all_begins_again_with_frames_that_are_made_anew(tmp_path, is_given):
 
     def take_camera(path):
         taken.append(path.camera)
-        frames.take(path.camera)
+        frames.correct(path.camera)
 
     path = find_static_path(frames, labels, path_of, take_camera)
     assert path.focal is estimate

@@ -89,5 +89,5 @@ def test_image_motion_is_found_anew_with_frames_that_are_made_anew(tmp_path):
     assert frames.flow(0) is None
     before = frames.flow(1)
     np.testing.assert_array_equal(frames.flow(1), before)
-    frames.take(Camera(focal=90.0, distortion=(0.15, 0, 0, 0)))
+    frames.correct(Camera(focal=90.0, distortion=(0.15, 0, 0, 0)))
     assert np.abs(frames.flow(1) - before).max() > 0.1

@@ -14,8 +14,8 @@ from tests.reconstruction.walks import SMALL, SMALL_CAMERA, centres, residual
 from tisfm.reconstruction.geometry import sim3_graph as similarity_graph
 from tisfm.reconstruction.mapping.incremental import SMALLEST
 from tisfm.reconstruction.mapping.solution import FocalEstimate
-from tisfm.reconstruction.path import path_finder as path
-from tisfm.reconstruction.path.path_finder import PathFinder
+from tisfm.reconstruction.path import path_solver as path
+from tisfm.reconstruction.path.path_solver import find_path
 from tisfm.reconstruction.submaps import joining as parts
 from tisfm.reconstruction.submaps.joining import focal_from_submaps, submap_spans
 
@@ -27,16 +27,13 @@ def frames(*arguments, **options):
 
 
 def path_in_parts(images, most=10, overlap=5):
-    finder = PathFinder(SMALL_CAMERA)
-    for image in images:
-        finder.add(image)
     with (
         mock.patch.object(path, "MOST", most),
         mock.patch.object(parts, "MOST", most),
         mock.patch.object(parts, "OVERLAP", overlap),
-        mock.patch.object(path, "models_of", side_effect=AssertionError),
+        mock.patch.object(path, "find_models", side_effect=AssertionError),
     ):
-        return finder.finish()
+        return find_path(((image, None, None) for image in images), SMALL_CAMERA)
 
 
 def bits():
@@ -63,7 +60,7 @@ def test_a_path_in_parts_is_as_exact_as_one_at_once():
 
 
 def test_parts_that_do_not_go_together_share_no_frame(monkeypatch):
-    monkeypatch.setattr(parts, "agreed", lambda *_, **__: None)
+    monkeypatch.setattr(parts, "fit_sim3_ransac", lambda *_, **__: None)
     found = path_in_parts(frames(WALK)).pieces
     assert len(found) > 1
     placed = [frame for piece in found for frame in piece.poses]
@@ -154,7 +151,7 @@ def test_the_focal_length_is_that_of_the_first_part_that_shows_it(monkeypatch):
     def models_and_focal(views, *_, limit):
         return [], FocalEstimate(focal=500.0, deviation=500 * shares[views[0]], limit=limit)
 
-    monkeypatch.setattr(parts, "models_and_focal", models_and_focal)
+    monkeypatch.setattr(parts, "find_models_and_focal", models_and_focal)
     views = list(range(4 * 330 + 40))
     assert [begin for begin, _ in submap_spans(len(views))] == list(shares)
     found = focal_from_submaps(views, {}, SMALL_CAMERA, (240, 320), "focal", limit=0.3)

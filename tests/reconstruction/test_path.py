@@ -7,16 +7,13 @@ import pytest
 
 from tests.one_thread import bits_on_one_thread, several_threads
 from tests.reconstruction.walks import CAMERA, centres, frames, residual
-from tisfm.reconstruction.path.path_finder import PathFinder
+from tisfm.reconstruction.path.path_solver import find_path
 
 WALK = [(0.02 * k, 0.04 * k, 0.01 * k) for k in range(24)]
 
 
 def path_of(images):
-    finder = PathFinder(CAMERA)
-    for image in images:
-        finder.add(image)
-    return finder.finish()
+    return find_path(((image, None, None) for image in images), CAMERA)
 
 
 def bits():
@@ -88,7 +85,7 @@ def test_black_frames_have_no_path():
 
 
 def test_no_frame_at_all():
-    path = PathFinder(CAMERA).finish()
+    path = find_path([], CAMERA)
     assert (path.pieces, path.lost, len(path.seen)) == ((), {}, 0)
 
 

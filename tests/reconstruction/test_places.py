@@ -7,7 +7,7 @@ import pytest
 
 from tests.rendered import room_film
 from tisfm.reconstruction.mapping.low_parallax import LowParallaxFilter
-from tisfm.reconstruction.path.path_finder import PathFinder
+from tisfm.reconstruction.path.path_solver import find_path
 from tisfm.rigid import pose_matrix
 
 TURN = slice(10, 26)
@@ -88,10 +88,7 @@ def going_and_turning():
 )
 def test_a_turn_keeps_the_scale(textured, most):
     film = room_film(going_and_turning(), 180, 240, samples=2, textured=textured)
-    finder = PathFinder(film.camera)
-    for frame in film.frames:
-        finder.add(frame)
-    (piece,) = finder.finish().pieces
+    (piece,) = find_path(((frame, None, None) for frame in film.frames), film.camera).pieces
     assert len(piece.poses) == 36
     steps = [np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
              for poses in (np.array(list(piece.poses.values())), film.poses)]  # fmt: skip

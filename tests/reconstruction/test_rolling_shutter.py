@@ -11,7 +11,7 @@ from tests.one_thread import bits_on_one_thread, several_threads
 from tests.reconstruction.films import path_error
 from tests.rendered import room_film
 from tisfm.camera_file import read_camera
-from tisfm.reconstruction.path.path_finder import PathFinder
+from tisfm.reconstruction.path.path_solver import find_path
 from tisfm.reconstruction.rolling_shutter.readout import ReadoutEstimate
 from tisfm.reconstruction.rolling_shutter.unrolled_path import _is_seen
 from tisfm.rigid import pose_matrix
@@ -51,10 +51,7 @@ def with_depth(readout):
 
 
 def bits():
-    finder = PathFinder(film().camera)
-    for frame in film().frames:
-        finder.add(frame)
-    path = finder.finish()
+    path = find_path(((frame, None, None) for frame in film().frames), film().camera)
     assert path.rolling is not None
     return b"".join(pose.tobytes() for pose in path.pieces[0].poses.values()).hex()
 

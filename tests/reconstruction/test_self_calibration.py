@@ -24,7 +24,7 @@ from tisfm.focal_guess import FocalGuess, GuessedFocalWarning
 from tisfm.formats import FormatError
 from tisfm.lens import undistort
 from tisfm.reconstruction.calibration import self_calibration
-from tisfm.reconstruction.calibration.self_calibration import make_calibration
+from tisfm.reconstruction.calibration.source_camera import make_calibration
 from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.result.calibration import GIVEN, Calibration, as_json
 from tisfm.rigid import pose_matrix
@@ -229,7 +229,7 @@ def test_a_path_that_explains_little_is_begun_with_another_focal_length(first, b
         lens = SimpleNamespace(params=[camera.focal, 50.0, 40.0])
         return [SimpleNamespace(cameras={1: lens}, score=score)] if score else []
 
-    shared = SimpleNamespace(grown=grown, score=lambda found: sum(one.score for one in found))
+    shared = SimpleNamespace(grow_models=grown, score=lambda found: sum(one.score for one in found))
     (found,) = self_calibration._grown(shared, Camera(focal=100.0), 90.0, "focal")
     assert found.score == best
 
@@ -261,12 +261,12 @@ def models_where_the_focal_is_hardly_seen(monkeypatch, again, *, shows_parallax)
     )
     hardly = FocalEstimate(focal=100.0, deviation=10.0)
     for name, answer in (
-        ("Shared", SimpleNamespace(of=lambda *_, **__: shared)),
+        ("ViewGraph", SimpleNamespace(of=lambda *_, **__: shared)),
         ("_best_start", lambda *_: 100.0),
         ("_grown", lambda *_: ["before"]),
         ("_adjust", lambda *_: None),
         ("_estimate", lambda *_: hardly),
-        ("models_of", lambda *_, **__: again),
+        ("find_models", lambda *_, **__: again),
     ):
         monkeypatch.setattr(self_calibration, name, answer)
     return self_calibration.find_models_and_focal([], {}, Camera(focal=90.0), SIZE, "focal")

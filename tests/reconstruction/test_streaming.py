@@ -155,11 +155,11 @@ def test_known_poses_stay_as_they_are(monkeypatch):
         path.add(image)
     seen = []
 
-    def spied(database, known, real=mapping.grown_from):
+    def spied(database, known, real=mapping.grow_from_poses):
         seen.append((real(database, known), known))
         return seen[-1][0]
 
-    monkeypatch.setattr(mapping, "grown_from", spied)
+    monkeypatch.setattr(mapping, "grow_from_poses", spied)
     stretch = path.found()
     ((model, known),) = seen
     assert len(known) >= ANCHORS and model.num_reg_images() > len(known)

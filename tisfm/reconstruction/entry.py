@@ -216,24 +216,26 @@ def reconstruct(
     if folder is None:
         temporary = TemporaryFolder()
         folder = temporary.name
-    from tisfm.reconstruction.pipeline import Run
+    from tisfm.reconstruction.pipeline import Job, reconstruct_sequence
 
     try:
         with renewed_folder(folder) as path:
             path = path.absolute()  # or depth would be lost with another working folder
             try:
-                result = Run(
-                    frames,
-                    camera,
-                    calibrate,
-                    settings,
-                    given,
-                    path,
-                    progress,
-                    depth_of,
-                    sizes,
+                job = Job(
+                    source=frames,
+                    camera=camera,
+                    calibrate=calibrate,
+                    settings=settings,
+                    poses=given,
+                    folder=path,
+                    depth_of=depth_of,
+                    object_sizes=sizes,
                     labels_stay=of_result is not None and of_result.camera is not None,
-                ).result()
+                )
+                if progress is not None:
+                    job = replace(job, progress=progress)
+                result = reconstruct_sequence(job)
             finally:
                 shutil.rmtree(path / CACHE, ignore_errors=True)
     except BaseException:

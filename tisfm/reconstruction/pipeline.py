@@ -1,38 +1,37 @@
-"""One reconstruction, from the source to the folder: reading, the path, depth."""
+"""The pipeline of a whole sequence: read → track → solve → depth → write.
+
+Each stage is a function that takes the frozen values of the stages before it and returns its own:
+`read_frames` (which tracks each frame while the next one is read), `solve_path`, `find_depth` and
+`write_result`. What is too large for memory lies in the folder: prepared frames and depth.
+"""
 
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
-from tisfm.camera_file import read_camera, write_camera
+from tisfm.camera_file import write_camera
 from tisfm.errors import InputError
-from tisfm.focal_guess import FocalGuess, GuessedFocalWarning, guess_focal
+from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.outcome import Status
-from tisfm.reconstruction.calibration.self_calibration import MAX_EXIF_DEVIATION, make_calibration
+from tisfm.reconstruction.calibration.source_camera import SourceCamera
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
-from tisfm.reconstruction.mapping.solution import MAX_USEFUL_DEVIATION, Piece
+from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.objects.sequence_labels import SequenceLabels
 from tisfm.reconstruction.objects.static_path import find_static_path, label_remaining_frames
-from tisfm.reconstruction.path.frames_path import FramesPath
-from tisfm.reconstruction.path.path_finder import CameraPath
+from tisfm.reconstruction.path.given_path import given_path
+from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
 from tisfm.reconstruction.progress import DepthOf, Enough, Progress
-from tisfm.reconstruction.result.calibration import (
-    GIVEN,
-    Calibrate,
-    Calibration,
-    as_json,
-    calibration_in,
-)
+from tisfm.reconstruction.result.calibration import Calibrate, Calibration, as_json
 from tisfm.reconstruction.result.folder import CACHE, PICTURES, write_depth, write_record
-from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.result.object_sizes import refuse_unknown
 from tisfm.reconstruction.result.reconstruction import Reconstruction
+from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import track_depths
 from tisfm.settings import Settings
@@ -51,321 +50,384 @@ NO_PARALLAX = Status(
 )
 
 
+def _no_progress(stage: str, done: int, total: int | None) -> None:
+    """Ignore the progress."""
+
+
 @dataclass(frozen=True, kw_only=True)
-class _Read:
-    """What is known of the frames once they are read."""
+class Job:
+    """A sequence to reconstruct, and how.
 
-    names: tuple[str, ...]
-    times: tuple[float | None, ...]
-
-
-class Run:
-    """One reconstruction, from the source to the folder.
-
-    Parameters
+    Attributes
     ----------
     source : FrameSource
     camera : Camera, Path or None
-        Of the frames as they come, or its file; None for a guess.
+        Of the frames of the source, or its file; None for a guess.
     calibrate : {"nothing", "focal", "radial"}
-        What of it is found from the frames.
+        The part of the camera that is found from the frames.
     settings : Settings
     poses : Trajectory or None
-        Those that are given.
+        Given poses.
     folder : Path
-        Ready to be written to.
-    progress : callable or None
+        Prepared for writing.
+    progress : callable
         As for `tisfm.reconstruct`.
     depth_of : {"all", "keyframes", "none"}
-        The frames that depth is found of.
-    object_sizes : mapping of int to float, optional
-        Lengths of things that move, by their ids.
-    labels_stay : bool, default False
-        Whether labels that are given are of frames whose lens and readout are undone.
+        The frames whose depth is found.
+    object_sizes : mapping of int to float
+        Known lengths of moving objects, by their ids.
+    labels_stay : bool
+        Whether given labels are of frames without distortion and readout already.
     """
 
-    def __init__(
-        self,
-        source: FrameSource,
-        camera: Camera | Path | None,
-        calibrate: Calibrate,
-        settings: Settings,
-        poses: Trajectory | None,
-        folder: Path,
-        progress: Progress | None,
-        depth_of: DepthOf = "all",
-        object_sizes: Mapping[int, float] | None = None,
-        *,
-        labels_stay: bool = False,
-    ) -> None:
-        self._source, self._camera, self._settings = source, camera, settings
-        self._given, self._folder = poses, folder
-        self._calibrate, self._depth_of = calibrate, depth_of
-        self._sizes, self._labels_stay = object_sizes or {}, labels_stay
-        self._progress: Progress = progress or (lambda stage, done, total: None)
-        self._taken: tuple[Camera, tuple[int, int]]  # of the source's frames, and their shape
-        self._guess: FocalGuess | None = None
-        self._stated = GIVEN
-        self._notes = list(source.notes)
-        self._frames: PreparedFrames
+    source: FrameSource
+    camera: Camera | Path | None
+    calibrate: Calibrate
+    settings: Settings
+    poses: Trajectory | None
+    folder: Path
+    progress: Progress = _no_progress
+    depth_of: DepthOf = "all"
+    object_sizes: Mapping[int, float] = field(default_factory=dict)
+    labels_stay: bool = False
 
-    def result(self) -> Reconstruction:
-        """Read, find the path, then depth; write everything."""
-        read, path = self._read()
-        calibration = self._calibration(path)
-        count = len(read.names)
-        poses = np.full((count, 4, 4), np.nan)
-        piece = np.full(count, -1, np.int32)
-        status: list[Status] = [Status("converged")] * count
-        for frame, why in path.lost.items():
-            status[frame] = why
-        keyframes: list[int] = []
-        done = 0
-        for number, part in enumerate(path.pieces):
-            part = self._adjusted(part, path.seen)
-            found, unit = self._depths(part, path.seen, done)
-            unseen = self._depth_of == "keyframes" and not found
-            done += len(part.poses)
-            keyframes += [frame for frame, kind in found.items() if kind == "keyframe"]
-            world = np.eye(4) if self._given is not None else part.poses[min(part.poses)]
-            for frame, pose in part.poses.items():
-                poses[frame], piece[frame] = np.linalg.solve(world, pose), number
-                poses[frame, :3, 3] /= unit
-                if frame not in found and (self._depth_of == "all" or unseen):
-                    status[frame] = NO_PARALLAX
-            if number > 0:
-                first = min(part.poses)
-                status[first] = add_piece_note(status[first])
-        about = as_json(calibration)
-        del about["shape"]  # the file has width and height
-        write_camera(self._folder / CAMERA, *self._taken, about=about)
-        result = Reconstruction(
-            poses=poses,
-            piece=piece,
-            unit=(1.0,) * len(path.pieces),
-            status=tuple(status),
-            keyframes=tuple(sorted(keyframes)),
-            camera=self._frames.camera,
-            calibration=calibration,
-            settings=self._settings,
-            names=read.names,
-            times=read.times,
-            skipped=tuple(self._source.skipped),
-            notes=tuple(self._notes),
-            shape=self._frames.shape,
-            folder=self._folder,
-            version=__version__,
-            objects=self._objects(poses, piece),
+    @property
+    def has_objects(self) -> bool:
+        """Whether moving objects are labelled and reconstructed."""
+        return self.settings.motion == "objects"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadFrames:
+    """The frames of a sequence once they are read.
+
+    Attributes
+    ----------
+    names : tuple of str
+    times : tuple of float or None
+        When frames were taken, s.
+    instants : (N,) array
+        The same, in intervals between frames of the source.
+    camera : SourceCamera
+    frames : PreparedFrames
+        The later stages correct them for a lens and a shutter that are found, and label them.
+    tracks : SequenceTracks or None
+        None with moving objects: there, static points are tracked once labels are known.
+    labels : SequenceLabels or None
+        The search for moving objects; None if there are none, or labels are given.
+    labelled : tuple of int
+        Frames with given labels.
+    notes : tuple of str
+    """
+
+    names: tuple[str, ...]
+    times: tuple[float | None, ...]
+    instants: np.ndarray
+    camera: SourceCamera
+    frames: PreparedFrames
+    tracks: SequenceTracks | None
+    labels: SequenceLabels | None
+    labelled: tuple[int, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolvedPath:
+    """The camera path, and the camera of full frames that was found with it."""
+
+    path: CameraPath
+    camera: Camera
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundDepth:
+    """Poses in the unit of depth, once depth is written.
+
+    Attributes
+    ----------
+    poses : (N, 4, 4) float64
+        Camera to world; NaN for a frame without a pose.
+    piece : (N,) int32
+        The piece of each frame, −1 for none.
+    status : tuple of Status
+    keyframes : tuple of int
+    """
+
+    poses: np.ndarray
+    piece: np.ndarray
+    status: tuple[Status, ...]
+    keyframes: tuple[int, ...]
+
+
+def reconstruct_sequence(job: Job) -> Reconstruction:
+    """Run all stages."""
+    read = read_frames(job)
+    solved = solve_path(job, read)
+    calibration = _calibration(job, read, solved)
+    depth = find_depth(job, read, solved.path)
+    return write_result(job, read, solved, calibration, depth)
+
+
+def read_frames(job: Job) -> ReadFrames:
+    """Read and prepare all frames once; each is tracked while the next one is read."""
+    names: list[str] = []
+    times: list[float | None] = []
+    indices: list[int] = []
+    labelled: list[int] = []
+    tracker: SequenceTracker | None = None
+    labels: SequenceLabels | None = None
+    source, total = job.source, _count(job.source)
+    with closing(source.frames()) as incoming:
+        for frame in incoming:
+            if not names:
+                camera = SourceCamera.of_first_frame(source, job.camera, frame)
+                frames = PreparedFrames(
+                    camera.used,
+                    job.folder / CACHE,
+                    job.folder / PICTURES,
+                    labels_stay=job.labels_stay,
+                )
+                if not job.has_objects:
+                    tracker = _tracker(job, frames.camera, job.calibrate)
+                elif not source.has_labels:
+                    labels = SequenceLabels(frames.camera)
+            grey, ignored = frames.add(frame)
+            if labels is not None:
+                labels.add(grey)
+            elif tracker is not None:
+                tracker.add(grey, ignored)
+            if frame.labels is not None:
+                labelled.append(len(names))
+            names.append(frame.name)
+            times.append(frame.time)
+            indices.append(frame.index)
+            try:
+                job.progress("reading", len(names), total)
+            except Enough:
+                break
+    if len(names) < 2:
+        raise InputError(
+            f"{source.title} has {len(names)} frame{'s' * (len(names) != 1)} that can "
+            "be read: expected at least 2"
         )
-        write_record(self._folder, result)
-        return result
+    job.progress("path", 0, len(names))
+    notes = list(source.notes)
+    if note := times_note(times):
+        notes.append(note)
+        warn_notes([note], stacklevel=4)
+    return ReadFrames(
+        names=_distinct(names),
+        times=tuple(times),
+        instants=instants_of(indices, times),
+        camera=camera,
+        frames=frames,
+        tracks=None if tracker is None else tracker.finish(),
+        labels=labels,
+        labelled=tuple(labelled),
+        notes=tuple(notes),
+    )
 
-    def _read(self) -> tuple[_Read, CameraPath]:
-        """Read all frames once, and find the path, or take the one that is given."""
-        names: list[str] = []
-        times: list[float | None] = []
-        indices: list[int] = []
-        things = self._settings.motion == "objects"
-        found: FramesPath | None = None
-        labels: SequenceLabels | None = None
-        labelled: list[int] = []  # frames whose labels are given
-        total = _count(self._source)
-        with closing(self._source.frames()) as frames:
-            for frame in frames:
-                if not names:
-                    height, width = frame.full or frame.image.shape[:2]
-                    camera = self._stated_camera((height, width)) or self._guessed(
-                        self._source.first_file or frame.full or frame.image.shape
-                    )
-                    self._taken = camera, (height, width)
-                    camera = self._source.camera_after(camera, frame.full)
-                    self._frames = PreparedFrames(
-                        camera,
-                        self._folder / CACHE,
-                        self._folder / PICTURES,
-                        labels_stay=self._labels_stay,
-                    )
-                    if not things:
-                        found = self._frames_path()
-                    elif not self._source.has_labels:
-                        labels = SequenceLabels(self._frames.camera)
-                grey, ignored = self._frames.add(frame)
-                if labels is not None:
-                    labels.add(grey)
-                elif found is not None:
-                    found.add(grey, ignored)
-                if frame.labels is not None:
-                    labelled.append(len(names))
-                names.append(frame.name)
-                times.append(frame.time)
-                indices.append(frame.index)
-                try:
-                    self._progress("reading", len(names), total)
-                except Enough:
-                    break
-        if len(names) < 2:
-            raise InputError(
-                f"{self._source.title} has {len(names)} frame{'s' * (len(names) != 1)} that can "
-                "be read: expected at least 2"
-            )
-        self._progress("path", 0, len(names))
-        if note := times_note(times):
-            self._notes.append(note)
-            warn_notes([note], stacklevel=4)
-        instants = instants_of(indices, times)
-        if found is not None:
-            path = found.finish(times, instants)
-            self._take_camera(path)
-        else:
-            if labels is None:
-                self._complete(labelled)
 
-            def path_of(calibrate: Calibrate | None) -> CameraPath:
-                anew = self._frames_path(calibrate)
-                for number in range(self._frames.count):
-                    anew.add(*self._frames.tracked(number), self._frames.flow(number))
-                return anew.finish(times, instants)
+def solve_path(job: Job, read: ReadFrames) -> SolvedPath:
+    """Find the camera path, or take the given one; frames are corrected for what it shows.
 
-            path = find_static_path(self._frames, labels, path_of, self._take_camera)
-            refuse_unknown(self._sizes, self._frames.things())
-        self._progress("path", len(names), len(names))
-        return _Read(names=_distinct(names), times=tuple(times)), path
+    With moving objects, every frame is labelled as well.
+    """
+    frames, full = read.frames, read.camera.full
 
-    def _complete(self, labelled: Sequence[int]) -> None:
-        """Label the frames whose labels are not given, from those whose are."""
-        if not labelled:
-            raise InputError(
-                f"labels has none of a frame of {self._source.title} that is taken: expected those "
-                "of one at least"
-            )
-        label_remaining_frames(self._frames, labelled)
-        refuse_unknown(self._sizes, self._frames.things())  # before what takes long
+    def correct(path: CameraPath) -> None:
+        nonlocal full
+        if path.focal is not None:
+            full = full.with_focal(full.focal * path.camera.focal / frames.camera.focal)
+            full = replace(full, distortion=path.camera.distortion or full.distortion)
+        if path.rolling is not None:
+            full = replace(full, readout=read.camera.full_readout(path.rolling.readout))
+        frames.correct(path.camera, path.rolling)
 
-    def _objects(self, poses: np.ndarray, piece: np.ndarray) -> tuple[MovingObject, ...]:
-        """Return the things that move on their own; their depth is written into that of frames."""
-        if self._settings.motion != "objects":
-            return ()
+    def path_of_static(calibrate: Calibrate | None) -> CameraPath:
+        tracker = _tracker(job, frames.camera, calibrate or job.calibrate)
+        for number in range(frames.count):
+            tracker.add(*frames.tracked(number), frames.flow(number))
+        return _path(job, read, tracker.finish(), calibrate or job.calibrate)
+
+    if read.tracks is not None:
+        path = _path(job, read, read.tracks, job.calibrate)
+        correct(path)
+    else:
+        if read.labels is None:
+            _label_all(job, read)
+        path = find_static_path(frames, read.labels, path_of_static, correct)
+        refuse_unknown(job.object_sizes, frames.things())
+    job.progress("path", len(read.names), len(read.names))
+    return SolvedPath(path=path, camera=full)
+
+
+def find_depth(job: Job, read: ReadFrames, path: CameraPath) -> FoundDepth:
+    """Find and write the depth of frames, piece by piece; poses get the unit of the depth."""
+    count = len(read.names)
+    poses = np.full((count, 4, 4), np.nan)
+    pieces = np.full(count, -1, np.int32)
+    status: list[Status] = [Status("converged")] * count
+    for frame, why in path.lost.items():
+        status[frame] = why
+    keyframes: list[int] = []
+    done = 0
+    for number, piece in enumerate(path.pieces):
+        piece = _adjust_poses(job, read.frames, piece, path.seen)
+        kinds, unit = _piece_depth(job, read.frames, piece, path.seen, done)
+        unseen = job.depth_of == "keyframes" and not kinds
+        done += len(piece.poses)
+        keyframes += [frame for frame, kind in kinds.items() if kind == "keyframe"]
+        world = np.eye(4) if job.poses is not None else piece.poses[min(piece.poses)]
+        for frame, pose in piece.poses.items():
+            poses[frame], pieces[frame] = np.linalg.solve(world, pose), number
+            poses[frame, :3, 3] /= unit
+            if frame not in kinds and (job.depth_of == "all" or unseen):
+                status[frame] = NO_PARALLAX
+        if number > 0:
+            first = min(piece.poses)
+            status[first] = add_piece_note(status[first])
+    return FoundDepth(
+        poses=poses, piece=pieces, status=tuple(status), keyframes=tuple(sorted(keyframes))
+    )
+
+
+def write_result(
+    job: Job, read: ReadFrames, solved: SolvedPath, calibration: Calibration, depth: FoundDepth
+) -> Reconstruction:
+    """Write the camera, moving objects with their depth, and the record, which is the last."""
+    about = as_json(calibration)
+    del about["shape"]  # the file has width and height
+    write_camera(job.folder / CAMERA, solved.camera, read.camera.shape, about=about)
+    objects = ()
+    if job.has_objects:
         from tisfm.reconstruction.objects.object_depth import objects_with_depth
 
-        return objects_with_depth(
-            self._frames,
-            self._folder,
-            poses,
-            piece,
-            self._settings,
-            with_depth=self._depth_of != "none",
-            sizes=self._sizes,
+        objects = objects_with_depth(
+            read.frames,
+            job.folder,
+            depth.poses,
+            depth.piece,
+            job.settings,
+            with_depth=job.depth_of != "none",
+            sizes=job.object_sizes,
         )
+    result = Reconstruction(
+        poses=depth.poses,
+        piece=depth.piece,
+        unit=(1.0,) * len(solved.path.pieces),
+        status=depth.status,
+        keyframes=depth.keyframes,
+        camera=read.frames.camera,
+        calibration=calibration,
+        settings=job.settings,
+        names=read.names,
+        times=read.times,
+        skipped=tuple(job.source.skipped),
+        notes=read.notes,
+        shape=read.frames.shape,
+        folder=job.folder,
+        version=__version__,
+        objects=objects,
+    )
+    write_record(job.folder, result)
+    return result
 
-    def _frames_path(self, calibrate: Calibrate | None = None) -> FramesPath:
-        """Return what finds the path of the frames, or takes the one that is given."""
-        stated = self._guess is not None and self._guess.origin == "exif"
-        readout = self._frames.camera.readout
-        if self._settings.motion == "objects":  # it is undone if it is given, but not looked for
-            readout = readout or 0.0
-        return FramesPath(
-            self._frames.camera,
-            self._given,
-            calibrate or self._calibrate,
-            limit=MAX_EXIF_DEVIATION if stated else MAX_USEFUL_DEVIATION,
-            readout=readout,
-            focal_known=(
-                self._calibrate == "nothing" and self._guess is None and self._stated.seen
-            ),
+
+def _tracker(job: Job, camera: Camera, calibrate: Calibrate) -> SequenceTracker:
+    return SequenceTracker(camera, focal_known=calibrate == "nothing", with_views=job.poses is None)
+
+
+def _path(job: Job, read: ReadFrames, tracks: SequenceTracks, calibrate: Calibrate) -> CameraPath:
+    """Return the path of tracks, found or given."""
+    camera = read.frames.camera
+    if job.poses is not None:
+        return given_path(tracks, job.poses, camera, read.times, read.instants)
+    readout = camera.readout
+    if job.has_objects:  # a known readout is corrected, an unknown one is not estimated
+        readout = readout or 0.0
+    solver = PathSolver(
+        tracks=tracks,
+        camera=camera,
+        calibrate=calibrate,
+        limit=read.camera.focal_limit,
+        readout=readout,
+        focal_known=job.calibrate == "nothing" and read.camera.is_focal_stated,
+    )
+    return solver.solve(read.instants)
+
+
+def _label_all(job: Job, read: ReadFrames) -> None:
+    """Label the frames without given labels, from the frames with given labels."""
+    if not read.labelled:
+        raise InputError(
+            f"labels has none of a frame of {job.source.title} that is taken: expected those "
+            "of one at least"
         )
+    label_remaining_frames(read.frames, read.labelled)
+    refuse_unknown(job.object_sizes, read.frames.things())  # before the long computation
 
-    def _take_camera(self, path: CameraPath) -> None:
-        """Take what was found of the camera; frames are made anew where it asks for that."""
-        taken, shape = self._taken
-        if path.focal is not None:
-            taken = taken.with_focal(taken.focal * path.camera.focal / self._frames.camera.focal)
-            taken = replace(taken, distortion=path.camera.distortion or taken.distortion)
-        self._frames.take(path.camera)
-        if path.rolling is not None:
-            readout = path.rolling.readout / self._share_of_rows()
-            taken = replace(taken, readout=max(-1.0, min(readout, 1.0)))
-            self._frames.unroll(path.rolling)
-        self._taken = taken, shape
 
-    def _share_of_rows(self) -> float:
-        """Return the share of a frame's rows that is left of it, where it is cropped."""
-        taken, shape = self._taken
-        return self._source.camera_after(replace(taken, readout=1.0), shape).readout or 1.0
+def _calibration(job: Job, read: ReadFrames, solved: SolvedPath) -> Calibration:
+    """Return the origin and uncertainty of the camera; warn if it is unreliable."""
+    rolling = solved.path.rolling
+    is_found = rolling is not None and bool(rolling.deviation)  # a given readout has deviation 0
+    calibration = read.camera.calibration(
+        solved.path.focal,
+        read.frames.camera,
+        sought=job.calibrate != "nothing",
+        focal=solved.camera.focal,
+        readout=(rolling.readout, rolling.deviation) if rolling and is_found else None,
+    )
+    if not calibration.seen:
+        warnings.warn(calibration.message, GuessedFocalWarning, stacklevel=4)
+    return calibration
 
-    def _stated_camera(self, shape: tuple[int, int]) -> Camera | None:
-        """Return the camera that was given, or is in a file, for frames of a shape."""
-        if not isinstance(self._camera, Path):
-            return self._camera
-        camera = read_camera(self._camera, shape)
-        self._stated = calibration_in(self._camera, camera.focal)
-        return camera
 
-    def _guessed(self, first: Path | tuple[int, ...]) -> Camera:
-        """Return a camera with a focal length guessed by the first frame, or its shape."""
-        self._guess = guess_focal(first)
-        return Camera(focal=self._guess.focal)
+def _adjust_poses(
+    job: Job, frames: PreparedFrames, piece: Piece, seen: Sequence[Observations]
+) -> Piece:
+    """Return a piece with poses adjusted to the images, if the settings are accurate."""
+    from tisfm.reconstruction.depth.pose_adjustment import adjust_poses
+    from tisfm.reconstruction.depth.segment_depth import PieceDepths, depth_effort
 
-    def _calibration(self, path: CameraPath) -> Calibration:
-        """Return where the focal length is from; warn if it is not to be relied on."""
-        found = make_calibration(
-            path.focal,
-            self._guess,
-            self._frames.camera,
-            sought=self._calibrate != "nothing",
-            focal=self._taken[0].focal,
-            shape=self._taken[1],
-            stated=self._stated,
-        )
-        if path.rolling is not None and path.rolling.deviation:  # it was not given
-            deviation = path.rolling.deviation / self._share_of_rows()
-            readout = self._taken[0].readout or 0.0
-            found = replace(found, readout=readout, readout_std=deviation)
-        if not found.seen:
-            warnings.warn(found.message, GuessedFocalWarning, stacklevel=4)
-        return found
+    if job.poses is not None or depth_effort(job.settings) != "accurate":
+        return piece
+    windows = PieceDepths(frames, piece, seen, job.settings, effort="fast").keyframe_windows()
+    poses = adjust_poses(piece.poses, windows, frames.grey, frames.camera, job.settings)
+    return replace(piece, poses=poses)
 
-    def _adjusted(self, piece: Piece, seen: Sequence[Observations]) -> Piece:
-        """Return the piece with poses adjusted to the images, if there are any to adjust."""
-        from tisfm.reconstruction.depth.pose_adjustment import adjust_poses
-        from tisfm.reconstruction.depth.segment_depth import PieceDepths, depth_effort
 
-        effort = depth_effort(self._settings)
-        if self._given is not None or effort != "accurate":
-            return piece
-        stars = PieceDepths(self._frames, piece, seen, self._settings, effort="fast").stars()
-        frames, camera = self._frames.grey, self._frames.camera
-        poses = adjust_poses(piece.poses, stars, frames, camera, self._settings)
-        return replace(piece, poses=poses)
+def _piece_depth(
+    job: Job, frames: PreparedFrames, piece: Piece, seen: Sequence[Observations], done: int
+) -> tuple[dict[int, str], float]:
+    """Write the depth of a piece's frames; return the kind of each frame, and the unit.
 
-    def _depths(
-        self, piece: Piece, seen: Sequence[Observations], done: int
-    ) -> tuple[dict[int, str], float]:
-        """Write the depth of a piece's frames; return what each is, and the unit of its depth."""
-        if self._depth_of == "none":
-            return {}, median_track_depth(piece, seen)
-        from tisfm.reconstruction.depth.segment_depth import PieceDepths, depth_effort, median_depth
+    The kind is "keyframe" or "between". `done` is the number of frames of earlier pieces.
+    """
+    if job.depth_of == "none":
+        return {}, median_track_depth(piece, seen)
+    from tisfm.reconstruction.depth.segment_depth import PieceDepths, depth_effort, median_depth
 
-        depths = PieceDepths(
-            self._frames,
-            piece,
-            seen,
-            self._settings,
-            effort=depth_effort(self._settings),
-            after=max(piece.poses) if self._depth_of == "keyframes" else -1,
-        )
-        found: dict[int, str] = {}
-        unit = 1.0
-        for depth in depths:
-            if not found and self._given is None:
-                unit = median_depth(depth.inverse_depth)
-            write_depth(
-                self._folder, depth.frame, depth.inverse_depth * unit, depth.deviation * unit
-            )
-            found[depth.frame] = "keyframe" if depth.frame in depths.keyframes else "between"
-            self._progress("depth", done + len(found), len(seen))
-        if not found and self._given is None:
-            unit = median_track_depth(piece, seen)
-        return found, unit
+    depths = PieceDepths(
+        frames,
+        piece,
+        seen,
+        job.settings,
+        effort=depth_effort(job.settings),
+        after=max(piece.poses) if job.depth_of == "keyframes" else -1,
+    )
+    kinds: dict[int, str] = {}
+    unit = 1.0
+    for depth in depths:
+        if not kinds and job.poses is None:
+            unit = median_depth(depth.inverse_depth)
+        write_depth(job.folder, depth.frame, depth.inverse_depth * unit, depth.deviation * unit)
+        kinds[depth.frame] = "keyframe" if depth.frame in depths.keyframes else "between"
+        job.progress("depth", done + len(kinds), len(seen))
+    if not kinds and job.poses is None:
+        unit = median_track_depth(piece, seen)
+    return kinds, unit
 
 
 def median_track_depth(piece: Piece, seen: Sequence[Observations]) -> float:

@@ -23,7 +23,7 @@ from tisfm import Reconstruction
 from tisfm.camera_file import read_camera
 from tisfm.reconstruction import pipeline as run_module
 from tisfm.reconstruction.chunks.entry import ChunkedRun, reconstruct_in_chunks
-from tisfm.reconstruction.path.frames_path import FramesPath
+from tisfm.reconstruction.path.path_solver import PathSolver
 from tisfm.reconstruction.pipeline import NEW_PIECE
 
 
@@ -97,15 +97,15 @@ def test_a_focal_length_is_found_once_and_chunks_know_that_it_is_a_guess(
     """Or a chunk before a plane would get a path that the guess has made."""
     stated, chunks = [], []
 
-    def path_of(*arguments, **options):
+    def solver(**options):
         stated.append(options["focal_known"])
-        return FramesPath(*arguments, **options)
+        return PathSolver(**options)
 
     def looked_at(function, items):
         yield from in_turn(function, items)
         chunks.extend(Reconstruction.load(item.folder) for item in items)
 
-    monkeypatch.setattr(run_module, "FramesPath", path_of)
+    monkeypatch.setattr(run_module, "PathSolver", solver)
     with pytest.warns(tisfm.focal_guess.GuessedFocalWarning):
         found = in_chunks(
             frames, tmp_path / "out", camera=None, depth_of="none", finished=looked_at

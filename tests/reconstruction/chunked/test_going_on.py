@@ -62,7 +62,7 @@ def begun(frames, tmp_path_factory):
         frames, folder, camera=film().camera, settings=FAST, chunk=CHUNK, depth_of="keyframes"
     )
     with pytest.MonkeyPatch.context() as patch, pytest.raises(Killed):
-        patch.setattr(entry, "places_of", kill)
+        patch.setattr(entry, "place_chunks", kill)
         run.result(in_turn)
     return folder
 
@@ -94,7 +94,7 @@ STAGES = [
     (joining, "link_or_copy", 9),
     pytest.param(folder_module, "atomic_write", 20, marks=pytest.mark.nightly),
     (joining, "write_record", 1),
-    pytest.param(entry, "write_asked", 2, marks=pytest.mark.nightly),
+    pytest.param(entry, "write_request", 2, marks=pytest.mark.nightly),
     pytest.param(shutil, "rmtree", 12, marks=pytest.mark.nightly),
 ]
 

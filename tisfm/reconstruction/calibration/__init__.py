@@ -1,5 +1,5 @@
 """The focal length and the radial distortion of a camera, found together with its path.
 
-May import: `camera`, `focal_guess`, `reconstruction.mapping`, `reconstruction.result` and
-`reconstruction.tracks`.
+May import: `camera`, `camera_file`, `focal_guess`, `sources`, `reconstruction.mapping`,
+`reconstruction.result` and `reconstruction.tracks`.
 """

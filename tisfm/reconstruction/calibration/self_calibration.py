@@ -15,12 +15,11 @@ import cv2
 import numpy as np
 
 from tisfm.camera import LONGEST, SHORTEST, Camera
-from tisfm.focal_guess import FocalGuess, at_size
 from tisfm.reconstruction.mapping.colmap import pycolmap
 from tisfm.reconstruction.mapping.incremental import robust_adjustment
 from tisfm.reconstruction.mapping.models import Model, ViewGraph, find_models
 from tisfm.reconstruction.mapping.solution import MAX_USEFUL_DEVIATION, FocalEstimate
-from tisfm.reconstruction.result.calibration import GIVEN, Calibrate, Calibration, describe_focal
+from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 
@@ -35,78 +34,6 @@ STAYED = 0.1  # of the way back from there: a part that goes less says nothing
 # Of the logarithm: what parts are off by, as a share of it the deviation of the whole.
 OF_PARTS = 0.7
 BENT = 0.03  # of the focal length, and more than parts are off by: then it seems to distort
-MAX_EXIF_DEVIATION = 0.1  # what a camera writes into a file is better than what deviates by more
-UNSEEN_SAID = (
-    "the motion does not show the focal length, as where the camera goes straight on without "
-    "turning or all lies in one plane"
-)
-BENT_SAID = 'the lens seems to distort: calibrate="radial" (--calibrate radial) finds that as well'
-HARDLY_SAID = "the motion hardly shows it"
-ADVICE = "give it if you know it, for instance from a calibration"
-
-
-def make_calibration(
-    found: FocalEstimate | None,
-    guess: FocalGuess | None,
-    camera: Camera,
-    *,
-    sought: bool,
-    focal: float,
-    shape: tuple[int, int],
-    stated: Calibration = GIVEN,
-) -> Calibration:
-    """Return where the focal length of a camera is from, in px of the frames of the source.
-
-    Parameters
-    ----------
-    found : FocalEstimate or None
-        From the sequence, in px of its frames as they are used, cropped and shrunk.
-    guess : FocalGuess or None
-        From the first file or the size of frames; None if a camera was given.
-    camera : Camera
-        Of the frames as they are used.
-    sought : bool
-        Whether it was to be found from the sequence.
-    focal : float
-        That of `camera`, px of the frames of the source.
-    shape : (int, int)
-        Height and width of the frames of the source, px.
-    stated : Calibration
-        What is known of a camera that was given.
-    """
-    if not sought and guess is None:
-        return replace(stated, focal=focal, shape=shape)
-    if found is None or not found.is_of_use:
-        told = f"the focal length is a guess, {focal:.0f} px{at_size(shape)}"
-        if guess is not None:
-            told += f", {guess.reason}"
-        if sought:
-            told += f": {'no path was found' if found is None else UNSEEN_SAID}"
-        message = f"{told}; {ADVICE}"
-        return Calibration(
-            origin="guessed",
-            focal=focal,
-            focal_std=math.inf,
-            shape=shape,
-            seen=False,
-            message=message,
-        )
-    deviation = found.deviation * focal / camera.focal
-    told = f"{describe_focal(focal, deviation, shape)}, found from the sequence"
-    if found.radial:
-        told += f" with k1 = {found.radial:.3f} ± {float(f'{found.radial_deviation:.1g}'):g}"
-    doubt = BENT_SAID if found.bent else HARDLY_SAID
-    message = told if found.is_seen else f"the focal length is {told}: {doubt}; {ADVICE}"
-    return Calibration(
-        origin="estimated",
-        focal=focal,
-        focal_std=deviation,
-        shape=shape,
-        seen=found.is_seen,
-        message=message,
-        radial=found.radial,
-        radial_std=found.radial_deviation,
-    )
 
 
 def find_models_and_focal(

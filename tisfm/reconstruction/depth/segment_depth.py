@@ -167,11 +167,11 @@ class PieceDepths:
         deviation = upsample(deviation, COMPARED, shape)
         return replace(found, inverse_depth=inverse_depth, deviation=deviation)
 
-    def stars(self) -> list[KeyframeWindow]:
+    def keyframe_windows(self) -> list[KeyframeWindow]:
         """Return the keyframes with a rough depth, each with the frames up to the next ones."""
         frames = sorted(self._piece.poses)
         limits = [frames[0], *self.keyframes, frames[-1]]
-        stars = []
+        windows = []
         for number, key in enumerate(self.keyframes):
             found = self._keyframe(key, None, "fast")
             if found is None:
@@ -181,8 +181,8 @@ class PieceDepths:
             about = self._frames.grey(key), found.inverse_depth, found.deviation
             for begin in range(0, len(members), STAR):
                 lot = members[begin : begin + STAR]
-                stars.append(make_keyframe_window(key, lot, *about, self._frames.counted(key)))
-        return stars
+                windows.append(make_keyframe_window(key, lot, *about, self._frames.counted(key)))
+        return windows
 
     def _between(self, after: int, before: int) -> Iterator[FrameDepth]:
         for frame in sorted(self._piece.poses):

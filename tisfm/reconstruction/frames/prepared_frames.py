@@ -107,23 +107,30 @@ class PreparedFrames:
         self.count += 1
         return whole, ignored
 
-    def take(self, camera: Camera) -> None:
-        """Take a camera that was found later; if it distorts, all frames are made anew."""
-        self.camera = camera.pinhole()
-        if camera.is_pinhole or not self.count:
-            return
-        lens = Undistortion(camera, *self.shape)
-        for number in range(self.count):
-            self._make_anew(number, lens)
+    def correct(self, camera: Camera, rolling: Rolling | None = None) -> None:
+        """Remove the distortion of a lens, and then the effect of a readout, that were found later.
 
-    def unroll(self, rolling: Rolling) -> None:
-        """Make frames anew as if all their rows had been read with the middle one."""
-        for number in sorted(rolling.rates):
-            self._make_anew(number, UnrolledFrame(rolling, number, self.shape))
-        self.camera = replace(self.camera, readout=0.0)
+        Frames are read once; here they are resampled, and written anew.
+
+        Parameters
+        ----------
+        camera : Camera
+            Of the prepared frames, with the distortion that they still have.
+        rolling : Rolling, optional
+            The motion of frames while their rows were read.
+        """
+        self.camera = camera.pinhole()
+        if not camera.is_pinhole and self.count:
+            lens = Undistortion(camera, *self.shape)
+            for number in range(self.count):
+                self._make_anew(number, lens)
+        if rolling is not None:
+            for number in sorted(rolling.rates):
+                self._make_anew(number, UnrolledFrame(rolling, number, self.shape))
+            self.camera = replace(self.camera, readout=0.0)
 
     def unroll_again(self, rolling: Rolling | None) -> None:
-        """Do what `unroll` does to frames that are not settled, from what they were before it."""
+        """Correct frames that are not settled for a new estimate, from what they were before."""
         for number in sorted(self._as_read):
             for path in self._paths(number):
                 if _as_it_was(path).exists():

@@ -14,7 +14,7 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.depth.segment_depth import FrameDepth, Frames, PieceDepths, depth_effort
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
-from tisfm.reconstruction.path.path_finder import PathFinder
+from tisfm.reconstruction.path.path_solver import find_path
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.tracks.tracker import CELLS, Observations
 from tisfm.settings import Settings
@@ -118,15 +118,21 @@ def find_object_path(
     side = float(np.median(np.sqrt(thing.boxes[:, 2] * thing.boxes[:, 3])))
     longer = max(frames.shape)
     cells = min(CELLS * longer / max(side, 1.0), longer / FINEST)
-    finder = PathFinder(
-        frames.camera, readout=0.0, cells=max(CELLS, round(cells)), focal_known=False
-    )
     rim = np.ones((RIM, RIM), np.uint8)
-    for number in range(len(numbers)):
+
+    def tracked(number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         grey = np.rint(own.grey(number)).clip(0, 255).astype(np.uint8)
-        finder.add(grey, cv2.erode(np.uint8(own.counted(number)), rim) == 0, own.flow(number))
+        inside = cv2.erode(np.uint8(own.counted(number)), rim)
+        return grey, inside == 0, own.flow(number)
+
     try:
-        path = finder.finish()
+        path = find_path(
+            map(tracked, range(len(numbers))),
+            frames.camera,
+            readout=0.0,
+            cells=max(CELLS, round(cells)),
+            focal_known=False,
+        )
     except ValueError:  # what it shows is in no order
         return "what it shows from frame to frame does not fit together"
     if not path.pieces:

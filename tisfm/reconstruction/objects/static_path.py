@@ -11,7 +11,7 @@ from tisfm.reconstruction.frames.image_motion import ImageMotion
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.objects.label_propagation import propagate_labels
 from tisfm.reconstruction.objects.sequence_labels import SequenceLabels, enlarge_labels
-from tisfm.reconstruction.path.path_finder import CameraPath
+from tisfm.reconstruction.path.path_solver import CameraPath
 from tisfm.reconstruction.result.calibration import Calibrate
 
 

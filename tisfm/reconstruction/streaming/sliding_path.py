@@ -17,7 +17,7 @@ from tisfm.reconstruction.mapping.solution import (
     PathSolution,
     Piece,
 )
-from tisfm.reconstruction.path.path_finder import add_other_frames, status_of_lost
+from tisfm.reconstruction.path.path_solver import add_other_frames, status_of_lost
 from tisfm.reconstruction.rolling_shutter.unrolled_path import KNOWN_ROUNDS, find_unrolled_path
 from tisfm.reconstruction.rolling_shutter.unrolled_tracks import TrackUnroller
 from tisfm.reconstruction.tracks.tracker import Observations, Tracker

@@ -10,11 +10,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.camera_file import read_camera
 from tisfm.errors import InputError
-from tisfm.focal_guess import FocalGuess, GuessedFocalWarning, guess_focal
+from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.outcome import Status
-from tisfm.reconstruction.calibration.self_calibration import MAX_EXIF_DEVIATION, make_calibration
+from tisfm.reconstruction.calibration.source_camera import (
+    SourceCamera,
+)
 from tisfm.reconstruction.depth.pose_adjustment import adjust_poses
 from tisfm.reconstruction.depth.segment_depth import (
     REACH,
@@ -25,9 +26,9 @@ from tisfm.reconstruction.depth.segment_depth import (
 )
 from tisfm.reconstruction.depth.window_depth import WindowDepth
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
-from tisfm.reconstruction.mapping.solution import MAX_USEFUL_DEVIATION, Piece
+from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.pipeline import NO_PARALLAX, add_piece_note
-from tisfm.reconstruction.result.calibration import GIVEN, Calibrate, calibration_in
+from tisfm.reconstruction.result.calibration import GIVEN, Calibrate
 from tisfm.reconstruction.result.folder import CACHE, PICTURES, read_picture
 from tisfm.reconstruction.streaming.sliding_path import SlidingPath, SlidingSolution
 from tisfm.reconstruction.streaming.streamed_frame import StreamedFrame
@@ -65,11 +66,7 @@ class Stream:
     ) -> None:
         self._source, self._camera, self._settings = source, camera, settings
         self._calibrate, self._calibration = calibrate, GIVEN
-        self._guess: FocalGuess | None = None
-        self._stated = GIVEN
-        self._share_of_rows = 1.0  # of a frame, where it is cropped
-        self._shape = (0, 0)  # height and width of the source's frames, px
-        self._scale = 1.0  # px of the source's frames to a px of those that are used
+        self._source_camera: SourceCamera
         self._delay, self._effort = delay, depth_effort(settings)
         self._folder = Path()
         self._frames: PreparedFrames
@@ -119,33 +116,19 @@ class Stream:
 
     def _add(self, frame: SourceFrame, number: int) -> None:
         if number == 0:
-            if isinstance(self._camera, Path):
-                height, width = frame.full or frame.image.shape[:2]
-                camera = read_camera(self._camera, (height, width))
-                self._stated = calibration_in(self._camera, camera.focal)
-            elif self._camera is not None:
-                camera = self._camera
-            else:
-                self._guess = guess_focal(
-                    self._source.first_file or frame.full or frame.image.shape
-                )
-                camera = Camera(focal=self._guess.focal)
-            camera_taken = camera
-            camera = self._source.camera_after(camera, frame.full)
-            height, width = frame.full or frame.image.shape[:2]
-            self._shape, self._scale = (height, width), camera_taken.focal / camera.focal
+            camera = SourceCamera.of_first_frame(self._source, self._camera, frame)
+            self._source_camera = camera
             for name in (CACHE, PICTURES):
                 (self._folder / name).mkdir()
-            self._frames = PreparedFrames(camera, self._folder / CACHE, self._folder / PICTURES)
-            whole = self._source.camera_after(replace(camera_taken, readout=1.0), frame.full)
-            self._share_of_rows = whole.readout or 1.0
-            stated = self._guess is not None and self._guess.origin == "exif"
+            self._frames = PreparedFrames(
+                camera.used, self._folder / CACHE, self._folder / PICTURES
+            )
             self._path = SlidingPath(
                 self._frames.camera,
                 focal_known=self._calibrate == "nothing",
                 readout=self._frames.camera.readout,
-                limit=MAX_EXIF_DEVIATION if stated else MAX_USEFUL_DEVIATION,
-                is_guess=self._guess is not None or not self._stated.seen,
+                limit=camera.focal_limit,
+                is_guess=not camera.is_focal_stated,
             )
         self._path.add(*self._frames.add(frame), taken=(frame.index, frame.time))
         self._look_at_time(number, frame)
@@ -199,21 +182,15 @@ class Stream:
         """Take the camera of the path, and warn once if it is not to be relied on."""
         path = self._path
         self._frames.camera = replace(path.camera, readout=0.0) if path.readout else path.camera
-        found = make_calibration(
-            self._path.focal,
-            self._guess,
-            self._path.camera,
+        is_found = path.readout and path.readout_deviation  # a given readout has deviation 0
+        camera = self._source_camera
+        found = camera.calibration(
+            path.focal,
+            path.camera,
             sought=self._calibrate != "nothing",
-            focal=self._scale * self._path.camera.focal,
-            shape=self._shape,
-            stated=self._stated,
+            focal=camera.full.focal / camera.used.focal * path.camera.focal,
+            readout=(path.readout or 0.0, path.readout_deviation) if is_found else None,
         )
-        if path.readout and path.readout_deviation:  # it was not given
-            found = replace(
-                found,
-                readout=max(-1.0, min(path.readout / self._share_of_rows, 1.0)),
-                readout_std=path.readout_deviation / self._share_of_rows,
-            )
         if not found.seen and found != self._calibration:
             warnings.warn(found.message, GuessedFocalWarning, stacklevel=5)
         self._calibration = found
@@ -240,10 +217,10 @@ class Stream:
         if number in self._keys:
             since = self._keys[number][0]
             here = replace(here, poses={f: pose for f, pose in here.poses.items() if f >= since})
-        stars = self._depths(number, here, -1).stars()
+        windows = self._depths(number, here, -1).keyframe_windows()
         held = {frame: stretch.held[frame] for frame in here.poses if frame in stretch.held}
         poses = adjust_poses(
-            here.poses, stars, self._frames.grey, self._frames.camera, self._settings, held=held
+            here.poses, windows, self._frames.grey, self._frames.camera, self._settings, held=held
         )
         return replace(piece, poses={**piece.poses, **poses, **held})
 

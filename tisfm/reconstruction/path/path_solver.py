@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.errors import InputError
 from tisfm.outcome import Status
 from tisfm.reconstruction.calibration.self_calibration import (
     find_models_and_focal,
@@ -15,7 +14,6 @@ from tisfm.reconstruction.calibration.self_calibration import (
     undistort_points,
 )
 from tisfm.reconstruction.frames.disk_cache import DiskCache
-from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
 from tisfm.reconstruction.mapping.incremental import FEWEST, SMALLEST
 from tisfm.reconstruction.mapping.models import (
     Model,
@@ -33,12 +31,10 @@ from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.rolling_shutter.unrolled_path import find_unrolled_path
 from tisfm.reconstruction.rolling_shutter.unrolled_tracks import TrackUnroller
 from tisfm.reconstruction.submaps.joining import MOST, focal_from_submaps, models_from_submaps
-from tisfm.reconstruction.tracks.tracker import CELLS, Observations, Tracker
-from tisfm.reconstruction.tracks.views import View, ViewSelection
+from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, SequenceTracks
+from tisfm.reconstruction.tracks.tracker import CELLS, Observations
+from tisfm.reconstruction.tracks.views import View
 from tisfm.shutter import Rolling
-
-# Where fewer views are found, those count between which tracks move by this share of a frame.
-FEW, CLOSER = 3, 0.0125
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,159 +66,122 @@ class CameraPath:
     rolling: Rolling | None = None
 
 
-class PathFinder:
-    """Takes the frames of a sequence one after the other, and finds where the camera was.
+@dataclass(frozen=True, kw_only=True)
+class PathSolver:
+    """Finds the camera path of tracks and views.
 
-    Parameters
+    Attributes
     ----------
+    tracks : SequenceTracks
     camera : Camera
         A pinhole, of the frames.
     calibrate : {"nothing", "focal", "radial"}
-        What of it is found from the frames: then its focal length is a guess.
+        The part of the camera that is found with the path: then its focal length is a guess.
     limit : float
-        Of the focal length: with a larger deviation, the guess stays.
+        Share of the focal length: an estimate with a larger standard deviation is dropped, and the
+        guess stays.
     readout : float or None
-        Of the shutter, as in `tisfm.Camera`; None if it is found.
-    cells : int
-        As for `tisfm.reconstruction.tracks.tracker.Tracker`.
+        Readout time of the shutter, as in `tisfm.Camera`; None if it is found.
     focal_known : bool
-        Whether the focal length is known before. If it is a guess, a path does not begin before a
+        Whether the focal length is known. A path of a guessed focal length does not begin before a
         single plane.
     """
 
-    def __init__(
-        self,
-        camera: Camera,
-        calibrate: Calibrate = "nothing",
-        *,
-        limit: float = MAX_USEFUL_DEVIATION,
-        readout: float | None = None,
-        cells: int = CELLS,
-        focal_known: bool = True,
-    ) -> None:
-        self._focal_known = focal_known and calibrate == "nothing"
-        self._camera, self._calibrate, self._limit = camera, calibrate, limit
-        self._readout = readout
-        self._tracker = Tracker(camera, TRACKING_SETTINGS, cells)
-        self._seen = DiskCache(Observations.arrays, Observations.of_arrays)
-        self._views = ViewSelection(camera, focal_known=calibrate == "nothing", on_disk=True)
-        self._closer: ViewSelection | None = ViewSelection(
-            camera, focal_known=calibrate == "nothing", on_disk=True
-        )
-        self._last: tuple[np.ndarray, np.ndarray | None] | None = None
-        self._shape = (0, 0)
+    tracks: SequenceTracks
+    camera: Camera
+    calibrate: Calibrate = "nothing"
+    limit: float = MAX_USEFUL_DEVIATION
+    readout: float | None = None
+    focal_known: bool = True
 
-    def add(
-        self,
-        grey: np.ndarray,
-        ignored: np.ndarray | None = None,
-        flow: np.ndarray | None = None,
-    ) -> None:
-        """Take the next frame, (H, W) uint8, and which of its pixels to ignore, (H, W) bool.
-
-        And the image motion from the frame before, where it is known, as `Tracker.track` does.
-        """
-        seen = self._tracker.track(grey, ignored, flow)
-        if self._views.needs(seen, max(grey.shape)):
-            self._views.add(len(self._seen), grey, seen, ignored)
-        if len(self._views.chosen) >= FEW:
-            self._closer = None
-        elif self._closer is not None and self._closer.needs(seen, max(grey.shape), CLOSER):
-            self._closer.add(len(self._seen), grey, seen, ignored)
-        self._seen.append(seen)
-        self._last = grey, ignored
-
-    def finish(self, instants: np.ndarray | None = None) -> CameraPath:
-        """Return the path of the frames so far.
+    def solve(self, instants: np.ndarray | None = None) -> CameraPath:
+        """Return the camera path.
 
         Parameters
         ----------
         instants : (N,) array, optional
             When each frame was taken, in intervals between frames of the source; by default one
             after the other.
-
-        Raises
-        ------
-        ValueError
-            If frames are out of order.
         """
-        if self._last is None:
-            return CameraPath(pieces=(), lost={}, seen=(), camera=self._camera)
-        last, (grey, ignored), views = len(self._seen) - 1, self._last, self._views
-        if self._closer is not None:  # there are few others
-            views = self._views = self._closer
-        different = len(views.chosen)
-        if not views.chosen or views.chosen[-1].frame != last:
-            views.add(last, grey, self._seen[last], ignored)
-        self._shape = grey.shape
-        views.close_loops(grey.shape)
-        if views.out_of_order():
-            raise InputError(
-                "frames are not in the order in which they were taken: most show nothing of the "
-                "frame before, but what others show; sort them, or give a video"
-            )
-        way = self._way(views.chosen, self._seen, self._camera, self._calibrate)
+        tracks = self.tracks
+        if not len(tracks.observations):
+            return CameraPath(pieces=(), lost={}, seen=(), camera=self.camera)
+        solution = self._solution(tracks.views, tracks.observations, self.camera, self.calibrate)
         rolling = None
-        if self._readout != 0 and way.pieces:
-            instants = np.arange(len(self._seen)) if instants is None else np.asarray(instants)
-            way, rolling = self._unrolled(way, instants)
+        if self.readout != 0 and solution.pieces:
+            count = len(tracks.observations)
+            instants = np.arange(count) if instants is None else np.asarray(instants)
+            solution, rolling = self._unrolled(solution, instants)
         lost = {
             frame: status_of_lost(
-                way.seen[frame], way.pieces, different, focal_known=self._focal_known
+                solution.seen[frame],
+                solution.pieces,
+                tracks.different,
+                focal_known=self._focal_stated,
             )
-            for frame in way.unplaced
+            for frame in solution.unplaced
         }
         return CameraPath(
-            pieces=tuple(sorted(way.pieces, key=lambda piece: min(piece.poses))),
+            pieces=tuple(sorted(solution.pieces, key=lambda piece: min(piece.poses))),
             lost=lost,
-            seen=way.seen,
-            camera=way.camera,
-            focal=way.focal,
+            seen=solution.seen,
+            camera=solution.camera,
+            focal=solution.focal,
             rolling=rolling,
         )
 
+    @property
+    def _focal_stated(self) -> bool:
+        return self.focal_known and self.calibrate == "nothing"
+
     def _unrolled(
-        self, way: PathSolution, instants: np.ndarray
+        self, solution: PathSolution, instants: np.ndarray
     ) -> tuple[PathSolution, Rolling | None]:
-        """Return the way of middle rows, and how frames moved while they were read, if they did."""
-        pinhole, matches = way.camera.pinhole(), self._views.matches
+        """Return the path of middle rows, and the motion of frames while their rows were read."""
+        pinhole, matches = solution.camera.pinhole(), self.tracks.matches
 
         def near(
             views: Sequence[View], seen: Sequence[Observations], before: Sequence[Piece]
         ) -> PathSolution:
             if len(views) > MOST:
                 models = models_from_submaps(
-                    views, matches, pinhole, self._shape, seen, focal_known=self._focal_known
+                    views, matches, pinhole, self.tracks.shape, seen, focal_known=self._focal_stated
                 )
             else:
                 known = [{frame: piece.poses[frame] for frame in piece.views} for piece in before]
-                models = readjust_models(views, matches, pinhole, self._shape, known)
+                models = readjust_models(views, matches, pinhole, self.tracks.shape, known)
             return self._complete(models, views, seen, pinhole)
 
         found, rolling = find_unrolled_path(
-            way, near, matches, instants, self._readout, self._shape
+            solution, near, matches, instants, self.readout, self.tracks.shape
         )
         if rolling is None:
-            return way, None
+            return solution, None
         if len(found.views) <= MOST:
             # A path that was bent by what rows do may stay so. Another begins without it.
-            calibrate: Calibrate = "focal" if self._calibrate == "focal" else "nothing"
-            anew = self._way(found.views, found.seen, pinhole, calibrate)
+            calibrate: Calibrate = "focal" if self.calibrate == "focal" else "nothing"
+            anew = self._solution(found.views, found.seen, pinhole, calibrate)
             if anew.pieces and anew.focal is None:
                 anew = near(found.views, found.seen, anew.pieces)
             if anew.score > found.score and _is_of_use(anew.focal):
                 found = anew
         if found.focal is None:
-            found = replace(found, camera=way.camera, focal=way.focal)
+            found = replace(found, camera=solution.camera, focal=solution.focal)
         # Frames that have got a pose only now.
         late = TrackUnroller(
-            way.seen, found.pieces, instants, rolling.readout, 0.0, rolling.camera, self._shape
+            solution.seen,
+            found.pieces,
+            instants,
+            rolling.readout,
+            0.0,
+            rolling.camera,
+            self.tracks.shape,
         ).rolling
         rates = {**late.rates, **rolling.rates}
         usual = {**late.inverse_depth, **rolling.inverse_depth}
         return found, replace(rolling, rates=rates, inverse_depth=usual)
 
-    def _way(
+    def _solution(
         self,
         views: Sequence[View],
         tracks: Sequence[Observations],
@@ -230,11 +189,11 @@ class PathFinder:
         calibrate: Calibrate,
     ) -> PathSolution:
         """Return the path through views and tracks in every frame."""
-        matches, shape, focal = self._views.matches, self._shape, None
+        matches, shape, focal = self.tracks.matches, self.tracks.shape, None
         if len(views) > MOST:  # memory is to be bounded
             if calibrate != "nothing":
                 focal = focal_from_submaps(
-                    views, matches, camera, shape, calibrate, limit=self._limit
+                    views, matches, camera, shape, calibrate, limit=self.limit
                 )
                 if focal is None:  # no part has a path
                     return self._complete([], views, tracks, camera)
@@ -242,14 +201,14 @@ class PathFinder:
             seen = _straight(tracks, lens, shape)
             straight_views = _straight_views(views, lens, shape)
             models = models_from_submaps(
-                straight_views, matches, lens.pinhole(), shape, seen, focal_known=self._focal_known
+                straight_views, matches, lens.pinhole(), shape, seen, focal_known=self._focal_stated
             )
             return self._complete(models, views, seen, lens, focal)
         if calibrate == "nothing":
-            models = find_models(views, matches, camera, shape, focal_known=self._focal_known)
+            models = find_models(views, matches, camera, shape, focal_known=self._focal_stated)
         else:
             models, focal = find_models_and_focal(
-                views, matches, camera, shape, calibrate, limit=self._limit
+                views, matches, camera, shape, calibrate, limit=self.limit
             )
         lens = camera if focal is None else focal.taken(camera)
         return self._complete(models, views, _straight(tracks, lens, shape), lens, focal)
@@ -262,13 +221,13 @@ class PathFinder:
         camera: Camera,
         focal: FocalEstimate | None = None,
     ) -> PathSolution:
-        """Return the way of models and of the frames between their views."""
+        """Return the solution of models and of the frames between their views."""
         pieces, unplaced = add_other_frames(
             [Piece(poses=one.poses, views=tuple(one.poses), points=one.points) for one in models],
             seen,
             range(len(seen)),
             camera.pinhole(),
-            self._shape,
+            self.tracks.shape,
         )
         return PathSolution(
             pieces=pieces,
@@ -279,6 +238,35 @@ class PathFinder:
             focal=focal,
             score=sum(model.score for model in models),
         )
+
+
+def find_path(
+    frames: Iterable[tuple[np.ndarray, np.ndarray | None, np.ndarray | None]],
+    camera: Camera,
+    *,
+    cells: int = CELLS,
+    readout: float | None = None,
+    focal_known: bool = True,
+) -> CameraPath:
+    """Track frames, and return the camera path.
+
+    Parameters
+    ----------
+    frames : iterable
+        Of each frame: its grey levels, ignored pixels and image motion, as `SequenceTracker.add`
+        takes them.
+    camera, readout, focal_known
+        As for `PathSolver`.
+    cells : int
+        As for `SequenceTracker`.
+    """
+    tracker = SequenceTracker(camera, cells=cells)
+    for frame in frames:
+        tracker.add(*frame)
+    solver = PathSolver(
+        tracks=tracker.finish(), camera=camera, readout=readout, focal_known=focal_known
+    )
+    return solver.solve()
 
 
 def _is_of_use(focal: FocalEstimate | None) -> bool:

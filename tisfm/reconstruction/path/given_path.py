@@ -1,0 +1,57 @@
+"""A given camera path: its poses by frame, and the points that they show."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.mapping.solution import Piece
+from tisfm.reconstruction.path.given_poses import poses_of_frames
+from tisfm.reconstruction.path.path_solver import CameraPath
+from tisfm.reconstruction.rolling_shutter.unrolled_tracks import TrackUnroller
+from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
+from tisfm.reconstruction.tracks.tracker import Observations
+from tisfm.reconstruction.tracks.triangulation import triangulate_tracks
+from tisfm.trajectory import Trajectory
+
+
+def given_path(
+    tracks: SequenceTracks,
+    given: Trajectory,
+    camera: Camera,
+    times: Sequence[float | None],
+    instants: np.ndarray,
+) -> CameraPath:
+    """Return the path of frames whose poses are given.
+
+    Parameters
+    ----------
+    tracks : SequenceTracks
+    given : Trajectory
+        Its poses are those of middle rows, where rows are not read at once.
+    camera : Camera
+        A pinhole, of the frames. An unknown readout counts as 0: given poses do not show it.
+    times : sequence of float or None
+        When frames were taken, s; None where that is not known.
+    instants : (N,) array
+        The same, in intervals between frames of the source.
+
+    Raises
+    ------
+    InputError
+        If poses do not fit the frames.
+    """
+    seen: Sequence[Observations] = tracks.observations
+    poses, lost = poses_of_frames(given, times)
+    known = {k: pose for k, pose in enumerate(poses) if k not in lost}
+    points = triangulate_tracks(seen, known, camera, tracks.shape)
+    piece, rolling = Piece(poses=known, views=tuple(known), points=points), None
+    if known and camera.readout:
+        unroller = TrackUnroller(seen, [piece], instants, camera.readout, 0.0, camera, tracks.shape)
+        seen, rolling = unroller.all_tracks(), unroller.rolling
+        points = triangulate_tracks(seen, known, camera, tracks.shape)
+        piece = replace(piece, points=points)
+    return CameraPath(
+        pieces=(piece,) if known else (), lost=lost, seen=seen, camera=camera, rolling=rolling
+    )

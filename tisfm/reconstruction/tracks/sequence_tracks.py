@@ -1,0 +1,136 @@
+"""Tracking of a whole sequence: tracks in every frame, and the views that a path is built from."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.errors import InputError
+from tisfm.reconstruction.frames.disk_cache import DiskCache
+from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
+from tisfm.reconstruction.tracks.tracker import CELLS, Observations, Tracker
+from tisfm.reconstruction.tracks.views import View, ViewSelection
+
+# Views: below this number, the views that are closer together are used instead.
+FEW_VIEWS = 3
+# Share of the longer side: median motion of tracks between these closer views. Set by hand.
+CLOSER_VIEWS = 0.0125
+
+
+@dataclass(frozen=True, kw_only=True)
+class SequenceTracks:
+    """Tracks and views of a sequence.
+
+    Attributes
+    ----------
+    observations : sequence of Observations
+        Tracks in every frame.
+    views : sequence of View
+        The frames that a path is built from, in order; none if poses are given.
+    matches : mapping of (int, int) to (N, 2) int array
+        For pairs of indices of views: indices of detected points that match.
+    different : int
+        Number of frames that differ from one another.
+    shape : (int, int)
+        Height and width of the frames, px.
+    """
+
+    observations: Sequence[Observations]
+    views: Sequence[View]
+    matches: Mapping[tuple[int, int], np.ndarray]
+    different: int
+    shape: tuple[int, int]
+
+
+class SequenceTracker:
+    """Tracks points through the frames of a sequence, and selects views.
+
+    Parameters
+    ----------
+    camera : Camera
+        A pinhole, of the frames.
+    focal_known : bool
+        Whether matches of views have to fit the focal length of the camera, or any.
+    with_views : bool
+        Whether views are selected. A given path needs tracks alone.
+    cells : int
+        As for `tisfm.reconstruction.tracks.tracker.Tracker`.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        *,
+        focal_known: bool = True,
+        with_views: bool = True,
+        cells: int = CELLS,
+    ) -> None:
+        self._tracker = Tracker(camera, TRACKING_SETTINGS, cells)
+        self._observations = DiskCache(Observations.arrays, Observations.of_arrays)
+        self._with_views = with_views
+        self._views = ViewSelection(camera, focal_known=focal_known, on_disk=True)
+        self._closer: ViewSelection | None = ViewSelection(
+            camera, focal_known=focal_known, on_disk=True
+        )
+        self._last: tuple[np.ndarray, np.ndarray | None] | None = None
+
+    def add(
+        self,
+        grey: np.ndarray,
+        ignored: np.ndarray | None = None,
+        flow: np.ndarray | None = None,
+    ) -> None:
+        """Track points into the next frame.
+
+        Parameters
+        ----------
+        grey : (H, W) uint8
+        ignored : (H, W) bool, optional
+            Pixels without tracks.
+        flow : (h, w, 2) float32, optional
+            Image motion from the previous frame, as for `Tracker.track`.
+        """
+        number = len(self._observations)
+        seen = self._tracker.track(grey, ignored, flow)
+        if self._with_views:
+            longer_side = max(grey.shape)
+            if self._views.needs(seen, longer_side):
+                self._views.add(number, grey, seen, ignored)
+            if len(self._views.chosen) >= FEW_VIEWS:
+                self._closer = None
+            elif self._closer is not None and self._closer.needs(seen, longer_side, CLOSER_VIEWS):
+                self._closer.add(number, grey, seen, ignored)
+        self._observations.append(seen)
+        self._last = grey, ignored
+
+    def finish(self) -> SequenceTracks:
+        """Return the tracks and views of all frames.
+
+        Raises
+        ------
+        InputError
+            If frames are out of order.
+        """
+        if self._last is None:
+            return SequenceTracks(observations=(), views=(), matches={}, different=0, shape=(0, 0))
+        grey, ignored = self._last
+        views = self._views if self._closer is None else self._closer
+        different = len(views.chosen)
+        if self._with_views:
+            last = len(self._observations) - 1
+            if not views.chosen or views.chosen[-1].frame != last:
+                views.add(last, grey, self._observations[last], ignored)
+            views.close_loops(grey.shape)
+            if views.out_of_order():
+                raise InputError(
+                    "frames are not in the order in which they were taken: most show nothing of "
+                    "the frame before, but what others show; sort them, or give a video"
+                )
+        return SequenceTracks(
+            observations=self._observations,
+            views=views.chosen,
+            matches=views.matches,
+            different=different,
+            shape=grey.shape,
+        )
