@@ -26,7 +26,7 @@ DEMO_FILES = promised("demo") | {
 
 
 def test_demo(quick_workers, tisfm_run):
-    code, out, err = tisfm_run("demo", "--height", "60", "--width", "80", "-o", "out")
+    code, out, err = tisfm_run("demo", "--height", "96", "--width", "128", "-o", "out")
     assert code == 0
     figure = os.path.join("out", "demo_figure.png")
     assert err.startswith(f"Pictures and data in out. Open {figure} first, then ")
@@ -39,6 +39,20 @@ def test_demo(quick_workers, tisfm_run):
     assert set(files("out")) == DEMO_FILES
     assert load("out", "demo").settings == Settings()
     assert list(record("out")["pairs"]) == ["demo"]
+    assert "then out/camera/demo_figure.png and out/objects/demo_figure.png.\n" in err
+    cells = [[cell.strip() for cell in row.strip("│").split("│")] for row in rows[3:]]
+    by_motion = {name: values for name, *values in cells}
+    field, camera = by_motion["field, at rest"], by_motion["camera, at rest"]
+    assert field[1] == "–" and 40 < float(camera[1].removesuffix(" %")) < 95
+    assert float(camera[0]) < 0.05 < 0.1 < float(field[0])  # of the depth, forward
+    assert float(camera[2]) < 0.1 and float(field[2]) < 0.1
+    assert float(camera[3]) < 2 and float(camera[4]) < 0.1
+    assert field[5] == camera[5] == "converged"
+    objects = by_motion["objects, moving"]
+    assert float(objects[0]) < 0.1 and 40 < float(objects[1].removesuffix(" %")) < 95
+    expected = promised("demo") | {"demo_pose.txt", "demo_flow.flo"}
+    assert set(files("out/camera")) == set(files("out/objects")) == expected
+    assert load("out/camera", "demo").settings == Settings(motion="camera")
 
 
 @pytest.mark.nightly

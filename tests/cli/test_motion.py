@@ -393,30 +393,6 @@ def test_poses_that_do_not_move_leave_no_depth(tisfm_run):
 # The demonstration
 
 
-def test_demo_compares_readings_of_motion(quick_workers, tisfm_run):
-    code, out, err = tisfm_run("demo", "--height", "96", "--width", "128", "-o", "out")
-    assert code == 0
-    assert "then out/camera/demo_figure.png and out/objects/demo_figure.png.\n" in err
-    rows = {
-        cells[0]: cells[1:]
-        for line in out.splitlines()
-        if line.startswith("│")
-        for cells in [[cell.strip() for cell in line.strip("│").split("│")]]
-    }
-    field, camera = rows["field, at rest"], rows["camera, at rest"]
-    assert field[1] == "–" and 40 < float(camera[1].removesuffix(" %")) < 95
-    assert float(camera[0]) < 0.05 < 0.1 < float(field[0])  # of the depth, forward
-    assert float(camera[2]) < 0.1 and float(field[2]) < 0.1
-    assert float(camera[3]) < 2 and float(camera[4]) < 0.1
-    assert field[5] == camera[5] == "converged"
-    objects = rows["objects, moving"]
-    assert float(objects[0]) < 0.1 and 40 < float(objects[1].removesuffix(" %")) < 95
-    expected = {f"demo{ending}" for ending in (*ENDINGS, "_flow.flo")} | RECORDS
-    assert set(files("out/camera")) == set(files("out/objects")) == expected
-    result = load("out/camera", "demo")
-    assert result.settings == tisfm.Settings(motion="camera")
-
-
 def test_demo_interprets_no_pair_twice(place, monkeypatch):
     height, width = 150, 100  # more than what compiles
     seen = []

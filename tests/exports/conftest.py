@@ -1,8 +1,10 @@
 """A film and its reconstruction, made once."""
 
+import os
 import shutil
 
 import pytest
+from filelock import FileLock
 
 import tisfm
 from tests.reconstruction.films import walk
@@ -18,8 +20,15 @@ def film():
 
 @pytest.fixture(scope="session")
 def found(film, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("reconstruction")
-    return tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, folder=folder)
+    """The reconstruction of the film; one for all processes of a run."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+    folder = folder / "exported_walk"
+    with FileLock(f"{folder}.lock"):
+        if not (folder / "reconstruction.json").exists():
+            tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, folder=folder)
+    return tisfm.Reconstruction.load(folder)
 
 
 @pytest.fixture(scope="session")

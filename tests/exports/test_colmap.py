@@ -12,6 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.draws import examples
 from tests.exports.exported import contents, errors_of, retriangulated, tracks_per_image
 from tests.reconstruction.films import along
 from tisfm import Camera
@@ -106,7 +107,9 @@ def test_text_and_binary_say_the_same(exported, tmp_path):
     assert contents(models[0]) == contents(models[1])
 
 
-@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=examples(8, 200), suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(data=st.data())
 def test_any_model_comes_back_from_text_and_binary(found, data, tmp_path_factory):
     seed = data.draw(st.integers(0, 2**32 - 1))

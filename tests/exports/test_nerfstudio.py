@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tisfm import Camera
@@ -91,7 +91,6 @@ def test_the_world_is_upright_and_its_axes_are_told(found, written):
 numbers = st.floats(-1, 1, allow_nan=False)
 
 
-@settings(max_examples=50)
 @given(
     twist=st.tuples(*[numbers] * 6),
     focal=st.floats(10, 5000),

@@ -1,7 +1,7 @@
 """Texts for a terminal hold no commands for it."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tisfm.machine.terminal import printable
@@ -22,7 +22,6 @@ def test_a_command_becomes_text(text, shown):
     assert printable(text) == shown
 
 
-@settings(deadline=None, max_examples=50)
 @given(st.text(max_size=20))
 def test_no_control_is_left(text):
     shown = printable(text)
