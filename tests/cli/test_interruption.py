@@ -12,6 +12,7 @@ import pytest
 
 from tests.cli.command_line import ENDINGS, TISFM, assert_one_line, files, load, record
 from tests.waiting import started, wait_for
+from tisfm.folders.checksums import compare_records
 from tisfm.folders.result_folder import LOCK, FolderInUseError, locked_folder
 from tisfm.formats import write_png
 
@@ -65,6 +66,11 @@ def test_what_differs_is_said(tisfm_run, frames):
     Path("out/run.json").write_text(json.dumps(changed))
     code, _, err = tisfm_run(*QUIET, "--resume")
     assert_one_line(code, err, 'version was "0.0.1", now ')
+
+
+def test_what_only_one_record_has_differs():
+    assert list(compare_records({"a": 1}, {"a": 1, "b": {"c": 2}})) == ['b was null, now {"c": 2}']
+    assert list(compare_records({"a": {"b": 1}}, {"a": {}})) == ["a.b was 1, now null"]
 
 
 @pytest.mark.parametrize(
