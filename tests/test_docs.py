@@ -20,9 +20,9 @@ import tisfm
 from tisfm.cli.command_line import main
 from tisfm.cli.demo_animation import animation_frames
 from tisfm.cli.exit_codes import BROKEN_PIPE, INTERRUPTED, WRONG_OPTION
-from tisfm.outcome import Status
 from tisfm.scenes import static_scene
 from tisfm.settings import Preset
+from tisfm.status import Status
 
 ROOT = Path(__file__).parents[1]
 README, DOCS, RESULTS = ROOT / "README.md", ROOT / "docs", ROOT / "bench" / "results"

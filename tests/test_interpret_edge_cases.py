@@ -10,7 +10,8 @@ import pytest
 import tisfm
 from tisfm import scenes
 from tisfm.frames import LARGEST_GREY
-from tisfm.motion.agreement import _moved, unrelated
+from tisfm.motion.frame_agreement import unrelated
+from tisfm.motion.window_statistics import warped
 from tisfm.rigid import pose_matrix
 
 PRESETS = ("paper", "fast", "balanced", "accurate")
@@ -99,7 +100,7 @@ def test_between_pixels_frames_are_interpolated_linearly():
         borderMode=cv2.BORDER_REPLICATE,
     )
     # OpenCV may round positions to 1/32 px: the steps of this frame are below 100 grey levels.
-    np.testing.assert_allclose(_moved(frame, flow), moved, atol=100 / 32)
+    np.testing.assert_allclose(warped(frame, flow), moved, atol=100 / 32)
 
 
 @pytest.mark.parametrize(

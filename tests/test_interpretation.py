@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from tisfm.outcome import Status
+from tisfm.status import Status
 
 H, W = 24, 40
 ARRAYS = ("rho", "flow", "confidence", "occlusion", "frame")

@@ -245,7 +245,7 @@ CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 0
 BOUND = """
 import os
 from tisfm import runtime
-from tisfm.cores import thread_ids
+from tisfm.threads import thread_ids
 runtime.start({options})
 import tisfm.kernels.model.flow
 cores = [sorted(os.sched_getaffinity(thread)) for thread in thread_ids()]

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.outcome import History, Status
 from tisfm.point_cloud import FARTHEST_MEDIANS, PointCloud, point_cloud
 from tisfm.settings import Settings
+from tisfm.status import History, Status
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -21,8 +21,8 @@ from tisfm.formats import FormatError
 from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.formats.packing import STEP, Packing, pack, unpack
 from tisfm.frames import MIN_SIDE
-from tisfm.outcome import History, Status
 from tisfm.settings import Settings
+from tisfm.status import History, Status
 
 FORMAT = 7  # raised when a reader of the one before would go wrong
 _READ = (6, FORMAT)  # 6 had nothing packed

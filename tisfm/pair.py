@@ -17,10 +17,10 @@ from tisfm.formats.packing import STEP, round_as_packed
 from tisfm.frames import check_frame, eight_bit, grey_pair
 from tisfm.interpretation import Interpretation
 from tisfm.lens import Undistortion
-from tisfm.outcome import History, Status
 from tisfm.rigid import KnownPose, check_pose
 from tisfm.settings import Settings, check_settings
-from tisfm.solver.counted import filled
+from tisfm.solver.pixel_masks import filled
+from tisfm.status import History, Status
 from tisfm.version import __version__
 from tisfm.visibility.confidence import confidence
 from tisfm.visibility.occlusion import leaves_image, occlusion_in
@@ -172,17 +172,17 @@ def interpret_pair(
         known=known,
     )
     pyramid, lens = taken.pyramid, taken.lens
-    from tisfm.motion.agreement import borne_out, field_doubt, unexplained
     from tisfm.motion.camera import camera_estimate
+    from tisfm.motion.depth_checks import depth_status, with_brightness_advice
     from tisfm.motion.estimate import history_of
     from tisfm.motion.field import field_estimate
-    from tisfm.motion.frame_before import frame_before
-    from tisfm.motion.light import told_of_light
+    from tisfm.motion.frame_agreement import confirms_large_motion, field_status
     from tisfm.motion.objects.estimation import objects_estimate
+    from tisfm.motion.previous_frame import previous_frame
 
     before = None
     if settings.motion == "field":
-        before = frame_before(pyramid, settings, None if window is None else window.earlier)
+        before = previous_frame(pyramid, settings, None if window is None else window.previous)
         estimate = field_estimate(pyramid, settings, before)
     elif settings.motion == "camera":
         estimate = camera_estimate(pyramid, settings, known)
@@ -214,20 +214,20 @@ def interpret_pair(
     if status != "pose_mismatch":  # which is why, if the flow has run away as well
         vouched = estimate.matched or posed
         runaway = diverged(flow, leaves, vouched=vouched)
-        if runaway is not None and not vouched and borne_out(pyramid, flow, unseen):
+        if runaway is not None and not vouched and confirms_large_motion(pyramid, flow, unseen):
             runaway = diverged(flow, leaves, vouched=True)
         status = taken.overflow or runaway or (status if countable else UNCOUNTED)
     if status in ("converged", "iteration_limit", "uncertain"):
         if settings.motion == "field":
-            status = field_doubt(pyramid, flow, trust) or status
+            status = field_status(pyramid, flow, trust) or status
         elif estimate.free_flow is not None:
-            doubt = unexplained(pyramid, estimate, unseen)
+            doubt = depth_status(pyramid, estimate, unseen)
             if doubt is not None and doubt != status:  # what was first uncertain has more to say
                 status = doubt
-    status = told_of_light(status, pyramid, settings)
+    status = with_brightness_advice(status, pyramid, settings)
     if window is not None:
         _keep(window, pyramid, flow, unseen, status)
-        if window.earlier is None and before is not None and before.used:
+        if window.previous is None and before is not None and before.used:
             return interpret_pair(  # by itself
                 frame0,
                 frame1,
@@ -288,11 +288,11 @@ def _keep(
 
     It is round_as_packed as in a compact file, from which a run that is resumed goes on.
     """
-    from tisfm.motion.frame_before import Earlier
+    from tisfm.motion.previous_frame import PreviousPair
 
     is_reliable = status in RELIABLE
-    window.earlier = (
-        Earlier.of(pyramid, round_as_packed(flow, STEP), unseen) if is_reliable else None
+    window.previous = (
+        PreviousPair.of(pyramid, round_as_packed(flow, STEP), unseen) if is_reliable else None
     )
 
 
@@ -333,7 +333,7 @@ def _taken(
 
     runtime.start()  # before Taichi is imported, which looks for a cache folder as well
     from tisfm.motion.problems import pyramid_of
-    from tisfm.unrolled_pair import unrolled_pair
+    from tisfm.motion.rolling_shutter import global_shutter_pair
 
     runtime.lane_grid(*grey0.shape)  # refuses frames that are too large
     lens = None if camera.is_pinhole else Undistortion(camera, *grey0.shape)
@@ -349,7 +349,7 @@ def _taken(
         if lens is not None:
             both = (np.ones_like(lens.valid),) * 2 if counted is None else counted
             seen = both[0] & lens.valid, both[1] & lens.valid
-        unrolled = unrolled_pair(grey0, grey1, frame, seen, camera, settings, known)
+        unrolled = global_shutter_pair(grey0, grey1, frame, seen, camera, settings, known)
         if unrolled is not None:
             grey0, grey1, frame = unrolled.grey0, unrolled.grey1, unrolled.frame
             counted, lens = unrolled.counted, None
@@ -433,8 +433,9 @@ def diverged(flow: np.ndarray, leaves: np.ndarray, *, vouched: bool = False) -> 
     leaves : (H, W) bool
         Where it leaves the image.
     vouched : bool
-        Whether matched points, a pose or the images (`tisfm.motion.agreement.borne_out`) confirm a
-        large motion: pixels that leave the image may then go far.
+        Whether matched points, a pose or the images confirm a large motion
+        (`tisfm.motion.frame_agreement.confirms_large_motion`): pixels that leave the image may
+        then go far.
     """
     furthest, most = RUNAWAY, MOST_LEAVING
     if vouched:

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import cv2
 import numpy as np
 
-from tisfm.cores import bind_newest, thread_ids
 from tisfm.errors import InputError, RunError
-from tisfm.machine.address_space import require_for_taichi
-from tisfm.machine.heap import keep_freed_memory
 from tisfm.machine.kernel_cache import cache_options
+from tisfm.machine.memory import keep_freed_memory, require_for_taichi
 from tisfm.machine.vulkan import software_vulkan
+from tisfm.threads import bind_newest, thread_ids
 
 if TYPE_CHECKING:
     from tisfm.kernels.layout.lanes import LaneGrid

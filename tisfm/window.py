@@ -6,7 +6,7 @@ from tisfm.errors import InputError, InputTypeError
 from tisfm.settings import Settings
 
 if TYPE_CHECKING:
-    from tisfm.motion.frame_before import Earlier
+    from tisfm.motion.previous_frame import PreviousPair
 
 WindowSize = Literal[2, 3]
 
@@ -19,18 +19,18 @@ class Window:
 
     Attributes
     ----------
-    earlier : Earlier or None
+    previous : PreviousPair or None
         Of the pair before.
     """
 
     def __init__(self) -> None:
-        self.earlier: Earlier | None = None
+        self.previous: PreviousPair | None = None
         self._apart: int | None = None
 
     def begin(self, apart: int) -> None:
         """Take notice of how many frames of the source lie between those of the next pair."""
         if apart != self._apart:
-            self.earlier = None
+            self.previous = None
         self._apart = apart
 
 

@@ -16,11 +16,11 @@ from bench.shared.problems import (
     UNIQUENESS,
 )
 from tisfm.kernels.data import (
-    both_neighbours,
     constraints,
     derivatives,
     forward_splatting,
     image_edges,
+    three_frames,
     warp,
 )
 from tisfm.kernels.layout import images
@@ -98,7 +98,7 @@ class FieldOperations(TaichiSide):
         arguments = [self.lay(array) for array in bent(self.problem.flow)]
         out = self.grid.allocate(2)
         return (
-            lambda: both_neighbours.backward_flow(self.grid, *arguments, out),
+            lambda: three_frames.backward_flow(self.grid, *arguments, out),
             lambda _: self.read(out),
         )
 
@@ -108,7 +108,7 @@ class FieldOperations(TaichiSide):
         inputs = [self.lay(array) for array in (before, trust, *masks[:, None], p.flow)]
         out, tensor = self.lay(p.constraints), self.grid.allocate(6)
         return (
-            lambda: both_neighbours.join_constraints(self.grid, *inputs, SCALES, out, tensor),
+            lambda: three_frames.join_constraints(self.grid, *inputs, SCALES, out, tensor),
             lambda _: np.concatenate([self.read(out), self.read(tensor)]),
         )
 

@@ -12,7 +12,7 @@ from tests.cli.command_line import TISFM
 from tests.doctor.hanging import hasty_trial, write_module_that_hangs
 from tests.draws import nightly_except
 from tests.waiting import PATIENCE
-from tisfm.doctor import examination, trying
+from tisfm.doctor import examination, trials
 
 # As the installed script does it.
 SCRIPT = "import sys; sys.argv[0] = 'tisfm'; from tisfm.cli import main; sys.exit(main())"
@@ -83,10 +83,10 @@ def test_a_library_that_crashes_takes_no_other_with_it(tmp_path):
 def test_a_library_that_hangs_is_not_waited_for(tmp_path, monkeypatch):
     write_module_that_hangs(tmp_path, "cv2")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr(trying, "IN_ALL", PATIENCE)
+    monkeypatch.setattr(trials, "IN_ALL", PATIENCE)
     hasty = hasty_trial(tmp_path)
     monkeypatch.setattr(examination, "Trial", hasty)
-    monkeypatch.setattr(examination, "try_out", lambda names, limit: trying.results(hasty(names)))
+    monkeypatch.setattr(examination, "run_trial", lambda names, limit: trials.results(hasty(names)))
     found = {one.name: one for one in examination.examine()}
     assert "did not end within" in found["opencv-python-headless"].text
     assert found["tisfm"].verdict == "wrong" and found["numpy"].verdict == "ok"

@@ -10,12 +10,12 @@ import tisfm
 from tests.cli.command_line import RECORDS, files, kept, load, record
 from tisfm.cli import demo_scenes, figures
 from tisfm.formats import read_depth_png, read_flo, read_image, write_png
-from tisfm.outcome import Status
 from tisfm.rigid import pose_matrix
 from tisfm.running import pair_files, pair_writer
 from tisfm.running.pair_files import motion_rows
 from tisfm.scenes import two_blocks
 from tisfm.show import depth_grey
+from tisfm.status import Status
 
 H, W = 60, 80
 SCENE = two_blocks(

@@ -5,7 +5,7 @@ import subprocess
 from pathlib import Path
 
 from tests.waiting import PATIENCE
-from tisfm.doctor.trying import Trial
+from tisfm.doctor.trials import Trial
 
 _HANGS = """
 import os, pathlib, time

@@ -13,10 +13,10 @@ import pytest
 
 from tests.doctor.hanging import hasty_trial, write_module_that_hangs
 from tests.waiting import PATIENCE
-from tisfm.doctor import machine, packages, trying
+from tisfm.doctor import machine, packages, trials
 from tisfm.doctor.control_groups import GroupLimits, group_limits
 from tisfm.doctor.finding import Finding, as_json, as_text, is_well
-from tisfm.doctor.trying import Trial, results, try_out
+from tisfm.doctor.trials import Trial, results, run_trial
 from tisfm.machine.kernel_cache import LOCK
 
 
@@ -25,7 +25,7 @@ def test_what_cannot_be_imported_is_told(tmp_path, monkeypatch):
     (tmp_path / "crashes.py").write_text("import os; os.kill(os.getpid(), 9)")
     (tmp_path / "prints.py").write_text('print(\'{"name": "json", "error": "no"}\')')
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    tried = try_out(["json", "breaks", "gone", "prints", "crashes", "csv"])
+    tried = run_trial(["json", "breaks", "gone", "prints", "crashes", "csv"])
     assert "error" not in tried["json"] and "error" not in tried["prints"]
     assert tried["breaks"]["error"] == "OSError: libGL.so.1: no such file"
     assert "No module named 'gone'" in tried["gone"]["error"]
@@ -37,16 +37,16 @@ def test_what_cannot_be_imported_is_told(tmp_path, monkeypatch):
 def test_what_hangs_is_not_waited_for(tmp_path, monkeypatch):
     write_module_that_hangs(tmp_path, "hangs")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr(trying, "IN_ALL", PATIENCE)
+    monkeypatch.setattr(trials, "IN_ALL", PATIENCE)
     tried = results(hasty_trial(tmp_path)(["json", "hangs", "csv"]))
     assert tried["hangs"]["error"].startswith("it did not end within")
     assert "error" not in tried["json"] and "error" not in tried["csv"]
     clock = SimpleNamespace(monotonic=itertools.count(0.0, 10.0).__next__)
-    monkeypatch.setattr(trying, "time", clock)  # each look counts 10 s, and takes no time
+    monkeypatch.setattr(trials, "time", clock)  # each look counts 10 s, and takes no time
     for limit, in_all in ((35.0, 10 * PATIENCE), (10 * PATIENCE, 35.0)):
-        monkeypatch.setattr(trying, "IN_ALL", in_all)
-        assert "did not end within" in try_out(["hangs"], limit=limit)["hangs"]["error"]
-    tried = try_out(["hangs", "csv"])
+        monkeypatch.setattr(trials, "IN_ALL", in_all)
+        assert "did not end within" in run_trial(["hangs"], limit=limit)["hangs"]["error"]
+    tried = run_trial(["hangs", "csv"])
     assert tried["csv"]["error"].startswith(("it was not tried: others took", "it did not end"))
 
 
@@ -57,7 +57,7 @@ def test_several_are_tried_at_the_same_time(tmp_path, monkeypatch):
         code += f"while not os.path.exists({str(tmp_path / other)!r}): time.sleep(0.01)"
         (tmp_path / f"{name}.py").write_text(f"import os, time\n{code}")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr(trying, "IN_ALL", PATIENCE)
+    monkeypatch.setattr(trials, "IN_ALL", PATIENCE)
     tried = results(Trial(["one"], limit=PATIENCE), Trial(["two"], limit=PATIENCE), Trial([]))
     assert set(tried) == {"one", "two"} and not any("error" in about for about in tried.values())
 
@@ -66,8 +66,8 @@ def test_no_process_can_be_started(monkeypatch):
     def refuse(*arguments, **options):
         raise OSError(12, "Cannot allocate memory")
 
-    monkeypatch.setattr(trying.subprocess, "Popen", refuse)
-    found = try_out(["json", "csv"])
+    monkeypatch.setattr(trials.subprocess, "Popen", refuse)
+    found = run_trial(["json", "csv"])
     assert {about["error"] for about in found.values()} == {
         "no process can be started (Cannot allocate memory)"
     }
@@ -317,4 +317,4 @@ def test_modules_of_what_is_installed_are_found():
 def test_a_module_of_the_working_folder_is_none_of_pythons(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "json.py").write_text("raise SystemExit(3)")
-    assert "error" not in try_out(["numpy"])["numpy"]
+    assert "error" not in run_trial(["numpy"])["numpy"]

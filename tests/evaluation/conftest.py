@@ -10,7 +10,7 @@ import pytest
 from tests.evaluation.evaluated import CALIBRATION, HOLE, MOTION, SCENES, put
 from tisfm.evaluation import files, pairs
 from tisfm.formats import write_flo, write_kitti_flow
-from tisfm.outcome import Status
+from tisfm.status import Status
 
 
 @pytest.fixture(autouse=True)

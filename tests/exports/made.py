@@ -5,7 +5,6 @@ import numpy as np
 
 import tisfm
 from tests.trajectory.paths import random_path
-from tisfm.outcome import Status
 from tisfm.reconstruction.result.folder import (
     DEPTH,
     PICTURES,
@@ -14,6 +13,7 @@ from tisfm.reconstruction.result.folder import (
     write_record,
 )
 from tisfm.reconstruction.result.moving_object import MovingObject
+from tisfm.status import Status
 
 SHAPE = (31, 45)  # odd
 CAMERA = tisfm.Camera(40.0)

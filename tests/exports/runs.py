@@ -8,8 +8,8 @@ import numpy as np
 import tisfm
 from tests.exports.made import CAMERA, SHAPE, picture, ramp
 from tisfm.folders.run_record import FORMAT
-from tisfm.outcome import History, Status
 from tisfm.running.pair_files import motion_rows
+from tisfm.status import History, Status
 
 TWIST = np.array([1.0, 0, 0, 0, 0.01, 0])
 

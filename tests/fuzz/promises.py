@@ -7,7 +7,7 @@ import numpy as np
 
 from tisfm import Interpretation, Reconstruction, StreamedFrame
 from tisfm.formats.packing import STEP
-from tisfm.outcome import STATUSES
+from tisfm.status import STATUSES
 
 WILD = ("diverged", "pose_mismatch")  # numbers may be of no use: docs/formats.md
 WITHOUT_DEPTH = (

@@ -16,8 +16,8 @@ from tests.interpretation_file.test_refused import refused
 from tests.test_interpretation import H, W
 from tisfm.formats.npz import write_npz
 from tisfm.interpretation import Interpretation
-from tisfm.outcome import Status
 from tisfm.scenes import static_scene
+from tisfm.status import Status
 
 STEP = 2.0**-10
 FLOATS = ("rho", "flow", "inverse_depth", "inverse_depth_std", "confidence")

@@ -17,7 +17,7 @@ from tests.test_interpretation import H, W, frames
 from tisfm import interpretation_file
 from tisfm.formats import npz
 from tisfm.interpretation import Interpretation
-from tisfm.outcome import Status
+from tisfm.status import Status
 
 EXACT = ("flow", "inverse_depth", "depth", "occlusion", "frame", "labels", "motions",
          "inverse_depth_std")  # fmt: skip

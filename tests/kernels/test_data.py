@@ -270,7 +270,7 @@ def test_splatting_check_their_arrays():
 @each_lanes
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_constraints_of_both_neighbours(size, lanes, count, make_problem):
-    from tisfm.kernels.data.both_neighbours import backward_flow, join_constraints
+    from tisfm.kernels.data.three_frames import backward_flow, join_constraints
 
     problem = make_problem(*size, 6, lanes)
     grid, rng = problem.grid, np.random.default_rng(4)
@@ -306,7 +306,7 @@ def test_constraints_of_both_neighbours(size, lanes, count, make_problem):
 
 
 def test_constraints_of_both_neighbours_are_refused(make_problem):
-    from tisfm.kernels.data.both_neighbours import backward_flow, join_constraints
+    from tisfm.kernels.data.three_frames import backward_flow, join_constraints
 
     grid = make_problem(6, 9, 6, 8).grid
     one, two, three, six = (grid.allocate(n) for n in (1, 2, 3, 6))

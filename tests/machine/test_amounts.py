@@ -3,7 +3,7 @@
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from tisfm.machine.amounts import as_duration, as_size
+from tisfm.machine.text import as_duration, as_size
 
 
 def test_durations_and_sizes():

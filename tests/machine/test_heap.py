@@ -7,12 +7,12 @@ import sys
 
 import pytest
 
-from tisfm.machine import heap
+from tisfm.machine import memory
 
 ARRAYS = """
 import resource, sys, threading
 import numpy as np
-from tisfm.machine.heap import keep_freed_memory
+from tisfm.machine.memory import keep_freed_memory
 
 def make():
     for _ in range(100):
@@ -62,15 +62,15 @@ def test_only_a_small_threshold_is_changed(asked, changed, monkeypatch):
     class Library:
         mallopt = staticmethod(lambda *arguments: calls.append(arguments))
 
-    monkeypatch.setattr(heap.ctypes, "CDLL", lambda name: Library)
+    monkeypatch.setattr(memory.ctypes, "CDLL", lambda name: Library)
     monkeypatch.delenv("MALLOC_TRIM_THRESHOLD_", raising=False)
     if asked is not None:
         monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", asked)
-    heap.keep_freed_memory()
+    memory.keep_freed_memory()
     assert [parameter for parameter, _ in calls] == ([-3, -1] if changed else [])
 
 
 def test_a_c_library_without_it(monkeypatch):
-    monkeypatch.setattr(heap.ctypes, "CDLL", lambda name: object())
+    monkeypatch.setattr(memory.ctypes, "CDLL", lambda name: object())
     monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")
-    heap.keep_freed_memory()
+    memory.keep_freed_memory()

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tisfm.machine.terminal import printable
+from tisfm.machine.text import printable
 
 
 @pytest.mark.parametrize(

@@ -9,13 +9,13 @@ import pytest
 import tisfm
 from tests.rendered import room, two_blocks
 from tisfm.formats import read_image
-from tisfm.motion.carried_depth import carried_depth
 from tisfm.motion.objects import background, estimation
 from tisfm.motion.objects.background import RIM, with_carried_background
 from tisfm.motion.objects.layers import PIXEL_GAIN, Layering
 from tisfm.motion.problems import pyramid_of
 from tisfm.motion.rigid_depth import rigid_depth, scaled_translations
-from tisfm.motion.windows import window_variance
+from tisfm.motion.textureless_depth import textureless_depth
+from tisfm.motion.window_statistics import window_variance
 from tisfm.rigid import rigid_motion
 
 BALANCED = tisfm.Settings.preset("balanced", motion="objects")
@@ -66,7 +66,7 @@ def carried(scene):
 @pytest.fixture(scope="module")
 def uncarried(scene):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(background, "BARE", 2.0)  # never
+        patch.setattr(background, "MOST_TEXTURELESS", 2.0)  # never
         return interpreted(scene)
 
 
@@ -118,7 +118,7 @@ def test_textured_scenes_go_another_way(monkeypatch):
         raise AssertionError("nothing is to be carried")
 
     scene = two_blocks(*SIZE, seed=6)
-    monkeypatch.setattr(background, "carried_depth", never)
+    monkeypatch.setattr(background, "textureless_depth", never)
     result = interpreted(scene)
     monkeypatch.setattr(estimation, "with_carried_background", lambda *_: None)
     without = interpreted(scene)
@@ -147,8 +147,8 @@ def test_a_thing_has_no_say_in_the_background():
     pyramid, settings, solution, _, motion = solved(scene, labels)
     found = with_carried_background(pyramid, settings, solution, labels, motion)
     motion = scaled_translations(motion[None], labels, scene.camera)[0]
-    behind = carried_depth(pyramid, settings, motion, support=~close)
-    misled = carried_depth(pyramid, settings, motion)
+    behind = textureless_depth(pyramid, settings, motion, support=~close)
+    misled = textureless_depth(pyramid, settings, motion)
 
     def off(solution, where):
         ratio = solution.inverse_depth * scene.depth

@@ -8,7 +8,7 @@ import pytest
 
 from tisfm.motion.objects import boundaries
 from tisfm.motion.objects.boundaries import sharpened
-from tisfm.motion.objects.min_sum import MinSum
+from tisfm.motion.objects.label_optimisation import MinSum
 
 SIZE = (72, 95)
 AROUND, WITHIN = (1.5, -0.75), (-2.25, 1.0)  # px/frame

@@ -72,7 +72,7 @@ def test_motion_of_what_is_hardly_bare_is_refined_with_depth(monkeypatch):
     scene = three_blocks(240, 320, camera_motion=(0.5, 0, 0, 0, 0.02, 0), block_motions=still)
 
     def motions(bare):
-        monkeypatch.setattr(tisfm.motion.camera, "bare_share", lambda *_: bare)
+        monkeypatch.setattr(tisfm.motion.camera, "textureless_share", lambda *_: bare)
         return interpreted(scene).motions
 
     joint = motions(0.0)  # nothing is carried
@@ -83,7 +83,7 @@ def test_motion_of_what_is_hardly_bare_is_refined_with_depth(monkeypatch):
 def test_first_order_smoothness_does_not_carry_it(bare_room, monkeypatch):
     import tisfm.motion.camera
 
-    monkeypatch.setattr(tisfm.motion.camera, "BARE", 2.0)  # never
+    monkeypatch.setattr(tisfm.motion.camera, "MOST_TEXTURELESS", 2.0)  # never
     pose = pose_matrix(bare_room.motions[0])
     result = interpreted(bare_room, pose=pose)
     assert relative_errors(result, bare_room).mean() > 0.045
@@ -117,15 +117,15 @@ def test_textured_scenes_go_another_way(monkeypatch):
     def never(*_):
         raise AssertionError("nothing is to be carried")
 
-    monkeypatch.setattr(tisfm.motion.camera, "carried_depth", never)
+    monkeypatch.setattr(tisfm.motion.camera, "textureless_depth", never)
     scene = static_scene("sideways", 120, 160)
     assert interpreted(scene).status == "converged"
 
 
 def test_with_too_little_matched_nothing_is_carried(bare_room, monkeypatch):
-    import tisfm.motion.carried_depth
+    import tisfm.motion.textureless_depth
 
-    monkeypatch.setattr(tisfm.motion.carried_depth, "FEWEST", 1.1)
+    monkeypatch.setattr(tisfm.motion.textureless_depth, "FEWEST", 1.1)
     result = interpreted(bare_room, pose=pose_matrix(bare_room.motions[0]))
     assert result.inverse_depth.any()
 
@@ -139,22 +139,22 @@ def test_the_limit_of_iterations_is_told(bare_room):
 
 
 def test_large_single_levels_are_left_to_the_sweep(bare_room, monkeypatch):
-    import tisfm.motion.carried_depth
+    import tisfm.motion.textureless_depth
 
-    monkeypatch.setattr(tisfm.motion.carried_depth, "MOST", 10)
+    monkeypatch.setattr(tisfm.motion.textureless_depth, "MOST", 10)
     result = interpreted(bare_room, pose=pose_matrix(bare_room.motions[0]))
     assert result.inverse_depth.any()
 
 
 def test_bare_share():
-    from tisfm.motion.carried_depth import bare_share
+    from tisfm.motion.textureless_depth import textureless_share
 
     rng = np.random.default_rng(0)
     frame = rng.uniform(0, 255, (120, 160)).astype(np.float32)
-    assert bare_share(frame) == 0
+    assert textureless_share(frame) == 0
     frame[:, 80:] = 50
-    assert bare_share(frame) == pytest.approx(0.5, abs=0.06)
+    assert textureless_share(frame) == pytest.approx(0.5, abs=0.06)
     noisy = 90 + rng.normal(0, 3, (120, 160)).astype(np.float32)
-    assert bare_share(noisy) > 0.95
-    assert bare_share(np.full((1, 1), 7, np.float32)) == 1
-    assert 0 <= bare_share(1e30 * frame) <= 1  # and no warning
+    assert textureless_share(noisy) > 0.95
+    assert textureless_share(np.full((1, 1), 7, np.float32)) == 1
+    assert 0 <= textureless_share(1e30 * frame) <= 1  # and no warning

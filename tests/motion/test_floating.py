@@ -5,7 +5,7 @@ import pytest
 
 import tisfm
 from tests.rendered import static_scene, two_blocks
-from tisfm.motion.objects.floating import floating, without_domes
+from tisfm.motion.objects.floating_parts import floating_parts, without_domes
 from tisfm.scenes import STATIC_KINDS
 
 OBJECTS = tisfm.Settings(motion="objects")
@@ -22,7 +22,7 @@ def ground(height=90, width=121):
 
 def parts(inverse_depth, deviation=0.01):
     noise = np.full(inverse_depth.shape, deviation, np.float32)
-    return floating(inverse_depth.astype(np.float32), noise, SMALLEST)
+    return floating_parts(inverse_depth.astype(np.float32), noise, SMALLEST)
 
 
 def interpreted(scene, settings=OBJECTS):
@@ -97,7 +97,7 @@ def test_parts_are_numbered_by_size_and_small_ones_left_out():
 def test_parts_are_found_in_large_maps_too():
     scene = np.kron(ground(), np.ones((4, 4), np.float32))
     scene[100:220, 160:240] = 6
-    found = floating(scene, np.full_like(scene, 0.01), 16 * SMALLEST)
+    found = floating_parts(scene, np.full_like(scene, 0.01), 16 * SMALLEST)
     assert found.shape == scene.shape and overlap(found == 1, scene == 6) > 0.9
 
 

@@ -229,7 +229,7 @@ def test_a_shift_by_half_the_image_does_not_count_as_diverged(share):
 
 @pytest.mark.parametrize("kind", ["shifted", "unrelated", "repeating", "periods", "folded", "near"])
 def test_images_confirm_a_shift_by_half_the_image_only_where_they_agree(kind):
-    from tisfm.motion.agreement import borne_out
+    from tisfm.motion.frame_agreement import confirms_large_motion
     from tisfm.motion.problems import pyramid_of
     from tisfm.visibility.occlusion import leaves_image
 
@@ -248,7 +248,7 @@ def test_images_confirm_a_shift_by_half_the_image_only_where_they_agree(kind):
     elif kind == "near":
         frame1, flow[0] = frame0, 0
     pyramid = pyramid_of(frame0, frame1, tisfm.Camera(focal=300.0), tisfm.Settings())
-    assert borne_out(pyramid, flow, leaves_image(flow)) == (kind == "shifted")
+    assert confirms_large_motion(pyramid, flow, leaves_image(flow)) == (kind == "shifted")
 
 
 def test_a_false_shift_of_a_texture_that_repeats_is_diverged():
@@ -364,7 +364,7 @@ def test_a_single_scale_and_tiny_frames_are_left_alone():
 
 
 def test_outlines_are_those_of_the_images():
-    from tisfm.motion.fast_things import FastThings
+    from tisfm.motion.fast_objects import FastObjects
     from tisfm.motion.matched_windows import WindowSearch
     from tisfm.motion.problems import flow_problem, pyramid_of
     from tisfm.solver.coarse_to_fine import unknowns_on
@@ -379,7 +379,7 @@ def test_outlines_are_those_of_the_images():
     rho = np.zeros((3, *thing.shape), np.float32)
     rho[:2] = np.where(rough, np.array([40, 11])[:, None, None], 0)
     unknowns.set_images(rho)
-    FastThings(rough, problem).set_apart(WindowSearch(pyramid, 0).windows(0), unknowns)
+    FastObjects(rough, problem).set_apart(WindowSearch(pyramid, 0).windows(0), unknowns)
     off = np.linalg.norm(np.moveaxis(unknowns.flow(), 0, -1) - flow, axis=-1)
     assert (off > 1).sum() < 30  # of an outline of 80 px
     east, south = unknowns.to_images(unknowns.edges)

@@ -18,11 +18,11 @@ def triple(make, *, speed=SPEED, speed_before=None, **options):
     camera = -plain.motions[0]
     own = (plain.motions - plain.motions[0])[2:]
     before = -(speed if speed_before is None else speed_before)
-    pair, earlier = (
+    pair, previous = (
         make(camera_motion=factor * camera, block_motions=factor * own, **options)
         for factor in (speed, before)
     )
-    return [earlier.frame1, pair.frame0, pair.frame1], pair
+    return [previous.frame1, pair.frame0, pair.frame1], pair
 
 
 def both(frames, pair, settings):
@@ -97,7 +97,7 @@ def test_every_preset_takes_three_frames_and_keeps_them(preset):
 
 def test_a_bend_is_fitted_on_every_surface():
     """Two planes side by side, each with a bend of its own, one of them hidden in part."""
-    from tisfm.motion.frame_before import fitted_bend
+    from tisfm.motion.previous_frame import fitted_bend
 
     shape = (96, 128)
     near = np.broadcast_to(np.arange(shape[1]) >= 64, shape)
@@ -115,7 +115,7 @@ def test_a_bend_is_fitted_on_every_surface():
 
 
 def test_a_bend_that_changes_everywhere_is_none():
-    from tisfm.motion.frame_before import fitted_bend
+    from tisfm.motion.previous_frame import fitted_bend
 
     flow, back = np.random.default_rng(2).normal(scale=4, size=(2, 2, 60, 80)).astype(np.float32)
     seen = np.ones((60, 80), bool)
@@ -126,14 +126,14 @@ def test_a_bend_that_changes_everywhere_is_none():
 
 
 def test_a_flow_is_turned_round_where_it_arrives():
-    from tisfm.motion.frame_before import Earlier
+    from tisfm.motion.previous_frame import PreviousPair
 
     frame = np.zeros((40, 60), np.float32)
     flow = np.zeros((2, 40, 60), np.float32)
     flow[:, 10:20, 10:30] = np.array([7.0, 2.0])[:, None, None]
     hidden = np.zeros(frame.shape, bool)
     hidden[12:22, 30:37] = True  # where it arrives, the rest of its columns overlap itself
-    back, seen = Earlier(frame0=frame, frame1=frame, flow=flow, hidden=hidden).turned()
+    back, seen = PreviousPair(frame0=frame, frame1=frame, flow=flow, hidden=hidden).turned()
     np.testing.assert_array_equal(back[:, 12:22, 30:37], -flow[:, 10:20, 23:30])
     assert seen[12:22, 30:37].all()
     assert not seen[10:12, 10:30].any()  # what the block leaves

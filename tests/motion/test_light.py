@@ -7,8 +7,8 @@ import pytest
 
 import tisfm
 from tests.reconstruction.films import walk
-from tisfm.motion.light import DOUBTS, told_of_light
-from tisfm.outcome import Status
+from tisfm.motion.depth_checks import DOUBTS, with_brightness_advice
+from tisfm.status import Status
 
 
 def test_a_doubt_says_that_one_frame_is_darker():
@@ -46,7 +46,7 @@ def test_what_is_to_be_done_about_the_light(changes, advice):
     def told(level0, level1, status=doubt):
         grey = [np.full((8, 8), level, np.float32) for level in (level0, level1)]
         pyramid = SimpleNamespace(frames0=[grey[0]], frames1=[grey[1]])
-        return told_of_light(status, pyramid, settings)
+        return with_brightness_advice(status, pyramid, settings)
 
     assert told(100, 200) == "unrelated"
     assert told(100, 200).message.startswith("why. Frame 1 is 2 times as bright as frame 0: ")

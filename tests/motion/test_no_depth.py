@@ -8,7 +8,7 @@ import tisfm
 from tests.motion.one_motion import CAMERA, FAST, SIZE, errors
 from tests.rendered import static_scene, two_blocks
 from tisfm.metrics import depth_errors
-from tisfm.motion.agreement import unrelated
+from tisfm.motion.frame_agreement import unrelated
 from tisfm.rigid import pose_matrix, rigid_motion
 
 

@@ -222,7 +222,7 @@ def estimate_of(inverse_depth, labels):
         normalized=True,
         freedom=1,
         history=[],
-        status=tisfm.outcome.Status("converged"),
+        status=tisfm.status.Status("converged"),
         motions=np.array([[1.0, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0]]),
         labels=labels,
     )
@@ -261,7 +261,7 @@ def test_without_contact_scales_stay():
 
 
 def test_potts_labels_are_smooth_and_cut_at_edges():
-    from tisfm.motion.objects.potts import Potts
+    from tisfm.motion.objects.label_optimisation import Potts
 
     rng = np.random.default_rng(0)
     true = np.zeros((60, 81), bool)
@@ -281,7 +281,7 @@ def test_potts_labels_are_smooth_and_cut_at_edges():
 
 
 def test_two_labels_are_those_of_three_of_which_one_costs_too_much():
-    from tisfm.motion.objects.potts import Potts
+    from tisfm.motion.objects.label_optimisation import Potts
 
     rng = np.random.default_rng(1)
     costs = rng.uniform(0, 4, (3, 40, 50)).astype(np.float32)
@@ -293,7 +293,7 @@ def test_two_labels_are_those_of_three_of_which_one_costs_too_much():
 
 
 def test_boundaries_weigh_less_where_a_frame_is_sampled_less_densely():
-    from tisfm.motion.objects.potts import Potts
+    from tisfm.motion.objects.label_optimisation import Potts
 
     rng = np.random.default_rng(2)
     costs = rng.uniform(0, 4, (2, 40, 50)).astype(np.float32)
@@ -338,7 +338,7 @@ def test_specks_are_given_to_their_surroundings():
 
 
 def test_median_is_within_labels():
-    from tisfm.motion.rigid_depth import median_within
+    from tisfm.motion.rigid_level import median_within
 
     rng = np.random.default_rng(0)
     values = rng.normal(size=(20, 23)).astype(np.float32)
@@ -400,7 +400,7 @@ def test_surfaces_are_continued_beyond_their_support(small):
     """What tells layers apart: there, the depth is that of the neighbourhood, not of the data."""
     from tisfm.frames import grey_pair
     from tisfm.motion.problems import pyramid_of
-    from tisfm.motion.rigid_depth import residual_under, rigid_depth
+    from tisfm.motion.rigid_depth import motion_residual, rigid_depth
 
     settings = tisfm.Settings()
     grey0, grey1 = grey_pair(small.frame0, small.frame1)
@@ -411,7 +411,7 @@ def test_surfaces_are_continued_beyond_their_support(small):
         pyramid, settings, motion[None], np.zeros(SIZE, np.int32),
         refine="none", support=background,
     )  # fmt: skip
-    residual, flow = residual_under(pyramid, settings, solution.motions[0], solution.inverse_depth)
+    residual, flow = motion_residual(pyramid, settings, solution.motions[0], solution.inverse_depth)
     assert np.median(residual[~background]) > 10 * np.median(residual[background])
     off = np.linalg.norm(np.moveaxis(flow, 0, -1) - small.flow, axis=-1)
     assert np.median(off[background]) < 0.02

@@ -10,9 +10,9 @@ import tisfm
 from tests.motion.one_motion import FAST
 from tests.rendered import room_film
 from tisfm.metrics import pose_errors
+from tisfm.motion.rolling_shutter import _in_next
 from tisfm.rigid import pose_matrix, rigid_motion
 from tisfm.shutter import UnrolledPixels, nodes_of
-from tisfm.unrolled_pair import _in_next
 
 READOUT = 0.8
 MOTIONS = {

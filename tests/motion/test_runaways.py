@@ -9,8 +9,8 @@ import tisfm
 from tests.draws import nightly_except
 from tests.rendered import two_blocks
 from tisfm.formats import read_image
-from tisfm.motion.objects import runaways
-from tisfm.motion.objects.runaways import FEW, steady_depth
+from tisfm.motion.objects import unstable_depth
+from tisfm.motion.objects.unstable_depth import FEW, stable_depth
 from tisfm.motion.problems import pyramid_of
 from tisfm.motion.rigid_depth import rigid_depth
 from tisfm.motion.rigid_estimate import with_depth
@@ -41,7 +41,7 @@ def refined(monkeypatch):
             solution = rigid_depth(pyramid, settings, motions, labels, refine=refine)
             return change(solution) if refine == "motion" else solution
 
-        monkeypatch.setattr(runaways, "rigid_depth", rigid)
+        monkeypatch.setattr(unstable_depth, "rigid_depth", rigid)
         return calls
 
     return install
@@ -58,7 +58,7 @@ def estimated(scene):
     def finish(solution):
         return with_depth(solution, labels, scene.camera, SETTINGS)
 
-    _, estimate = steady_depth(pyramid, SETTINGS, motions, labels, expected, finish)
+    _, estimate = stable_depth(pyramid, SETTINGS, motions, labels, expected, finish)
     return estimate, labels, motions
 
 
@@ -169,7 +169,7 @@ def test_a_label_of_which_nothing_stays(scene, monkeypatch, known):
             solution, inverse_depth=np.where(tiny, np.float32(1e5), solution.inverse_depth)
         )
 
-    monkeypatch.setattr(runaways, "rigid_depth", rigid)
+    monkeypatch.setattr(unstable_depth, "rigid_depth", rigid)
     labels = np.zeros(SIZE, np.int32)
     labels[20:24, 20:24] = 1
     expected = np.moveaxis(scene.flow, -1, 0).astype(np.float32)
@@ -177,7 +177,7 @@ def test_a_label_of_which_nothing_stays(scene, monkeypatch, known):
         expected[:, labels == 1] = np.nan
     motion = np.column_stack(rigid_motion(scene.motions[0]))
     frames = (np.asarray(frame, np.float32) for frame in (scene.frame0, scene.frame1))
-    _, estimate = steady_depth(
+    _, estimate = stable_depth(
         pyramid_of(*frames, scene.camera, SETTINGS),
         SETTINGS,
         np.stack([motion, motion]),

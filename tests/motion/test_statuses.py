@@ -13,15 +13,8 @@ from tisfm.camera import Camera
 from tisfm.frames import grey_pair
 from tisfm.metrics import depth_errors
 from tisfm.motion import first_motion as first_motion_module
-from tisfm.motion.agreement import (
-    BEHIND,
-    UNCERTAIN,
-    UNEXPLAINED,
-    UNSURE,
-    one_direction,
-    unexplained,
-    unrelated,
-)
+from tisfm.motion.depth_checks import BEHIND, UNCERTAIN, UNEXPLAINED, UNSURE, depth_status
+from tisfm.motion.frame_agreement import aperture_status, unrelated
 from tisfm.motion.problems import pyramid_of
 from tisfm.rigid import pose_matrix, rigid_motion
 from tisfm.scenes import Plane, Scene, Texture
@@ -113,21 +106,21 @@ def test_stripes_show_depth_under_a_pose_that_crosses_them(angle):
 @pytest.mark.parametrize("side", [24, 40])
 def test_something_beside_stripes_shows_how_they_move(scene, side):
     frame = stripes(0)[0].astype(np.float32)
-    assert one_direction(frame) == "aperture"
+    assert aperture_status(frame) == "aperture"
     frame[40 : 40 + side, 60 : 60 + side] = scene.frame0[40 : 40 + side, 60 : 60 + side]
-    assert one_direction(frame) is None
+    assert aperture_status(frame) is None
 
 
 @pytest.mark.parametrize("scale", [1 / 255, 1.0, 1e4])
 def test_stripes_are_told_at_any_brightness(scene, scale):
     for frame, found in ((stripes(20)[0], "aperture"), (scene.frame0, None)):
-        assert one_direction(np.float32(scale) * frame.astype(np.float32)) == found
+        assert aperture_status(np.float32(scale) * frame.astype(np.float32)) == found
 
 
 @pytest.mark.parametrize("size", [(4, 90), (8, 8), (9, 200), (4, 70000)])
 def test_frames_of_any_size_are_judged(size):
     noise = np.random.default_rng(0).normal(size=size).astype(np.float32)
-    assert one_direction(noise) is None
+    assert aperture_status(noise) is None
 
 
 @pytest.mark.parametrize("side", [10, 13, 16, 20, 24])
@@ -135,7 +128,7 @@ def test_blurred_noise_has_no_direction(side):
     for seed in range(20):
         noise = np.random.default_rng(seed).normal(size=(side, side + 3))
         smooth = cv2.GaussianBlur(noise, (0, 0), 1.5).astype(np.float32)
-        assert one_direction(smooth) is None
+        assert aperture_status(smooth) is None
 
 
 # Depth that does not explain the frames.
@@ -156,7 +149,7 @@ def judged(scene, *, inverse_depth=None, flow=None, matched=False, deviation=1e-
         free_level=0,
         matched=matched,
     )
-    return unexplained(pyramid, estimate, ~scene.visible)
+    return depth_status(pyramid, estimate, ~scene.visible)
 
 
 @pytest.mark.parametrize(("factor", "code"), [(0.8, None), (1.5, "behind_camera")])
@@ -217,7 +210,7 @@ def test_the_truth_explains_the_frames(scene):
 def test_a_pose_that_puts_the_scene_behind_the_camera(monkeypatch):
     """Were the pose not doubted for its own sake."""
     pair = two_blocks(240, 320)
-    monkeypatch.setattr(first_motion_module, "mismatch", lambda *_, **__: None)
+    monkeypatch.setattr(first_motion_module, "pose_status", lambda *_, **__: None)
     pose = pose_matrix(pair.motions[0])
     assert interpreted(pair, FAST, pose=pose).status == "converged"
     assert interpreted(pair, FAST, pose=np.linalg.inv(pose)).status == "behind_camera"

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tisfm.motion.windows import window_variance
+from tisfm.motion.window_statistics import window_variance
 
 
 @pytest.mark.parametrize(("shape", "size"), [((1, 1), 3), ((9, 13), 3), ((20, 17), 11)])

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 import tisfm
-from tisfm.outcome import Status
 from tisfm.reconstruction.result.folder import write_depth
+from tisfm.status import Status
 
 EVIL = "<script>alert(1)</script>\"'&"
 

@@ -9,10 +9,10 @@ from PIL import Image
 
 from tests.report.made import EVIL, Read, assert_self_contained, reconstruction
 from tisfm.camera import Camera
-from tisfm.outcome import Status
 from tisfm.report import REPORT, is_report, write_reconstruction_report
 from tisfm.report.reconstruction_report import predicted_flow
 from tisfm.rigid import pose_matrix
+from tisfm.status import Status
 
 
 def written(result, folder, **options):

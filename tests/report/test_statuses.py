@@ -7,9 +7,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tisfm.outcome import Status
 from tisfm.report.embedded_images import chosen
 from tisfm.report.statuses import MEANINGS, color_of, counted, spans
+from tisfm.status import Status
 
 TRUST = Path(__file__).parents[2] / "docs" / "trust.md"
 

@@ -7,9 +7,9 @@ import pytest
 
 import tisfm
 from tests.show.test_draw_maps import empty, words
-from tisfm.outcome import History
 from tisfm.scenes import two_blocks
 from tisfm.show import draw_energy
+from tisfm.status import History
 
 
 def history(level, warp, energy):

@@ -9,7 +9,7 @@ from tests.rendered import static_scene
 from tisfm.motion.matched_planes import noise_deviation
 from tisfm.motion.problems import flow_problem, pyramid_of
 from tisfm.motion.sparse_matches import sparse_matches
-from tisfm.solver.counted import filled
+from tisfm.solver.pixel_masks import filled
 from tisfm.solver.smoothness import mean_step
 
 SIZE = (96, 128)

@@ -178,7 +178,7 @@ def test_bad_settings_and_arrays_are_refused(solver):
 
 # Multigrid
 
-BARE = 200  # px, of 640
+MOST_TEXTURELESS = 200  # px, of 640
 
 
 def bare_system(solver, lanes, known, g=None):
@@ -225,7 +225,7 @@ def bare_system(solver, lanes, known, g=None):
 def test_cycles_cross_a_bare_region(everywhere_else, solver):
     """Each brings the error to less than 0.3 of what it was."""
     column = np.broadcast_to(np.arange(640), (480, 640))
-    first, last = 320 - BARE // 2, 320 + BARE // 2
+    first, last = 320 - MOST_TEXTURELESS // 2, 320 + MOST_TEXTURELESS // 2
     known = (column < first) | (column >= last)
     if not everywhere_else:
         known = (column == first - 1) | (column == last)
@@ -288,15 +288,15 @@ def filled(solver, target, known, frame=NOISY, **options):
     ("known", "bound"),
     [
         (np.random.default_rng(1).uniform(size=PLANE.shape) < 0.02, 0.02),
-        ((COLUMN < 60) | (COLUMN >= 60 + BARE), 0.05),
-        ((COLUMN == 59) | (COLUMN == 60 + BARE), 0.1),
+        ((COLUMN < 60) | (COLUMN >= 60 + MOST_TEXTURELESS), 0.05),
+        ((COLUMN == 59) | (COLUMN == 60 + MOST_TEXTURELESS), 0.1),
     ],
     ids=["2 %", "around a band", "at the borders of a band"],
 )
 def test_a_slanted_plane_is_carried_over(known, bound, frame, solver):
     """To a small part of a px, of the 9 px by which it rises: γ bends it a little."""
     depth, slopes = filled(solver, PLANE, known, frame)
-    assert np.abs(depth - PLANE)[:, 59 : 61 + BARE].max() < bound
+    assert np.abs(depth - PLANE)[:, 59 : 61 + MOST_TEXTURELESS].max() < bound
     settings = solver.SecondOrderSettings(gamma=0.0)
     depth, slopes = filled(solver, PLANE, known, frame, settings=settings, iterations=10)
     assert np.abs(depth - PLANE).max() < 5e-3

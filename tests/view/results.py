@@ -9,11 +9,11 @@ import numpy as np
 import tisfm
 from tests.reconstruction.films import along
 from tisfm.folders.run_record import FORMAT
-from tisfm.outcome import Status
 from tisfm.reconstruction.result.folder import PICTURES, write_depth, write_labels, write_record
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.scenes import room_film
+from tisfm.status import Status
 
 HEIGHT, WIDTH = 45, 61
 DEVIATION = 0.02  # of all depth, as a share
@@ -113,7 +113,7 @@ def pair(shot, k, motion, *, with_poses=False):
         camera=shot.camera,
         settings=tisfm.Settings.preset("fast", motion=motion),
         status=Status("converged", "it is well"),
-        history=tisfm.outcome.History(
+        history=tisfm.status.History(
             level=nothing.astype(np.int32),
             warp=nothing.astype(np.int32),
             energy=nothing,

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from tests.view.results import write_run
 from tisfm.camera import Camera
-from tisfm.outcome import Status
 from tisfm.results.frame import ViewFrame
 from tisfm.results.opening import open_result
+from tisfm.status import Status
 from tisfm.view.colors import Ranges
 from tisfm.view.frame_cloud import Choice, cloud
 from tisfm.view.surface import surface_file, triangles_between

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.view.test_cloud import made
-from tisfm.outcome import Status
 from tisfm.results.frame_cache import FrameCache
 from tisfm.show import label_colors
+from tisfm.status import Status
 from tisfm.view.colors import QUANTITIES, Ranges, legend, pixel_colors
 from tisfm.view.html_texts import distance_html, legend_html, reading_html, status_html
 from tisfm.view.pictures import KINDS, caption, picture_of

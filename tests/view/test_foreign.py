@@ -10,10 +10,10 @@ from tests.view.browser import tab_of
 from tests.view.results import thing, write_reconstruction
 from tests.waiting import wait_for
 from tisfm.formats import FormatError
-from tisfm.outcome import Status
 from tisfm.reconstruction.result.calibration import GIVEN
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.report import write_reconstruction_report
+from tisfm.status import Status
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 

@@ -22,7 +22,7 @@ def main() -> int:
     if arguments[:1] == ["doctor"] and arguments[1:] in ([], ["--json"], ["--no-json"]):
         return _doctor(json=arguments[1:] == ["--json"])
     from tisfm.errors import OutOfMemoryError
-    from tisfm.machine.address_space import import_libraries
+    from tisfm.machine.memory import import_libraries
 
     try:
         import_libraries()

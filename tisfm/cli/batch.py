@@ -20,11 +20,11 @@ from tisfm.cli.command_line import parse_command
 from tisfm.cli.console import tell
 from tisfm.cli.parsing import WrongOptionError
 from tisfm.cli.progress import Foretelling, progress_bar
-from tisfm.cores import usable_cores
 from tisfm.errors import InputError
 from tisfm.folders.run_record import RECORD
 from tisfm.reconstruction.result.folder import REQUEST
 from tisfm.reconstruction.result.renewal import CHUNKS
+from tisfm.threads import usable_cores
 
 Command = Literal["run", "reconstruct"]
 

@@ -22,7 +22,7 @@ from tisfm.cli.exit_codes import BROKEN_PIPE, INTERRUPTED, WRONG_OPTION
 from tisfm.cli.options import SettingsOptions
 from tisfm.cli.parsing import WrongOptionError, parse, suggestion
 from tisfm.errors import MissingPackageError, TisfmError, is_user_error
-from tisfm.machine.address_space import advice, ran_out
+from tisfm.machine.memory import advice, ran_out
 from tisfm.settings import Preset, Settings
 from tisfm.version import __version__
 

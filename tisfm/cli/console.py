@@ -19,7 +19,7 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.camera_file import doubt_of, read_camera
 from tisfm.focal_guess import at_size, guess_focal
-from tisfm.machine.terminal import printable
+from tisfm.machine.text import printable
 from tisfm.machine.vulkan import vulkan_device
 from tisfm.runtime import Arch
 

@@ -26,12 +26,12 @@ from tisfm.cli.demo_scenes import (
 )
 from tisfm.cli.figures import PAPER_FIGURES
 from tisfm.cli.progress import progress_bar
-from tisfm.cores import usable_cores
 from tisfm.errors import InputError
 from tisfm.folders.result_folder import LOCK, make_result_folder, make_subfolder
 from tisfm.folders.run_record import ENDINGS, read_record
 from tisfm.formats.float_maps import require_writable_flow
 from tisfm.running.pool import open_pool
+from tisfm.threads import usable_cores
 
 
 @dataclass(kw_only=True)

@@ -16,7 +16,7 @@ from tisfm.cli.console import tell
 from tisfm.cli.progress import MUCH, progress_bar
 from tisfm.errors import InputError
 from tisfm.folders.result_folder import make_result_folder
-from tisfm.machine.amounts import as_duration, as_size
+from tisfm.machine.text import as_duration, as_size
 from tisfm.reconstruction.result.folder import DEPTH, RECORD
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.show.stereo import check_disparity, check_screen

@@ -19,8 +19,7 @@ from rich.progress import (
 from rich.text import Text
 
 from tisfm.cli.console import tell
-from tisfm.machine.amounts import as_duration
-from tisfm.machine.terminal import printable
+from tisfm.machine.text import as_duration, printable
 from tisfm.reconstruction.progress import Stage
 
 STAGES: dict[Stage, str] = {"reading": "reading, tracking", "path": "path", "depth": "depth"}

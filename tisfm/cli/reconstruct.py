@@ -29,7 +29,7 @@ from tisfm.folders.side_files import TIMINGS
 from tisfm.formats import atomic_write
 from tisfm.formats.csv_table import csv_table
 from tisfm.fusion.mesh import check_library
-from tisfm.machine.amounts import as_size
+from tisfm.machine.text import as_size
 from tisfm.reconstruction.chunks.spans import CHUNK
 from tisfm.reconstruction.progress import DepthOf, Enough, Stage
 from tisfm.reconstruction.result.calibration import Calibrate

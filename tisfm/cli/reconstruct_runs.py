@@ -8,7 +8,6 @@ from typing import Any, Protocol
 
 import tisfm
 from tisfm.cli.console import start_kernels, tell_device
-from tisfm.cores import usable_cores
 from tisfm.errors import InputError
 from tisfm.folders.result_folder import locked_folder
 from tisfm.reconstruction.chunks.entry import ChunkedRun
@@ -28,6 +27,7 @@ from tisfm.running.pairs import FrameSelection
 from tisfm.runtime import Arch
 from tisfm.sources import Source
 from tisfm.sources.webcam import webcam_number
+from tisfm.threads import usable_cores
 
 
 class ReconstructRun(Protocol):

@@ -21,13 +21,12 @@ from tisfm.cli.console import guessed_camera, start_kernels, stated_camera, tell
 from tisfm.cli.options import CameraOptions, FrameOptions, SettingsOptions
 from tisfm.cli.progress import MUCH, Foretelling, RunProgress
 from tisfm.cli.report import report_run
-from tisfm.cores import usable_cores
 from tisfm.errors import InputError
 from tisfm.folders.result_folder import InputFiles, presence_file
 from tisfm.folders.run_record import RECORD
 from tisfm.formats.float_maps import require_writable_flow
 from tisfm.interpretation import Interpretation
-from tisfm.machine.amounts import as_size
+from tisfm.machine.text import as_size
 from tisfm.report import refuse_foreign
 from tisfm.running.background import Background
 from tisfm.running.pair_chunks import Chunk, FinishedChunk, chunks_of, interpret_chunk
@@ -40,6 +39,7 @@ from tisfm.settings import Preset, Settings
 from tisfm.show.stereo import DISPARITY, check_disparity, check_screen
 from tisfm.sources import FramePair, FrameSource, Source
 from tisfm.sources.webcam import webcam_number
+from tisfm.threads import usable_cores
 from tisfm.window import Window, WindowSize, window_of
 
 Output = Literal["depth", "depth16", "flow", "anaglyph", "figure", "ply", "pose", "npz"]

@@ -4,5 +4,5 @@ Nothing of it needs a library that may be broken: what is tried out is tried in 
 which may crash or hang.
 
 Here: what is looked at, the processes that try things out, and the text.
-May import: `tisfm.machine`, of the top level `cores`, and, in those processes alone, `runtime`.
+May import: `tisfm.machine`, of the top level `threads`, and, in those processes alone, `runtime`.
 """

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from tisfm.doctor import machine, packages
 from tisfm.doctor.finding import Finding, as_json, as_text, is_well
-from tisfm.doctor.trying import Trial, Tried, results, try_out
-from tisfm.machine.terminal import printable
+from tisfm.doctor.trials import Trial, TrialResults, results, run_trial
+from tisfm.machine.text import printable
 
 _KERNEL_LIMIT = 45.0  # s: a slow machine compiles
 _GPU_LIMIT = 20.0  # s: a driver that does not answer is not waited for
@@ -22,11 +22,11 @@ def examine() -> list[Finding]:
     imports = Trial([*modules, *optional])
     archs = Trial(["archs", "software_vulkan"], limit=_GPU_LIMIT)
     tried = results(imports, kernel, archs)
-    started: Tried = {}
+    started: TrialResults = {}
     software = machine.software_vulkan_in(tried)
     for arch in tried["archs"].get("archs", []):
         if not (arch == "vulkan" and software):
-            started |= try_out([f"kernel:{arch}"], limit=_GPU_LIMIT)
+            started |= run_trial([f"kernel:{arch}"], limit=_GPU_LIMIT)
     # Importing Taichi takes longest: it is done no third time. A kernel that ran has imported it;
     # where none did, another library may be why.
     about_archs = {} if "error" not in tried["kernel:default"] else tried["archs"]

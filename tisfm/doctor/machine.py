@@ -6,12 +6,12 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from tisfm.cores import usable_cores
 from tisfm.doctor.control_groups import group_limits
 from tisfm.doctor.finding import Finding
-from tisfm.doctor.trying import Tried
-from tisfm.machine.address_space import limit
+from tisfm.doctor.trials import TrialResults
 from tisfm.machine.kernel_cache import LOCK, STALE, cache_folder
+from tisfm.machine.memory import limit
+from tisfm.threads import usable_cores
 
 RAISE_LIMIT = "raise the limit of the address space (ulimit -v) first"
 _LEAST_ADDRESSES, _LEAST_MEMORY = 3.0e9, 2.0e9  # bytes: of a pair of 1920 × 1080 px
@@ -148,7 +148,7 @@ def about_temporary() -> Finding:
         )
 
 
-def about_kernel(tried: Tried) -> Iterator[Finding]:
+def about_kernel(tried: TrialResults) -> Iterator[Finding]:
     """Tell whether Taichi compiles and runs a kernel, with how many threads, how wide."""
     about = tried["kernel:default"]
     if "error" in about:
@@ -172,7 +172,7 @@ def about_kernel(tried: Tried) -> Iterator[Finding]:
         yield Finding(name="Threads", verdict="ok", text=f"{about['threads']} by default")
 
 
-def about_gpus(tried: Tried, started: Tried) -> Finding:
+def about_gpus(tried: TrialResults, started: TrialResults) -> Finding:
     """Tell on which GPU archs kernels can run; none is needed."""
     about = tried["archs"]
     if "error" in about:
@@ -206,7 +206,7 @@ def about_gpus(tried: Tried, started: Tried) -> Finding:
     )
 
 
-def software_vulkan_in(tried: Tried) -> str:
+def software_vulkan_in(tried: TrialResults) -> str:
     """Return the name of the software device that Vulkan offers in place of a GPU, or ""."""
     name: str = tried.get("software_vulkan", {}).get("device", "")
     return name

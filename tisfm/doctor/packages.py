@@ -7,7 +7,7 @@ from importlib import metadata
 
 from tisfm.doctor.finding import Finding
 from tisfm.doctor.machine import RAISE_LIMIT, is_limited
-from tisfm.doctor.trying import Tried
+from tisfm.doctor.trials import TrialResults
 
 # Distributions whose modules are called otherwise.
 _MODULES = {
@@ -79,7 +79,7 @@ def about_python() -> Finding:
     return Finding(name="Python", verdict="ok", text=text)
 
 
-def about_tisfm(tried: Tried, unread: str = "") -> Iterator[Finding]:
+def about_tisfm(tried: TrialResults, unread: str = "") -> Iterator[Finding]:
     """Tell the version of tisfm, and whether it can be imported.
 
     `unread` is why nobody knows what it asks for.
@@ -116,7 +116,7 @@ def about_tisfm(tried: Tried, unread: str = "") -> Iterator[Finding]:
         )
 
 
-def about_base(base: Mapping[str, str], tried: Tried) -> Iterator[Finding]:
+def about_base(base: Mapping[str, str], tried: TrialResults) -> Iterator[Finding]:
     """Tell of each package that tisfm cannot do without."""
     for name, versions in base.items():
         yield _about(
@@ -124,7 +124,7 @@ def about_base(base: Mapping[str, str], tried: Tried) -> Iterator[Finding]:
         )
 
 
-def about_extras(extras: Mapping[str, Mapping[str, str]], tried: Tried) -> Iterator[Finding]:
+def about_extras(extras: Mapping[str, Mapping[str, str]], tried: TrialResults) -> Iterator[Finding]:
     """Tell of each package that some of tisfm needs."""
     for extra, packages in extras.items():
         command = f"pip install 'tisfm[{extra}]'"
@@ -158,7 +158,7 @@ def about_opencv() -> Finding:
     return Finding(name="OpenCV builds", verdict="ok", text=listed or "none")
 
 
-def _about(name: str, versions: str, tried: Tried, *, missing: str, command: str) -> Finding:
+def _about(name: str, versions: str, tried: TrialResults, *, missing: str, command: str) -> Finding:
     version = _version(name)
     error = tried.get(module_of(name), {}).get("error")
     if version is None and (error or module_of(name) not in tried):

@@ -26,7 +26,7 @@ def try_import(name: str) -> None:
 
 def try_command_line(name: str) -> None:
     """Import all that a command imports first, unless the address space is too small for it."""
-    from tisfm.machine.address_space import import_libraries
+    from tisfm.machine.memory import import_libraries
 
     import_libraries()
     import_module("tisfm.cli.command_line")

@@ -15,10 +15,10 @@ from tisfm.folders.run_record import refuse_other_format
 from tisfm.formats import FormatError
 from tisfm.formats.reading import read_json
 from tisfm.interpretation import Interpretation
-from tisfm.outcome import STATUSES, Status
 from tisfm.reconstruction.result.folder import DEPTH, depth_path
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.rigid import rigid_motion
+from tisfm.status import STATUSES, Status
 
 _SAME_LENGTH = 1e-6  # relative
 

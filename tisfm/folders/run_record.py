@@ -15,7 +15,7 @@ from tisfm.folders.side_files import TIMINGS
 from tisfm.formats import atomic_write
 from tisfm.formats.csv_table import csv_table
 from tisfm.formats.reading import FormatError
-from tisfm.outcome import Status
+from tisfm.status import Status
 from tisfm.trajectory.times import time_fault
 
 RECORD = "run.json"

@@ -4,16 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from tisfm.motion.carried_depth import BARE, bare_share, carried_depth
 from tisfm.motion.estimate import Estimate
 from tisfm.motion.first_motion import FirstMotion, first_motion
 from tisfm.motion.plane_sweep import PlaneSweep
 from tisfm.motion.rigid_depth import Refinement, RigidSolution, rigid_depth, scaled_translations
 from tisfm.motion.rigid_estimate import with_depth, without_depth
-from tisfm.outcome import Status
+from tisfm.motion.textureless_depth import MOST_TEXTURELESS, textureless_depth, textureless_share
 from tisfm.rigid import KnownPose
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
+from tisfm.status import Status
 
 # Of the longer side: parallax between near and far from which depth is carried where frames are
 # partly bare. Below, coarse to fine follows weak texture better.
@@ -30,7 +30,7 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
     A flow field of a coarser level gives a first motion (`tisfm.motion.egomotion`). Depth and
     motion then are estimated jointly, coarse to fine (`tisfm.motion.rigid_depth`). Where much of
     a frame is bare and parallax is large, depth is matched and carried across afterwards
-    (`tisfm.motion.carried_depth`); where even more is, motion is that of a finer flow field.
+    (`tisfm.motion.textureless_depth`); where even more is, motion is that of a finer flow field.
 
     Parameters
     ----------
@@ -82,9 +82,9 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
     solution: RigidSolution | None = None
     low, high = sweep.range
     deep = high - low >= CARRIED_RANGE * max(pyramid.shape)
-    bare = bare_share(pyramid.frames0[level], pyramid.counted0(level)) if deep else 0.0
+    bare = textureless_share(pyramid.frames0[level], pyramid.counted0(level)) if deep else 0.0
     refined: RigidSolution | None = None
-    if bare >= BARE:
+    if bare >= MOST_TEXTURELESS:
         surer = motions
         if refine != "none" and not start.matched:
             if bare < BARE_FOR_MOTION:
@@ -94,7 +94,7 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
                 surer, doubt = _finer(pyramid, settings, start, pose)
                 known = None if start.doubt == "uncertain" else start.doubt  # the finer one decides
                 start = replace(start, doubt=known or doubt)
-        solution = carried_depth(pyramid, settings, surer[0])
+        solution = textureless_depth(pyramid, settings, surer[0])
     misfit = 0.0  # is in the deviation of what is carried
     if solution is None:
         # What a sweep finds is sharper than the last level; it is near, so that little is to do.

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tisfm.kernels.layout.lanes import LaneData, on_host
-from tisfm.outcome import History, Status
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, Solution
+from tisfm.status import History, Status
 
 
 @dataclass(frozen=True, kw_only=True)

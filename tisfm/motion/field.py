@@ -8,7 +8,7 @@ from tisfm.kernels.layout.lanes import aligned_empty
 from tisfm.kernels.model.readout import motion_fields
 from tisfm.motion.estimate import Estimate, ended, unmoved
 from tisfm.motion.flow_proposals import proposals
-from tisfm.motion.frame_before import FrameBefore
+from tisfm.motion.previous_frame import PreviousFrame
 from tisfm.motion.problems import flow_problem
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import at_finest, coarse_to_fine
@@ -16,7 +16,7 @@ from tisfm.solver.image_pyramid import ImagePyramid
 
 
 def field_estimate(
-    pyramid: ImagePyramid, settings: Settings, before: FrameBefore | None = None
+    pyramid: ImagePyramid, settings: Settings, before: PreviousFrame | None = None
 ) -> Estimate:
     """Leave ρ̂ free at every pixel.
 
@@ -25,7 +25,7 @@ def field_estimate(
     pyramid : ImagePyramid
         Splines of its coarse levels are let go of.
     settings : Settings
-    before : FrameBefore, optional
+    before : PreviousFrame, optional
         What the frame before adds.
     """
     camera = pyramid.cameras[0]

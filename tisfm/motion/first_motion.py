@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tisfm.motion.agreement import mismatch, one_direction, replaced, unrelated
+from tisfm.motion.depth_checks import pose_status
 from tisfm.motion.egomotion import (
     CameraMotion,
     TooFewPixelsError,
@@ -16,15 +16,16 @@ from tisfm.motion.egomotion import (
 )
 from tisfm.motion.epipolar_fit import Pose
 from tisfm.motion.estimate import unmoved
-from tisfm.motion.one_plane import plane_doubt
+from tisfm.motion.frame_agreement import aperture_status, replaced, unrelated
+from tisfm.motion.plane_ambiguity import plane_status
 from tisfm.motion.problems import flow_problem
 from tisfm.motion.sparse_motion import SMALLEST_RESIDUAL, SparseMotion
 from tisfm.motion.sparse_start import SparseStart, posed_start, sparse_start
-from tisfm.outcome import Status
 from tisfm.rigid import KnownPose
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, coarse_to_fine
 from tisfm.solver.image_pyramid import ImagePyramid
+from tisfm.status import Status
 from tisfm.visibility.confidence import confidence
 from tisfm.visibility.occlusion import leaves_image
 
@@ -127,7 +128,7 @@ def first_motion(
     if unseen is not None:
         start = replace(start, trust=np.where(unseen, 0, start.trust))
     scale, camera = pyramid.scales[start.level], pyramid.cameras[start.level]
-    stripes = one_direction(pyramid.frames0[start.level])
+    stripes = aperture_status(pyramid.frames0[start.level])
     if stripes is not None and given.translation is None:
         return replace(start, status=stripes)
     try:
@@ -178,12 +179,12 @@ def first_motion(
             for way in _both_ways(given.rotation, given.translation)
         )
         # Along stripes a flow is no reason to doubt a pose.
-        doubt = None if stripes else mismatch(off, best, inverse=back)
+        doubt = None if stripes else pose_status(off, best, inverse=back)
         return replace(start, residual=0.0 if stripes else off, doubt=doubt)
     doubt = None
     if pose is not None:
         found = camera_motion(start.flow, start.trust, camera, rotation=pose.rotation)
-        doubt = mismatch(found.residual / scale, best)
+        doubt = pose_status(found.residual / scale, best)
     status = _parallax_status(found, scale, moved)
     if status == "uncertain":
         status, doubt = None, doubt or status
@@ -198,7 +199,7 @@ def first_motion(
     if status == "pure_rotation":
         return replace(known, rotation=found.rotation_alone)
     if pose is None and status is None:
-        plane = plane_doubt(correspondences(start.flow, start.trust, camera), found.residual)
+        plane = plane_status(correspondences(start.flow, start.trust, camera), found.residual)
         doubt = plane or doubt
     return replace(known, rotation=found.rotation, translation=found.translation, doubt=doubt)
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from tisfm.kernels.rigid.flow_search import carry
 from tisfm.kernels.rigid.windows import RADIUS, UNSEEN
-from tisfm.motion.evidence import Evidence
-from tisfm.motion.fast_things import FastThings
+from tisfm.motion.fast_objects import FastObjects
 from tisfm.motion.matched_windows import FEWEST, SEEN, Windows, WindowSearch, masked, resized
+from tisfm.motion.residual_comparison import ResidualComparison
 from tisfm.solver.coarse_to_fine import Problem
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.smoothness import mean_step
@@ -96,7 +96,7 @@ class Proposals:
         self._judged = large[0] if large else level
         self._scale = pyramid.scales[level]
         self._problem = problem
-        self._things: FastThings | None = None
+        self._things: FastObjects | None = None
 
     def apply(self, unknowns: Unknowns) -> bool:
         """Put in what is better than ρ̂ on its level, and return whether anything is."""
@@ -145,7 +145,7 @@ class Proposals:
         agreed = _without_islands(there, _agreeing(there, search.backward(search.levels)))
         if np.count_nonzero(agreed) < ENOUGH * np.count_nonzero(before[..., 2] < UNSEEN):
             return None
-        evidence = Evidence(windows, self._problem.constancy)
+        evidence = ResidualComparison(windows, self._problem.constancy)
         new = agreed & _new(there, before)
         new &= evidence.better(there[..., :2], flow, window=EVIDENCE)
         if not new.any():
@@ -165,7 +165,7 @@ class Proposals:
         new = _fast(_new(there, judged), there, judged, farther=FARTHER_SEEMING, least=AREA_SEEMING)
         if not new.any():
             return flow
-        evidence = Evidence(windows, self._problem.constancy)
+        evidence = ResidualComparison(windows, self._problem.constancy)
         supported = evidence.better(there[..., :2], coarse, window=EVIDENCE, by=CLEARLY)
         new = _supported(new, supported)
         if not new.any():
@@ -180,7 +180,7 @@ class Proposals:
         )
         known = [(there[..., :2], windows.scale), found]
         there = search.forward(level, known=known, sought=sought, tried=0)
-        evidence = Evidence(windows, self._problem.constancy)
+        evidence = ResidualComparison(windows, self._problem.constancy)
         before = windows.scored(flow, sought=_around(sought, 2 * RADIUS + 1))
         new = sought & _new(there, before)
         new &= evidence.better(there[..., :2], flow, window=EVIDENCE, by=CLEARLY)
@@ -198,7 +198,7 @@ class Proposals:
         new = _unmistakable(new, there, before, windows)
         if not new.any():
             return flow
-        self._things = FastThings(new, self._problem)
+        self._things = FastObjects(new, self._problem)
         return np.where(new[..., None], there[..., :2], flow)
 
 
@@ -375,7 +375,7 @@ def _without_islands(there: np.ndarray, agreed: np.ndarray) -> np.ndarray:
 
 def _carried(
     windows: Windows,
-    evidence: Evidence,
+    evidence: ResidualComparison,
     found: np.ndarray,
     known: np.ndarray,
     before: np.ndarray,

@@ -5,36 +5,23 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from tisfm.camera import Camera
-from tisfm.kernels.layout.images import image_to_lanes, multiply
-from tisfm.kernels.layout.lanes import LaneData, on_host
-from tisfm.kernels.layout.launch import in_turn
 from tisfm.kernels.model.constants import LEAST_DIVISOR
-from tisfm.kernels.rigid.epipolar import along, displacement
-from tisfm.kernels.rigid.motion_system import motion_system
-from tisfm.motion.epipolar_fit import hold_scale, spin_prior
-from tisfm.motion.problems import depth_problem
+from tisfm.motion.rigid_level import QUIET, REFINED, SAMPLES, RigidLevel
 from tisfm.settings import Settings
-from tisfm.solver.coarse_to_fine import Records, at_finest, data_term_on, unknowns_on
-from tisfm.solver.half_quadratic import HalfQuadratic
+from tisfm.solver.coarse_to_fine import Records, at_finest
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.unknowns import Unknowns
 from tisfm.visibility.confidence import ROUNDING, median
 
-REFINED = 0.45  # of the finest level's sampling density: coarser levels do not refine motions
-HELD = 1e-4  # times α: how little neighbours hold a pixel's depth while the motion changes
-MEDIAN = 5  # px, a window for depth after each linearisation
-QUIET = 0.15  # px: median residual beyond which smoothness grows in proportion
 WARPS = 3  # linearisations on the last level for one of the field's
-OUTLYING = 1.5  # median residuals: what is further off hardly counts for the motion
 DEVIATION_WINDOW = 15  # px, over which curvature and residual are averaged for it
 # Of the deviation: 68% of the visible pixels of rendered scenes, with noise of 0 to 5 grey levels,
 # then lie within one. Neither errors of the motion nor of the model are in it.
 CALIBRATION = 0.75
 SUREST = np.float32(0.001)  # px: the least deviation
-SAMPLES = 20_000  # pixels, about, that medians and means over the image are taken of
+
 
 Refinement = Literal["none", "translation", "motion"]
 
@@ -151,7 +138,7 @@ def rigid_depth(
     ]
     last = min(last, coarsest)
     for level in reversed(range(last, coarsest + 1)):
-        state = _Level(
+        state = RigidLevel(
             pyramid, level, settings, labels, coarse, support=support, count=len(motions)
         )
         if level == coarsest and depth is not None:
@@ -180,7 +167,7 @@ def rigid_depth(
     )
 
 
-def residual_under(
+def motion_residual(
     pyramid: ImagePyramid, settings: Settings, motion: np.ndarray, inverse_depth: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return how badly one motion and depth meet the images, and their flow.
@@ -201,7 +188,7 @@ def residual_under(
     flow : (2, H, W) float32
     """
     labels = np.zeros(inverse_depth.shape, np.int32)
-    state = _Level(pyramid, 0, settings, labels, count=1)
+    state = RigidLevel(pyramid, 0, settings, labels, count=1)
     state.unknowns.set_images(inverse_depth[None])
     state.linearise(motion[None])
     state.minimiser.update()
@@ -209,7 +196,7 @@ def residual_under(
     return residual, state.unknowns.to_images(state.flow)
 
 
-def precision_under(
+def motion_precision(
     pyramid: ImagePyramid,
     settings: Settings,
     motions: np.ndarray,
@@ -230,7 +217,7 @@ def precision_under(
     inverse_depth : (H, W) float32
         D.
     """
-    state = _Level(pyramid, 0, settings, labels, count=len(motions))
+    state = RigidLevel(pyramid, 0, settings, labels, count=len(motions))
     state.unknowns.set_images(inverse_depth[None])
     state.linearise(motions)
     state.minimiser.update()
@@ -239,130 +226,6 @@ def precision_under(
     )
     state.minimiser.update()
     return state.unknowns.precision(state.minimiser.system)
-
-
-class _Level:
-    """One level of the pyramid: depth, labels and data."""
-
-    def __init__(
-        self,
-        pyramid: ImagePyramid,
-        level: int,
-        settings: Settings,
-        labels: np.ndarray,
-        coarse: Unknowns | None = None,
-        *,
-        support: np.ndarray | None = None,
-        count: int,
-    ) -> None:
-        self._focal = pyramid.cameras[level].focal
-        problem = depth_problem(settings, self._focal)
-        self.unknowns = unknowns = unknowns_on(pyramid, level, problem, coarse)
-        grid = unknowns.grid
-        size = (grid.width, grid.height)
-        resized = cv2.resize(labels.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
-        self._labels = grid.allocate(1)
-        if count > 1:
-            image_to_lanes(grid, resized, self._labels)
-        self._label_image = resized
-        self._rows = slice(1, -1, max(1, grid.height * grid.width // SAMPLES))
-        inside = _inside(unknowns, pyramid.counted0(level))[0, self._rows, 1:-1]
-        sample = np.where(inside > 0, on_host(self._labels)[0, self._rows, 1:-1], -1)
-        self._samples = [np.flatnonzero(sample == label) for label in range(count)]
-        if labels.any():
-            multiply(grid, _within(unknowns, resized), unknowns.edges)
-        counted: np.ndarray | None = None
-        if support is not None:
-            counted = cv2.resize(support.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-        elif labels.any() and pyramid.scales[level] >= REFINED:
-            # Stencils that reach over a boundary see two motions.
-            counted = (~_mixed(resized)).astype(np.float32)
-        data_term = data_term_on(pyramid, level, problem, unknowns)
-        self._constraints, self._scales = data_term.constraints, data_term.scales
-        restricted = grid.allocate(self._constraints.shape[0])
-        self.minimiser = HalfQuadratic(
-            unknowns,
-            restricted,
-            scales=self._scales,
-            smoothness=problem.smoothness,
-            effort=problem.effort,
-        )
-        self.flow, direction = (grid.allocate(2, zeros=False) for _ in range(2))
-        self._motions = np.zeros((count, 3, 4), np.float32)
-        steps = [
-            displacement.bind(
-                grid,
-                unknowns.rho,
-                self._labels,
-                unknowns.x_hat,
-                unknowns.y_hat,
-                self.flow,
-                direction,
-                motions=self._motions,
-                focal=self._focal,
-            ),
-            data_term.bind_linearise(self.flow),
-            along.bind(grid, self._constraints, self.flow, direction, unknowns.rho, restricted),
-        ]
-        if counted is not None:
-            weight = grid.allocate(1)
-            image_to_lanes(grid, np.sqrt(counted), weight)  # of what is squared
-            steps.append(multiply.bind(grid, weight, restricted))
-        self._linearise = in_turn(*steps)
-
-    def linearise(self, motions: np.ndarray) -> None:
-        """Find the data about the current depth, and restrict them to epipolar lines."""
-        self._motions[...] = motions
-        self._linearise()
-
-    def despeckle(self) -> None:
-        """Replace depth by its median over a small window: single pixels go their own way."""
-        depth = self.unknowns.images()[0]
-        alone = len(self._motions) == 1
-        medians = (
-            cv2.medianBlur(depth, MEDIAN) if alone else median_within(depth, self._label_image)
-        )
-        image_to_lanes(self.unknowns.grid, medians, self.unknowns.rho)
-
-    def noise(self, motions: np.ndarray) -> np.ndarray:
-        """Return the median residual of each motion's pixels, (K,); 0 for one that shows none.
-
-        Of a sample of rows, and with the weights that the last iteration solved for.
-        """
-        depth = on_host(self.unknowns.rho)[0, self._rows, 1:-1]
-        tensor = on_host(self.minimiser.system.tensor)[:, self._rows, 1:-1]
-        residual = (tensor[0] * depth + 2 * tensor[3]) * depth + tensor[5]
-        noise = np.zeros(len(motions))
-        for label, motion in enumerate(motions):
-            mine = residual.ravel()[self._samples[label]]
-            if mine.size and motion[:, 3].any():
-                noise[label] = np.sqrt(max(median(mine), 0))
-        return noise
-
-    def refined(self, motions: np.ndarray, unknowns: int, noise: np.ndarray) -> np.ndarray:
-        """Return the motions after a step of Gauss–Newton on the last linearisation."""
-        system = self.minimiser.system
-        motions = motions.copy()
-        current = motions.astype(np.float32)
-        for label, motion in enumerate(motions):
-            matrix, vector = motion_system(
-                system,
-                self._constraints,
-                self.unknowns.rho,
-                self._labels,
-                motions=current,
-                label=label,
-                focal=self._focal,
-                scales=self._scales,
-                held=HELD * system.alpha,
-                tolerated=(OUTLYING * float(noise[label])) ** 2 + LEAST_DIVISOR,
-            )
-            if label > 0:  # objects hardly spin relative to the background
-                stiffness, offset = spin_prior(motion[:, :3], motions[0, :, :3], noise[label])
-                matrix[3:, 3:] += stiffness * np.eye(3)
-                vector[3:] -= stiffness * offset
-            motions[label] = _stepped(motion, matrix, vector, unknowns)
-        return motions
 
 
 def scaled_translations(motions: np.ndarray, labels: np.ndarray, camera: Camera) -> np.ndarray:
@@ -386,72 +249,3 @@ def scaled_translations(motions: np.ndarray, labels: np.ndarray, camera: Camera)
         if length > 0:
             motion[:, 3] /= length
     return scaled
-
-
-def median_within(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Return the median of a window around every pixel, of the pixels of its own label only.
-
-    Parameters
-    ----------
-    values : (H, W) float32
-    labels : (H, W) float32
-
-    Returns
-    -------
-    (H, W) float32
-    """
-    medians = cv2.medianBlur(values, MEDIAN)
-    mixed = _mixed(labels)
-    if mixed.any():
-        own, around = (
-            sliding_window_view(np.pad(image, MEDIAN // 2, mode="edge"), (MEDIAN, MEDIAN))[mixed]
-            for image in (labels, values)
-        )
-        alike = own == labels[mixed][:, None, None]
-        around = np.where(alike, around, np.nan).reshape(len(around), -1)
-        medians[mixed] = np.nanmedian(around, axis=1)
-    return medians
-
-
-def _mixed(labels: np.ndarray) -> np.ndarray:
-    """Return where a window around a pixel holds more than one label, (H, W) bool."""
-    window = np.ones((MEDIAN, MEDIAN), np.uint8)
-    return cv2.erode(labels, window) != cv2.dilate(labels, window)
-
-
-def _stepped(
-    motion: np.ndarray, matrix: np.ndarray, vector: np.ndarray, unknowns: int
-) -> np.ndarray:
-    """Return a motion after the step that its normal equations ask for, ‖t‖ kept."""
-    translation = motion[:, 3]
-    length = np.linalg.norm(translation)
-    if not (length > 0 and np.isfinite(matrix).all() and np.isfinite(vector).all()):
-        return motion
-    matrix = hold_scale(matrix, translation / length)
-    step = np.zeros(6)
-    step[:unknowns] = -np.linalg.solve(matrix[:unknowns, :unknowns], vector[:unknowns])
-    turn = cv2.Rodrigues(step[3:])[0]
-    moved = turn @ translation + step[:3]
-    return np.column_stack([turn @ motion[:, :3], moved * (length / np.linalg.norm(moved))])
-
-
-def _inside(unknowns: Unknowns, counted: np.ndarray | None) -> np.ndarray:
-    """Return 1 on the pixels of the image that count, else 0, as a lane array; not placed."""
-    inside = unknowns.grid.inside()
-    if counted is None:
-        return inside
-    weight = unknowns.grid.allocate(1)
-    image_to_lanes(unknowns.grid, counted.astype(np.float32), weight)
-    return inside * on_host(weight)
-
-
-def _within(unknowns: Unknowns, labels: np.ndarray) -> LaneData:
-    """Return a lane array that is 1 for the edges between pixels of one label, else 0."""
-    grid = unknowns.grid
-    same = np.zeros((2, *labels.shape), np.float32)
-    same[0, :, :-1] = labels[:, 1:] == labels[:, :-1]
-    same[1, :-1] = labels[1:] == labels[:-1]
-    out = grid.allocate(2)
-    for component, edges in enumerate(same):
-        image_to_lanes(grid, edges, out, component=component)
-    return out

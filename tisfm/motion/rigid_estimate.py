@@ -9,11 +9,11 @@ from tisfm.kernels.model.readout import rigid_fields
 from tisfm.motion.estimate import Estimate, ended
 from tisfm.motion.problems import flow_problem
 from tisfm.motion.rigid_depth import RigidSolution
-from tisfm.outcome import Status
 from tisfm.rigid import rigid_twist
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, data_term_on, minimiser_on, unknowns_on
 from tisfm.solver.image_pyramid import ImagePyramid
+from tisfm.status import Status
 from tisfm.visibility.confidence import median
 
 # px: how far noise leaves flow fields of rendered scenes from where their motion can take points.

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from tisfm import runtime
-from tisfm.second_thread import beside
+from tisfm.threads import start_beside
 
 # Of the detector: rooms have few points, and faint ones; matching leaves out what is not alike.
 CONTRAST = 0.01
@@ -81,7 +81,7 @@ def sparse_matches(
     if not high > low:
         return nothing
     scaled = [np.clip((frame - low) * (255 / (high - low)), 0, 255) for frame in (frame0, frame1)]
-    other = beside(described, scaled[1]) if runtime.threads() > 1 else None
+    other = start_beside(described, scaled[1]) if runtime.threads() > 1 else None
     first = described(scaled[0])
     second = other() if other is not None else described(scaled[1])
     if counted is not None:

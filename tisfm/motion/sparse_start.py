@@ -6,9 +6,10 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.kernels.model.constants import NEAREST
-from tisfm.motion.agreement import correlation, mismatch, texture, unrelated
+from tisfm.motion.depth_checks import pose_status
 from tisfm.motion.epipolar_fit import Pose, nearest_points
-from tisfm.motion.one_plane import TWO_MOTIONS
+from tisfm.motion.frame_agreement import unrelated
+from tisfm.motion.plane_ambiguity import TWO_MOTIONS
 from tisfm.motion.plane_sweep import ENTRIES, swept
 from tisfm.motion.rigid_depth import scaled_translations
 from tisfm.motion.sparse_matches import LARGEST, Matches, sparse_matches
@@ -21,8 +22,9 @@ from tisfm.motion.sparse_motion import (
     posed_residual,
     sparse_motions,
 )
-from tisfm.outcome import Status
+from tisfm.motion.window_statistics import correlation, texture
 from tisfm.solver.image_pyramid import ImagePyramid
+from tisfm.status import Status
 from tisfm.visibility.occlusion import leaves_image
 
 MOST = 3  # motions that are compared by the images
@@ -113,7 +115,7 @@ def posed_start(
             for way in (pose, (rotation.T, -rotation.T @ translation))
         )
         best = length * max(motions[0].residual, SMALLEST_RESIDUAL)
-        doubt = mismatch(off, best, inverse=back)
+        doubt = pose_status(off, best, inverse=back)
     motion = posed_motion(matches, camera, shape, pose)
     if motion is None:
         return None, doubt

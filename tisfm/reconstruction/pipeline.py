@@ -18,7 +18,6 @@ from tisfm.camera_file import NAME as CAMERA
 from tisfm.camera_file import write_camera
 from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
-from tisfm.outcome import Status
 from tisfm.reconstruction.calibration.source_camera import SourceCamera
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
@@ -38,6 +37,7 @@ from tisfm.settings import Settings
 from tisfm.shutter import instants_of
 from tisfm.sources import FrameSource
 from tisfm.sources.frame_reader import warn_notes
+from tisfm.status import Status
 from tisfm.trajectory import Trajectory
 from tisfm.trajectory.times import times_note
 from tisfm.version import __version__

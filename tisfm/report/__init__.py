@@ -3,7 +3,7 @@
 Here: what is chosen of a result, its pictures and drawings, what statuses mean, and the page.
 May import: `tisfm.folders`, `tisfm.formats`, `tisfm.reconstruction`, `tisfm.show`, and of the top
 level `camera`,
-`focal_guess`, `interpretation`, `outcome`, `settings` and `version`.
+`focal_guess`, `interpretation`, `status`, `settings` and `version`.
 """
 
 from tisfm.folders.side_files import REPORT, is_report

@@ -10,7 +10,6 @@ import numpy as np
 from tisfm.errors import InputError
 from tisfm.focal_guess import at_size
 from tisfm.interpretation import Interpretation
-from tisfm.outcome import Status
 from tisfm.report.drawings import curves_drawing
 from tisfm.report.embedded_images import Pictures, chosen
 from tisfm.report.file import refuse_foreign, write_page
@@ -27,6 +26,7 @@ from tisfm.show import (
     label_overlay,
     usual_length,
 )
+from tisfm.status import Status
 
 _DEPTH, _MOTION, _CONFIDENCE = "Depth, near is bright", "Image motion", "Confidence"
 _VIEWS = 4  # pictures of a pair; one more for labels

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from tisfm.outcome import UNKNOWN, Status
+from tisfm.status import UNKNOWN, Status
 
 MEANINGS = {
     "converged": "The iterations converged.",

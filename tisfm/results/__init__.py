@@ -2,5 +2,5 @@
 
 Here: one view of both kinds of folder for exports, the viewer, reports and evaluation.
 May import: `tisfm.folders`, `tisfm.formats`, `tisfm.reconstruction`, and of the top level `camera`,
-`interpretation`, `outcome` and `rigid`.
+`interpretation`, `status` and `rigid`.
 """

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tisfm.camera import Camera
 from tisfm.errors import OutOfRangeError
-from tisfm.outcome import Status
+from tisfm.status import Status
 
 Floats = NDArray[np.float32]
 

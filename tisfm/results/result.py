@@ -6,10 +6,10 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.outcome import Status
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.results.frame import ViewFrame
 from tisfm.results.fused_scene import Whole, WholeKind
+from tisfm.status import Status
 
 Change = Literal["grown", "replaced"]
 

@@ -12,12 +12,12 @@ from tisfm.folders.run_record import RECORD, refuse_other_format
 from tisfm.formats import FormatError
 from tisfm.formats.reading import read_json
 from tisfm.interpretation import Interpretation
-from tisfm.outcome import Status
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.results.frame import ViewFrame
 from tisfm.results.fused_scene import Whole, WholeKind
 from tisfm.results.result import Change, as_rgb
 from tisfm.rigid import pose_matrix
+from tisfm.status import Status
 
 _UNIT_LENGTH = 1e-6  # of translations whose length says nothing of the scale
 

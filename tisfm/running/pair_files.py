@@ -22,7 +22,7 @@ from tisfm.formats import (
     write_png,
 )
 from tisfm.interpretation import Interpretation
-from tisfm.machine.terminal import printable
+from tisfm.machine.text import printable
 from tisfm.rigid import rigid_motion
 from tisfm.show import (
     anaglyph,

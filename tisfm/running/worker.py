@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from tisfm.errors import OutOfMemoryError, RunError, TisfmError
-from tisfm.machine.address_space import advice
+from tisfm.machine.memory import advice
 from tisfm.version import __version__
 
 

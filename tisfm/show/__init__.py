@@ -7,7 +7,7 @@ units, and return them; ``…_figure`` return figures of several panels. Whateve
 as `limit`, so that all pictures of a sequence can share one. Arrays with masked values are refused.
 
 May import: `tisfm.formats`, `tisfm.metrics`, and of the top level `checks`, `frames` and
-`outcome`.
+`status`.
 """
 
 from tisfm.show.anaglyph import anaglyph, dubois

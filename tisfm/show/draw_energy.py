@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from tisfm.errors import InputError
-from tisfm.outcome import History
 from tisfm.show.axes import few_ticks, name_axis, plot_axes, style_plot, write_inside
 from tisfm.show.palette import ESTIMATE, FAINT, INK, OTHER
+from tisfm.status import History
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,7 +35,7 @@ def draw_energy(
 
     Parameters
     ----------
-    history : tisfm.outcome.History
+    history : tisfm.status.History
         `tisfm.Interpretation.history`.
     axes : matplotlib.axes.Axes, optional
         Where it is drawn; by default in a figure of its own, ``axes.figure``.

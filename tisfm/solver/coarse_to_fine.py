@@ -8,12 +8,12 @@ import numpy as np
 
 from tisfm.kernels.solve.linear_system import LinearSystem
 from tisfm.runtime import lane_grid
-from tisfm.solver.both_neighbours import BothNeighbours
 from tisfm.solver.data_term import Constancy, DataTerm
 from tisfm.solver.half_quadratic import Effort, HalfQuadratic, Iteration
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.sampling import enlarged
 from tisfm.solver.smoothness import Smoothness, image_edges_in_lanes
+from tisfm.solver.three_frames import ThreeFrameData
 from tisfm.solver.unknowns import Unknowns
 
 Records = list[tuple[int, int, Iteration]]  # level, warp and what the iteration did
@@ -65,7 +65,7 @@ class Amendment(Protocol):
 class MoreData(Protocol):
     """What may add to the data of the last level, once half of its linearisations are done."""
 
-    def joined(self, unknowns: Unknowns, data_term: DataTerm) -> BothNeighbours | None:
+    def joined(self, unknowns: Unknowns, data_term: DataTerm) -> ThreeFrameData | None:
         """Return the data term to go on with, which writes the same constraints.
 
         None for that of the pair. It may change the unknowns.

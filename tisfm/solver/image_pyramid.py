@@ -10,10 +10,10 @@ import numpy as np
 
 from tisfm import runtime
 from tisfm.camera import Camera
-from tisfm.second_thread import beside
-from tisfm.solver.counted import Counted
+from tisfm.solver.pixel_masks import PixelMasks
 from tisfm.solver.sampling import spline_taps
 from tisfm.solver.smoothness import mean_step
+from tisfm.threads import start_beside
 
 COARSEST_FRAME_SIDE = 12  # px
 BESIDE = 1 << 16  # pixels from which on a second thread pays
@@ -54,7 +54,7 @@ class ImagePyramid:
         As given.
     contrast : float
         Mean |ΔI| between neighbours of frame 0 at the finest level.
-    counted : Counted or None
+    counted : PixelMasks or None
         Which pixels count; None for all of them.
     """
 
@@ -86,17 +86,17 @@ class ImagePyramid:
         together = runtime.threads() > 1 and grey0.size >= BESIDE
         if together:
             # OpenCV's filters take one thread each, and so do kernels on coarse levels.
-            others = beside(frames, grey1)
+            others = start_beside(frames, grey1)
             self.frames0, self.frames1 = frames(grey0), others()
         else:
             self.frames0, self.frames1 = frames(grey0), frames(grey1)
         self._taps1 = [self._spline(level) for level in range(count)]
         if together:
             for level in reversed(range(self.last, count)):  # the coarsest comes first
-                self._taps1[level] = beside(spline_taps, self.frames1[level])
-        self.counted: Counted | None = None
+                self._taps1[level] = start_beside(spline_taps, self.frames1[level])
+        self.counted: PixelMasks | None = None
         if counted is not None:
-            self.counted = Counted(
+            self.counted = PixelMasks(
                 *counted, [(len(frame), frame.shape[1]) for frame in self.frames0]
             )
         self.contrast = mean_step(self.frames0[0], self.counted0(0))

@@ -11,9 +11,9 @@ import numpy as np
 from markupsafe import Markup
 
 from tisfm.errors import InputTypeError
-from tisfm.outcome import STATUSES, UNKNOWN
 from tisfm.results.frame import PixelReading, ViewFrame
 from tisfm.results.result import Result
+from tisfm.status import STATUSES, UNKNOWN
 from tisfm.view.colors import Legend, Quantity, Ranges, legend
 
 _BLOCK = "font-size:0.8em;padding:0.1em 0.75em 0.3em;line-height:1.35"

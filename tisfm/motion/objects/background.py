@@ -4,9 +4,14 @@ import cv2
 import numpy as np
 
 from tisfm.motion.camera import CARRIED_RANGE
-from tisfm.motion.carried_depth import BARE, CarriedSolution, bare_share, carried_depth
 from tisfm.motion.plane_sweep import COMMON
 from tisfm.motion.rigid_depth import RigidSolution, scaled_translations
+from tisfm.motion.textureless_depth import (
+    MOST_TEXTURELESS,
+    TexturelessSolution,
+    textureless_depth,
+    textureless_share,
+)
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 
@@ -19,7 +24,7 @@ def with_carried_background(
     solution: RigidSolution,
     labels: np.ndarray,
     motion: np.ndarray,
-) -> CarriedSolution | None:
+) -> TexturelessSolution | None:
     """Return a solution whose background, where it is partly bare, has depth that is carried.
 
     What has another label is neither matched nor constrained under the background's motion, and
@@ -38,11 +43,14 @@ def with_carried_background(
 
     Returns
     -------
-    CarriedSolution or None
+    TexturelessSolution or None
         None if little of the frame is bare, if the background shows too little parallax between
         near and far, or if too little of it could be matched.
     """
-    if bare_share(pyramid.frames0[pyramid.last], pyramid.counted0(pyramid.last)) < BARE:
+    if (
+        textureless_share(pyramid.frames0[pyramid.last], pyramid.counted0(pyramid.last))
+        < MOST_TEXTURELESS
+    ):
         return None
     background = labels == 0
     low, high = np.percentile(solution.inverse_depth[background], COMMON)
@@ -51,7 +59,7 @@ def with_carried_background(
     core = cv2.erode(background.astype(np.uint8), np.ones((RIM, RIM), np.uint8)) > 0
     motions = solution.motions.copy()
     motions[0] = scaled_translations(motion[None], labels, pyramid.cameras[0])[0]
-    carried = carried_depth(pyramid, settings, motions[0], support=core)
+    carried = textureless_depth(pyramid, settings, motions[0], support=core)
     if carried is None:
         return None
     size = solution.precision.shape[:0:-1]
@@ -60,7 +68,7 @@ def with_carried_background(
     if labels.any() and not solution.converged:
         ends.reverse()  # the last says how the iterations ended
     first, last = ends
-    return CarriedSolution(
+    return TexturelessSolution(
         motions=motions,
         inverse_depth=np.where(background, carried.inverse_depth, solution.inverse_depth),
         precision=np.where(mine, _on_level(carried, solution), solution.precision),
@@ -73,7 +81,7 @@ def with_carried_background(
     )
 
 
-def _on_level(carried: CarriedSolution, other: RigidSolution) -> np.ndarray:
+def _on_level(carried: TexturelessSolution, other: RigidSolution) -> np.ndarray:
     """Return the precision of one solution on the level of another, (7, h, w) float32."""
     if carried.level == other.level:
         return carried.precision

@@ -6,8 +6,8 @@ from itertools import permutations
 import cv2
 import numpy as np
 
-from tisfm.motion.objects.min_sum import MinSum
-from tisfm.motion.windows import window_variance
+from tisfm.motion.objects.label_optimisation import MinSum
+from tisfm.motion.window_statistics import window_variance
 from tisfm.solver.sampling import sample, spline_taps
 from tisfm.visibility.occlusion import leaves_image
 

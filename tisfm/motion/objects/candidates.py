@@ -6,7 +6,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.kernels.model.constants import NEAREST
 from tisfm.motion.egomotion import TooFewPixelsError, camera_motion, triangulate
-from tisfm.motion.objects.potts import Potts
+from tisfm.motion.objects.label_optimisation import Potts
 
 PIXELS = 40_000  # of the flow that is looked at: labels are made sharp later
 TOLERATED_ERROR, FLOOR = 3.0, 0.02  # of the background's residual, and px: what flow may be off by

@@ -12,9 +12,9 @@ from tisfm.motion.objects.background import with_carried_background
 from tisfm.motion.objects.boundaries import sharpened
 from tisfm.motion.objects.candidates import motion_candidates, smallest_object
 from tisfm.motion.objects.contacts import aligned
-from tisfm.motion.objects.far_apart import far_apart
 from tisfm.motion.objects.layers import Layering, Layers, without_specks
-from tisfm.motion.objects.runaways import steady_depth
+from tisfm.motion.objects.unstable_depth import stable_depth
+from tisfm.motion.objects.wide_baseline import wide_baseline_motion
 from tisfm.motion.rigid_depth import RigidSolution
 from tisfm.motion.rigid_estimate import with_depth
 from tisfm.settings import MOST_SMOOTHNESS, Settings
@@ -33,12 +33,13 @@ def objects_estimate(
     """Find rigid motions, which pixels have them, and inverse depth, in the unit of each motion.
 
     The largest motion, the background's, is fitted to the flow field; where frames lie too far
-    apart for one, frame 1 is turned back first (`far_apart`). Others are fitted to what it
-    leaves unexplained (`candidates`). The images decide which of them are needed, and where their
-    boundaries lie (`layers`). What the background's motion explains, but only by letting it float,
-    is added (`floating`), and boundaries are made sharp (`boundaries`). Depth and motions then are
-    estimated jointly, as for one motion (`tisfm.motion.rigid_depth`), but for what runs away
-    (`runaways`). Where much of the frame is bare, the background's is carried (`background`).
+    apart for one, frame 1 is turned back first (`wide_baseline_motion`). Other motions are fitted
+    to the flow that it leaves unexplained (`candidates`). The images decide which of them are
+    needed, and where their boundaries lie (`layers`). Parts that the background's motion explains
+    only as floating are added (`floating_parts`), and boundaries are made sharp (`boundaries`).
+    Depth and motions are then estimated jointly, as for one motion (`tisfm.motion.rigid_depth`),
+    and estimates that diverge are brought back (`unstable_depth`). Where much of the frame has no
+    texture, depth of the background is extrapolated (`background`).
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ def objects_estimate(
     if start.status == "unrelated" and not start.is_cut:
         start = first_motion(pyramid, settings) if start.level > 0 else start
         if start.status == "unrelated":
-            start = far_apart(pyramid, settings, start, grey0, grey1)
+            start = wide_baseline_motion(pyramid, settings, start, grey0, grey1)
     nothing_seen = start.status in ("no_texture", "unrelated", "aperture")
     if nothing_seen or (start.status == "no_motion" and not start.flow.any()):
         assert start.status is not None
@@ -85,7 +86,7 @@ def objects_estimate(
     def finish(solution: RigidSolution) -> Estimate:
         return with_depth(solution, labels, camera, settings, unseen=unseen)
 
-    solution, estimate = steady_depth(
+    solution, estimate = stable_depth(
         pyramid,
         replace(
             settings,

@@ -9,16 +9,21 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from tisfm.motion.carried_depth import BARE, bare_share, carried_depth, texture_weight
 from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
 from tisfm.motion.objects.candidates import smallest_object
-from tisfm.motion.objects.floating import floating
-from tisfm.motion.objects.potts import Potts
+from tisfm.motion.objects.floating_parts import floating_parts
+from tisfm.motion.objects.label_optimisation import Potts
 from tisfm.motion.rigid_depth import (
     RigidSolution,
-    residual_under,
+    motion_residual,
     rigid_depth,
     scaled_translations,
+)
+from tisfm.motion.textureless_depth import (
+    MOST_TEXTURELESS,
+    texture_weight,
+    textureless_depth,
+    textureless_share,
 )
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
@@ -56,8 +61,8 @@ class Layers:
     reach : (K, H, W) bool
         Where a motion may be.
     floats : (H, W) int32
-        Parts of what has the first motion that cannot be at rest under it (`floating`), numbered
-        from 1.
+        Parts of the first motion's pixels that cannot be at rest under it (`floating_parts`),
+        numbered from 1.
     """
 
     motions: list[np.ndarray]
@@ -108,7 +113,7 @@ class Layering:
         self._quiet = QUIET if settings.depth_normalization is not None else QUIET_GREY
         self.smallest = smallest_object(grey0.size)
         frame, counted = pyramid.frames0[pyramid.last], pyramid.counted0(pyramid.last)
-        bare = bare_share(frame, counted) >= BARE
+        bare = textureless_share(frame, counted) >= MOST_TEXTURELESS
         self._weight = np.ones_like(grey0)
         if bare:
             self._weight = texture_weight(grey0, counted=pyramid.counted0(0))
@@ -265,7 +270,7 @@ class Layering:
         carried = None
         if motion[:, 3].any():
             support = _core(mine) & ~layers.hidden
-            carried = carried_depth(pyramid, self._settings, motion, support=support)
+            carried = textureless_depth(pyramid, self._settings, motion, support=support)
         if carried is None:
             return np.full(mine.shape, np.inf, np.float32)
         residual, flow = self._residual(carried)
@@ -323,7 +328,7 @@ class Layering:
 
     def _residual(self, surface: RigidSolution) -> tuple[np.ndarray, np.ndarray]:
         """Return residual and flow of a surface, on its support and beyond."""
-        return residual_under(
+        return motion_residual(
             self._pyramid,
             self._settings,
             surface.motions[0],
@@ -335,7 +340,7 @@ class Layering:
         if not surface.motions[0, :, 3].any():
             return np.zeros(surface.inverse_depth.shape, np.int32)
         deviation = surface.deviation()
-        return floating(surface.inverse_depth, deviation, self.smallest)
+        return floating_parts(surface.inverse_depth, deviation, self.smallest)
 
 
 def without_specks(labels: np.ndarray, smallest: int) -> np.ndarray:

@@ -23,7 +23,6 @@ from tisfm.folders.result_folder import (
     remove_temporaries,
     try_to_remove,
 )
-from tisfm.outcome import Status
 from tisfm.reconstruction.chunks.chunk import Chunk
 from tisfm.reconstruction.chunks.placement import ChunkResult, place_chunks
 from tisfm.reconstruction.chunks.shared_camera import Finished, is_sought, made, shared_camera
@@ -54,6 +53,7 @@ from tisfm.sources import BadFrames, FrameSource, Source
 from tisfm.sources.frame_reader import is_path, warn_notes
 from tisfm.sources.paths import refuse_url
 from tisfm.sources.webcam import webcam_number
+from tisfm.status import Status
 from tisfm.trajectory import Trajectory
 from tisfm.trajectory.times import times_note
 

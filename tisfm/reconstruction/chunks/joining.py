@@ -9,11 +9,11 @@ import numpy as np
 from tisfm.camera_file import NAME as CAMERA
 from tisfm.formats.atomic import link_or_copy
 from tisfm.formats.npz import NpzFile, write_npz
-from tisfm.outcome import Status
 from tisfm.reconstruction.chunks.placement import ChunkPlacement, ChunkResult
 from tisfm.reconstruction.pipeline import add_piece_note, remove_piece_note
 from tisfm.reconstruction.result.folder import CACHE, PICTURES, depth_path, write_record
 from tisfm.reconstruction.result.reconstruction import Reconstruction
+from tisfm.status import Status
 
 
 def write_whole(

@@ -20,7 +20,7 @@ from tisfm.kernels.rigid.epipolar import displacement
 from tisfm.kernels.rigid.shared_depth import add_frame, answered, squared_residual
 from tisfm.motion.matched_planes import noise_deviation
 from tisfm.motion.problems import depth_problem
-from tisfm.motion.windows import window_variance
+from tisfm.motion.window_statistics import window_variance
 from tisfm.rigid import rigid_motion, rigid_twist
 from tisfm.settings import Settings
 from tisfm.solver.data_term import Constancy, DataTerm

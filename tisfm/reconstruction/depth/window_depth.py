@@ -22,8 +22,8 @@ from tisfm.kernels.layout.launch import in_turn
 from tisfm.kernels.model.constants import LEAST_DIVISOR
 from tisfm.kernels.rigid.epipolar import displacement
 from tisfm.kernels.rigid.several_frames import add_along, as_constraint
-from tisfm.motion.carried_depth import SECOND_ORDER, texture_weight
 from tisfm.motion.problems import depth_problem
+from tisfm.motion.textureless_depth import SECOND_ORDER, texture_weight
 from tisfm.reconstruction.depth.match_deviation import match_weights
 from tisfm.reconstruction.depth.window_planes import (
     COST,

@@ -17,7 +17,7 @@ from tisfm.lens import Undistortion
 from tisfm.reconstruction.result.folder import read_labels, read_picture, write_labels
 from tisfm.resampling import Resampling
 from tisfm.shutter import Rolling, UnrolledFrame
-from tisfm.solver.counted import filled
+from tisfm.solver.pixel_masks import filled
 from tisfm.sources.frame_reader import SourceFrame
 
 if TYPE_CHECKING:

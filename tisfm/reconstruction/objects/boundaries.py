@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from tisfm.motion.objects.potts import Potts
+from tisfm.motion.objects.label_optimisation import Potts
 from tisfm.reconstruction.frames.image_motion import ImageMotion, pixel_grid, sample_image
 
 REACH = 10  # px that a boundary may move

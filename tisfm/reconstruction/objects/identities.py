@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 
 from tisfm.motion.objects.candidates import smallest_object
+from tisfm.motion.objects.label_optimisation import Potts
 from tisfm.motion.objects.layers import nearest_known
-from tisfm.motion.objects.potts import Potts
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.frames.image_motion import (
     ImageMotion,

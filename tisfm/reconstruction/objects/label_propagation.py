@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from tisfm.motion.objects.potts import Potts
+from tisfm.motion.objects.label_optimisation import Potts
 from tisfm.reconstruction.frames.image_motion import ImageMotion, sample_image
 from tisfm.reconstruction.objects.boundaries import refine_boundaries
 

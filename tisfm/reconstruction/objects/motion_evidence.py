@@ -66,10 +66,10 @@ class Evidence:
         What looks at rest at two frames may be something that moves along epipolar lines. So it
         counts as far as many frames bear it out.
         """
-        borne_out = (self.moving > 0) | (many.moving < 0)
+        confirms_large_motion = (self.moving > 0) | (many.moving < 0)
         return Evidence(
-            moving=borne_out * self.moving + many.moving,
-            weight=borne_out * self.weight + many.weight,
+            moving=confirms_large_motion * self.moving + many.moving,
+            weight=confirms_large_motion * self.weight + many.weight,
         )
 
     def at_rest_in(self, place: np.ndarray) -> "Evidence":

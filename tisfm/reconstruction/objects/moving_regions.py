@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from tisfm.motion.objects.candidates import smallest_object
-from tisfm.motion.objects.potts import Potts
+from tisfm.motion.objects.label_optimisation import Potts
 from tisfm.reconstruction.objects.motion_evidence import DOUBT, Evidence
 
 # Of mean evidence: where the boundary lies; of a core, which a thing has to have, with so many

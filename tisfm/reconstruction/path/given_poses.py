@@ -6,7 +6,7 @@ import numpy as np
 
 from tisfm.checks import check_count
 from tisfm.errors import InputError
-from tisfm.outcome import Status
+from tisfm.status import Status
 from tisfm.trajectory import Trajectory
 from tisfm.trajectory.times import are_increasing, associate
 

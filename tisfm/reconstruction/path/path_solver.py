@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.outcome import Status
 from tisfm.reconstruction.calibration.self_calibration import (
     find_models_and_focal,
     undistort_observations,
@@ -35,6 +34,7 @@ from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, Sequenc
 from tisfm.reconstruction.tracks.tracker import CELLS, Observations
 from tisfm.reconstruction.tracks.views import View
 from tisfm.shutter import Rolling
+from tisfm.status import Status
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,10 +25,10 @@ from tisfm.formats.images import decode
 from tisfm.formats.label_picture import read_label_picture, write_label_png
 from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.formats.reading import read_bytes, read_json
-from tisfm.outcome import Status
 from tisfm.reconstruction.result.calibration import as_json, from_json
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.settings import Settings
+from tisfm.status import Status
 from tisfm.trajectory.poses import check_poses
 
 FORMAT, OBJECTS_FORMAT = 2, 1

@@ -11,12 +11,12 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.errors import InputError, OutOfRangeError
-from tisfm.outcome import Status
 from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.result.calibration import GIVEN, Calibration
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.result.temporary_folder import TemporaryFolder
 from tisfm.settings import Settings
+from tisfm.status import Status
 
 if TYPE_CHECKING:
     from tisfm.fusion import DepthView, Mesh

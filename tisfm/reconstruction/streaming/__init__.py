@@ -1,6 +1,6 @@
 """Sequences without end: frames are read, and given out with their pose and depth.
 
-May import: `camera`, `errors`, `focal_guess`, `outcome`, `runtime`, `settings`, `shutter`,
+May import: `camera`, `errors`, `focal_guess`, `status`, `runtime`, `settings`, `shutter`,
 `sources`, `trajectory`, `reconstruction`, `reconstruction.calibration`, `reconstruction.depth`,
 `reconstruction.frames`, `reconstruction.mapping`, `reconstruction.path`, `reconstruction.result`,
 `reconstruction.rolling_shutter` and `reconstruction.tracks`.

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.outcome import Status
 from tisfm.reconstruction.calibration.self_calibration import find_models_and_focal
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
@@ -23,6 +22,7 @@ from tisfm.reconstruction.rolling_shutter.unrolled_tracks import TrackUnroller
 from tisfm.reconstruction.tracks.tracker import Observations, Tracker
 from tisfm.reconstruction.tracks.views import View, ViewSelection
 from tisfm.shutter import Rolling, instants_of
+from tisfm.status import Status
 
 REMEMBERED = 16  # views with poses that stay, from which the path is continued
 ANCHORS = 6  # of them at least: where there are fewer, later ones stay as well

@@ -12,7 +12,6 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
-from tisfm.outcome import Status
 from tisfm.reconstruction.calibration.source_camera import (
     SourceCamera,
 )
@@ -36,6 +35,7 @@ from tisfm.reconstruction.tracks.triangulation import track_depths
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource, SourceFrame
 from tisfm.sources.frame_reader import warn_notes
+from tisfm.status import Status
 from tisfm.trajectory.times import time_fault
 
 AHEAD = 3  # a third of the delay is used for the path, but not given out yet

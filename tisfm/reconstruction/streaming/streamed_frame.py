@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.outcome import Status
 from tisfm.reconstruction.result.calibration import GIVEN, Calibration
+from tisfm.status import Status
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

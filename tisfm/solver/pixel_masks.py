@@ -16,7 +16,7 @@ RIM = 3  # px: the side of the square, by pixels of a level, in which all have t
 MOST_IGNORED = 0.5  # of a pixel of a level
 
 
-class Counted:
+class PixelMasks:
     """Where the pixels of a pair count.
 
     Parameters
@@ -63,11 +63,11 @@ class Counted:
         counted0, counted1 = self.whole if level is None else self.levels[level]
         return ~(counted0 & counted1[goes_to(flow)])
 
-    def reversed(self) -> "Counted":
+    def reversed(self) -> "PixelMasks":
         """Return the same of the frames the other way round."""
-        return Counted(*self.whole[::-1], self._shapes)
+        return PixelMasks(*self.whole[::-1], self._shapes)
 
-    def coarser(self, level: int) -> "Counted":
+    def coarser(self, level: int) -> "PixelMasks":
         """Return the same of the levels from one on, on which pixels count as they do here."""
         other = copy(self)
         other.whole, other._shapes = self.levels[level], self._shapes[level:]

@@ -15,13 +15,13 @@ import numpy as np
 from tisfm import runtime
 from tisfm.kernels.data.forward_splatting import splat
 from tisfm.kernels.layout.lanes import aligned_empty
-from tisfm.second_thread import beside
 from tisfm.settings import Settings
-from tisfm.solver.both_neighbours import BothNeighbours
 from tisfm.solver.data_term import DataTerm
 from tisfm.solver.image_pyramid import BESIDE, ImagePyramid
 from tisfm.solver.sampling import FAR, spline_taps
+from tisfm.solver.three_frames import ThreeFrameData
 from tisfm.solver.unknowns import Unknowns
+from tisfm.threads import start_beside
 from tisfm.visibility.occlusion import occlusion, residual_of
 
 HALF_HIDDEN = 0.5  # of a pixel of a coarser level
@@ -42,7 +42,7 @@ LEAST_DETERMINANT = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Earlier:
+class PreviousPair:
     """The pair before, on the level that its flow ended on.
 
     Attributes
@@ -61,7 +61,7 @@ class Earlier:
     hidden: np.ndarray
 
     @classmethod
-    def of(cls, pyramid: ImagePyramid, flow: np.ndarray, hidden: np.ndarray) -> "Earlier":
+    def of(cls, pyramid: ImagePyramid, flow: np.ndarray, hidden: np.ndarray) -> "PreviousPair":
         """Return what the next pair takes from one.
 
         Parameters
@@ -98,14 +98,14 @@ class Earlier:
         return np.stack([part * scale for part in moved]), seen
 
 
-class FrameBefore:
+class PreviousFrame:
     """`MoreData` of the frame before a pair.
 
     Parameters
     ----------
     pyramid : ImagePyramid
         Of the pair.
-    earlier : Earlier
+    previous : PreviousPair
     settings : Settings
 
     Attributes
@@ -116,15 +116,15 @@ class FrameBefore:
         Of a flow near the last one, on the last level, if it was.
     """
 
-    def __init__(self, pyramid: ImagePyramid, earlier: Earlier, settings: Settings) -> None:
-        self._pyramid, self._earlier, self._settings = pyramid, earlier, settings
+    def __init__(self, pyramid: ImagePyramid, previous: PreviousPair, settings: Settings) -> None:
+        self._pyramid, self._earlier, self._settings = pyramid, previous, settings
         self.used = False
         self.residual: np.ndarray | None = None
-        frame = earlier.frame0
+        frame = previous.frame0
         ahead = runtime.threads() > 1 and frame.size >= BESIDE  # kernels of coarse levels take one
-        self._taps = beside(spline_taps, frame) if ahead else partial(spline_taps, frame)
+        self._taps = start_beside(spline_taps, frame) if ahead else partial(spline_taps, frame)
 
-    def joined(self, unknowns: Unknowns, data_term: DataTerm) -> BothNeighbours | None:
+    def joined(self, unknowns: Unknowns, data_term: DataTerm) -> ThreeFrameData | None:
         """Return the data of all three frames; None where the motion is not steady."""
         flow = unknowns.flow()
         if not (flow.min() >= -FAR and flow.max() <= FAR):
@@ -150,7 +150,7 @@ class FrameBefore:
         trust = 1 / (1 + off * doubt)
         trust[~seen] = 0
         self.used = True
-        return BothNeighbours(
+        return ThreeFrameData(
             data_term,
             self._earlier.frame0,
             self._taps(),
@@ -171,16 +171,16 @@ class FrameBefore:
         return occlusion(frame0, frame1, flow, self._settings, residual=residual)
 
 
-def frame_before(
-    pyramid: ImagePyramid, settings: Settings, earlier: Earlier | None
-) -> FrameBefore | None:
+def previous_frame(
+    pyramid: ImagePyramid, settings: Settings, previous: PreviousPair | None
+) -> PreviousFrame | None:
     """Return what the pair before adds to a pair, None where it does not end where this begins.
 
     Its second frame has to be the first of the pair, grey level by grey level.
     """
-    if earlier is None or not np.array_equal(earlier.frame1, pyramid.frames0[pyramid.last]):
+    if previous is None or not np.array_equal(previous.frame1, pyramid.frames0[pyramid.last]):
         return None
-    return FrameBefore(pyramid, earlier, settings)
+    return PreviousFrame(pyramid, previous, settings)
 
 
 def fitted_bend(

@@ -1,11 +1,15 @@
-"""Cores, and threads bound to one each.
+"""Cores, threads bound to one core each, and a second Python thread.
 
-Left to itself, Linux may wake both of two threads on one core, and not move one of them to the
-other, idle core for as long as a kernel on a small image takes.
+Without a binding, Linux may wake two threads on one core and leave them there, beside an idle core,
+for as long as a kernel on a small image takes.
 """
 
 import contextlib
 import os
+from collections.abc import Callable
+from concurrent.futures import Executor
+from functools import cache, partial
+from typing import Any
 
 
 def usable_cores() -> int:
@@ -56,3 +60,18 @@ def bind_newest(count: int, before: list[int]) -> bool:
                 os.sched_setaffinity(thread, cores)
         return False
     return True
+
+
+@cache
+def _second_thread() -> Executor:
+    from concurrent.futures import ThreadPoolExecutor  # impossible after the main thread has ended
+
+    return ThreadPoolExecutor(max_workers=1, thread_name_prefix="tisfm-second")
+
+
+def start_beside(function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
+    """Start a call in the second thread; return what waits for its result."""
+    try:
+        return _second_thread().submit(function, *arguments).result
+    except RuntimeError:  # the main thread has ended, and with it the second
+        return cache(partial(function, *arguments))

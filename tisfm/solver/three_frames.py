@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tisfm.kernels.data.both_neighbours import backward_flow, join_constraints
 from tisfm.kernels.data.constraints import constancy_constraints
 from tisfm.kernels.data.derivatives import DERIVATIVE_HALO, derivatives
+from tisfm.kernels.data.three_frames import backward_flow, join_constraints
 from tisfm.kernels.data.warp import warp
 from tisfm.kernels.layout.images import IMAGE_HALO, image_to_lanes
 from tisfm.kernels.layout.lanes import LaneData
@@ -14,7 +14,7 @@ from tisfm.kernels.layout.launch import in_turn
 from tisfm.solver.data_term import DataTerm
 
 
-class BothNeighbours:
+class ThreeFrameData:
     """The constraints of a pair, joined with those of the frame before.
 
     With the flow w to the next frame, that to the frame before is bend − w. So what the frame

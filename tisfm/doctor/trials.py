@@ -19,7 +19,7 @@ LIMIT, IN_ALL = 30.0, 120.0  # s: for each thing, and for all that are tried one
 _AFTER_ONE = 8.0  # s: where one has hung, others that wait for the same are not given more
 _LOOK = 0.05  # s, of a look at what a process says
 
-Tried = dict[str, dict[str, Any]]
+TrialResults = dict[str, dict[str, Any]]
 
 
 class Trial:
@@ -37,10 +37,10 @@ class Trial:
 
     def __init__(self, names: Sequence[str], *, limit: float = LIMIT) -> None:
         self._limit, self._end = limit, time.monotonic() + IN_ALL
-        self._left, self._found = list(names), Tried()
+        self._left, self._found = list(names), TrialResults()
         self._begin()
 
-    def go_on(self) -> Tried | None:
+    def go_on(self) -> TrialResults | None:
         """Look, for a moment, at what the process says; return what is found when all is tried.
 
         Of what failed, that has an ``error``.
@@ -79,12 +79,12 @@ class Trial:
         self._begin()
 
 
-def results(*trials: Trial) -> Tried:
+def results(*trials: Trial) -> TrialResults:
     """Wait for trials, and return what was found of all.
 
     No thread is started for them, as there may be no memory for one.
     """
-    found: Tried = {}
+    found: TrialResults = {}
     left = list(trials)
     while left:
         for trial in list(left):
@@ -95,7 +95,7 @@ def results(*trials: Trial) -> Tried:
     return found
 
 
-def try_out(names: Sequence[str], *, limit: float = LIMIT) -> Tried:
+def run_trial(names: Sequence[str], *, limit: float = LIMIT) -> TrialResults:
     """Try things out in another process, and wait for them: see `Trial`."""
     return results(Trial(names, limit=limit))
 
@@ -120,9 +120,9 @@ def _exit_of(code: int) -> str:
     return f"the process ended with exit code {code}" if code else ""
 
 
-def _told(names: Sequence[str], output: bytes, ended: str) -> Tried:
+def _told(names: Sequence[str], output: bytes, ended: str) -> TrialResults:
     """Read what the process said: of each thing that it came to, how that ended."""
-    found: Tried = {}
+    found: TrialResults = {}
     for line in output.decode("utf-8", "replace").splitlines():
         try:
             about = json.loads(line)

@@ -20,7 +20,7 @@ KNOWN = ("converged", "iteration_limit", "uncertain", "pure_rotation", "little_p
 
 
 @dataclass(frozen=True, kw_only=True)
-class UnrolledPair:
+class GlobalShutterPair:
     """Two frames whose rows were all read with the middle one.
 
     Attributes
@@ -38,7 +38,7 @@ class UnrolledPair:
     counted: tuple[np.ndarray, np.ndarray] | None
 
 
-def unrolled_pair(
+def global_shutter_pair(
     grey0: np.ndarray,
     grey1: np.ndarray,
     frame: np.ndarray,
@@ -46,7 +46,7 @@ def unrolled_pair(
     camera: Camera,
     settings: Settings,
     pose: KnownPose | None,
-) -> UnrolledPair | None:
+) -> GlobalShutterPair | None:
     """Return a pair as if all rows of each frame had been read with its middle one.
 
     The camera is taken to move evenly from before frame 0 until after frame 1. Its motion, and
@@ -55,7 +55,7 @@ def unrolled_pair(
     Parameters
     ----------
     grey0, grey1, frame, counted
-        As in `UnrolledPair`, but as they were read.
+        As in `GlobalShutterPair`, but as they were read.
     camera : Camera
         A pinhole; its readout is a share of the time from frame 0 to frame 1.
     settings : Settings
@@ -64,10 +64,10 @@ def unrolled_pair(
 
     Returns
     -------
-    UnrolledPair or None
+    GlobalShutterPair or None
         None where no motion is found.
     """
-    found: UnrolledPair | None = None
+    found: GlobalShutterPair | None = None
     for _ in range(ROUNDS):
         first, second = (grey0, grey1) if found is None else (found.grey0, found.grey1)
         seen = counted if found is None else found.counted
@@ -81,7 +81,7 @@ def unrolled_pair(
         if counted is not None:
             for ignored, map_, one in zip(kept, maps, counted, strict=True):
                 ignored |= map_.nearest((~one).astype(np.float32)) > 0
-        found = UnrolledPair(
+        found = GlobalShutterPair(
             grey0=maps[0].apply(grey0),
             grey1=maps[1].apply(grey1),
             frame=maps[0].apply(frame),

@@ -9,7 +9,7 @@ from tisfm.solver.data_term import Constancy
 MOST_OFF = 5.0  # deviations of the noise: no residual counts for more
 
 
-class Evidence:
+class ResidualComparison:
     """How far frame 1 is off along a flow, in deviations of the noise.
 
     Parameters

@@ -1,6 +1,27 @@
-"""Text that is safe to print on a terminal."""
+"""Durations and sizes in words, and text that is safe to print on a terminal."""
 
 import re
+
+
+def as_duration(seconds: float) -> str:
+    """Return a time in words, to two digits or more."""
+    if seconds < 10:
+        return f"{seconds:.2f} s"
+    if seconds < 99.5:
+        return f"{seconds:.0f} s"
+    if seconds < 595:
+        minutes, rest = divmod(10 * round(seconds / 10), 60)
+        return f"{minutes} min {rest} s" if rest else f"{minutes} min"
+    minutes = round(seconds / 60)
+    if minutes < 100:
+        return f"{minutes} min"
+    return f"{minutes // 60} h {minutes % 60} min" if minutes % 60 else f"{minutes // 60} h"
+
+
+def as_size(count: float) -> str:
+    """Return a number of bytes in words."""
+    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
+
 
 # Control characters (ESC and some above 0x7f begin commands of a terminal), separators of lines and
 # paragraphs, and characters that change the direction of writing.
@@ -23,7 +44,7 @@ def printable(text: str) -> str:
 
     Examples
     --------
-    >>> from tisfm.machine.terminal import printable
+    >>> from tisfm.machine.text import printable
     >>> print(printable("a\x1b[31mb.png"))
     a\x1b[31mb.png
     """

@@ -20,7 +20,7 @@ MOST_PARTS = 255  # parts
 FAINTEST_DEPTH = 0.05  # of the median: less inverse depth is as good as none
 
 
-def floating(inverse_depth: np.ndarray, deviation: np.ndarray, smallest: int) -> np.ndarray:
+def floating_parts(inverse_depth: np.ndarray, deviation: np.ndarray, smallest: int) -> np.ndarray:
     """Return the connected parts of a depth map that float, numbered from 1; 0 elsewhere.
 
     From a point of a thing that stands, a path leads over the thing and the ground to the border

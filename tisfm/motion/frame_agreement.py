@@ -1,12 +1,16 @@
-"""Whether two frames show the same things, and whether a motion explains how they move."""
+"""Whether two frames show the same scene, and whether their flow can be right."""
 
 import cv2
 import numpy as np
 
-from tisfm.motion.estimate import Estimate
-from tisfm.motion.windows import window_variance
-from tisfm.outcome import Status
+from tisfm.motion.window_statistics import (
+    correlation,
+    mean_in_windows,
+    variance_in_windows,
+    warped,
+)
 from tisfm.solver.image_pyramid import ImagePyramid
+from tisfm.status import Status
 from tisfm.visibility.confidence import CONFIDENCE_WINDOW, median
 
 # Median correlation of frames that show the same: 0.97 and more on benchmarks, 0.65 under noise of
@@ -31,29 +35,11 @@ SQUARE, SQUARE_STEP = 15, 5  # px
 STRUCTURE = 16.0  # least variance of a window with structure, over the variance of the noise
 QUIETEST = 10  # percentile of the variances of differences that is taken for noise
 FEWEST_SEEN = 0.05  # of all windows: if fewer have structure, frames are not judged
-# Distances of a flow from a pose, over those from the motion that fits best: at most 5.7 where
-# poses are measured (7-Scenes), 17 and more where such a pose is inverted or t is reversed.
-OFF = 8.0
-LEAST_DISTANCE = 0.02  # px: distances from the best that are no smaller in real frames
-FLATTEST = 1e-12  # of two variances, in units of the frame's: none where it is flat
-# Of the texture that is seen: what a flow field makes alike, by as much as `BETTER`, and motion and
-# depth do not. At most 0.11 where depth is off by less than a tenth, from 0.17 on where it is off
-# by more than half.
-UNEXPLAINED, BETTER = 0.15, 0.1
-# Of the pixels that are seen: those that lie behind the camera by more than 3 deviations, and than
-# a tenth of what is usual. At most 0.001 where depth is off by less than a tenth, from 0.039 on
-# where it is off by more than half.
-BEHIND, DEVIATIONS, BEYOND_INFINITY = 0.03, 3.0, 0.1
-# Of the pixels that are seen: those whose inverse depth has a deviation of more than half of
-# itself, and of what is usual. At most 0.03 where depth is off by less than 0.15.
-UNSURE, UNCERTAIN = 0.5, 0.05
 # Stripes: in all but this share of the windows, no more than this share of the variation is along
 # them. Noise of 20 grey levels on stripes of 40 makes it 0.17; in real frames it is above a half.
 VARIED, ALONG = 0.01, 0.25
 FAINT = 0.01  # of the usual variation: windows with less do not count
 BORDER = 4  # px that are repeated where a frame is resampled, which bends stripes
-SAMPLED = 3  # px: of as many columns and rows, one tells
-HIDDEN = 0.3  # of a pixel of a coarser level: what is not seen of it
 
 
 def unrelated(
@@ -129,9 +115,10 @@ def replaced(
             unseen = part > 0
     with np.errstate(over="ignore", invalid="ignore"):  # frames may be far too bright
         unit = np.float32(frame0.std(dtype=float))
-        moved = _moved(frame1, flow)
+        moved = warped(frame1, flow)
         difference, first, second = (
-            _variance(image, _mean(image)) for image in (moved - frame0, frame0, moved)
+            variance_in_windows(image, mean_in_windows(image))
+            for image in (moved - frame0, frame0, moved)
         )
         quiet = float(np.percentile(difference, QUIETEST))
         noise = max(quiet / 2, (FAINT * float(unit)) ** 2)
@@ -184,31 +171,7 @@ def _folded(flow: np.ndarray, trust: np.ndarray) -> float:
         return float(weight[area <= 0].sum()) / total if total > 0 else 0.0
 
 
-def correlation(frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray) -> np.ndarray:
-    """Return the correlation of frame 0 with where a flow leads, in a window around each pixel.
-
-    Parameters
-    ----------
-    frame0, frame1 : (H, W) float32
-        Grey levels, not all the same in frame 0.
-    flow : (H, W, 2) float32
-        px/frame.
-
-    Returns
-    -------
-    (H, W) float32
-        In [-1, 1]; 0 where both are flat.
-    """
-    # Brightness may be on any scale, and squares lose digits far from 0.
-    mean, unit = (np.float32(value(dtype=float)) for value in (frame0.mean, frame0.std))
-    frame0, frame1 = (frame0 - mean) / unit, (frame1 - mean) / unit
-    moved = _moved(frame1, flow)
-    mean0, mean1 = _mean(frame0), _mean(moved)
-    product = _variance(frame0, mean0) * _variance(moved, mean1)
-    return (_mean(frame0 * moved) - mean0 * mean1) / np.sqrt(np.maximum(product, FLATTEST))
-
-
-def field_doubt(pyramid: ImagePyramid, flow: np.ndarray, trust: np.ndarray) -> Status | None:
+def field_status(pyramid: ImagePyramid, flow: np.ndarray, trust: np.ndarray) -> Status | None:
     """Return why a flow field of the finest level is wrong, None where nothing is against it.
 
     That is judged on a coarser level.
@@ -224,7 +187,7 @@ def field_doubt(pyramid: ImagePyramid, flow: np.ndarray, trust: np.ndarray) -> S
     """
     level = _judged_level(pyramid)
     frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
-    stripes = one_direction(frame0)
+    stripes = aperture_status(frame0)
     size, area = frame0.shape[::-1], cv2.INTER_AREA
     trust = cv2.resize(trust, size, interpolation=area)
     if stripes is not None or not trust.any():
@@ -238,7 +201,7 @@ def _judged_level(pyramid: ImagePyramid) -> int:
     return max((k for k, frame in enumerate(pyramid.frames0) if frame.size >= JUDGED), default=0)
 
 
-def borne_out(pyramid: ImagePyramid, flow: np.ndarray, unseen: np.ndarray) -> bool:
+def confirms_large_motion(pyramid: ImagePyramid, flow: np.ndarray, unseen: np.ndarray) -> bool:
     """Return whether the images confirm that most of their common part has moved far.
 
     A texture that repeats confirms no motion: it looks alike at every period.
@@ -284,108 +247,7 @@ def _repeats(frame: np.ndarray, seen: np.ndarray) -> bool:
     return bool((alike & (places != places[top, left])).any())
 
 
-def unexplained(
-    pyramid: ImagePyramid,
-    estimate: Estimate,
-    unseen: np.ndarray,
-) -> Status | None:
-    """Return why the depth of one rigid motion is wrong or uncertain, None where it is neither.
-
-    Depth is wrong where much of it lies behind the camera, and where much of the texture is more
-    alike where the flow field leads that the motion was first fitted to. Where that is not known,
-    because points were matched instead, frames have to be alike where the depth leads. It is
-    uncertain where its own deviation says so.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    estimate : Estimate
-        With inverse depth, its deviation and the flow field.
-    unseen : (H, W) bool
-        Pixels that are not visible in frame 1.
-    """
-    return (
-        _behind(estimate, ~unseen)
-        or _worse_than_flow(pyramid, estimate, unseen)
-        or _unsure(estimate, ~unseen)
-    )
-
-
-def _behind(estimate: Estimate, seen: np.ndarray) -> Status | None:
-    """Return the status of depth much of which lies behind the camera."""
-    assert estimate.inverse_depth_std is not None
-    sample = np.s_[::SAMPLED, ::SAMPLED]
-    seen = seen[sample]
-    negative = np.count_nonzero((estimate.inverse_depth[sample] < 0) & seen)
-    if negative <= BEHIND * np.count_nonzero(seen):
-        return None
-    inverse_depth = estimate.inverse_depth[sample][seen]
-    # An error that pixels share is no excuse.
-    deviation = estimate.inverse_depth_std[sample][seen] / np.float32(estimate.widening)
-    usual = np.float32(BEYOND_INFINITY) * median(np.abs(inverse_depth))
-    share = (inverse_depth < -np.maximum(np.float32(DEVIATIONS) * deviation, usual)).mean()
-    if share <= BEHIND:
-        return None
-    return Status(
-        "behind_camera",
-        f"{100 * share:.0f}% of the pixels that are seen would lie behind the camera, so depth is "
-        "wrong: check the focal length, the pose if one is given, and that nothing large moves on "
-        'its own (motion="objects" allows that), or take frames further apart',
-    )
-
-
-def _unsure(estimate: Estimate, seen: np.ndarray) -> Status | None:
-    """Return the status of depth much of which has a large deviation."""
-    assert estimate.inverse_depth_std is not None
-    sample = np.s_[::SAMPLED, ::SAMPLED]
-    seen = seen[sample]
-    if not seen.any():
-        return None
-    inverse_depth = estimate.inverse_depth[sample][seen]
-    deviation = estimate.inverse_depth_std[sample][seen]
-    usual = median(np.abs(inverse_depth))
-    share = (deviation > np.float32(UNSURE) * np.maximum(inverse_depth, usual)).mean()
-    if share <= UNCERTAIN:
-        return None
-    return Status(
-        "uncertain",
-        f"at {100 * share:.0f}% of the pixels that are seen, inverse depth has a deviation of more "
-        "than half of itself and of what is usual: take frames further apart, or move the camera "
-        "sideways; result.inverse_depth_std says where depth is sure",
-    )
-
-
-def _worse_than_flow(
-    pyramid: ImagePyramid, estimate: Estimate, unseen: np.ndarray
-) -> Status | None:
-    """Return the status of depth that leaves unlike what a flow field makes alike."""
-    level, free = estimate.free_level, estimate.free_flow
-    assert free is not None
-    frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
-    size, area = frame0.shape[::-1], cv2.INTER_AREA
-    flow = cv2.merge([cv2.resize(part, size, interpolation=area) for part in estimate.flow])
-    alike = correlation(frame0, frame1, flow * np.float32(pyramid.scales[level]))
-    seen = cv2.resize(unseen.astype(np.float32), size, interpolation=area) < HIDDEN
-    weight = np.where(seen, texture(frame0), 0)
-    tolerated = UNEXPLAINED * float(weight.sum())
-    if float(weight[alike < 1 - BETTER].sum()) <= tolerated:  # no flow is better by as much
-        return None
-    worse = correlation(frame0, frame1, free) > alike + np.float32(BETTER)
-    if estimate.matched:  # then the flow is that of the motion as well
-        worse |= alike < CORRELATED
-    left = float(weight[worse].sum())
-    if left <= tolerated:
-        return None
-    share = UNEXPLAINED * left / tolerated
-    return Status(
-        "unexplained",
-        f"motion and depth do not make the frames alike at {100 * share:.0f}% of the texture that "
-        "is seen, so depth is wrong there: take frames closer in time, check the camera, the pose "
-        'if one is given, and that nothing large moves on its own (motion="objects" allows that)',
-    )
-
-
-def one_direction(frame: np.ndarray) -> Status | None:
+def aperture_status(frame: np.ndarray) -> Status | None:
     """Return the status of a frame that varies along one direction only, None for others.
 
     How far it moves along its stripes cannot be seen: the aperture problem.
@@ -417,7 +279,8 @@ def one_direction(frame: np.ndarray) -> Status | None:
         return None
     variation, directions = np.linalg.eigh(tensor)
     along, across = (
-        _mean((np.float32(x) * right + np.float32(y) * down) ** 2) for x, y in directions.T
+        mean_in_windows((np.float32(x) * right + np.float32(y) * down) ** 2)
+        for x, y in directions.T
     )
     faint = np.float32(FAINT * variation.sum())
     if (along > ALONG * (along + across + faint)).mean() > VARIED:
@@ -427,69 +290,3 @@ def one_direction(frame: np.ndarray) -> Status | None:
         "the frames vary along one direction only, so that motion along their stripes cannot be "
         "seen (the aperture problem): take frames that show corners, or give the pose",
     )
-
-
-def mismatch(off: float, best: float, *, inverse: float | None = None) -> Status | None:
-    """Return the status of a known pose that does not explain a flow, None if it does.
-
-    Parameters
-    ----------
-    off : float
-        How far the flow is from where the pose can take points, px of the finest level.
-    best : float
-        The same for the motion that fits best.
-    inverse : float, optional
-        The same for the inverse of the pose; not for a rotation alone.
-    """
-    tolerated = OFF * max(best, LEAST_DISTANCE)
-    if off <= tolerated:
-        return None
-    if inverse is not None and inverse <= tolerated:
-        advice = "its inverse explains them, so give np.linalg.inv(pose)"
-    else:
-        advice = (
-            "check that it takes points from frame 0's camera to frame 1's, not back, that the "
-            "axes are right, down and forward, that it is of these two frames, and the focal length"
-        )
-    return Status(
-        "pose_mismatch",
-        f"the pose given does not explain the images: they move to {off:.2g} px beside where it "
-        f"can take points, the motion that fits best to {best:.2g} px; {advice}",
-    )
-
-
-def texture(frame: np.ndarray) -> np.ndarray:
-    """Return how textured the window around a pixel is, next to the others, in [0, 1)."""
-    frame = frame - frame.mean()
-    variance = _variance(frame, _mean(frame))
-    usual = np.float32(np.median(variance))
-    return variance / np.maximum(variance + usual, np.finfo(np.float32).tiny)
-
-
-def _moved(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
-    """Return an image sampled where a flow, (H, W, 2), leads, bilinearly; beyond, it repeats.
-
-    OpenCV's `remap` takes no image with a side of 32,767 px or more.
-    """
-    height, width = image.shape
-    flow = np.nan_to_num(flow)  # where it diverged
-    x = np.clip(flow[..., 0] + np.arange(width, dtype=np.float32), 0, width - 1)
-    y = np.clip(flow[..., 1] + np.arange(height, dtype=np.float32)[:, None], 0, height - 1)
-    left = np.minimum(x.astype(np.intp), width - 2)
-    top = np.minimum(y.astype(np.intp), height - 2)
-    across, down = x - left.astype(np.float32), y - top.astype(np.float32)
-    site = top * width + left
-    values = image.ravel()
-    above = values[site] + across * (values[site + 1] - values[site])
-    site += width
-    below = values[site] + across * (values[site + 1] - values[site])
-    moved: np.ndarray = above + down * (below - above)
-    return moved
-
-
-def _mean(image: np.ndarray) -> np.ndarray:
-    return cv2.blur(image, (CONFIDENCE_WINDOW, CONFIDENCE_WINDOW))
-
-
-def _variance(image: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    return window_variance(image, CONFIDENCE_WINDOW, mean)

@@ -1,19 +1,34 @@
-"""Limits of the address space (``ulimit -v``).
+"""Limits of the address space (``ulimit -v``), and memory that is freed.
 
-Libraries that find too little of it crash, hang, or fail in words of their own, and they reserve
-far more than they use. What is too little for sure is refused beforehand.
+Libraries that find too little address space crash, hang, or fail with messages of their own, and
+they reserve far more than they use. A limit that is certainly too small is refused beforehand.
+
+Dask starts its workers with a small ``MALLOC_TRIM_THRESHOLD_``. The C library then gives every
+array of a frame back to the system when it is freed, and the next array asks for the same pages
+again: that took 0.4 of a worker's time. `keep_freed_memory` undoes that.
 """
 
+import ctypes
 import os
 from pathlib import Path
 
 from tisfm.errors import OutOfMemoryError
 
 _SIGNS = ("cannot allocate memory", "failed to map segment", "can't start new thread", "bad_alloc")
+
+
 _OPENCV = 0.28e9  # that NumPy and OpenCV reserve with one thread each, bytes; measured
+
+
 _OPENCV_THREADS = 0.19e9  # more that they reserve with several threads, bytes; measured
+
+
 _SCIPY = 0.28e9  # that SciPy and the other libraries reserve, bytes; measured
+
+
 _STACK = 8 << 20  # of a thread, bytes, as most systems have it
+
+
 _ARENA = 64 << 20  # that the C library reserves for a thread's allocations, bytes
 
 
@@ -108,3 +123,24 @@ def advice() -> str:
 
 def _gb(count: float) -> str:
     return f"{count / 1e9:.3g} GB"
+
+
+_TRIM, _MMAP = -1, -3  # parameters of mallopt (malloc.h)
+
+
+_ARRAY = 32 << 20  # the largest that is not mapped on its own, bytes: the most that glibc takes
+
+
+def keep_freed_memory() -> None:
+    """Have memory that is freed stay with the process, as it does where nothing is set.
+
+    It does so where a threshold was set for small objects alone, and the C library has it (glibc).
+    """
+    try:
+        asked = int(os.environ["MALLOC_TRIM_THRESHOLD_"])
+        mallopt = ctypes.CDLL(None).mallopt
+    except (KeyError, ValueError, AttributeError, OSError, TypeError):
+        return
+    if 0 <= asked < 2 * _ARRAY:
+        mallopt(_MMAP, _ARRAY)  # what glibc comes to by itself, with arrays of this size
+        mallopt(_TRIM, 2 * _ARRAY)

@@ -15,7 +15,7 @@ from tisfm.motion.estimate import Estimate
 from tisfm.motion.objects.layers import nearest_known
 from tisfm.motion.rigid_depth import (
     RigidSolution,
-    precision_under,
+    motion_precision,
     rigid_depth,
     scaled_translations,
 )
@@ -28,7 +28,7 @@ LABEL_AWAY, PIXEL_AWAY = 0.01, 0.05
 FEW = 0.02  # of the pixels: if more run away, the pair does
 
 
-def steady_depth(
+def stable_depth(
     pyramid: ImagePyramid,
     settings: Settings,
     motions: np.ndarray,
@@ -96,7 +96,7 @@ def _judged(
     """Return a solution with the precision of its motions and depth on a part of the image."""
     depth = solution.inverse_depth
     known = np.where(np.isfinite(depth), depth, 0)
-    precision = precision_under(pyramid, settings, solution.motions, labels, known)
+    precision = motion_precision(pyramid, settings, solution.motions, labels, known)
     return replace(solution, precision=np.where(where, precision, solution.precision))
 
 

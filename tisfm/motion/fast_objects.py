@@ -14,8 +14,8 @@ import numpy as np
 from tisfm.kernels.data.image_edges import image_edges
 from tisfm.kernels.layout.images import image_to_lanes
 from tisfm.kernels.rigid.flow_search import carry
-from tisfm.motion.evidence import Evidence
 from tisfm.motion.matched_windows import Windows
+from tisfm.motion.residual_comparison import ResidualComparison
 from tisfm.solver.coarse_to_fine import Problem
 from tisfm.solver.smoothness import FAINTEST_EDGE, mean_step
 from tisfm.solver.unknowns import Unknowns
@@ -31,7 +31,7 @@ AROUND = TURNS * BEYOND + MARGIN  # px around a thing: as far as its outline may
 Part = tuple[slice, slice]  # rows and columns
 
 
-class FastThings:
+class FastObjects:
     """Where things are that move on their own.
 
     Parameters
@@ -68,7 +68,7 @@ class FastThings:
         for part, own in _parts(self._thing, flow):
             before = better = cv2.merge(list(flow[:, part[0], part[1]]))
             thing = self._thing[part] & own
-            evidence = Evidence(windows.part(part), self._problem.constancy)
+            evidence = ResidualComparison(windows.part(part), self._problem.constancy)
             for _ in range(TURNS):
                 thing, better = _outlined(evidence, thing, better)
             self._thing[part] = np.where(own, thing, self._thing[part])
@@ -114,7 +114,7 @@ def _reached(first: int, end: int, motion: np.ndarray, length: int) -> slice:
 
 
 def _outlined(
-    evidence: Evidence, thing: np.ndarray, flow: np.ndarray
+    evidence: ResidualComparison, thing: np.ndarray, flow: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return which pixels are of a thing, from what they seemed to be, and the flow of that."""
     seeming = thing.astype(np.uint8)

@@ -9,15 +9,15 @@ from tisfm.camera import Camera
 from tisfm.motion.first_motion import FirstMotion, first_motion, matched_motion
 from tisfm.motion.problems import pyramid_of
 from tisfm.motion.sparse_start import sparse_start
-from tisfm.outcome import Status
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
+from tisfm.status import Status
 from tisfm.visibility.occlusion import leaves_image
 
 BEYOND = 15  # px: the window in which a pixel that frame 1 does not see spoils the flow
 
 
-def far_apart(
+def wide_baseline_motion(
     pyramid: ImagePyramid,
     settings: Settings,
     start: FirstMotion,

@@ -4,7 +4,7 @@ import numpy as np
 
 from tisfm.motion.epipolar_fit import Pose, Rays, robust_deviation
 from tisfm.motion.sparse_motion import SAME, angle, of_plane
-from tisfm.outcome import Status
+from tisfm.status import Status
 
 TWO_MOTIONS = Status(
     "two_motions",
@@ -20,7 +20,7 @@ SMALLEST = 0.02  # px: distances that are no smaller in real frames
 BEFORE = 0.99  # of the rays: a plane that is seen is met by as many, before the camera
 
 
-def plane_doubt(rays: Rays, residual: float) -> Status | None:
+def plane_status(rays: Rays, residual: float) -> Status | None:
     """Return a status if rays show one plane that leaves two motions, None if not.
 
     A homography has two decompositions in general. The plane of the wrong one often is behind the

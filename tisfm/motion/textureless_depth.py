@@ -17,7 +17,7 @@ from tisfm.kernels.rigid.epipolar import along, displacement
 from tisfm.motion.matched_planes import MOST, MatchedPlanes, matched_planes, noise_deviation
 from tisfm.motion.problems import depth_problem
 from tisfm.motion.rigid_depth import RigidSolution
-from tisfm.motion.windows import window_variance
+from tisfm.motion.window_statistics import window_variance
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, at_finest, data_term_on, unknowns_on
 from tisfm.solver.half_quadratic import Iteration
@@ -34,7 +34,7 @@ SECOND_ORDER = SecondOrderSettings(alpha=48.0, beta=196608.0, bend=0.1, turn=0.0
 FEWEST = 0.02  # of the pixels: with fewer believed, nothing is carried
 # Windows of the finest level that are compared with noise. Frames are bare if this share of them
 # shows no more.
-WINDOW, BARE = 11, 0.04
+WINDOW, MOST_TEXTURELESS = 11, 0.04
 SHOWN = 1.8  # times the variance of the noise: what a window varies by that shows more
 DATA = 0.5  # weight of the constraints against that of a matched pixel
 TEXTURE = 100.0  # times the variance of the noise: of a window whose constraints weigh half
@@ -51,7 +51,7 @@ SPREAD = 0.2  # px²: the variance of what is carried, for the share that data h
 
 
 @dataclass(frozen=True, kw_only=True)
-class CarriedSolution(RigidSolution):
+class TexturelessSolution(RigidSolution):
     """The same, with a deviation of its own.
 
     Attributes
@@ -67,7 +67,7 @@ class CarriedSolution(RigidSolution):
         return self.carried_deviation.copy()
 
 
-def bare_share(frame: np.ndarray, counted: np.ndarray | None = None) -> float:
+def textureless_share(frame: np.ndarray, counted: np.ndarray | None = None) -> float:
     """Return which share of the windows of a frame, (H, W) float32, shows no more than noise.
 
     Of those around pixels that count, if `counted`, (H, W) bool, says so.
@@ -79,13 +79,13 @@ def bare_share(frame: np.ndarray, counted: np.ndarray | None = None) -> float:
     return float(bare.mean()) if bare.size else 0.0
 
 
-def carried_depth(
+def textureless_depth(
     pyramid: ImagePyramid,
     settings: Settings,
     motion: np.ndarray,
     *,
     support: np.ndarray | None = None,
-) -> CarriedSolution | None:
+) -> TexturelessSolution | None:
     """Estimate the inverse depth of every pixel under a known motion.
 
     Parameters
@@ -99,7 +99,7 @@ def carried_depth(
 
     Returns
     -------
-    CarriedSolution or None
+    TexturelessSolution or None
         None if too little could be matched to carry from, or no level is small enough.
     """
     if pyramid.frames0[-1].size > MOST:
@@ -123,7 +123,7 @@ def carried_depth(
         history += [(level, warp, iteration) for iteration in iterations]
     state.bound(planes)
     unknowns = state.unknowns
-    return CarriedSolution(
+    return TexturelessSolution(
         motions=motion[None],
         inverse_depth=at_finest(pyramid, unknowns, level)[0],
         precision=state.precision(),

@@ -1,0 +1,100 @@
+"""Variance, texture and correlation of the window around each pixel."""
+
+import cv2
+import numpy as np
+
+from tisfm.visibility.confidence import CONFIDENCE_WINDOW
+
+FLATTEST = 1e-12  # of two variances, in units of the frame's: none where it is flat
+
+
+def window_variance(image: np.ndarray, size: int, mean: np.ndarray | None = None) -> np.ndarray:
+    """Return the variance of the square window around every pixel.
+
+    Squares lose digits far from 0, so the mean of the whole image is subtracted first, unless
+    `mean` is given.
+
+    Parameters
+    ----------
+    image : (H, W) float32
+    size : int
+        Side of the window, px, odd.
+    mean : (H, W) float32, optional
+        Mean of every window, of an image whose own mean is about 0.
+
+    Returns
+    -------
+    (H, W) float32
+        0 at least; not finite where squares are too large for float32.
+    """
+    window = (size, size)
+    with np.errstate(over="ignore", invalid="ignore"):  # of frames that are far too bright
+        if mean is None:
+            image = image - image.mean()
+            mean = cv2.blur(image, window)
+        return np.maximum(cv2.blur(image * image, window) - mean * mean, 0)
+
+
+def correlation(frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray) -> np.ndarray:
+    """Return the correlation of frame 0 with where a flow leads, in a window around each pixel.
+
+    Parameters
+    ----------
+    frame0, frame1 : (H, W) float32
+        Grey levels, not all the same in frame 0.
+    flow : (H, W, 2) float32
+        px/frame.
+
+    Returns
+    -------
+    (H, W) float32
+        In [-1, 1]; 0 where both are flat.
+    """
+    # Brightness may be on any scale, and squares lose digits far from 0.
+    mean, unit = (np.float32(value(dtype=float)) for value in (frame0.mean, frame0.std))
+    frame0, frame1 = (frame0 - mean) / unit, (frame1 - mean) / unit
+    moved = warped(frame1, flow)
+    mean0, mean1 = mean_in_windows(frame0), mean_in_windows(moved)
+    product = variance_in_windows(frame0, mean0) * variance_in_windows(moved, mean1)
+    return (mean_in_windows(frame0 * moved) - mean0 * mean1) / np.sqrt(
+        np.maximum(product, FLATTEST)
+    )
+
+
+def texture(frame: np.ndarray) -> np.ndarray:
+    """Return how textured the window around a pixel is, next to the others, in [0, 1)."""
+    frame = frame - frame.mean()
+    variance = variance_in_windows(frame, mean_in_windows(frame))
+    usual = np.float32(np.median(variance))
+    return variance / np.maximum(variance + usual, np.finfo(np.float32).tiny)
+
+
+def warped(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
+    """Return an image sampled where a flow, (H, W, 2), leads, bilinearly; beyond, it repeats.
+
+    OpenCV's `remap` takes no image with a side of 32,767 px or more.
+    """
+    height, width = image.shape
+    flow = np.nan_to_num(flow)  # where it diverged
+    x = np.clip(flow[..., 0] + np.arange(width, dtype=np.float32), 0, width - 1)
+    y = np.clip(flow[..., 1] + np.arange(height, dtype=np.float32)[:, None], 0, height - 1)
+    left = np.minimum(x.astype(np.intp), width - 2)
+    top = np.minimum(y.astype(np.intp), height - 2)
+    across, down = x - left.astype(np.float32), y - top.astype(np.float32)
+    site = top * width + left
+    values = image.ravel()
+    above = values[site] + across * (values[site + 1] - values[site])
+    site += width
+    below = values[site] + across * (values[site + 1] - values[site])
+    moved: np.ndarray = above + down * (below - above)
+    return moved
+
+
+def mean_in_windows(image: np.ndarray) -> np.ndarray:
+    """Return the mean of the square window around every pixel, (H, W) float32."""
+    return cv2.blur(image, (CONFIDENCE_WINDOW, CONFIDENCE_WINDOW))
+
+
+def variance_in_windows(image: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Return the variance of the square window around every pixel, of which `mean` is the mean."""
+    return window_variance(image, CONFIDENCE_WINDOW, mean)
