@@ -1,11 +1,12 @@
 """Benchmarks of tisfm: ``python -m bench`` and the commands below, all with ``--help``.
 
-Packages by question: `kernels` and `pairs` time against the NumPy reference (``bench``), `flow`
-and `depth` stand beside other libraries (``bench.peers``, ``bench.depth``) and beside changes
-(``bench.ablation``, ``bench.solvers``, ``bench.untextured``, ``bench.focal``), `objects` measures
-things that move (``bench.objects``), `sequences` whole sequences (``bench.sequences``,
-``bench.writing``), `scaling` time and memory over size (``bench.scaling``),
-`regression` another checkout (``bench.regression``), `structure` the source itself
-(``bench.structure``). What they share is in `shared`, which imports none of them. `reference` is
-the method in plain NumPy, which the tests import as well.
+Commands on pairs of frames are modules of this package: `peers` compares flow with other libraries,
+`ablation` changes settings, `window` uses three frames; `solvers` measures the convergence of the
+linear system, `untextured` and `focal` difficult input, `writing` the cost of storing results,
+`sensitivity` the effect of constants, and `pair_memory` is a process that measures memory.
+
+Packages: `kernels` times kernels and whole pairs against the NumPy `reference` (``bench``), `depth`
+measures depth and motion of the camera, `objects` moving objects, `sequences` whole sequences,
+`scaling` time and memory over size, `view` the viewer, `regression` another checkout, and
+`structure` the source itself. `shared` is their common code, and imports none of them.
 """

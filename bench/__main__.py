@@ -1,7 +1,8 @@
-"""``python -m bench``: time the kernels beside the NumPy reference and print one table.
+"""``python -m bench``: times of the kernels beside the NumPy reference, in one table.
 
-Each number of threads has a process of its own, because Taichi takes its threads once. The timings
-(pytest-benchmark's JSON), the memory and the table as Markdown are left in bench/results.
+Each number of threads has a process of its own, since Taichi cannot change its number of threads.
+The timings (JSON of pytest-benchmark), the memory and the table as Markdown are left in
+bench/results.
 """
 
 import argparse
@@ -12,8 +13,6 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 from typing import get_args
-
-from rich.console import Console
 
 from bench.report import (
     LANES,
@@ -27,15 +26,14 @@ from bench.report import (
     show,
     write_markdown,
 )
-from bench.shared.results import RESULTS, ROOT
+from bench.shared.results import RESULTS, ROOT, wide_console
 from tisfm.runtime import ARCHS
 from tisfm.settings import Preset
 
-# Packages that run the benchmarks, and their modules.
+# Package → module, of the packages that run the benchmarks.
 RUNNERS = {"pytest": "pytest", "pytest-benchmark": "pytest_benchmark", "pytest-xdist": "xdist"}
-FAILED = 1  # exit code of pytest where a test failed; other faults have other codes
+FAILED = 1  # exit code of pytest if a test failed; other faults have other codes
 DISAGREED = "an answer disagreed with the reference, or a benchmark failed: see above"
-TABLE_WIDTH = 136  # columns, where the output is no terminal
 
 FULL = {
     "sizes": ["240x320", "480x640", "1080x1920"],
@@ -66,7 +64,7 @@ BARS = FULL | {
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Read the command line; what it leaves open is that of a full, smoke or bars run."""
+    """Read the command line; options that are not given are those of a full, smoke or bars run."""
     parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--smoke", action="store_true", help="a small size, in about a minute")
@@ -82,7 +80,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     for name, value in (SMOKE if options.smoke else BARS if options.bars else FULL).items():
         if getattr(options, name, None) is None:
             setattr(options, name, value)
-    if options.arch != "cpu":  # one lane there; memory, bars and contests are those of the CPU
+    if options.arch != "cpu":  # one lane there; memory, bars and contests are of the CPU
         if options.bars:
             parser.error("the bars are those of the CPU: leave --arch or --bars out")
         options.lanes, options.memory, options.contests = "1", False, False
@@ -92,44 +90,37 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 
 
 def missing_runners() -> list[str]:
-    """Return the packages that benchmarks need and that are not installed."""
+    """Return the needed packages that are not installed."""
     return [name for name, module in RUNNERS.items() if find_spec(module) is None]
 
 
 def run_benchmarks(options: argparse.Namespace, threads: int, report: Path) -> int:
-    """Run the benchmarks on a number of threads; return pytest's exit code, 0 if all agreed."""
+    """Run the benchmarks with a number of threads; return the exit code of pytest."""
     command = [sys.executable, "-m", "pytest", str(Path(__file__).parent), "-q", "--tb=short"]
     command += ["-o", "python_files=bench_*.py", "-o", "python_functions=bench_*"]
     command += ["-W", "ignore::DeprecationWarning:taichi._lib.utils"]
-    command += [
-        "-n",
-        "0",
-        "-p",
-        "no:cacheprovider",
-        "--benchmark-quiet",
-        f"--benchmark-json={report}",
-    ]
+    command += ["-n0", "-pno:cacheprovider", "--benchmark-quiet", f"--benchmark-json={report}"]
     command += [f"--threads={threads}", f"--lanes={options.lanes}", f"--seconds={options.seconds}"]
     command += [f"--sizes={','.join(options.sizes)}", f"--arch={options.arch}"]
     if options.full_reference:
         command.append("--full-reference")
     if options.only:
         command += ["-k", f"stream or ({options.only})"]
-    # The reference's vectors and 6×6 systems lose by more threads of BLAS, which wait by spinning.
+    # More threads of BLAS, which wait by spinning, make the small systems of the reference slower.
     blas = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     environment = os.environ | dict.fromkeys(blas, "1")
     return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
 
 
 def fault_of(code: int) -> str:
-    """Return what went wrong in words, by pytest's exit code; nothing for 0."""
+    """Return the fault of an exit code of pytest in words; "" for 0."""
     if code == FAILED:
         return DISAGREED
     return f"pytest did not run the benchmarks (exit code {code}): see above" if code else ""
 
 
 def measure_memory() -> dict[str, float]:
-    """Return the float32 per pixel of every preset, each from a process of its own."""
+    """Return the peak memory of every preset, float32 per pixel, from a process of its own."""
     memory = {}
     for preset in get_args(Preset):
         command = [sys.executable, "-m", "bench.pair_memory", preset]
@@ -139,7 +130,7 @@ def measure_memory() -> dict[str, float]:
 
 
 def smoke_contests() -> bool:
-    """Run the contests with peers and of changes on small scenes; return whether they did."""
+    """Run small contests of peers and of changed settings; return whether both succeeded."""
     commands = (["bench.peers"], ["bench.ablation", "--preset", "fast", "--only", "warp"])
     return all(
         subprocess.run(
@@ -151,7 +142,7 @@ def smoke_contests() -> bool:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Return 0, or 1 where an answer disagreed, a method failed or a bar was missed."""
+    """Return 0, or 1 if an answer disagreed, a method failed or a bar was missed."""
     options = parse(arguments)
     missing = missing_runners()
     if missing:
@@ -176,10 +167,9 @@ def main(arguments: list[str] | None = None) -> int:
         path.write_text(json.dumps(memory, indent=1), encoding="utf-8")
 
     results = collect(reports, memory)
-    # Of a run that is not for them, those that it happens to measure.
+    # A run without --bars shows the bars of the figures that it measured.
     checked = [bar for bar in bars(results) if options.bars or bar.value is not None]
-    console = Console()
-    console = Console(width=max(console.width, TABLE_WIDTH))
+    console = wide_console()
     show(results, console)
     for bar in checked:
         console.print(str(bar), highlight=False)

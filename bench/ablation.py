@@ -1,7 +1,7 @@
-"""``python -m bench.ablation``: what each change of a preset does to errors and time, in one run.
+"""``python -m bench.ablation``: effect of each changed setting on errors and time, in one run.
 
-The changes are in `CHANGES`. All run on the same pairs, in turns; the tables and all numbers are
-left in bench/results.
+The changes of a preset are in `CHANGES`. All variants run on the same pairs, in turns. The tables
+and all figures are left in bench/results.
 """
 
 import argparse
@@ -9,26 +9,25 @@ import sys
 from collections.abc import Mapping
 from typing import Any, get_args
 
-from bench.shared.contest import Contest, interpretation
-from bench.shared.contest_command import (
+from bench.shared.command import (
     Pairs,
-    add_options,
-    check_counts,
     choose,
     hold_with_progress,
     load_pairs,
-    wide_console,
+    options_parser,
+    output_name,
 )
+from bench.shared.contest import Contest, interpretation
 from bench.shared.contest_report import show, write
-from bench.shared.results import RESULTS, machine
+from bench.shared.results import RESULTS, machine, wide_console
 from tisfm import runtime
 from tisfm.settings import Preset, Settings
 
-# Name → what differs from the preset. A setting that a change does not name is the preset's.
+# Name of a change → settings that differ from the preset.
 CHANGES: dict[str, dict[str, Any]] = {
     "no gradient constancy": {"gradient": 0.0, "brightness": 1.0},
     "no brightness constancy": {"brightness": 0.0},
-    # Without robust weights data count for more: λ̂ is the better of 300, 500 and 1000.
+    # Without robust weights the data term weighs more: the best λ̂ of 300, 500 and 1000.
     "quadratic data": {"data_contrast": None, "smoothness": 500.0},
     "no image-driven edges": {"image_edges": 0.0},
     "edges per component": {"joint_edges": False},
@@ -48,23 +47,21 @@ CHANGES: dict[str, dict[str, Any]] = {
     "over-relaxation 1.9": {"relaxation": 1.9},
     "half the smoothness": {"smoothness": 11.0},
     "twice the smoothness": {"smoothness": 44.0},
-    # On the scale of grey levels, λ̂ and ε are other numbers: λ̂ is the best of 200, 1000, 3000.
+    # In grey levels, λ̂ and ε have other magnitudes: the best λ̂ of 200, 1000 and 3000.
     "not normalised": {"normalization": None, "data_contrast": 1.0, "smoothness": 1000.0},
 }
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(prog="python -m bench.ablation", description=__doc__)
-    add_options(parser)
+    names = ("data", "pairs", "only", "threads", "rounds", "smoke", "output")
+    parser = options_parser("ablation", __doc__, *names)
     parser.add_argument("--preset", choices=get_args(Preset), default="accurate")
-    options = parser.parse_args(arguments)
-    check_counts(parser, options)
-    return options
+    return parser.parse_args(arguments)
 
 
 def variants(preset: Preset, changes: Mapping[str, Mapping[str, Any]]) -> dict[str, Settings]:
-    """Return name → settings; raise a ValueError that names a change which is impossible."""
+    """Return name → settings; raise a ValueError that names an impossible change."""
     settings = {}
     for name, change in changes.items():
         try:
@@ -79,7 +76,7 @@ def compare(options: argparse.Namespace, found: Pairs) -> Contest:
     base = Settings.preset(options.preset)
     reference = f"preset {options.preset}"
     every = variants(options.preset, CHANGES)
-    chosen = choose(list(every), options.only, what="change", name=str)
+    chosen = choose(list(every), options.only, kind="change", name=str)
     missing = dict(found.missing)
     missing.update({name: "the same as the preset" for name in chosen if every[name] == base})
     methods = [interpretation(reference, base)]
@@ -96,7 +93,7 @@ def compare(options: argparse.Namespace, found: Pairs) -> Contest:
 
 
 def remarks() -> list[str]:
-    """Return what each change is, and how to read the percentages."""
+    """Return the notes: the settings of each change, and the meaning of the percentages."""
     return [
         "In parentheses: the difference to the unchanged preset.",
         *(
@@ -107,15 +104,19 @@ def remarks() -> list[str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Return 0, 1 where a variant failed on a pair, or 2 where nothing could be run."""
+    """Return 0, 1 if a variant failed on a pair, or 2 if nothing could be run."""
     options = parse(arguments)
     try:
         contest = compare(options, load_pairs(options))
     except (OSError, ValueError) as error:
         print(f"bench.ablation: {error}", file=sys.stderr)
         return 2
-    path = RESULTS / (options.output or ("smoke-ablation" if options.smoke else "ablation"))
+    path = RESULTS / (output_name(options, "ablation"))
     title = f"Changes of the preset {options.preset}"
     write(contest, path, title=title, remarks=remarks(), changes=True)
     show(contest, wide_console(), changes=True)
     return 1 if contest.failures() else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -10,7 +10,7 @@ import pytest
 from bench.shared.problems import Problem, problem_at
 from tisfm import runtime
 
-SLOW = 2.0  # s, of a call that is timed once
+SLOW = 2.0  # s: a slower call is timed once
 
 
 def pytest_addoption(parser):
@@ -25,7 +25,7 @@ def pytest_addoption(parser):
 
 
 def pytest_sessionstart(session):
-    """Taichi and OpenCV take their threads once per process."""
+    """Start Taichi and OpenCV, whose numbers of threads are fixed in a process."""
     threads = session.config.getoption("threads")
     runtime.start(session.config.getoption("arch"), threads=threads)
     cv2.setNumThreads(threads)
@@ -35,7 +35,7 @@ def pytest_generate_tests(metafunc):
     sizes = metafunc.config.getoption("sizes").split(",")
     lanes = [int(count) for count in metafunc.config.getoption("lanes").split(",")]
     if "problem" in metafunc.fixturenames:
-        # By session, so that all there is to time on one size comes before the next.
+        # By session, so that all benchmarks of one size come before the next size.
         metafunc.parametrize("problem", sizes, indirect=True, scope="session")
     if "lanes" in metafunc.fixturenames:
         metafunc.parametrize("lanes", lanes, ids=[f"lanes{count}" for count in lanes])
@@ -52,7 +52,7 @@ def pytest_benchmark_update_machine_info(config, machine_info):
 
 
 def nvidia_gpu() -> str | None:
-    """Return the name of the GPU, where NVIDIA's tool is there to ask."""
+    """Return the name of the GPU if nvidia-smi reports one."""
     command = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
     try:
         lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout
@@ -71,8 +71,8 @@ def problem(request) -> Problem:
 def measure(benchmark, request):
     """Return a function that times a call and stores the timings under a label.
 
-    The call must have run before, so that it is compiled; a call that has not been checked and
-    takes long may go without the warm-up.
+    The call must have run before, so that it is compiled. A long call without a check before may
+    skip the warm-up.
     """
 
     def timed(call, *, warm=True, **label):

@@ -1,11 +1,10 @@
-"""What a wrong focal length does to depth, motion and flow: ``python -m bench.focal``.
+"""``python -m bench.focal``: effect of a wrong focal length on depth, motion and flow.
 
-Scenes are `tisfm.scenes.static_scene`, rendered with focal lengths that are known, and interpreted
-with multiples of them.
+Scenes are `tisfm.scenes.static_scene`, rendered with a known focal length and interpreted with
+multiples of it.
 """
 
-import argparse
-import json
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,8 +19,9 @@ from numpy.typing import NDArray
 import tisfm
 from bench.depth.scores import depth_of
 from bench.depth.two_stage import two_stage
-from bench.shared.figures import CURVES
-from bench.shared.results import RESULTS, machine
+from bench.shared.command import options_parser, words_of
+from bench.shared.figures import CURVES, tidy
+from bench.shared.results import RESULTS, Table, machine, text_of, write
 from tisfm import runtime
 from tisfm.evaluation.record import LITTLE_PARALLAX
 from tisfm.metrics import depth_errors, endpoint_error, pose_errors
@@ -31,17 +31,18 @@ from tisfm.scenes.block_scenes import STATIC_KINDS
 from tisfm.settings import Motion, Preset, Settings
 
 FOCALS = (320.0, 600.0, 1000.0)  # px, true
-# 5/3 takes 600 px for 1000 px, 0.6 the other way round: the pair that the paper compares.
+# Assumed over true focal length. 5/3 assumes 1000 px for 600 px and 0.6 the reverse, the pair that
+# the paper compares.
 RATIOS = (0.5, 0.6, 0.75, 0.9, 1.0, 1.1, 4 / 3, 5 / 3, 2.0)
-PAPER = ((600.0, 5 / 3), (1000.0, 0.6))  # true focal length, ratio
+PAPER = ((600.0, 5 / 3), (1000.0, 0.6))  # true focal length, px; ratio
 EXACT = 0.01  # px, threshold of the essential matrix of the true flow
-HARDLY = 1.2  # times the error at the true focal length
+HARDLY = 1.2  # times the error at the true focal length: below, depth counts as unaffected
 NOTES = (
     "abs-rel is the mean of |ΔZ|/Z after scaling by the median; direction and rotation are errors "
     'of the camera\'s motion, `motion="camera"`; the field is `motion="field"`, whose depth is by '
-    "eq. 24. Offset: c of the best 1/Z′ = a (1/Z + c), in medians of 1/Z. From the true flow: what "
-    "an essential matrix and triangulation make of it with the same focal length, so that what "
-    "remains is geometry. A scene is one pair of frames."
+    "eq. 24. Offset: c of the best 1/Z′ = a (1/Z + c), in medians of 1/Z. From the true flow: "
+    "depth by an essential matrix and triangulation with the same focal length, so that its error "
+    "is that of the geometry alone. A scene is one pair of frames."
 )
 COLUMNS = {
     "abs_rel": ("abs-rel", ".4f"),
@@ -53,6 +54,16 @@ COLUMNS = {
     "field_abs_rel": ("abs-rel of the field", ".4f"),
     "field_flow": ("EPE of the field, px", ".4f"),
 }
+ROWS = {
+    "abs_rel": "depth, abs-rel",
+    "direction": "direction, °",
+    "rotation": "rotation, °",
+    "field_flow": "flow of the field, EPE, px",
+}
+TICKS = (0.5, 0.75, 1.0, 1.33, 2.0)
+MARKERS = ("o", "s", "^", "v")
+FEW_DECADES = 30.0  # ratio of largest to smallest error: below, the axis has more ticks
+LEAST = 1e-4  # of errors on a logarithmic axis
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,12 +77,12 @@ class Outcome:
     focal : float
         The true focal length, px.
     ratio : float
-        What it was multiplied by.
+        Assumed focal length over the true one.
     status : str
     abs_rel : float or None
-        Of depth, scaled by the median; None where the status says that there is none.
+        Of depth, scaled by the median; None if the status says that there is no depth.
     offset : float or None
-        What is added to the inverse depth, as a share of the scene's median: see `offset_of`.
+        Constant added to the inverse depth, as a share of the scene's median: see `offset_of`.
     direction, rotation : float or None
         Errors of the motion, degrees.
     flow : float
@@ -127,7 +138,7 @@ def measure(pair: SyntheticPair, kind: str, ratio: float, preset: Preset) -> Out
 
 
 def offset_of(inverse_depth: NDArray, truth: NDArray) -> float:
-    """Return what has to be added to the true inverse depth so that the other is a multiple of it.
+    """Return the constant c for which inverse_depth is best fitted by a (truth + c).
 
     Parameters
     ----------
@@ -136,33 +147,30 @@ def offset_of(inverse_depth: NDArray, truth: NDArray) -> float:
     Returns
     -------
     float
-        c of the best inverse_depth = a (truth + c), in medians of the truth.
+        c, in medians of the truth.
     """
     slope, constant = np.polyfit(truth.ravel(), inverse_depth.ravel().astype(np.float64), 1)
     return float(constant / slope / np.median(truth))
 
 
-def tables(outcomes: Sequence[Outcome]) -> str:
-    """Return a Markdown table for every true focal length."""
-    lines = []
+def tables(outcomes: Sequence[Outcome]) -> list[str | Table]:
+    """Return a heading and a table for every true focal length."""
+    head = ["scene", "taken as, px", "ratio", *(title for title, _ in COLUMNS.values())]
+    found: list[str | Table] = []
     for focal in sorted({outcome.focal for outcome in outcomes}):
-        lines += [f"## True focal length {focal:g} px", ""]
-        titles = ["scene", "taken as, px", "ratio", *(title for title, _ in COLUMNS.values())]
-        lines += ["| " + " | ".join(titles) + " |"]
-        lines += ["| --- |" + " ---: |" * (len(titles) - 1)]
+        rows = []
         for outcome in (o for o in outcomes if o.focal == focal):
-            taken = f"{outcome.focal * outcome.ratio:.0f}"
-            cells = [outcome.kind, taken, f"{outcome.ratio:.2f}"]
+            row = [outcome.kind, f"{outcome.focal * outcome.ratio:.0f}", f"{outcome.ratio:.2f}"]
             for name, (_, form) in COLUMNS.items():
                 value = getattr(outcome, name)
-                cells.append(outcome.status if value is None else format(value, form))
-            lines.append("| " + " | ".join(cells) + " |")
-        lines.append("")
-    return "\n".join(lines)
+                row.append(outcome.status if value is None else format(value, form))
+            rows.append(row)
+        found += [f"## True focal length {focal:g} px", Table(head, rows)]
+    return found
 
 
 def finding(outcomes: Sequence[Outcome]) -> str:
-    """Return in words what the paper's pair of focal lengths comes to, and what all ratios do."""
+    """Return sentences on the paper's pair of focal lengths, and on all ratios."""
     at = {(o.kind, o.focal, round(o.ratio, 3)): o for o in outcomes}
     kinds = list(dict.fromkeys(o.kind for o in outcomes))
     sentences = []
@@ -178,10 +186,10 @@ def finding(outcomes: Sequence[Outcome]) -> str:
             f"{o.offset:+.2f} of its median ({o.kind}, {_taken(o)})" for o in (low, high)
         )
         sentences.append(
-            "What a rotation leaves unexplained at a wrong focal length is taken for parallax, "
-            f"much as a constant added to 1/Z, between {ends}. Where that brings 1/Z to 0 or "
-            "below, depth is lost, and the direction found may be the opposite; the true flow "
-            "leads there as well."
+            "At a wrong focal length, the part of a rotation that the camera cannot explain is "
+            f"taken for parallax: it acts as a constant added to 1/Z, between {ends}. Where 1/Z "
+            "falls to 0 or below, depth is lost and the direction may be the opposite one; the "
+            "same happens with the true flow."
         )
     for name, title in (("field_flow", "flow"), ("field_abs_rel", "depth, by eq. 24,")):
         factors = [getattr(o, name) / getattr(at[o.kind, o.focal, 1.0], name) for o in outcomes]
@@ -193,7 +201,7 @@ def finding(outcomes: Sequence[Outcome]) -> str:
 
 
 def _comparison(compared: Sequence[tuple[Outcome, Outcome]]) -> str:
-    """Return where depth at the second focal length is about as good as at the first."""
+    """Return the scenes whose depth is about as good at the second focal length as at the first."""
     same: list[str] = []
     other: list[str] = []
     for right, wrong in compared:
@@ -216,23 +224,10 @@ def _taken(outcome: Outcome) -> str:
 
 
 def report(outcomes: Sequence[Outcome], conditions: Mapping[str, Any]) -> str:
-    """Return all of it as Markdown."""
-    lines = ["# A wrong focal length", ""]
-    lines += [f"- {name}: {value}" for name, value in conditions.items()]
-    lines += ["", NOTES, "", "![Errors over the ratio of the two focal lengths](focal.png)", ""]
-    return "\n".join([*lines, finding(outcomes), "", tables(outcomes)])
-
-
-ROWS = {
-    "abs_rel": "depth, abs-rel",
-    "direction": "direction, °",
-    "rotation": "rotation, °",
-    "field_flow": "flow of the field, EPE, px",
-}
-TICKS = (0.5, 0.75, 1.0, 1.33, 2.0)
-MARKERS = ("o", "s", "^", "v")
-FEW_DECADES = 30.0  # ratio of the largest error to the smallest
-LEAST = 1e-4  # of errors on a logarithmic axis
+    """Return the results as Markdown."""
+    picture = "![Errors over the ratio of the two focal lengths](focal.png)"
+    title = "# A wrong focal length"
+    return text_of(title, conditions, NOTES, picture, finding(outcomes), *tables(outcomes))
 
 
 def draw(outcomes: Sequence[Mapping[str, Any]], path: Path) -> None:
@@ -285,22 +280,17 @@ def _scale(axes: Axes, values: Sequence[float]) -> None:
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())
     axes.axvline(1.0, color="0.6", linewidth=0.8, linestyle=":")
-    axes.grid(alpha=0.25, which="major", linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
+    tidy(axes)
     axes.tick_params(labelsize=8)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Measure, print and write the tables and the picture."""
-    parser = argparse.ArgumentParser(prog="python -m bench.focal", description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=RESULTS)
-    parser.add_argument("--height", type=int, default=240)
-    parser.add_argument("--width", type=int, default=320)
+    parser = options_parser("focal", __doc__, "threads", "output")
+    parser.add_argument("--height", type=int, default=240, help="px")
+    parser.add_argument("--width", type=int, default=320, help="px")
     parser.add_argument("--preset", choices=get_args(Preset), default="balanced")
-    parser.add_argument("--threads", type=int, default=2, metavar="N")
     options = parser.parse_args(arguments)
-    if options.threads < 1:
-        parser.error(f"--threads is {options.threads}: expected at least 1")
     runtime.start(threads=options.threads)
     size = (options.height, options.width)
     outcomes = []
@@ -309,7 +299,7 @@ def main(arguments: list[str] | None = None) -> int:
             pair = static_scene(kind, *size, focal=focal)
             outcomes += [measure(pair, kind, ratio, options.preset) for ratio in RATIOS]
     conditions = {
-        "command": f"`python -m bench.focal --preset {options.preset}`",
+        "command": words_of("focal", options, ["preset"]),
         "scenes": f"`tisfm.scenes.static_scene`, {options.height}×{options.width}",
         "preset": options.preset,
         "threads": options.threads,
@@ -317,9 +307,12 @@ def main(arguments: list[str] | None = None) -> int:
     }
     text = report(outcomes, conditions)
     print(text)
-    options.output.mkdir(parents=True, exist_ok=True)
-    (options.output / "focal.md").write_text(text, encoding="utf-8")
-    record = {**conditions, "found": [asdict(outcome) for outcome in outcomes]}
-    (options.output / "focal.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
-    draw([asdict(outcome) for outcome in outcomes], options.output / "focal.png")
+    path = RESULTS / (options.output or "focal")
+    records = [asdict(outcome) for outcome in outcomes]
+    write(path, text, {**conditions, "found": records})
+    draw(records, path.with_suffix(".png"))
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

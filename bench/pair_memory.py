@@ -1,9 +1,7 @@
-"""Peak memory of one interpretation, in a process of its own.
+"""``python -m bench.pair_memory PRESET [HxW]``: peak memory of one interpretation.
 
-``python -m bench.pair_memory PRESET [HxW]`` prints it.
-
-What the process holds after a first interpretation of a tiny pair (libraries, compiled kernels)
-and the two frames, uint8, exist before and do not count; the result does.
+Memory that the process holds after a first interpretation of a tiny pair (libraries, compiled
+kernels) does not count, nor do the two frames, uint8; the result counts.
 """
 
 import contextlib
@@ -18,33 +16,33 @@ import cv2
 import numpy as np
 
 import tisfm
+from bench.shared.results import memory
 from tisfm.settings import Preset
 
-SIZE = (1080, 1920)
+SIZE = (1080, 1920)  # px, height and width
 FLOAT = 4  # bytes
-STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
+CLEAR = Path("/proc/self/clear_refs")  # writing 5 resets the peak of resident memory
 
 
 def peak() -> int:
-    """Return the greatest resident memory since `restart`, or of the process, bytes."""
-    if STATUS.exists():
-        line = next(row for row in STATUS.read_text().splitlines() if row.startswith("VmHWM"))
-        return int(line.split()[1]) * 1024
+    """Return the peak of resident memory since `restart`, or of the process, bytes."""
+    if (size := memory("VmHWM")) is not None:
+        return int(size)
     used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return used if sys.platform == "darwin" else used * 1024
 
 
 def restart() -> None:
-    """Let the peak begin at what is resident now, where the system permits."""
-    # If not, what the tiny interpretation needed beyond what it left is taken off, too.
+    """Reset the peak to the present resident memory, if the system permits."""
+    # If not, temporary memory of the tiny interpretation is subtracted as well.
     with contextlib.suppress(OSError):
         CLEAR.write_text("5")
 
 
 def measure(preset: Preset, height: int, width: int) -> float:
-    """Return the float32 per pixel that interpreting a pair takes at its peak."""
+    """Return the peak memory of interpreting a pair, float32 per pixel."""
     settings, camera = tisfm.Settings.preset(preset), tisfm.Camera(focal=float(width))
-    # No rendered scene: what rendering frees would be there for the interpretation to reuse.
+    # No rendered scene: the interpretation would reuse memory that rendering has freed.
     blobs = np.random.default_rng(0).integers(0, 256, (height // 8, width // 8), dtype=np.uint8)
     frame0 = cv2.resize(blobs, (width, height))
     frame1 = np.roll(frame0, 2, axis=1)

@@ -1,71 +1,59 @@
-"""``python -m bench.peers``: tisfm beside other libraries, on the same pairs in one run.
+"""``python -m bench.peers``: flow of tisfm beside other libraries, on the same pairs in one run.
 
-The peers need an environment of their own, which ``--prepare DIR`` makes; ``--peer-python`` names
-its interpreter. Without one, those run that the present environment has. The tables, all numbers
-and a picture are left in bench/results.
+The other libraries need an environment of their own: ``--prepare DIR`` makes it, and
+``--peer-python`` names its interpreter. By default, the methods run that the present environment
+has. The tables, all figures and a picture are left in bench/results.
 """
 
 import argparse
-import contextlib
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
-from bench.shared.contest import Contest, Method, baseline, preset
-from bench.shared.contest_command import (
+from bench.shared.command import (
     Pairs,
-    add_options,
-    add_peer_option,
-    check_counts,
     choose,
     hold_with_progress,
     load_pairs,
-    wide_console,
+    options_parser,
+    output_name,
+    running_peers,
 )
+from bench.shared.contest import Contest, Method, baseline, preset
 from bench.shared.contest_plot import draw
 from bench.shared.contest_report import show, write
-from bench.shared.peer_process import Peer, find_peers, prepare, survey
-from bench.shared.results import RESULTS, machine
+from bench.shared.peer_process import prepare, survey
+from bench.shared.results import RESULTS, machine, print_gaps, wide_console
 from tisfm import runtime
 from tisfm.settings import Preset
 
 REFERENCE = "OpenCV DeepFlow"
 REMARKS = (
-    "Each peer runs with the defaults of its library, in a process of its own, on 8-bit grey "
-    "frames (scikit-image: grey in [0, 1]); their conversion is not timed. tisfm takes the frames "
-    "as they were read, and its time includes depth, 3D motion and confidence.",
+    "Each method of another library runs with the defaults of its library, in a process of its "
+    "own, on 8-bit grey frames (scikit-image: grey in [0, 1]); the conversion is not timed. tisfm "
+    "takes the frames as they were read, and its time includes depth, 3D motion and confidence.",
 )
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(prog="python -m bench.peers", description=__doc__)
-    add_options(parser)
+    names = ("data", "pairs", "only", "threads", "rounds", "smoke", "output", "peer-python")
+    parser = options_parser("peers", __doc__, *names)
     parser.add_argument("--paper", action="store_true", help='run the preset "paper", too')
-    add_peer_option(parser)
-    parser.add_argument("--prepare", type=Path, metavar="DIR", help="make their environment, only")
-    options = parser.parse_args(arguments)
-    check_counts(parser, options)
-    return options
+    parser.add_argument("--prepare", type=Path, metavar="DIR", help="make the environment only")
+    return parser.parse_args(arguments)
 
 
 def compare(options: argparse.Namespace, found: Pairs) -> Contest:
-    """Run tisfm's methods and the peers."""
+    """Run the methods of tisfm and of the other libraries."""
     runtime.start(threads=options.threads)
-    python, peers = find_peers(options.peer_python)
     presets: list[Preset] = ["fast", "balanced", "accurate"]
     if options.paper:
         presets.append("paper")
-    with contextlib.ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tisfm-peers-")))
+    with running_peers(options) as peers:
         methods: list[Method] = [preset(name) for name in presets]
-        methods.append(baseline())
-        for name in peers.available:
-            peer = Peer(name, python=python, threads=options.threads, folder=folder)
-            stack.callback(peer.close)
-            methods.append(peer)
-        methods = choose(methods, options.only, what="method", name=lambda method: method.name)
+        methods += [baseline(), *peers.methods]
+        methods = choose(methods, options.only, kind="method", name=lambda method: method.name)
         names = [method.name for method in methods]
         return hold_with_progress(
             methods,
@@ -76,29 +64,32 @@ def compare(options: argparse.Namespace, found: Pairs) -> Contest:
                 "pairs": found.source,
                 "threads": options.threads,
                 **machine(),
-                "peers": ", ".join(f"{name} {number}" for name, number in peers.versions.items()),
+                "peers": peers.versions,
             },
-            missing=found.missing | peers.missing,
+            missing=found.missing | peers.survey.missing,
         )
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Return 0, 1 where a method failed on a pair, or 2 where nothing could be run."""
+    """Return 0, 1 if a method failed on a pair, or 2 if nothing could be run."""
     options = parse(arguments)
     console = wide_console()
     try:
         if options.prepare:
             python = prepare(options.prepare)
-            for name, reason in survey(python).missing.items():
-                console.print(f"missing: {name}: {reason}", highlight=False, markup=False)
+            print_gaps(console, survey(python).missing)
             console.print(f"python -m bench.peers --peer-python {python}", soft_wrap=True)
             return 0
         contest = compare(options, load_pairs(options))
     except (OSError, ValueError, RuntimeError, subprocess.CalledProcessError) as error:
         print(f"bench.peers: {error}", file=sys.stderr)
         return 2
-    path = RESULTS / (options.output or ("smoke-peers" if options.smoke else "peers"))
+    path = RESULTS / output_name(options, "peers")
     write(contest, path, title="tisfm beside other libraries", remarks=REMARKS)
     draw(contest, path.with_suffix(".png"))
     show(contest, console)
     return 1 if contest.failures() else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

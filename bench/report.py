@@ -1,44 +1,53 @@
-"""From the stored timings to one table."""
+"""Table of the stored timings, and the bars that figures of a run are held to."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
-from bench.shared.results import Bar
+from bench.shared.results import Bar, Table, cell, text_of, write
 from tisfm.runtime import cpu_lanes
 from tisfm.settings import Preset
 
 HEAD = (
-    "kernel",
-    "size",
-    "model",
-    "solver",
-    "lanes",
-    "threads",
-    "ns/px",
-    "IQR",
-    "GB/s",
-    "stream",
-    "NumPy ns/px",
-    "ratio",
+    "kernel", "size", "model", "solver", "lanes", "threads", "ns/px", "IQR", "GB/s", "stream",
+    "NumPy ns/px", "ratio",
+)  # fmt: skip
+SIZE = (480, 640)  # px, height and width of a pair of the bars
+LARGE = (1080, 1920)  # px
+PAIR_SIZE = (240, 320)  # px, of the whole pair beside the reference
+THREADS = 2
+LANES = cpu_lanes()
+# Bounds of figures, set by hand from measurements of earlier states.
+MOST_NS_PER_PIXEL = 12.0  # ns per pixel of a sweep, edges separate, Cholesky
+MOST_NS_PER_PIXEL_JOINT = 6.0  # ns per pixel of a sweep, edges joint, closed form
+LEAST_RATIO = 70.0  # time of the reference's sweep over that of the kernel
+MOST_OVER_FLOOR = 1.3  # of a sweep in two passes: time over that of its bytes at stream bandwidth
+LEAST_PAIR_RATIO = 50.0  # time of the reference's pair over that of the library
+MOST_FLOATS_PER_PIXEL = 60.0  # float32 per pixel, peak memory
+# This preset has no bound of memory: its regulariser has 12 weights per pixel where the others have
+# 2, and its cycles keep coarser levels of the whole system.
+UNBOUNDED = "paper"
+
+# Selects the benchmarks that measure the bars, as pytest -k.
+_AT_PAIR_SIZE = f"{PAIR_SIZE[0]}x{PAIR_SIZE[1]}"
+SELECTION = (
+    f"(sweep and (rigid or lexicographic) and not {_AT_PAIR_SIZE}) or "
+    f"(pair and balanced and rigid and not cholesky and {_AT_PAIR_SIZE})"
 )
-TEXT_COLUMNS = 4
 NOTES = (
-    "ns/px: median time of a call over the pixels of the image, with the interquartile range; the "
-    "call includes the launch of the kernel. A dash: timed once.",
-    "GB/s: the bytes a kernel must move (bench/kernels/traffic.py), each array counted once; "
-    "stream: as a share of the stream bandwidth on the same number of threads, out of the caches: "
-    "above 100% where a size stays in them.",
-    "NumPy: the reference, float64, BLAS on one thread, in the same process; its answer agreed "
-    "with the kernel's before the kernel was timed. image_to_lanes stands beside a padded copy, "
-    "lanes_to_images and relayout beside a copy.",
-    "sweep_unfused: one pass over memory for each color, where that of the library makes one for "
-    "both; GB/s counts what each pass moves. matching_cost and aggregate: of 16 hypotheses.",
+    "ns/px: median time of a call over the number of pixels, with the interquartile range (a dash: "
+    "timed once); the call includes the launch of the kernel.",
+    "GB/s: the bytes that a kernel must move (bench/kernels/traffic.py), each array counted once. "
+    "Stream: as a share of the stream bandwidth of the memory with the same number of threads; "
+    "above 100% if the arrays stay in the caches.",
+    "NumPy: the reference, float64, BLAS on one thread, in the same process; its answer was "
+    "compared with that of the kernel before timing. image_to_lanes is compared with a padded "
+    "copy, lanes_to_images and relayout with a copy.",
+    "sweep_unfused: one pass over memory for each color, where the library makes one pass for "
+    "both; GB/s counts the bytes of each pass. matching_cost and aggregate: of 16 hypotheses.",
     "pair: coarse to fine to the end of its iterations (paper: 5 outer iterations of sweeps, "
     "balanced: 3 for each linearisation), beside the reference on the same pyramids. Where the "
     "reference was not run, agreement was checked on the same scene at 240x320.",
@@ -47,9 +56,9 @@ NOTES = (
 
 @dataclass(frozen=True)
 class Row:
-    """One timed kernel or pair. Times are in ns per pixel; None where there is no figure.
+    """One timed kernel or pair. Times are in ns per pixel; None for a missing figure.
 
-    `lanes` is 0 where a kernel works on plain images.
+    `lanes` is 0 for a kernel on plain images.
     """
 
     kernel: str
@@ -70,7 +79,7 @@ class Row:
 
     @property
     def over_floor(self) -> float | None:
-        """Time over that in which the stream moves as many bytes."""
+        """Time over the time of as many bytes at stream bandwidth."""
         return None if self.share is None else 1 / self.share
 
     def cells(self) -> list[str]:
@@ -84,22 +93,22 @@ class Row:
             str(self.lanes or "–"),
             str(self.threads),
             f"{self.time:.2f}",
-            _text(self.iqr, ".2f"),
-            _text(self.bandwidth, ".1f"),
-            _text(self.share, ".0%"),
-            _text(self.numpy, ".1f"),
-            _text(self.ratio, ".1f"),
+            cell(self.iqr, ".2f"),
+            cell(self.bandwidth, ".1f"),
+            cell(self.share, ".0%"),
+            cell(self.numpy, ".1f"),
+            cell(self.ratio, ".1f"),
         ]
 
 
 @dataclass(frozen=True)
 class Results:
-    """What one run measured.
+    """All figures of one run.
 
     Attributes
     ----------
     machine : dict
-        As pytest-benchmark describes it, with the versions of NumPy and Taichi.
+        As in the JSON of pytest-benchmark, with the versions of NumPy and Taichi.
     rows : list of Row
     streams : dict
         (threads, name) → GB/s.
@@ -174,12 +183,8 @@ def _per_pixel(entry: dict, statistic: str) -> float:
     return entry["stats"][statistic] / (height * width) * 1e9
 
 
-def _text(value: float | None, form: str) -> str:
-    return "–" if value is None else format(value, form)
-
-
 def describe(results: Results) -> list[str]:
-    """Return the lines that say where and beside what the table was measured."""
+    """Return lines on the machine, and on figures beside the table."""
     lines = []
     if machine := results.machine:
         cpu = machine.get("cpu", {})
@@ -203,49 +208,26 @@ def describe(results: Results) -> list[str]:
     return lines
 
 
+def table_of(results: Results) -> Table:
+    """Return the table of all kernels and pairs."""
+    return Table(HEAD, [row.cells() for row in results.rows], text_columns=4)
+
+
 def show(results: Results, console: Console) -> None:
     """Print the table."""
     for line in describe(results):
         console.print(line, highlight=False)
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for index, name in enumerate(HEAD):
-        table.add_column(name, justify="left" if index < TEXT_COLUMNS else "right", no_wrap=True)
-    for row in results.rows:
-        table.add_row(*row.cells())
-    console.print(table)
+    console.print(table_of(results).rich())
 
 
 def write_markdown(results: Results, path: Path, notes: Sequence[str] = ()) -> None:
-    """Write the same table as Markdown, with further notes."""
-    rules = ["---"] * TEXT_COLUMNS + ["---:"] * (len(HEAD) - TEXT_COLUMNS)
-    cells = [HEAD, rules, *(row.cells() for row in results.rows)]
-    lines = [f"- {line}" for line in describe(results)]
-    lines += ["", *("| " + " | ".join(row) + " |" for row in cells)]
-    lines += ["", *(f"- {note}" for note in (*notes, *NOTES)), ""]
-    path.write_text("\n".join([f"# Benchmark {path.stem}", "", *lines]), encoding="utf-8")
-
-
-SIZE, LARGE, THREADS, LANES = (480, 640), (1080, 1920), 2, cpu_lanes()
-MOST_NS_PER_PIXEL = 12.0
-MOST_NS_PER_PIXEL_JOINT = 6.0
-LEAST_RATIO = 70.0
-MOST_OVER_FLOOR = 1.3  # of a sweep in two passes: time over that of its bytes at stream bandwidth
-PAIR_SIZE, LEAST_PAIR_RATIO = (240, 320), 50.0
-MOST_FLOATS_PER_PIXEL = 60.0
-# The paper's regulariser has a weight for each unknown on each edge, 12 numbers per pixel where
-# the others have 2, and its cycles keep coarser levels of the whole system.
-UNBOUNDED = "paper"
-
-# What a run has to measure for these.
-_AT_PAIR_SIZE = f"{PAIR_SIZE[0]}x{PAIR_SIZE[1]}"
-SELECTION = (
-    f"(sweep and (rigid or lexicographic) and not {_AT_PAIR_SIZE}) or "
-    f"(pair and balanced and rigid and not cholesky and {_AT_PAIR_SIZE})"
-)
+    """Write the table as Markdown, with further notes."""
+    title = f"# Benchmark {path.stem}"
+    write(path, text_of(title, describe(results), table_of(results), [*notes, *NOTES]))
 
 
 def bars(results: Results) -> Iterator[Bar]:
-    """Yield every bar with the run's figure."""
+    """Yield every bar with the figure of the run."""
     conditions = f"{THREADS} threads, {LANES} lanes"
     row = _find_row(results, "sweep separate", "cholesky", SIZE)
     sweep = f"rigid sweep, edges separate, Cholesky, {SIZE[0]}x{SIZE[1]}, {conditions}"

@@ -1,12 +1,13 @@
-"""How fast the linear system converges: ``python -m bench.solvers``.
+"""``python -m bench.solvers``: convergence of the linear system.
 
 The system is that of a cold start at one scale: the paper's data term, weights of edges fixed by
-the image, ρ̂ = 0 at first. Its energy is compared with the least one after so much work.
+the image, ρ̂ = 0 at first. Its energy after some work is compared with the least energy.
 """
 
 import argparse
-import json
+import itertools
 import math
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -17,8 +18,9 @@ from typing import Any
 import cv2
 from matplotlib.figure import Figure
 
-from bench.shared.figures import CURVES
-from bench.shared.results import RESULTS, machine
+from bench.shared.command import options_parser, output_name
+from bench.shared.figures import CURVES, tidy
+from bench.shared.results import RESULTS, Table, machine, text_of, write
 from bench.shared.sequences import FlowPair, data_folder, find_pairs, scene_pairs
 from tisfm import runtime
 from tisfm.camera import Camera
@@ -32,9 +34,9 @@ from tisfm.solver.sampling import spline_taps
 from tisfm.solver.smoothness import image_edges_in_lanes, mean_step
 from tisfm.solver.unknowns import Unknowns
 
-SIZES = ((120, 160), (240, 320), (480, 640), (1080, 1920))
-ALPHA = PAPER_SMOOTHNESS
-IMAGE_EDGES = 2.0
+SIZES = ((120, 160), (240, 320), (480, 640), (1080, 1920))  # px, height and width
+ALPHA = PAPER_SMOOTHNESS  # λ̂
+IMAGE_EDGES = 2.0  # κ of the weights of edges
 FOCAL = 600 / 640  # of the width
 RELAXATIONS = (1.0, 1.5, 1.9, 1.95)
 SWEEPS = (1, 2, 4, 8, 12, 16, 20, 24, 32, 40, 50, 64, 80, 100, 128, 160, 200)
@@ -42,23 +44,24 @@ CYCLES = 12
 CONVERGED = 30  # cycles with conjugate gradients, for the least energy
 GAPS = (1e-2, 1e-3, 1e-4, 1e-5)
 BUDGET = 16.0  # sweeps
-TURNS = 9
+ROUNDS = 9  # timed calls of each step
+LEAST_GAP = 1e-8  # drawn: rounding to single precision decides smaller ones
+MOST_WORK = 130.0  # sweeps, drawn
 
-# Work, in sweeps of the finest grid, by the memory that has to be moved (a sweep: 29 words a
-# pixel). On every level, a quarter of the pixels of the one before: two sweeps, the residual and
-# its restriction (counted as a sweep, 25 words), the correction (counted as half, 14 words).
+# Work is counted in sweeps of the finest grid, by the memory to be moved (a sweep: 29 words per
+# pixel). On every level, with a quarter of the pixels of the finer one: two sweeps, the residual
+# and its restriction (25 words, counted as a sweep) and the correction (14 words, as half a sweep).
 LEVELS = 4 / 3
 CYCLE = LEVELS * 3.5
 SET_UP = 1.0  # coarse tensors and weights, 23 words, on all levels
 PLANE = 2.5  # conjugate gradients beside the cycle: 35 words for the scalars, 36 for the step
-
 
 CONSTANCY = Constancy(brightness=1.0, gradient=0.0, normalization=None, derivatives="cube")
 
 
 @dataclass(frozen=True)
 class Course:
-    """How the energy fell.
+    """Course of the energy over the work.
 
     Attributes
     ----------
@@ -67,7 +70,7 @@ class Course:
     work : list of float
         Sweeps of the finest grid.
     gap : list of float
-        (E − E*)/(E(0) − E*) after it.
+        (E − E*)/(E(0) − E*) after that work.
     """
 
     pair: str
@@ -77,7 +80,7 @@ class Course:
     gap: list[float]
 
     def work_to(self, gap: float) -> float:
-        """Return the least work that leaves such a gap, infinity where there is none."""
+        """Return the least work that brings the gap down to `gap`; infinity if none does."""
         return next((w for w, g in zip(self.work, self.gap, strict=True) if g <= gap), math.inf)
 
 
@@ -114,10 +117,10 @@ class System:
             contrast=math.inf,
             scales=term.scales,
         )
-        self.energy()  # leaves the weights, g
+        self.energy()  # also sets the weights of the edges
 
     def energy(self) -> float:
-        """Return the energy of ρ̂ as it is."""
+        """Return the energy of the present ρ̂."""
         return self._update().energy
 
     def sweep(self, relaxation: float, sweeps: int = 1) -> None:
@@ -125,7 +128,7 @@ class System:
         self.system.sweep(self.unknowns.rho, relaxation=relaxation, sweeps=sweeps)
 
     def multigrid(self) -> Multigrid:
-        """Return multigrid, its systems set up."""
+        """Return multigrid with coarse systems."""
         multigrid = Multigrid(self.unknowns, self.system, solver="cholesky")
         multigrid.coarsen()
         return multigrid
@@ -152,7 +155,7 @@ def cycles_of(system: System, *, conjugate: bool) -> Iterator[tuple[float, float
 
 
 def methods() -> dict[str, Callable[[System], Iterator[tuple[float, float]]]]:
-    """Return name → what yields work and energy."""
+    """Return name → function that yields work and energy."""
     found: dict[str, Callable[[System], Iterator[tuple[float, float]]]] = {}
     for relaxation in RELAXATIONS:
         name = "Gauss–Seidel" if relaxation == 1 else f"over-relaxation {relaxation:g}"
@@ -188,7 +191,7 @@ def courses(pair: FlowPair, size: tuple[int, int]) -> list[Course]:
 
 
 def wall_times(pair: FlowPair, size: tuple[int, int]) -> dict[str, float]:
-    """Return times as multiples of that of a sweep in the same turn, medians."""
+    """Return the median time of each step, as a multiple of that of a sweep in the same turn."""
     system = System(pair, size)
     multigrid = system.multigrid()
     steps: dict[str, Callable[[], object]] = {
@@ -198,7 +201,7 @@ def wall_times(pair: FlowPair, size: tuple[int, int]) -> dict[str, float]:
         "set-up": multigrid.coarsen,
     }
     seconds: dict[str, list[float]] = {name: [] for name in steps}
-    for turn in range(TURNS + 1):
+    for turn in range(ROUNDS + 1):
         for name, step in steps.items():
             started = time.perf_counter()
             step()
@@ -211,42 +214,37 @@ def wall_times(pair: FlowPair, size: tuple[int, int]) -> dict[str, float]:
     return ratios | {"sweep, ns/px": 1e9 * median(seconds["sweep"]) / math.prod(size)}
 
 
-def gap_table(found: Sequence[Course]) -> str:
-    """Return a Markdown table: what is left after `BUDGET`, and the work to every gap."""
+def gap_table(found: Sequence[Course]) -> Table:
+    """Return the gap that is left after `BUDGET` sweeps, and the work to reach every gap."""
     sizes = list(dict.fromkeys(course.size for course in found))
     names = list(dict.fromkeys(course.method for course in found))
-    columns = [f"left after {BUDGET:g}", *(f"to {gap:g}" for gap in GAPS)]
-    lines = ["| | | " + " | ".join(columns) + " |", "|---" * (len(columns) + 2) + "|"]
-    for size in sizes:
-        for name in names:
-            mine = [c for c in found if (c.size, c.method) == (size, name)]
-            left = median(
-                min((g for w, g in zip(c.work, c.gap, strict=True) if w <= BUDGET), default=1.0)
-                for c in mine
-            )
-            works = [median(course.work_to(gap) for course in mine) for gap in GAPS]
-            most = f"> {mine[0].work[-1]:.0f}"
-            cells = [f"{left:.1e}", *(f"{w:.1f}" if w < math.inf else most for w in works)]
-            lines.append(f"| {size[0]}×{size[1]} | {name} | " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+    head = ["", "", f"left after {BUDGET:g}", *(f"to {gap:g}" for gap in GAPS)]
+    rows = []
+    for size, name in itertools.product(sizes, names):
+        mine = [c for c in found if (c.size, c.method) == (size, name)]
+        left = median(
+            min((g for w, g in zip(c.work, c.gap, strict=True) if w <= BUDGET), default=1.0)
+            for c in mine
+        )
+        works = [median(course.work_to(gap) for course in mine) for gap in GAPS]
+        most = f"> {mine[0].work[-1]:.0f}"
+        cells = [f"{left:.1e}", *(f"{w:.1f}" if w < math.inf else most for w in works)]
+        rows.append([f"{size[0]}×{size[1]}", name, *cells])
+    return Table(head, rows, text_columns=2)
 
 
-def time_table(times: dict[tuple[int, int], dict[str, float]]) -> str:
-    """Return a Markdown table of `wall_times`."""
+def time_table(times: dict[tuple[int, int], dict[str, float]]) -> Table:
+    """Return the table of `wall_times`."""
     names = list(next(iter(times.values())))[1:]
-    lines = ["| | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|"]
-    for (height, width), values in times.items():
-        cells = [f"{values[name]:.2f}" for name in names]
-        lines.append(f"| {height}×{width} | " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
-
-
-LEAST = 1e-8  # of gaps: below, single precision decides
-MOST_WORK = 130.0
+    rows = [
+        [f"{height}×{width}", *(f"{values[name]:.2f}" for name in names)]
+        for (height, width), values in times.items()
+    ]
+    return Table(["", *names], rows)
 
 
 def draw(found: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write the picture of courses, as `bench.solvers.Course` has them; medians over pairs."""
+    """Write the picture of the gap over the work, medians over pairs."""
     sizes = list(dict.fromkeys(course["size"] for course in found))
     names = list(dict.fromkeys(course["method"] for course in found))
     figure = Figure(figsize=(3.4 * len(sizes) + 0.4, 4.2), dpi=130, layout="constrained")
@@ -257,7 +255,7 @@ def draw(found: Sequence[Mapping[str, Any]], path: Path) -> None:
                 course for course in found if (course["size"], course["method"]) == (size, name)
             ]
             points = [
-                (work, max(median(gaps), LEAST))
+                (work, max(median(gaps), LEAST_GAP))
                 for work, *gaps in zip(mine[0]["work"], *(c["gap"] for c in mine), strict=True)
                 if work <= MOST_WORK
             ]
@@ -274,8 +272,7 @@ def draw(found: Sequence[Mapping[str, Any]], path: Path) -> None:
         axes.set_yscale("log")
         axes.axhline(1e-3, color="0.6", linewidth=0.8, linestyle=":")
         axes.axvline(16, color="0.6", linewidth=0.8, linestyle=":")
-        axes.grid(alpha=0.25, linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
+        tidy(axes)
         axes.tick_params(labelsize=8)
     grid[0].set_ylabel("(E − E*) / (E(0) − E*)", fontsize=9)
     handles, labels = grid[0].get_legend_handles_labels()
@@ -285,19 +282,12 @@ def draw(found: Sequence[Mapping[str, Any]], path: Path) -> None:
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(prog="python -m bench.solvers", description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=RESULTS)
-    parser.add_argument("--data", type=Path, metavar="DIR", help="sequences; default: TISFM_DATA")
-    parser.add_argument("--threads", type=int, default=2, metavar="N")
-    parser.add_argument("--smoke", action="store_true", help="the smallest size alone")
-    options = parser.parse_args(arguments)
-    if options.threads < 1:
-        parser.error(f"--threads is {options.threads}: expected at least 1")
-    return options
+    names = ("data", "threads", "smoke", "output")
+    return options_parser("solvers", __doc__, *names).parse_args(arguments)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure, print, and write table and picture."""
+    """Measure, print, and write the tables and the picture."""
     options = parse(arguments)
     runtime.start(threads=options.threads)
     folder = data_folder(options.data)
@@ -313,24 +303,24 @@ def main(arguments: list[str] | None = None) -> int:
         "threads": options.threads,
         **machine(),
     }
-    notes = (
+    path = RESULTS / output_name(options, "solvers")
+    tables = (
+        gap_table(found),
         "Left: (E − E*)/(E(0) − E*). Work is in sweeps of the finest grid, by the memory to be "
         "moved: a cycle of multigrid is two sweeps, a residual (counted as a sweep) and a "
         f"correction (half) on every level, {CYCLE:.2f} in all; its set-up, once, {SET_UP:g}; "
-        f"conjugate gradients {PLANE:g} more a cycle.\n"
+        f"conjugate gradients {PLANE:g} more a cycle.",
+        "Time, as multiples of that of one sweep (ω = 1) in the same turn, medians:",
+        time_table(times),
     )
-    heading = "# Solvers of the linear system\n\n"
-    heading += "".join(f"- {name}: {value}\n" for name, value in conditions.items())
-    text = gap_table(found) + "\n" + notes
-    text += "\nTime, as multiples of that of one sweep (ω = 1) in the same turn, medians:\n\n"
-    text += time_table(times)
-    print(text)
-    options.output.mkdir(parents=True, exist_ok=True)
-    name = "smoke-solvers" if options.smoke else "solvers"
-    picture = f"\n![Energy over work]({name}.png)\n"
-    (options.output / f"{name}.md").write_text(heading + "\n" + text + picture, encoding="utf-8")
+    print(text_of(*tables))
+    picture = f"![Energy over work]({path.stem}.png)"
     records = [asdict(course) for course in found]
-    record = {**conditions, "courses": records}
-    (options.output / f"{name}.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
-    draw(records, options.output / f"{name}.png")
+    text = text_of("# Solvers of the linear system", conditions, *tables, picture)
+    write(path, text, {**conditions, "courses": records})
+    draw(records, path.with_suffix(".png"))
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

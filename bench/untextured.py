@@ -1,27 +1,26 @@
-"""Flow, depth and confidence in parts without texture: ``python -m bench.untextured``.
+"""``python -m bench.untextured``: flow, depth and confidence in parts without texture.
 
-Scenes are `tisfm.scenes.bare_patches`, rounded to 8 bits and, in some rows, with Gaussian noise
-before, on both frames. A bare pixel is more than `MARGIN` px from texture and from
-the block's outline.
+Scenes are `tisfm.scenes.bare_patches`, rounded to 8 bits. In some rows, Gaussian noise is added to
+both frames before. A bare pixel is more than `MARGIN` px from texture and from the outline of the
+block.
 """
 
-import argparse
-import json
+import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import cv2
 import numpy as np
 
 import tisfm
-from bench.shared.results import RESULTS, machine
+from bench.shared.command import options_parser
+from bench.shared.results import RESULTS, Table, cell, machine, text_of, write
 from tisfm import runtime
 from tisfm.horn_schunck import horn_schunck
 from tisfm.scenes import SyntheticPair, bare_patches
 from tisfm.settings import Preset
 
 MARGIN = 8  # px
-LOW = 0.3  # confidence
+LOW = 0.3  # confidence below which a pixel counts as doubtful
 SEEDS = (0, 1, 2)
 NOISE = (2, 5)  # grey levels
 COLUMNS = {
@@ -38,7 +37,7 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class Method:
-    """Settings, None for Horn and Schunck; and the noise of the frames, grey levels."""
+    """Settings, or None for Horn and Schunck, and the noise of the frames, grey levels."""
 
     settings: tisfm.Settings | None
     noise: float = 0.0
@@ -61,7 +60,7 @@ def bare_parts(pair: SyntheticPair) -> np.ndarray:
 
 
 def measure(pair: SyntheticPair, settings: tisfm.Settings | None) -> dict[str, float]:
-    """Measure one scene; without settings, Horn and Schunck's flow, which has no depth."""
+    """Measure one scene; without settings, the flow of Horn and Schunck, which gives no depth."""
     bare, textured = bare_parts(pair), pair.textured & pair.visible
     left = np.arange(pair.labels.shape[1]) < pair.labels.shape[1] // 2
     result = None
@@ -105,25 +104,20 @@ def methods() -> dict[str, Method]:
     }
 
 
-def table(means: dict[str, dict[str, float]]) -> str:
-    """Return the means as a Markdown table."""
-    lines = ["| | " + " | ".join(COLUMNS.values()) + " |", "|---" * (len(COLUMNS) + 1) + "|"]
-    for name, values in means.items():
-        cells = [f"{values[key]:.3g}" if key in values else "–" for key in COLUMNS]
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+def table(means: dict[str, dict[str, float]]) -> Table:
+    """Return the means: a row for every method."""
+    rows = [
+        [name, *(cell(values.get(key), ".3g") for key in COLUMNS)] for name, values in means.items()
+    ]
+    return Table(["", *COLUMNS.values()], rows)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Measure, print and write the table."""
-    parser = argparse.ArgumentParser(prog="python -m bench.untextured", description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=RESULTS)
-    parser.add_argument("--height", type=int, default=240)
-    parser.add_argument("--width", type=int, default=320)
-    parser.add_argument("--threads", type=int, default=2, metavar="N")
+    parser = options_parser("untextured", __doc__, "threads", "output")
+    parser.add_argument("--height", type=int, default=240, help="px")
+    parser.add_argument("--width", type=int, default=320, help="px")
     options = parser.parse_args(arguments)
-    if options.threads < 1:
-        parser.error(f"--threads is {options.threads}: expected at least 1")
     runtime.start(threads=options.threads)
     scenes = {seed: bare_patches(options.height, options.width, seed=seed) for seed in SEEDS}
     found = {
@@ -137,23 +131,23 @@ def main(arguments: list[str] | None = None) -> int:
         name: {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
         for name, rows in found.items()
     }
-    text = table(means)
-    print(text)
-    options.output.mkdir(parents=True, exist_ok=True)
     conditions = {
         "scenes": f"`tisfm.scenes.bare_patches`, {options.height}×{options.width}, means of "
         f"{len(SEEDS)} seeds",
         "threads": options.threads,
         **machine(),
     }
-    heading = "# Parts without texture\n\n"
-    heading += "".join(f"- {name}: {value}\n" for name, value in conditions.items())
     notes = (
-        f"\nBare: more than {MARGIN} px from texture and from the block's outline. Depth by "
-        "eq. 24, in the scale of the textured pixels. Noise is Gaussian, independent in both "
-        "frames, and none but that of 8-bit rounding where none is named.\n"
+        f"Bare: more than {MARGIN} px from texture and from the outline of the block. Depth by eq. "
+        "24, in the scale of the textured pixels. Noise is Gaussian and independent in both "
+        "frames; a row without noise in its name has only that of rounding to 8 bits."
     )
-    (options.output / "untextured.md").write_text(heading + "\n" + text + notes, encoding="utf-8")
+    print(text_of(table(means)))
+    text = text_of("# Parts without texture", conditions, table(means), notes)
     record = {**conditions, "size": [options.height, options.width], "found": found}
-    (options.output / "untextured.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
+    write(RESULTS / (options.output or "untextured"), text, record)
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

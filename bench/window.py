@@ -1,17 +1,15 @@
-"""Three frames against two: ``python -m bench.window --data DIR``.
+"""``python -m bench.window --data DIR``: flow from three frames against flow from two.
 
 Frames t−1, t and t+1; the flow from t to t+1 by the pair alone, and with `window=3`. Errors are
-apart for what is occluded at t+1 (hidden there, or outside of the image) and for all else. Times
-are those of the last of the two interpretations; of each repetition, the pair and the window are
-timed one after the other, and the median of their ratios counts.
+separate for pixels that are occluded at t+1 (hidden, or outside the image) and for all others. The
+pair and the window are timed one after the other, and the median of the ratios counts.
 
 DIR has the folders ``sintel_alley`` and ``sintel_cave`` (frames 1 to 4 of a sequence of MPI Sintel,
-and ``gt`` with the flow from frame 2 to 3, occlusions and invalid pixels); without it, only
-rendered sequences are measured. Their seeds are others than those that the method was made with.
+and ``gt`` with the flow from frame 2 to 3, occlusions and invalid pixels). Without DIR, only
+rendered sequences are measured, with other seeds than the method was developed with.
 """
 
-import argparse
-import json
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -21,7 +19,8 @@ import cv2
 import numpy as np
 
 import tisfm
-from bench.shared.results import RESULTS, machine
+from bench.shared.command import options_parser
+from bench.shared.results import RESULTS, Table, machine, text_of, write
 from tisfm import runtime
 from tisfm.formats import read_flo, read_image
 from tisfm.scenes import SyntheticPair, room, room_film, three_blocks, two_blocks
@@ -29,15 +28,19 @@ from tisfm.sources import FrameSource
 from tisfm.window import Window
 
 SEEDS = (10, 11)
-SPEEDS = ((240, 320, 1.0), (240, 320, 3.0), (480, 640, 2.0))
+SPEEDS = ((240, 320, 1.0), (240, 320, 3.0), (480, 640, 2.0))  # height and width, px; times
 ROOM_MOTIONS = {"sideways": (0.08, 0.0, 0.0), "forward": (0.02, 0.0, 0.12)}  # m/frame
-REPETITIONS = 5
-HIDDEN_BEHIND = 1.02  # of the depth that is seen there: what is farther is hidden
+REPETITIONS = 5  # timed calls of pair and window
+HIDDEN_BEHIND = 1.02  # times the visible depth: a farther point is hidden
+HEAD = (
+    "", "occluded, %", "EPE occluded: pair", "window", "change", "elsewhere: pair", "window",
+    "change", "occlusion F1, pair / window", "pair, ms", "time, window / pair",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
 class Triple:
-    """Frames t−1, t and t+1, the flow from t to t+1, (H, W, 2), and what of t is not in t+1."""
+    """Frames t−1, t and t+1, the flow from t to t+1, (H, W, 2), and the occluded pixels of t."""
 
     name: str
     frames: list[np.ndarray]
@@ -103,10 +106,10 @@ def bare_room(height: int, width: int, seed: int) -> Triple:
     return of_pairs(f"room, bare, {width}×{height}", before, after)
 
 
-def papered_room(height: int, width: int, seed: int, way: str) -> Triple:
-    """Render a film of a room with papered walls; flow is that of depth and poses."""
+def papered_room(height: int, width: int, seed: int, direction: str) -> Triple:
+    """Render a film of a room with papered walls; the flow follows from depth and poses."""
     poses = np.tile(np.eye(4), (3, 1, 1))
-    poses[:, :3, 3] = np.outer((-1, 0, 1), ROOM_MOTIONS[way])
+    poses[:, :3, 3] = np.outer((-1, 0, 1), ROOM_MOTIONS[direction])
     film = room_film(poses, height, width, seed=seed, textured=True)
     depth, camera = film.depth[1].astype(np.float64), film.camera
     cx, cy = camera.center_for(height, width)
@@ -114,13 +117,13 @@ def papered_room(height: int, width: int, seed: int, way: str) -> Triple:
     points = (
         np.stack(np.broadcast_arrays(x * depth, y * depth, camera.focal * depth)) / camera.focal
     )
-    moved = points - np.array(ROOM_MOTIONS[way])[:, None, None]
+    moved = points - np.array(ROOM_MOTIONS[direction])[:, None, None]
     flow = np.stack([camera.focal * moved[k] / moved[2] - (x, y)[k] for k in (0, 1)], axis=-1)
-    place = (flow + np.stack(np.broadcast_arrays(x + cx, y + cy), axis=-1)).astype(np.float32)
-    seen = cv2.remap(film.depth[2], place[..., 0], place[..., 1], cv2.INTER_NEAREST)
+    target = (flow + np.stack(np.broadcast_arrays(x + cx, y + cy), axis=-1)).astype(np.float32)
+    seen = cv2.remap(film.depth[2], target[..., 0], target[..., 1], cv2.INTER_NEAREST)
     hidden = moved[2] > HIDDEN_BEHIND * seen
     return Triple(
-        name=f"room, papered, {way}, {width}×{height}",
+        name=f"room, papered, {direction}, {width}×{height}",
         frames=list(film.frames),
         flow=flow,
         occluded=hidden | leaving(flow),
@@ -130,7 +133,7 @@ def papered_room(height: int, width: int, seed: int, way: str) -> Triple:
 
 
 def triples(data: Path | None) -> Iterator[list[Triple]]:
-    """Yield sequences, each with the triples that its errors are means of."""
+    """Yield the triples of each row; its errors are means over them."""
     if data is not None:
         yield [sintel(data / "sintel_alley", "Sintel alley_1")]
         for kind in ("clean", "final"):
@@ -139,8 +142,8 @@ def triples(data: Path | None) -> Iterator[list[Triple]]:
         for size in SPEEDS:
             yield [blocks(make, *size, seed) for seed in SEEDS]
     yield [bare_room(240, 320, seed) for seed in SEEDS]
-    for way in ROOM_MOTIONS:
-        yield [papered_room(240, 320, seed, way) for seed in SEEDS]
+    for direction in ROOM_MOTIONS:
+        yield [papered_room(240, 320, seed, direction) for seed in SEEDS]
 
 
 def measure(triple: Triple, settings: tisfm.Settings, repetitions: int) -> dict[str, float]:
@@ -178,61 +181,49 @@ def measure(triple: Triple, settings: tisfm.Settings, repetitions: int) -> dict[
     return values
 
 
-def row(name: str, values: dict[str, float]) -> str:
-    """Return a line of the table."""
+def row(name: str, values: dict[str, float]) -> list[str]:
+    """Return a row of the table."""
     cells = [f"{100 * values['share']:.1f}"]
     for part in ("occluded", "elsewhere"):
         pair, window = (values[f"{method}_{part}"] for method in ("pair", "window"))
         cells += [f"{pair:.3f}", f"{window:.3f}", f"{100 * (window / pair - 1):+.0f} %"]
     cells += [f"{values['pair_f1']:.2f} / {values['window_f1']:.2f}"]
-    cells += [f"{1000 * values['seconds']:.0f}", f"{values['ratio']:.2f}"]
-    return f"| {name} | " + " | ".join(cells) + " |"
-
-
-HEAD = (
-    "| | occluded, % | EPE occluded: pair | window | | elsewhere: pair | window | | occlusion F1, "
-    "pair / window | pair, ms | time, window / pair |\n" + "|---" * 11 + "|\n"
-)
+    return [name, *cells, f"{1000 * values['seconds']:.0f}", f"{values['ratio']:.2f}"]
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Measure, print and write the tables."""
-    parser = argparse.ArgumentParser(prog="python -m bench.window", description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=RESULTS)
-    parser.add_argument("--data", type=Path, help="folder with sintel_alley and sintel_cave")
+    parser = options_parser("window", __doc__, "data", "threads", "output")
     parser.add_argument("--presets", nargs="+", default=["balanced", "fast", "accurate"])
     parser.add_argument("--repetitions", type=int, default=REPETITIONS)
-    parser.add_argument("--threads", type=int, default=2, metavar="N")
     options = parser.parse_args(arguments)
     runtime.start(threads=options.threads)
     sequences = list(triples(options.data))
     found: dict[str, dict[str, dict[str, float]]] = {}
-    text = ""
+    sections: list[str | Table] = []
     for preset in options.presets:
         settings = tisfm.Settings.preset(preset)
-        found[preset] = {}
-        text += f"\n## `{preset}`\n\n" + HEAD
+        found[preset], rows = {}, []
         for sequence in sequences:
-            rows = [measure(triple, settings, options.repetitions) for triple in sequence]
-            values = {key: float(np.mean([one[key] for one in rows])) for key in rows[0]}
-            found[preset][sequence[0].name] = values
-            text += row(sequence[0].name, values) + "\n"
-            print(preset, text.splitlines()[-1], flush=True)
+            name = sequence[0].name
+            each = [measure(triple, settings, options.repetitions) for triple in sequence]
+            found[preset][name] = {
+                key: float(np.mean([one[key] for one in each])) for key in each[0]
+            }
+            rows.append(row(name, found[preset][name]))
+            print(preset, "|", " | ".join(rows[-1]), flush=True)
+        sections += [f"## `{preset}`", Table(HEAD, rows)]
     conditions = {"threads": options.threads, "repetitions": options.repetitions, **machine()}
-    heading = "# Three frames against two\n\n"
-    heading += "".join(f"- {name}: {value}\n" for name, value in conditions.items())
-    heading += (
-        "\nEnd-point error, px, of the flow from frame t to t+1: by the pair alone, and with "
-        "`window=3`, which sees frame t−1 as well. Occluded is what is hidden at t+1 or leaves the "
+    notes = (
+        "End-point error, px, of the flow from frame t to t+1: by the pair alone, and with "
+        "`window=3`, which also uses frame t−1. Occluded pixels are hidden at t+1 or leave the "
         f"image. Rendered rows are means of {len(SEEDS)} seeds. The ratio of times is the median "
-        "over runs in turn.\n"
+        "over runs in turn."
     )
-    options.output.mkdir(parents=True, exist_ok=True)
-    (options.output / "window.md").write_text(heading + text, encoding="utf-8")
-    record = json.dumps({**conditions, "found": found}, indent=1)
-    (options.output / "window.json").write_text(record, encoding="utf-8")
+    text = text_of("# Three frames against two", conditions, notes, *sections)
+    write(RESULTS / (options.output or "window"), text, {**conditions, "found": found})
     return 0
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    sys.exit(main())

@@ -1,52 +1,55 @@
-"""What storing every result costs a sequence: ``python -m bench.writing``.
+"""``python -m bench.writing``: cost of storing every result of a sequence.
 
 A loop over `tisfm.interpret_sequence`, `tisfm run --no-figures`, and `tisfm run` with a figure of
 every tenth pair take the same frames in turns, in one process, so that all find their kernels
 compiled.
 """
 
-import argparse
 import contextlib
 import io
-import json
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
 
 import tisfm
-from bench.shared.results import RESULTS, Bar, machine
+from bench.shared.command import options_parser
+from bench.shared.results import RESULTS, Bar, Table, exit_code, machine, text_of, write
 from tisfm import runtime
 from tisfm.cli.command_line import main as tisfm_command
 from tisfm.formats import write_png
 from tisfm.scenes import static_scene
 from tisfm.settings import Preset
 
-BARS = 1.3, 1.5  # times the loop: without figures, and with every tenth
+BARS = 1.3, 1.5  # times the loop, without figures and with one of every tenth pair; set by hand
 OPTIONS = ("--no-figures",), ("--figures", "10")
 NAMES = "`tisfm run --no-figures`", "`tisfm run --figures 10`"
-ROUNDS, PAIRS = 7, 30
-HEIGHT, WIDTH = 540, 960
+ROUNDS = 7
+PAIRS = 30  # of the rendered frames
+HEIGHT = 540  # px
+WIDTH = 960  # px
+HEAD = ("", "pairs", "rounds", "loop, s", "run, s", "ratio", "quartiles")
 Times = Sequence[tuple[float, float, float]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What was measured of one source.
+    """Times of one source.
 
     Attributes
     ----------
     source : str
     pairs : int
     times : sequence of (float, float, float)
-        The loop and the command line, without figures and with every tenth, s, in every round.
+        s in every round: of the loop, of the command without figures, and with every tenth.
     size : int
-        Bytes that the command line left without figures.
+        Bytes that the command wrote without figures.
     """
 
     source: str
@@ -119,39 +122,28 @@ def report(outcome: Outcome, conditions: dict[str, object]) -> str:
     for kind, seconds in enumerate(runs):
         low, middle, high = outcome.ratios(kind)
         rows.append(
-            f"| {NAMES[kind]} | {outcome.pairs} | {len(outcome.times)} | {loop:.2f} | "
-            f"{seconds:.2f} | {middle:.2f} | {low:.2f}–{high:.2f} |"
-        )
-    return "\n".join(
-        [
-            "# What storing every result costs",
-            "",
-            *(f"- {name}: {value}" for name, value in conditions.items()),
-            "",
-            "| | pairs | rounds | loop, s | run, s | ratio | quartiles |",
-            "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
-            *rows,
-            "",
-            f"{outcome.size / 1e6:.0f} MB were written without figures.",
-            "",
-            *(f"- {bar}" for bar in bars(outcome)),
-            "- loop: over `tisfm.interpret_sequence`, nothing stored. Medians, in turns; the "
-            "quartiles are those of the ratio in a round.",
-            "",
-        ]
-    )
+            [
+                NAMES[kind], str(outcome.pairs), str(len(outcome.times)), f"{loop:.2f}",
+                f"{seconds:.2f}", f"{middle:.2f}", f"{low:.2f}–{high:.2f}",
+            ]
+        )  # fmt: skip
+    notes = [
+        *map(str, bars(outcome)),
+        "loop: over `tisfm.interpret_sequence`, without storing anything. Medians, in turns; the "
+        "quartiles are those of the ratio in a round.",
+    ]
+    size = f"{outcome.size / 1e6:.0f} MB were written without figures."
+    return text_of("# Cost of storing every result", conditions, Table(HEAD, rows), size, notes)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, write ``bench/results/writing.md``, and return 1 if the bar is missed."""
-    parser = argparse.ArgumentParser(prog="python -m bench.writing", description=__doc__)
+    """Measure, write ``bench/results/writing.md``, and return 1 if a bar is missed."""
+    parser = options_parser(
+        "writing", __doc__, "rounds", "threads", "smoke", "output", rounds=ROUNDS, output="writing"
+    )
     parser.add_argument("source", nargs="?", type=Path, help="video or folder; default: rendered")
     parser.add_argument("--preset", choices=get_args(Preset), default="fast")
-    parser.add_argument("--rounds", type=int, default=ROUNDS)
     parser.add_argument("--pairs", type=int, default=PAIRS, help="of the rendered frames")
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--smoke", action="store_true", help="small frames, and no bar")
-    parser.add_argument("--output", default="writing", metavar="NAME")
     options = parser.parse_args(arguments)
     runtime.start(threads=options.threads)
     pairs, rounds, size = options.pairs, options.rounds, (HEIGHT, WIDTH)
@@ -165,13 +157,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(text)
     if options.smoke:
         return 0
-    (RESULTS / f"{options.output}.md").write_text(text, encoding="utf-8")
-    found = {"source": kind, "pairs": outcome.pairs, "times": outcome.times, "size": outcome.size}
-    (RESULTS / f"{options.output}.json").write_text(json.dumps(found) + "\n", encoding="utf-8")
-    return 0 if all(bar.met for bar in bars(outcome)) else 1
+    write(RESULTS / options.output, text, asdict(outcome) | {"source": kind})
+    return exit_code(bars(outcome))
 
 
 def _seconds(function: Callable[[], None]) -> float:
     start = time.perf_counter()
     function()
     return time.perf_counter() - start
+
+
+if __name__ == "__main__":
+    sys.exit(main())

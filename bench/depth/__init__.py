@@ -1,7 +1,6 @@
-"""How good depth and the camera's motion are: ``python -m bench.depth``.
+"""Errors of depth and of the motion of the camera: ``python -m bench.depth``.
 
-`contest` holds `methods` against one another on `pairs`, `scores` measures and `report` writes;
-`two_stage` is flow, essential matrix and triangulation, which tisfm stands beside. `focal`
-(``python -m bench.focal``) measures what a wrong focal length does. Imports tisfm and
+`contest` runs `methods` on `pairs` in turns, `scores` has their errors and `report` the tables.
+`two_stage` is the compared method: flow, essential matrix and triangulation. Imports tisfm and
 `bench.shared`.
 """

@@ -1,42 +1,39 @@
-"""``python -m bench.depth``: depth and motion of the camera beside a flow with two stages after.
+"""``python -m bench.depth``: depth and motion of the camera, beside flow with two stages after it.
 
-The two stages are an essential matrix by random sampling and triangulation, after the flow of
+The two stages are an essential matrix by random sampling, and triangulation, after the flow of
 OpenCV's DeepFlow or DIS, and of tisfm itself. DeepFlow needs an environment of its own, which
 ``python -m bench.peers --prepare DIR`` makes; ``--peer-python`` names its interpreter. The tables
-and all numbers are left in bench/results.
+and all figures are left in bench/results.
 """
 
 import argparse
-import contextlib
 import sys
-import tempfile
-from pathlib import Path
 
 import cv2
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from bench.depth.contest import DepthContest, hold
 from bench.depth.methods import FlowThenDepth, Joint, Method
 from bench.depth.pairs import Entry, data_entries, scene_entries
 from bench.depth.report import show, write
-from bench.shared.contest import preset as own_flow
-from bench.shared.contest_command import (
+from bench.shared.command import (
     SMOKE_SIZE,
-    add_method_options,
-    add_options,
-    check_counts,
     choose,
-    wide_console,
+    options_parser,
+    output_name,
+    progress,
+    running_peers,
+    words_of,
 )
-from bench.shared.peer_process import Peer, find_peers
-from bench.shared.results import RESULTS, machine
+from bench.shared.contest import preset as own_flow
+from bench.shared.results import RESULTS, machine, wide_console
 from bench.shared.sequences import data_folder
 from tisfm import runtime
-from tisfm.settings import Motion, Preset
+from tisfm.settings import Motion
 
 FLOWS = ("OpenCV DeepFlow", "OpenCV DIS medium")
-SCENE_SIZE = (240, 320)
+SCENE_SIZE = (240, 320)  # px, height and width of rendered scenes
+# Options that the results name.
+WORDS = ("preset", "rounds", "threads", "pairs", "only", "smoke", "data", "peer-python")
 MOTIONS: tuple[Motion, ...] = ("camera",)
 REMARKS = (
     "Flows of other libraries run with their defaults, each in a process of its own, on 8-bit grey "
@@ -46,17 +43,13 @@ REMARKS = (
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(prog="python -m bench.depth", description=__doc__)
-    add_options(parser)
-    add_method_options(parser)
-    parser.add_argument("--remark", metavar="TEXT", help="what else to say beside the tables")
-    options = parser.parse_args(arguments)
-    check_counts(parser, options)
-    return options
+    parser = options_parser("depth", __doc__, *WORDS, "output", preset=["balanced"])
+    parser.add_argument("--remark", metavar="TEXT", help="added to the notes of the tables")
+    return parser.parse_args(arguments)
 
 
 def find_entries(options: argparse.Namespace) -> tuple[list[Entry], dict[str, str]]:
-    """Return the pairs that the options ask for, and why others are missing."""
+    """Return the pairs that the options name, and why others are missing."""
     missing: dict[str, str] = {}
     entries = scene_entries(*_scene_size(options))
     folder = None if options.smoke else data_folder(options.data)
@@ -66,82 +59,55 @@ def find_entries(options: argparse.Namespace) -> tuple[list[Entry], dict[str, st
     elif not options.smoke:
         missing = {"real sequences": "no folder of them named"}
     name = "{0.group} {0.name}".format
-    return choose(entries, options.pairs, what="pair", name=name), missing
+    return choose(entries, options.pairs, kind="pair", name=name), missing
 
 
 def compare(options: argparse.Namespace) -> DepthContest:
-    """Run tisfm's methods and the two stages after every flow."""
+    """Run the methods of tisfm, and the two stages after every flow."""
     entries, missing = find_entries(options)
     height, width = _scene_size(options)
     runtime.start(threads=options.threads)
-    python, peers = find_peers(options.peer_python)
-    missing |= {name: why for name, why in peers.missing.items() if name in (*FLOWS, "all peers")}
-    presets: list[Preset] = options.preset
-    with contextlib.ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tisfm-depth-")))
+    rounds = 1 if options.smoke else options.rounds
+    with running_peers(options, FLOWS) as peers:
         methods: list[Method] = []
-        for preset in presets:
+        for preset in options.preset:
             methods += [Joint(preset, motion) for motion in MOTIONS]
             methods.append(FlowThenDepth(own_flow(preset)))
-        for name in FLOWS:
-            if name in peers.available:
-                peer = Peer(name, python=python, threads=options.threads, folder=folder)
-                stack.callback(peer.close)
-                methods.append(FlowThenDepth(peer))
-        methods = choose(methods, options.only, what="method", name=lambda method: method.name)
+        methods += map(FlowThenDepth, peers.methods)
+        methods = choose(methods, options.only, kind="method", name=lambda method: method.name)
         conditions = {
-            "command": command(options),
+            "command": words_of("depth", options, WORDS),
             "pairs": f"{len(entries)}; scenes are of {height}×{width} px",
-            "rounds": 1 if options.smoke else options.rounds,
+            "rounds": rounds,
             "threads": options.threads,
             **machine(),
             "OpenCV of the essential matrix": cv2.__version__,
-            "peers": ", ".join(f"{name} {number}" for name, number in peers.versions.items()),
+            "peers": peers.versions,
         }
-        return _hold_with_progress(methods, entries, conditions, missing)
+        with progress(len(methods) * (1 + rounds * len(entries))) as step:
+            return hold(
+                methods,
+                entries,
+                rounds=rounds,
+                conditions=conditions,
+                missing=missing | peers.survey.missing,
+                step=step,
+            )
 
 
 def _scene_size(options: argparse.Namespace) -> tuple[int, int]:
     return SMOKE_SIZE if options.smoke else SCENE_SIZE
 
 
-def command(options: argparse.Namespace) -> str:
-    """Return the command of this run; folders by what they are, not where."""
-    words = ["python -m bench.depth", "--preset", *options.preset]
-    words += ["--rounds", str(options.rounds), "--threads", str(options.threads)]
-    for name, given in (("--pairs", options.pairs), ("--methods", options.only)):
-        words += [name, *given] if given else []
-    words += ["--smoke"] if options.smoke else []
-    words += ["--data DIR"] if options.data else []
-    words += ["--peer-python PATH"] if options.peer_python else []
-    return f"`{' '.join(words)}`"
-
-
-def _hold_with_progress(
-    methods: list[Method], entries: list[Entry], conditions: dict, missing: dict[str, str]
-) -> DepthContest:
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    rounds = conditions["rounds"]
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("", total=len(methods) * (1 + rounds * len(entries)))
-
-        def step(text: str) -> None:
-            progress.update(task, description=text, advance=1)
-
-        return hold(
-            methods, entries, rounds=rounds, conditions=conditions, missing=missing, step=step
-        )
-
-
 def main(arguments: list[str] | None = None) -> int:
-    """Return 0, 1 where a method failed on a pair, or 2 where nothing could be run."""
+    """Return 0, 1 if a method failed on a pair, or 2 if nothing could be run."""
     options = parse(arguments)
     try:
         contest = compare(options)
     except (OSError, ValueError) as error:
         print(f"bench.depth: {error}", file=sys.stderr)
         return 2
-    path = RESULTS / (options.output or ("smoke-depth" if options.smoke else "depth"))
+    path = RESULTS / output_name(options, "depth")
     remarks = [*REMARKS, *([options.remark] if options.remark else [])]
     write(contest, path, remarks=remarks)
     show(contest, wide_console())

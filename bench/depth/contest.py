@@ -1,4 +1,4 @@
-"""Methods of depth run on the same pairs, in turns, and scored."""
+"""Methods of depth that run on the same pairs in turns, and their scores."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -16,12 +16,12 @@ from tisfm.scenes import static_scene
 
 WARM_UP = (96, 128)  # px
 LEAST_ERROR = 1e-6  # of errors whose logarithm is taken
-WRONG = {"direction": 90.0, "abs_rel_limited": 1.0}  # what a failure counts as among thresholds
+WRONG = {"direction": 90.0, "abs_rel_limited": 1.0}  # error of a failure, to choose a threshold
 
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """Pairs whose errors are summed up together."""
+    """Pairs whose errors are averaged together."""
 
     name: str
     pairs: tuple[str, ...]
@@ -29,7 +29,7 @@ class Group:
 
 @dataclass(frozen=True, kw_only=True)
 class DepthContest:
-    """All that one run measured.
+    """All figures of one run.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class DepthContest:
     groups : tuple of Group
     scores : tuple of Score
     missing : dict
-        What was asked for and could not be had → the reason.
+        Missing method or group → the reason.
     """
 
     conditions: dict[str, Any]
@@ -49,11 +49,11 @@ class DepthContest:
     missing: dict[str, str] = field(default_factory=dict)
 
     def thresholds(self, method: str) -> list[float]:
-        """Return the thresholds a method ran with; none for one that has no such thing."""
+        """Return the thresholds of a method's essential matrix; none for a method without one."""
         return sorted({s.threshold for s in self._of(method) if s.threshold is not None})
 
     def best_threshold(self, method: str) -> float | None:
-        """Return the threshold of the least product of errors, see `typical_errors`."""
+        """Return the threshold with the least product of `typical_errors`."""
         candidates = self.thresholds(method)
         if not candidates:
             return None
@@ -62,8 +62,8 @@ class DepthContest:
     def typical_errors(self, method: str, threshold: float | None) -> tuple[float, float]:
         """Return the geometric means over pairs of direction error, degrees, and of abs-rel.
 
-        Pairs whose pose is given have no essential matrix, and those of a camera that hardly moved
-        no direction to be found: they do not count.
+        Pairs with a given pose have no essential matrix, and pairs of a camera that hardly moved
+        have no certain direction: both are left out.
         """
         known = [s for s in self._at(method, threshold) if s.group != HARDLY_MOVED]
         posed = {s.pair for s in self.scores if s.direction is not None}
@@ -79,7 +79,7 @@ class DepthContest:
         return [s for s in self._at(method, threshold) if s.pair in group.pairs]
 
     def failures(self) -> dict[str, str]:
-        """Return "method on pair" → what happened, at the best thresholds."""
+        """Return "method on pair" → failure, at the best thresholds."""
         return {
             f"{s.method} on {s.pair}": s.failure
             for method in self.methods
@@ -93,7 +93,7 @@ class DepthContest:
         return asdict(self) | {"best_thresholds": best}
 
     def _at(self, method: str, threshold: float | None) -> list[Score]:
-        """Return the scores at a threshold, and those of calls that failed before there is one."""
+        """Return the scores at a threshold, and those of calls that failed before."""
         return [s for s in self._of(method) if s.threshold in (threshold, None)]
 
     def _of(self, method: str) -> list[Score]:
@@ -115,12 +115,12 @@ def hold(
     ----------
     methods, entries : sequence
     rounds : int
-        Timed calls of each method and pair; the first is the one that is scored. Before the first
-        pair every method runs on small scenes, where kernels are compiled.
+        Timed calls of each method and pair; the first is scored. Before the first pair, every
+        method runs on small scenes, to compile its kernels.
     conditions, missing : dict
         As in `DepthContest`.
     step : callable
-        Called with what comes next, before every call.
+        Called before every call with the name of the pair and the method.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def hold(
 
 
 def mean_median_worst(values: Sequence[float]) -> tuple[float, float, float] | None:
-    """Return the three, or None of nothing."""
+    """Return mean, median and worst, or None of no values."""
     return (fmean(values), median(values), max(values)) if values else None
 
 
@@ -196,7 +196,7 @@ def _timed(found: Score, times: list[tuple[float, float | None]]) -> Score:
 
 
 def _small_pairs() -> list[DepthPair]:
-    """Return a scene whose pose is to be found, and the same with its pose given."""
+    """Return a scene without a given pose, and the same scene with it."""
     scene = static_scene("sideways+rotation", *WARM_UP)
     pair = DepthPair(
         name="warm-up",

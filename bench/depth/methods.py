@@ -1,4 +1,4 @@
-"""What takes part in the comparison of depth: tisfm's own, and flows with two stages after."""
+"""Methods in the comparison of depth: tisfm, and flows with two stages after them."""
 
 import time
 from collections.abc import Sequence
@@ -21,29 +21,29 @@ THRESHOLDS = (0.001, 0.002, 0.005, 0.02, 0.1, 0.5)  # px, of the essential matri
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
-    """What one call of a method gave.
+    """Result of one call of a method.
 
     Attributes
     ----------
     method : str
-        What the tables call it.
+        Name in the tables.
     seconds : float
         Wall time of the whole call.
     threshold : float or None
-        That of the essential matrix, px.
+        Of the essential matrix, px.
     flow_seconds : float or None
-        What of the time the flow took, where that comes first.
+        Time of the flow, for a method that starts from one.
     pose : (4, 4) float64 or None
         P₁ = R P₀ + t.
     inverse_depth : (H, W) array or None
-        Signed; None where the method says that there is none.
+        Signed; None if the method reports no depth.
     deviation : (H, W) array or None
-        Its standard deviation.
+        Standard deviation of the inverse depth.
     visible : (H, W) bool array or None
-        What the method says is seen in frame 1 as well.
+        Pixels that the method reports as visible in frame 1.
     status : str
     failure : str
-        Why there is nothing else, "" if all went well.
+        The reason if there is no result, else "".
     """
 
     method: str
@@ -63,10 +63,10 @@ class Method(Protocol):
 
     @property
     def name(self) -> str:
-        """What the tables call it."""
+        """Name in the tables."""
 
     def run(self, pair: DepthPair) -> Sequence[Estimate]:
-        """Return what it makes of a pair, with each of its thresholds; or raise MethodFailure."""
+        """Return an estimate for each threshold; raise MethodFailure if there is none."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Joint:
             result = tisfm.interpret(
                 pair.frame0, pair.frame1, camera=pair.camera, settings=settings, pose=pose
             )
-        except Exception as error:  # one failure must not lose the others' figures
+        except Exception as error:  # a failure must not lose the figures of the other methods
             raise MethodFailure(f"{type(error).__name__}: {error}") from error
         seconds = time.perf_counter() - started
         seen = result.status not in LITTLE_PARALLAX
@@ -114,9 +114,9 @@ class FlowThenDepth:
     Parameters
     ----------
     flow : Method
-        Of `bench.shared.contest`: another library's or ours.
+        Of `bench.shared.contest`: of another library, or of tisfm.
     thresholds : sequence of float
-        Of the essential matrix, px: each has an estimate of its own, from the same flow.
+        Of the essential matrix, px; each gives an estimate from the same flow.
     """
 
     def __init__(self, flow: FlowMethod, thresholds: Sequence[float] = THRESHOLDS) -> None:

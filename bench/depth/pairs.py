@@ -1,4 +1,4 @@
-"""Pairs whose depth or motion of the camera is known: rendered scenes and real sequences."""
+"""Pairs with known depth or known motion of the camera: rendered scenes and real sequences."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ from tisfm.scenes.block_scenes import STATIC_KINDS
 
 SCENE_FOCALS = (300.0, 320.0, 600.0, 1200.0)  # px at a width of 320, of the seeds 0, 1, 2, 3
 BLOCK_SEEDS = (0, 1)
-AT_REST = 2  # labels below are the background's and the floor's
+AT_REST = 2  # labels below are those of the background and the floor
 
 MOVING = "two blocks"
 HAND_HELD, HARDLY_MOVED = "7-Scenes", "7-Scenes, hardly moved"
@@ -34,7 +34,7 @@ GIVEN = ", pose given"
 ROOMS = tuple(
     group + given for group in (RENDERED_ROOM, ROOM, OFFICE, STEPS) for given in (GIVEN, "")
 )
-FARTHEST = 40.0  # m: true depth beyond does not count in rooms
+FARTHEST = 40.0  # m: larger true depths do not count in rooms
 WIDE = "fountain"  # views of a wide baseline, with true poses
 WIDES = (WIDE + GIVEN, WIDE)
 STEREO, BLOCK_MATCHER = "stereo, pose given", "KITTI stereo, pose given"
@@ -42,7 +42,7 @@ STEREO, BLOCK_MATCHER = "stereo, pose given", "KITTI stereo, pose given"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DepthPair:
-    """Two frames, their camera, and what is known of depth and motion.
+    """Two frames, their camera, and the known depth and motion.
 
     Attributes
     ----------
@@ -52,15 +52,15 @@ class DepthPair:
     depth : (H, W) array or None
         True depth of frame 0, NaN where unknown.
     raw_depth : (H, W) array or None
-        The same as the depth camera gave it, where that is another camera.
+        The map of the depth camera before registration to the picture.
     pose : (4, 4) float64 or None
-        True motion of what is at rest, P₁ = R P₀ + t.
+        True motion of the static scene, P₁ = R P₀ + t.
     pose_given : bool
-        Whether methods are told the pose.
+        Whether methods get the pose.
     movers : (H, W) int array or None
-        0 at rest, other numbers for what moves on its own; None where nothing does.
+        0 for the static scene, another number for each moving object; None without any.
     visible : (H, W) bool array or None
-        What is seen in frame 1 as well, where that is known.
+        Pixels that are visible in frame 1, if known.
     """
 
     name: str
@@ -76,7 +76,7 @@ class DepthPair:
     visible: NDArray | None = None
 
     def flow_pair(self) -> FlowPair:
-        """Return the frames as methods of flow take them; their truth is unknown."""
+        """Return the frames as a pair of the flow contest, with unknown truth."""
         nothing = np.full((*self.frame0.shape[:2], 2), np.nan)
         return FlowPair(
             name=self.name, group=self.group, frame0=self.frame0, frame1=self.frame1, truth=nothing
@@ -85,7 +85,7 @@ class DepthPair:
 
 @dataclass(frozen=True)
 class Entry:
-    """A pair that can be loaded or rendered when its turn comes."""
+    """A pair that is loaded or rendered in its turn."""
 
     name: str
     group: str
@@ -101,7 +101,7 @@ class Selection:
     first: range
     step: int
     pose_given: bool = False
-    raw: bool = False  # whether depth maps are taken as they are
+    raw: bool = False  # whether depth maps are used without registration
 
 
 SELECTIONS: dict[Layout, list[Selection]] = {
@@ -178,7 +178,7 @@ def _selected(data: Path, layout: Layout, selection: Selection) -> Iterator[Entr
         number = int("".join(filter(str.isdigit, pair.name)))
         if number in selection.first:
             name = pair.name
-            if selection.group in (*ROOMS, *WIDES):  # numbers alone, and all are there twice
+            if selection.group in (*ROOMS, *WIDES):  # names are numbers, and each pair occurs twice
                 name = f"{selection.folder} {name}, {selection.step} apart"
             if selection.pose_given:
                 name += GIVEN
@@ -190,7 +190,7 @@ def _loaded(
     pair: DatasetPair, name: str, group: str, *, selection: Selection | None = None
 ) -> DepthPair:
     loaded = pair.load()
-    camera = loaded.camera or Camera()  # of a stereo pair: its depth is of any focal length
+    camera = loaded.camera or Camera()  # depth of a stereo pair does not depend on it
     depth, raw = loaded.depth, None
     if pair.layout in KNOWN_CAMERAS and pair.depth is not None:
         raw = read_depth(pair.depth)
@@ -252,13 +252,13 @@ def rendered(
     )
 
 
-OFF = 0.7  # px, at most, between a point and where it is seen, in both frames
+OFF = 0.7  # px between a match and the projected point, at most, in both frames; set by hand
 
 
 def depth_of_matches(
     frame0: NDArray, frame1: NDArray, camera: Camera, pose: NDArray
 ) -> NDArray[np.float32]:
-    """Return the depth of frame 0, (H, W), where a matched point is, NaN elsewhere.
+    """Return the depth of frame 0 by triangulated matches, (H, W), NaN between the matches.
 
     Parameters
     ----------

@@ -1,6 +1,5 @@
-"""A comparison of depth as tables: one that sums it up, one of each group, one of thresholds."""
+"""Tables of a comparison of depth: a summary, one of each group, one of thresholds."""
 
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from statistics import fmean, median
@@ -19,18 +18,19 @@ from bench.depth.pairs import (
     WIDES,
 )
 from bench.depth.scores import HORIZON, Score
-from bench.shared.contest_report import NOTHING, Cells
+from bench.shared.results import EMPTY, Table, gaps, print_gaps, text_of
+from bench.shared.results import write as write_files
 
 STATIC = "scenes, all static ones"
-HALF = 0.5  # relative error
-PARALLAX = 3.0  # px
+HALF = 0.5  # relative error of a pair that counts as wrong
+PARALLAX = 3.0  # px of median parallax above which depth should be found; set by hand
 COMMON = ", with depth by every method"
 _STATIC_PREFIX = "scenes, "
-TITLES = {"rooms": "Depth in bare rooms, beside two stages"}  # of files of some of the pairs
+TITLES = {"rooms": "Depth in bare rooms, beside two stages"}  # by name of the output
 
 Reduce = Callable[[Sequence[float]], float]
 
-# Of the summary: title, group, what is averaged, how, and digits.
+# Columns of the summary: title, group, name of the error, average, digits.
 SUMMARY: tuple[tuple[str, str, str, Reduce, int], ...] = (
     ("scenes abs-rel, mean", STATIC, "abs_rel", fmean, 4),
     ("direction, mean °", STATIC, "direction", fmean, 2),
@@ -49,10 +49,10 @@ SUMMARY: tuple[tuple[str, str, str, Reduce, int], ...] = (
 
 
 def groups(contest: DepthContest) -> list[Group]:
-    """Return the groups, all static scenes together before them.
+    """Return the groups, after one of all static scenes.
 
-    A group of which a method says of some pairs that they show no depth is followed by what is
-    left of it without these: there, all methods are averaged over the same pairs.
+    If a method reports some pairs of a group as showing no depth, the group without these pairs
+    follows, so that all methods are averaged over the same pairs.
     """
     found = []
     for group in _whole_groups(contest):
@@ -63,7 +63,7 @@ def groups(contest: DepthContest) -> list[Group]:
 
 
 def common(contest: DepthContest, group: Group) -> Group:
-    """Return a group without the pairs that show no depth in the words of a method."""
+    """Return a group without the pairs that a method reports as showing no depth."""
     declined = {
         score.pair
         for method in contest.methods
@@ -80,8 +80,8 @@ def _whole_groups(contest: DepthContest) -> list[Group]:
     return [together, *contest.groups] if len(static) > 1 else list(contest.groups)
 
 
-def summary(contest: DepthContest) -> Cells:
-    """Return a row for every method, at its best threshold; all over the same pairs."""
+def summary(contest: DepthContest) -> Table:
+    """Return a row for every method, at its best threshold, over the same pairs."""
     found = {group.name: common(contest, group) for group in _whole_groups(contest)}
     columns = [column for column in SUMMARY if column[1] in found]
     rows = []
@@ -89,18 +89,18 @@ def summary(contest: DepthContest) -> Cells:
         row = [_title(contest, method)]
         for _, group, name, reduce, digits in columns:
             values = _values(contest.best(method, found[group]), name)
-            row.append(f"{reduce(values):.{digits}f}" if values else NOTHING)
+            row.append(f"{reduce(values):.{digits}f}" if values else EMPTY)
         rows.append(row)
-    return Cells(["method", *(column[0] for column in columns)], rows)
+    return Table(["method", *(column[0] for column in columns)], rows)
 
 
-def details(contest: DepthContest) -> dict[str, Cells]:
+def details(contest: DepthContest) -> dict[str, Table]:
     """Return group → table of all errors, a row for every method at its best threshold."""
     return {group.name: _detail(contest, group) for group in groups(contest)}
 
 
-def thresholds(contest: DepthContest) -> Cells:
-    """Return what every threshold of the essential matrix gives."""
+def thresholds(contest: DepthContest) -> Table:
+    """Return the errors at every threshold of the essential matrix."""
     rows = []
     for method in contest.methods:
         best = contest.best_threshold(method)
@@ -108,39 +108,40 @@ def thresholds(contest: DepthContest) -> Cells:
             direction, abs_rel = contest.typical_errors(method, threshold)
             mark = "best" if threshold == best else ""
             rows.append([method, f"{threshold:g}", f"{direction:.3f}", f"{abs_rel:.4f}", mark])
-    return Cells(["method", "threshold, px", "direction error, °", "abs-rel, limited", ""], rows)
+    return Table(["method", "threshold, px", "direction error, °", "abs-rel, limited", ""], rows)
 
 
 def notes(contest: DepthContest) -> list[str]:
-    """Return what a reader of the tables has to know."""
+    """Return the notes on the tables."""
     lines = [
-        "abs-rel: mean of |ΔZ|/Z after scaling every pair by the median; its pixels are those with "
-        "a positive depth, whose share is the density. Limited: after depth beyond "
-        f"{HORIZON:g} medians, or behind the camera, was put there, so that all pixels count. "
+        "abs-rel: mean of |ΔZ|/Z after scaling every pair by the median, over the pixels with a "
+        "positive depth; their share is the density. Limited: depth beyond "
+        f"{HORIZON:g} medians, or behind the camera, is set to {HORIZON:g} medians, so that all "
+        "pixels count. "
         "δ: share of pixels off by a factor below 1.25.",
         "All pixels: the same over every pixel of known depth, limited to [0.1 min Z, 10 max Z]; "
-        "one without has the latter, a pair without depth counts as 1, and truth beyond 40 m "
-        "is left out. The most certain: the 40% of the pixels with the least relative deviation, "
-        "in the unit of the given pose, each limited to 3. Converged, off by half: pairs that say "
-        "converged at an error over all pixels above 0.5. Depth where parallax: pairs with a "
-        "depth, of those whose median displacement is more than 3 px beside that of the rotation.",
+        "a pixel without depth counts as 10 max Z, a pair without depth as 1, and truth beyond 40 "
+        "m is left out. The most certain: the 40% of the pixels with the least relative "
+        "deviation, in the unit of the given pose, each limited to 3. Converged, off by half: "
+        "pairs with the status converged and an error over all pixels above 0.5. Depth where "
+        "parallax: pairs with a depth, of the pairs whose median parallax is above 3 px.",
         "Direction: angle between the translations, 180° if opposite. Rotation: angle left between "
         "the rotations. Mean / median / worst over the pairs. Where the pose is given, it is given "
         "to every method.",
         "Within σ: share of the visible pixels whose inverse depth, in the scale of the others, is "
         "off by less than its standard deviation; 68% of a normal error are.",
-        "No depth: pairs of which the method itself says that the parallax is too little for "
-        "depth, of all. They have no direction and no depth, and enter none of these means. "
-        "Two stages have no such status; where some pairs of a group have none, a second table has "
-        "the others, and so has the first table of all.",
-        "Seconds: median over the pairs of a group of the median over rounds; of two stages, all "
-        "of them together. Time over that of the field: over the flow field of the same preset, "
-        "which the two stages start from that are named after it.",
+        "No depth: pairs that the method itself reports as having too little parallax for depth, "
+        "of all. They have no direction and no depth, and do not enter these means. Two stages "
+        "have no such status. If some pairs of a group have no depth, a second table, and the "
+        "first of all, are of the other pairs.",
+        "Seconds: median over the pairs of a group of the median over rounds; of two stages, flow "
+        "and both stages together. Time / field: over the time of the flow field of the same "
+        "preset.",
         "Essential matrix: OpenCV's findEssentialMat (USAC, MAGSAC) on a regular grid of about "
         "4800 correspondences, the smaller of its two rotations, the sign of t by positive depth, "
         "linear triangulation. Its threshold is, for each flow, the best for it of those in the "
-        "last table: of the least product of the geometric means over pairs of the two errors "
-        "there. Pairs with a given pose or a camera that hardly moved do not count in it.",
+        "last table: the one with the least product of the geometric means over pairs of the two "
+        "errors there, without pairs with a given pose or a camera that hardly moved.",
     ]
     silent = [
         f"{method}: {', '.join(names)}"
@@ -153,37 +154,33 @@ def notes(contest: DepthContest) -> list[str]:
 
 
 def show(contest: DepthContest, console: Console) -> None:
-    """Print the summary, and what is missing or failed."""
+    """Print the summary, and the missing and failed methods."""
     console.print(summary(contest).rich())
-    for title, entries in (("missing", contest.missing), ("FAILED", contest.failures())):
-        for name, reason in entries.items():
-            console.print(f"{title}: {name}: {reason}", highlight=False, markup=False)
+    print_gaps(console, contest.missing, contest.failures())
 
 
 def write(contest: DepthContest, path: Path, *, remarks: Sequence[str] = ()) -> None:
     """Write PATH.md and PATH.json."""
     title = TITLES.get(path.stem, "Depth and motion of the camera, beside two stages")
-    lines = [f"# {title}", ""]
-    lines += [f"- {name}: {value}" for name, value in contest.conditions.items()]
-    lines += ["", *summary(contest).markdown(), ""]
-    lines += [f"- {note}" for note in (*remarks, *notes(contest))]
-    for heading, entries in (("Missing", contest.missing), ("Failed", contest.failures())):
-        if entries:
-            lines += ["", f"## {heading}", ""]
-            lines += [f"- {name}: {reason}" for name, reason in entries.items()]
+    blocks: list[str | Table] = []
     for group in groups(contest):
-        lines += ["", f"## {_heading(group)}", "", *_detail(contest, group).markdown()]
+        blocks += [f"## {_heading(group)}", _detail(contest, group)]
     table = thresholds(contest)
     if table.rows:
-        lines += ["", "## Thresholds of the essential matrix", "", *table.markdown()]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.with_suffix(".md").write_text("\n".join([*lines, ""]), encoding="utf-8")
-    content = json.dumps(contest.as_json(), indent=1, ensure_ascii=False)
-    path.with_suffix(".json").write_text(content + "\n", encoding="utf-8")
+        blocks += ["## Thresholds of the essential matrix", table]
+    text = text_of(
+        f"# {title}",
+        contest.conditions,
+        summary(contest),
+        [*remarks, *notes(contest)],
+        *gaps(contest.missing, contest.failures()),
+        *blocks,
+    )
+    write_files(path, text, contest.as_json())
 
 
-def _detail(contest: DepthContest, group: Group) -> Cells:
-    """Return a group's table without the columns that no method fills."""
+def _detail(contest: DepthContest, group: Group) -> Table:
+    """Return the table of a group, without empty columns."""
     head = [
         "method",
         "abs-rel mean",
@@ -208,8 +205,7 @@ def _detail(contest: DepthContest, group: Group) -> Cells:
     rows = [
         [_title(contest, method), *_cells(contest, method, group)] for method in contest.methods
     ]
-    filled = [k for k in range(len(head)) if any(row[k] != NOTHING for row in rows)]
-    return Cells([head[k] for k in filled], [[row[k] for k in filled] for row in rows])
+    return Table(head, rows).without_empty_columns()
 
 
 def _cells(contest: DepthContest, method: str, group: Group) -> list[str]:
@@ -232,7 +228,7 @@ def _cells(contest: DepthContest, method: str, group: Group) -> list[str]:
         _three(scores, "direction", 2),
         _three(scores, "rotation", 4),
         _reduced(scores, "within", fmean, ".0%"),
-        (f"{silent} of {len(scores)}" if speaks else NOTHING)
+        (f"{silent} of {len(scores)}" if speaks else EMPTY)
         + (f", {failed} failed" if failed else ""),
         _reduced(scores, "seconds", median, "#.3g"),
         _time_ratio(contest, method, group, scores),
@@ -240,18 +236,18 @@ def _cells(contest: DepthContest, method: str, group: Group) -> list[str]:
 
 
 def _trusted(scores: list[Score]) -> tuple[str, str]:
-    """Return how many say that they converged and are wrong, and have depth where it can be seen.
+    """Return the numbers of converged pairs that are wrong, and of pairs with parallax and depth.
 
-    Both only of methods that have a status, where depth is known.
+    Both are empty for methods without a status, and where no depth is known.
     """
     known = [score for score in scores if score.status and score.abs_rel_all is not None]
     if not known:
-        return NOTHING, NOTHING
+        return EMPTY, EMPTY
     converged = [score for score in known if score.status == "converged"]
     wrong = sum((score.abs_rel_all or 0) > HALF for score in converged)
     visible = [s for s in known if s.parallax is not None and s.parallax > PARALLAX]
     found = sum(not score.without_depth for score in visible)
-    return f"{wrong} of {len(known)}", f"{found} of {len(visible)}" if visible else NOTHING
+    return f"{wrong} of {len(known)}", f"{found} of {len(visible)}" if visible else EMPTY
 
 
 def _time_ratio(contest: DepthContest, method: str, group: Group, scores: list[Score]) -> str:
@@ -262,7 +258,7 @@ def _time_ratio(contest: DepthContest, method: str, group: Group, scores: list[S
         if other.startswith(f"{preset} + "):
             fields = {s.pair: s.flow_seconds for s in contest.best(other, group) if s.flow_seconds}
     ratios = [s.seconds / fields[s.pair] for s in scores if s.seconds and s.pair in fields]
-    return f"{median(ratios):#.3g}" if ratios else NOTHING
+    return f"{median(ratios):#.3g}" if ratios else EMPTY
 
 
 def _title(contest: DepthContest, method: str) -> str:
@@ -273,11 +269,11 @@ def _title(contest: DepthContest, method: str) -> str:
 def _heading(group: Group) -> str:
     many = f"{len(group.pairs)} pairs" if len(group.pairs) > 1 else "1 pair"
     kind = {
-        HAND_HELD: "a hand-held depth camera: approximate truth, of its map brought to the picture "
-        "and of the raw map",
+        HAND_HELD: "a hand-held depth camera: approximate truth, of its map registered to the "
+        "picture and of the raw map",
         HARDLY_MOVED: "frames in which the same camera had hardly moved",
         RENDERED_STUDIO: "poses only",
-        MOVING: "things that move on their own, beside a moving camera",
+        MOVING: "moving objects, and a moving camera",
         BLOCK_MATCHER: "the truth is a block matcher's",
         **dict.fromkeys(
             WIDES, "a wide baseline; the truth is that of matched points, by the true poses"
@@ -298,9 +294,9 @@ def _values(scores: Sequence[Score], name: str) -> list[float]:
 
 def _reduced(scores: Sequence[Score], name: str, reduce: Reduce, form: str) -> str:
     values = _values(scores, name)
-    return format(reduce(values), form).rstrip("%").rstrip(".") if values else NOTHING
+    return format(reduce(values), form).rstrip("%").rstrip(".") if values else EMPTY
 
 
 def _three(scores: Sequence[Score], name: str, digits: int) -> str:
     found = mean_median_worst(_values(scores, name))
-    return NOTHING if found is None else " / ".join(f"{value:.{digits}f}" for value in found)
+    return EMPTY if found is None else " / ".join(f"{value:.{digits}f}" for value in found)

@@ -11,12 +11,12 @@ from tisfm.evaluation.record import LITTLE_PARALLAX
 from tisfm.metrics import certain_error, depth_errors, pose_errors
 from tisfm.metrics.valid_pixels import is_known
 
-HORIZON = 10.0  # medians of depth: "limited" depth lies between the camera and there
+HORIZON = 10.0  # medians of depth: limit of "limited" depth
 
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """A method on a pair. What the pair's truth or the method does not give is None.
+    """Errors of a method on a pair. A figure that truth or method does not give is None.
 
     Attributes
     ----------
@@ -25,28 +25,26 @@ class Score:
         Of the essential matrix, px.
     status, failure : str
     seconds, flow_seconds : float
-        Medians of the wall time: of the call, and of its flow where that comes first.
+        Medians of the wall time: of the call, and of the flow that it starts from.
     abs_rel, delta1, density : float or None
         As in `tisfm.metrics.DepthErrors`, after scaling by the median.
     abs_rel_limited : float or None
-        The same after depth that is farther than `HORIZON` medians, or behind the camera, was put
-        there, so that every pixel counts and few do not decide.
+        The same after depth beyond `HORIZON` medians, or behind the camera, was set to `HORIZON`
+        medians, so that every pixel counts and a few cannot decide.
     abs_rel_raw : float or None
-        `abs_rel` with the depth as the depth camera gave it.
+        `abs_rel` against the unregistered map of the depth camera.
     abs_rel_rest, abs_rel_movers : float or None
-        Where things move on their own: of what is at rest, and of the rest, each thing scaled by
-        its own median.
+        Of the static pixels, and of the moving objects, each scaled by its own median.
     abs_rel_all : float or None
-        As in `tisfm.metrics.DepthErrors`: no pixel is left out. 1 where the method says that there
-        is no depth.
+        As in `tisfm.metrics.DepthErrors`, over all pixels. 1 if the method reports no depth.
     abs_rel_certain : float or None
-        Where the pose is given and deviations are: as `tisfm.metrics.certain_error`, in the unit
-        of the pose.
+        As `tisfm.metrics.certain_error`, in the unit of the pose, where pose and deviations are
+        given.
     parallax : float or None
-        Median over the pixels of known depth of the displacement that the true rotation leaves, px.
+        Median over the pixels of known depth of the displacement beside that of the rotation, px.
     within : float or None
-        Share of the visible pixels whose inverse depth, in the scale of the others, is off by less
-        than its standard deviation.
+        Share of the visible pixels whose inverse depth, in the common scale, is off by less than
+        its standard deviation.
     direction, rotation : float or None
         As in `tisfm.metrics.PoseErrors`, degrees.
     """
@@ -75,7 +73,7 @@ class Score:
 
     @property
     def without_depth(self) -> bool:
-        """Whether the method itself says that there is no depth to see."""
+        """Whether the method itself reports too little parallax for depth."""
         return self.status in LITTLE_PARALLAX
 
 
@@ -103,7 +101,7 @@ def score(estimate: Estimate, pair: DepthPair) -> Score:
         return replace(found, abs_rel_all=1.0)
     depth, inverse_depth = depth_of(estimate.inverse_depth), estimate.inverse_depth
     if not (known_depth(pair.depth) & np.isfinite(depth)).any():
-        return replace(found, failure="its depth cannot be compared: none where the true one is")
+        return replace(found, failure="it has no depth where the true depth is known")
     errors_of_depth = depth_errors(depth, pair.depth)
     raw = None if pair.raw_depth is None else depth_errors(depth, pair.raw_depth).abs_rel
     return replace(
@@ -134,7 +132,7 @@ def known_depth(truth: NDArray) -> NDArray[np.bool_]:
 
 
 def limited(depth: NDArray) -> NDArray[np.float64]:
-    """Return depth, (H, W), of which none is beyond `HORIZON` medians, nor unknown."""
+    """Return depth, (H, W), limited to `HORIZON` medians; unknown depth is set to that limit."""
     horizon = HORIZON * float(np.nanmedian(depth))
     return np.where(depth < horizon, depth, horizon)  # False for NaN
 
@@ -157,7 +155,7 @@ def parallax_of(pair: DepthPair) -> float | None:
 
 
 def _of_certain(estimate: Estimate, pair: DepthPair) -> float | None:
-    """Return the error of the pixels of the least relative deviation, in the unit of the pose."""
+    """Return the error of the pixels with the least relative deviation, in the unit of the pose."""
     if not pair.pose_given or estimate.deviation is None or estimate.inverse_depth is None:
         return None
     assert pair.depth is not None
@@ -165,7 +163,7 @@ def _of_certain(estimate: Estimate, pair: DepthPair) -> float | None:
 
 
 def _of_parts(depth: NDArray, pair: DepthPair, *, at_rest: bool) -> float | None:
-    """Return abs-rel of what is at rest or of the movers, each part in its own scale."""
+    """Return abs-rel of the static pixels or of the moving objects, each in its own scale."""
     if pair.movers is None or pair.depth is None:
         return None
     parts = [part for part in np.unique(pair.movers) if (part == 0) == at_rest]

@@ -1,6 +1,6 @@
-"""Depth in two stages: a flow first, then the camera's motion from it, then triangulation.
+"""Depth from a flow in two stages: the motion of the camera, then triangulation.
 
-The camera's motion is that of an essential matrix by random sampling (OpenCV's USAC, MAGSAC).
+The motion is that of an essential matrix by random sampling (OpenCV's USAC, MAGSAC).
 """
 
 from dataclasses import dataclass
@@ -11,18 +11,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.camera import Camera
 
-CORRESPONDENCES = 4800  # about so many, on a regular grid
-CONFIDENCE, ITERATIONS = 0.9999, 10_000  # of the random sampling
+CORRESPONDENCES = 4800  # on a regular grid, about
+CONFIDENCE = 0.9999  # of the random sampling
+ITERATIONS = 10_000  # of the random sampling, at most
 FEWEST_CORRESPONDENCES = 5  # of a sample
 
 
-class NoMotion(ValueError):  # noqa: N818 (it says what was found, not what went wrong)
+class NoMotion(ValueError):  # noqa: N818 (an outcome, not an error)
     """No essential matrix was found."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TwoStage:
-    """What the two stages after the flow give.
+    """Result of the two stages after a flow.
 
     Attributes
     ----------
@@ -39,7 +40,7 @@ class TwoStage:
 def two_stage(
     flow: NDArray, camera: Camera, *, threshold: float, pose: ArrayLike | None = None
 ) -> TwoStage:
-    """Return pose and depth that follow from a flow.
+    """Return pose and depth from a flow.
 
     Parameters
     ----------
@@ -50,7 +51,7 @@ def two_stage(
     threshold : float
         Distance from the epipolar line up to which a correspondence may be an inlier, px.
     pose : (4, 4) array, optional
-        The motion, where it is known: then only triangulation is left to do.
+        The motion, if it is known: only triangulation is done then.
 
     Returns
     -------
@@ -67,14 +68,14 @@ def two_stage(
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = _relative_pose(flow, camera, threshold)
     inverse_depth = triangulated(flow, camera, motion)
-    if np.mean(inverse_depth > 0) < 0.5:  # the essential matrix leaves the sign of t open
+    if np.mean(inverse_depth > 0) < 0.5:  # an essential matrix does not determine the sign of t
         motion[:3, 3] *= -1
         inverse_depth = -inverse_depth
     return TwoStage(pose=motion, inverse_depth=inverse_depth)
 
 
 def triangulated(flow: NDArray, camera: Camera, pose: NDArray) -> NDArray[np.float64]:
-    """Return the inverse depth that takes every point nearest to where the flow has it.
+    """Return the inverse depth that moves every point nearest to the end of its flow.
 
     Parameters
     ----------
@@ -107,7 +108,7 @@ def triangulated(flow: NDArray, camera: Camera, pose: NDArray) -> NDArray[np.flo
 
 
 def _relative_pose(flow: NDArray, camera: Camera, threshold: float) -> tuple[NDArray, NDArray]:
-    """Return R and t, ‖t‖ = 1 with the sign open, of the essential matrix of a flow."""
+    """Return R and t, ‖t‖ = 1 and of either sign, of the essential matrix of a flow."""
     height, width = flow.shape[:2]
     stride = max(1, round((height * width / CORRESPONDENCES) ** 0.5))
     rows, columns = np.mgrid[stride // 2 : height : stride, stride // 2 : width : stride]
@@ -130,6 +131,6 @@ def _relative_pose(flow: NDArray, camera: Camera, threshold: float) -> tuple[NDA
     if essential is None or essential.shape[0] < 3 or not np.isfinite(essential).all():
         raise NoMotion(f"no essential matrix was found at a threshold of {threshold:g} px")
     first, second, direction = cv2.decomposeEssentialMat(essential[:3])
-    # The two differ by half a turn about t; frames are close in time.
+    # The two rotations differ by half a turn about t; frames are close in time.
     smaller = first if np.trace(first) > np.trace(second) else second
     return np.asarray(smaller, np.float64), np.asarray(direction, np.float64).ravel()

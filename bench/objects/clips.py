@@ -1,4 +1,4 @@
-"""Sequences with true masks of what moves: clips of DAVIS, and the film of bodies."""
+"""Sequences with true masks of moving objects: clips of DAVIS, and the film of bodies."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +16,8 @@ from tisfm.scenes import BodiesFilm, bodies_film, bodies_path
 
 FOLDER = "davis"
 DAVIS, BODIES = "DAVIS", "bodies"
-FRAMES, SIZE = 40, (240, 320)  # of the film
+FRAMES = 40  # of the film
+SIZE = (240, 320)  # px, height and width of the film
 SMOKE_FRAMES = 6
 
 
@@ -30,7 +31,7 @@ class Clip:
     frames : list of (H, W) or (H, W, 3) uint8
         Grey or RGB.
     truth : list of (H, W) uint8
-        0 for what rests, a value for each thing.
+        0 for the static scene, another value for each object.
     camera : Camera or None
     film : BodiesFilm or None
         Of a rendered clip, with the true paths.
@@ -71,7 +72,7 @@ def rendered_clip(*, small: bool = False) -> Clip:
 
 
 def davis_folders(data: Path) -> list[Path]:
-    """Return the clips in a folder's davis, each with images and masks; none if there is none."""
+    """Return the folders of the clips of DAVIS; none if there is no folder of them."""
     folder = data / FOLDER
     if not folder.is_dir():
         return []
@@ -79,7 +80,7 @@ def davis_folders(data: Path) -> list[Path]:
 
 
 def davis_clip(folder: Path) -> Clip:
-    """Read a clip; raise ValueError unless it has as many masks as images."""
+    """Read a clip; raise ValueError if the numbers of masks and images differ."""
     images, masks = (_pictures(part) for part in (folder / "images", true_masks(folder)))
     if len(images) != len(masks):
         raise ValueError(f"{folder} has {len(images)} images and {len(masks)} masks")
@@ -96,10 +97,7 @@ def _pictures(folder: Path) -> list[Path]:
 
 
 def neighbours(count: int, number: int, nearest: int, end: int) -> Iterator[int]:
-    """Yield the frames before and after one at distances from the nearest up to an end, far first.
-
-    The end itself is not among them.
-    """
+    """Yield the frames before and after one, at distances from end - 1 down to nearest."""
     for distance in range(end - 1, nearest - 1, -1):
         for other in (number - distance, number + distance):
             if 0 <= other < count:

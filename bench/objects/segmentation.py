@@ -1,4 +1,4 @@
-"""Peers that take what differs from the background, after a homography, for what moves."""
+"""Peers: motion masks from differences after a homography, and from clusters of flow."""
 
 from collections.abc import Sequence
 from functools import reduce
@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from bench.objects.clips import neighbours
 
-_CORNERS = 1000
-_RANSAC = 1.5  # px
-REACH = 8  # frames before, and as many after, of the mixture of Gaussians
+_CORNERS = 1000  # tracked between frames, at most
+_RANSAC = 1.5  # px, threshold for tracked corners
+REACH = 8  # frames before, and as many after, in the mixture of Gaussians
 
 
 def homographies(grey: Sequence[NDArray]) -> list[NDArray[np.float64]]:
-    """Return what takes a place in each frame to that in the next, (3, 3), of the background.
+    """Return the homography of the background from each frame to the next, (3, 3).
 
-    Corners are followed by Lucas and Kanade's method; RANSAC keeps those of the largest plane.
+    Corners are tracked by the method of Lucas and Kanade; RANSAC keeps those of the largest plane.
     """
     found = []
     for frame, following in pairwise(grey):
@@ -34,7 +34,7 @@ def homographies(grey: Sequence[NDArray]) -> list[NDArray[np.float64]]:
 
 
 def between(steps: Sequence[NDArray], first: int, second: int) -> NDArray[np.float64]:
-    """Return what takes a place in one frame to that in another, either way."""
+    """Return the homography from one frame to another, in either direction."""
     if second < first:
         return np.asarray(np.linalg.inv(between(steps, second, first)))
     return np.asarray(reduce(lambda whole, step: step @ whole, steps[first:second], np.eye(3)))
@@ -43,28 +43,28 @@ def between(steps: Sequence[NDArray], first: int, second: int) -> NDArray[np.flo
 def differences(
     frames: Sequence[NDArray], steps: Sequence[NDArray], gap: int, *, both: bool
 ) -> list[NDArray[np.float32]]:
-    """Return how much each frame differs from its neighbours, a gap away, on their background.
+    """Return the difference of each frame from its neighbours, warped to its background.
 
     Parameters
     ----------
     frames, steps
         Frames and their homographies.
     gap : int
-        Frames to the neighbours before and after; at an end of the sequence there is one.
+        Distance to the neighbours before and after, frames; the first and last frames have one.
     both : bool
-        Whether it is the lesser of both differences, which is small where a thing was or will be;
-        or the greater, which is not small within a large thing.
+        Whether the smaller of both differences is used, which is small where an object was or will
+        be, or the larger, which is large also within a large object.
 
     Returns
     -------
     list of (H, W) float32
-        Grey levels; 0 where no neighbour sees the place.
+        Grey levels; 0 where no neighbour shows the pixel.
     """
     smooth = [cv2.GaussianBlur(frame, (0, 0), 1.5).astype(np.float32) for frame in frames]
     found = []
     for number, frame in enumerate(smooth):
         off = [
-            np.abs(frame - _brought(smooth[other], between(steps, number, other), np.nan))
+            np.abs(frame - _warped(smooth[other], between(steps, number, other), np.nan))
             for other in (number - gap, number + gap)
             if 0 <= other < len(frames)
         ]
@@ -72,7 +72,7 @@ def differences(
         if not channels:
             found.append(np.zeros(frame.shape[:2], np.float32))
             continue
-        # Where one does not see the place, the other tells.
+        # Where one neighbour does not show the pixel, the other one counts.
         choose = np.fmin if both else np.fmax
         found.append(np.nan_to_num(reduce(choose, channels)).astype(np.float32))
     return found
@@ -81,30 +81,30 @@ def differences(
 def mixtures(
     frames: Sequence[NDArray], steps: Sequence[NDArray], gap: int, threshold: float
 ) -> list[NDArray[np.uint8]]:
-    """Return what OpenCV's MOG2 takes for foreground, of the neighbours brought to each frame.
+    """Return the foreground of OpenCV's MOG2 from neighbours warped to each frame.
 
     Parameters
     ----------
     frames, steps
         Frames and their homographies.
     gap : int
-        Frames to the nearest neighbours that count: in nearer ones a thing is where it is now.
+        Distance to the nearest neighbours, frames; in nearer ones an object has hardly moved.
     threshold : float
-        Squared distance from the background, in deviations, of what is foreground: `varThreshold`.
+        Squared distance from the background, in deviations, of foreground: `varThreshold`.
     """
     found = []
     for number, frame in enumerate(frames):
         model = cv2.createBackgroundSubtractorMOG2(2 * REACH, threshold, False)
         for other in neighbours(len(frames), number, gap, gap + REACH):
-            # What a neighbour does not see is as in the frame.
-            moved = _brought(frames[other], between(steps, number, other), None, frame)
+            # Pixels that a neighbour does not show have the values of the frame.
+            moved = _warped(frames[other], between(steps, number, other), None, frame)
             model.apply(moved)
         found.append((model.apply(frame, learningRate=0) > 0).astype(np.uint8))
     return found
 
 
 def cleaned(mask: NDArray) -> NDArray[np.uint8]:
-    """Return a mask, 0 or 1, without specks and holes."""
+    """Return a mask, 0 or 1, after opening and closing."""
     size = max(3, round(mask.shape[1] / 100) | 1)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     wide = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3 * size, 3 * size))
@@ -112,10 +112,10 @@ def cleaned(mask: NDArray) -> NDArray[np.uint8]:
     return np.asarray(cv2.morphologyEx(opened, cv2.MORPH_CLOSE, wide), np.uint8)
 
 
-def _brought(
+def _warped(
     frame: NDArray, matrix: NDArray, border: float | None, under: NDArray | None = None
 ) -> NDArray:
-    """Return a frame at the places of another, outside of it a value or what is under it."""
+    """Return a frame warped to another; outside it a border value, or the pixels of `under`."""
     height, width = frame.shape[:2]
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     if under is None:
@@ -141,15 +141,15 @@ def _brought(
     )
 
 
-_EVERY = 4  # px: every so many rows and columns are fitted
-_FLOW_RANSAC = 1.0  # px
-_SAMPLES = 4000  # pixels that clusters are found from
-_NEAR = 0.15  # of the image's width: a distance that counts as much as a px of flow
+_STRIDE = 4  # px between the pixels that are fitted
+_FLOW_RANSAC = 1.0  # px, threshold for flow
+_SAMPLES = 4000  # pixels for the centres of clusters
+_NEAR = 0.15  # of the image width: distance that counts as much as 1 px of flow
 
 
 def off_homography(flow: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the flow less that of the homography of most of it, (H, W, 2), and its length, px."""
-    here, there, x, y = _places(flow)
+    """Return the flow minus that of its dominant homography, (H, W, 2), and its length, px."""
+    here, there, x, y = _samples(flow)
     matrix, _ = cv2.findHomography(here, there, cv2.RANSAC, _FLOW_RANSAC)
     if matrix is None:
         return flow, np.zeros(flow.shape[:2], np.float32)
@@ -160,8 +160,8 @@ def off_homography(flow: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float
 
 
 def off_epipolar_lines(flow: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the flow, and how far its ends are from epipolar lines of most of it (Sampson), px."""
-    here, there, x, y = _places(flow)
+    """Return the flow, and its distance from the dominant epipolar lines (Sampson), px."""
+    here, there, x, y = _samples(flow)
     matrix, _ = cv2.findFundamentalMat(here, there, cv2.FM_RANSAC, _FLOW_RANSAC, 0.99)
     if matrix is None or matrix.shape != (3, 3):
         return flow, np.zeros(flow.shape[:2], np.float32)
@@ -175,7 +175,7 @@ def off_epipolar_lines(flow: NDArray) -> tuple[NDArray[np.float32], NDArray[np.f
 
 
 def clusters(left: NDArray, moving: NDArray, count: int) -> NDArray[np.uint8]:
-    """Divide what moves by its motion and place, by k-means.
+    """Divide moving pixels by motion and position, with k-means.
 
     Parameters
     ----------
@@ -183,12 +183,12 @@ def clusters(left: NDArray, moving: NDArray, count: int) -> NDArray[np.uint8]:
         Motion, px.
     moving : (H, W) bool array
     count : int
-        How many clusters.
+        Number of clusters.
 
     Returns
     -------
     (H, W) uint8
-        0 where nothing moves, and 1 to `count`.
+        0 for static pixels, else 1 to `count`.
     """
     labels = moving.astype(np.uint8)
     rows, columns = np.nonzero(moving)
@@ -207,9 +207,9 @@ def clusters(left: NDArray, moving: NDArray, count: int) -> NDArray[np.uint8]:
     return labels
 
 
-def _places(flow: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Return some places and where they go, (n, 2) each, and x and y of all pixels."""
+def _samples(flow: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """Return some pixels and the ends of their flow, (n, 2) each, and x and y of all pixels."""
     y, x = (grid.astype(np.float32) for grid in np.mgrid[: flow.shape[0], : flow.shape[1]])
-    some = np.s_[_EVERY // 2 :: _EVERY, _EVERY // 2 :: _EVERY]
+    some = np.s_[_STRIDE // 2 :: _STRIDE, _STRIDE // 2 :: _STRIDE]
     here = np.column_stack([x[some].ravel(), y[some].ravel()])
     return here, here + flow[some].reshape(-1, 2), x, y

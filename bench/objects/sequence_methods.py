@@ -19,10 +19,13 @@ from bench.shared.sequences import FlowPair
 from tisfm.errors import is_user_error
 from tisfm.settings import Preset, Settings
 
-GAPS, DIFFERENCES = (1, 2, 4), (4.0, 6.0, 10.0, 16.0, 25.0)  # frames; grey levels
-NEAREST, VARIANCES = (1, 4), (4.0, 9.0, 16.0)  # frames; squared deviations
+# Parameters of the variants of the peers.
+GAPS = (1, 2, 4)  # frames to the neighbours of a difference
+DIFFERENCES = (4.0, 6.0, 10.0, 16.0, 25.0)  # grey levels
+NEAREST = (1, 4)  # frames to the nearest neighbour of a mixture
+VARIANCES = (4.0, 9.0, 16.0)  # squared deviations
 RESIDUALS = (0.5, 1.0, 2.0, 3.0)  # px
-COUNTS = (1, 3)
+COUNTS = (1, 3)  # clusters
 MODELS = {
     "homography": segmentation.off_homography,
     "epipolar lines": segmentation.off_epipolar_lines,
@@ -35,17 +38,17 @@ TRACKERS: dict[str, Callable[[Sequence[NDArray]], list[NDArray[np.uint8]]]] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Found:
-    """What a method found in a clip.
+    """Labels of a method for a clip.
 
     Attributes
     ----------
     variant : str
-        Its choices; "" of a method without any.
+        Its parameters; "" for a method without variants.
     labels : list of (H, W) uint8
     seconds : float
         Of the whole clip.
     objects : tuple
-        Those of `tisfm.reconstruct`.
+        Of `tisfm.reconstruct`.
     cameras : (N, 4, 4) float64 or None
         Camera to world.
     """
@@ -62,19 +65,19 @@ class Labeller(Protocol):
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Name in the tables."""
 
     def run(self, clip: Clip) -> Iterator[Found]:
-        """Yield what each variant finds; raise `MethodFailure`."""
+        """Yield the labels of each variant, or raise `MethodFailure`."""
 
 
 class Differences:
-    """What differs from both neighbours after a homography."""
+    """Pixels that differ from the neighbours after a homography."""
 
     name = "homography + difference"
 
     def run(self, clip: Clip) -> Iterator[Found]:
-        """Yield what each gap, threshold and tracker finds."""
+        """Yield the labels for each gap, threshold and tracker."""
         steps, aligning = timed(segmentation.homographies, clip.grey)
         for gap, both in product(GAPS, (True, False)):
             off, seconds = timed(segmentation.differences, clip.frames, steps, gap, both=both)
@@ -86,12 +89,12 @@ class Differences:
 
 
 class Mixtures:
-    """OpenCV's MOG2 on neighbours brought to each frame by homographies."""
+    """OpenCV's MOG2 on neighbours that are warped to each frame by homographies."""
 
     name = "homography + MOG2"
 
     def run(self, clip: Clip) -> Iterator[Found]:
-        """Yield what each gap, threshold and tracker finds."""
+        """Yield the labels for each gap, threshold and tracker."""
         steps, aligning = timed(segmentation.homographies, clip.grey)
         for gap, threshold in product(NEAREST, VARIANCES):
             found, seconds = timed(segmentation.mixtures, clip.frames, steps, gap, threshold)
@@ -101,12 +104,12 @@ class Mixtures:
 
 
 class FlowClusters:
-    """Flow less the background's, and clusters of it.
+    """Clusters of the flow minus that of the background.
 
     Parameters
     ----------
     peer : Peer
-        Where flow comes from.
+        Method of the flow.
     """
 
     def __init__(self, peer: Peer) -> None:
@@ -114,7 +117,7 @@ class FlowClusters:
         self.name = f"{peer.name} + clusters"
 
     def run(self, clip: Clip) -> Iterator[Found]:
-        """Yield what each model of the background, threshold, count and tracker finds."""
+        """Yield the labels for each background model, threshold, count and tracker."""
         flows, flowing = self._flows(clip)
         for name, model in MODELS.items():
             left, fitting = timed(lambda flows, fit: [fit(flow) for flow in flows], flows, model)
@@ -122,7 +125,7 @@ class FlowClusters:
                 masks, cleaning = timed(_above, [length for _, length in left], threshold)
                 for count in COUNTS:
                     labels, seconds = timed(_clustered, left, masks, count)
-                    labels.append(labels[-1])  # from the last frame there is no flow
+                    labels.append(labels[-1])  # the last frame has no flow
                     choice = f"{name}, {threshold:g} px, {count} clusters"
                     seconds += flowing + fitting + cleaning
                     yield from _by_tracker(choice, labels, seconds, count)
@@ -157,7 +160,7 @@ class Reconstruct:
         self.name = f"tisfm {preset}, objects"
 
     def run(self, clip: Clip) -> Iterator[Found]:
-        """Yield what is found; the camera is given where it is known."""
+        """Yield the labels; the camera is given if it is known."""
         settings = Settings.preset(self._preset, motion="objects")
         try:
             result, seconds = timed(
@@ -179,21 +182,21 @@ class Reconstruct:
 
 
 def timed(function: Callable[..., Any], *given: Any, **options: Any) -> tuple[Any, float]:
-    """Return what a function returns, and the seconds that it took."""
+    """Return the result of a function, and its time, s."""
     started = time.perf_counter()
     answer = function(*given, **options)
     return answer, time.perf_counter() - started
 
 
 def _above(values: Sequence[NDArray], threshold: float) -> list[NDArray[np.uint8]]:
-    """Return where each frame's values are above a threshold, without specks and holes."""
+    """Return where the values of each frame are above a threshold, after opening and closing."""
     return [segmentation.cleaned(value > threshold) for value in values]
 
 
 def _clustered(
     left: Sequence[tuple[NDArray, NDArray]], masks: Sequence[NDArray], count: int
 ) -> list[NDArray[np.uint8]]:
-    """Return the clusters of what moves in each frame."""
+    """Return the clusters of the moving pixels of each frame."""
     return [
         segmentation.clusters(motion, mask > 0, count)
         for (motion, _), mask in zip(left, masks, strict=True)
@@ -203,7 +206,7 @@ def _clustered(
 def _by_tracker(
     choice: str, masks: list[NDArray], seconds: float, clusters: int = 1
 ) -> Iterator[Found]:
-    """Yield the labels of each tracker; clusters have no meaning from frame to frame."""
+    """Yield the labels of each tracker; numbers of clusters change from frame to frame."""
     for name, track in TRACKERS.items():
         if name == "one label" and clusters > 1:
             continue

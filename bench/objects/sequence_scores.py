@@ -1,4 +1,4 @@
-"""How well the moving things of a sequence are labelled and followed, and how it is told."""
+"""Errors of the labels and paths of moving objects in a sequence, and their tables."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bench.objects.clips import Clip
 from bench.objects.sequence_methods import Found
-from bench.shared.contest_report import NOTHING, Cells
+from bench.shared.results import EMPTY, Table
 from tisfm.metrics import LabelScores, ObjectPathErrors, label_scores, object_path_errors
 
 
@@ -21,14 +21,14 @@ class ClipScore:
     ----------
     method, variant, clip, group : str
     iou : float
-        Mean over frames, then over things; 0 where the method failed.
+        Mean over frames, then over objects; 0 if the method failed.
     followed : float
-        Share of the frames with a thing in which a label follows it, over all things.
+        Share of the frames with an object in which a label follows it, over all objects.
     switches : int
     seconds : float
         Per frame.
     paths : tuple of ObjectPathErrors or None
-        Of each true thing, None where it was not found or no path is known.
+        Of each true object; None without a label or a known path.
     failure : str
     """
 
@@ -45,7 +45,7 @@ class ClipScore:
 
 
 def scored(method: str, clip: Clip, found: Found) -> ClipScore:
-    """Compare what a method found in a clip with the truth."""
+    """Compare the labels of a method with the truth."""
     scores = label_scores(found.labels, clip.truth)
     there = sum(thing.there for thing in scores.things)
     return ClipScore(
@@ -62,7 +62,7 @@ def scored(method: str, clip: Clip, found: Found) -> ClipScore:
 
 
 def _paths(clip: Clip, found: Found, scores: LabelScores) -> tuple[ObjectPathErrors | None, ...]:
-    """Compare the path of each thing's object with the true one, where both are known."""
+    """Compare the path of each object with the true one, if both are known."""
     if clip.film is None or found.cameras is None:
         return ()
     by_id = {item.id: item for item in found.objects}
@@ -80,7 +80,7 @@ def _paths(clip: Clip, found: Found, scores: LabelScores) -> tuple[ObjectPathErr
 
 
 def best(scores: Sequence[ClipScore]) -> list[ClipScore]:
-    """Return the scores of one method in the variant with the greatest mean IoU over its clips."""
+    """Return the scores of one method in its variant with the best mean IoU."""
     variants = list(dict.fromkeys(s.variant for s in scores))
 
     def mean(variant: str) -> float:
@@ -90,8 +90,8 @@ def best(scores: Sequence[ClipScore]) -> list[ClipScore]:
     return [s for s in scores if s.variant == chosen]
 
 
-def table(scores: Sequence[ClipScore]) -> Cells:
-    """Return a row for every method on the clips of one group, each in its best variant."""
+def table(scores: Sequence[ClipScore]) -> Table:
+    """Return the table of one group: a row for every method, in its best variant."""
     clips = list(dict.fromkeys(s.clip for s in scores))
     several = len(clips) > 1
     head = ["method", *(f"{clip} IoU" for clip in clips), *(["mean"] if several else [])]
@@ -106,47 +106,47 @@ def table(scores: Sequence[ClipScore]) -> Cells:
         name = method + (f" ({chosen[0].variant})" if chosen[0].variant else "")
         row = [name, *(_iou(by_clip.get(clip)) for clip in clips)]
         if several:
-            row.append(f"{fmean(s.iou for s in good):.3f}" if len(good) == len(clips) else NOTHING)
+            row.append(f"{fmean(s.iou for s in good):.3f}" if len(good) == len(clips) else EMPTY)
         if good:
             row.append(f"{100 * fmean(s.followed for s in good):.0f}")
             row += [str(sum(s.switches for s in good)), f"{fmean(s.seconds for s in good):#.3g}"]
         else:
-            row += [NOTHING] * 3
+            row += [EMPTY] * 3
         if paths:
             row += _path_cells([error for s in good for error in s.paths])
         rows.append(row)
-    return Cells(head, rows)
+    return Table(head, rows)
 
 
-def details(scores: Sequence[ClipScore]) -> Cells:
+def details(scores: Sequence[ClipScore]) -> Table:
     """Return a row for every variant, with the mean IoU of each group."""
     groups = list(dict.fromkeys(s.group for s in scores))
     rows = []
     for method, variant in dict.fromkeys((s.method, s.variant) for s in scores if not s.failure):
         mine = [s for s in scores if (s.method, s.variant) == (method, variant) and not s.failure]
-        row = [method, variant or NOTHING]
+        row = [method, variant or EMPTY]
         for group in groups:
             of_group = [s for s in mine if s.group == group]
             row += (
                 [f"{fmean(s.iou for s in of_group):.3f}", str(sum(s.switches for s in of_group))]
                 if of_group
-                else [NOTHING] * 2
+                else [EMPTY] * 2
             )
         rows.append(row)
     head = [word for group in groups for word in (f"{group} IoU", f"{group} switches")]
-    return Cells(["method", "variant", *head], rows)
+    return Table(["method", "variant", *head], rows)
 
 
 def _iou(score: ClipScore | None) -> str:
-    return NOTHING if score is None or score.failure else f"{score.iou:.3f}"
+    return EMPTY if score is None or score.failure else f"{score.iou:.3f}"
 
 
 def _path_cells(errors: Sequence[ObjectPathErrors | None]) -> list[str]:
-    """Return the mean errors of the paths that were found."""
+    """Return the mean errors of the known paths."""
     found = [error for error in errors if error is not None]
     shares = [100 * error.share for error in found if error.share is not None]
     if not shares:
-        return [NOTHING] * 2
+        return [EMPTY] * 2
     lost = len(errors) - len(found)
     note = f" ({lost} not found)" if lost else ""
     return [f"{fmean(shares):.1f}{note}", f"{fmean(error.rotation for error in found):.1f}"]

@@ -1,4 +1,4 @@
-"""A real sequence in which a man walks and a cyclist rides past while the camera moves as well."""
+"""A real sequence of a walking man and a passing cyclist, before a moving camera."""
 
 import time
 import warnings
@@ -11,17 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tisfm
-from bench.shared.contest_report import Cells
+from bench.shared.results import Table
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats import read_image
 from tisfm.settings import Preset, Settings
 
 FOLDER = "statue"
-STEP = 3  # frames from one to the other of a pair: they move by some 3 px each then
-EVERY = 2  # frames from pair to pair
-FOCALS = (384.0, 600.0)  # px: as it is guessed, and the paper's; the true one is not known
-FOUND = "found"  # the focal length that the sequence shows
-LEAST = 0.5  # of a patch has the label
+STEP = 3  # frames between the two of a pair, over which both people move by some 3 px
+EVERY = 2  # frames from one pair to the next
+FOCALS = (384.0, 600.0)  # px: the guess for this image size, and the paper's; the truth is unknown
+ESTIMATED = "estimated"  # origin of the focal length from all frames
+LEAST = 0.5  # share of a patch that has a label, to count
 # Centres of the man's upper body and of the cyclist's in every second frame, px.
 MAN = (
     (55, 107), (63, 107), (73, 106), (77, 102), (81, 106), (88, 111), (94, 111), (96, 107),
@@ -31,12 +31,13 @@ CYCLIST = (
     (254, 97), (258, 98), (259, 98), (260, 93), (261, 94), (264, 101), (265, 98), (265, 97),
     (265, 97), (261, 99), (260, 104), (264, 104), (262, 104), (268, 104), (274, 106),
 )  # fmt: skip
-MAN_SIZE, CYCLIST_SIZE = (11, 29), (9, 17)  # px: patches around them
+MAN_SIZE = (11, 29)  # px, width and height of the patch
+CYCLIST_SIZE = (9, 17)  # px
 
 
 @dataclass(frozen=True, kw_only=True)
-class Seen:
-    """What a pair of the sequence shows.
+class StatuePair:
+    """Labels of the two people in a pair of the sequence.
 
     Attributes
     ----------
@@ -45,13 +46,13 @@ class Seen:
     focal : float
         px.
     origin : str
-        ``"found"`` of the focal length that the sequence shows, or nothing.
+        `ESTIMATED`, or nothing.
     labels : int
-        How many there are.
+        Number of labels.
     man, cyclist : bool
-        Whether most of him has a label that is not the background's.
+        Whether most of the patch has a label that is not that of the background.
     apart : bool
-        Whether the two of them are not the same.
+        Whether the two labels differ.
     seconds : float
     """
 
@@ -74,22 +75,22 @@ def statue_pairs(data: Path) -> Iterator[tuple[int, NDArray, NDArray]]:
 
 
 def focals_of(data: Path) -> dict[float, str]:
-    """Return focal lengths, px, and what each is: those of `FOCALS`, and what the frames show."""
+    """Return focal length, px → origin: `FOCALS`, and the estimate from all frames."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GuessedFocalWarning)
         found = tisfm.reconstruct(data / FOLDER, depth_of="none")
-    return {**dict.fromkeys(FOCALS, ""), found.camera.focal: FOUND}
+    return {**dict.fromkeys(FOCALS, ""), found.camera.focal: ESTIMATED}
 
 
-def seen(
+def interpret_pair(
     preset: Preset,
     first: int,
     frame0: NDArray,
     frame1: NDArray,
     focal: float,
     origin: str = "",
-) -> Seen:
-    """Interpret a pair, and look for the labels of both."""
+) -> StatuePair:
+    """Interpret a pair, and return the labels of both people."""
     settings = Settings.preset(preset, motion="objects")
     started = time.perf_counter()
     result = tisfm.interpret(frame0, frame1, camera=tisfm.Camera(focal=focal), settings=settings)
@@ -97,7 +98,7 @@ def seen(
     assert result.labels is not None and result.motions is not None  # this motion model has them
     man = _label(result.labels, MAN[first // EVERY], MAN_SIZE)
     cyclist = _label(result.labels, CYCLIST[first // EVERY], CYCLIST_SIZE)
-    return Seen(
+    return StatuePair(
         method=f"tisfm {preset}, objects",
         pair=f"{FOLDER} {first}",
         focal=focal,
@@ -110,8 +111,8 @@ def seen(
     )
 
 
-def table(found: Sequence[Seen]) -> Cells:
-    """Return how often each has a label, a row for every method and focal length."""
+def table(found: Sequence[StatuePair]) -> Table:
+    """Return the number of labelled pairs: a row for every method and focal length."""
     rows = []
     for method, focal in dict.fromkeys((s.method, s.focal) for s in found):
         mine = [s for s in found if (s.method, s.focal) == (method, focal)]
@@ -127,12 +128,12 @@ def table(found: Sequence[Seen]) -> Cells:
                 f"{median(s.seconds for s in mine):#.3g}",
             ]
         )
-    head = ["method", "f, px", "pairs", "man", "cyclist", "both, each his own", "labels, mean", "s"]
-    return Cells(head, rows)
+    head = ["method", "f, px", "pairs", "man", "cyclist", "both, different", "labels, mean", "s"]
+    return Table(head, rows)
 
 
 def _label(labels: NDArray, centre: tuple[int, int], size: tuple[int, int]) -> int:
-    """Return the label that most of a patch has, 0 if there is none."""
+    """Return the label of most of a patch, or 0."""
     (x, y), (width, height) = centre, size
     patch = labels[y - height // 2 : y + height // 2 + 1, x - width // 2 : x + width // 2 + 1]
     areas = np.bincount(patch.ravel())

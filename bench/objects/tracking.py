@@ -1,4 +1,4 @@
-"""Labels that last, from masks of what moves in single frames."""
+"""Labels over a sequence from the motion masks of its frames."""
 
 from collections.abc import Sequence
 
@@ -6,29 +6,29 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-LEAST_AREA = 0.002  # of the image: smaller parts are noise
-_LAST = 10  # frames for which a label is remembered
-_LABELS = 255
+LEAST_AREA = 0.002  # of the image: smaller parts are dropped as noise; set by hand
+_LAST = 10  # frames after which an unseen label is forgotten; set by hand
+_LABELS = 255  # labels, at most, in 8 bits
 
 
 def as_one(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
-    """Return label 1 for all that moves."""
+    """Return label 1 for all moving pixels."""
     return [(mask > 0).astype(np.uint8) for mask in masks]
 
 
 def tracked(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
-    """Return labels of connected parts, the same where parts of later frames overlap them.
+    """Return labels of connected parts, which overlapping parts of later frames inherit.
 
     Parameters
     ----------
     masks : sequence of (H, W) array
-        0 where nothing moves; parts of different values are different.
+        0 for static pixels; parts with different values are separate.
 
     Returns
     -------
     list of (H, W) uint8
-        A part takes the label, of the last 10 frames, whose last place it overlaps most, if no
-        larger part has it; or else a new one, while there are any.
+        A part takes the label of the last 10 frames that it overlaps most, if no larger part has
+        that label; else a new label, up to 255.
     """
     places: dict[int, NDArray[np.bool_]] = {}
     seen: dict[int, int] = {}
@@ -60,7 +60,7 @@ def tracked(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
 
 
 def parts(mask: NDArray) -> list[NDArray[np.bool_]]:
-    """Return the connected parts of each value that are not small, the largest first."""
+    """Return the connected parts of each value that are large enough, the largest first."""
     found = []
     for value in np.unique(mask[mask > 0]):
         _, components = cv2.connectedComponents((mask == value).astype(np.uint8))

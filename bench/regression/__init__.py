@@ -1,7 +1,6 @@
-"""Does this code answer as another checkout does, and as fast: ``python -m bench.regression``.
+"""Results and speed of this code beside another checkout: ``python -m bench.regression``.
 
-`pairs` are what both interpret, `checkout` runs each in processes of its own with its own
-interpreter, `worker` is what those run: it needs NumPy and the public names of tisfm alone.
-`compare` sets the answers side by side, `timing` takes times in turns, `report` writes. Imports
-tisfm and `bench.shared`.
+Both interpret `pairs`. `checkout` runs each in processes of its own with its own interpreter, and
+times them in turns; those processes run `worker`, which needs NumPy and the public names of tisfm
+alone. `report` compares the results. Imports tisfm and `bench.shared`.
 """

@@ -1,8 +1,8 @@
-"""``python -m bench.regression --before CHECKOUT``: this code beside that of another checkout.
+"""``python -m bench.regression --before CHECKOUT``: results and speed beside another checkout.
 
-Both interpret the same pairs in processes of their own, on the same threads, and the answers are
-set side by side: rendered scenes, and the real ones of ``--data`` or TISFM_DATA. Then both are
-timed in turns, and their starts. The tables are left in bench/results.
+Both checkouts interpret the same pairs in processes of their own, with the same threads: rendered
+scenes, and real pairs of ``--data`` or TISFM_DATA. Their results are compared. Then interpretations
+and starts of both are timed in turns. The tables are left in bench/results.
 """
 
 import argparse
@@ -19,8 +19,8 @@ from rich.console import Console
 from bench.regression.checkout import Checkout, Paired, interpretation, starts
 from bench.regression.pairs import QUICK_SIZE, SIZE, TIMED_SIZE, Pair, recorded, rendered
 from bench.regression.report import Case, Findings, difference, markdown, out_of_bounds
-from bench.shared.contest_command import check_counts, choose
-from bench.shared.results import RESULTS, ROOT, machine
+from bench.shared.command import choose, options_parser
+from bench.shared.results import RESULTS, ROOT, machine, write
 from bench.shared.sequences import data_folder
 from bench.shared.worker import Worker, WorkerDied
 from tisfm.settings import Preset
@@ -40,22 +40,22 @@ QUICK_ROUNDS = 3
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(prog="python -m bench.regression", description=__doc__)
-    parser.add_argument("--before", type=Path, required=True, metavar="DIR", help="checkout")
-    parser.add_argument("--after", type=Path, default=ROOT, metavar="DIR", help="default: this one")
-    parser.add_argument("--python-before", metavar="PATH", help="its interpreter; default: this")
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
     presets = list(get_args(Preset))
-    parser.add_argument("--preset", nargs="+", choices=presets, default=presets, metavar="PRESET")
-    parser.add_argument("--motion", nargs="+", choices=MOTIONS, default=list(MOTIONS))
-    parser.add_argument("--pairs", nargs="+", metavar="WORD", help="pairs with a WORD in the name")
-    parser.add_argument("--data", type=Path, metavar="DIR", help="sequences; default: TISFM_DATA")
-    parser.add_argument("--threads", type=int, default=2, metavar="N")
-    parser.add_argument("--rounds", type=int, default=20, metavar="N", help="of every timing")
-    parser.add_argument("--quick", action="store_true", help="small scenes, no data, three rounds")
-    parser.add_argument("--output", metavar="NAME", help="name of the file in bench/results")
+    parser = options_parser(
+        "regression",
+        __doc__,
+        *("preset", "pairs", "data", "threads", "rounds", "output"),
+        preset=presets,
+        rounds=20,
+    )
+    add = parser.add_argument
+    add("--before", type=Path, required=True, metavar="DIR", help="checkout")
+    add("--after", type=Path, default=ROOT, metavar="DIR", help="default: this one")
+    add("--python-before", metavar="PATH", help="interpreter of --before; default: this one")
+    add("--only", nargs="+", choices=PARTS, default=list(PARTS))
+    add("--motion", nargs="+", choices=MOTIONS, default=list(MOTIONS))
+    add("--quick", action="store_true", help="small scenes, no data, three rounds")
     options = parser.parse_args(arguments)
-    check_counts(parser, options)
     for folder in (options.before, options.after):
         if not (folder / "tisfm" / "__init__.py").is_file():
             parser.error(f"{folder} is no checkout of this project: it has no tisfm/__init__.py")
@@ -65,18 +65,18 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 
 
 def find_pairs(options: argparse.Namespace) -> tuple[list[Pair], dict[str, str]]:
-    """Return the pairs that the options ask for, and why others are missing."""
+    """Return the pairs that the options name, and why others are missing."""
     pairs = rendered(*(QUICK_SIZE if options.quick else SIZE))
     missing: dict[str, str] = {}
     data = None if options.quick else data_folder(options.data)
     if data is not None:
         real, missing = recorded(data)
         pairs += real
-    return choose(pairs, options.pairs, what="pair", name=lambda pair: pair.name), missing
+    return choose(pairs, options.pairs, kind="pair", name=lambda pair: pair.name), missing
 
 
 def request(pair: Path, preset: str, motion: str, answer: Path | None = None) -> dict[str, Any]:
-    """Return what a worker is asked."""
+    """Return the request to a worker."""
     return {
         "pair": str(pair),
         "settings": {"name": preset, "motion": motion.partition(",")[0]},
@@ -87,7 +87,7 @@ def request(pair: Path, preset: str, motion: str, answer: Path | None = None) ->
 
 
 def compare(workers: Sequence[Worker], pair: Pair, preset: str, motion: str, path: Path) -> Case:
-    """Let both sides interpret a pair; return how the answers differ."""
+    """Let both checkouts interpret a pair; return the difference of the results."""
     answers = [path.with_name(f"answer-{side}.npz") for side in (0, 1)]
     statuses = []
     for worker, answer in zip(workers, answers, strict=True):
@@ -108,7 +108,7 @@ def compare(workers: Sequence[Worker], pair: Pair, preset: str, motion: str, pat
 
 
 def measure(options: argparse.Namespace, console: Console) -> Findings:
-    """Do what the options ask for."""
+    """Compare and time both checkouts."""
     python = Path(options.python_before or sys.executable)
     checkouts = [
         Checkout(name="before", folder=options.before, python=python),
@@ -156,7 +156,7 @@ def measure(options: argparse.Namespace, console: Console) -> Findings:
 
 
 def revision(folder: Path) -> str:
-    """Return the commit of a checkout, and whether files differ from it, where git knows."""
+    """Return the commit of a checkout, marked if files differ from it."""
     command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--exclude=*"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -166,16 +166,15 @@ def revision(folder: Path) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Return 0, 1 where something is out of bounds, or 2 where nothing could be compared."""
+    """Return 0, 1 if a figure is out of bounds, or 2 if nothing could be compared."""
     options = parse(arguments)
     try:
         found = measure(options, Console(stderr=True))
     except (OSError, ValueError, RuntimeError, WorkerDied) as error:
         print(f"bench.regression: {error}", file=sys.stderr)
         return 2
-    RESULTS.mkdir(exist_ok=True)
     name = options.output or ("smoke-regression" if options.quick else "regression")
-    (RESULTS / f"{name}.md").write_text(markdown(found), encoding="utf-8")
+    write(RESULTS / name, markdown(found))
     print(markdown(found))
     return 1 if any(out_of_bounds(found)) else 0
 

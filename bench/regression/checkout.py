@@ -1,4 +1,4 @@
-"""A checkout of the project, and the processes that run its code."""
+"""Checkouts of the project, the processes that run their code, and their times in turns."""
 
 import os
 import time
@@ -14,7 +14,7 @@ from bench.shared.worker import Worker
 
 WORKER = Path(__file__).with_name("worker.py")
 Sample = tuple[float, float]  # wall time and that of the processor, s
-CACHE = "TI_OFFLINE_CACHE_FILE_PATH"  # where Taichi keeps compiled kernels
+CACHE = "TI_OFFLINE_CACHE_FILE_PATH"  # environment variable of Taichi's folder of compiled kernels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,7 @@ class Checkout:
         exchange : Path
             Folder for its messages.
         cache : Path, optional
-            Where it keeps compiled kernels; by default where Taichi does.
+            Folder of compiled kernels; by default that of Taichi.
         """
         code = WORKER.read_text(encoding="utf-8")
         environment = {**os.environ, "PYTHONPATH": ""}
@@ -48,7 +48,7 @@ class Checkout:
         )
 
     def check(self, worker: Worker) -> None:
-        """Raise RuntimeError unless all that a worker has loaded of tisfm is this checkout's."""
+        """Raise RuntimeError if a worker has loaded code of tisfm from another folder."""
         worker.start()
         folder = self.folder.resolve()
         strange = [file for file in worker.ready["files"] if not Path(file).is_relative_to(folder)]
@@ -59,7 +59,7 @@ class Checkout:
             )
 
     def start(self, request: dict[str, Any], **options: Any) -> tuple[Sample, Sample]:
-        """Return what the import took in a fresh process, and all to its first answer."""
+        """Return the times of the import in a fresh process, and until its first answer."""
         started = time.perf_counter()
         worker = self.worker(**options)
         try:
@@ -77,7 +77,7 @@ Sides = tuple[float, float]  # before, after
 
 @dataclass(frozen=True, kw_only=True)
 class Paired:
-    """Wall and processor time of one thing: (before, after) in s, one for each round."""
+    """Wall and processor time of one call: (before, after) in s, for each round."""
 
     name: str
     seconds: Sequence[Sides]
@@ -103,7 +103,7 @@ class Paired:
 
 
 def in_turns(rounds: int, measure: Callable[[int], Any]) -> list[tuple[Any, Any]]:
-    """Return what was measured of sides 0 and 1 in each round, in the order 0 1, 1 0, 0 1, …."""
+    """Measure sides 0 and 1 in each round, in the order 0 1, 1 0, 0 1, …; return both values."""
     found = []
     for turn in range(rounds):
         first = turn % 2
@@ -117,7 +117,7 @@ def interpretation(
 ) -> Paired:
     """Time one request of two running workers.
 
-    A quick one runs once more before every call that is timed, and finds its caches warm.
+    A quick request runs once more, untimed, before each timed call, so that caches are warm.
     """
 
     def ask(side: int, times: int = 1) -> Sample:
@@ -135,10 +135,10 @@ def interpretation(
 def starts(
     checkouts: Sequence[Checkout], request: dict[str, Any], rounds: int, **options: Any
 ) -> list[Paired]:
-    """Time fresh processes: the import, and to the first answer without compiled kernels and with.
+    """Time fresh processes: the import, and the first answer of a cold and of a warm start.
 
-    Each cold start finds an empty folder for compiled kernels, and the warm start after it what
-    that one has left there.
+    Each cold start has an empty folder of compiled kernels; the warm start after it uses the
+    kernels of the cold one.
     """
     exchange = options["exchange"]
     turns = [0, 0]

@@ -1,4 +1,4 @@
-"""Pairs that two checkouts interpret: rendered scenes, and frames of real sequences."""
+"""Pairs that both checkouts interpret: rendered scenes, and frames of real sequences."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +12,10 @@ from tisfm.formats import read_image
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair, bare_patches, static_scene, two_blocks
 
-QUICK_SIZE, SIZE, TIMED_SIZE = (96, 128), (240, 320), (480, 640)
+# px, height and width of rendered pairs: in a quick run, for results, and for times
+QUICK_SIZE = (96, 128)
+SIZE = (240, 320)
+TIMED_SIZE = (480, 640)
 
 # name → folder, the two frames, focal length px and centre (cx, cy), None where unknown
 SEQUENCES: dict[str, tuple[str, str, str, float | None, tuple[float, float] | None]] = {
@@ -31,7 +34,7 @@ SEQUENCES: dict[str, tuple[str, str, str, float | None, tuple[float, float] | No
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pair:
-    """Two frames, their camera, and the true motion of what is at rest, where it is known."""
+    """Two frames, their camera, and the true motion of the static scene, if known."""
 
     name: str
     frame0: NDArray
@@ -40,7 +43,7 @@ class Pair:
     pose: NDArray | None = None
 
     def store(self, folder: Path) -> Path:
-        """Write it to a file in a folder as the workers read it; return its path."""
+        """Write the pair to a file for the workers; return its path."""
         center = self.camera.center_for(*self.frame0.shape[:2])
         arrays: dict[str, Any] = {"frame0": self.frame0, "frame1": self.frame1}
         if self.pose is not None:
@@ -51,7 +54,7 @@ class Pair:
 
 
 def rendered(height: int, width: int) -> list[Pair]:
-    """Return one static scene, one with things that move, and one with bare walls."""
+    """Return a static scene, one with moving objects, and one with bare walls."""
     return [
         _of_scene("static_scene", static_scene("forward+rotation", height, width)),
         _of_scene("two_blocks", two_blocks(height, width)),
@@ -70,7 +73,7 @@ def _of_scene(name: str, scene: SyntheticPair) -> Pair:
 
 
 def recorded(data: Path) -> tuple[list[Pair], dict[str, str]]:
-    """Return the real pairs found in a folder, and name → why another is missing."""
+    """Return the real pairs in a folder, and name → reason of the missing ones."""
     pairs, missing = [], {}
     for name, (folder, first, second, focal, center) in SEQUENCES.items():
         try:

@@ -1,4 +1,4 @@
-"""What a comparison of two checkouts found, as Markdown, and what is out of bounds."""
+"""Differences between the results and times of two checkouts, as Markdown, and their bounds."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.regression.checkout import Paired
+from bench.shared.results import EMPTY, Table, text_of
 
-VISIBLE = 1e-3  # px; a difference of flow that is more than rounding
-FLOOR = 0.01  # of the median inverse depth, below which differences are relative to that
+VISIBLE = 1e-3  # px: a larger difference of flow is more than rounding
+FLOOR = 0.01  # of the median inverse depth: lower bound of the unit of relative differences
 
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """How far the answers of two checkouts to one case lie apart.
+    """Difference of the results of two checkouts for one case.
 
     Attributes
     ----------
@@ -25,11 +26,11 @@ class Difference:
     visible : float
         Share of the pixels whose flow differs by more than `VISIBLE`.
     depth_max, depth_median : float
-        Of the differences of inverse depth, relative to that before.
+        Of the differences of inverse depth, relative to the one before.
     labels, occlusion : float
-        Shares of the pixels where they differ.
+        Share of the pixels that differ.
     same : bool
-        Whether every array is the same in every bit.
+        Whether every array is equal in every bit.
     """
 
     flow_max: float
@@ -43,7 +44,7 @@ class Difference:
 
 
 def difference(before: Path, after: Path) -> Difference:
-    """Return the differences of two stored answers."""
+    """Return the difference of two stored results."""
     with np.load(before) as first, np.load(after) as second:
         old, new = dict(first), dict(second)
     flow = _apart(old["flow"], new["flow"]).max(axis=-1)
@@ -72,7 +73,7 @@ def relative(before: NDArray, after: NDArray) -> NDArray:
 
 
 def _apart(before: NDArray, after: NDArray) -> NDArray:
-    """Return |after − before|: 0 where both are the same or both NaN, else inf without a number."""
+    """Return |after − before|: 0 where both are equal or NaN, and inf where only one is finite."""
     old, new = np.asarray(before, np.float64), np.asarray(after, np.float64)
     same = (old == new) | (np.isnan(old) & np.isnan(new))
     with np.errstate(invalid="ignore"):
@@ -81,13 +82,13 @@ def _apart(before: NDArray, after: NDArray) -> NDArray:
 
 
 def _share(before: NDArray | None, after: NDArray | None) -> float:
-    """Return the share of places that differ; all do where only one side has the array."""
+    """Return the share of unequal entries; 1 if only one checkout has the array."""
     if before is None or after is None:
         return 0.0 if before is after else 1.0
     return float((before != after).mean())
 
 
-MOST_SLOWER = 1.03  # time after over time before
+MOST_SLOWER = 1.03  # time after over time before, at most; set by hand
 ANSWER_HEAD = (
     "pair", "preset", "motion", "flow, px: largest", "median", f"over {VISIBLE:g} px",
     "1/Z, relative: largest", "median", "labels", "occlusion", "status",
@@ -97,9 +98,9 @@ TIME_HEAD = ("", "before, s", "after, s", "after / before", "the same, CPU time"
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One pair with one preset and one motion, and how the two answers to it differ.
+    """One pair with one preset and one motion, and the difference of its two results.
 
-    `difference` is None where a side gave none; the statuses say why.
+    `difference` is None if a checkout gave no result; the status has the reason.
     """
 
     pair: str
@@ -115,11 +116,11 @@ class Case:
         return f"{self.pair}, {self.preset}, {self.motion}"
 
     def cells(self) -> list[str]:
-        """Return its line of the table."""
+        """Return the row of the table."""
         status = self.before if self.before == self.after else f"{self.before} → {self.after}"
         found = self.difference
         if found is None:
-            values = ["–"] * 7
+            values = [EMPTY] * 7
         elif found.same:
             values = ["the same bits", *[""] * 6]
         else:
@@ -137,7 +138,7 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """All that one run found; `missing` is what was asked for → why there is none."""
+    """All figures of one run; `missing` is name → reason."""
 
     conditions: dict[str, Any]
     cases: Sequence[Case] = ()
@@ -146,7 +147,7 @@ class Findings:
 
 
 def out_of_bounds(found: Findings) -> Iterator[str]:
-    """Yield what differs by more than rounding, and what is slower in wall and processor time."""
+    """Yield results that differ by more than rounding, and calls that are slower."""
     for case in found.cases:
         if case.before != case.after:
             yield f"{case.name}: the status was {case.before} and is {case.after}"
@@ -157,46 +158,40 @@ def out_of_bounds(found: Findings) -> Iterator[str]:
             yield f"{case.name}: {case.difference.labels:.3%} of the labels differ"
     for paired in found.times:
         low, middle, _ = paired.ratios()
-        # Where others use the machine, wall time alone tells little.
+        # On a busy machine, wall time alone is no evidence.
         if low > MOST_SLOWER and paired.ratios(cpu=True)[0] > MOST_SLOWER:
             yield f"{paired.name}: {middle:.3f} times as long, at least {low:.3f} in 3 rounds of 4"
 
 
 def markdown(found: Findings) -> str:
-    """Return the report."""
-    lines = ["# Regression", ""]
-    lines += [f"- {name}: {value}" for name, value in found.conditions.items()]
-    lines += [f"- missing: {name}: {why}" for name, why in found.missing.items()]
+    """Return the results as Markdown."""
+    blocks: list[str | Table | list[str]] = []
     if found.cases:
-        lines += ["", "## Answers", "", *_summary(found.cases), ""]
-        lines += _table(ANSWER_HEAD, [case.cells() for case in found.cases], text=3)
+        table = Table(ANSWER_HEAD, [case.cells() for case in found.cases], text_columns=3)
+        blocks += ["## Answers", _summary(found.cases), table]
     if found.times:
-        lines += [
-            "",
-            "## Times",
-            "",
-            "Medians of the rounds. In each round both sides take their turn; ratios are of the "
-            "same round, the median with the lower and upper quartile.",
-            "",
-            *_table(TIME_HEAD, [_time_cells(paired) for paired in found.times], text=1),
-        ]
-    lines += ["", "## Out of bounds", ""]
-    lines += [f"- {line}" for line in out_of_bounds(found)] or ["Nothing."]
-    return "\n".join(lines) + "\n"
+        note = (
+            "Medians of the rounds. In each round both checkouts take their turn; ratios are of "
+            "the same round, the median with the lower and upper quartile."
+        )
+        blocks += ["## Times", note, Table(TIME_HEAD, [_time_cells(p) for p in found.times])]
+    blocks += ["## Out of bounds", list(out_of_bounds(found)) or "Nothing."]
+    missing = {f"missing: {name}": why for name, why in found.missing.items()}
+    return text_of("# Regression", found.conditions | missing, *blocks)
 
 
-def _summary(cases: Sequence[Case]) -> list[str]:
+def _summary(cases: Sequence[Case]) -> str:
     compared = [case.difference for case in cases if case.difference is not None]
-    lines = [
+    text = (
         f"{len(cases)} cases; in {sum(d.same for d in compared)} every array is the same in every "
         f"bit, in {sum(case.before != case.after for case in cases)} the status differs."
-    ]
+    )
     if compared:
-        lines[0] += (
+        text += (
             f" Largest difference of flow: {max(d.flow_max for d in compared):.2g} px; of inverse "
             f"depth, relative: {max(d.depth_max for d in compared):.2g}."
         )
-    return lines
+    return text
 
 
 def _time_cells(paired: Paired) -> list[str]:
@@ -206,9 +201,3 @@ def _time_cells(paired: Paired) -> list[str]:
 
     rounds = str(len(paired.seconds))
     return [paired.name, *map("{:.4g}".format, paired.medians), text(False), text(True), rounds]
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]], *, text: int) -> list[str]:
-    """Return a table whose first columns, so many, are text."""
-    rules = ["---"] * text + ["---:"] * (len(head) - text)
-    return ["| " + " | ".join(row) + " |" for row in (head, rules, *rows)]

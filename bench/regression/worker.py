@@ -1,13 +1,13 @@
-"""Interprets pairs with the tisfm of the folder that it is started in.
+"""Interprets pairs with the tisfm of the folder that the process is started in.
 
-The code is given to an interpreter by ``-c``, so that this folder comes first on its path, and not
-the one that this file lies in. It uses NumPy and what tisfm documents, and so runs in older
-checkouts. Argument: the number of threads.
+An interpreter gets the code by ``-c``, so that the folder of the process comes first on its path,
+not the folder of this file. The code uses NumPy and documented names of tisfm alone, and so runs in
+older checkouts. Argument: the number of threads.
 
-It prints a line of JSON when it is ready, and then one for each on standard input, ``{"pair": PATH,
-"settings": {"name": PRESET, …}, "pose": BOOL, "answer": PATH or null, "times": N}``: the seconds of
-the last of N calls, those of the processor in it and since the process began, and the status. What
-the call raised is the status.
+It prints a line of JSON when it is ready, and then one for each request on standard input,
+``{"pair": PATH, "settings": {"name": PRESET, …}, "pose": BOOL, "answer": PATH or null, "times":
+N}``: wall and processor time of the last of N calls, processor time since the process began, and
+the status. The status of a failed call is its exception.
 """
 
 import json
@@ -18,13 +18,13 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-# An editable installation would find the kernels of the checkout that it was made in.
+# The finder of an editable installation would load the kernels of another checkout.
 sys.meta_path[:] = [f for f in sys.meta_path if getattr(f, "__name__", "") != "_EditableFinder"]
 
 _used, _started = time.process_time(), time.perf_counter()
 import tisfm  # noqa: E402
 
-IMPORT = time.perf_counter() - _started, time.process_time() - _used  # NumPy's is in it
+IMPORT = time.perf_counter() - _started, time.process_time() - _used  # includes that of NumPy
 
 import numpy as np  # noqa: E402
 
@@ -46,7 +46,7 @@ def answer(pair: dict[str, Any], request: dict[str, Any]) -> dict[str, Any]:
             used, started = time.process_time(), time.perf_counter()
             result = tisfm.interpret(**given, settings=settings)
             seconds, cpu = time.perf_counter() - started, time.process_time() - used
-    except Exception as error:  # of whatever kind: the other checkout may raise another
+    except Exception as error:  # of any kind: checkouts may raise different ones
         return {"status": " ".join(f"{type(error).__name__}: {error}".split())}
     if request["answer"]:
         fields = ("flow", "inverse_depth", "confidence", "occlusion", "labels")
@@ -64,7 +64,7 @@ def answer(pair: dict[str, Any], request: dict[str, Any]) -> dict[str, Any]:
 def serve(threads: int) -> None:
     """Answer requests until standard input ends."""
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what a library prints must not be taken for an answer
+    os.dup2(2, 1)  # the output of libraries must not mix with the answers
     warnings.simplefilter("ignore")
     tisfm.runtime.start(threads=threads)
     loaded = [m for name, m in list(sys.modules.items()) if name.partition(".")[0] == "tisfm"]

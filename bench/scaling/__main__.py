@@ -1,7 +1,7 @@
-"""``python -m bench.scaling``: time and memory of a whole pair over its size, and where it goes.
+"""``python -m bench.scaling``: time and memory of a pair, and of its stages, over its size.
 
 Pairs are renderings of one scene, whose motion grows with the image. Every preset runs on every
-number of threads in a process of its own; sizes take turns within it, and with them OpenCV's DIS
+number of threads in a process of its own. In it, the sizes take turns, together with OpenCV's DIS
 on the pair of one size.
 """
 
@@ -14,17 +14,27 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from statistics import median
-from typing import Any, get_args
+from typing import Any
 
 import cv2
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from bench.shared.figures import BLUE, GREEN, PURPLE, VERMILION
-from bench.shared.results import RESULTS, ROOT, Bar, machine
+from bench.shared.command import options_parser, output_name
+from bench.shared.figures import BLUE, GREEN, PURPLE, VERMILION, tidy
+from bench.shared.results import (
+    RESULTS,
+    ROOT,
+    Bar,
+    Table,
+    cell,
+    exit_code,
+    machine,
+    text_of,
+    write,
+)
 from tisfm.scenes import two_blocks
-from tisfm.settings import Preset
 
 SIZES = ("120x160", "240x320", "480x640", "1080x1920", "2160x3840")
 SMOKE_SIZES = ("48x64", "96x128")
@@ -33,19 +43,15 @@ COLOURS = {"fast": GREEN, "balanced": BLUE, "accurate": VERMILION, "paper": PURP
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(prog="python -m bench.scaling", description=__doc__)
-    parser.add_argument("--sizes", nargs="+", default=list(SIZES), metavar="HxW")
     presets = ["fast", "balanced", "accurate"]
-    parser.add_argument("--preset", nargs="+", choices=get_args(Preset), default=presets)
+    parser = options_parser(
+        "scaling", __doc__, "preset", "rounds", "smoke", "output", preset=presets
+    )
+    parser.add_argument("--sizes", nargs="+", default=list(SIZES), metavar="HxW")
     parser.add_argument("--threads", nargs="+", type=int, default=[1, 2], metavar="N")
-    parser.add_argument("--rounds", type=int, default=5, metavar="N", help="timed calls of each")
-    parser.add_argument("--smoke", action="store_true", help="two small sizes, one preset, a round")
-    parser.add_argument("--output", metavar="NAME", help="name of the files in bench/results")
     options = parser.parse_args(arguments)
     if options.smoke:
         options.sizes, options.preset, options.rounds = list(SMOKE_SIZES), ["fast"], 1
-    if options.rounds < 1 or min(options.threads) < 1:
-        parser.error("--rounds and --threads take numbers of at least 1")
     return options
 
 
@@ -60,7 +66,7 @@ def render(sizes: list[str], folder: Path) -> dict[str, str]:
 
 
 def run(preset: str, threads: int, pairs: dict[str, str], rounds: int) -> dict[str, Any]:
-    """Return times and shares of a preset on so many threads."""
+    """Return the times of a preset with a number of threads, and the shares of its stages."""
     peer = PEER_SIZE if PEER_SIZE in pairs else list(pairs)[-1]
     request = {
         "preset": preset,
@@ -81,25 +87,27 @@ def run(preset: str, threads: int, pairs: dict[str, str], rounds: int) -> dict[s
 
 
 def memory(preset: str, size: str) -> float:
-    """Return the float32 per pixel that a pair takes at its peak."""
+    """Return the peak memory of a pair, float32 per pixel."""
     command = [sys.executable, "-m", "bench.pair_memory", preset, size]
     output = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
     return json.loads(output.stdout)["floats_per_pixel"]
 
 
 FLOAT = 4  # bytes
-GIB = 2**30
-MIDDLE, LARGE, LARGEST = "480x640", "1080x1920", "2160x3840"
-PEER_SIZE = MIDDLE  # of the pair that OpenCV's DIS is timed on
-# None: its time is as long as the bar was, so that passing would be chance; `bench.regression`
-# tells whether it has grown.
+GIB = 2**30  # bytes
+MIDDLE = "480x640"
+LARGE = "1080x1920"
+LARGEST = "2160x3840"
+PEER_SIZE = MIDDLE  # of the pair of OpenCV's DIS
+# Preset and size → time over that of the peer, at most. None: the time lies at its former bound,
+# so that passing would be chance; `bench.regression` shows whether it has grown.
 MOST_OVER_PEER = {("balanced", LARGE): 57.0, ("fast", PEER_SIZE): None}
-MOST_GROWTH = 1.15
-MOST_GIB = 3.0
+MOST_GROWTH = 1.15  # of the time per pixel from MIDDLE to LARGE; set by hand
+MOST_GIB = 3.0  # GiB, peak memory of a pair of LARGEST; set by hand
 
 
 def size_of(text: str) -> tuple[int, int]:
-    """Return (height, width) of a size as the command line has it."""
+    """Return (height, width) of a size HxW."""
     height, _, width = text.partition("x")
     return int(height), int(width)
 
@@ -110,7 +118,7 @@ def per_pixel(entry: dict[str, Any], size: str) -> float:
 
 
 def over_peer(entry: dict[str, Any], size: str) -> float:
-    """Return the time of a run's pair over that of the peer in the same round, the median."""
+    """Return the median over the rounds of the time of a pair over that of the peer."""
     return over(entry["times"][size], entry["peer"]["times"])
 
 
@@ -120,12 +128,12 @@ def over(times: list[float], others: list[float]) -> float:
 
 
 def gib(floats: float, size: str) -> float:
-    """Return the GiB of so many float32 per pixel."""
+    """Return the memory of a number of float32 per pixel, GiB."""
     return floats * FLOAT * math.prod(size_of(size)) / GIB
 
 
 def bars(found: dict[str, Any]) -> Iterator[Bar]:
-    """Yield the bars of what the run has measured, on the most threads."""
+    """Yield the bars of the figures that were measured with the most threads."""
     most = max(entry["threads"] for entry in found["runs"])
     for entry in found["runs"]:
         if entry["threads"] != most:
@@ -146,64 +154,64 @@ def bars(found: dict[str, Any]) -> Iterator[Bar]:
 
 
 def report(found: dict[str, Any]) -> str:
-    """Return the Markdown of all figures."""
-    sizes, conditions = found["sizes"], found["conditions"]
-    lines = ["# Scaling of a whole pair", ""]
-    lines += [f"- {name}: {value}" for name, value in conditions.items()]
-    lines += [
-        "- two_blocks at every size, whose motion grows with it. Median of the rounds, and in "
-        "brackets the least and the most; growth is that of time per pixel from the size before.",
-        "",
-        "| preset | threads | size | s | ns/px | growth |",
-        "| --- | ---: | --- | ---: | ---: | ---: |",
-    ]
-    for entry in found["runs"]:
+    """Return all figures as Markdown."""
+    sizes, runs = found["sizes"], found["runs"]
+    rows = []
+    for entry in runs:
         before = None
         for size in sizes:
-            times = entry["times"][size]
-            each = per_pixel(entry, size)
-            growth = "–" if before is None else f"{each / before:.2f}"
+            times, each = entry["times"][size], per_pixel(entry, size)
             spread = f"{median(times):.3g} [{min(times):.3g}–{max(times):.3g}]"
-            lines.append(
-                f"| {entry['preset']} | {entry['threads']} | {size} | {spread} | {each:.0f} "
-                f"| {growth} |"
-            )
+            growth = cell(None if before is None else each / before, ".2f")
+            name = [entry["preset"], str(entry["threads"]), size]
+            rows.append([*name, spread, f"{each:.0f}", growth])
             before = each
-    peer = found["runs"][0]["peer"]
-    lines += ["", f"## Time over that of {peer['name']} at {peer['size']}, in the same rounds", ""]
-    lines += ["| preset | threads | its time, s | " + " | ".join(sizes) + " |"]
-    lines += ["| --- |" + " ---: |" * (2 + len(sizes))]
-    for entry in found["runs"]:
-        cells = [f"{over_peer(entry, size):.2f}" for size in sizes]
-        unit = f"{median(entry['peer']['times']):.3g}"
-        head = f"| {entry['preset']} | {entry['threads']} | {unit} | "
-        lines.append(head + " | ".join(cells) + " |")
-    threads = sorted({entry["threads"] for entry in found["runs"]})
+    blocks: list[str | list[str] | Table] = [
+        "`two_blocks` at every size; its motion grows with the size. Median of the rounds, in "
+        "brackets the least and the most. Growth: time per pixel over that of the size before.",
+        Table(["preset", "threads", "size", "s", "ns/px", "growth"], rows),
+        f"## Time over that of {runs[0]['peer']['name']} at {runs[0]['peer']['size']}, in the "
+        "same rounds",
+        Table(
+            ["preset", "threads", "its time, s", *sizes],
+            [
+                [
+                    entry["preset"],
+                    str(entry["threads"]),
+                    f"{median(entry['peer']['times']):.3g}",
+                    *(f"{over_peer(entry, size):.2f}" for size in sizes),
+                ]
+                for entry in runs
+            ],
+        ),
+    ]
+    threads = sorted({entry["threads"] for entry in runs})
     if len(threads) > 1:
-        least, most = threads[0], threads[-1]
-        lines += ["", f"## Speed-up from {least} to {most} threads", ""]
-        lines += ["| preset | " + " | ".join(sizes) + " |", "| --- |" + " ---: |" * len(sizes)]
+        rows = []
         for preset in found["presets"]:
-            one, two = (_of(found, preset, count)["times"] for count in (least, most))
-            cells = [f"{median(one[size]) / median(two[size]):.2f}" for size in sizes]
-            lines.append(f"| {preset} | " + " | ".join(cells) + " |")
-    lines += ["", "## Peak memory", "", "| preset | size | float32 per pixel | GiB |"]
-    lines += ["| --- | --- | ---: | ---: |"]
-    for preset, by_size in found["memory"].items():
-        for size, floats in by_size.items():
-            lines.append(f"| {preset} | {size} | {floats:.1f} | {gib(floats, size):.2f} |")
-    lines += ["", f"## Where the time goes, % of a pair ({threads[-1]} threads)"]
+            one, two = (_of(found, preset, threads[k])["times"] for k in (0, -1))
+            rows.append([preset, *(f"{median(one[s]) / median(two[s]):.2f}" for s in sizes)])
+        title = f"## Speed-up from {threads[0]} to {threads[-1]} threads"
+        blocks += [title, Table(["preset", *sizes], rows)]
+    rows = [
+        [preset, size, f"{floats:.1f}", f"{gib(floats, size):.2f}"]
+        for preset, by_size in found["memory"].items()
+        for size, floats in by_size.items()
+    ]
+    head = ["preset", "size", "float32 per pixel", "GiB"]
+    blocks += ["## Peak memory", Table(head, rows, text_columns=2)]
+    blocks.append(f"## Time of each stage, % of a pair ({threads[-1]} threads)")
     for preset in found["presets"]:
         shares = _of(found, preset, threads[-1])["shares"]
-        labels = list(dict.fromkeys(label for size in sizes for label in shares[size]))
-        lines += ["", f"### {preset}", "", "| stage | " + " | ".join(sizes) + " |"]
-        lines += ["| --- |" + " ---: |" * len(sizes)]
-        for label in labels:
-            cells = [f"{100 * shares[size].get(label, 0):.1f}" for size in sizes]
-            lines.append(f"| {label} | " + " | ".join(cells) + " |")
-    if checked := list(bars(found)):
-        lines += ["", "## Bars", "", *(f"- {bar}" for bar in checked)]
-    return "\n".join(lines) + "\n"
+        labels = dict.fromkeys(label for size in sizes for label in shares[size])
+        rows = [
+            [label, *(f"{100 * shares[size].get(label, 0):.1f}" for size in sizes)]
+            for label in labels
+        ]
+        blocks += [f"### {preset}", Table(["stage", *sizes], rows)]
+    if checked := list(map(str, bars(found))):
+        blocks += ["## Bars", checked]
+    return text_of("# Scaling of a whole pair", found["conditions"], *blocks)
 
 
 def _of(found: dict[str, Any], preset: str, threads: int) -> dict[str, Any]:
@@ -235,14 +243,13 @@ def draw(found: dict[str, Any], path: Path) -> None:
     axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.yaxis.set_major_formatter("{x:g}")
     axes.set_ylabel("ns per pixel of a whole pair")
-    axes.grid(alpha=0.25, linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
+    tidy(axes)
     figure.legend(loc="outside lower center", ncols=3, fontsize=8)
     figure.savefig(path)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Return 0, or 1 where a bar was missed; whatever else fails raises."""
+    """Return 0, or 1 if a bar was missed."""
     options = parse(arguments)
     with tempfile.TemporaryDirectory(prefix="tisfm-scaling-") as name:
         pairs = render(options.sizes, Path(name))
@@ -266,13 +273,11 @@ def main(arguments: list[str] | None = None) -> int:
             for preset in options.preset
         },
     }
-    path = RESULTS / (options.output or ("smoke-scaling" if options.smoke else "scaling"))
-    RESULTS.mkdir(exist_ok=True)
-    path.with_suffix(".json").write_text(json.dumps(found, indent=1), encoding="utf-8")
-    path.with_suffix(".md").write_text(report(found), encoding="utf-8")
+    path = RESULTS / output_name(options, "scaling")
+    write(path, report(found), found)
     draw(found, path.with_suffix(".png"))
     print(report(found))
-    return 0 if all(bar.met for bar in bars(found)) else 1
+    return exit_code(bars(found))
 
 
 if __name__ == "__main__":

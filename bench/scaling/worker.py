@@ -1,7 +1,7 @@
-"""Times of whole pairs on so many threads, in a process of its own, which `bench.scaling` starts.
+"""Process of `bench.scaling` that times whole pairs with one number of threads.
 
-One line of JSON comes in on standard input, one goes out on standard output. OpenCV's DIS is timed
-in the same process, on the same threads, in the same rounds.
+It reads one line of JSON from standard input and prints one. OpenCV's DIS is timed in the same
+process, with the same threads, in the same rounds.
 """
 
 import contextlib
@@ -22,7 +22,7 @@ from tisfm import runtime
 
 PEER = "OpenCV DIS medium"
 
-# Where the time of a pair goes: what each of these takes, less what those that it calls take.
+# Module, function and name of each stage of a pair. Its time excludes other stages that it calls.
 STAGES = (
     ("tisfm.pair", "grey_pair", "grey levels"),
     ("tisfm.solver.image_pyramid", "ImagePyramid.__init__", "pyramids and splines"),
@@ -42,7 +42,7 @@ STAGES = (
 
 
 class Stopwatch:
-    """Adds up the time of stages, each less the others that run within it."""
+    """Adds up the time of stages; a stage excludes the stages that run within it."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -50,7 +50,7 @@ class Stopwatch:
 
     @contextlib.contextmanager
     def watching(self) -> Iterator[None]:
-        """Watch the stages while the context lasts."""
+        """Time the stages within the context."""
         originals = []
         for module, path, label in STAGES:
             owner: Any = importlib.import_module(module)
@@ -82,7 +82,7 @@ class Stopwatch:
 
 
 def measure(request: dict[str, Any]) -> dict[str, Any]:
-    """Return the times of every pair and of the peer in every round, and where the time goes."""
+    """Return the times of every pair and of the peer in every round, and the shares of stages."""
     runtime.start(threads=request["threads"])
     settings = tisfm.Settings.preset(request["preset"])
     pairs = {}
@@ -92,7 +92,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
             pairs[name] = (file["frame0"], file["frame1"], camera)
 
     def interpret(name: str) -> None:
-        from tisfm import pair  # by its module, where the stopwatch looks
+        from tisfm import pair  # the stopwatch replaces functions of this module
 
         frame0, frame1, camera = pairs[name]
         pair.interpret(frame0, frame1, camera=camera, settings=settings)
@@ -117,9 +117,9 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def in_turns(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, list[float]]:
-    """Return the times of every call in every round, each once per round.
+    """Return the times of every call, s; each runs once per round.
 
-    As in `bench.shared.contest`, a call that is quick runs once more before it is timed.
+    As in `bench.shared.contest`, a quick call runs once more, untimed, before.
     """
 
     def seconds(call: Callable[[], Any]) -> float:

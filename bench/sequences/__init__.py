@@ -1,1 +1,1 @@
-"""Sequences: paths and depth beside other ways to them, and what the command line costs."""
+"""Path and depth of whole sequences beside other methods, in chunks, in memory, and in exports."""

@@ -1,8 +1,8 @@
-"""``python -m bench.sequences``: paths and depth of whole sequences, beside other ways to them.
+"""``python -m bench.sequences``: path and depth of whole sequences, beside other methods.
 
 `tisfm.reconstruct`, pairs chained by the overlap of their depths, and pycolmap, each in a process
 of its own. ``--peer-python`` names an interpreter with another version of pycolmap. The tables and
-all numbers are left in bench/results.
+all figures are left in bench/results.
 """
 
 import argparse
@@ -10,9 +10,6 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from bench.sequences.contest import (
     COLMAP_WORKER,
@@ -22,38 +19,42 @@ from bench.sequences.contest import (
     Score,
     SequenceContest,
     hold,
-    presets,
 )
 from bench.sequences.entries import Entry, data_entries, folder_entries
 from bench.sequences.report import show, write
-from bench.shared.contest_command import check_counts, choose, wide_console
-from bench.shared.results import RESULTS, machine
+from bench.shared.command import choose, options_parser, progress, words_of
+from bench.shared.results import RESULTS, machine, wide_console
 from bench.shared.sequences import data_folder
+
+# Options that the results name.
+WORDS = (
+    "preset", "rounds", "threads", "sequences", "methods", "folder", "poses-given",
+    "camera-unknown", "peer-python",
+)  # fmt: skip
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(prog="python -m bench.sequences", description=__doc__)
+    parser = options_parser(
+        "sequences",
+        __doc__,
+        *("data", "preset", "threads", "rounds", "peer-python", "output"),
+        preset=["fast", "balanced"],
+        rounds=1,
+        output="sequences",
+    )
     add = parser.add_argument
-    add("--data", type=Path, metavar="DIR", help="sequences; default: TISFM_DATA")
-    add("--sequences", nargs="+", metavar="WORD", help="those with a WORD in the name")
+    add("--sequences", nargs="+", metavar="WORD", help="sequences with a WORD in the name")
     add("--folder", nargs="+", type=Path, default=[], metavar="DIR", help="other sequences, alone")
     add("--step", nargs="+", type=int, default=[1], metavar="N", help="every N frames of --folder")
-    add("--methods", nargs="+", metavar="WORD", help="those with a WORD in the name")
-    add("--preset", nargs="+", choices=presets(), default=["fast", "balanced"], metavar="PRESET")
+    add("--methods", nargs="+", metavar="WORD", help="methods with a WORD in the name")
     add("--poses-given", action="store_true", help="also tisfm with the true poses")
     add("--camera-unknown", action="store_true", help="also tisfm without a camera")
-    add("--threads", type=int, default=2, metavar="N")
-    add("--rounds", type=int, default=1, metavar="N", help="runs of each, all timed")
-    add("--peer-python", type=Path, metavar="PATH", help="of another pycolmap")
-    add("--output", default="sequences", metavar="NAME", help="of the files in bench/results")
-    options = parser.parse_args(arguments)
-    check_counts(parser, options)
-    return options
+    return parser.parse_args(arguments)
 
 
 def find_entries(options: argparse.Namespace) -> tuple[list[Entry], dict[str, str]]:
-    """Return the sequences that the options ask for, and why others are missing."""
+    """Return the sequences that the options name, and why others are missing."""
     missing: dict[str, str] = {}
     if options.folder:
         entries = folder_entries(options.folder, options.step)
@@ -62,12 +63,12 @@ def find_entries(options: argparse.Namespace) -> tuple[list[Entry], dict[str, st
         if folder is None:
             raise ValueError("no folder of sequences is named: give --data, or set TISFM_DATA")
         entries, missing = data_entries(folder)
-    chosen = choose(entries, options.sequences, what="sequence", name=lambda entry: entry.name)
+    chosen = choose(entries, options.sequences, kind="sequence", name=lambda entry: entry.name)
     return chosen, missing
 
 
 def find_methods(options: argparse.Namespace) -> tuple[list[Method], dict[str, str], str]:
-    """Return the methods that the options ask for, why others are missing, and pycolmap's version.
+    """Return the methods that the options name, why others are missing, and pycolmap's version.
 
     `tisfm.reconstruct` stands first.
     """
@@ -92,7 +93,7 @@ def find_methods(options: argparse.Namespace) -> tuple[list[Method], dict[str, s
         methods.append(Colmap(python=python, threads=options.threads))
     else:
         missing["pycolmap"] = about["reason"]
-    chosen = choose(methods, options.methods, what="method", name=lambda method: method.name)
+    chosen = choose(methods, options.methods, kind="method", name=lambda method: method.name)
     return chosen, missing, about.get("version", "none")
 
 
@@ -107,38 +108,21 @@ def _survey(python: Path) -> dict[str, str]:
         return {"reason": f"{python.name} does not run its worker: {error}"}
 
 
-def command(options: argparse.Namespace) -> str:
-    """Return the command of this run; folders by what they are, not where."""
-    words = ["python -m bench.sequences", "--preset", *options.preset]
-    words += ["--rounds", str(options.rounds), "--threads", str(options.threads)]
-    for name, given in (("--sequences", options.sequences), ("--methods", options.methods)):
-        words += [name, *given] if given else []
-    if options.folder:
-        words += ["--folder DIR", "--step", *map(str, options.step)]
-    words += ["--poses-given"] if options.poses_given else []
-    words += ["--camera-unknown"] if options.camera_unknown else []
-    words += ["--peer-python PATH"] if options.peer_python else []
-    return f"`{' '.join(words)}`"
-
-
 def main(arguments: list[str] | None = None) -> int:
-    """Return 0, 1 where a method failed on a sequence, or 2 where nothing could be run."""
+    """Return 0, 1 if a method failed on a sequence, or 2 if nothing could be run."""
     options = parse(arguments)
     path = RESULTS / options.output
     try:
         entries, missing = find_entries(options)
         methods, absent, version = find_methods(options)
         conditions = {
-            "command": command(options),
+            "command": words_of("sequences", options, [*WORDS, *["step"] * bool(options.folder)]),
             "rounds": options.rounds,
             "threads": options.threads,
             **machine(),
             "pycolmap": version,
         }
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-        with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-            total = len(methods) * len(entries) * options.rounds
-            task = progress.add_task("", total=total)
+        with progress(len(methods) * len(entries) * options.rounds) as step:
 
             def keep(scores: list[Score]) -> None:
                 write(SequenceContest(conditions=conditions, scores=tuple(scores)), path)
@@ -149,7 +133,7 @@ def main(arguments: list[str] | None = None) -> int:
                 rounds=options.rounds,
                 conditions=conditions,
                 missing=missing | absent,
-                step=lambda text: progress.update(task, description=text, advance=1),
+                step=step,
                 keep=keep,
             )
     except (OSError, ValueError) as error:

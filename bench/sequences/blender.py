@@ -1,19 +1,18 @@
-"""``python -m bench.sequences.blender``: where Blender sees what was exported for it.
+"""``python -m bench.sequences.blender``: an exported reconstruction as seen by Blender.
 
-A sequence is reconstructed, whole and from a part of its frames, whose optical axis is not in their
-middle, and exported as a camera that moves and as points. Blender reads both, as docs/exports.md
-tells a user to do, and says where it sees the points; the table, left in bench/results, has how far
-that is from where the reconstruction has them. Blender is a Python with bpy (``pip install bpy``)
-in an environment of its own, since it wants another NumPy.
+A sequence is reconstructed from whole frames, and from a part of each frame that has the optical
+axis outside its middle. Both are exported as a moving camera and as points. Blender reads the files
+as docs/exports.md tells a user to do, and projects the points. The table, left in bench/results,
+has the differences from the reconstruction. Blender is a Python with bpy (``pip install bpy``) in
+an environment of its own, since it needs another NumPy.
 """
 
-import argparse
 import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +20,17 @@ from rich.console import Console
 from scipy.spatial.transform import Rotation
 
 import tisfm
-from bench.sequences.entries import parsed
-from bench.shared.results import RESULTS, Bar, machine
+from bench.sequences.entries import parse_one
+from bench.shared.command import options_parser
+from bench.shared.results import RESULTS, Bar, Table, exit_code, machine, text_of, write
 from tisfm.exports import write_gltf_cameras, write_points
 from tisfm.formats import read_image
+from tisfm.settings import Preset
 
 SEQUENCE = "tartanair"
 PART = (400, 500)  # rows and columns, from the upper left corner
-POINTS, RATE = 2000, 25
+POINTS = 2000
+RATE = 25  # frames per second
 BARS = {
     "of the camera's place, of the path's extent": 1e-5,
     "of its rotation, deg": 1e-3,
@@ -43,15 +45,15 @@ _Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 def differences(
     result: tisfm.Reconstruction, seen: dict[str, NDArray[Any]], frames: Sequence[int]
 ) -> dict[str, float]:
-    """Return how far at most Blender is from a reconstruction, by the names of `BARS`.
+    """Return the largest differences between Blender and a reconstruction, by name of `BARS`.
 
     Parameters
     ----------
     result : Reconstruction
     seen : dict of str to ndarray
-        What `seen_by_blender` returned.
+        As `seen_by_blender` returns it.
     frames : sequence of int
-        Those that it was asked for.
+        Numbers of the frames that Blender rendered.
     """
     cloud = result.points()
     positions, colors = cloud.positions[seen["points"]], cloud.colors[seen["points"]]
@@ -86,38 +88,37 @@ def differences(
 def seen_by_blender(
     python: str, result: tisfm.Reconstruction, folder: Path, frames: Sequence[int]
 ) -> dict[str, NDArray[Any]]:
-    """Export a reconstruction, and return what Blender has of it, and the points it has it of."""
+    """Export a reconstruction; return the views of Blender, and the numbers of its points."""
     folder.mkdir()
     write_gltf_cameras(result, folder, frames_per_second=RATE)
     write_points(result, folder, suffix="glb")
     count = len(result.points())
     points = np.unique(np.linspace(0, count - 1, POINTS).astype(int))
-    asked, found = folder / "asked.npz", folder / "found.npz"
-    np.savez(asked, frames=frames, points=points, rate=RATE)
+    request, answer = folder / "request.npz", folder / "answer.npz"
+    np.savez(request, frames=frames, points=points, rate=RATE)
     reader = Path(__file__).with_name("blender_reader.py")
-    subprocess.run([python, reader, folder, asked, found], check=True, stdout=sys.stderr)
-    with np.load(found) as seen:
+    subprocess.run([python, reader, folder, request, answer], check=True, stdout=sys.stderr)
+    with np.load(answer) as seen:
         return {**seen, "points": points}
 
 
 def report(found: dict[str, dict[str, float]], conditions: dict[str, Any]) -> str:
     """Return the results as Markdown."""
-    lines = ["# What Blender sees of an export", ""]
-    lines += [f"- {name}: {value}" for name, value in conditions.items()]
-    lines += ["", "Largest differences from the reconstruction:", ""]
-    lines += ["| | " + " | ".join(found) + " | bar |", "| --- |" + " ---: |" * (len(found) + 1)]
-    lines += [
-        f"| {name} | " + " | ".join(f"{one[name]:.2g}" for one in found.values()) + f" | {bar:g} |"
+    rows = [
+        [name, *(f"{one[name]:.2g}" for one in found.values()), f"{bar:g}"]
         for name, bar in BARS.items()
     ]
-    return "\n".join([*lines, ""])
+    caption = "Largest differences from the reconstruction:"
+    table = Table(["", *found, "bar"], rows)
+    return text_of("# An export in Blender", conditions, caption, table)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and write; return 1 if a bar is missed."""
-    parser = argparse.ArgumentParser(prog="python -m bench.sequences.blender")
+    parser = options_parser("sequences.blender", __doc__, "data", "output", output="blender")
+    parser.add_argument("--preset", choices=get_args(Preset), default="fast")
     parser.add_argument("--python", required=True, metavar="FILE", help="a Python that has bpy")
-    options, loaded = parsed(parser, arguments, sequence=SEQUENCE, preset="fast", output="blender")
+    options, loaded = parse_one(parser, arguments, SEQUENCE)
     frames = np.stack([read_image(file) for file in loaded.frames])
     stated = loaded.camera
     if stated is None:
@@ -147,9 +148,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     text = report(found, conditions)
     Console(markup=False, highlight=False).print(text)
-    (RESULTS / f"{options.output}.md").write_text(text, encoding="utf-8")
-    held = [Bar(name, one[name], bar) for one in found.values() for name, bar in BARS.items()]
-    return 0 if all(bar.met for bar in held) else 1
+    write(RESULTS / options.output, text)
+    return exit_code(
+        Bar(name, one[name], bar) for one in found.values() for name, bar in BARS.items()
+    )
 
 
 def _srgb(light: NDArray[np.float64]) -> NDArray[np.float64]:

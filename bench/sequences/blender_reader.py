@@ -1,9 +1,9 @@
-"""What Blender takes from an export: run by Blender's own Python, with nothing of ours.
+"""Reads an export in Blender; run by Blender's own Python, without tisfm.
 
-``python blender_reader.py FOLDER ASKED FOUND``: FOLDER has ``camera.gltf``, ``points.glb`` and
-``lens.json``; ASKED, a ``.npz``, has frames, numbers of points, and frames a second. FOUND, too,
-gets the camera's pose in each frame, in Blender's axes, where each point is seen in it, the points'
-colours, and the vertical angle.
+``python blender_reader.py FOLDER REQUEST ANSWER``: FOLDER has ``camera.gltf``, ``points.glb`` and
+``lens.json``; REQUEST, a ``.npz``, has the numbers of frames and points, and the frames per second.
+ANSWER, another ``.npz``, gets the version of Blender, the camera's pose in each frame in Blender's
+axes, the position of each point in each frame, the colours of the points, and the vertical angle.
 """
 
 import json
@@ -15,9 +15,9 @@ import numpy as np
 from bpy_extras.object_utils import world_to_camera_view
 
 
-def main(folder: Path, asked: Path, found: Path) -> None:
+def main(folder: Path, request: Path, answer: Path) -> None:
     """Read an export as docs/exports.md tells a user to do."""
-    given = np.load(asked)
+    given = np.load(request)
     lens = json.loads((folder / "lens.json").read_text())
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
@@ -38,7 +38,7 @@ def main(folder: Path, asked: Path, found: Path) -> None:
         places.append([world_to_camera_view(scene, scene.camera, point) for point in points])
     colors = cloud.data.color_attributes["Color"].data
     np.savez(
-        found,
+        answer,
         poses=np.array(poses),
         places=np.array(places),
         colors=np.array([colors[int(k)].color for k in given["points"]]),

@@ -1,4 +1,4 @@
-"""Pairs one after another, each in the scale that the depth of those before gives it."""
+"""A chain of pairs, each scaled by the depth of the pairs before."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -10,26 +10,26 @@ from tisfm.evaluation.record import LITTLE_PARALLAX
 from tisfm.interpretation import Interpretation
 from tisfm.rigid import pose_matrix
 
-APART = 4  # px: the depth of every so many pixels is moved
-FEWEST = 0.003  # of those pixels: with fewer that both depths have, the scale is lost
+STRIDE = 4  # px between the pixels whose points are carried on
+FEWEST = 0.003  # share of those pixels with both depths, below which the scale is lost; set by hand
 
-Interpret = Callable[[int, int], Interpretation]  # the frame whose depth it is, and the other
-Keep = Callable[[int, Interpretation], None]  # the frame, and the pair whose depth is its own
+Interpret = Callable[[int, int], Interpretation]  # of a frame and the other frame of its pair
+Keep = Callable[[int, Interpretation], None]  # of a frame and the interpretation with its depth
 
 
 @dataclass(kw_only=True)
 class Chain:
-    """What chained pairs give.
+    """Result of chained pairs.
 
     Attributes
     ----------
     poses : list of (4, 4) array
         Camera to world.
     piece : list of int
-        Which poses are in one scale.
+        Number of the segment of each frame; a segment has one scale.
     status : list of str
     units : list of float
-        Of each frame, the length of its pair's unit, in that of its piece.
+        Unit of length of the pair of each frame, in the unit of its segment.
     """
 
     poses: list[NDArray[np.float64]] = field(default_factory=list)
@@ -43,17 +43,17 @@ def chain(
 ) -> Chain:
     """Chain the pairs of consecutive frames.
 
-    The points of the frame before, moved by its pair, are in the scale of what came before; the
-    median ratio of their depth to that of this frame's pair is the unit of the pair. A pair without
-    depth turns the camera and does not move it, and points are carried over it. The depth of the
-    last frame is that of the pair read backwards.
+    The points of the frame before, moved by its pair, have the scale of the segment; the median
+    ratio of their depth to the depth of this frame's pair is the unit of the pair. A pair without
+    depth only turns the camera, and the points are carried on. The last frame has the depth of the
+    reversed pair.
 
     Parameters
     ----------
     count : int
         Frames, at least 2.
     interpret : callable
-        Returns the interpretation of two frames by their indices, with one motion of the camera.
+        Returns the interpretation of two frames with given indices, with the motion of the camera.
     keep : callable
         Called with every frame that has a depth.
     focal : float
@@ -73,7 +73,7 @@ def chain(
         result = interpret(index, index - 1) if last else interpret(index, index + 1)
         seen = result.status not in LITTLE_PARALLAX and result.motions is not None
         unit = _unit(points, result.inverse_depth, focal, center) if seen else 1.0
-        if unit is None:  # the scale is lost: another piece begins
+        if unit is None:  # the scale is lost: a new segment begins
             pose, piece, unit = np.eye(4), piece + 1, 1.0
         found.poses.append(pose)
         found.piece.append(piece)
@@ -96,8 +96,8 @@ def chain(
 def _points(
     inverse_depth: NDArray, focal: float, center: tuple[float, float]
 ) -> NDArray[np.float64]:
-    """Return the points of some pixels, (3, K), in the camera's axes and the pair's unit."""
-    rows, columns = np.mgrid[: inverse_depth.shape[0] : APART, : inverse_depth.shape[1] : APART]
+    """Return the points of some pixels, (3, K), in camera axes and the unit of the pair."""
+    rows, columns = np.mgrid[: inverse_depth.shape[0] : STRIDE, : inverse_depth.shape[1] : STRIDE]
     inverse = inverse_depth[rows, columns].astype(np.float64)
     near = np.isfinite(inverse) & (inverse > 0)
     rays = np.stack(
@@ -113,9 +113,9 @@ def _points(
 def _unit(
     points: NDArray | None, inverse_depth: NDArray, focal: float, center: Sequence[float]
 ) -> float | None:
-    """Return the median of depth carried here over depth of this pair; None if they share little.
+    """Return the median of carried depth over depth of this pair; None if the overlap is too small.
 
-    It is 1 where nothing was carried: the first pair with depth says what the unit is.
+    It is 1 without carried points: the first pair with depth defines the unit.
     """
     if points is None:
         return 1.0
@@ -127,5 +127,5 @@ def _unit(
     here = inverse_depth[y[inside].astype(np.intp), x[inside].astype(np.intp)]
     ratios = ahead[2, inside] * here
     ratios = ratios[np.isfinite(ratios) & (ratios > 0)]
-    fewest = FEWEST * inverse_depth.size / APART**2
+    fewest = FEWEST * inverse_depth.size / STRIDE**2
     return float(np.median(ratios)) if len(ratios) > fewest else None

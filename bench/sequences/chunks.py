@@ -1,13 +1,12 @@
-"""``python -m bench.sequences.chunks``: sequences in chunks of frames, beside the same at once.
+"""``python -m bench.sequences.chunks``: reconstruction in chunks of frames, beside that at once.
 
-Real sequences, as far as they are there, in chunks that are shorter than the default, since they
-have at most 100 frames; and a rendered film in which a camera goes round and round in a room and
-looks outward, 225 frames a round. The table and all numbers are left in bench/results. With
-``--folder``, results are kept there, and a second run takes those that are complete.
+Real sequences, in chunks that are shorter than the default, since they have at most 100 frames; and
+a rendered film in which a camera goes round in a room and looks outward, 225 frames a round. The
+table and all figures are left in bench/results. With ``--folder``, results are kept there, and a
+second run takes the complete ones.
 """
 
 import argparse
-import json
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -22,7 +21,8 @@ from bench.sequences.entries import FARTHEST
 from bench.sequences.memory import HEIGHT, WIDTH, film
 from bench.sequences.rendered_films import rounds
 from bench.sequences.rendered_scores import path_error
-from bench.shared.results import RESULTS, machine
+from bench.shared.command import options_parser
+from bench.shared.results import RESULTS, Table, cell, machine, text_of, write
 from bench.shared.sequences import data_folder
 from tisfm.datasets import find_sequences
 from tisfm.evaluation.sequences import compare_sequence
@@ -34,27 +34,33 @@ SELECTED = (
     ("kitti_odometry_06", (30,)),
     ("tum_fr1_rpy", (60,)),
 )
-ROUNDS = (450, (150,))  # frames of the film
-AT_ONCE = 100_000  # frames: more than there are
+ROUNDS = (450, (150,))  # frames of the film, and of its chunks
+AT_ONCE = 100_000  # frames of a chunk: more than any sequence has
 SETTINGS = tisfm.Settings.preset("fast", motion="camera")
-WORDS = (
-    "sequence", "frames", "chunk", "chunks", "pieces", "frames of the largest", "ATE, %",
-    "depth error", "spread of its scale",
-)  # fmt: skip
-DIGITS = ("", "g", "", "g", "g", "g", ".3f", ".4f", ".4f")
+FIGURES = {  # name of a figure → its format
+    "sequence": "",
+    "frames": "g",
+    "chunk": "",
+    "chunks": "g",
+    "pieces": "g",
+    "frames of the largest": "g",
+    "ATE, %": ".3f",
+    "depth error": ".4f",
+    "spread of its scale": ".4f",
+}
 Row = dict[str, Any]
 
 
 def in_turn(function: Any, items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
-    """Call a function with each item, here."""
+    """Call a function with each item, in this process."""
     for number, item in enumerate(items):
         yield number, function(item)
 
 
-def made(
+def in_chunks(
     source: Any, folder: Path, camera: tisfm.Camera | None, chunk: int, stop: int | None = None
 ) -> tuple[tisfm.Reconstruction, int]:
-    """Return a sequence reconstructed in chunks, and how many."""
+    """Return a sequence reconstructed in chunks, and the number of chunks."""
     run = ChunkedRun(source, folder, camera=camera, settings=SETTINGS, chunk=chunk, stop=stop)
     result = run.result(in_turn, resume=True)
     return result, len(list(folder.glob(".tisfm-chunks/[0-9]*.json")))
@@ -66,7 +72,7 @@ def real_rows(data: Path, name: str, chunks: Sequence[int], folder: Path) -> Ite
     loaded = sequence.load(1)
     files = [str(file) for file in loaded.frames]
     for chunk in (AT_ONCE, *chunks):
-        result, count = made(files, folder / f"{name}-{chunk}", loaded.camera, chunk)
+        result, count = in_chunks(files, folder / f"{name}-{chunk}", loaded.camera, chunk)
         found = compare_sequence(sequence, loaded, result, camera=result.camera, max_depth=FARTHEST)
         largest, depth = found.pieces[0], found.depth
         values = (
@@ -74,14 +80,14 @@ def real_rows(data: Path, name: str, chunks: Sequence[int], folder: Path) -> Ite
             largest.frames, None if largest.share is None else 100 * largest.share,
             None if depth is None else depth.error, None if depth is None else depth.scale_spread,
         )  # fmt: skip
-        yield dict(zip(WORDS, values, strict=True))
+        yield dict(zip(FIGURES, values, strict=True))
 
 
 def film_rows(count: int, chunks: Sequence[int], folder: Path) -> Iterator[Row]:
     """Measure the rendered film."""
     source, camera = film(count)
     for chunk in (AT_ONCE, *chunks):
-        result, number = made(str(source), folder / f"rounds-{chunk}", camera, chunk, count)
+        result, number = in_chunks(str(source), folder / f"rounds-{chunk}", camera, chunk, count)
         inside = result.piece == result.largest_piece
         poses = np.where(inside[:, None, None], result.poses, np.nan)
         values = (
@@ -89,36 +95,17 @@ def film_rows(count: int, chunks: Sequence[int], folder: Path) -> Iterator[Row]:
             int(result.piece.max()) + 1, int(inside.sum()), path_error(poses, rounds(count)), None,
             None,
         )  # fmt: skip
-        yield dict(zip(WORDS, values, strict=True))
-
-
-def write(conditions: dict[str, Any], rows: list[Row], path: Path) -> None:
-    """Write PATH.md and PATH.json."""
-    lines = ["# Sequences in chunks of frames", ""]
-    lines += [f"- {name}: {value}" for name, value in conditions.items()]
-    lines += ["", f"| {' | '.join(WORDS)} |", "| --- |" + " ---: |" * (len(WORDS) - 1)]
-    for row in rows:
-        values = (
-            "–" if row[word] is None else format(row[word], kind)
-            for word, kind in zip(WORDS, DIGITS, strict=True)
-        )
-        lines.append(f"| {' | '.join(values)} |")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.with_suffix(".md").write_text("\n".join([*lines, ""]), encoding="utf-8")
-    text = json.dumps({"conditions": conditions, "rows": rows}, indent=1, ensure_ascii=False)
-    path.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
+        yield dict(zip(FIGURES, values, strict=True))
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(prog="python -m bench.sequences.chunks", description=__doc__)
-    add = parser.add_argument
-    add("--data", type=Path, metavar="DIR", help="sequences; default: TISFM_DATA")
-    add("--folder", type=Path, metavar="DIR", help="where results are kept; default: nowhere")
-    add("--no-film", action="store_true", help="leave out the rendered film")
-    add(
-        "--output", default="sequences_chunks", metavar="NAME", help="of the files in bench/results"
+    parser = options_parser(
+        "sequences.chunks", __doc__, "data", "output", output="sequences_chunks"
     )
+    add = parser.add_argument
+    add("--folder", type=Path, metavar="DIR", help="keep the results there; default: nowhere")
+    add("--no-film", action="store_true", help="leave out the rendered film")
     return parser.parse_args(arguments)
 
 
@@ -143,7 +130,9 @@ def main(arguments: list[str] | None = None) -> int:
         "ATE": "of the largest piece, over the length of the path",
         **machine(),
     }
-    write(conditions, rows, RESULTS / options.output)
+    cells = [[cell(row[word], form) for word, form in FIGURES.items()] for row in rows]
+    text = text_of("# Sequences in chunks of frames", conditions, Table(list(FIGURES), cells))
+    write(RESULTS / options.output, text, {"conditions": conditions, "rows": rows})
     return 0
 
 

@@ -1,36 +1,42 @@
-"""``python -m bench.sequences.colmap_model``: what COLMAP reads of a reconstruction.
+"""``python -m bench.sequences.colmap_model``: an exported reconstruction as read by COLMAP.
 
-A sequence is reconstructed and exported as a model of COLMAP. pycolmap reads it, and triangulates
-every point again from the positions and poses that it holds; the table is left in bench/results.
+A sequence is reconstructed and exported as a model of COLMAP. pycolmap reads the model and
+triangulates every point again from its image positions and poses. The table is left in
+bench/results.
 """
 
-import argparse
 import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pycolmap
 from rich.console import Console
 
 import tisfm
-from bench.sequences.entries import parsed
-from bench.shared.results import RESULTS, Bar, machine
+from bench.sequences.entries import parse_one
+from bench.shared.command import options_parser
+from bench.shared.results import RESULTS, Bar, Table, exit_code, machine, text_of, write
 from tisfm.exports import write_colmap
+from tisfm.settings import Preset
 
 SEQUENCE = "tartanair"
-IMAGES, POINTS, REPROJECTION = 30, 5000, 1.0  # the bars of that sequence; the last in px
+# Bars of that sequence, set by hand.
+LEAST_IMAGES = 30
+LEAST_POINTS = 5000
+MOST_REPROJECTION = 1.0  # px
 LEAST_TRACK = 3  # frames
+ERROR = "median reprojection error, px"
 
 
 def figures(model: Any) -> dict[str, float]:
-    """Return what a model holds, and how well its points are triangulated again."""
+    """Return the contents of a model, and the errors of its points triangulated again."""
     images, points = model.images, model.points3D
     long = {number for number, point in points.items() if point.track.length() >= LEAST_TRACK}
     tracks = [
-        sum(place.has_point3D() and place.point3D_id in long for place in image.points2D)
+        sum(point.has_point3D() and point.point3D_id in long for point in image.points2D)
         for image in images.values()
     ]
     errors: list[float] = []
@@ -58,7 +64,7 @@ def figures(model: Any) -> dict[str, float]:
         "images": len(images),
         "points": len(points),
         f"least tracks of {LEAST_TRACK} frames in an image": min(tracks),
-        "median reprojection error, px": float(np.median(errors)),
+        ERROR: float(np.median(errors)),
         "its 90th percentile, px": float(np.percentile(errors, 90)),
         "points that cannot be triangulated again": lost,
     }
@@ -68,35 +74,36 @@ def bars(found: dict[str, float], frames: int) -> list[Bar]:
     """Return the figures that have a bar."""
     least = f"least tracks of {LEAST_TRACK} frames in an image"
     return [
-        Bar(f"images of {frames}", found["images"], IMAGES, at_most=False),
-        Bar("points", found["points"], POINTS, at_most=False),
+        Bar(f"images of {frames}", found["images"], LEAST_IMAGES, at_most=False),
+        Bar("points", found["points"], LEAST_POINTS, at_most=False),
         Bar(least, found[least], 1, at_most=False),
-        Bar("median reprojection error, px", found["median reprojection error, px"], REPROJECTION),
+        Bar(
+            "median reprojection error, px",
+            found["median reprojection error, px"],
+            MOST_REPROJECTION,
+        ),
     ]
 
 
 def report(found: dict[str, float], held: Sequence[Bar], conditions: dict[str, Any]) -> str:
     """Return the results as Markdown."""
-    lines = ["# A reconstruction as a model of COLMAP", ""]
-    lines += [f"- {name}: {value}" for name, value in conditions.items()]
-    lines += ["", "| | |", "| --- | ---: |"]
-    lines += [f"| {name} | {value:.4g} |" for name, value in found.items()]
-    return "\n".join([*lines, "", *(f"- {bar}" for bar in held), ""])
+    rows = [[name, f"{value:.4g}"] for name, value in found.items()]
+    title = "# A reconstruction as a model of COLMAP"
+    return text_of(title, conditions, Table(["", ""], rows), list(map(str, held)))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and write; return 1 if a bar is missed."""
-    parser = argparse.ArgumentParser(prog="python -m bench.sequences.colmap_model")
-    options, loaded = parsed(
-        parser, arguments, sequence=SEQUENCE, preset="balanced", output="colmap"
-    )
+    parser = options_parser("sequences.colmap_model", __doc__, "data", "output", output="colmap")
+    parser.add_argument("--preset", choices=get_args(Preset), default="balanced")
+    options, loaded = parse_one(parser, arguments, SEQUENCE)
     settings = tisfm.Settings.preset(options.preset, motion="camera")
-    with tempfile.TemporaryDirectory() as place:
+    with tempfile.TemporaryDirectory() as folder:
         result = tisfm.reconstruct(
-            loaded.frames, camera=loaded.camera, settings=settings, folder=Path(place) / "result"
+            loaded.frames, camera=loaded.camera, settings=settings, folder=Path(folder) / "result"
         )
-        write_colmap(result, Path(place) / "model")
-        found = figures(pycolmap.Reconstruction(str(Path(place) / "model" / "sparse" / "0")))
+        write_colmap(result, Path(folder) / "model")
+        found = figures(pycolmap.Reconstruction(str(Path(folder) / "model" / "sparse" / "0")))
     held = bars(found, len(loaded.frames))
     conditions = {
         "command": "python -m bench.sequences.colmap_model",
@@ -107,8 +114,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     text = report(found, held, conditions)
     Console(markup=False, highlight=False).print(text)
-    (RESULTS / f"{options.output}.md").write_text(text, encoding="utf-8")
-    return 0 if all(bar.met for bar in held) else 1
+    write(RESULTS / options.output, text)
+    return exit_code(held)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
-"""pycolmap's incremental mapping of a sequence, in a process of its own.
+"""Process that runs the incremental mapping of pycolmap on a sequence.
 
-It needs pycolmap and NumPy; neither tisfm nor the rest of the bench. ``colmap_worker.py survey``
-prints its version as JSON, or why there is none. ``colmap_worker.py`` reads a line of JSON,
-``{"images": FOLDER, "output": FOLDER, "camera": [f, cx, cy], "names": [NAME, …], "threads": N}``,
-and prints one: the poses of the frames, camera to world, the piece that each belongs to, the
-seconds and the bytes at the peak. SIFT of every frame, sequential matching, the incremental mapper
-with its defaults, but for the intrinsics, which are given and kept.
+It needs pycolmap and NumPy, but neither tisfm nor the rest of the bench.
+``colmap_worker.py survey`` prints the version of pycolmap as JSON, or why it is missing.
+``colmap_worker.py`` reads a line of JSON, ``{"images": FOLDER, "output": FOLDER, "camera":
+[f, cx, cy], "names": [NAME, …], "threads": N}``, and prints one: the poses of the frames, camera to
+world, the segment of each frame, the seconds, and the peak memory in bytes. SIFT of every frame,
+sequential matching, and the incremental mapper with its defaults, but with given, fixed intrinsics.
 """
 
 import json
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 STATUS = Path("/proc/self/status")
-HALF = 0.5  # px: its pixels have their centres there
+HALF = 0.5  # px: coordinates of the centre of a pixel in pycolmap
 
 
 def survey() -> dict[str, str]:
@@ -63,7 +63,7 @@ def run(request: dict[str, Any]) -> dict[str, Any]:
     for count, model in enumerate(sorted(models.values(), key=lambda m: -m.num_reg_images())):
         for image in model.images.values():
             index = number[image.name]
-            if image.has_pose and poses[index] is None:  # models may share a few
+            if image.has_pose and poses[index] is None:  # models may share images
                 motion = image.cam_from_world()
                 rotation = motion.rotation.matrix().T
                 pose = np.eye(4)
@@ -73,7 +73,7 @@ def run(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def peak() -> int:
-    """Return the greatest resident memory, bytes."""
+    """Return the peak resident memory, bytes."""
     if STATUS.exists():
         line = next(row for row in STATUS.read_text().splitlines() if row.startswith("VmHWM"))
         return int(line.split()[1]) * 1024
@@ -84,7 +84,7 @@ def peak() -> int:
 
 if __name__ == "__main__":
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what a library prints must not be taken for an answer
+    os.dup2(2, 1)  # the output of libraries must not mix with the answer
     wanted = survey() if sys.argv[1:] == ["survey"] else run(json.loads(sys.stdin.readline()))
     answers.write(json.dumps(wanted) + "\n")
     answers.flush()

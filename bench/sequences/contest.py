@@ -27,15 +27,14 @@ from tisfm.lens import undistort
 from tisfm.settings import Preset
 
 COLMAP_WORKER = Path(__file__).with_name("colmap_worker.py")
-TIMEOUT = 3600.0  # s
+TIMEOUT = 3600.0  # s for a method on a sequence
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """One run of a method: names of its results → NAME of `Stored`, s, and bytes at the peak.
+    """One run of a method: name of a result → NAME of `Stored`, s, and peak memory in bytes.
 
-    `focal` is what was found of a focal length that was not given, px: itself, its deviation, and
-    whether it is to be relied on.
+    `focal` is an estimated focal length, px: its value, its deviation, and whether it is reliable.
     """
 
     results: dict[str, str]
@@ -49,17 +48,17 @@ class Method(Protocol):
 
     @property
     def name(self) -> str:
-        """What the tables call it."""
+        """Name in the tables."""
 
     def run(self, loaded: LoadedSequence, camera: Camera, output: Path) -> Outcome:
-        """Leave results in a folder, which is empty; or raise MethodFailure."""
+        """Write results to an empty folder, or raise MethodFailure."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Own:
     """`tisfm.reconstruct`, or chained pairs, in a process of its own.
 
-    `poses_given` tells it the true poses; without `camera_given` it knows nothing of the camera.
+    `poses_given`: whether it gets the true poses; `camera_given`: whether it gets the camera.
     """
 
     preset: Preset
@@ -81,8 +80,8 @@ class Own:
         if self.poses_given and not loaded.posed.all():
             raise MethodFailure("not all poses are known")
         if not self.camera_given and camera.distortion is not None:
-            raise MethodFailure("its lens has distortion, which is not sought")
-        answer = _asked(
+            raise MethodFailure("its lens has distortion, which is not estimated")
+        answer = _ask(
             [sys.executable, "-m", "bench.sequences.worker"],
             {
                 "method": self.method,
@@ -114,14 +113,14 @@ class Colmap:
     poses_given: bool = False
 
     def run(self, loaded: LoadedSequence, camera: Camera, output: Path) -> Outcome:
-        """Give it frames without distortion, and wait for its process."""
+        """Start the process on frames without distortion, and wait for it."""
         images = output / "images"
         images.mkdir()
         names = [f"{index:06d}.png" for index in range(len(loaded.frames))]
         for name, path in zip(names, loaded.frames, strict=True):
             picture = undistort(read_image(path), camera)
             write_png(images / name, picture)
-        answer = _asked(
+        answer = _ask(
             [self.python, COLMAP_WORKER],
             {
                 "images": str(images),
@@ -149,14 +148,14 @@ class Score:
     ----------
     method, sequence : str
     evaluation : SequenceEvaluation or None
-        Of the first round; None where it failed.
+        Of the first round; None if it failed.
     seconds : tuple of float
         Of every round, for the whole sequence.
     peak : int or None
-        Most resident memory of its process, bytes.
+        Peak resident memory of its process, bytes.
     focal : (float, float, bool) or None
-        Where it was not given: by how much what was found is off, and its deviation, both as
-        shares of the true one; and whether it is to be relied on.
+        Of an estimated focal length: its error and its deviation, both as shares of the true one,
+        and whether it is reliable.
     failure : str
     """
 
@@ -176,7 +175,7 @@ class Score:
         return median(self.seconds) / self.evaluation.frames
 
     def as_json(self) -> dict[str, Any]:
-        """Return everything as plain values; the folder by its name alone."""
+        """Return everything as plain values, without the folder."""
         record = None
         if self.evaluation is not None:
             record = as_record(self.evaluation)
@@ -195,7 +194,7 @@ class Score:
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceContest:
-    """All that one run measured."""
+    """All figures of one run."""
 
     conditions: dict[str, Any]
     scores: tuple[Score, ...]
@@ -203,7 +202,7 @@ class SequenceContest:
 
     @property
     def failures(self) -> dict[str, str]:
-        """Return "method on sequence" → what happened."""
+        """Method on sequence → failure."""
         return {f"{s.method} on {s.sequence}": s.failure for s in self.scores if s.failure}
 
     def as_json(self) -> dict[str, Any]:
@@ -235,9 +234,9 @@ def hold(
     conditions, missing : dict
         As in `SequenceContest`.
     step : callable
-        Called with what comes next, before every run.
+        Called before every run with the names of sequence and method.
     keep : callable
-        Called with all scores so far after every sequence, so that none is lost.
+        Called after every sequence with all scores so far, so that none is lost.
 
     Raises
     ------
@@ -271,9 +270,9 @@ def presets() -> tuple[Preset, ...]:
 def _scores(
     method: Method, entry: Entry, loaded: LoadedSequence, camera: Camera, *, scored: bool
 ) -> list[Score]:
-    """Run a method once; a result of its own has a score each."""
-    with tempfile.TemporaryDirectory(prefix="tisfm-sequences-") as place:
-        output = Path(place)
+    """Run a method once; return a score for each of its results."""
+    with tempfile.TemporaryDirectory(prefix="tisfm-sequences-") as folder:
+        output = Path(folder)
         try:
             outcome = method.run(loaded, camera, output)
         except MethodFailure as failure:
@@ -327,8 +326,8 @@ def _off(focal: tuple[float, float, bool] | None, true: float) -> tuple[float, f
     return found / true - 1, deviation / true, seen
 
 
-def _asked(command: list[str | Path], question: dict[str, Any], threads: int) -> dict[str, Any]:
-    """Ask a process one question, and return its answer."""
+def _ask(command: list[str | Path], question: dict[str, Any], threads: int) -> dict[str, Any]:
+    """Send one request to a process, and return its answer."""
     try:
         done = subprocess.run(
             command,

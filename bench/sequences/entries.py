@@ -1,17 +1,15 @@
-"""The sequences of the comparison: those of a folder of real data, and any that are named."""
+"""Sequences of the comparison: from a folder of real data, and from any folder."""
 
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
 
+from bench.shared.command import Parser
 from bench.shared.sequences import data_folder
 from tisfm.datasets import DatasetSequence, LoadedSequence, find_sequences
-from tisfm.settings import Preset
 
-# Folder, and every how many frames. What drives is also seen with every second frame dropped from
-# one on, as if it had become fast.
+# Folder, and the step from frame to frame.
 SELECTED = (
     ("new_tsukuba", 1),
     ("tartanair", 1),
@@ -23,8 +21,9 @@ SELECTED = (
     ("fountain", 1),
     ("kitti_odometry_06", 1),
 )
+# Folder, and the frame from which on every second one is left out, as if the car became faster.
 THINNED = (("kitti_odometry_06", 25),)
-FARTHEST = 40.0  # m: true depth beyond does not count
+FARTHEST = 40.0  # m: larger true depths do not count
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +34,7 @@ class Entry:
     ----------
     sequence : DatasetSequence
     step : int
-        Every so many frames are taken.
+        From frame to frame.
     thinned : int or None
         From this frame on, every second one is left out.
     """
@@ -46,14 +45,14 @@ class Entry:
 
     @property
     def name(self) -> str:
-        """The folder's, and which frames are taken."""
+        """Name of the folder, and the choice of frames."""
         name = self.sequence.name
         if self.step > 1:
             name += f", every {self.step}"
         return name if self.thinned is None else f"{name}, every 2 from {self.thinned} on"
 
     def load(self) -> LoadedSequence:
-        """Read all but frames and depth maps."""
+        """Return the sequence without its frames and depth maps."""
         loaded = self.sequence.load(self.step)
         if self.thinned is None:
             return loaded
@@ -83,21 +82,10 @@ def folder_entries(folders: Sequence[Path], steps: Sequence[int]) -> list[Entry]
     return [Entry(sequence=sequence, step=step) for sequence in found for step in steps]
 
 
-def parsed(
-    parser: argparse.ArgumentParser,
-    arguments: Sequence[str] | None,
-    *,
-    sequence: str,
-    preset: Preset,
-    output: str,
+def parse_one(
+    parser: Parser, arguments: Sequence[str] | None, sequence: str
 ) -> tuple[argparse.Namespace, LoadedSequence]:
-    """Return the options and the sequence of that name; end the program if there is none.
-
-    `preset` and `output` are the defaults of the options of these names.
-    """
-    parser.add_argument("--data", type=Path, metavar="DIR", help="the folder of sequences")
-    parser.add_argument("--preset", choices=get_args(Preset), default=preset)
-    parser.add_argument("--output", default=output, metavar="NAME", help="in bench/results")
+    """Return the options, and the sequence of that name; end the program if there is none."""
     options = parser.parse_args(arguments)
     data = data_folder(options.data)
     if data is None:

@@ -1,18 +1,15 @@
-"""``python -m bench.sequences.long_runs``: long runs, shared runs, and runs that are killed.
+"""``python -m bench.sequences.long_runs``: speed of workers, long runs, and killed runs.
 
-Workers: a video on a Dask cluster here of one worker of one thread, and of two, in turns; the speed
-is that between the pair after which each worker has begun and the last one, so that start-up does
-not count. Frames: a
-run over many small frames, whose resident memory and speed after a hundred pairs and at the end are
-compared. Kills: a run, a run of two workers, a run on a Dask cluster of two workers here, and a
-reconstruction in chunks by two workers, each killed by SIGKILL at random moments and gone on with;
-what is left is compared with that of a command without interruption. The tables are left in
+Workers: a video on a local Dask cluster of one worker with one thread, and of two, in turns. The
+speed counts from the pair after which every worker has begun to the last pair, which leaves out the
+start. Frames: resident memory and speed of a run over many small frames, after a hundred pairs and
+at the end. Kills: a run, a run of two workers, a run on a local Dask cluster of two workers, and a
+reconstruction in chunks by two workers are each killed by SIGKILL at random moments and resumed;
+the files are compared with those of a command without interruption. The tables are left in
 bench/results/long_runs.md.
 """
 
-import argparse
 import contextlib
-import json
 import os
 import random
 import shutil
@@ -22,23 +19,29 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bench.sequences.rendered_films import rounds as rounds_of
-from bench.shared.results import RESULTS, Bar, machine
+from bench.shared.command import options_parser
+from bench.shared.results import RESULTS, Bar, Table, exit_code, machine, memory, text_of, write
 from bench.writing import rendered
 from tisfm.formats import write_png
 from tisfm.scenes import room_film, static_scene
 
-FASTER, APART = 1.7, 0.05  # bars: of two workers; share by which memory and speed may differ
-ROUNDS, PAIRS, FRAMES, KILLS = 3, 120, 10_000, 20
+FASTER = 1.7  # bar of the speed of two workers over one; set by hand
+APART = 0.05  # bar of the change of memory and speed in a long run, a share; set by hand
+ROUNDS = 3  # of workers
+PAIRS = 120  # of the video of workers
+FRAMES = 10_000  # of the long run
+KILLS = 20  # of each command
 BEGUN = 12  # pairs, after which every worker has begun
-EARLY, STRETCH = 100, 1000  # pairs
-SMALL = (48, 64)
+EARLY = 100  # pairs, after which memory and speed count as those of the start
+STRETCH = 1000  # pairs over which a speed is measured
+SMALL = (48, 64)  # px, height and width of the frames of the long run
 COMMAND = [sys.executable, "-c", "import sys; from tisfm.cli.command_line import main; "
            "sys.exit(main())"]  # fmt: skip
 RUN = ("run", "--preset", "fast", "--no-figures")
@@ -47,7 +50,7 @@ RECONSTRUCT = ("reconstruct", "--preset", "fast", "--workers", "2", "--chunk", "
 
 @dataclass
 class Found:
-    """What was measured; a part that was left out has nothing."""
+    """The figures; those of a part that was left out are empty."""
 
     workers: list[tuple[float, float]] = field(default_factory=list)  # pairs/s of one and two
     frames: dict[str, float] = field(default_factory=dict)
@@ -55,25 +58,25 @@ class Found:
 
 
 def start(*options: str, command: Sequence[str] = RUN) -> subprocess.Popen[bytes]:
-    """Begin a run, or another command, in a process of its own."""
+    """Start a run, or another command, in a process of its own."""
     call = [*COMMAND, *command, *options]
     return subprocess.Popen(call, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
 
 def end(process: subprocess.Popen[bytes]) -> None:
-    """Wait for a run, which has to succeed."""
+    """Wait for the end of a command; raise RuntimeError if it failed."""
     _, said = process.communicate()
     if process.returncode != 0:
         raise RuntimeError(f"a run ended with {process.returncode}: {said.decode()}")
 
 
 def written(folder: Path) -> list[float]:
-    """Return when the pairs of a run were finished, s, in order."""
+    """Return the times at which the pairs of a run were finished, s, in order."""
     return sorted(path.stat().st_mtime for path in folder.glob("*.npz"))
 
 
 def speed(times: Sequence[float], first: int, last: int) -> float:
-    """Return pairs per second from the pair after the first so many to another."""
+    """Return the pairs per second between the pairs with the numbers `first` and `last`."""
     return (last - first) / (times[last - 1] - times[first - 1])
 
 
@@ -92,37 +95,28 @@ def measure_workers(source: Path, rounds: int, begun: int) -> list[tuple[float, 
 
 
 def many_frames(folder: Path, count: int) -> Path:
-    """Make a folder of so many small frames, of a scene seen to and fro."""
+    """Make a folder of small frames: the two frames of a scene in turns, as hard links."""
     scene = static_scene("sideways", *SMALL)
     kinds = []
     for number, frame in enumerate((scene.frame0, scene.frame1)):
         kinds.append(folder / f"kind{number}.png")
         write_png(kinds[-1], np.clip(np.rint(frame), 0, 255).astype(np.uint8))
-    place = folder / "frames"
-    place.mkdir()
+    target = folder / "frames"
+    target.mkdir()
     for number in range(count):
-        os.link(kinds[number % 2], place / f"frame{number:06d}.png")
-    return place
-
-
-def resident(process: subprocess.Popen[bytes]) -> float:
-    """Return the resident memory of a process, MB; 0 if it has ended."""
-    with contextlib.suppress(OSError, ValueError):
-        for line in Path(f"/proc/{process.pid}/status").read_text().splitlines():
-            if line.startswith("VmRSS:"):
-                return int(line.split()[1]) / 1e3
-    return 0.0
+        os.link(kinds[number % 2], target / f"frame{number:06d}.png")
+    return target
 
 
 def measure_frames(count: int) -> dict[str, float]:
-    """Return memory and speed of a run over so many frames, early and at the end."""
+    """Return memory and speed of a run over `count` frames, early and at the end."""
     with tempfile.TemporaryDirectory() as folder:
         source, output = many_frames(Path(folder), count), Path(folder, "out")
         process = start(str(source), "-o", str(output), "--figures", "500")
         early, last = 0.0, 0.0
         while process.poll() is None:
             time.sleep(0.2)
-            last = resident(process) or last
+            last = (memory("VmRSS", process.pid) or 0.0) / 1e6 or last
             if early == 0 and output.exists() and len(os.listdir(output)) > 4 * EARLY:
                 early = last
         end(process)
@@ -139,7 +133,7 @@ def measure_frames(count: int) -> dict[str, float]:
 
 @contextlib.contextmanager
 def cluster(workers: int = 2) -> Iterator[str]:
-    """Yield the address of a cluster of so many workers here, of one thread each."""
+    """Yield the address of a local Dask cluster whose workers have one thread each."""
     from distributed import LocalCluster
 
     with LocalCluster(
@@ -149,7 +143,7 @@ def cluster(workers: int = 2) -> Iterator[str]:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Return all that a run left, but for how long it took."""
+    """Return the content of every file of a run but its times."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in folder.rglob("*")
@@ -160,7 +154,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def measure_kills(
     source: Path, kills: int, *options: str, command: Sequence[str] = RUN
 ) -> dict[str, int]:
-    """Kill a command so many times at random moments, and go on; count what is wrong then."""
+    """Kill a command at random moments and resume it; count results with other bytes."""
     with tempfile.TemporaryDirectory() as folder:
         whole, output = Path(folder, "whole"), Path(folder, "out")
         begin = time.monotonic()
@@ -205,47 +199,33 @@ def bars(found: Found) -> list[Bar]:
 
 def report(found: Found, conditions: dict[str, Any]) -> str:
     """Return the results as Markdown."""
-    lines = ["# Long runs", "", *(f"- {name}: {value}" for name, value in conditions.items()), ""]
+    tables = []
     if found.workers:
-        lines += [
-            "| round | one worker, pairs/s | two workers, pairs/s | ratio |",
-            "|" + " ---: |" * 4,
+        head = ["round", "one worker, pairs/s", "two workers, pairs/s", "ratio"]
+        rows = [
+            [str(number), f"{one:.2f}", f"{two:.2f}", f"{two / one:.2f}"]
+            for number, (one, two) in enumerate(found.workers, 1)
         ]
-        for number, (one, two) in enumerate(found.workers, 1):
-            lines.append(f"| {number} | {one:.2f} | {two:.2f} | {two / one:.2f} |")
-        lines.append("")
+        tables.append(Table(head, rows, text_columns=0))
     if found.frames:
-        lines += [f"| {' | '.join(found.frames)} |", "|" + " ---: |" * len(found.frames)]
-        lines += [f"| {' | '.join(f'{value:.4g}' for value in found.frames.values())} |", ""]
+        cells = [f"{value:.4g}" for value in found.frames.values()]
+        tables.append(Table(list(found.frames), [cells], text_columns=0))
     if found.kills:
-        lines += ["| killed | times | ended before | other bytes |", "| --- |" + " ---: |" * 3]
-        lines += [
-            f"| {name} | {' | '.join(map(str, counts.values()))} |"
-            for name, counts in found.kills.items()
-        ]
-        lines.append("")
-    return "\n".join([*lines, *(f"- {bar}" for bar in bars(found)), ""])
+        rows = [[name, *map(str, counts.values())] for name, counts in found.kills.items()]
+        tables.append(Table(["killed", "times", "ended before", "other bytes"], rows))
+    return text_of("# Long runs", conditions, *tables, list(map(str, bars(found))))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, write, and return 1 if a bar is missed."""
-    parser = argparse.ArgumentParser(
-        prog="python -m bench.sequences.long_runs", description=__doc__
-    )
+    parser = options_parser("sequences.long_runs", __doc__, "smoke", "output", output="long_runs")
     parser.add_argument("source", nargs="?", type=Path, help="of workers; default: rendered")
-    parser.add_argument("--rounds", type=int, default=ROUNDS, help="of workers; 0 for none")
-    parser.add_argument("--frames", type=int, default=FRAMES, help="0 for none")
+    parser.add_argument("--worker-rounds", type=int, default=ROUNDS, help="0 for none")
+    parser.add_argument("--pairs", type=int, default=FRAMES, help="of the long run; 0 for none")
     parser.add_argument("--kills", type=int, default=KILLS, help="of each kind; 0 for none")
-    parser.add_argument("--smoke", action="store_true", help="a little of each, and no bar")
-    parser.add_argument("--output", default="long_runs", metavar="NAME")
     options = parser.parse_args(arguments)
-    rounds, frames, kills, pairs, begun = (
-        options.rounds,
-        options.frames,
-        options.kills,
-        PAIRS,
-        BEGUN,
-    )
+    rounds, frames, kills = options.worker_rounds, options.pairs, options.kills
+    pairs, begun = PAIRS, BEGUN
     if options.smoke:
         rounds, frames, kills, pairs, begun = 1, 3 * EARLY, 1, 5, 2
     found = Found()
@@ -278,10 +258,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(text)
     if options.smoke:
         return 0
-    (RESULTS / f"{options.output}.md").write_text(text, encoding="utf-8")
-    about = {"workers": found.workers, "frames": found.frames, "kills": found.kills}
-    (RESULTS / f"{options.output}.json").write_text(json.dumps(about) + "\n", encoding="utf-8")
-    return 0 if all(bar.met for bar in bars(found)) else 1
+    write(RESULTS / options.output, text, asdict(found))
+    return exit_code(bars(found))
 
 
 if __name__ == "__main__":

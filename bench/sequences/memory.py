@@ -1,9 +1,9 @@
 """``python -m bench.sequences.memory``: peak memory of `tisfm.reconstruct` over the frames.
 
-A camera goes round and round in a rendered room and looks outward, 225 frames a round, so that most
-frames show something new. Frames lie in files, and each film is reconstructed by a process of its
-own, whose most resident memory counts, libraries included. Rendered frames are kept in a temporary
-folder. The table and all numbers are left in bench/results.
+A camera goes round in a rendered room and looks outward, 225 frames a round, so that most frames
+show new surfaces. Each film is read from files and reconstructed by a process of its own, whose
+peak resident memory counts, libraries included. Rendered frames are kept in a temporary folder.
+The table and all figures are left in bench/results.
 """
 
 import argparse
@@ -21,19 +21,27 @@ import tisfm
 from bench.pair_memory import peak
 from bench.sequences.rendered_films import CACHE, rounds
 from bench.sequences.rendered_scores import path_error
-from bench.shared.results import RESULTS, machine
+from bench.shared.command import options_parser
+from bench.shared.results import RESULTS, Table, machine, text_of, write
 from tisfm import runtime
 from tisfm.reconstruction.progress import DepthOf
 from tisfm.scenes import room_film
 from tisfm.settings import Preset
 
-HEIGHT, WIDTH = 120, 160
+HEIGHT = 120  # px
+WIDTH = 160  # px
 LOT = 50  # frames that are rendered at a time
-WORDS = "frames", "peak memory, MB", "pieces", "frames with a pose", "ATE, %"
+FIGURES = {  # name of a figure → its format
+    "frames": "g",
+    "peak memory, MB": ".0f",
+    "pieces": "g",
+    "frames with a pose": "g",
+    "ATE, %": ".3f",
+}
 
 
 def film(count: int) -> tuple[Path, tisfm.Camera]:
-    """Return a folder with at least so many frames, and their camera."""
+    """Return a folder with at least `count` rendered frames, and their camera."""
     folder = CACHE / f"rounds-{HEIGHT}x{WIDTH}"
     folder.mkdir(parents=True, exist_ok=True)
     camera = room_film(rounds(1), 8, WIDTH, samples=1).camera
@@ -48,7 +56,7 @@ def film(count: int) -> tuple[Path, tisfm.Camera]:
 
 
 def measure(count: int, preset: Preset, depth_of: DepthOf, threads: int) -> dict[str, float]:
-    """Reconstruct so many frames in this process, and return what it took."""
+    """Reconstruct `count` frames in this process, and return the figures."""
     runtime.start(threads=threads)
     folder, camera = film(count)
     settings = tisfm.Settings.preset(preset, motion="camera")
@@ -59,36 +67,26 @@ def measure(count: int, preset: Preset, depth_of: DepthOf, threads: int) -> dict
     first = np.where((result.piece == 0)[:, None, None], result.poses, np.nan)
     posed = result.piece >= 0
     values = count, most, len(set(result.piece[posed].tolist())), int(posed.sum())
-    return dict(zip(WORDS, (*values, path_error(first, rounds(count))), strict=True))
+    return dict(zip(FIGURES, (*values, path_error(first, rounds(count))), strict=True))
 
 
-def write(conditions: dict[str, Any], rows: list[dict[str, float]], path: Path) -> None:
-    """Write PATH.md and PATH.json."""
-    lines = ["# Memory of a sequence over its frames", ""]
-    lines += [f"- {name}: {value}" for name, value in conditions.items()]
-    lines += ["", f"| {' | '.join(WORDS)} |", "|" + " ---: |" * len(WORDS)]
-    digits = ("g", ".0f", "g", "g", ".3f")
-    for row in rows:
-        values = (format(row[word], kind) for word, kind in zip(WORDS, digits, strict=True))
-        lines.append(f"| {' | '.join(values)} |")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.with_suffix(".md").write_text("\n".join([*lines, ""]), encoding="utf-8")
-    text = json.dumps({"conditions": conditions, "rows": rows}, indent=1, ensure_ascii=False)
-    path.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
+def report(conditions: dict[str, Any], rows: list[dict[str, float]]) -> str:
+    """Return the results as Markdown."""
+    cells = [[format(row[word], form) for word, form in FIGURES.items()] for row in rows]
+    table = Table(list(FIGURES), cells, text_columns=0)
+    return text_of("# Memory of a sequence over its frames", conditions, table)
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(prog="python -m bench.sequences.memory", description=__doc__)
+    parser = options_parser(
+        "sequences.memory", __doc__, "threads", "output", output="sequences_memory"
+    )
     add = parser.add_argument
     add("--counts", nargs="+", type=int, default=[250, 500, 1000, 2000], metavar="N", help="frames")
     add("--preset", choices=get_args(Preset), default="fast")
     add("--depth-of", choices=get_args(DepthOf), default="all")
-    add("--threads", type=int, default=2, metavar="N")
-    add("--here", action="store_true", help="in this process, which prints what one film took")
-    add(
-        "--output", default="sequences_memory", metavar="NAME", help="of the files in bench/results"
-    )
+    add("--here", action="store_true", help="measure one film in this process, and print its row")
     return parser.parse_args(arguments)
 
 
@@ -117,7 +115,8 @@ def main(arguments: list[str] | None = None) -> int:
         "threads": options.threads,
         **machine(),
     }
-    write(conditions, rows, RESULTS / options.output)
+    text = report(conditions, rows)
+    write(RESULTS / options.output, text, {"conditions": conditions, "rows": rows})
     return 0
 
 

@@ -1,14 +1,13 @@
-"""``python -m bench.sequences.rendered``: what sequences must show on films with exact truth.
+"""``python -m bench.sequences.rendered``: sequences with exact truth, and the bars of their errors.
 
-Films of a rendered room, with a pattern on its walls and with bare ones: a round trip, frames
-blanked, a turn without parallax, a mesh, depth from more and more frames, a rolling shutter. Each
-figure stands beside its bar. Rendered frames are kept in a temporary folder. The table, all numbers
-and a picture of the error over the number of frames are left in bench/results.
+Films of a rendered room, with patterned and with bare walls: a round trip, blanked frames, a turn
+without parallax, a mesh, depth from an increasing number of frames, a rolling shutter. Rendered
+frames are kept in a temporary folder. The table, all figures and a picture of the error over the
+number of frames are left in bench/results.
 """
 
 import argparse
 import itertools
-import json
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -41,21 +40,23 @@ from bench.sequences.rendered_scores import (
     scale_change,
     share_of_mesh,
 )
-from bench.shared.figures import CURVES
-from bench.shared.results import RESULTS, Bar, machine
+from bench.shared.command import options_parser, words_of
+from bench.shared.figures import CURVES, tidy
+from bench.shared.results import RESULTS, Bar, Table, exit_code, machine, text_of
+from bench.shared.results import write as write_files
 from tisfm import runtime
 from tisfm.scenes import Film
 from tisfm.settings import Preset
 
 SMOKE_SIZE = 96, 128
 ROOMS = {"pattern": True, "bare": False}
-READOUT = 0.8  # of a rolling shutter: a share of the time from a frame to the next
+READOUT = 0.8  # readout time of the rolling shutter, as a share of the frame interval
 
-Found = dict[str, list[float]]  # error of each number of frames, by room
+Errors = dict[str, list[float]]  # room → error of depth for each number of frames
 
 
 class Checks:
-    """Makes films, reconstructs them, and holds what comes out to the bars.
+    """Renders films, reconstructs them, and measures the figures with their bars.
 
     Parameters
     ----------
@@ -63,12 +64,12 @@ class Checks:
     smoke : bool
         Whether films are small and short.
     seeds : sequence of int
-        Of the textures and the noise.
+        Seeds of the textures and the noise.
     """
 
     def __init__(self, settings: tisfm.Settings, *, smoke: bool, seeds: list[int]) -> None:
         self._settings, self._smoke, self._seeds = settings, smoke, seeds
-        self.errors: Found = {}
+        self.errors: Errors = {}
 
     def of(self, kind: str, room: str) -> Iterator[Bar]:
         """Yield the bars of a kind of film in a room."""
@@ -80,7 +81,7 @@ class Checks:
             "frames": self._frames,
             "shutter": self._shutter,
         }
-        seeds = self._seeds[:1] if kind == "trip" else self._seeds  # it is long
+        seeds = self._seeds[:1] if kind == "trip" else self._seeds  # a long film
         for seed in seeds:
             yield from makers[kind](room, seed)
 
@@ -98,7 +99,7 @@ class Checks:
             readout=readout,
         ).film()
 
-    def _reconstructed(self, film: Film, folder: Path) -> tisfm.Reconstruction:
+    def _reconstruct(self, film: Film, folder: Path) -> tisfm.Reconstruction:
         return tisfm.reconstruct(
             film.frames, camera=film.camera, settings=self._settings, folder=folder
         )
@@ -107,7 +108,7 @@ class Checks:
         count = 16 if self._smoke else 200
         film = self._film("trip", round_trip(count), room, seed)
         with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
-            result = self._reconstructed(film, Path(folder))
+            result = self._reconstruct(film, Path(folder))
             name = f"round trip of {count} frames, {room}, seed {seed}"
             whole = len(np.unique(result.piece)) == 1 and result.piece[0] == 0
             yield Bar(f"{name}: frames with a pose", float((result.piece == 0).sum()), count, False)
@@ -136,7 +137,7 @@ class Checks:
         part = 6 if self._smoke else 20
         film = self._film("turn", turned(part, part, part), room, seed)
         with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
-            poses = self._reconstructed(film, Path(folder)).poses
+            poses = self._reconstruct(film, Path(folder)).poses
         name = f"{part} frames of rotation, {room}, seed {seed}"
         change = None
         if np.isfinite(poses).all():
@@ -147,7 +148,7 @@ class Checks:
         count = 12 if self._smoke else 40
         film = self._film("walk", walked(count), room, seed)
         with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
-            result = self._reconstructed(film, Path(folder))
+            result = self._reconstruct(film, Path(folder))
             name = f"walk of {count} frames, {room}, seed {seed}"
             whole = bool((result.piece == 0).all())
             yield Bar(f"{name}: ATE, %", path_error(result.poses, film.poses), None)
@@ -196,36 +197,28 @@ class Checks:
 
 
 KINDS = ("trip", "blanked", "turn", "walk", "frames", "shutter")
+WORDS = ("preset", "kinds", "rooms", "seeds", "threads", "smoke")  # options named in the results
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(prog="python -m bench.sequences.rendered", description=__doc__)
+    parser = options_parser(
+        "sequences.rendered", __doc__, "threads", "smoke", "output", output="rendered"
+    )
     add = parser.add_argument
     add("--kinds", nargs="+", choices=KINDS, default=list(KINDS), help="of films")
     add("--rooms", nargs="+", choices=list(ROOMS), default=list(ROOMS))
     add("--preset", choices=get_args(Preset), default="balanced")
     add("--seeds", nargs="+", type=int, default=[0, 1], metavar="N", help="a round trip has one")
-    add("--threads", type=int, default=2, metavar="N")
-    add("--smoke", action="store_true", help="small and short films, whose bars may be missed")
-    add("--output", default="rendered", metavar="NAME", help="of the files in bench/results")
     options = parser.parse_args(arguments)
-    if options.threads < 1 or min(options.seeds) < 0:
-        parser.error("--threads takes a number of at least 1, --seeds of at least 0")
+    if min(options.seeds) < 0:
+        parser.error(f"--seeds has {min(options.seeds)}: expected at least 0")
     if options.smoke:
         options.seeds = options.seeds[:1]
     return options
 
 
-def command(options: argparse.Namespace) -> str:
-    """Return the command of this run."""
-    words = ["python -m bench.sequences.rendered", "--preset", options.preset]
-    words += ["--kinds", *options.kinds, "--rooms", *options.rooms]
-    words += ["--seeds", *map(str, options.seeds), "--threads", str(options.threads)]
-    return f"`{' '.join([*words, *(['--smoke'] if options.smoke else [])])}`"
-
-
-def draw(errors: Found, path: Path) -> None:
+def draw(errors: Errors, path: Path) -> None:
     """Write the picture of the error over the number of frames."""
     figure = Figure(figsize=(6, 4), dpi=150, layout="constrained")
     axes = figure.add_subplot()
@@ -235,46 +228,38 @@ def draw(errors: Found, path: Path) -> None:
     axes.set_ylabel("mean error of the keyframe's depth, %")
     axes.set_ylim(bottom=0)
     axes.set_xticks(COUNTS)
-    axes.grid(alpha=0.25, linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
+    tidy(axes)
     axes.legend()
     figure.savefig(path)
 
 
-def write(conditions: dict[str, Any], found: list[Bar], errors: Found, path: Path) -> None:
-    """Write PATH.md, PATH.json and, if depth was found from more and more frames, PATH.png."""
-    lines = ["# Sequences on rendered films", ""]
-    lines += [f"- {name}: {value}" for name, value in conditions.items()]
-    lines += ["", "| | figure | bar | |", "| --- | ---: | ---: | --- |"]
+def write(conditions: dict[str, Any], found: list[Bar], errors: Errors, path: Path) -> None:
+    """Write PATH.md, PATH.json and, if depth was estimated from several frames, PATH.png."""
+    rows = []
     for bar in found:
         value = "not measured" if bar.value is None else f"{bar.value:.3g}"
         bound = "" if bar.bound is None else f"{'≤' if bar.at_most else '≥'} {bar.bound:.3g}"
-        lines.append(f"| {bar.name} | {value} | {bound} | {_verdict(bar)} |")
+        verdict = "" if bar.bound is None else "met" if bar.met else "**not met**"
+        rows.append([bar.name, value, bound, verdict])
+    blocks: list[str | Table] = [Table(["", "figure", "bar", ""], rows)]
     if errors:
-        head = " | ".join(map(str, COUNTS))
-        lines += ["", "Mean relative error of a keyframe's depth, %, by the number of frames:", ""]
-        lines += [f"| | {head} |", "| --- |" + " ---: |" * len(COUNTS)]
-        lines += [
-            f"| {name} | {' | '.join(f'{100 * value:.2f}' for value in values)} |"
-            for name, values in errors.items()
-        ]
+        blocks.append("Mean relative error of a keyframe's depth, %, by the number of frames:")
+        rows = [[name, *(f"{100 * v:.2f}" for v in values)] for name, values in errors.items()]
+        blocks.append(Table(["", *map(str, COUNTS)], rows))
         draw(errors, path.with_suffix(".png"))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.with_suffix(".md").write_text("\n".join([*lines, ""]), encoding="utf-8")
-    content = {"conditions": conditions, "bars": [asdict(bar) for bar in found], "errors": errors}
-    text = json.dumps(content, indent=1, ensure_ascii=False)
-    path.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
+    record = {"conditions": conditions, "bars": [asdict(bar) for bar in found], "errors": errors}
+    write_files(path, text_of("# Sequences on rendered films", conditions, *blocks), record)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Return 0, or 1 where a bar was missed; a smoke run only has to go through."""
+    """Return 0, or 1 if a bar was missed, which a smoke run ignores."""
     options = parse(arguments)
     runtime.start(threads=options.threads)
     settings = tisfm.Settings.preset(options.preset, motion="camera")
     checks = Checks(settings, smoke=options.smoke, seeds=options.seeds)
     size = SMOKE_SIZE if options.smoke else SIZE
     conditions = {
-        "command": command(options),
+        "command": words_of("sequences.rendered", options, WORDS),
         "size": f"{size[0]}×{size[1]} px",
         "threads": options.threads,
         **machine(),
@@ -286,13 +271,7 @@ def main(arguments: list[str] | None = None) -> int:
                 console.print(str(bar), highlight=False, soft_wrap=True)
                 found.append(bar)
             write(conditions, found, checks.errors, RESULTS / options.output)
-    return 1 if not options.smoke and not all(bar.met for bar in found) else 0
-
-
-def _verdict(bar: Bar) -> str:
-    if bar.bound is None:
-        return ""
-    return "met" if bar.met else "**not met**"
+    return 0 if options.smoke else exit_code(found)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Films of a rendered room, with exact truth, that ask for one ability each."""
+"""Films of a rendered room with exact truth; each tests one ability."""
 
 import hashlib
 import tempfile
@@ -12,13 +12,13 @@ from tisfm.camera import Camera
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import Film, room_film
 
-SIZE = 240, 320
+SIZE = 240, 320  # px, height and width
 CACHE = Path(tempfile.gettempdir()) / "tisfm-rendered-films"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Take:
-    """How a film is taken.
+    """Parameters of a film.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Take:
     height, width : int
         Of the frames, px.
     readout : float
-        Of a shutter that reads row after row, as for `tisfm.Camera`.
+        Readout time of the rolling shutter, as for `tisfm.Camera`.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Take:
     readout: float = 0.0
 
     def film(self) -> Film:
-        """Return the film; what was rendered once lies in a temporary folder."""
+        """Return the film; rendered films are kept in a temporary folder."""
         words = repr(sorted((asdict(self) | {"poses": self.poses.tobytes()}).items()))
         path = CACHE / f"{hashlib.sha256(words.encode()).hexdigest()[:16]}.npz"
         if path.exists():
@@ -69,24 +69,24 @@ class Take:
 
 
 def walked(count: int) -> np.ndarray:
-    """Return the poses of a camera that goes aside and forward, and turns a little."""
+    """Return the poses of a camera that moves sideways and forward, and turns slightly."""
     return np.array([pose_matrix((0.04 * k, 0, 0.02 * k, 0, 0.01 * k, 0)) for k in range(count)])
 
 
 def round_trip(count: int) -> np.ndarray:
-    """Return the poses of a camera that goes round in the room and ends where it began.
+    """Return the poses of a camera that goes round in the room, back to its first position.
 
-    It looks at the same corner of the room, to the left and to the right of it.
+    It looks at one corner of the room, and to the left and the right of it.
     """
     at = np.linspace(0, 2 * np.pi, count)
-    places = np.stack([0.6 * np.sin(at), 0.08 * np.sin(2 * at), 0.5 * (1 - np.cos(at))], axis=1)
-    return _looking(places, 0.35 * np.sin(at))
+    positions = np.stack([0.6 * np.sin(at), 0.08 * np.sin(2 * at), 0.5 * (1 - np.cos(at))], axis=1)
+    return _looking(positions, 0.35 * np.sin(at))
 
 
 def rounds(count: int, of_round: int = 225) -> np.ndarray:
-    """Return the poses of a camera that goes round and round, each time elsewhere, looking outward.
+    """Return the poses of a camera that goes round repeatedly and looks outward.
 
-    No round is like another: they differ in width and height.
+    Rounds differ in radius and height.
     """
     at = 2 * np.pi * np.arange(count) / of_round
     radius = 0.7 + 0.15 * np.sin(at / 3.1)
@@ -95,7 +95,7 @@ def rounds(count: int, of_round: int = 225) -> np.ndarray:
 
 
 def turned(before: int, turning: int, after: int, step: float = 0.02) -> np.ndarray:
-    """Return the poses of a camera that goes, turns where it is, and goes on; step in rad."""
+    """Return the poses of a camera that moves, turns on the spot, and moves on; step in rad."""
     going = np.array([0.035, 0, 0.02])
     shift = np.r_[np.arange(before), np.full(turning, before - 1), before + np.arange(after)]
     angle = np.r_[np.zeros(before), 1 + np.arange(turning), np.full(after, turning)] * step
@@ -103,7 +103,7 @@ def turned(before: int, turning: int, after: int, step: float = 0.02) -> np.ndar
 
 
 def shaken(count: int) -> np.ndarray:
-    """Return the poses of a camera that is shaken as it goes: by up to 3° between frames."""
+    """Return the poses of a moving camera that shakes by up to 3° between frames."""
     at = np.arange(count)
     turns = 0.03 * np.sin(0.9 * at), 0.04 * (np.cos(0.7 * at) - 1), 0.02 * np.sin(1.3 * at)
     twists = np.stack([0.04 * at, 0.01 * np.sin(at), 0.02 * at, *turns], axis=1)
@@ -111,16 +111,16 @@ def shaken(count: int) -> np.ndarray:
 
 
 def around_one(count: int) -> np.ndarray:
-    """Return the poses of a keyframe, and of others on both sides of it, ever further away."""
+    """Return the poses of a keyframe, and of frames on both sides at increasing distances."""
     factors = [0, *(sign * k for k in range(1, count) for sign in (1, -1))][:count]
     motion = np.array([0.12, 0.0, 0.08, 0.003, 0.01, 0.006])
     return np.array([pose_matrix(factor * motion) for factor in factors])
 
 
-def _looking(places: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Return the poses of a camera at places, (N, 3), turned to the right by angles, (N,) rad."""
-    poses = np.tile(np.eye(4), (len(places), 1, 1))
-    for pose, place, angle in zip(poses, places, angles, strict=True):
+def _looking(positions: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Return the poses of a camera at positions, (N, 3), turned right by angles, (N,) rad."""
+    poses = np.tile(np.eye(4), (len(positions), 1, 1))
+    for pose, position, angle in zip(poses, positions, angles, strict=True):
         pose[:3, :3] = cv2.Rodrigues(np.array([0.0, angle, 0.0]))[0]
-        pose[:3, 3] = place
+        pose[:3, 3] = position
     return poses

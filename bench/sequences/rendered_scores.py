@@ -1,4 +1,4 @@
-"""What reconstructions of rendered films are off by."""
+"""Errors of reconstructions of rendered films."""
 
 import itertools
 
@@ -9,20 +9,20 @@ from tisfm.metrics import absolute_errors, align, path_length
 from tisfm.reconstruction.depth.window_depth import window_depth
 from tisfm.scenes import Film
 
-COUNTS = (2, 3, 4, 6, 8)  # frames that the depth of a keyframe is found from
-WITHIN = 0.02  # of the true depth
-HIDDEN = 0.05  # of the depth of what is seen: points further behind it are hidden
+COUNTS = (2, 3, 4, 6, 8)  # frames for the depth of a keyframe
+WITHIN = 0.02  # of the true depth: error up to which a vertex counts as right
+HIDDEN = 0.05  # of the visible depth: points further behind are hidden
 
 Poses = np.ndarray  # (N, 4, 4), camera to world
 
 
 def centres(poses: Poses) -> np.ndarray:
-    """Return where the camera was, (N, 3)."""
+    """Return the positions of the camera, (N, 3)."""
     return np.asarray(poses[:, :3, 3])
 
 
 def path_error(found: Poses, true: Poses) -> float:
-    """Return the ATE of the frames that have a pose, % of the true path; NaN if two have none."""
+    """Return the ATE of the frames with a pose, % of the true path; NaN with fewer than two."""
     known = np.isfinite(found[:, 0, 0])
     if known.sum() < 2:
         return float("nan")
@@ -30,9 +30,9 @@ def path_error(found: Poses, true: Poses) -> float:
 
 
 def gap(found: Poses, true: Poses) -> float:
-    """Return how far a path's last place is from where it should be, seen from its first.
+    """Return the error of the last position relative to the first pose, % of the true path.
 
-    In % of the true path, in one scale for the whole of it.
+    The whole path has one scale.
     """
     there = align(centres(found), centres(true))
     both = there.scale * _from_first(found), _from_first(true)
@@ -40,7 +40,7 @@ def gap(found: Poses, true: Poses) -> float:
 
 
 def scale_change(found: Poses, true: Poses, before: slice, after: slice) -> float:
-    """Return by how much the scale of one part of a path differs from another's, %."""
+    """Return the difference of the scales of two parts of a path, %."""
     one, other = (
         align(centres(found[part]), centres(true[part])).scale for part in (before, after)
     )
@@ -48,9 +48,9 @@ def scale_change(found: Poses, true: Poses, before: slice, after: slice) -> floa
 
 
 def flicker(film: Film, result: tisfm.Reconstruction, settings: tisfm.Settings) -> float:
-    """Return the spread of the scale of depth of frames, over that of pairs by themselves.
+    """Return the spread of the scale of depth over frames, divided by that of single pairs.
 
-    A pair without any depth is left out.
+    Pairs without depth are left out.
     """
     numbers = range(0, len(film.frames) - 1, 3)
     spread = np.std([_log_scale(film.depth[k], result.depth(k)) for k in numbers])
@@ -65,7 +65,7 @@ def flicker(film: Film, result: tisfm.Reconstruction, settings: tisfm.Settings) 
 def share_of_mesh(film: Film, result: tisfm.Reconstruction) -> float:
     """Return the share of the vertices of a mesh of the keyframes near the true surface, %.
 
-    The mesh is brought to the truth by the path's similarity alone.
+    The mesh is aligned with the truth by the similarity of the paths alone.
     """
     vertices = result.mesh().vertices
     if not len(vertices):
@@ -75,7 +75,7 @@ def share_of_mesh(film: Film, result: tisfm.Reconstruction) -> float:
 
 
 def depth_in_one_scale(film: Film, result: tisfm.Reconstruction) -> float:
-    """Return the mean error of the depth of all frames, in one scale; what has none counts as 1."""
+    """Return the mean error of the depth of all frames in one scale; missing depth counts as 1."""
     found = np.array([result.depth(k) for k in range(len(film.frames))])
     scale = np.nanmedian(film.depth / found)
     error = np.abs(scale * found - film.depth) / film.depth
@@ -83,9 +83,9 @@ def depth_in_one_scale(film: Film, result: tisfm.Reconstruction) -> float:
 
 
 def depth_of_window(film: Film, count: int, settings: tisfm.Settings) -> tuple[float, float]:
-    """Return the mean error of the first frame's depth from so many frames, and its certainty.
+    """Return the mean error of the depth of the first frame from `count` frames with given poses.
 
-    The second is the share of the pixels that are off by one deviation at most, %. Poses are given.
+    The second value is the share of pixels with an error of at most one deviation, %.
     """
     frames = film.frames[:count].astype(np.float32)
     motions = np.array([(np.linalg.inv(pose) @ film.poses[0])[:3] for pose in film.poses[1:count]])
@@ -98,7 +98,7 @@ def depth_of_window(film: Film, count: int, settings: tisfm.Settings) -> tuple[f
 
 
 def depth_of_pair(film: Film, settings: tisfm.Settings) -> float:
-    """Return the mean error of the first frame's depth from the first two, in its best scale."""
+    """Return the mean error of the depth of the first frame from two frames, in its best scale."""
     found = tisfm.interpret(*film.frames[:2], camera=film.camera, settings=settings).depth
     true = film.depth[0]
     scaled = found * np.nanmedian(true / found)
@@ -106,7 +106,7 @@ def depth_of_pair(film: Film, settings: tisfm.Settings) -> float:
 
 
 def _from_first(poses: Poses) -> np.ndarray:
-    """Return the last place in the axes of the first camera, (3,)."""
+    """Return the last position in the axes of the first camera, (3,)."""
     return np.asarray(poses[0, :3, :3].T @ (poses[-1, :3, 3] - poses[0, :3, 3]))
 
 
@@ -116,9 +116,9 @@ def _log_scale(true: np.ndarray, found: np.ndarray) -> float:
 
 
 def _distance(points: np.ndarray, film: Film) -> np.ndarray:
-    """Return how far points, (N, 3), lie from what frames see, relative to the depth, (N,).
+    """Return the distance of points, (N, 3), from the visible surface, relative to the depth, (N,).
 
-    The mean over the frames that do not hide them; infinite where all do.
+    Mean over the frames in which a point is not hidden; infinite if it is hidden in all.
     """
     total, count = np.zeros((2, len(points)))
     height, width = film.depth.shape[1:]
@@ -129,7 +129,7 @@ def _distance(points: np.ndarray, film: Film) -> np.ndarray:
         u, v = (film.camera.focal * a / ahead + c for a, c in zip((x, y), center, strict=True))
         on = np.flatnonzero((z > 0) & (u >= 0) & (u < width - 1) & (v >= 0) & (v < height - 1))
         column, row = u[on].astype(np.intp), v[on].astype(np.intp)
-        # At an edge, the surface is any of those that four pixels see.
+        # At an edge, the nearest of the surfaces of four pixels counts.
         each = np.stack(
             [z[on] / depth[row + j, column + i] - 1 for i, j in itertools.product((0, 1), (0, 1))]
         )

@@ -1,33 +1,33 @@
-"""A comparison on sequences as tables: one of each figure, and one of each sequence."""
+"""Tables of a comparison on sequences: one of each figure, and one of each sequence."""
 
-import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rich.console import Console
 
 from bench.sequences.contest import Score, SequenceContest
-from bench.shared.contest_report import NOTHING, Cells
+from bench.shared.results import EMPTY, Table, cell, gaps, print_gaps, text_of
+from bench.shared.results import write as write_files
 
 NOTES = (
     "ATE: root mean square distance of the centres of the largest piece after the best similarity, "
     "in % of the true path of the whole sequence. Frames with a pose: in all pieces; pieces: each "
     "has a world and a scale of its own; largest: its share of the frames.",
     "Depth error: |ΔZ|/Z over all pixels of known depth, in one scale for the whole sequence, the "
-    "median of true over estimated depth (1 where the poses were given), limited to [0.1 min Z, 10 "
-    "max Z]; a pixel without depth has the latter, a frame without depth counts as 1; truth beyond "
-    "40 m is left out. Surest 40 %: of the pixels with the least relative deviation, each limited "
-    "to 3. Medians over frames. Pixels: share of those of known depth that have one.",
+    "median of true over estimated depth (1 where the poses were given), limited to [0.1 min Z, "
+    "10 max Z]; a pixel without depth counts as 10 max Z, a frame without depth as an error of 1; "
+    "truth beyond 40 m is left out. Surest 40 %: of the pixels with the least relative deviation, "
+    "each limited to 3. Medians over frames. Pixels: share of those of known depth that have one.",
     "Spread: standard deviation of the logarithm of the best scale of a frame. Flicker: mean "
     "change of relative inverse depth (estimated times true depth) from a frame to the next, along "
     "the true flow.",
-    "Chained pairs: pairs of consecutive frames, each scaled by the depth that those before carry "
-    "to it; pairs: the same without a scale in common. pycolmap: SIFT, sequential matching, "
+    "Chained pairs: pairs of consecutive frames, each scaled to the depth carried over from the "
+    "pairs before; pairs: the same without a common scale. pycolmap: SIFT, sequential matching, "
     "incremental mapping, intrinsics given.",
-    "Camera unknown: centre of the image, no distortion, and a focal length that is found; off "
-    "from the one that the sequence states, and its own deviation; doubted where the result is.",
-    "Seconds per frame: from files to path and depth, outputs apart; a median over the rounds. "
-    "Memory: most resident memory of the process, libraries included.",
+    "Camera unknown: principal point in the centre, no distortion, and an estimated focal length; "
+    "its difference from the stated one, and its own deviation; doubted if the result says so.",
+    "Seconds per frame: from files to path and depth, without output; median over the rounds. "
+    "Memory: peak resident memory of the process, libraries included.",
 )
 
 Column = tuple[str, Callable[[Score], str]]
@@ -35,50 +35,50 @@ Column = tuple[str, Callable[[Score], str]]
 
 def _ate(score: Score) -> str:
     pieces = score.evaluation.pieces if score.evaluation else ()
-    return f"{100 * pieces[0].share:.2f}" if pieces and pieces[0].share is not None else NOTHING
+    return f"{100 * pieces[0].share:.2f}" if pieces and pieces[0].share is not None else EMPTY
 
 
 def _metres(score: Score) -> str:
     pieces = score.evaluation.pieces if score.evaluation else ()
     absolute = pieces[0].absolute if pieces else None
-    return NOTHING if absolute is None else f"{absolute.similarity:.4f}"
+    return EMPTY if absolute is None else f"{absolute.similarity:.4f}"
 
 
 def _posed(score: Score) -> str:
     found = score.evaluation
-    return f"{found.posed} of {found.frames}" if found else NOTHING
+    return f"{found.posed} of {found.frames}" if found else EMPTY
 
 
 def _pieces(score: Score) -> str:
     found = score.evaluation
-    return str(len(found.pieces)) if found and found.pieces else NOTHING
+    return str(len(found.pieces)) if found and found.pieces else EMPTY
 
 
 def _largest(score: Score) -> str:
     found = score.evaluation
-    return f"{100 * found.largest_share:.0f}" if found and found.pieces else NOTHING
+    return f"{100 * found.largest_share:.0f}" if found and found.pieces else EMPTY
 
 
 def _depth(name: str, form: str, factor: float = 1.0) -> Callable[[Score], str]:
     def text(score: Score) -> str:
         depth = score.evaluation.depth if score.evaluation else None
         value = None if depth is None else getattr(depth, name)
-        return NOTHING if value is None else format(factor * value, form)
+        return cell(None if value is None else factor * value, form)
 
     return text
 
 
 def _seconds(score: Score) -> str:
-    return NOTHING if score.per_frame is None else f"{score.per_frame:.2f}"
+    return cell(score.per_frame, ".2f")
 
 
 def _memory(score: Score) -> str:
-    return NOTHING if score.peak is None else f"{score.peak / 1e6:.0f}"
+    return cell(None if score.peak is None else score.peak / 1e6, ".0f")
 
 
 def _focal(score: Score) -> str:
     if score.focal is None:
-        return NOTHING
+        return EMPTY
     off, deviation, seen = score.focal
     return f"{100 * off:+.1f} ± {100 * deviation:.1f}{'' if seen else ', doubted'}"
 
@@ -101,58 +101,55 @@ COLUMNS: tuple[Column, ...] = (
 SUMMARY = ("ATE, %", "depth error", "flicker", "focal length, % off")
 
 
-def summary(contest: SequenceContest, heading: str) -> Cells:
+def summary(contest: SequenceContest, heading: str) -> Table:
     """Return one figure: a row for every method, a column for every sequence."""
     text = dict(COLUMNS)[heading]
     sequences, methods = _names(contest)
     found = {(score.method, score.sequence): text(score) for score in contest.scores}
     rows = [
-        [method, *(found.get((method, sequence), NOTHING) for sequence in sequences)]
+        [method, *(found.get((method, sequence), EMPTY) for sequence in sequences)]
         for method in methods
     ]
-    rows = [row for row in rows if any(cell != NOTHING for cell in row[1:])]
-    return Cells(["method", *sequences], rows)
+    rows = [row for row in rows if any(cell != EMPTY for cell in row[1:])]
+    return Table(["method", *sequences], rows)
 
 
-def details(contest: SequenceContest, sequence: str) -> Cells:
+def details(contest: SequenceContest, sequence: str) -> Table:
     """Return all figures of a sequence, without the columns that no method fills."""
     scores = [score for score in contest.scores if score.sequence == sequence]
     rows = [[score.method, *(text(score) for _, text in COLUMNS)] for score in scores]
     head = ["method", *(name for name, _ in COLUMNS)]
-    filled = [k for k in range(len(head)) if any(row[k] != NOTHING for row in rows)]
-    return Cells([head[k] for k in filled], [[row[k] for k in filled] for row in rows])
+    return Table(head, rows).without_empty_columns()
 
 
 def show(contest: SequenceContest, console: Console) -> None:
-    """Print the summaries, and what is missing or failed."""
+    """Print the summaries, and the missing and failed methods."""
     for heading, table in _summaries(contest).items():
         console.print(heading)
         console.print(table.rich())
-    for title, entries in (("missing", contest.missing), ("FAILED", contest.failures)):
-        for name, reason in entries.items():
-            console.print(f"{title}: {name}: {reason}", highlight=False, markup=False)
+    print_gaps(console, contest.missing, contest.failures)
 
 
 def write(contest: SequenceContest, path: Path) -> None:
     """Write PATH.md and PATH.json."""
-    lines = ["# Sequences: path and depth", ""]
-    lines += [f"- {name}: {value}" for name, value in contest.conditions.items()]
+    blocks: list[str | Table | Sequence[str]] = []
     for heading, table in _summaries(contest).items():
-        lines += ["", f"## {heading[0].upper()}{heading[1:]}", "", *table.markdown()]
-    lines += ["", *(f"- {note}" for note in NOTES)]
-    for heading, entries in (("Missing", contest.missing), ("Failed", contest.failures)):
-        if entries:
-            lines += ["", f"## {heading}", ""]
-            lines += [f"- {name}: {reason}" for name, reason in entries.items()]
+        blocks += [f"## {heading[0].upper()}{heading[1:]}", table]
+    sections: list[str | Table] = []
     for sequence in _names(contest)[0]:
-        lines += ["", f"## {sequence}", "", *details(contest, sequence).markdown()]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.with_suffix(".md").write_text("\n".join([*lines, ""]), encoding="utf-8")
-    content = json.dumps(contest.as_json(), indent=1, ensure_ascii=False)
-    path.with_suffix(".json").write_text(content + "\n", encoding="utf-8")
+        sections += [f"## {sequence}", details(contest, sequence)]
+    text = text_of(
+        "# Sequences: path and depth",
+        contest.conditions,
+        *blocks,
+        NOTES,
+        *gaps(contest.missing, contest.failures),
+        *sections,
+    )
+    write_files(path, text, contest.as_json())
 
 
-def _summaries(contest: SequenceContest) -> dict[str, Cells]:
+def _summaries(contest: SequenceContest) -> dict[str, Table]:
     """Return the tables of one figure each that have any."""
     tables = {heading: summary(contest, heading) for heading in SUMMARY}
     return {heading: table for heading, table in tables.items() if table.rows}

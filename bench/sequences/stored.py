@@ -1,4 +1,4 @@
-"""What a method made of a sequence, as it goes from its process to that which compares."""
+"""Results of a method on a sequence, as files between its process and the comparison."""
 
 import json
 from pathlib import Path
@@ -14,9 +14,9 @@ class Stored:
     Parameters
     ----------
     folder : Path
-        With NAME.json: the poses, (N, 4, 4), None where there is none; the piece of each frame,
-        its status, and its unit, by which its inverse depth is divided; and with maps of inverse
-        depth and of its deviation, NNNNNN.npy and NNNNNN_std.npy, of those frames that have any.
+        NAME.json has the poses, (N, 4, 4) or None; the segment of each frame, its status, and the
+        unit that divides its inverse depth. NNNNNN.npy and NNNNNN_std.npy are the inverse depth
+        and its deviation of each frame with depth.
     name : str
     """
 
@@ -31,11 +31,11 @@ class Stored:
 
     @property
     def has_depth(self) -> bool:
-        """Whether any frame has one."""
+        """Whether any frame has a depth."""
         return any(self._folder.glob("*.npy"))
 
     def inverse_depth(self, index: int) -> NDArray[np.float32]:
-        """Return that of a frame, (H, W); NaN where there is none."""
+        """Return the inverse depth of a frame, (H, W), NaN where unknown."""
         return self._map(index, "")
 
     def inverse_depth_std(self, index: int) -> NDArray[np.float32]:

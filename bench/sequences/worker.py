@@ -1,6 +1,6 @@
-"""A method of tisfm on a sequence, in a process of its own, which `bench.sequences` starts.
+"""Process of `bench.sequences` that runs a method of tisfm on a sequence.
 
-One line of JSON comes in on standard input, one goes out on standard output.
+It reads one line of JSON from standard input and prints one.
 """
 
 import contextlib
@@ -25,7 +25,7 @@ from tisfm.lens import undistort
 
 
 def run(request: dict[str, Any]) -> dict[str, Any]:
-    """Run a method and store its results; return their names, seconds and bytes at the peak."""
+    """Run a method and store its results; return their names, seconds and peak memory in bytes."""
     runtime.start(threads=request["threads"])
     settings = tisfm.Settings.preset(request["preset"], motion="camera")
     camera = tisfm.Camera(**request["camera"])
@@ -52,7 +52,7 @@ def _reconstructed(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GuessedFocalWarning)
         result = tisfm.reconstruct(frames, camera=known, settings=settings, poses=poses)
-    for index in range(len(frames)):  # which some may be made at this moment only
+    for index in range(len(frames)):  # some depths may be computed only now
         result.inverse_depth(index)
     seconds = time.perf_counter() - started
     for index in range(len(frames)):
@@ -119,6 +119,6 @@ def _chained(
 
 if __name__ == "__main__":
     question = json.loads(sys.stdin.readline())
-    with contextlib.redirect_stdout(sys.stderr):  # libraries print there as well
+    with contextlib.redirect_stdout(sys.stderr):  # for the output of libraries
         answer = run(question)
     print(json.dumps(answer))

@@ -1,7 +1,8 @@
-"""What several questions share: pairs, methods, contests, their tables, the peers' processes.
+"""Common code of the benchmarks.
 
-`problems` and `agreement` serve the timings against the reference, `contest*` and `columns` the
-comparisons of flow, `sequences` finds pairs with true flow, `peer_process` and `peer_worker` run
-other libraries, `machine` says where a run was measured. Imports tisfm, and nothing of bench that
-is outside this package.
+`problems` has the pairs and checks of the kernel timings. `contest`, `columns`, `contest_report`
+and `contest_plot` compare methods of flow. `sequences` finds pairs with true flow. `peer_process`,
+`peer_worker` and `worker` run other libraries. `command` has options and progress, `results`
+tables, bars and files, `figures` colours. Imports tisfm, `bench.reference`, and nothing else of
+bench.
 """

@@ -1,4 +1,4 @@
-"""What a contest comes to: mean errors of groups of pairs, and the time of a standard pair."""
+"""Figures of a contest: mean errors of groups of pairs, and the time of a standard pair."""
 
 import math
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from typing import Literal
 from bench.shared.contest import Contest, Measurement, PairInfo
 
 Metric = Literal["epe", "aae", "outliers"]
-STANDARD_SIZE = (480, 640)  # px, of the pairs whose time is compared
+STANDARD_SIZE = (480, 640)  # px, height and width of the pairs whose time is compared
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Column:
     metric: Metric
 
     def value(self, contest: Contest, method: str) -> float | None:
-        """Return the mean, or None where the method failed on a pair of the group."""
+        """Return the mean, or None if the method failed on a pair of the group."""
         found = [contest.of(method, pair.name) for pair in self.pairs(contest)]
         values: list[float | None] = [
             getattr(measurement, self.metric) if measurement else None for measurement in found
@@ -48,7 +48,7 @@ COLUMNS = (
 
 
 def present(contest: Contest) -> list[Column]:
-    """Return the columns of which the contest has a pair."""
+    """Return the columns whose groups have a pair in the contest."""
     return [column for column in COLUMNS if column.pairs(contest)]
 
 
@@ -62,12 +62,12 @@ class Spread:
 
     @classmethod
     def of(cls, values: list[float]) -> "Spread | None":
-        """Return the spread of the values, or None of none."""
+        """Return the spread of the values, or None without values."""
         return cls(median(values), min(values), max(values)) if values else None
 
 
 def timed_pairs(contest: Contest) -> list[PairInfo]:
-    """Return the pairs of the standard size, or all where there are none."""
+    """Return the pairs of the standard size, or all pairs if there are none."""
     return [pair for pair in contest.pairs if pair.size == STANDARD_SIZE] or list(contest.pairs)
 
 
@@ -83,21 +83,21 @@ def ratio(contest: Contest, method: str) -> Spread | None:
 
 
 def cores(contest: Contest, method: str) -> float | None:
-    """Return how many cores were busy on average during the timed calls."""
+    """Return the mean number of busy cores during the timed calls."""
     timings = [t for m in _measured(contest, method) for t in m.timings]
     wall = sum(timing.seconds for timing in timings)
     return sum(timing.cpu for timing in timings) / wall if wall else None
 
 
 def _measured(contest: Contest, method: str) -> list[Measurement]:
-    """Return the method's measurements on the timed pairs; none if it failed on one."""
+    """Return the measurements of a method on the timed pairs; none if it failed on one."""
     found = [contest.of(method, pair.name) for pair in timed_pairs(contest)]
     measured = [m for m in found if m is not None and m.timings]
     return measured if len(measured) == len(found) else []
 
 
 def _by_round(contest: Contest, method: str) -> dict[int, float]:
-    """Return round → mean time of the timed pairs, each brought to the standard size."""
+    """Return round → mean time of the timed pairs, each scaled to the standard size."""
     sizes = {pair.name: math.prod(pair.size) for pair in contest.pairs}
     rounds: dict[int, list[float]] = {}
     measured = _measured(contest, method)

@@ -1,4 +1,7 @@
-"""Methods timed and scored on the same pairs, in turns, so that all meet the same machine."""
+"""Methods of flow that are timed and scored on the same pairs, in turns.
+
+Turns expose every method to the same speed of the machine, which drifts.
+"""
 
 import math
 import time
@@ -16,19 +19,18 @@ from tisfm.metrics import angular_error, endpoint_error, outlier_rate
 from tisfm.settings import Preset, Settings
 
 WARM_UP = (96, 128)  # px, of the first call of every method
-QUICK = 0.5  # s; before a timed call that is quicker comes one that is not timed, so that it
-# finds its caches and clock as in a row of such calls, whatever ran meanwhile
-SLOW = 3.0  # s; a slower call is not warmed up for each pair, and takes part in
-SLOW_ROUNDS = 3  # at most this many rounds
+QUICK = 0.5  # s: a faster call runs untimed before each timed one, so that caches are warm
+SLOW = 3.0  # s: a slower call has no warm-up on each pair
+SLOW_ROUNDS = 3  # rounds of such a slow method, at most
 
 
-class MethodFailure(Exception):  # noqa: N818 (it is not our error)
-    """A method gave no flow; the text says why."""
+class MethodFailure(Exception):  # noqa: N818 (the error is the method's)
+    """A method gave no flow; the text is the reason."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Call:
-    """What one call of a method gave: (H, W, 2) flow, wall and processor time in s."""
+    """Result of one call of a method: (H, W, 2) flow, wall and processor time in s."""
 
     flow: NDArray
     seconds: float
@@ -40,7 +42,7 @@ class Method(Protocol):
 
     @property
     def name(self) -> str:
-        """What the tables call it."""
+        """Name in the tables."""
 
     def run(self, pair: FlowPair) -> Call:
         """Return the flow of a pair, or raise `MethodFailure`."""
@@ -57,7 +59,7 @@ class Timing:
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """A method on a pair: errors (px, degrees, share) and times, or what went wrong."""
+    """A method on a pair: errors (px, degrees, share) and times, or the failure."""
 
     method: str
     pair: str
@@ -85,7 +87,7 @@ class PairInfo:
 
 @dataclass(frozen=True, kw_only=True)
 class Contest:
-    """All that one run measured.
+    """All figures of one run.
 
     Attributes
     ----------
@@ -94,7 +96,7 @@ class Contest:
     reference : str
         The method whose time is the unit of the ratios.
     missing : dict
-        What was asked for and could not be had → the reason.
+        Missing method or pair → the reason.
     """
 
     conditions: dict[str, Any]
@@ -109,7 +111,7 @@ class Contest:
         return next((m for m in self.measurements if (m.method, m.pair) == (method, pair)), None)
 
     def failures(self) -> dict[str, str]:
-        """Return "method on pair" → what happened."""
+        """Return "method on pair" → failure."""
         return {f"{m.method} on {m.pair}": m.failure for m in self.measurements if m.failure}
 
     def as_json(self) -> dict[str, Any]:
@@ -135,12 +137,12 @@ def hold(
     reference : str
         The method whose time is the unit of the ratios.
     rounds : int
-        Timed calls of each method and pair, after one that is not timed; slow methods have
-        fewer, see `SLOW`. The first call's flow is the one that is scored.
+        Timed calls of each method and pair, after one untimed call; slow methods have fewer, see
+        `SLOW`. The flow of the first call is scored.
     conditions, missing : dict
         As in `Contest`.
     step : callable
-        Called with what comes next, before every call.
+        Called before every call with the name of the pair and the method.
     """
     if not pairs:
         raise ValueError("there is no pair to measure on")
@@ -175,7 +177,7 @@ def _measure(
     pace: dict[str, float],
     step: Callable[[str], None],
 ) -> list[Measurement]:
-    """Measure all methods on one pair; `pace` is brought up to date."""
+    """Measure all methods on one pair; `pace`, s per pixel, is updated."""
     pixels = math.prod(pair.size)
     scores: dict[str, Measurement] = {}
     timings: dict[str, list[Timing]] = {method.name: [] for method in methods}
@@ -208,7 +210,7 @@ def _measure(
 
 
 def score(flow: NDArray, pair: FlowPair, method: str) -> Measurement:
-    """Return the errors of a method's flow; raise `MethodFailure` if there are none."""
+    """Return the errors of a method's flow; raise `MethodFailure` if it cannot be scored."""
     try:
         return Measurement(
             method=method,
@@ -223,7 +225,7 @@ def score(flow: NDArray, pair: FlowPair, method: str) -> Measurement:
 
 @dataclass(frozen=True)
 class Own:
-    """A function of tisfm, on frames as they were read."""
+    """A method of tisfm, on frames as they were read."""
 
     name: str
     estimate: Callable[[NDArray, NDArray], NDArray]
@@ -233,7 +235,7 @@ class Own:
         used, started = time.process_time(), time.perf_counter()
         try:
             flow = self.estimate(pair.frame0, pair.frame1)
-        except Exception as error:  # one failure must not lose the others' figures
+        except Exception as error:  # a failure must not lose the figures of the other methods
             raise MethodFailure(f"{type(error).__name__}: {error}") from error
         seconds, cpu = time.perf_counter() - started, time.process_time() - used
         return Call(flow=flow, seconds=seconds, cpu=cpu)

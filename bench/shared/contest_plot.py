@@ -1,4 +1,4 @@
-"""Accuracy over time of the methods of a contest, as a picture."""
+"""Picture of the accuracy of the methods of a contest over their time."""
 
 import itertools
 import math
@@ -13,18 +13,19 @@ from matplotlib.transforms import Bbox
 
 from bench.shared.columns import STANDARD_SIZE, Column, present, standard_time
 from bench.shared.contest import Contest
-from bench.shared.figures import BLUE, VERMILION
+from bench.shared.figures import BLUE, VERMILION, tidy
 
-OURS, THEIRS = VERMILION, BLUE
-DIRECTIONS = 16
-DISTANCES = (7, 10, 14, 20, 28, 38, 50)  # points
-LEADER_FROM = 14  # points; a label further off has a line to its mark
-LOGARITHMIC_FROM = 4  # ratio of the largest error to the smallest
+OURS = VERMILION
+THEIRS = BLUE
+DIRECTIONS = 16  # in which a label is tried around its mark
+DISTANCES = (7, 10, 14, 20, 28, 38, 50)  # points, at which a label is tried
+LEADER_FROM = 14  # points: a label at this distance or more has a line to its mark
+LOGARITHMIC_FROM = 4  # ratio of largest to smallest error: above, the axis is logarithmic
 
 
 @dataclass(frozen=True)
 class Mark:
-    """A method in the plot: s, error."""
+    """A method in the plot: its time, s, and its error."""
 
     name: str
     time: float
@@ -32,7 +33,7 @@ class Mark:
 
     @property
     def colour(self) -> str:
-        """Ours and theirs differ."""
+        """Tisfm has another colour than the other libraries."""
         return OURS if self.name.startswith("tisfm") else THEIRS
 
 
@@ -62,13 +63,12 @@ def picture(contest: Contest) -> Figure:
     height, width = STANDARD_SIZE
     axes.set_xlabel(f"seconds per {width}×{height} pair, {contest.conditions['threads']} threads")
     axes.set_ylabel(column.title)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(alpha=0.25, which="major", linewidth=0.6)
+    tidy(axes)
     for mark in methods:
         axes.plot(mark.time, mark.error, "o", color=mark.colour, markersize=6)
     _scale(axes, methods)
     figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # labels must not move the axes they were placed in
+    figure.set_layout_engine("none")  # the axes must not move once labels have positions
     _label(axes, methods)
     return figure
 
@@ -89,12 +89,12 @@ def _scale(axes: Axes, methods: list[Mark]) -> None:
 
 
 def _label(axes: Axes, methods: list[Mark]) -> None:
-    """Put each name beside its mark, clear of all marks, the other names and the edges."""
+    """Put each name beside its mark, where it overlaps no mark, no other name and no edge."""
     pixels = axes.figure.dpi / 72
-    places = {mark: axes.transData.transform((mark.time, mark.error)) for mark in methods}
-    taken = [Bbox.from_bounds(x - 8, y - 8, 16, 16) for x, y in places.values()]
+    positions = {mark: axes.transData.transform((mark.time, mark.error)) for mark in methods}
+    taken = [Bbox.from_bounds(x - 8, y - 8, 16, 16) for x, y in positions.values()]
     inside = axes.get_window_extent()
-    for mark in sorted(methods, key=lambda mark: places[mark][0]):
+    for mark in sorted(methods, key=lambda mark: positions[mark][0]):
         text = axes.annotate(
             mark.name,
             (mark.time, mark.error),
@@ -104,7 +104,7 @@ def _label(axes: Axes, methods: list[Mark]) -> None:
             fontsize=8.5,
         )
         size = text.get_window_extent()
-        x, y = places[mark]
+        x, y = positions[mark]
         for dx, dy in _offsets():
             # The label's nearest corner or side is put at the offset.
             left = x + dx * pixels - (0 if dx > 1 else size.width if dx < -1 else size.width / 2)
@@ -122,7 +122,7 @@ def _label(axes: Axes, methods: list[Mark]) -> None:
 
 
 def _offsets() -> Iterator[tuple[float, float]]:
-    """Yield offsets in points, near ones first, to the right first."""
+    """Yield offsets in points: near ones first, and among these the right first."""
     for distance, turn in itertools.product(DISTANCES, range(DIRECTIONS)):
         half = (turn + 1) // 2 * (-1) ** turn  # 0, -1, 1, -2, 2 … sixteenths of a turn
         angle = 2 * math.pi * half / DIRECTIONS

@@ -1,4 +1,4 @@
-"""The processes that run other libraries' methods, and the environment they need."""
+"""Processes that run methods of other libraries, and the environment that they need."""
 
 import json
 import os
@@ -17,6 +17,7 @@ from bench.shared.worker import LAST_WORDS, Worker, WorkerDied
 
 WORKER = Path(__file__).with_name("peer_worker.py")
 PACKAGES = ("opencv-contrib-python-headless", "scikit-image", "numpy")
+# Environment variables that bound the threads of OpenMP and of BLAS.
 POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -33,7 +34,7 @@ def prepare(folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class Survey:
-    """What an interpreter can run: versions of its libraries, and name → why not, or ""."""
+    """Methods that an interpreter can run: library → version, and method → why not, or ""."""
 
     versions: dict[str, str]
     reasons: dict[str, str]
@@ -45,12 +46,12 @@ class Survey:
 
     @property
     def missing(self) -> dict[str, str]:
-        """Name → reason, of those that cannot."""
+        """Method → reason, of the methods that cannot run."""
         return {name: reason for name, reason in self.reasons.items() if reason}
 
 
 def survey(python: Path) -> Survey:
-    """Ask an interpreter which peers it can run; raise RuntimeError if it cannot be asked."""
+    """Return the methods that an interpreter can run; raise RuntimeError if the worker fails."""
     try:
         done = subprocess.run(
             [python, WORKER, "survey"], capture_output=True, text=True, check=True, timeout=120
@@ -64,7 +65,7 @@ def survey(python: Path) -> Survey:
 
 
 def find_peers(python: Path | None) -> tuple[Path, Survey]:
-    """Return an interpreter, this one by default, and what it runs; nothing where it cannot say."""
+    """Return an interpreter, by default this one, and its methods; none if the worker fails."""
     python = python or Path(sys.executable)
     try:
         return python, survey(python)
@@ -73,7 +74,7 @@ def find_peers(python: Path | None) -> tuple[Path, Survey]:
 
 
 class Peer:
-    """A method of another library. Its worker starts when needed, and again after it died.
+    """A method of another library. Its worker starts when needed, and again after a crash.
 
     Parameters
     ----------
@@ -84,7 +85,7 @@ class Peer:
     threads : int
         Bound on OpenCV's, OpenMP's and BLAS's threads.
     folder : Path
-        Where frames and flows are exchanged.
+        Folder of exchanged frames and flows.
     timeout : float
         s; a call that takes longer ends the worker.
     """

@@ -1,12 +1,13 @@
-"""One method of another library, in a process and an environment of its own.
+"""Process that runs one method of another library in an environment of its own.
 
-It needs NumPy and the libraries whose methods it runs; neither tisfm nor the rest of the bench.
-OpenCV's contrib build shares the name cv2 with the plain one, so both cannot be in one process.
+It needs NumPy and the library of the method, but neither tisfm nor the rest of the bench. OpenCV's
+contrib build has the same name cv2 as the plain one, so a process cannot have both.
 
-``peer_worker.py survey`` prints what can run here, as JSON. ``peer_worker.py serve NAME THREADS``
-prints ``{"ready": true}``, then answers each line of JSON on standard input, ``{"frames": [PATH,
-PATH], "flow": PATH}``, with one of its own: the flow is written to its path, and the seconds of
-the call and of the processor are returned, or an error. Frames are (H, W) uint8 in .npy files.
+``peer_worker.py survey`` prints the methods that can run, as JSON. ``peer_worker.py serve NAME
+THREADS`` prints ``{"ready": true}``, then answers each line of JSON on standard input,
+``{"frames": [PATH, PATH], "flow": PATH}``, with one of its own: the flow is written to its path,
+and the wall and processor time of the call are returned, or an error. Frames are (H, W) uint8 in
+.npy files.
 """
 
 import importlib
@@ -30,7 +31,7 @@ def as_given(frame: np.ndarray) -> np.ndarray:
 
 
 def in_three_channels(frame: np.ndarray) -> np.ndarray:
-    """Return the frame three times, (H, W, 3): what OpenCV's RLOF takes."""
+    """Return the frame three times, (H, W, 3), as OpenCV's RLOF takes it."""
     return np.repeat(frame[..., None], 3, axis=2)
 
 
@@ -121,7 +122,7 @@ def limit_threads(threads: int) -> None:
 def serve(name: str, threads: int) -> None:
     """Answer requests until standard input ends."""
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what a library prints must not be taken for an answer
+    os.dup2(2, 1)  # the output of libraries must not mix with the answers
     limit_threads(threads)
     create, prepare = METHODS[name]
     method = create()
@@ -142,7 +143,7 @@ def serve(name: str, threads: int) -> None:
             used, started = time.process_time(), time.perf_counter()
             flow = method(*frames)
             seconds, cpu = time.perf_counter() - started, time.process_time() - used
-        except Exception as error:  # of whatever kind the library raises
+        except Exception as error:  # of any kind
             answer({"error": f"{type(error).__name__}: {error}"})
             continue
         np.save(request["flow"], np.asarray(flow, np.float32))

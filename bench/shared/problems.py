@@ -1,4 +1,4 @@
-"""What is timed: a rendered pair, linearised."""
+"""Input of the kernel timings, a linearised rendered pair, and checks of their answers."""
 
 from functools import cached_property, lru_cache
 
@@ -19,21 +19,21 @@ CONSTRAINTS = {"brightness": 0.3, "gradient": 1.0, "normalization": 0.1}
 SCALES = (0.3 * 0.1**2, 0.1**2)  # m ε² of both
 UNIQUENESS = {"density": 1.23, "apart": 0.07}  # pixels per pixel; px/frame
 RATIO = 0.7  # coarse over fine sampling density
-NOISE = 0.1  # px/frame, on ρ̂: no weight of an edge is all but 0 or 1
-STEPS = (0.5, -1.0)  # along two directions, for ever without growing or dying out
+NOISE = 0.1  # px/frame, on ρ̂, so that weights of edges lie well between 0 and 1
+STEPS = (0.5, -1.0)  # along two directions; repeated steps neither grow nor vanish
 RATE = 0.2  # of edges, per grey level
 TOLERATED_SQUARE = 0.15**2  # px²
-HYPOTHESES = 0.5 + np.arange(16)  # px/frame, of inverse depth: whole vectors of lanes
+HYPOTHESES = 0.5 + np.arange(16)  # px/frame, of inverse depth; fill whole vectors of lanes
 NEAR = 4.0  # px/frame
 AGGREGATION = {"step": 0.3, "jump": 5.0, "edge": 1.2}
-BORDER = 0.01  # px: nearer to the border, rounding decides whether a place is in the image
+BORDER = 0.01  # px from the image border within which rounding decides about inside or outside
 
 
 class Problem:
     """A pair of frames linearised about a flow near the true one.
 
-    Every array is float64 but holds float32 numbers, so that the reference and the kernels start
-    from the same. `expected` keeps what the reference made of them.
+    Every array is float64 but holds float32 numbers, so that reference and kernels have the same
+    input. `expected` keeps the answers of the reference.
     """
 
     def __init__(self, height: int, width: int) -> None:
@@ -74,12 +74,12 @@ class Problem:
 
     @cached_property
     def mask(self) -> np.ndarray:
-        """1 where the flow stays inside the image, (H, W)."""
+        """1 where the flow ends inside the image, (H, W)."""
         return reference.warp(self.frames[1], self.flow)[1]
 
     @cached_property
     def residual(self) -> np.ndarray:
-        """How badly each pixel's constraints are met, in grey levels; random, (H, W)."""
+        """Residual of the constraints of each pixel, grey levels; random, (H, W)."""
         return single(np.random.default_rng(1).uniform(0, 5, (self.height, self.width)))
 
     @cached_property
@@ -125,12 +125,12 @@ class Problem:
 
     @cached_property
     def guess(self) -> np.ndarray:
-        """An inverse depth that is likely, px/frame, (H, W)."""
+        """A prior inverse depth, px/frame, (H, W)."""
         return single(self.inverse_depth[0] + self.residual)
 
     @cached_property
     def trust(self) -> np.ndarray:
-        """How likely it is, (H, W)."""
+        """Weight of the prior inverse depth, (H, W)."""
         return single(self.residual / 10)
 
     @cached_property
@@ -146,7 +146,7 @@ class Problem:
 
     @cached_property
     def decided(self) -> np.ndarray:
-        """Whether a hypothesis takes a pixel well into or out of the image, (H, W, N)."""
+        """Whether a hypothesis moves a pixel clearly inside or outside the image, (H, W, N)."""
         rows, columns = np.mgrid[: self.height, : self.width]
         rotation, translation = self.motions[0, :, :3], self.motions[0, :, 3]
         decided = []
@@ -186,7 +186,7 @@ def disagreement(actual: np.ndarray, expected: np.ndarray) -> float:
 
 
 def check(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> float:
-    """Return the disagreement, or raise an AssertionError where it is above the tolerance."""
+    """Return the disagreement, or raise an AssertionError if it is above the tolerance."""
     error = disagreement(actual, expected)
     if not error <= tolerance:  # NaN included
         raise AssertionError(
@@ -197,7 +197,7 @@ def check(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> float:
 
 
 def check_quantile(distance: np.ndarray, share: float, tolerance: float) -> float:
-    """Return the distance that a share of the pixels keeps to, or raise as `check` does."""
+    """Return the quantile of the distance at a share of the pixels, or raise as `check` does."""
     error = float(np.quantile(distance, share))
     if not error <= tolerance:
         raise AssertionError(

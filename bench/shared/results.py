@@ -1,16 +1,165 @@
-"""The machine that a run is measured on, and where in the checkout its results go."""
+"""Results of a run: tables, bounds that figures are held to, and their files in bench/results."""
 
+import json
 import platform
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table as RichTable
+
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "bench" / "results"
+EMPTY = "–"  # cell of a figure that was not measured
+TABLE_WIDTH = 160  # columns of a console that is not a terminal
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of text.
+
+    Attributes
+    ----------
+    head : sequence of str
+    rows : sequence of sequence of str
+    text_columns : int
+        Number of columns that are aligned to the left; the others hold figures.
+    """
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    text_columns: int = 1
+
+    def markdown(self) -> list[str]:
+        """Return the lines of a Markdown table."""
+        figures = len(self.head) - self.text_columns
+        rules = ["---"] * self.text_columns + ["---:"] * figures
+        lines = (self.head, rules, *self.rows)
+        return ["|" + "".join(f" {text} |" if text else " |" for text in line) for line in lines]
+
+    def rich(self) -> RichTable:
+        """Return the table for a terminal."""
+        table = RichTable(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+        for index, name in enumerate(self.head):
+            side = "left" if index < self.text_columns else "right"
+            table.add_column(escape(name), justify=side, no_wrap=index == 0)  # type: ignore[arg-type]
+        for row in self.rows:
+            table.add_row(*map(escape, row))
+        return table
+
+    def without_empty_columns(self) -> "Table":
+        """Return the table without the columns in which every cell is empty."""
+        filled = [k for k in range(len(self.head)) if any(row[k] != EMPTY for row in self.rows)]
+        return Table(
+            [self.head[k] for k in filled], [[row[k] for k in filled] for row in self.rows]
+        )
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A figure and the bound it is held to.
+
+    Attributes
+    ----------
+    name : str
+    value : float or None
+        None if the run did not measure the figure.
+    bound : float or None
+        None if the figure is only reported.
+    at_most : bool
+        Whether the bound is an upper one.
+    """
+
+    name: str
+    value: float | None
+    bound: float | None
+    at_most: bool = True
+
+    @property
+    def met(self) -> bool:
+        """Whether the figure was measured and keeps to its bound."""
+        if self.value is None:
+            return False
+        if self.bound is None:
+            return True
+        return self.value <= self.bound if self.at_most else self.value >= self.bound
+
+    def __str__(self) -> str:
+        value = "not measured"
+        if self.value is not None:
+            value = f"{self.value:.{1 if self.value >= 10 else 2}f}"
+        if self.bound is None:
+            return f"{'also' if self.met else 'FAIL'}  {self.name}: {value}"
+        words = "at most" if self.at_most else "at least"
+        return f"{'pass' if self.met else 'FAIL'}  {self.name}: {value} ({words} {self.bound:g})"
+
+
+def exit_code(bars: Iterable[Bar]) -> int:
+    """Return the exit code of a run: 0 if every bound is met, else 1."""
+    return 0 if all(bar.met for bar in bars) else 1
+
+
+def cell(value: float | None, form: str) -> str:
+    """Return a formatted figure, or the empty cell for None."""
+    return EMPTY if value is None else format(value, form)
+
+
+def text_of(*blocks: str | Mapping[str, Any] | Sequence[str] | Table) -> str:
+    """Return a Markdown page of blocks, separated by empty lines.
+
+    A string is a heading or a paragraph, a mapping a list of ``name: value``, and another sequence
+    a list of its lines. Empty blocks are left out.
+    """
+    parts = []
+    for block in blocks:
+        if isinstance(block, Table):
+            parts.append("\n".join(block.markdown()))
+        elif isinstance(block, str):
+            parts.append(block)
+        elif isinstance(block, Mapping):
+            parts.append("\n".join(f"- {name}: {value}" for name, value in block.items()))
+        else:
+            parts.append("\n".join(f"- {line}" for line in block))
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def write(path: Path, text: str, record: Any = None) -> None:
+    """Write PATH.md and, if there is a record of all figures, PATH.json."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.with_suffix(".md").write_text(text, encoding="utf-8")
+    if record is not None:
+        content = json.dumps(record, indent=1, ensure_ascii=False)
+        path.with_suffix(".json").write_text(content + "\n", encoding="utf-8")
+
+
+def gaps(missing: Mapping[str, str], failures: Mapping[str, str]) -> list[str | Mapping[str, str]]:
+    """Return the sections of a report about what is missing and what failed."""
+    found = (("## Missing", missing), ("## Failed", failures))
+    return [block for section in found if section[1] for block in section]
+
+
+def print_gaps(
+    console: Console, missing: Mapping[str, str], failures: Mapping[str, str] | None = None
+) -> None:
+    """Print what is missing and what failed."""
+    for title, entries in (("missing", missing), ("FAILED", failures or {})):
+        for name, reason in entries.items():
+            console.print(f"{title}: {name}: {reason}", highlight=False, markup=False)
+
+
+def wide_console() -> Console:
+    """Return a console in which tables keep their columns."""
+    console = Console()
+    return Console(width=max(console.width, TABLE_WIDTH))
 
 
 def machine() -> dict[str, Any]:
-    """Return what the times depend on, of this machine and process."""
+    """Return the properties of the machine and the process that times depend on."""
     import numpy
     import taichi
 
@@ -26,6 +175,19 @@ def machine() -> dict[str, Any]:
     }
 
 
+def memory(name: str, process: int | str = "self") -> float | None:
+    """Return a size that Linux reports of a process, bytes; None if the system does not.
+
+    `name` is VmRSS for resident memory, or VmHWM for its peak.
+    """
+    try:
+        status = Path(f"/proc/{process}/status").read_text(encoding="utf-8")
+    except OSError:
+        return None
+    found = re.search(rf"^{name}:\s+(\d+) kB", status, re.MULTILINE)
+    return int(found[1]) * 1024 if found else None
+
+
 def _processor() -> str:
     listed = Path("/proc/cpuinfo")
     if listed.exists():
@@ -33,34 +195,3 @@ def _processor() -> str:
             if line.startswith("model name"):
                 return line.split(":", 1)[1].strip()
     return platform.processor() or platform.machine()
-
-
-@dataclass(frozen=True)
-class Bar:
-    """A figure and its bar; `value` is None where the run did not measure it.
-
-    `bound` is None for a figure that stands beside others and has no bar.
-    """
-
-    name: str
-    value: float | None
-    bound: float | None
-    at_most: bool = True
-
-    @property
-    def met(self) -> bool:
-        """Whether the figure was measured and keeps to its bar."""
-        if self.value is None:
-            return False
-        if self.bound is None:
-            return True
-        return self.value <= self.bound if self.at_most else self.value >= self.bound
-
-    def __str__(self) -> str:
-        value = "not measured"
-        if self.value is not None:
-            value = f"{self.value:.{1 if self.value >= 10 else 2}f}"
-        if self.bound is None:
-            return f"{'also' if self.met else 'FAIL'}  {self.name}: {value}"
-        words = "at most" if self.at_most else "at least"
-        return f"{'pass' if self.met else 'FAIL'}  {self.name}: {value} ({words} {self.bound:g})"

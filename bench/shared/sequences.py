@@ -26,7 +26,7 @@ class FlowPair:
     truth : (H, W, 2) float
         Flow from frame 0 to frame 1, px; NaN where it is unknown.
     note : str
-        What to know about the truth.
+        Remark on the truth.
     """
 
     name: str
@@ -43,7 +43,7 @@ class FlowPair:
         return height, width
 
     def crop(self, height: int, width: int) -> "FlowPair":
-        """Return the upper left part, at most so large."""
+        """Return the upper left part, of at most this size."""
         part = np.s_[:height, :width]
         return FlowPair(
             name=f"{self.name}-crop",
@@ -55,7 +55,7 @@ class FlowPair:
 
 
 def find_pairs(data: Path) -> tuple[list[FlowPair], dict[str, str]]:
-    """Return the pairs found in a folder, and why the others are missing, by name."""
+    """Return the pairs in a folder, and name → reason of the missing ones."""
     pairs, missing = [], {}
     for name, source in SOURCES.items():
         try:
@@ -66,7 +66,7 @@ def find_pairs(data: Path) -> tuple[list[FlowPair], dict[str, str]]:
 
 
 def data_folder(given: Path | None = None) -> Path | None:
-    """Return the folder given, or else the one that TISFM_DATA names, or None."""
+    """Return the given folder, or else the one of TISFM_DATA, or None."""
     if given is None and not os.environ.get("TISFM_DATA"):
         return None
     folder = given or Path(os.environ["TISFM_DATA"])
@@ -76,7 +76,7 @@ def data_folder(given: Path | None = None) -> Path | None:
 
 
 def scene_pairs(height: int, width: int) -> list[FlowPair]:
-    """Return rendered pairs, whose truth is exact."""
+    """Return rendered pairs with exact truth."""
     rendered = {
         "two_blocks": scenes.two_blocks(height, width),
         "static_scene": scenes.static_scene("sideways+rotation", height, width),
@@ -89,15 +89,15 @@ def scene_pairs(height: int, width: int) -> list[FlowPair]:
 
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """Where a pair lies in the folder of sequences.
+    """Location of a pair in the folder of sequences.
 
     Attributes
     ----------
     folder, layout : str
-        Path below it, and one of `tisfm.datasets.LAYOUTS`.
+        Path below that folder, and one of `tisfm.datasets.LAYOUTS`.
     group : str
     name : str
-        Of the pair in its dataset, where the folder has several.
+        Of the pair in its dataset, if the folder has several.
     note : str
     """
 

@@ -8,29 +8,29 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-LAST_WORDS = 3  # lines of a dead worker's messages
-PATIENCE = 20.0  # s that a worker has to end by itself
+LAST_WORDS = 3  # lines of the messages of a dead worker that are shown
+PATIENCE = 20.0  # s until a worker that should end is killed
 
 
 class WorkerDied(Exception):  # noqa: N818 (the error is the worker's)
-    """A worker ended without an answer; the text says how."""
+    """A worker ended without an answer; the text is the reason."""
 
 
 class Worker:
-    """A worker process. It starts when it is first asked, and again after it died.
+    """A worker process. It starts at the first question, and again after a crash.
 
-    Its first line, before any question, says that it is ready.
+    Its first line, before any question, is the message that it is ready.
 
     Parameters
     ----------
     command : sequence of str or Path
     environment : mapping
     messages : Path
-        Where its standard error goes.
+        File of its standard error.
     folder : Path, optional
-        Where it runs.
+        Working folder.
     timeout : float
-        s; a question that takes longer ends the worker.
+        s for an answer, after which the worker is killed.
     """
 
     def __init__(
@@ -71,12 +71,12 @@ class Worker:
         return self._converse(self._process, question)
 
     def close(self, patience: float = PATIENCE) -> None:
-        """End the worker: it may finish by itself for so many seconds."""
+        """End the worker; kill it if it runs on for `patience` seconds."""
         process, self._process = self._process, None
         if process is None:
             return
         assert process.stdin is not None and process.stdout is not None
-        with contextlib.suppress(OSError):  # what was left in it cannot be written any more
+        with contextlib.suppress(OSError):  # unsent data cannot be written any more
             process.stdin.close()
         try:
             process.wait(patience)

@@ -1,6 +1,5 @@
-"""Measure the viewer on long results: ``python -m bench.view``."""
+"""``python -m bench.view``: the viewer on long results, in a real browser."""
 
-import argparse
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -8,7 +7,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from bench.shared.results import RESULTS, Bar, machine
+from bench.shared.command import options_parser
+from bench.shared.results import RESULTS, Bar, Table, exit_code, machine, text_of, write
 from bench.view.long_results import (
     lengthened_reconstruction,
     lengthened_run,
@@ -17,18 +17,21 @@ from bench.view.long_results import (
 )
 from bench.view.opening import Opening, browser, opened
 
-FRAMES, SHORT = 1000, 8
-HEIGHT, WIDTH = 480, 640
-ROUNDS, STEPS = 5, 6
+FRAMES = 1000  # of each result
+SHORT = 8  # frames of the results that are lengthened
+HEIGHT = 480  # px
+WIDTH = 640  # px
+ROUNDS = 5  # starts of the command on each result
+STEPS = 6  # of the slider in each start
 
 
-BAR = 3.0  # s until points are seen
+BAR = 3.0  # s until points are seen; set by hand
 NAMES = {"run": "`tisfm run`", "reconstruction": "`tisfm reconstruct`"}
-_HEAD = (
-    "| | frames | page served, s | points seen, s | in the slowest start, s |"
-    " processor until then, s | all points have come, s | step of the slider, s |"
-    " its points have come, s | memory, MB | peak, MB |"
-)
+HEAD = (
+    "", "frames", "page served, s", "points seen, s", "in the slowest start, s",
+    "processor until then, s", "all points have come, s", "step of the slider, s",
+    "its points have come, s", "memory, MB", "peak, MB",
+)  # fmt: skip
 
 
 def bars(found: Mapping[str, Sequence[Opening]]) -> list[Bar]:
@@ -43,28 +46,18 @@ def report(
     found: Mapping[str, Sequence[Opening]], frames: int, conditions: Mapping[str, Any]
 ) -> str:
     """Return the results as Markdown."""
-    rows = [_row(kind, openings, frames) for kind, openings in found.items()]
-    return "\n".join(
-        [
-            "# The viewer on long results",
-            "",
-            *(f"- {name}: {value}" for name, value in conditions.items()),
-            "",
-            _HEAD,
-            "| --- |" + " ---: |" * (_HEAD.count("|") - 2),
-            *rows,
-            "",
-            *(f"- {bar}" for bar in bars(found)),
-            "- From the start of `tisfm view` on, with a browser that is already open: a headless "
-            "Chromium without a GPU, so that it draws on the cores that the command runs on. "
-            "Medians over starts, of steps over all of them. Steps go to frames that were not "
-            "looked at before. Memory is that of the command, after the first picture and at most.",
-            "",
-        ]
-    )
+    table = Table(HEAD, [_row(kind, openings, frames) for kind, openings in found.items()])
+    notes = [
+        *map(str, bars(found)),
+        "Times start with `tisfm view`. The browser, a headless Chromium without a GPU, is already "
+        "open and draws on the same cores as the command. Medians over starts, of steps over all "
+        "of them. Steps go to frames that were not shown before. Memory is that of the command, "
+        "after the first picture and at most.",
+    ]
+    return text_of("# The viewer on long results", conditions, table, notes)
 
 
-def _row(kind: str, openings: Sequence[Opening], frames: int) -> str:
+def _row(kind: str, openings: Sequence[Opening], frames: int) -> list[str]:
     steps = [step for opening in openings for step in opening.steps]
     values = [
         median(o.served for o in openings),
@@ -77,7 +70,7 @@ def _row(kind: str, openings: Sequence[Opening], frames: int) -> str:
     ]
     sizes = [_size([o.memory for o in openings]), _size([o.peak for o in openings])]
     cells = [NAMES[kind], str(frames), *(f"{value:.2f}" for value in values), *sizes]
-    return f"| {' | '.join(cells)} |"
+    return cells
 
 
 def _size(values: Sequence[float | None]) -> str:
@@ -87,11 +80,9 @@ def _size(values: Sequence[float | None]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, write ``bench/results/view.md``, and return 1 if the bar is missed."""
-    parser = argparse.ArgumentParser(prog="python -m bench.view", description=__doc__)
+    parser = options_parser("view", __doc__, "smoke", "output", output="view")
     parser.add_argument("--frames", type=int, default=FRAMES, help="of each result")
     parser.add_argument("--rounds", type=int, default=ROUNDS, help="starts of the command on each")
-    parser.add_argument("--smoke", action="store_true", help="short and small, and no bar")
-    parser.add_argument("--output", default="view", metavar="NAME")
     options = parser.parse_args(arguments)
     frames, rounds, steps, size = options.frames, options.rounds, STEPS, (HEIGHT, WIDTH)
     if options.smoke:
@@ -115,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                             (k * frames // (steps + 1) + first) % frames for k in range(1, 7)
                         ]
                         opening = opened(chromium, folder / kind, visited[:steps])
-                        if turn or options.smoke:  # the first one finds cold files
+                        if turn or options.smoke:  # else it reads cold files
                             openings.append(opening)
         except RuntimeError as error:
             print(f"bench.view: {error}", file=sys.stderr)
@@ -125,8 +116,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(text)
     if options.smoke:
         return 0
-    (RESULTS / f"{options.output}.md").write_text(text, encoding="utf-8")
-    return 0 if all(bar.met for bar in bars(found)) else 1
+    write(RESULTS / options.output, text)
+    return exit_code(bars(found))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""A run and a reconstruction of many frames, from a few: their files are hard links.
+"""Long results for the viewer: the files of a short run or reconstruction, linked many times.
 
-A viewer cannot tell them from others: it reads as many files of the same size.
+The viewer reads as many files of the same size as of a real long result.
 """
 
 import json
@@ -17,12 +17,12 @@ from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import room_film
 
-_STEP = np.array((0.1, 0.0, 0.04, 0.0, 0.01, 0.0))  # of the camera, m and rad a frame
-_DRIFT = 0.01  # of the camera between frames of the long path, m
+_STEP = np.array((0.1, 0.0, 0.04, 0.0, 0.01, 0.0))  # motion of the camera per frame, m and rad
+_DRIFT = 0.01  # m per frame, added to the long path so that no two cameras coincide
 
 
 def write_frames(folder: Path, count: int, height: int, width: int) -> float:
-    """Write so many frames of a papered room, as PNG files; return their focal length, px."""
+    """Write frames of a room with patterned walls as PNG files; return the focal length, px."""
     folder.mkdir()
     poses = np.array([pose_matrix(k * _STEP) for k in range(count)])
     film = room_film(poses, height, width, textured=True, samples=1)
@@ -39,18 +39,18 @@ def write_short(frames: Path, focal: float, run: Path, reconstruction: Path) -> 
     RuntimeError
         If a command fails.
     """
-    ways = (
+    commands = (
         ["run", str(frames), "-o", str(run), "--motion", "camera", "--no-figures"],
         ["reconstruct", str(frames), "-o", str(reconstruction)],
     )
-    for arguments in ways:
+    for arguments in commands:
         code = tisfm_command([*arguments, "--preset", "fast", "--focal", f"{focal:g}"])
         if code != 0:
             raise RuntimeError(f"tisfm {arguments[0]} ended with exit code {code}")
 
 
 def lengthened_run(short: Path, long: Path, count: int) -> None:
-    """Write a run of so many pairs, those of another again and again."""
+    """Write a run of `count` pairs, which repeats the pairs of a short one."""
     long.mkdir()
     record = json.loads((short / "run.json").read_text(encoding="utf-8"))
     pairs = list(record["pairs"].items())
@@ -64,7 +64,7 @@ def lengthened_run(short: Path, long: Path, count: int) -> None:
 
 
 def lengthened_reconstruction(short: Path, long: Path, count: int) -> None:
-    """Write a reconstruction of so many frames, those of another there and back, further each time.
+    """Write a reconstruction of `count` frames, which runs through a short one to and fro.
 
     Raises
     ------

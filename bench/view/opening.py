@@ -1,7 +1,7 @@
-"""``tisfm view`` as somebody at a browser meets it: how long until there is something to see.
+"""Time from the start of ``tisfm view`` until its page shows points in a browser.
 
-The browser is a headless Chromium that draws without a GPU. It has been started before. Its page
-notes when it has drawn points: looking at pictures of the window would keep it from drawing.
+The browser is a headless Chromium without a GPU, which is already open. The page itself notes when
+it has drawn points, since screenshots of the window would delay the drawing.
 """
 
 import os
@@ -16,14 +16,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bench.shared.results import memory
+
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 OPTIONS = (
     "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
 )  # fmt: skip
 WINDOW = {"width": 1280, "height": 800}
-PATIENCE = 120.0  # s
-_REST = 1.5  # s without data, after which all of a frame is there
-# The first call that draws many points is noted when the browser comes to the next picture but one.
+PATIENCE = 120.0  # s to wait for the page
+_REST = 1.5  # s without data after which a frame counts as complete; set by hand
+_LEAST_PAYLOAD = 10_000  # bytes of a message with points or pictures, at least
+# Notes the second picture after the first call that draws 1,000 points or more.
 _NOTES = """
 const draw = WebGL2RenderingContext.prototype.drawArrays;
 WebGL2RenderingContext.prototype.drawArrays = function (mode, first, count) {
@@ -40,23 +43,23 @@ _STARTS = "import sys; from tisfm.cli.command_line import main; sys.exit(main())
 
 @dataclass(frozen=True, kw_only=True)
 class Opening:
-    """What was measured of one start of the command; s from then on, unless said otherwise.
+    """Times of one start of the command: s since the start, if the text names no other.
 
     Attributes
     ----------
     served : float
-        Until the command says where its page is.
+        Until the command prints the address of its page.
     first : float
         Until points are seen.
     processor : float
-        Of the processor, spent by the command until then.
+        Processor time of the command until then.
     refined : float
         Until all points of the first frame have come.
     steps : tuple of (float, float)
-        From a step of the slider on: until the frame is shown, and until all its points have come.
+        Since a step of the slider: until the frame is shown, and until all its points have come.
     memory, peak : float or None
-        MB of the command after the first picture, and the most until its end; None where the system
-        does not say so.
+        Memory of the command, MB: after the first picture, and its peak. None if the system does
+        not report it.
     """
 
     served: float
@@ -69,7 +72,7 @@ class Opening:
 
 
 def browser_path() -> str | None:
-    """Return the Chromium of this machine, None if it has none."""
+    """Return the Chromium of this machine, or None."""
     return next(filter(None, map(shutil.which, NAMES)), None)
 
 
@@ -80,15 +83,15 @@ def browser() -> Iterator[Any]:
     Raises
     ------
     RuntimeError
-        If there is none, or no Playwright to drive it.
+        If Chromium or Playwright is not installed.
     """
     path = browser_path()
     if path is None:
-        raise RuntimeError("there is no Chromium: Debian has it as the package chromium")
+        raise RuntimeError("Chromium is not installed: on Debian, install the package chromium")
     try:
         from playwright.sync_api import sync_playwright
     except ImportError as error:
-        raise RuntimeError("there is no playwright: pip install '.[test]'") from error
+        raise RuntimeError("playwright is not installed: pip install '.[test]'") from error
     with sync_playwright() as playwright:
         started = playwright.chromium.launch(executable_path=path, args=list(OPTIONS))
         try:
@@ -98,12 +101,12 @@ def browser() -> Iterator[Any]:
 
 
 def opened(chromium: Any, folder: Path, steps: Sequence[int]) -> Opening:
-    """Start the command on a result, look at its page, and go to frames.
+    """Start the command on a result, open its page, and step to frames.
 
     Raises
     ------
     RuntimeError
-        If the command ends, or nothing is seen.
+        If the command serves no page.
     """
     tab = chromium.new_context(viewport=WINDOW).new_page()
     tab.add_init_script(_NOTES)
@@ -118,14 +121,14 @@ def opened(chromium: Any, folder: Path, steps: Sequence[int]) -> Opening:
         assert command.stderr is not None
         found = re.search(r"http://\S+:\d+", command.stderr.readline())
         if found is None:
-            raise RuntimeError(f"tisfm view does not serve {folder}")
+            raise RuntimeError(f"tisfm view serves no page of {folder}")
         served = time.perf_counter() - begin
         tab.goto(found[0])
         seen = tab.wait_for_function("window.pointsSeen", timeout=1000 * PATIENCE)
         first = seen.json_value() - began
         processor = _processor_time(command.pid)
         refined = came.last_after(begin, tab) - begin
-        memory = _memory(command.pid, "VmRSS")
+        resident = memory("VmRSS", command.pid)
         taken = tuple(_stepped(tab, came, number) for number in steps)
         return Opening(
             served=served,
@@ -133,8 +136,8 @@ def opened(chromium: Any, folder: Path, steps: Sequence[int]) -> Opening:
             processor=processor,
             refined=refined,
             steps=taken,
-            memory=memory,
-            peak=_memory(command.pid, "VmHWM"),
+            memory=_megabytes(resident),
+            peak=_megabytes(memory("VmHWM", command.pid)),
         )
     finally:
         command.kill()
@@ -143,18 +146,18 @@ def opened(chromium: Any, folder: Path, steps: Sequence[int]) -> Opening:
 
 
 class Arrivals:
-    """When data came to a tab."""
+    """Times at which data came to a tab."""
 
     def __init__(self, tab: Any) -> None:
         self.times: list[float] = []
         tab.on("websocket", lambda socket: socket.on("framereceived", self._note))
 
     def _note(self, payload: str | bytes) -> None:
-        if len(payload) > 10_000:  # points and pictures
+        if len(payload) > _LEAST_PAYLOAD:
             self.times.append(time.perf_counter())
 
     def last_after(self, begin: float, tab: Any) -> float:
-        """Wait until nothing more comes, and return when the last of it came."""
+        """Wait until no more data come, and return the time of the last arrival."""
         while True:
             last = max([begin, *self.times])
             rest = time.perf_counter() - last
@@ -164,7 +167,7 @@ class Arrivals:
 
 
 def _stepped(tab: Any, came: Arrivals, number: int) -> tuple[float, float]:
-    """Go to a frame by the slider's number, and return how long it took."""
+    """Step to a frame by the number field of the slider, and return both times."""
     field = (
         tab.get_by_text("Frame", exact=True)
         .locator("xpath=../../..")
@@ -184,7 +187,7 @@ def _stepped(tab: Any, came: Arrivals, number: int) -> tuple[float, float]:
 
 
 def _processor_time(process: int) -> float:
-    """Return the time of the processor that a process has spent, s; NaN where it is not told."""
+    """Return the processor time of a process, s; NaN if the system does not report it."""
     path = Path(f"/proc/{process}/stat")
     if not path.exists():
         return float("nan")
@@ -192,8 +195,5 @@ def _processor_time(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def _memory(process: int, name: str) -> float | None:
-    """Return a size that the system tells of a process, MB."""
-    path = Path(f"/proc/{process}/status")
-    found = path.exists() and re.search(rf"{name}:\s+(\d+) kB", path.read_text(encoding="utf-8"))
-    return int(found[1]) * 1024 / 1e6 if found else None
+def _megabytes(size: float | None) -> float | None:
+    return None if size is None else size / 1e6

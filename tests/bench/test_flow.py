@@ -69,7 +69,8 @@ def test_parts_without_texture(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(untextured, "SEEDS", (0, 1))
     threads = str(os.cpu_count())
     size = ["--height", "90", "--width", "120"]
-    assert untextured.main(["-o", str(tmp_path), *size, "--threads", threads]) == 0
+    monkeypatch.setattr(untextured, "RESULTS", tmp_path)
+    assert untextured.main([*size, "--threads", threads]) == 0
     text = (tmp_path / "untextured.md").read_text(encoding="utf-8")
     assert capsys.readouterr().out.strip() in text
     assert f"- threads: {threads}" in text and "- NumPy: " in text
@@ -99,7 +100,8 @@ def test_three_frames_are_compared_with_two(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(window, "triples", lambda data: iter(rendered))
     threads = str(os.cpu_count())
     arguments = ["--presets", "fast", "--repetitions", "1", "--threads", threads]
-    assert window.main(["-o", str(tmp_path), *arguments]) == 0
+    monkeypatch.setattr(window, "RESULTS", tmp_path)
+    assert window.main([*arguments]) == 0
     text = (tmp_path / "window.md").read_text(encoding="utf-8")
     assert "## `fast`" in text and "two_blocks, 64×48, 2 times its speed" in text
     assert "fast | two_blocks" in capsys.readouterr().out

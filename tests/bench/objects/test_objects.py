@@ -1,4 +1,4 @@
-"""Benchmark of things that move on their own: what is computed and reported. No timing."""
+"""Errors and tables of the benchmark of moving objects. No timing."""
 
 import json
 import os
@@ -9,8 +9,8 @@ import pytest
 
 from bench.objects import __main__ as objects
 from bench.objects import statue
-from bench.objects.scores import Score, best, compared, details, table, true_things
-from bench.objects.statue import Seen
+from bench.objects.scores import Score, best, compared, details, table, true_objects
+from bench.objects.statue import StatuePair
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import two_blocks
 
@@ -28,44 +28,44 @@ def true_poses(scene):
 
 
 def test_what_is_true_has_no_error(scene):
-    labels = true_things(scene)
+    labels = true_objects(scene)
     depth = scene.depth * np.array([1.0, 3.0, 0.2])[labels]
     order = np.array([2, 0, 1])  # of labels, any
     poses = np.empty((3, 4, 4))
     poses[order] = true_poses(scene)
     found = compared(scene, depth, poses, order[labels])
     assert len(found) == 3
-    for thing in found:
-        assert thing.iou == 1
-        assert thing.abs_rel == pytest.approx(0, abs=1e-9)
-        assert thing.direction == pytest.approx(0, abs=1e-4)
+    for item in found:
+        assert item.iou == 1
+        assert item.abs_rel == pytest.approx(0, abs=1e-9)
+        assert item.direction == pytest.approx(0, abs=1e-4)
 
 
 def test_one_motion_for_all_has_no_labels_and_the_wrong_direction_on_things(scene):
     found = compared(scene, scene.depth, true_poses(scene)[:1], None)
-    assert [thing.iou for thing in found] == [None] * 3
+    assert [item.iou for item in found] == [None] * 3
     assert found[0].direction == pytest.approx(0, abs=1e-4) and found[1].direction > 5
     nothing = compared(scene, np.full(SIZE, np.nan), true_poses(scene)[:1], None)
-    assert [thing.abs_rel for thing in nothing] == [1.0] * 3
+    assert [item.abs_rel for item in nothing] == [1.0] * 3
 
 
 def test_a_shared_label_is_seen(scene):
-    labels = np.minimum(true_things(scene), 1)
+    labels = np.minimum(true_objects(scene), 1)
     found = compared(scene, scene.depth, true_poses(scene)[:2], labels)
     assert found[1].iou < 1 and found[2].iou < 0.9
-    score = Score(method="a", group="g", pair="p", seconds=1.0, things=found, labels=2)
+    score = Score(method="a", group="g", pair="p", seconds=1.0, objects=found, labels=2)
     assert not score.complete and replace(score, labels=3).complete
     assert table([score]).rows[0][1] == "0 of 1"
     assert details([score]).rows[0][2] == "2"
 
 
 def test_two_stages_are_taken_at_their_best_threshold(scene):
-    things = compared(scene, scene.depth, true_poses(scene)[:1], None)
-    rough = tuple(replace(thing, abs_rel=0.5) for thing in things)
+    objects = compared(scene, scene.depth, true_poses(scene)[:1], None)
+    rough = tuple(replace(item, abs_rel=0.5) for item in objects)
     given = {"method": "a", "group": "g", "pair": "p", "seconds": 1.0}
     scores = [
-        Score(**given, threshold=0.1, things=rough, one_scale=2.0),
-        Score(**given, threshold=0.2, things=things, one_scale=1.0),
+        Score(**given, threshold=0.1, objects=rough, one_scale=2.0),
+        Score(**given, threshold=0.2, objects=objects, one_scale=1.0),
         Score(**given, threshold=0.3, failure="no motion"),
     ]
     assert best(scores) == [scores[1]]
@@ -81,9 +81,9 @@ def test_the_man_and_the_cyclist_are_counted_where_they_are():
     assert statue._label(labels, statue.CYCLIST[0], statue.CYCLIST_SIZE) == 0
     given = {"method": "a", "pair": "p", "focal": 384.0, "labels": 3, "man": True, "seconds": 1.0}
     found = [
-        Seen(**given, cyclist=True, apart=True),
-        Seen(**given, cyclist=True, apart=False),
-        Seen(**given, cyclist=False, apart=True),
+        StatuePair(**given, cyclist=True, apart=True),
+        StatuePair(**given, cyclist=True, apart=False),
+        StatuePair(**given, cyclist=False, apart=True),
     ]
     assert statue.table(found).rows == [["a", "384", "3", "2", "1", "1", "3.0", "1.00"]]
 
