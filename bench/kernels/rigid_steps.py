@@ -24,7 +24,7 @@ from tisfm.kernels.rigid import (
     several_frames,
     shared_depth,
 )
-from tisfm.reconstruction.depth.pose_adjustment import OUTLYING
+from tisfm.reconstruction.depth.pose_adjustment import OUTLIER_SCALE
 
 HELD = 3.0  # weight of the smoothness of depth while the motion changes
 TINY = 1e-6  # in place of a curvature of costs
@@ -335,7 +335,7 @@ def squares(problem: Problem) -> np.ndarray:
 
 def tolerated(problem: Problem) -> float:
     """Return the squared residual that counts for a quarter, as the adjustment chooses it."""
-    return OUTLYING**2 * float(np.median(squares(problem)))
+    return OUTLIER_SCALE**2 * float(np.median(squares(problem)))
 
 
 def displaced(problem: Problem) -> np.ndarray:

@@ -26,7 +26,7 @@ def noisy(frame):
 
 
 def test_sureness_is_that_of_slopes_along_epipolar_lines():
-    from tisfm.reconstruction.depth.match_deviation import CLOSE, deviation_of_match
+    from tisfm.reconstruction.depth.match_deviation import INNER_SIDE, deviation_of_match
 
     ramp = np.broadcast_to(8 * np.arange(60, dtype=np.float32) % 240, (40, 60))
     steep = noisy(ramp)
@@ -35,7 +35,7 @@ def test_sureness_is_that_of_slopes_along_epipolar_lines():
     inside = np.s_[8:-8, 6:24]
     # Noise of grey levels over the root of the slopes' squares, 8 per px, in all cells nearby;
     # frames are smoothed a little before, and their noise with them.
-    expected = np.sqrt(2) * 1.5 / (8 * CLOSE)
+    expected = np.sqrt(2) * 1.5 / (8 * INNER_SIDE)
     assert 0.3 * expected < np.median(along[inside]) < expected
     assert np.median(across[inside]) > 10 * np.median(along[inside])
 

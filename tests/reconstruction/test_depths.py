@@ -13,8 +13,8 @@ from tisfm.reconstruction.depth import segment_depth as depths
 from tisfm.reconstruction.depth.edge_alignment import align_edges
 from tisfm.reconstruction.depth.segment_depth import depth_effort
 from tisfm.reconstruction.depth.view_fusion import (
-    GUESSED,
-    MOST_APART,
+    DIFFERENCE_LIMIT,
+    FILLED_DEVIATION,
     fill_holes,
     fuse_views,
     raise_deviation_where_different,
@@ -46,7 +46,9 @@ def test_the_mean_of_all_that_are_compared_counts():
 
 
 def test_surfaces_of_others_are_limited():
-    np.testing.assert_allclose(relative_difference(flat(), [flat(5.0)]), MOST_APART, rtol=1e-6)
+    np.testing.assert_allclose(
+        relative_difference(flat(), [flat(5.0)]), DIFFERENCE_LIMIT, rtol=1e-6
+    )
 
 
 def test_it_counts_where_it_is_and_else_as_usual():
@@ -105,7 +107,7 @@ def test_planes_go_on_where_nothing_is_shown(hole):
     known = np.isfinite(shown)
     np.testing.assert_array_equal(inverse_depth[known], plane[known])
     np.testing.assert_array_equal(spread[known], deviation[known])
-    np.testing.assert_allclose(spread[hole], GUESSED * inverse_depth[hole], rtol=1e-6)
+    np.testing.assert_allclose(spread[hole], FILLED_DEVIATION * inverse_depth[hole], rtol=1e-6)
 
 
 def test_holes_end_at_the_edges_of_the_frame():
@@ -183,7 +185,7 @@ def test_errors_of_poses_are_in_the_deviation(monkeypatch, draws):
         shaken = film.poses @ np.array([pose_matrix(twist) for twist in twists])
         with_comparison.append(within_one(film, shaken))
         with monkeypatch.context() as patched:
-            patched.setattr(depths, "APART", 0.0)
+            patched.setattr(depths, "DIFFERENCE_TO_DEVIATION", 0.0)
             without.append(within_one(film, shaken))
     # About 0.8; which keyframes agree hangs on how a processor rounds.
     assert 0.6 < np.mean(with_comparison) < 0.9

@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 
 from tisfm.reconstruction.tracks import long_tracks as module
-from tisfm.reconstruction.tracks.long_tracks import CELLS, ENOUGH, choose_long_tracks
+from tisfm.reconstruction.tracks.long_tracks import CELL_COUNTS, MIN_TRACKS, choose_long_tracks
 from tisfm.reconstruction.tracks.tracker import Observations
 
 SIDE = 400  # px: of the frames
-CELL = SIDE / CELLS[0]
+CELL = SIDE / CELL_COUNTS[0]
 
 
 @pytest.fixture
 def any_number(monkeypatch):
     """The first number of cells is taken, however few tracks it gives."""
-    monkeypatch.setattr(module, "ENOUGH", 0)
+    monkeypatch.setattr(module, "MIN_TRACKS", 0)
 
 
 def views(seed=0, count=5):
@@ -75,4 +75,4 @@ def test_a_part_of_the_frames_gives_enough_tracks():
     tracks = np.arange(points.size // 2)
     seen = [Observations(points=points.reshape(-1, 2), tracks=tracks)] * 3
     few = choose_long_tracks(seen, SIDE)
-    assert ENOUGH <= len(few[0].tracks) < len(tracks)
+    assert MIN_TRACKS <= len(few[0].tracks) < len(tracks)

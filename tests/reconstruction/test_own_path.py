@@ -12,7 +12,7 @@ from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.objects import object_path as own_path
-from tisfm.reconstruction.objects.object_path import ALIGNED, find_object_depths
+from tisfm.reconstruction.objects.object_path import BOX_ALIGNMENT, find_object_depths
 from tisfm.reconstruction.tracks.tracker import Tracker
 from tisfm.reconstruction.tracks.triangulation import triangulate_tracks
 from tisfm.scenes import bodies_path
@@ -75,7 +75,7 @@ def test_depth_is_as_of_whole_frames(where):
         assert known[counted].all() and known.mean() < 0.6
         assert not np.isfinite(one.deviation[~counted]).any()
     rows, columns = own_path._box_of(frames, range(COUNT))
-    assert rows.start % ALIGNED == columns.start % ALIGNED == 0
+    assert rows.start % BOX_ALIGNMENT == columns.start % BOX_ALIGNMENT == 0
     assert rows.stop <= SIZE[0] and columns.stop <= SIZE[1]
 
 

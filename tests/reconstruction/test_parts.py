@@ -12,7 +12,7 @@ from tests.one_thread import bits_on_one_thread, several_threads
 from tests.reconstruction import walks
 from tests.reconstruction.walks import SMALL, SMALL_CAMERA, centres, residual
 from tisfm.reconstruction.geometry import sim3_graph as similarity_graph
-from tisfm.reconstruction.mapping.incremental import SMALLEST
+from tisfm.reconstruction.mapping.incremental import MIN_VIEWS
 from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.path import path_solver as path
 from tisfm.reconstruction.path.path_solver import find_path
@@ -28,9 +28,9 @@ def frames(*arguments, **options):
 
 def path_in_parts(images, most=10, overlap=5):
     with (
-        mock.patch.object(path, "MOST", most),
-        mock.patch.object(parts, "MOST", most),
-        mock.patch.object(parts, "OVERLAP", overlap),
+        mock.patch.object(path, "MAX_VIEWS", most),
+        mock.patch.object(parts, "MAX_VIEWS", most),
+        mock.patch.object(parts, "OVERLAP_VIEWS", overlap),
         mock.patch.object(path, "find_models", side_effect=AssertionError),
     ):
         return find_path(((image, None, None) for image in images), SMALL_CAMERA)
@@ -46,10 +46,10 @@ def bits():
 def test_parts_overlap_and_are_no_larger_than_they_may(count):
     spans = submap_spans(count)
     assert spans[0][0] == 0 and spans[-1][1] == count
-    assert all(end - begin <= parts.MOST for begin, end in spans)
+    assert all(end - begin <= parts.MAX_VIEWS for begin, end in spans)
     shared = [end - begin for (_, end), (begin, _) in pairwise(spans)]
-    assert shared == [parts.OVERLAP] * (len(spans) - 1)
-    assert (len(spans) == 1) == (count <= parts.MOST)
+    assert shared == [parts.OVERLAP_VIEWS] * (len(spans) - 1)
+    assert (len(spans) == 1) == (count <= parts.MAX_VIEWS)
 
 
 def test_a_path_in_parts_is_as_exact_as_one_at_once():
@@ -65,7 +65,7 @@ def test_parts_that_do_not_go_together_share_no_frame(monkeypatch):
     assert len(found) > 1
     placed = [frame for piece in found for frame in piece.poses]
     assert len(placed) == len(set(placed))
-    assert all(len(piece.views) >= SMALLEST for piece in found)
+    assert all(len(piece.views) >= MIN_VIEWS for piece in found)
 
 
 @pytest.mark.slow

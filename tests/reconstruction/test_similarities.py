@@ -15,7 +15,12 @@ from tisfm.reconstruction.geometry.sim3 import (
     transform_points,
     transform_pose,
 )
-from tisfm.reconstruction.geometry.sim3_graph import BLOCK, Edge, optimise_sim3_graph, solve_sparse
+from tisfm.reconstruction.geometry.sim3_graph import (
+    BLOCK_ROWS,
+    Edge,
+    optimise_sim3_graph,
+    solve_sparse,
+)
 
 TRUE = sim3_from_vector(np.log(1.7), np.array([0.2, -0.5, 0.1]), np.array([1.0, -2.0, 0.5]))
 
@@ -216,7 +221,7 @@ def test_nodes_that_nothing_connects_are_apart():
     assert [list(place) for place in found] == [[0, 1, 2], [3], [4], [5], [6, 7]]
 
 
-@pytest.mark.parametrize("count", [1, BLOCK, BLOCK + 1, 3 * BLOCK - 5])
+@pytest.mark.parametrize("count", [1, BLOCK_ROWS, BLOCK_ROWS + 1, 3 * BLOCK_ROWS - 5])
 def test_a_system_is_solved_as_linalg_does(count):
     random = np.random.default_rng(count)
     matrix, vector = random.normal(size=(count, count)), random.normal(size=count)

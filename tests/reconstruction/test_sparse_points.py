@@ -75,7 +75,7 @@ def test_points_found_in_lots_are_those_found_at_once(monkeypatch):
     poses, points = along(9), points_ahead()
     seen = seen_by(poses, points, noise=0.3)
     whole = triangulate_tracks(seen, dict(enumerate(poses)), CAMERA, SHAPE)
-    monkeypatch.setattr(sparse_points, "LOT", 50)
+    monkeypatch.setattr(sparse_points, "MAX_OBSERVATIONS", 50)
     lots = triangulate_tracks(seen, dict(enumerate(poses)), CAMERA, SHAPE)
     assert len(list(sparse_points._lots(seen, dict(enumerate(poses))))) > 5
     np.testing.assert_array_equal(lots.tracks, whole.tracks)

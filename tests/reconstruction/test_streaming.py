@@ -15,7 +15,7 @@ from tisfm import Camera, Settings
 from tisfm.reconstruction.mapping import models as mapping
 from tisfm.reconstruction.streaming import entry as streaming
 from tisfm.reconstruction.streaming import stream
-from tisfm.reconstruction.streaming.sliding_path import ANCHORS, REMEMBERED, SlidingPath
+from tisfm.reconstruction.streaming.sliding_path import FIXED_VIEWS, MIN_FIXED_VIEWS, SlidingPath
 from tisfm.reconstruction.streaming.stream import Stream
 from tisfm.sources import FrameSource
 
@@ -162,7 +162,7 @@ def test_known_poses_stay_as_they_are(monkeypatch):
     monkeypatch.setattr(mapping, "grow_from_poses", spied)
     stretch = path.found()
     ((model, known),) = seen
-    assert len(known) >= ANCHORS and model.num_reg_images() > len(known)
+    assert len(known) >= MIN_FIXED_VIEWS and model.num_reg_images() > len(known)
     for number, pose in known.items():
         np.testing.assert_allclose(model.frame(number).rig_from_world.matrix(), pose, atol=1e-12)
     piece = stretch.pieces[0]
@@ -172,7 +172,7 @@ def test_known_poses_stay_as_they_are(monkeypatch):
 
 
 def test_memory_and_disk_hold_the_last_frames_only(disk, monkeypatch):
-    monkeypatch.setattr(stream, "REACH", 8)
+    monkeypatch.setattr(stream, "MAX_FRAME_DISTANCE", 8)
     film = swing()
     running = Stream(FrameSource(film.frames), film.camera, "nothing", FAST, DELAY)
     kept, views, files, points = [], [], [], []
@@ -185,8 +185,8 @@ def test_memory_and_disk_hold_the_last_frames_only(disk, monkeypatch):
     # One keyframe may lie further back.
     most = DELAY + 1 + 8 + 1
     assert most - 4 <= max(kept) <= most and max(files) <= 2 * most
-    assert max(views) <= REMEMBERED + DELAY + 1 < COUNT
-    assert max(points) <= most + REMEMBERED
+    assert max(views) <= FIXED_VIEWS + DELAY + 1 < COUNT
+    assert max(points) <= most + FIXED_VIEWS
     assert list(disk.iterdir()) == []
 
 

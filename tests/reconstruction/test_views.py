@@ -64,6 +64,6 @@ def test_places_are_found_in_blocks_as_at_once(monkeypatch):
         ImageDescriptors(points=np.zeros((60, 2)), levels=one.astype(np.uint8)) for one in noisy
     ]
     whole = find_similar_views(looks, apart=4)
-    monkeypatch.setattr(loops, "BLOCK", 7)
+    monkeypatch.setattr(loops, "BLOCK_VIEWS", 7)
     assert find_similar_views(looks, apart=4) == whole
     assert {(k, k + 15) for k in range(15)} <= set(whole)

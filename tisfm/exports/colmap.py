@@ -21,7 +21,7 @@ from tisfm.exports.frame_files import (
 )
 from tisfm.exports.tracks import Tracks, cells_of, measured_tracks
 from tisfm.reconstruction.mapping.colmap import pycolmap
-from tisfm.reconstruction.mapping.database import CENTRE, colmap_camera
+from tisfm.reconstruction.mapping.database import PIXEL_CENTRE, colmap_camera
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 CAMERA = 1  # the number of the one camera
@@ -196,7 +196,7 @@ def _model(result: Reconstruction, frames: Sequence[int], tracks: Tracks) -> Any
         number_in_frame[mine] = np.arange(len(mine))
         image = colmap.Image(
             name=name_of(frame),
-            keypoints=tracks.places[mine] + CENTRE,
+            keypoints=tracks.places[mine] + PIXEL_CENTRE,
             camera_id=CAMERA,
             image_id=frame + 1,
         )

@@ -23,7 +23,7 @@ from tisfm.exports.frame_files import (
 from tisfm.exports.tracks import cells_of, measured_tracks
 from tisfm.formats import atomic_write
 from tisfm.point_cloud import PointCloud
-from tisfm.reconstruction.mapping.database import CENTRE
+from tisfm.reconstruction.mapping.database import PIXEL_CENTRE
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 # From our axes, Y down, to those of the trainers' worlds, Z up.
@@ -136,8 +136,8 @@ def _transforms(result: Reconstruction, frames: list[int]) -> dict[str, Any]:
         "camera_model": "PINHOLE",
         "fl_x": focal,
         "fl_y": focal,
-        "cx": cx + CENTRE,
-        "cy": cy + CENTRE,
+        "cx": cx + PIXEL_CENTRE,
+        "cy": cy + PIXEL_CENTRE,
         "w": width,
         "h": height,
         "camera_angle_x": 2 * math.atan(width / (2 * focal)),

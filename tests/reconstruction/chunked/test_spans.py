@@ -6,8 +6,8 @@ import pytest
 
 from tisfm.reconstruction.chunks.spans import (
     CHUNK,
-    OVERLAP,
-    SMALLEST,
+    MAX_OVERLAP,
+    MIN_CHUNK,
     check_chunk,
     overlap_of,
     spans_of,
@@ -15,7 +15,7 @@ from tisfm.reconstruction.chunks.spans import (
 
 
 @pytest.mark.parametrize("count", [2, 12, 13, 149, 150, 151, 281, 1000, 4321])
-@pytest.mark.parametrize("chunk", [SMALLEST, 40, CHUNK])
+@pytest.mark.parametrize("chunk", [MIN_CHUNK, 40, CHUNK])
 @pytest.mark.parametrize(("start", "step"), [(0, 1), (7, 3)])
 def test_chunks_overlap_and_have_all_frames(count, chunk, start, step):
     taken = range(start, start + step * count, step)
@@ -41,10 +41,10 @@ def test_chunks_are_even():
 
 
 def test_overlaps_are_short_where_chunks_are():
-    assert overlap_of(CHUNK) == OVERLAP and overlap_of(30) == 10
+    assert overlap_of(CHUNK) == MAX_OVERLAP and overlap_of(30) == 10
 
 
-@pytest.mark.parametrize("chunk", [0, -1, SMALLEST - 1, 20.0, True, "30"])
+@pytest.mark.parametrize("chunk", [0, -1, MIN_CHUNK - 1, 20.0, True, "30"])
 def test_chunks_that_are_too_short_are_refused(chunk):
     with pytest.raises(ValueError, match="chunk is"):
         check_chunk(chunk)

@@ -23,17 +23,31 @@ from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 
-STARTS = (1.0, 0.42, 2.4)  # times the guess: focal lengths to begin with
-WELL = 0.5  # score per match, from 0 to 1: models with such a score are not bent
-WINDOW = 16  # views: of each of the two windows that beginnings are compared on
-ENOUGH = 6000  # observations that parts are made of
-STEPS, TOLERANCE = 150, 1e-6  # of the adjustments that end in it
-PARTS = 6
-AWAY = 1.2  # times: the focal length that a part begins with, or as much less
-STAYED = 0.1  # of the way back from there: a part that goes less says nothing
-# Of the logarithm: what parts are off by, as a share of it the deviation of the whole.
-OF_PARTS = 0.7
-BENT = 0.03  # of the focal length, and more than parts are off by: then it seems to distort
+# Values without a stated source were set by hand.
+
+# Focal lengths that an adjustment starts from, as multiples of the guess.
+START_FACTORS = (1.0, 0.42, 2.4)
+# Mean score per match, 0 to 1: a model with a higher score is not bent.
+MIN_STRAIGHT_SCORE = 0.5
+# Views in each of the two windows that starts are compared on.
+WINDOW_VIEWS = 16
+# Observations that are divided among the parts of the uncertainty estimate.
+MAX_PART_OBSERVATIONS = 6000
+# Steps of the final adjustment.
+MAX_STEPS = 150
+# Relative change of the squared residuals that ends the final adjustment.
+STEP_TOLERANCE = 1e-6
+# Parts of a model whose focal lengths are compared for the uncertainty.
+PART_COUNT = 6
+# The focal length of a part starts at this multiple of the estimate, or at its inverse.
+PART_START_FACTOR = 1.2
+# Share of the way back to the estimate: a part that returns less shows no focal length.
+MIN_RETURN = 0.1
+# Standard deviation of the estimate per spread of the parts, both of the logarithm.
+SPREAD_TO_DEVIATION = 0.7
+# Share of the focal length by which a distorting lens changes the estimate: with a larger change,
+# which exceeds the spread of the parts too, the lens seems to distort.
+MIN_BEND = 0.03
 
 
 def find_models_and_focal(
@@ -82,7 +96,7 @@ def find_models_and_focal(
         # found it is not begun. But what comes of the same focal length may be bent as well.
         again = find_models(views, matches, estimate.taken(camera), shape, focal_known=False)
         explained = shared.score(found) * shared.matches()
-        if not again or sum(model.score for model in again) >= WELL * explained:
+        if not again or sum(model.score for model in again) >= MIN_STRAIGHT_SCORE * explained:
             return again, estimate
     for other in found[1:]:
         _set(other, estimate.focal, estimate.radial)
@@ -123,7 +137,7 @@ def _estimate(
     focal, radial = _found(whole)
     if not _is_possible(focal):
         return _unknown(camera)
-    starts = [focal * AWAY ** (1 if k % 2 else -1) for k in range(PARTS)]
+    starts = [focal * PART_START_FACTOR ** (1 if k % 2 else -1) for k in range(PART_COUNT)]
     parts = [
         _of_part(whole, part, start, calibrate)
         for part, start in zip(_parts(whole, camera, shape), starts, strict=True)
@@ -132,18 +146,18 @@ def _estimate(
     if not all(map(_is_possible, focals)):
         return _unknown(camera)
     # Where the focal length may be anything, an adjustment leaves it where it was.
-    stayed = np.abs(np.log(focals / starts)) < STAYED * math.log(AWAY)
+    stayed = np.abs(np.log(focals / starts)) < MIN_RETURN * math.log(PART_START_FACTOR)
     if stayed.sum() > len(parts) / 2:
         return _unknown(camera)
     off = np.stack([np.log(focals / focal), [one - radial for _, one in parts]], axis=1)
-    deviation, radial_deviation = OF_PARTS * np.sqrt(np.mean(off**2, axis=0))
+    deviation, radial_deviation = SPREAD_TO_DEVIATION * np.sqrt(np.mean(off**2, axis=0))
     bend = 0.0 if calibrate == "radial" else _bend(whole)
     return FocalEstimate(
         focal=focal,
         deviation=focal * math.hypot(deviation, bend),
         radial=radial,
         radial_deviation=float(radial_deviation),
-        bent=abs(bend) > max(BENT, deviation),
+        bent=abs(bend) > max(MIN_BEND, deviation),
     )
 
 
@@ -174,9 +188,9 @@ def _grown(shared: ViewGraph, camera: Camera, begun: float, calibrate: Calibrate
     Windows may be explained by what is bent, as where the camera follows something that moves.
     """
     best = shared.grow_models(replace(camera, focal=begun), calibrate)
-    if best and shared.score(best) >= WELL:
+    if best and shared.score(best) >= MIN_STRAIGHT_SCORE:
         return best
-    for times in STARTS:
+    for times in START_FACTORS:
         others = shared.grow_models(replace(camera, focal=times * camera.focal), calibrate)
         if (
             others
@@ -190,7 +204,7 @@ def _grown(shared: ViewGraph, camera: Camera, begun: float, calibrate: Calibrate
 def _best_start(shared: ViewGraph, camera: Camera, calibrate: Calibrate) -> float | None:
     """Return the focal length, px, that explains the matches of views in windows best."""
     best, most = None, 0.0
-    for times in STARTS:
+    for times in START_FACTORS:
         explained, found = 0.0, []
         for window in _windows(shared):
             grown = window.grow_models(replace(camera, focal=times * camera.focal), calibrate)
@@ -204,10 +218,10 @@ def _best_start(shared: ViewGraph, camera: Camera, calibrate: Calibrate) -> floa
 
 def _windows(shared: ViewGraph) -> list[ViewGraph]:
     count = len(shared.views)
-    if count <= 2 * WINDOW:
+    if count <= 2 * WINDOW_VIEWS:
         return [shared]
-    begins = (count // 4 - WINDOW // 2, count - count // 4 - WINDOW // 2)
-    return [shared.part(begin, begin + WINDOW) for begin in begins]
+    begins = (count // 4 - WINDOW_VIEWS // 2, count - count // 4 - WINDOW_VIEWS // 2)
+    return [shared.part(begin, begin + WINDOW_VIEWS) for begin in begins]
 
 
 def _parts(whole: Any, camera: Camera, shape: tuple[int, int]) -> list[tuple[set[int], set[int]]]:
@@ -219,7 +233,7 @@ def _parts(whole: Any, camera: Camera, shape: tuple[int, int]) -> list[tuple[set
     lengths = {number: point.track.length() for number, point in whole.points3D.items()}
     points, count = set(), 0
     for number in sorted(lengths, key=lambda one: (-lengths[one], one)):
-        if count < ENOUGH:
+        if count < MAX_PART_OBSERVATIONS:
             points.add(number)
             count += lengths[number]
     half = max(2, len(views) // 2)
@@ -266,7 +280,7 @@ def _adjust(whole: Any, calibrate: Calibrate) -> None:
     for number in sorted(whole.reg_image_ids()):
         scene.add_image(number)
     scene.fix_gauge(pycolmap().BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    robust_adjustment(options, STEPS, TOLERANCE)
+    robust_adjustment(options, MAX_STEPS, STEP_TOLERANCE)
     pycolmap().create_default_bundle_adjuster(options, scene, whole).solve()
 
 

@@ -13,13 +13,26 @@ from tisfm.reconstruction.geometry.sim3 import mean_pose, transform_points
 from tisfm.reconstruction.result.folder import depth_path
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
-SURE = 0.25  # relative deviation: depth that is less sure does not count
-SHOWN, PIXELS = 20, 1500  # frames whose depth is compared, and pixels of each, about
-# Pixels whose depth is compared, at least; how many of them agree, and on what.
-FEWEST, AGREE, ALIKE = 100, 0.5, 0.1
-PLACES = 4  # of the camera, at least, where these tell the scale
-DOUBT = 0.1  # of the scale: what is less sure says nothing
-EXACT = 0.01  # of the scale: neither depth nor places are surer, as both drift along a chunk
+# Values without a stated source were set by hand.
+
+# Relative standard deviation of depth: less certain depth is ignored.
+MAX_DEPTH_DEVIATION = 0.25
+# Shared frames whose depth is compared.
+MAX_FRAMES = 20
+# Pixels of each of these frames, roughly.
+PIXELS_PER_FRAME = 1500
+# Pixels whose depth can be compared.
+MIN_PIXELS = 100
+# Share of these pixels that have to agree on the scale.
+MIN_AGREEING_SHARE = 0.5
+# Difference of the logarithm of the scale within which pixels agree.
+MAX_SCALE_DIFFERENCE = 0.1
+# Camera positions that a scale is estimated from.
+MIN_POSITIONS = 4
+# Standard deviation of the logarithm of the scale: a less certain estimate is ignored.
+MAX_SCALE_DEVIATION = 0.1
+# The same: neither estimate is more certain, as depth and positions drift along a chunk.
+MIN_SCALE_DEVIATION = 0.01
 
 Shared = Sequence[tuple[int, int]]
 """Numbers of the same frame in two results."""
@@ -91,7 +104,7 @@ def scale_from_positions(
     poses: np.ndarray, others: np.ndarray, turn: np.ndarray
 ) -> tuple[float, float] | None:
     """Return the logarithm of the scale that places of the camera show, and its deviation."""
-    if len(poses) < PLACES:
+    if len(poses) < MIN_POSITIONS:
         return None
     here = poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
     there = (others[:, :3, 3] - others[:, :3, 3].mean(axis=0)) @ turn.T
@@ -99,8 +112,8 @@ def scale_from_positions(
     if min(apart, apart_there) == 0:
         return None
     scale = apart / apart_there  # neither is more exact than the other
-    deviation = max(float(np.linalg.norm(here - scale * there)) / apart, EXACT)
-    return None if deviation > DOUBT else (float(np.log(scale)), deviation)
+    deviation = max(float(np.linalg.norm(here - scale * there)) / apart, MIN_SCALE_DEVIATION)
+    return None if deviation > MAX_SCALE_DEVIATION else (float(np.log(scale)), deviation)
 
 
 def scale_from_depth(
@@ -112,14 +125,14 @@ def scale_from_depth(
     if not lots:
         return None
     ratios = np.log(np.concatenate(lots))
-    if len(ratios) < FEWEST:
+    if len(ratios) < MIN_PIXELS:
         return None
     scale = float(np.median(ratios))
-    if np.mean(np.abs(ratios - scale) < ALIKE) < AGREE:
+    if np.mean(np.abs(ratios - scale) < MAX_SCALE_DIFFERENCE) < MIN_AGREEING_SHARE:
         return None
     each = np.array([np.median(np.log(lot)) for lot in lots])
-    deviation = max(float(np.median(np.abs(each - scale))), EXACT)
-    return None if deviation > DOUBT else (scale, deviation)
+    deviation = max(float(np.median(np.abs(each - scale))), MIN_SCALE_DEVIATION)
+    return None if deviation > MAX_SCALE_DEVIATION else (scale, deviation)
 
 
 def _with_depth(
@@ -135,7 +148,7 @@ def _with_depth(
     )
     if not ours or not theirs:
         return
-    for k in np.unique(np.linspace(0, len(ours) - 1, min(len(ours), SHOWN)).astype(int)):
+    for k in np.unique(np.linspace(0, len(ours) - 1, min(len(ours), MAX_FRAMES)).astype(int)):
         yield ours[k], min(theirs, key=lambda one: (abs(one - ours[k]), one))
 
 
@@ -151,7 +164,7 @@ def _ratios(
     cx, cy = first.camera.center_for(height, width)
     lens = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     frame, (ours, theirs) = shared[at[0]][0], shared[at[1]]
-    apart = max(1, int(np.sqrt(height * width / PIXELS)))
+    apart = max(1, int(np.sqrt(height * width / PIXELS_PER_FRAME)))
     rows, columns = np.mgrid[apart // 2 : height : apart, apart // 2 : width : apart]
     rows, columns = rows.ravel(), columns.ravel()
     depth = _sure_depth(first, frame)[rows, columns]
@@ -171,5 +184,5 @@ def _sure_depth(result: Reconstruction, frame: int) -> np.ndarray:
     """Return the depth of a frame, (H, W) float64, NaN where it is not sure."""
     inverse = result.inverse_depth(frame).astype(np.float64)
     with np.errstate(invalid="ignore"):
-        sure = (inverse > 0) & (result.inverse_depth_std(frame) < SURE * inverse)
+        sure = (inverse > 0) & (result.inverse_depth_std(frame) < MAX_DEPTH_DEVIATION * inverse)
     return 1 / np.where(sure, inverse, np.nan)

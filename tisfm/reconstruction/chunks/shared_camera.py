@@ -15,7 +15,8 @@ from tisfm.reconstruction.result.reconstruction import Reconstruction
 Finished = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[tuple[int, Any]]]
 """Calls a function with each item, wherever; gives the number of an item and what was returned."""
 
-MOST = 8  # chunks that are asked for the focal length, at most
+# Chunks that are searched for the focal length. Set by hand.
+MAX_TRIED_CHUNKS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +65,9 @@ def shared_camera(chunks: Sequence[Chunk], finished: Finished, folder: Path) -> 
     ]
     found = [result for _, result in _made([first], finished)]
     if not found[0].calibration.seen and others:
-        some = np.unique(np.linspace(0, len(others) - 1, min(MOST - 1, len(others))).astype(int))
+        some = np.unique(
+            np.linspace(0, len(others) - 1, min(MAX_TRIED_CHUNKS - 1, len(others))).astype(int)
+        )
         asked = [others[number] for number in some]
         found += [result for _, result in sorted(_made(asked, finished), key=lambda one: one[0])]
     best = next((one for one in found if one.calibration.seen), None)

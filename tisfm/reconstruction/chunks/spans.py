@@ -6,10 +6,14 @@ from itertools import pairwise
 from tisfm.errors import InputError
 from tisfm.sources.frame_reader import is_integer
 
-CHUNK = 150  # frames of a chunk, at most
-# Frames that a chunk shares with the next: so many, or that share of a short one.
-OVERLAP, SHARE = 20, 3
-SMALLEST = 12
+# Frames of a chunk, by default.
+CHUNK = 150
+# Frames that a chunk shares with the next one.
+MAX_OVERLAP = 20
+# A short chunk shares its length divided by this number.
+MIN_OVERLAP_DIVISOR = 3
+# Frames of the shortest chunk that can be asked for.
+MIN_CHUNK = 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,13 +42,13 @@ class Span:
 
 def check_chunk(chunk: int) -> None:
     """Raise ValueError if chunks are not to have enough frames."""
-    if not is_integer(chunk) or chunk < SMALLEST:
-        raise InputError(f"chunk is {chunk!r}: expected a number of frames, at least {SMALLEST}")
+    if not is_integer(chunk) or chunk < MIN_CHUNK:
+        raise InputError(f"chunk is {chunk!r}: expected a number of frames, at least {MIN_CHUNK}")
 
 
 def overlap_of(chunk: int) -> int:
     """Return how many frames chunks of so many frames share."""
-    return min(OVERLAP, chunk // SHARE)
+    return min(MAX_OVERLAP, chunk // MIN_OVERLAP_DIVISOR)
 
 
 def spans_of(taken: range, stop: int | None, chunk: int) -> list[Span]:

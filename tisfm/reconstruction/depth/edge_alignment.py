@@ -8,8 +8,12 @@ import numpy as np
 
 from tisfm.kernels.rigid.surface_edges import RADIUS, by_look
 
-JUMP = 0.1  # of the inverse depth: neighbours that differ by more lie on two surfaces
-SIMILAR = 10.0  # grey levels: pixels that differ by so much count 1/e as much
+# Values without a stated source were set by hand.
+
+# Share of the inverse depth: neighbours that differ by more lie on two surfaces.
+MIN_JUMP = 0.1
+# Grey levels: pixels that differ by this much have a weight of 1/e.
+GREY_SCALE = 10.0
 
 
 def align_edges(
@@ -27,7 +31,7 @@ def align_edges(
     depth = np.ascontiguousarray(inverse_depth)
     spread = np.ascontiguousarray(deviation)
     out, out_deviation = np.empty((2, *depth.shape), np.float32)
-    by_look(depth, spread, _middle(depth), frame, out, out_deviation, similar=SIMILAR)
+    by_look(depth, spread, _middle(depth), frame, out, out_deviation, similar=GREY_SCALE)
     return out, out_deviation
 
 
@@ -43,5 +47,5 @@ def _middle(inverse_depth: np.ndarray) -> np.ndarray:
 
 def _apart(inverse_depth: np.ndarray, window: np.ndarray) -> np.ndarray:
     highest = cv2.dilate(inverse_depth, window)
-    apart: np.ndarray = highest - cv2.erode(inverse_depth, window) > JUMP * highest
+    apart: np.ndarray = highest - cv2.erode(inverse_depth, window) > MIN_JUMP * highest
     return apart

@@ -11,11 +11,15 @@ from tisfm.kernels.model.constants import NEAREST
 from tisfm.motion.matched_planes import noise_deviation
 from tisfm.reconstruction.depth.window_planes import Window, WindowPlanes
 
-CLOSE = 5  # cells: the side of the square that counts; windows have 11
-# Standard deviation of D, cells, of an anchor that counts half: of rendered scenes, planes that
-# should be so sure are off by 0.3, a tenth of them by a cell; surer ones by 0.1, and a fiftieth.
-HALF = 0.5
-NOISE_IN_SLOPES = 3 / 16  # variance of the slopes of noise of variance 1, by Sobel's mask
+# Cells: side of the square around a cell that its certainty is measured on. Windows of the match
+# have a side of 11. Set by hand.
+INNER_SIDE = 5
+# Cells: standard deviation of D of a match that has half the weight. Chosen on rendered scenes:
+# matches with this deviation are off by 0.3 cells, a tenth of them by 1 cell; more certain ones
+# by 0.1 cells, and a fiftieth of them by 1 cell.
+HALF_WEIGHT_DEVIATION = 0.5
+# Variance of slopes (by Sobel's mask) of noise with the variance 1. Exact.
+SOBEL_NOISE_GAIN = 3 / 16
 
 
 def match_weights(window: Window, planes: WindowPlanes) -> np.ndarray:
@@ -24,7 +28,7 @@ def match_weights(window: Window, planes: WindowPlanes) -> np.ndarray:
     if planes.believed.any():
         depth = np.where(planes.believed, depth, np.median(depth[planes.believed]))
     deviation = deviation_of_match(window, depth.astype(np.float32))
-    weight = np.where(planes.believed, 1 / (1 + (deviation / HALF) ** 2), 0)
+    weight = np.where(planes.believed, 1 / (1 + (deviation / HALF_WEIGHT_DEVIATION) ** 2), 0)
     return np.stack([weight, np.where(weight > 0, depth, 0)]).astype(np.float32)
 
 
@@ -54,9 +58,9 @@ def deviation_of_match(window: Window, inverse_depth: np.ndarray) -> np.ndarray:
     total = np.zeros_like(frame)
     for across, down in _moved(window, inverse_depth):
         total += (slopes[0] * across + slopes[1] * down) ** 2
-        total -= np.float32(NOISE_IN_SLOPES * noise) * (across**2 + down**2)
+        total -= np.float32(SOBEL_NOISE_GAIN * noise) * (across**2 + down**2)
     total *= np.float32(window.best / len(window.motions))
-    square = cv2.boxFilter(total, -1, (CLOSE, CLOSE), normalize=False)
+    square = cv2.boxFilter(total, -1, (INNER_SIDE, INNER_SIDE), normalize=False)
     with np.errstate(divide="ignore"):
         deviation: np.ndarray = np.sqrt(np.float32(2 * noise) / np.maximum(square, 0))
     return deviation

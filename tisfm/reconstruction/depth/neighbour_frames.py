@@ -5,11 +5,17 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.errors import InputError
 
-POINTS = (9, 12)  # rows and columns of the image that are looked at
-# Shares of the image's width: parallax from which on more is no better, and beyond which windows
-# look less and less alike.
-ENOUGH, WIDE = 0.03, 0.12
-LEAST_GAIN = 0.03  # of a point that nothing shows yet, on average: less is not worth a frame
+# Values without a stated source were set by hand.
+
+# Rows and columns of the grid of image points whose parallax is computed.
+GRID = (9, 12)
+# Share of the image width: more parallax makes a frame no better.
+FULL_PARALLAX = 0.03
+# Share of the image width: beyond this parallax, windows look less and less alike.
+MAX_PARALLAX = 0.12
+# Mean gain of a grid point, of 1 for a point that no frame shows yet: a frame with a smaller gain
+# is not added.
+MIN_GAIN = 0.03
 
 
 def choose_neighbours(
@@ -78,7 +84,7 @@ def choose_neighbours(
             gains += (np.sqrt(total + shown * same) - np.sqrt(total)).mean(axis=1)
         gains[chosen] = 0
         best = int(np.argmax(gains))
-        if gains[best] < LEAST_GAIN:
+        if gains[best] < MIN_GAIN:
             break
         for same, total in zip((ahead, ~ahead), sums, strict=True):
             total += shown[best] * same[best]
@@ -98,7 +104,7 @@ def _points(
     cx, cy = camera.center_for(height, width)
     rows, columns = (
         ((np.arange(count) + 0.5) * side / count - 0.5)
-        for count, side in zip(POINTS, shape, strict=True)
+        for count, side in zip(GRID, shape, strict=True)
     )
     values = np.broadcast_to(np.asarray(inverse_depth, np.float64), shape)
     near = values[np.ix_(rows.astype(int), columns.astype(int))].ravel()
@@ -137,6 +143,8 @@ def _shown(
         inside &= (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
     apart = np.where(inside[:, None], apart, 0)
     parallax = np.hypot(apart[:, 0], apart[:, 1]) / full
-    shown = np.minimum(1, parallax / ENOUGH) * np.minimum(1, WIDE / np.maximum(parallax, 1e-9))
+    shown = np.minimum(1, parallax / FULL_PARALLAX) * np.minimum(
+        1, MAX_PARALLAX / np.maximum(parallax, 1e-9)
+    )
     direction = apart / np.maximum(full * parallax, 1e-9)[:, None]
     return shown * inside, direction

@@ -29,18 +29,34 @@ from tisfm.solver.sampling import spline_taps
 from tisfm.solver.smoothness import mean_step
 from tisfm.solver.unknowns import Unknowns
 
-PIXELS = 2**17  # at most, of the level that images are compared on
-PRESMOOTHING = 0.6  # px
-TEXTURE, WINDOW = 50.0, 11  # times the variance of noise: of a window whose pixels weigh half
-OUTLYING = 3.0  # times the root of the median squared residual: what has more weighs a quarter
-UNSURE = 0.05  # relative deviation of a pixel's depth that weighs half
-HELD = 1e-3  # of a pixel's own mean datum: by that its depth is held
-PRIOR = 1e-3  # of the diagonal: by that frames are held where they were
-TOGETHER = 9  # px across, of which depth moves together
-FURTHEST = 0.1  # of a pixel's inverse depth: it moves by no more at a time
-ROUNDS = 2  # of Gauss–Newton
-LOT = 200  # frames that are adjusted at a time
-AT_HAND = 64  # frames in memory, as they are compared
+# Values without a stated source were set by hand.
+
+# Pixels of the pyramid level that images are compared on.
+MAX_PIXELS = 2**17
+# px: standard deviation of the Gaussian that smooths images first.
+PRESMOOTHING = 0.6
+# Variance of a window, in variances of the noise: its pixels have half the weight.
+HALF_WEIGHT_TEXTURE = 50.0
+# px: side of this window.
+TEXTURE_WINDOW = 11
+# Residual, in roots of the median squared residual, that has a quarter of the weight.
+OUTLIER_SCALE = 3.0
+# Relative standard deviation of the depth of a pixel that has half the weight.
+HALF_WEIGHT_DEVIATION = 0.05
+# Damping of a depth step, as a share of a pixel's mean data term.
+DEPTH_DAMPING = 1e-3
+# Damping of a pose step, as a share of the diagonal of the system.
+POSE_DAMPING = 1e-3
+# px: side of the window whose depth moves together.
+DEPTH_WINDOW = 9
+# Share of a pixel's inverse depth: a depth step is not longer.
+MAX_DEPTH_STEP = 0.1
+# Gauss–Newton steps.
+ROUNDS = 2
+# Frames that are adjusted at a time.
+MAX_FRAMES = 200
+# Shrunk frames in memory.
+CACHED_FRAMES = 64
 
 Frames = Callable[[int], np.ndarray]
 
@@ -85,7 +101,7 @@ def make_keyframe_window(
     counted : (H, W) bool, optional
     """
     level = 0
-    while frame.size >> 2 * level > PIXELS:
+    while frame.size >> 2 * level > MAX_PIXELS:
         level += 1
     small = _shrunk(frame, level)
     height, width = small.shape
@@ -96,9 +112,9 @@ def make_keyframe_window(
     depth = near[0]
     known = np.isfinite(depth) & (depth > 0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        sure = 1 / (1 + (near[1] / depth / UNSURE) ** 2)
-    variance = window_variance(small, WINDOW)
-    texture = variance / (variance + TEXTURE * noise_deviation(small) ** 2)
+        sure = 1 / (1 + (near[1] / depth / HALF_WEIGHT_DEVIATION) ** 2)
+    variance = window_variance(small, TEXTURE_WINDOW)
+    texture = variance / (variance + HALF_WEIGHT_TEXTURE * noise_deviation(small) ** 2)
     weight = np.where(known, np.nan_to_num(sure) * texture, 0)
     if counted is not None:
         shown = np.pad(counted[half::stride, half::stride], [(0, 1)] * 2, mode="edge")
@@ -170,7 +186,7 @@ class _Views:
         if key in self._held:
             self._held[key] = self._held.pop(key)  # it is the last to go now
             return self._held[key]
-        while len(self._held) >= AT_HAND:
+        while len(self._held) >= CACHED_FRAMES:
             self._held.pop(next(iter(self._held)))
         small = _shrunk(self._frames(number), level)
         self._held[key] = small, spline_taps(small)
@@ -251,7 +267,7 @@ def _system(
         block = slice(6 * j, 6 * j + 6)
         matrix[block, block], vector[block] = add_frame(
             grid, tensor, unknowns.rho, weight, *place, slopes, sums, number=j,
-            motion=motions[0], focal=camera.focal, tolerated=max(OUTLYING**2 * usual, 1e-12),
+            motion=motions[0], focal=camera.focal, tolerated=max(OUTLIER_SCALE**2 * usual, 1e-12),
         )  # fmt: skip
         turn, shift = relative[:, :3], relative[:, 3]
         to_members[block, 6 * (j + 1) : 6 * (j + 2)] = np.eye(6)
@@ -259,7 +275,7 @@ def _system(
     # Steps are in the unit of the poses.
     for j in range(count + 1):
         to_members[:, 6 * j : 6 * j + 3] /= unit
-    held = HELD * max(float(sums[0].sum()) / key.size, 1e-12) + 1e-12
+    held = DEPTH_DAMPING * max(float(sums[0].sum()) / key.size, 1e-12) + 1e-12
     answer, pull = answered(grid, slopes, sums, held=held)
     matrix -= answer
     vector -= pull
@@ -279,10 +295,10 @@ def _move_depth(
     images = np.empty((2, grid.height, grid.width), np.float32)
     lanes_to_images(grid, sums, images)
     # Single pixels are noisy: a neighbourhood moves together.
-    curvature, pull = (cv2.blur(values, (TOGETHER, TOGETHER)) for values in images)
+    curvature, pull = (cv2.blur(values, (DEPTH_WINDOW, DEPTH_WINDOW)) for values in images)
     depth = star.inverse_depth
     change = -pull / (curvature + np.float32(held)) / np.float32(scale)
-    star.inverse_depth = depth + np.clip(change, -FURTHEST * depth, FURTHEST * depth)
+    star.inverse_depth = depth + np.clip(change, -MAX_DEPTH_STEP * depth, MAX_DEPTH_STEP * depth)
 
 
 def _twist_between(pose: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -303,8 +319,8 @@ def _solved(
     from holds them.
     """
     steps: dict[int, np.ndarray] = {}
-    for begin in range(0, len(frames), LOT):
-        lot = frames[begin : begin + LOT]
+    for begin in range(0, len(frames), MAX_FRAMES):
+        lot = frames[begin : begin + MAX_FRAMES]
         number = {frame: k for k, frame in enumerate(lot)}
         matrix, vector = np.zeros((6 * len(lot),) * 2), np.zeros(6 * len(lot))
         for system in systems:
@@ -314,7 +330,7 @@ def _solved(
             matrix[np.ix_(there, there)] += system.matrix[np.ix_(rows, rows)]
             vector[there] += system.vector[rows]
         diagonal = np.diag(matrix).copy()
-        prior = np.where(diagonal > 0, PRIOR * diagonal, 1.0)
+        prior = np.where(diagonal > 0, POSE_DAMPING * diagonal, 1.0)
         matrix += np.diag(prior)
         vector += prior * np.concatenate([moved[frame] for frame in lot])
         free = _six([number[frame] for frame in lot if frame not in held])

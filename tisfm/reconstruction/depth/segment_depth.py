@@ -26,17 +26,25 @@ from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import track_depths
 from tisfm.settings import Settings
 
-# A frame becomes a keyframe where tracks have moved by this share of the longer side since the
-# last keyframe, or fewer than this share of its tracks are still seen.
-MOVED, KEPT = 0.1, 0.25
-# Keyframes are compared on every other pixel; and shown to frames between, by effort.
-COMPARED = 2
-SHOWN: dict[Effort, int] = {"fast": 2, "balanced": 1, "accurate": 1}
-STAR = 24  # frames that a keyframe is compared with at a time: a camera may rest for long
-REACH = 40  # frames before and after a keyframe that it may be compared with
-MOST: dict[Effort, int] = {"fast": 3, "balanced": 4, "accurate": 6}
-# Of the relative deviation of a keyframe: times how far those before and after are from it.
-APART = 1.75
+# Values without a stated source were set by hand.
+
+# A frame becomes a keyframe if tracks have moved by this share of the longer side since the last
+# keyframe,
+MIN_MOTION = 0.1
+# or if less than this share of its tracks is still visible.
+MIN_KEPT_TRACKS = 0.25
+# px: keyframes are compared on every second pixel.
+COMPARE_STRIDE = 2
+# px: keyframes are rendered into the frames between them on every pixel of this stride.
+RENDER_STRIDE: dict[Effort, int] = {"fast": 2, "balanced": 1, "accurate": 1}
+# Frames of one keyframe window: a camera may rest for long.
+MAX_WINDOW_FRAMES = 24
+# Frames between a keyframe and a frame that it is compared with.
+MAX_FRAME_DISTANCE = 40
+# Frames that the depth of a keyframe is found from.
+MAX_NEIGHBOURS: dict[Effort, int] = {"fast": 3, "balanced": 4, "accurate": 6}
+# Relative standard deviation of a keyframe per relative difference from its neighbour keyframes.
+DIFFERENCE_TO_DEVIATION = 1.75
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,15 +164,18 @@ class PieceDepths:
         found = self._known[key]
         shape = self._frames.shape
         own, spread = (
-            image[::COMPARED, ::COMPARED] for image in (found.inverse_depth, found.deviation)
+            image[::COMPARE_STRIDE, ::COMPARE_STRIDE]
+            for image in (found.inverse_depth, found.deviation)
         )
-        others = [self._shown(self._known[k], k, key, COMPARED) for k in self._known if k != key]
+        others = [
+            self._shown(self._known[k], k, key, COMPARE_STRIDE) for k in self._known if k != key
+        ]
         mean, deviation = fuse_views(
-            raise_deviation_where_different([(own, spread), *others], APART)
+            raise_deviation_where_different([(own, spread), *others], DIFFERENCE_TO_DEVIATION)
         )
         # Its own is known at every pixel: what is carried there is by how much others correct it.
-        inverse_depth = found.inverse_depth * upsample(mean / own, COMPARED, shape)
-        deviation = upsample(deviation, COMPARED, shape)
+        inverse_depth = found.inverse_depth * upsample(mean / own, COMPARE_STRIDE, shape)
+        deviation = upsample(deviation, COMPARE_STRIDE, shape)
         return replace(found, inverse_depth=inverse_depth, deviation=deviation)
 
     def keyframe_windows(self) -> list[KeyframeWindow]:
@@ -179,8 +190,8 @@ class PieceDepths:
             first, last = limits[number], limits[number + 2]
             members = [frame for frame in frames if first <= frame <= last and frame != key]
             about = self._frames.grey(key), found.inverse_depth, found.deviation
-            for begin in range(0, len(members), STAR):
-                lot = members[begin : begin + STAR]
+            for begin in range(0, len(members), MAX_WINDOW_FRAMES):
+                lot = members[begin : begin + MAX_WINDOW_FRAMES]
                 windows.append(make_keyframe_window(key, lot, *about, self._frames.counted(key)))
         return windows
 
@@ -212,14 +223,14 @@ class PieceDepths:
             rough = self._shown(self._known[previous], previous, key, 1)[0]
         if rough is None or not np.isfinite(rough).any():
             return None
-        near = [f for f in poses if abs(f - key) <= REACH]
+        near = [f for f in poses if abs(f - key) <= MAX_FRAME_DISTANCE]
         neighbours = choose_neighbours(
             np.array([poses[f] for f in near]),
             near.index(key),
             rough,
             self._camera,
             self._frames.shape,
-            most=MOST[effort],
+            most=MAX_NEIGHBOURS[effort],
             whole=self._whole,
         )
         chosen = [near[k] for k in neighbours]
@@ -265,7 +276,7 @@ class PieceDepths:
 
     def _rendered(self, frame: int) -> View:
         """Return the depth of a frame as the keyframes show it, and its deviation."""
-        stride = SHOWN[self._effort]
+        stride = RENDER_STRIDE[self._effort]
         views = [self._shown(known, key, frame, stride) for key, known in self.settled.items()]
         inverse_depth, deviation = fuse_views(views)
         grey = np.ascontiguousarray(self._frames.grey(frame)[::stride, ::stride])
@@ -286,11 +297,11 @@ def choose_keyframes(
     for frame in frames[bisect_right(frames, keys[0]) :]:
         before, now = seen[keys[-1]], seen[frame]
         index0, index1 = before.shared(now)
-        if len(index0) < max(1, KEPT * len(before.tracks)):
+        if len(index0) < max(1, MIN_KEPT_TRACKS * len(before.tracks)):
             keys.append(frame)
             continue
         moved = np.hypot(*(now.points[index1] - before.points[index0]).T)
-        if np.median(moved) > MOVED * side:
+        if np.median(moved) > MIN_MOTION * side:
             keys.append(frame)
     return keys if previous is None else keys[1:]
 

@@ -13,13 +13,24 @@ from tisfm.reconstruction.depth.window_depth import FURTHEST, FURTHEST_SHARE, se
 from tisfm.solver.sampling import enlarged, reduced
 from tisfm.solver.second_order import fill
 
-DISAGREE = 0.1  # of the inverse depth: rendered surfaces that differ by more are different ones
-SMOOTH = 0.05  # of a value: neighbours that differ by more lie on different surfaces
-# Differences count in a window of so much of the longer side, and for no more than so much each;
-# the median of all counts for as many pixels' worth, as a share of the window.
-NEARBY, MOST_APART, USUAL = 0.05, 0.5, 0.02
-GUESSED = 0.5  # relative deviation of what no keyframe shows, and is filled in
-CELLS, SPAN = 2**13, 20.0  # at most, to fill holes with; and their median of D, in their sides
+# Values without a stated source were set by hand.
+
+# Share of the inverse depth: rendered surfaces that differ by more are different surfaces.
+MAX_DIFFERENCE = 0.1
+# Share of a value: neighbours that differ by more lie on different surfaces.
+MAX_SMOOTH_STEP = 0.05
+# Share of the longer side: side of the window that differences are averaged in.
+WINDOW_SHARE = 0.05
+# Share of the inverse depth: a single difference counts for no more.
+DIFFERENCE_LIMIT = 0.5
+# Weight of the median of all differences, in pixels per pixel of the window.
+MEDIAN_WEIGHT = 0.02
+# Relative standard deviation of inverse depth that no keyframe shows, where a hole is filled.
+FILLED_DEVIATION = 0.5
+# Cells of the grid that holes are filled on.
+MAX_FILL_CELLS = 2**13
+# Median inverse depth on this grid, in sides of a cell.
+FILL_MEDIAN = 20.0
 
 
 View = tuple[np.ndarray, np.ndarray]  # inverse depth and its deviation, (H, W) float32 each
@@ -43,15 +54,15 @@ def relative_difference(inverse_depth: np.ndarray, others: Sequence[np.ndarray])
     for other in others:
         share = np.abs(other - inverse_depth) / inverse_depth
         shown = np.isfinite(share)
-        total += np.where(shown, np.minimum(share, np.float32(MOST_APART)), 0)
+        total += np.where(shown, np.minimum(share, np.float32(DIFFERENCE_LIMIT)), 0)
         count += shown
     seen = count > 0
     if not seen.any():
         return total
-    usual = np.float32(USUAL) * np.median(total[seen] / count[seen])
-    side = 2 * round(NEARBY * max(inverse_depth.shape) / 2) + 1
+    usual = np.float32(MEDIAN_WEIGHT) * np.median(total[seen] / count[seen])
+    side = 2 * round(WINDOW_SHARE * max(inverse_depth.shape) / 2) + 1
     around = cv2.blur(np.dstack([total, count]), (side, side))
-    apart: np.ndarray = (around[..., 0] + usual) / (around[..., 1] + np.float32(USUAL))
+    apart: np.ndarray = (around[..., 0] + usual) / (around[..., 1] + np.float32(MEDIAN_WEIGHT))
     return apart
 
 
@@ -84,7 +95,7 @@ def fuse_views(views: Sequence[View]) -> View:
     known = np.isfinite(depths) & np.isfinite(spreads)
     depths, spreads = (np.where(known, each, np.float32(0)) for each in (depths, spreads))
     out, deviation = np.empty((2, *depths.shape[1:]), np.float32)
-    merged(depths, spreads, out, deviation, alike=DISAGREE)
+    merged(depths, spreads, out, deviation, alike=MAX_DIFFERENCE)
     return np.where(out > 0, out, np.nan), np.where(out > 0, deviation, np.nan)
 
 
@@ -104,12 +115,12 @@ def fill_holes(
     if known.all() or not known.any():
         return inverse_depth, np.where(known, deviation, np.inf).astype(np.float32)
     level = 0
-    while frame.size >> 2 * level > CELLS:
+    while frame.size >> 2 * level > MAX_FILL_CELLS:
         level += 1
     side = 2**level
     height, width = (-(-length // side) for length in frame.shape)
     least = np.float32(np.quantile(inverse_depth[known], FURTHEST_SHARE) / FURTHEST)
-    scale = np.float32(SPAN / np.median(inverse_depth[known]))
+    scale = np.float32(FILL_MEDIAN / np.median(inverse_depth[known]))
     images = np.stack([known, np.where(known, scale * inverse_depth, 0), frame])
     share, target, small = reduced(images.astype(np.float32), side, height, width)
     target = np.divide(target, share, out=np.zeros_like(target), where=share > 0)
@@ -117,7 +128,7 @@ def fill_holes(
     value = np.maximum(enlarged(carried[None] / scale, side, *frame.shape)[0], least)
     return (
         np.where(known, inverse_depth, value).astype(np.float32),
-        np.where(known, deviation, GUESSED * value).astype(np.float32),
+        np.where(known, deviation, FILLED_DEVIATION * value).astype(np.float32),
     )
 
 
@@ -148,6 +159,6 @@ def upsample(image: np.ndarray, stride: int, shape: tuple[int, int]) -> np.ndarr
 def _twice_the_rows(image: np.ndarray) -> np.ndarray:
     out = image.repeat(2, axis=0)
     before, after = image[:-1], image[1:]
-    alike = np.abs(after - before) < SMOOTH * np.minimum(before, after)
+    alike = np.abs(after - before) < MAX_SMOOTH_STEP * np.minimum(before, after)
     out[1:-1:2] = np.where(alike, (before + after) / 2, before)
     return out

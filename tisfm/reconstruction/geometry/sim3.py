@@ -3,9 +3,14 @@
 import cv2
 import numpy as np
 
-TRIALS = 200  # of three points each
-TOLERATED = 0.05  # of its distance: by so much a point may be off
-ROUNDS = 5  # of the fit to those that agree
+# Values without a stated source were set by hand.
+
+# RANSAC trials, of three points each.
+RANSAC_TRIALS = 200
+# Error of an inlier, as a share of its distance.
+INLIER_ERROR = 0.05
+# Reweighted rounds of the fit to inliers.
+FIT_ROUNDS = 5
 
 
 def sim3_scale(similarity: np.ndarray) -> float:
@@ -87,20 +92,20 @@ def fit_sim3_ransac(
     if len(points) < max(3, least):
         return None
     random, best, most = np.random.default_rng(0), np.eye(4), 0
-    for _ in range(TRIALS):
+    for _ in range(RANSAC_TRIALS):
         three = random.choice(len(points), 3, replace=False)
         found = fit_sim3(points[three], others[three], np.ones(3))
-        count = int((relative_errors(found, points, others, distances) < TOLERATED).sum())
+        count = int((relative_errors(found, points, others, distances) < INLIER_ERROR).sum())
         if count > most:
             best, most = found, count
-    for _ in range(ROUNDS):
+    for _ in range(FIT_ROUNDS):
         off = relative_errors(best, points, others, distances)
-        agree = off < TOLERATED
+        agree = off < INLIER_ERROR
         if agree.sum() < max(3, least):
             return None
         weights = _weights(off[agree]) / distances[agree] ** 2
         best = fit_sim3(points[agree], others[agree], weights)
-    return best, relative_errors(best, points, others, distances) < TOLERATED
+    return best, relative_errors(best, points, others, distances) < INLIER_ERROR
 
 
 def refine_sim3(
@@ -130,7 +135,7 @@ def refine_sim3(
     here, there = (np.vstack([k, one[:, :3, 3]]) for k, one in zip(points, poses, strict=True))
     away = np.concatenate([distances, np.full(len(poses[0]), np.median(distances))])
     count = len(distances)
-    for _ in range(ROUNDS):
+    for _ in range(FIT_ROUNDS):
         off = relative_errors(similarity, here, there, away)
         weights = np.concatenate([_weights(off[:count]), _weights(off[count:])]) / away**2
         share = (weights / weights.sum())[:, None]

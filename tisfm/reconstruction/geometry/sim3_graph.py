@@ -13,12 +13,21 @@ import numpy as np
 
 from tisfm.reconstruction.geometry.sim3 import sim3_from_vector, sim3_scale, transform_points
 
-ROUNDS = 20  # of Gauss–Newton
-# Of edges that may be wrong: the misfit, as a share of the distance of points, from which on they
-# count less and less: at first, by how much less in each round, and in the end.
-DOUBTED, LESS, DOUBTED_AT_END = 1.0, 0.6, 0.02
-BLOCK = 7  # rows of the system that are eliminated at a time
-SETTLED = 1e-9  # of the unknowns: with smaller steps it ends
+# Values without a stated source were set by hand.
+
+# Gauss–Newton rounds.
+MAX_ROUNDS = 20
+# Error of an edge that may be wrong, as a share of the distance of points: larger errors have a
+# decreasing weight. It starts here,
+FIRST_OUTLIER_ERROR = 1.0
+# decreases by this factor in each round,
+OUTLIER_ERROR_FACTOR = 0.6
+# and ends here.
+LAST_OUTLIER_ERROR = 0.02
+# Rows of the system that are eliminated at a time: the unknowns of one similarity.
+BLOCK_ROWS = 7
+# A smaller step of all unknowns ends the rounds.
+MIN_STEP = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,8 +140,8 @@ def _adjusted(begun: dict[int, np.ndarray], edges: Sequence[Edge]) -> dict[int, 
     """Return the similarities that meet edges best; that of the first node stays."""
     nodes, place = list(begun), dict(begun)
     number = {node: k for k, node in enumerate(nodes)}
-    doubted = DOUBTED
-    for _ in range(ROUNDS if len(nodes) > 1 else 0):
+    doubted = FIRST_OUTLIER_ERROR
+    for _ in range(MAX_ROUNDS if len(nodes) > 1 else 0):
         matrix, vector = np.zeros((7 * len(nodes),) * 2), np.zeros(7 * len(nodes))
         for edge in edges:
             off, slope, weight = _misfit(edge, place)
@@ -154,9 +163,9 @@ def _adjusted(begun: dict[int, np.ndarray], edges: Sequence[Edge]) -> dict[int, 
             place[node] = (
                 sim3_from_vector(scale, np.array(rest[:3]), np.array(rest[3:])) @ place[node]
             )
-        if doubted == DOUBTED_AT_END and np.abs(change).max() < SETTLED:
+        if doubted == LAST_OUTLIER_ERROR and np.abs(change).max() < MIN_STEP:
             break
-        doubted = max(LESS * doubted, DOUBTED_AT_END)
+        doubted = max(OUTLIER_ERROR_FACTOR * doubted, LAST_OUTLIER_ERROR)
     return place
 
 
@@ -166,9 +175,9 @@ def solve_sparse(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     BLAS and LAPACK have other last bits with more threads. Most of the system is empty.
     """
     system, count = np.column_stack([matrix, vector]), len(vector)
-    begins = range(0, count, BLOCK)
+    begins = range(0, count, BLOCK_ROWS)
     for begin in begins:
-        end = min(begin + BLOCK, count)
+        end = min(begin + BLOCK_ROWS, count)
         inverse = np.linalg.inv(system[begin:end, begin:end])
         above = np.einsum("ik,kj->ij", inverse, system[begin:end, end:])
         below = end + np.flatnonzero(system[end:, begin:end].any(axis=1))
@@ -177,7 +186,7 @@ def solve_sparse(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
         system[np.ix_(below, columns)] -= change
         system[begin:end, end:] = above
     for begin in reversed(begins):
-        end = min(begin + BLOCK, count)
+        end = min(begin + BLOCK_ROWS, count)
         system[begin:end, -1] -= (system[begin:end, end:-1] * system[end:, -1]).sum(axis=1)
     return np.array(system[:, -1])
 

@@ -10,11 +10,15 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tisfm.reconstruction.mapping.database import CENTRE
+from tisfm.reconstruction.mapping.database import PIXEL_CENTRE
 from tisfm.reconstruction.tracks.views import View
 
-PLACES = 32  # along the longer side of a frame: places that are shared out among its points
-ON_LINE = 2.0  # px, of 640 across: from the epipolar line of a match that a model explains
+# Values without a stated source were set by hand.
+
+# Grid points along the longer side of a frame, each of which belongs to the nearest point.
+GRID_CELLS = 32
+# px, of 640 across: distance from the epipolar line of a match that a model explains.
+EPIPOLAR_TOLERANCE = 2.0
 
 Pairs = Mapping[tuple[int, int], np.ndarray]
 
@@ -36,7 +40,7 @@ class Coverage:
     """
 
     def __init__(self, views: Sequence[View], pairs: Pairs, shape: tuple[int, int]) -> None:
-        self._pairs, self._limit = pairs, ON_LINE * max(shape) / 640
+        self._pairs, self._limit = pairs, EPIPOLAR_TOLERANCE * max(shape) / 640
         self._points = [np.vstack([view.seen.points, view.detected]) for view in views]
         areas = self._areas(places_in(shape))
         self._worth = {
@@ -92,7 +96,7 @@ class Coverage:
 
 def places_in(shape: tuple[int, int]) -> np.ndarray:
     """Return (x, y) of places that are spread over a frame, (N, 2), px."""
-    side = max(shape) / PLACES
+    side = max(shape) / GRID_CELLS
     rows, columns = (
         (np.arange(max(1, round(length / side))) + 0.5) * side - 0.5 for length in shape
     )
@@ -101,7 +105,7 @@ def places_in(shape: tuple[int, int]) -> np.ndarray:
 
 def camera_rays(points: np.ndarray, camera: Any) -> np.ndarray:
     """Return the directions of points in a view, (N, 3), of unit length."""
-    rays = np.column_stack([camera.cam_from_img(points + CENTRE), np.ones(len(points))])
+    rays = np.column_stack([camera.cam_from_img(points + PIXEL_CENTRE), np.ones(len(points))])
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 

@@ -8,23 +8,26 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.mapping.colmap import pycolmap
-from tisfm.reconstruction.mapping.incremental import FEWEST
+from tisfm.reconstruction.mapping.incremental import MIN_SHARED
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 
-CALIBRATED = 2  # of pycolmap's configurations of two views
-FEWEST_SHARED = 20  # tracks of two views
-# Of views in the order of their frames: those so far apart are compared by the tracks they share.
-APART = (1, 2, 3, 4, 6, 8, 12, 16)
-CENTRE = 0.5  # px: pycolmap's upper left pixel has its centre at (0.5, 0.5)
+# The number of pycolmap's two-view configuration "calibrated".
+CALIBRATED_PAIR = 2
+# Tracks that two views share. Set by hand.
+MIN_SHARED_TRACKS = 20
+# Distances, in views, of the pairs that are compared by shared tracks. Set by hand.
+VIEW_STEPS = (1, 2, 3, 4, 6, 8, 12, 16)
+# px: the centre of pycolmap's upper left pixel is at (0.5, 0.5).
+PIXEL_CENTRE = 0.5
 
 
 def colmap_camera(camera: Camera, shape: tuple[int, int], calibrate: Calibrate = "nothing") -> Any:
     """Return pycolmap's camera, whose focal length and distortion may be found."""
     height, width = shape
     cx, cy = camera.center_for(height, width)
-    focal, center = camera.focal, (cx + CENTRE, cy + CENTRE)
+    focal, center = camera.focal, (cx + PIXEL_CENTRE, cy + PIXEL_CENTRE)
     model, params = {
         "nothing": ("PINHOLE", [focal, focal, *center]),
         "focal": ("SIMPLE_PINHOLE", [focal, *center]),
@@ -39,7 +42,7 @@ def pairs_of(
     views: Sequence[View], matches: Mapping[tuple[int, int], np.ndarray]
 ) -> dict[tuple[int, int], np.ndarray]:
     """Return, for pairs of indices of views, indices of points that are the same, (N, 2)."""
-    near = {(k, k + apart) for apart in APART for k in range(len(views) - apart)}
+    near = {(k, k + apart) for apart in VIEW_STEPS for k in range(len(views) - apart)}
     pairs = {}
     for first, second in sorted(near | set(matches)):
         both = np.empty((0, 2), np.intp)
@@ -48,7 +51,7 @@ def pairs_of(
         if (first, second) in matches:
             begun = len(views[first].seen.points), len(views[second].seen.points)
             both = np.vstack([both, matches[first, second] + begun])
-        if len(both) >= FEWEST:
+        if len(both) >= MIN_SHARED:
             pairs[first, second] = both.astype(np.int32)
     return pairs
 
@@ -112,14 +115,14 @@ def _write_views(database: Any, views: Sequence[View], camera: Any) -> None:
         frame.add_data_id(image.data_id)
         database.write_frame(frame, use_frame_id=True)
         database.write_image(image, use_image_id=True)
-        points = np.vstack([view.seen.points, view.detected]) + CENTRE
+        points = np.vstack([view.seen.points, view.detected]) + PIXEL_CENTRE
         database.write_keypoints(number, points.astype(np.float32))
 
 
 def _write_pairs(database: Any, pairs: Mapping[tuple[int, int], np.ndarray]) -> None:
     for (first, second), both in pairs.items():
         pair = pycolmap().TwoViewGeometry()
-        pair.config = CALIBRATED
+        pair.config = CALIBRATED_PAIR
         pair.inlier_matches = both.astype(np.uint32)
         database.write_two_view_geometry(first + 1, second + 1, pair)
 
@@ -127,6 +130,6 @@ def _write_pairs(database: Any, pairs: Mapping[tuple[int, int], np.ndarray]) -> 
 def _shared(first: Observations, second: Observations) -> np.ndarray:
     """Return the indices in two views of the tracks that they share, (N, 2)."""
     index0, index1 = first.shared(second)
-    if len(index0) < FEWEST_SHARED:
+    if len(index0) < MIN_SHARED_TRACKS:
         return np.empty((0, 2), np.intp)
     return np.stack([index0, index1], axis=1)

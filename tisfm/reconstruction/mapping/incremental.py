@@ -10,49 +10,73 @@ from tisfm.reconstruction.mapping.low_parallax import LowParallaxFilter
 from tisfm.reconstruction.mapping.parallax import beyond_homography, beyond_rotation
 from tisfm.reconstruction.result.calibration import Calibrate
 
-FEWEST = 15  # observations that two views, or a view and the points, share
-LEAST_SEEN = 0.15  # of the observations of known points: inliers of a view that is added
-INLIER = 6.0  # px: of a view that is added
-SMALLEST = 3  # views of a model
-# px: residuals beyond count less and less in adjustments of all; and where all is to move first
-OUTLYING, ROUGHLY = 0.5, 3.0
-GROWN = 1.5  # times as many views, or points, as when all of them were adjusted the last time
-# Of adjustments of all, while a model grows and at its end: steps at most, and the relative change
-# of the sum of squares that is none.
-GROWING, ENDING = (10, 1e-4), (50, 1e-5)
-# Degrees: triangulation angles of first pairs, tried in this order. Where a car goes forward, only
-# small ones are found.
-ANGLES = (4.0, 1.0, 0.5)
-TRIED = 24  # first pairs, at most, for each angle
-# px: errors that RANSAC tolerates at a first pair of frames up to LARGE_FRAME px long; beyond, it
-# grows with the longer side. The parallax may be only 2 px: with a larger tolerance RANSAC accepts
-# any motion. Films of 160 to 320 px get nearly the same path with 0.5 to 4 px.
-TOLERANCE, LARGE_FRAME = 1.0, 1000
-LEAST_PARALLAX = 5e-4  # rad: matching noise has as much
-ENOUGH_PARALLAX = 0.03  # rad: more makes a first pair no better
-# A first pair's motion explains its directions so many times better than a homography if the focal
-# length is a guess; if it is known, so many times better than a rotation with any focal length, and
-# than a homography. On a plane, noise alone makes the residuals of a homography, in two dimensions,
-# 1.75 times the distances from epipolar lines.
-BETTER_IF_GUESSED = 2.5
-BETTER_THAN_ROTATION, BETTER_THAN_HOMOGRAPHY = 6.0, 1.5
-QUANTILE = 0.75  # of the parallax of two views
-# Share of the best pairs with a motion that show parallax with a focal length that was found, at
-# least. Where the camera turned and hardly moved it was 0.12 to 0.33 (three sequences), in noise 0,
-# in 20 others 0.71 to 1.
-WITH_PARALLAX = 0.4
-# A model is right if its mean score per match is above EXPLAINED, and its worst view has EVENLY of
-# the median view's. Worst views of right models had 0.84 to 1 of it (blurred: 0.67),
-# one of a bent model had 0.53.
-EXPLAINED, EVENLY = 0.65, 0.8
-# Otherwise a model is right if another first pair leads to nearly the same score. Models of few
-# views are always grown twice: it costs little.
-SAME_SCORE, FEW_VIEWS = 0.02, 8
-STARTS = 3  # models that are grown, at most
-# Least distance, in views, between first pairs: a share of the views that are left, and at most
-# FAR_ENOUGH.
-ELSEWHERE, FAR_ENOUGH = 0.25, 4
-NARROWEST = 0.5  # degrees: of the directions that a point is seen in
+# Values without a stated source were set by hand.
+
+# Observations that two views share, or a view and the known points.
+MIN_SHARED = 15
+# Inliers of a view that is added, as a share of its observations of known points.
+MIN_INLIER_SHARE = 0.15
+# px: reprojection error of an inlier of a view that is added.
+MAX_POSE_ERROR = 6.0
+# Views of a model.
+MIN_VIEWS = 3
+# px: larger residuals have a decreasing weight in an adjustment of all views.
+OUTLIER_PIXELS = 0.5
+# px: the same in the first adjustment from rough poses.
+ROUGH_OUTLIER_PIXELS = 3.0
+# All views are adjusted once views or points have grown by this factor.
+GROWTH_FACTOR = 1.5
+# Steps of an adjustment of all views while a model grows, and the relative change of the squared
+# residuals that ends it.
+GROWING_LIMITS = (10, 1e-4)
+# The same at the end.
+FINAL_LIMITS = (50, 1e-5)
+# Degrees: triangulation angles of first pairs, tried in this order. Where a car drives forward,
+# only small ones exist.
+FIRST_PAIR_ANGLES = (4.0, 1.0, 0.5)
+# First pairs that are tried for each angle.
+MAX_FIRST_PAIRS = 24
+# px: errors that RANSAC tolerates at a first pair. The parallax may be 2 px: with a larger
+# tolerance RANSAC accepts any motion. Films of 160 to 320 px get nearly the same path with 0.5 to
+# 4 px.
+FIRST_PAIR_TOLERANCE = 1.0
+# px: longer side up to which this tolerance holds; it grows in proportion to longer frames.
+TOLERANCE_FRAME = 1000
+# rad: parallax of matching noise.
+MIN_PARALLAX = 5e-4
+# rad: more parallax makes a first pair no better.
+FULL_PARALLAX = 0.03
+# Ratio of the residuals of a homography to those of the motion of a first pair, if the focal length
+# is a guess.
+MIN_HOMOGRAPHY_RATIO_GUESSED = 2.5
+# If it is known: the same ratio of a rotation with any focal length,
+MIN_ROTATION_RATIO = 6.0
+# and of a homography. On a plane, noise alone makes the residuals of a homography, in two
+# dimensions, 1.75 times the distances from epipolar lines.
+MIN_HOMOGRAPHY_RATIO = 1.5
+# Quantile of the parallax of two views that ranks first pairs.
+PARALLAX_QUANTILE = 0.75
+# Share of the best pairs with a motion that show parallax with an estimated focal length. Where the
+# camera rotated and hardly moved it was 0.12 to 0.33 (three sequences), in noise 0, in 20 other
+# sequences 0.71 to 1.
+MIN_PARALLAX_PAIRS = 0.4
+# Mean score per match of a right model.
+MIN_MEAN_SCORE = 0.65
+# Score of the worst view of a right model, as a share of the median view. Worst views of right
+# models had 0.84 to 1 of it (blurred: 0.67), one of a bent model had 0.53.
+MIN_WORST_VIEW = 0.8
+# Otherwise a model is right if another first pair leads to the same score, up to this share.
+MAX_SCORE_DIFFERENCE = 0.02
+# Views: smaller models are always grown twice, which costs little.
+FEW_VIEWS = 8
+# Models that are grown.
+MAX_STARTS = 3
+# Distance between first pairs, as a share of the remaining views,
+MIN_START_SHARE = 0.25
+# but at most this number of views.
+MAX_START_DISTANCE = 4
+# Degrees between the rays of a triangulated point.
+MIN_TRIANGULATION_ANGLE = 0.5
 
 Pairs = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 
@@ -104,7 +128,7 @@ def grow_models(
     left = set(range(1, count + 1)) & set(cache.images)
     first_pairs = _FirstPairs(pairs, focal_known)
     found = []
-    while len(left) >= SMALLEST:
+    while len(left) >= MIN_VIEWS:
         reconstruction = _one(mapper, score, options, first_pairs, left)
         if reconstruction is None:
             break
@@ -169,12 +193,12 @@ def shows_parallax(database: Any, pairs: Pairs) -> bool:
     mapper = pycolmap().IncrementalMapper(cache)
     options = _options()
     options.mapper.init_max_error = first_pair_tolerance(_longer_side(cache))
-    return _FirstPairs(pairs, focal_known=True).usable_share(mapper, options) >= WITH_PARALLAX
+    return _FirstPairs(pairs, focal_known=True).usable_share(mapper, options) >= MIN_PARALLAX_PAIRS
 
 
 def _cache(database: Any) -> Any:
     settings = pycolmap().DatabaseCacheOptions()
-    settings.min_num_matches = FEWEST
+    settings.min_num_matches = MIN_SHARED
     return pycolmap().DatabaseCache.create(database, settings)
 
 
@@ -186,7 +210,7 @@ def first_pair_tolerance(longer_side: float) -> float:
     longer_side : float
         Of the frames, px.
     """
-    return TOLERANCE * max(1.0, longer_side / LARGE_FRAME)
+    return FIRST_PAIR_TOLERANCE * max(1.0, longer_side / TOLERANCE_FRAME)
 
 
 def _longer_side(cache: Any) -> int:
@@ -219,10 +243,10 @@ class _FirstPairs:
         Pairs near views of `begun`, which may grow meanwhile, are left out.
         """
         possible = [pair for pair in self._ranked if left.issuperset(pair)]
-        apart = min(max(ELSEWHERE * len(left), 1), FAR_ENOUGH)
-        for angle in ANGLES:
+        apart = min(max(MIN_START_SHARE * len(left), 1), MAX_START_DISTANCE)
+        for angle in FIRST_PAIR_ANGLES:
             options.mapper.init_min_tri_angle = angle
-            for first, second in possible[:TRIED]:
+            for first, second in possible[:MAX_FIRST_PAIRS]:
                 if any(abs(one - other) < apart for one in (first, second) for other in begun):
                     continue
                 motion = mapper.estimate_initial_two_view_geometry(options.mapper, first, second)
@@ -234,9 +258,9 @@ class _FirstPairs:
 
         Pairs whose matches fit no motion are not counted.
         """
-        options.mapper.init_min_tri_angle = ANGLES[-1]
+        options.mapper.init_min_tri_angle = FIRST_PAIR_ANGLES[-1]
         usable = []
-        for pair in self._ranked[:TRIED]:
+        for pair in self._ranked[:MAX_FIRST_PAIRS]:
             motion = mapper.estimate_initial_two_view_geometry(options.mapper, *pair)
             if motion is not None:
                 usable.append(self._is_needed(motion.matrix(), *pair))
@@ -246,11 +270,11 @@ class _FirstPairs:
         """Return pairs that share many points with parallax, the best first."""
         worth = {}
         for pair, (before, after) in self._pairs.items():
-            if len(before) >= 2 * FEWEST:
+            if len(before) >= 2 * MIN_SHARED:
                 parallax = self._parallax(before, after)
-                if np.median(parallax) > LEAST_PARALLAX:
+                if np.median(parallax) > MIN_PARALLAX:
                     worth[pair] = len(before) * min(
-                        float(np.quantile(parallax, QUANTILE)), ENOUGH_PARALLAX
+                        float(np.quantile(parallax, PARALLAX_QUANTILE)), FULL_PARALLAX
                     )
         return sorted(worth, key=lambda one: (-worth[one], one))
 
@@ -265,11 +289,10 @@ class _FirstPairs:
         away = float(np.median(np.abs((after * normal).sum(axis=1))))
         by_homography = float(np.median(beyond_homography(before, after)))
         if not self._focal_known:
-            return by_homography > BETTER_IF_GUESSED * away
+            return by_homography > MIN_HOMOGRAPHY_RATIO_GUESSED * away
         by_rotation = float(np.median(beyond_rotation(before, after)))
         return (
-            by_rotation > BETTER_THAN_ROTATION * away
-            and by_homography > BETTER_THAN_HOMOGRAPHY * away
+            by_rotation > MIN_ROTATION_RATIO * away and by_homography > MIN_HOMOGRAPHY_RATIO * away
         )
 
 
@@ -283,7 +306,7 @@ def _one(
     Otherwise the one with the best score counts.
     """
     best, most, begun, is_right = None, 0.0, list[int](), False
-    enough = EXPLAINED * score.matches(left)
+    enough = MIN_MEAN_SCORE * score.matches(left)
     for pair in first_pairs.starts(mapper, options, left, begun):
         begun += pair[:2]
         reconstruction = pycolmap().Reconstruction()
@@ -292,17 +315,17 @@ def _one(
         mapper.triangulate_image(options.triangulation, pair[0])
         _grow(mapper, reconstruction, options, left)
         mapper.end_reconstruction(False)
-        if reconstruction.num_reg_images() >= SMALLEST:
+        if reconstruction.num_reg_images() >= MIN_VIEWS:
             explained = score.score(reconstruction)
             is_even = (
                 reconstruction.num_reg_images() > FEW_VIEWS
                 and explained > enough
-                and score.least_view(reconstruction) > EVENLY
+                and score.least_view(reconstruction) > MIN_WORST_VIEW
             )
-            is_right = is_even or abs(explained - most) < SAME_SCORE * most
+            is_right = is_even or abs(explained - most) < MAX_SCORE_DIFFERENCE * most
             if is_even or explained > most:
                 best, most = reconstruction, explained
-        if is_right or len(begun) >= 2 * STARTS:
+        if is_right or len(begun) >= 2 * MAX_STARTS:
             break
     return best
 
@@ -315,7 +338,9 @@ def _grow(
     one_place = LowParallaxFilter(mapper, reconstruction)
 
     def adjust_all(
-        refinements: int, limits: tuple[int, float] = GROWING, outlying: float = OUTLYING
+        refinements: int,
+        limits: tuple[int, float] = GROWING_LIMITS,
+        outlying: float = OUTLIER_PIXELS,
     ) -> tuple[int, int]:
         mapper.iterative_global_refinement(
             refinements,
@@ -328,7 +353,7 @@ def _grow(
         return reconstruction.num_reg_images(), reconstruction.num_points3D()
 
     if roughly:
-        adjust_all(3, ENDING, ROUGHLY)
+        adjust_all(3, FINAL_LIMITS, ROUGH_OUTLIER_PIXELS)
     views, points = adjust_all(2)
     if points == 0:
         return
@@ -345,10 +370,10 @@ def _grow(
         )
         one_place.delete(number)
         now = reconstruction.num_reg_images(), reconstruction.num_points3D()
-        if now[0] >= GROWN * views or now[1] >= GROWN * points:
+        if now[0] >= GROWTH_FACTOR * views or now[1] >= GROWTH_FACTOR * points:
             views, points = adjust_all(1)
     adjust_all(1)
-    adjust_all(1, ENDING)
+    adjust_all(1, FINAL_LIMITS)
 
 
 def _options(calibrate: Calibrate = "nothing") -> Any:
@@ -358,10 +383,10 @@ def _options(calibrate: Calibrate = "nothing") -> Any:
     options.ba_local_function_tolerance = 1e-5
     options.mapper.abs_pose_refine_focal_length = False
     options.mapper.abs_pose_refine_extra_params = False
-    options.mapper.abs_pose_min_num_inliers = FEWEST
-    options.mapper.abs_pose_min_inlier_ratio = LEAST_SEEN
-    options.mapper.init_min_num_inliers = 2 * FEWEST
-    options.triangulation.min_angle = options.mapper.filter_min_tri_angle = NARROWEST
+    options.mapper.abs_pose_min_num_inliers = MIN_SHARED
+    options.mapper.abs_pose_min_inlier_ratio = MIN_INLIER_SHARE
+    options.mapper.init_min_num_inliers = 2 * MIN_SHARED
+    options.triangulation.min_angle = options.mapper.filter_min_tri_angle = MIN_TRIANGULATION_ANGLE
     options.mapper.init_max_forward_motion = 1.0  # the angle says whether it serves
     for part in (options, options.mapper):
         part.num_threads = 1
@@ -376,7 +401,7 @@ def _adjustment(options: Any, steps: int, tolerance: float, outlying: float) -> 
 
 
 def robust_adjustment(
-    adjustment: Any, steps: int, tolerance: float, outlying: float = OUTLYING
+    adjustment: Any, steps: int, tolerance: float, outlying: float = OUTLIER_PIXELS
 ) -> Any:
     """Return pycolmap's options of an adjustment, made robust, of so many steps at most."""
     adjustment.print_summary = False

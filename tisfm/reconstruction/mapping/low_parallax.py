@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-# Of the depth of what a view shows: so far from it, at least, are others that see a point as well.
-APART = 0.02
+# Share of the median depth of a view: distance to another view that sees a point. Set by hand.
+MIN_BASELINE = 0.02
 
 
 class LowParallaxFilter:
@@ -39,7 +39,7 @@ class LowParallaxFilter:
             return
         pose = image.cam_from_world().matrix()
         depth = np.array([points[one].xyz for one in seen]) @ pose[2, :3] + pose[2, 3]
-        least = APART * float(np.median(depth))
+        least = MIN_BASELINE * float(np.median(depth))
         here = image.projection_center()
         away: dict[int, float] = {}
         for one in seen:

@@ -13,17 +13,17 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.mapping.colmap import pycolmap
 from tisfm.reconstruction.mapping.coverage import Coverage
 from tisfm.reconstruction.mapping.database import (
-    CENTRE,
+    PIXEL_CENTRE,
     Directions,
     colmap_camera,
     database_of,
     pairs_of,
 )
 from tisfm.reconstruction.mapping.incremental import (
-    FEWEST,
-    INLIER,
-    LEAST_SEEN,
-    OUTLYING,
+    MAX_POSE_ERROR,
+    MIN_INLIER_SHARE,
+    MIN_SHARED,
+    OUTLIER_PIXELS,
     grow_from_poses,
     grow_models,
     shows_parallax,
@@ -39,7 +39,8 @@ from tisfm.reconstruction.tracks.triangulation import (
 )
 from tisfm.reconstruction.tracks.views import View
 
-MOST = 0.75  # of the frames, by area: what explains as much is the world
+# Share of the area of the frames: models that explain more are the static scene. Set by hand.
+MIN_COVERAGE = 0.75
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,9 +119,9 @@ class ViewGraph:
         found = self._grown(self.pairs, camera, calibrate)
         cover = Coverage(self.views, self.pairs, self.shape)
         explained = cover.explained(found)
-        while found and cover.share(explained) < MOST:
+        while found and cover.share(explained) < MIN_COVERAGE:
             rest = {**self.pairs, **{pair: self.pairs[pair][~e] for pair, e in explained.items()}}
-            rest = {pair: both for pair, both in rest.items() if len(both) >= FEWEST}
+            rest = {pair: both for pair, both in rest.items() if len(both) >= MIN_SHARED}
             others = self._grown(rest, camera, calibrate)
             by_others = cover.explained(others)
             if cover.share(by_others) <= cover.share(explained):
@@ -290,18 +291,22 @@ def pose_from_points(
     None if too few of them agree.
     """
     known, world = points_of_tracks(seen, points)
-    if len(known) < FEWEST:
+    if len(known) < MIN_SHARED:
         return None
     estimation = pycolmap().AbsolutePoseEstimationOptions()
-    estimation.ransac.max_error = INLIER
+    estimation.ransac.max_error = MAX_POSE_ERROR
     estimation.ransac.random_seed = 0
     refinement = pycolmap().AbsolutePoseRefinementOptions()
-    refinement.loss_function_scale = OUTLYING
+    refinement.loss_function_scale = OUTLIER_PIXELS
     refinement.gradient_tolerance = 1e-4
     found = pycolmap().estimate_and_refine_absolute_pose(
-        seen.points[known] + CENTRE, world, colmap_camera(camera, shape), estimation, refinement
+        seen.points[known] + PIXEL_CENTRE,
+        world,
+        colmap_camera(camera, shape),
+        estimation,
+        refinement,
     )
-    if found is None or found["num_inliers"] < max(FEWEST, LEAST_SEEN * len(known)):
+    if found is None or found["num_inliers"] < max(MIN_SHARED, MIN_INLIER_SHARE * len(known)):
         return None
     return _matrix(found["cam_from_world"])
 

@@ -7,14 +7,22 @@ open, and any reconstruction from the pair is arbitrary.
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-NOISE = 5e-4  # rad: matching noise; smaller angles get no larger weight in the robust fits
-HOMOGRAPHY_ROUNDS = 5  # reweightings of the linear fit
-# Gauss–Newton steps of the fit of a rotation and a focal length, and the relative step that ends it
-ROTATION_STEPS, SMALLEST_STEP = 12, 1e-5
+# Values without a stated source were set by hand.
+
+# rad: matching noise; smaller angles get no larger weight in the robust fits.
+MATCH_NOISE = 5e-4
+# Reweighted rounds of the linear fit of a homography.
+HOMOGRAPHY_ROUNDS = 5
+# Gauss–Newton steps of the fit of a rotation and a focal length.
+ROTATION_STEPS = 12
+# A smaller step, in rad and in the logarithm of the focal length, ends this fit.
+MIN_ROTATION_STEP = 1e-5
 # Focal lengths that a rotation may have, relative to the stated one. With the stated one alone,
 # 20 % off, 7 of 8 rendered pure rotations passed for parallax.
-SHORTEST, LONGEST = 0.5, 2.0
-IN_FRONT = 1e-3  # smallest z of a unit direction that is projected
+MIN_FOCAL_RATIO = 0.5
+MAX_FOCAL_RATIO = 2.0
+# Smallest z of a unit direction that is projected.
+MIN_Z = 1e-3
 
 
 def beyond_homography(before: np.ndarray, after: np.ndarray) -> np.ndarray:
@@ -45,7 +53,7 @@ def beyond_homography(before: np.ndarray, after: np.ndarray) -> np.ndarray:
         moved = before @ np.linalg.eigh(weighted.T @ weighted)[1][:, 0].reshape(3, 3).T
         moved /= np.maximum(np.linalg.norm(moved, axis=1, keepdims=True), 1e-12)
         angles = np.linalg.norm(np.cross(after, moved), axis=1)
-        weights = 1 / np.sqrt(angles + NOISE)
+        weights = 1 / np.sqrt(angles + MATCH_NOISE)
     return np.asarray(angles)
 
 
@@ -58,7 +66,7 @@ def beyond_rotation(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     Takes and returns the same as `beyond_homography`. The angles are computed with the stated focal
     length.
     """
-    seen = (before[:, 2] > IN_FRONT) & (after[:, 2] > IN_FRONT)
+    seen = (before[:, 2] > MIN_Z) & (after[:, 2] > MIN_Z)
     start, end = (rays[seen, :2] / rays[seen, 2:] for rays in (before, after))
     angles = np.full(len(before), np.pi)
     if len(start):
@@ -74,13 +82,13 @@ def _moved_by_rotation(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     for number in range(ROTATION_STEPS):
         focal = np.exp(log_focal)
         x, y, z = (np.column_stack([start / focal, np.ones(len(start))]) @ rotation.T).T
-        z = np.maximum(z, IN_FRONT)
+        z = np.maximum(z, MIN_Z)
         u, v = x / z, y / z
         moved = focal * np.column_stack([u, v])
         left = end - moved
         distance = np.hypot(*left.T)
         if number:
-            weights = 1 / (distance + NOISE)
+            weights = 1 / (distance + MATCH_NOISE)
         # Derivatives of the projection by a rotation (ω × ray) from the left, and by log f.
         by_rotation = focal * np.stack(
             [np.column_stack([-u * v, -1 - v * v]), np.column_stack([1 + u * u, u * v]),
@@ -97,13 +105,13 @@ def _moved_by_rotation(start: np.ndarray, end: np.ndarray) -> np.ndarray:
         matrix += 1e-9 * np.trace(matrix) * np.eye(4) + 1e-30 * np.eye(4)
         step = np.linalg.solve(matrix, vector)
         wanted = log_focal + step[3]
-        limited = float(np.clip(wanted, np.log(SHORTEST), np.log(LONGEST)))
+        limited = float(np.clip(wanted, np.log(MIN_FOCAL_RATIO), np.log(MAX_FOCAL_RATIO)))
         if limited != wanted:  # the best rotation at the limit
             vector = vector - matrix[:, 3] * (limited - log_focal)
             step = np.r_[np.linalg.solve(matrix[:3, :3], vector[:3]), limited - log_focal]
         rotation = _rotation(step[:3]) @ rotation
         log_focal = limited
-        if number and np.abs(step).max() < SMALLEST_STEP:
+        if number and np.abs(step).max() < MIN_ROTATION_STEP:
             break
     return moved
 

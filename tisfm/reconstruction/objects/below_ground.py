@@ -22,18 +22,40 @@ from tisfm.reconstruction.objects.motion_evidence import (
     grey_difference,
 )
 
-# Of the frame: as much shows the ground, at least. Its inverse depth changes by this much more from
-# above to below than from left to right, and than it is in the middle: cameras are held upright.
-LEAST, ROLL, PITCH = 0.03, 0.15, 0.4
-FITTED, DRAWN, POINTS, ROUNDS = 0.07, 300, 4000, 3  # a share of inverse depth; of the robust fit
-# Frames before and after in which it has to be as far below the camera, but for this share, in this
-# share of them: that of a vehicle is, and no table that a hand is led over.
-STEADY, NEARBY, MOST = 0.3, 10, 0.5
-BELOW = 1.3  # times as far away as the ground
-NEAR = 0.2  # of the nearest ground's inverse depth: what is further away is not judged
-HIDING = (3, 5, 8)  # frames before and after whose points are looked for
-UNLIKE = 12.0  # grey levels: so much else is seen where a point would be
-HIDDEN = 1.0  # of the root of its area: as many points a thing has to hide that would hide it
+# Values without a stated source were set by hand.
+
+# Share of the frame that shows the ground.
+MIN_GROUND = 0.03
+# Cameras are held upright: the inverse depth of the ground changes from top to bottom by this much
+# more than from left to right,
+MIN_VERTICAL_SLOPE = 0.15
+# and by this share of the inverse depth in the middle.
+MIN_SLOPE_TO_CENTRE = 0.4
+# Share of the inverse depth within which a pixel fits the ground plane.
+FIT_TOLERANCE = 0.07
+# Trials of the robust fit.
+RANSAC_TRIALS = 300
+# Pixels that are drawn for it.
+RANSAC_POINTS = 4000
+# Least-squares rounds after it.
+FIT_ROUNDS = 3
+# Relative change of the height of the camera above the ground: a vehicle keeps its height, a hand
+# above a table does not.
+MAX_HEIGHT_CHANGE = 0.3
+# Frames before and after that this height is compared with.
+HEIGHT_FRAMES = 10
+# Share of these frames with the same height.
+MIN_STEADY_SHARE = 0.5
+# Depth of a pixel below the ground, as a multiple of the depth of the ground.
+MIN_DEPTH_RATIO = 1.3
+# Share of the largest inverse depth of the ground: farther pixels are not judged.
+MIN_JUDGED_DEPTH = 0.2
+# Frames before and after in which points are searched that an object hides.
+HIDDEN_STEPS = (3, 5, 8)
+# Grey levels: mean difference at a point that is hidden.
+MIN_GREY_DIFFERENCE = 12.0
+# Points that an object has to hide, per root of its area in px.
+MIN_HIDDEN = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,14 +128,18 @@ class BelowGround:
         if ground is None:
             return None
         depth, height = self._rays @ ground, self._depths[frame].inverse_depth
-        below = (depth > NEAR * np.abs(depth).max()) & (height * BELOW < depth) & ~moving
+        below = (
+            (depth > MIN_JUDGED_DEPTH * np.abs(depth).max())
+            & (height * MIN_DEPTH_RATIO < depth)
+            & ~moving
+        )
         parts = list(_inner_parts(below))
         if not parts:
             return None
         hiding = self._hiding(frame)
         found = np.zeros(below.shape, bool)
         for part in parts:
-            found |= part & (np.count_nonzero(hiding & part) > HIDDEN * part.sum() ** 0.5)
+            found |= part & (np.count_nonzero(hiding & part) > MIN_HIDDEN * part.sum() ** 0.5)
         if not found.any():
             return None
         weight = np.float32(found * self._clear(frame, depth))
@@ -123,11 +149,11 @@ class BelowGround:
         """Return the plane of the ground, (3,), whose product with rays is its inverse depth."""
         below_middle = depth.at_rest & (self._rays[..., 1] > 0)
         rays, inverse_depth = self._rays[below_middle], depth.inverse_depth[below_middle]
-        if len(rays) < LEAST * depth.at_rest.size:
+        if len(rays) < MIN_GROUND * depth.at_rest.size:
             return None
         drawn = np.random.default_rng(0)
-        some = drawn.integers(len(rays), size=min(POINTS, len(rays)))
-        triples = drawn.integers(len(rays), size=(DRAWN, 3))
+        some = drawn.integers(len(rays), size=min(RANSAC_POINTS, len(rays)))
+        triples = drawn.integers(len(rays), size=(RANSAC_TRIALS, 3))
         solvable = np.abs(np.linalg.det(rays[triples])) > 1e-9
         planes = np.linalg.solve(rays[triples[solvable]], inverse_depth[triples[solvable], None])
         planes = planes[..., 0]
@@ -136,9 +162,9 @@ class BelowGround:
             return None
         fits = _fits(rays[some] @ planes.T, inverse_depth[some, None])
         plane = planes[np.argmax(fits.sum(axis=0))]
-        for _ in range(ROUNDS):
+        for _ in range(FIT_ROUNDS):
             inliers = _fits(rays @ plane, inverse_depth)
-            if inliers.sum() < LEAST * depth.at_rest.size:
+            if inliers.sum() < MIN_GROUND * depth.at_rest.size:
                 return None
             plane = np.linalg.lstsq(rays[inliers], inverse_depth[inliers], rcond=None)[0]
         return plane if _is_upright(plane) else None
@@ -148,13 +174,15 @@ class BelowGround:
 
         None if it is not.
         """
-        around = slice(max(0, frame - NEARBY), frame + NEARBY + 1)
+        around = slice(max(0, frame - HEIGHT_FRAMES), frame + HEIGHT_FRAMES + 1)
         planes = [plane for plane in self._grounds[around] if plane is not None]
-        if self._poses[frame] is None or len(planes) < max(3, MOST * len(self._grounds[around])):
+        if self._poses[frame] is None or len(planes) < max(
+            3, MIN_STEADY_SHARE * len(self._grounds[around])
+        ):
             return None
         plane = np.median(planes, axis=0)
         least, most = np.quantile(np.array(planes)[:, 1], (0.1, 0.9))
-        return plane if most - least < STEADY * plane[1] else None
+        return plane if most - least < MAX_HEIGHT_CHANGE * plane[1] else None
 
     def _hiding(self, frame: int) -> np.ndarray:
         """Return the pixels, (H, W) bool, that hide points at rest which would hide them.
@@ -166,7 +194,7 @@ class BelowGround:
         grey, own = self._motion.grey(frame), self._depths[frame]
         height, width = self._motion.grey(frame).shape
         for way in (-1, 1):
-            for steps in HIDING:
+            for steps in HIDDEN_STEPS:
                 number = frame + way * steps
                 if not 0 <= number < len(self._poses) or self._poses[number] is None:
                     continue
@@ -176,9 +204,11 @@ class BelowGround:
                 there = at_rest.inverse_depth(other.inverse_depth)
                 inside = (places > 0).all(axis=-1) & (places < (width - 1, height - 1)).all(axis=-1)
                 lost = other.at_rest & inside & ~self._led(number, frame).found
-                behind = sample_image(own.inverse_depth, places) * BELOW < there
+                behind = sample_image(own.inverse_depth, places) * MIN_DEPTH_RATIO < there
                 known = sample_image(np.float32(own.at_rest), places) > 0.5
-                unlike = grey_difference(grey, places, self._motion.grey(number)) > UNLIKE
+                unlike = (
+                    grey_difference(grey, places, self._motion.grey(number)) > MIN_GREY_DIFFERENCE
+                )
                 x, y = np.rint(places[lost & behind & known & unlike]).astype(int).T
                 found[y, x] = True
         return found
@@ -190,7 +220,7 @@ class BelowGround:
         for way in (-1, 1):
             furthest = [
                 frame + way * steps
-                for steps in HIDING
+                for steps in HIDDEN_STEPS
                 if 0 <= frame + way * steps < len(self._poses)
                 and self._poses[frame + way * steps] is not None
             ]
@@ -225,11 +255,13 @@ def _rays(camera: Camera, shape: tuple[int, ...]) -> np.ndarray:
 def _is_upright(planes: np.ndarray) -> np.ndarray:
     """Return which planes, (..., 3), a camera that is held upright sees below it."""
     across, down, middle = np.moveaxis(planes, -1, 0)
-    return (np.abs(across) < ROLL * down) & (np.abs(middle) < PITCH * down)
+    return (np.abs(across) < MIN_VERTICAL_SLOPE * down) & (
+        np.abs(middle) < MIN_SLOPE_TO_CENTRE * down
+    )
 
 
 def _fits(of_plane: np.ndarray, inverse_depth: np.ndarray) -> np.ndarray:
-    return np.abs(inverse_depth - of_plane) < FITTED * np.abs(of_plane)
+    return np.abs(inverse_depth - of_plane) < FIT_TOLERANCE * np.abs(of_plane)
 
 
 def _inner_parts(below: np.ndarray) -> Iterator[np.ndarray]:

@@ -6,11 +6,22 @@ import numpy as np
 from tisfm.motion.objects.label_optimisation import Potts
 from tisfm.reconstruction.frames.image_motion import ImageMotion, pixel_grid, sample_image
 
-REACH = 10  # px that a boundary may move
-RIM, FEWEST = 5, 30  # px at a boundary whose motion is not relied on, across; pixels that are left
-MISSED = 2.0  # grey levels that are missed anyway, beside the median of what is
-OTHERWISE_LABELLED, MOST = 2.0, 16.0  # of costs: of another label than before, and at most
-SEEN = 0.5  # what pixels near a boundary weigh
+# Values without a stated source were set by hand.
+
+# px: a boundary moves by no more.
+MAX_SHIFT = 10
+# px: width of the rim of an object whose motion is unreliable.
+RIM_WIDTH = 5
+# Pixels of an object inside this rim; with fewer, the whole object is used.
+MIN_CORE = 30
+# Grey levels that are added to the median difference.
+MIN_DIFFERENCE = 2.0
+# Cost of another label than before, in squared ratios of a difference to the usual one.
+CHANGE_COST = 2.0
+# Cost of a label at most, in the same unit.
+MAX_COST = 16.0
+# Data weight of pixels near a boundary, of 1.
+BAND_WEIGHT = 0.5
 
 
 def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np.ndarray:
@@ -23,7 +34,7 @@ def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np
     if len(numbers) < 2:
         return labels
     grey, places = motion.grey(frame), pixel_grid(labels.shape)
-    window = np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8)
+    window = np.ones((2 * MAX_SHIFT + 1, 2 * MAX_SHIFT + 1), np.uint8)
     near = np.stack([cv2.dilate(np.uint8(labels == k), window) > 0 for k in numbers])
     band = near.sum(axis=0) > 1
     missed = np.full((len(numbers), *labels.shape), np.inf, np.float32)
@@ -31,8 +42,8 @@ def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np
         flow, other = led.places - places, motion.grey(led.frame)
         for index, number in enumerate(numbers):
             mine = labels == number
-            core = cv2.erode(np.uint8(mine), np.ones((RIM, RIM), np.uint8)) > 0
-            source = core if core.sum() >= FEWEST else mine
+            core = cv2.erode(np.uint8(mine), np.ones((RIM_WIDTH, RIM_WIDTH), np.uint8)) > 0
+            source = core if core.sum() >= MIN_CORE else mine
             gone = _going_on(flow, source)
             off = np.abs(sample_image(other, places + gone) - grey)
             x, y = np.moveaxis(places + gone, -1, 0)
@@ -40,11 +51,11 @@ def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np
             off = np.where(outside, np.inf, cv2.blur(off, (3, 3)))
             missed[index] = np.minimum(missed[index], off)
     own = np.take_along_axis(missed, np.searchsorted(numbers, labels)[None], axis=0)[0]
-    usual = MISSED + 1.5 * float(np.median(own[np.isfinite(own)]))
-    costs = np.minimum((missed / usual) ** 2, MOST)
-    costs += OTHERWISE_LABELLED * (labels != numbers[:, None, None])
-    costs[~near] = 2 * MOST
-    weight = np.where(band, SEEN, 1).astype(np.float32)
+    usual = MIN_DIFFERENCE + 1.5 * float(np.median(own[np.isfinite(own)]))
+    costs = np.minimum((missed / usual) ** 2, MAX_COST)
+    costs += CHANGE_COST * (labels != numbers[:, None, None])
+    costs[~near] = 2 * MAX_COST
+    weight = np.where(band, BAND_WEIGHT, 1).astype(np.float32)
     found = numbers[Potts(grey).assign(costs.astype(np.float32), weight)]
     return np.where(band, found, labels).astype(np.int32)
 
@@ -56,5 +67,5 @@ def _going_on(flow: np.ndarray, mask: np.ndarray) -> np.ndarray:
     )
     table = np.zeros((int(nearest.max()) + 1, 2), np.float32)
     table[nearest[mask]] = flow[mask]
-    beyond = cv2.blur(table[nearest], (RIM, RIM))
+    beyond = cv2.blur(table[nearest], (RIM_WIDTH, RIM_WIDTH))
     return np.where(mask[..., None], flow, beyond)

@@ -19,7 +19,7 @@ from tisfm.reconstruction.frames.image_motion import (
 from tisfm.reconstruction.objects.boundaries import refine_boundaries
 from tisfm.reconstruction.objects.motion_evidence import Evidence
 from tisfm.reconstruction.objects.moving_regions import find_moving_regions
-from tisfm.reconstruction.objects.smooth_motion import FEWEST, SmoothMotions, Terms
+from tisfm.reconstruction.objects.smooth_motion import MIN_PIXELS, SmoothMotions, Terms
 
 CARRIED = 0.1  # of a part's pixels: so many that a label is carried to are the same thing
 HIDDEN = 15  # frames that a thing may be hidden
@@ -156,7 +156,7 @@ class Identities:
             thing = self._things[number]
             followed = thing.seen == frame - 1
             mine = part & (carried == number)
-            mine = mine if mine.sum() >= FEWEST else part & (labels == number)
+            mine = mine if mine.sum() >= MIN_PIXELS else part & (labels == number)
             share = mine.sum() / max(1, thing.whole.sum()) if followed else 1.0
             terms: Terms = 6 if share >= HALF else 3 if share >= LITTLE else 1
             velocity = thing.velocity if followed else None

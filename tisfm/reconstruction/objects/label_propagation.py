@@ -8,8 +8,14 @@ from tisfm.motion.objects.label_optimisation import Potts
 from tisfm.reconstruction.frames.image_motion import ImageMotion, sample_image
 from tisfm.reconstruction.objects.boundaries import refine_boundaries
 
-ANOTHER = 6.0  # what another label than the one that is carried costs
-SEEN, UNSEEN = 0.5, 0.02  # what pixels weigh: those that the motion leads to and back, and others
+# Values without a stated source were set by hand.
+
+# Cost of another label than the propagated one.
+CHANGE_COST = 6.0
+# Data weight of pixels where forward and backward motion agree.
+FOLLOWED_WEIGHT = 0.5
+# Data weight of all other pixels.
+LOST_WEIGHT = 0.02
 
 
 def propagate_labels(
@@ -45,7 +51,7 @@ def _carried(motion: ImageMotion, frame: int, other: int, labels: np.ndarray) ->
     numbers = np.unique(labels)
     led = next(led for led in motion.chained_flows(frame, 1) if led.frame == other)
     shares = np.stack([sample_image(np.float32(labels == k), led.places) for k in numbers])
-    costs = np.where(led.found, ANOTHER * (1 - shares), 0).astype(np.float32)
-    weight = np.where(led.found, SEEN, UNSEEN).astype(np.float32)
+    costs = np.where(led.found, CHANGE_COST * (1 - shares), 0).astype(np.float32)
+    weight = np.where(led.found, FOLLOWED_WEIGHT, LOST_WEIGHT).astype(np.float32)
     found = numbers[Potts(motion.grey(frame)).assign(costs, weight)]
     return refine_boundaries(found, motion, frame)

@@ -9,13 +9,26 @@ from tisfm.motion.objects.candidates import smallest_object
 from tisfm.motion.objects.label_optimisation import Potts
 from tisfm.reconstruction.objects.motion_evidence import DOUBT, Evidence
 
-# Of mean evidence: where the boundary lies; of a core, which a thing has to have, with so many
-# frames that say something; and the share of the smallest thing that is core.
-BOUNDARY, CORE, CORE_WEIGHT, CORE_SHARE = -0.3, 0.3, 1.5, 0.25
-KNOWN = 0.4  # of mean evidence: so much more, where something was seen to move before
-CORE_PART = 0.15  # and of the part itself: what is hardly shown anywhere is no thing
-SURE = 4.0  # frames that say something: more have no more say in the boundary
-SEEN, UNSEEN = 0.5, 0.02  # what pixels weigh in the boundary: those of sure evidence, and others
+# Values without a stated source were set by hand.
+
+# Mean evidence, −1 (static) to 3 (moving), at the boundary of a moving region.
+REGION_EVIDENCE = -0.3
+# Mean evidence of the core of a region. A new object needs a core.
+CORE_EVIDENCE = 0.3
+# Frames with evidence that a pixel of the core needs.
+MIN_CORE_FRAMES = 1.5
+# Pixels of the core, as a share of the smallest object.
+MIN_CORE_OF_SMALLEST = 0.25
+# Pixels of the core, as a share of the region.
+MIN_CORE_SHARE = 0.15
+# Mean evidence that is added where a known object is expected.
+KNOWN_OBJECT_BONUS = 0.4
+# Frames with evidence that give a pixel its full data weight.
+FULL_WEIGHT_FRAMES = 4.0
+# This full data weight, against the smoothness of labels.
+MAX_DATA_WEIGHT = 0.5
+# Share of the full data weight without any evidence.
+MIN_DATA_SHARE = 0.02
 
 
 def find_moving_regions(
@@ -31,10 +44,14 @@ def find_moving_regions(
         What belongs to things that were seen to move before.
     """
     mean = evidence.mean()
-    core = (mean > CORE) & (evidence.weight > CORE_WEIGHT)
-    mean += np.float32(KNOWN) * known
-    costs = np.stack([2 * np.clip(mean - BOUNDARY, 0, 3), 4 * np.clip(BOUNDARY - mean, 0, 1)])
-    weight = SEEN * np.clip((evidence.weight + DOUBT) / SURE, UNSEEN, 1)
+    core = (mean > CORE_EVIDENCE) & (evidence.weight > MIN_CORE_FRAMES)
+    mean += np.float32(KNOWN_OBJECT_BONUS) * known
+    costs = np.stack(
+        [2 * np.clip(mean - REGION_EVIDENCE, 0, 3), 4 * np.clip(REGION_EVIDENCE - mean, 0, 1)]
+    )
+    weight = MAX_DATA_WEIGHT * np.clip(
+        (evidence.weight + DOUBT) / FULL_WEIGHT_FRAMES, MIN_DATA_SHARE, 1
+    )
     moving = Potts(grey).assign(costs.astype(np.float32), weight.astype(np.float32)) == 1
     count, parts, statistics, _ = cv2.connectedComponentsWithStats(
         moving.astype(np.uint8), connectivity=4
@@ -43,5 +60,7 @@ def find_moving_regions(
     smallest = smallest_object(grey.size)
     for part in range(1, count):
         if statistics[part, cv2.CC_STAT_AREA] >= smallest:
-            enough = max(CORE_SHARE * smallest, CORE_PART * statistics[part, cv2.CC_STAT_AREA])
+            enough = max(
+                MIN_CORE_OF_SMALLEST * smallest, MIN_CORE_SHARE * statistics[part, cv2.CC_STAT_AREA]
+            )
             yield parts == part, bool(cores[part] >= enough)

@@ -19,12 +19,21 @@ from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.tracks.tracker import CELLS, Observations
 from tisfm.settings import Settings
 
-FEWEST_FRAMES, FEWEST_PIXELS = 3, 400
-RIM = 5  # px that no track comes nearer to the thing's border, across
-FINEST = 6  # px from track to track
-# Px about a thing, of which depth is found as well; and what its part of frames begins at is a
-# multiple of this many, as pixels of the coarsest level that is matched are whole then.
-MARGIN, ALIGNED = 24, 16
+# Values without a stated source were set by hand.
+
+# Frames that show an object.
+MIN_FRAMES = 3
+# Pixels of the object in each of these frames.
+MIN_PIXELS = 400
+# px: width of the rim of an object without tracks.
+RIM_WIDTH = 5
+# px from track to track.
+MIN_TRACK_DISTANCE = 6
+# px around an object: depth is found there too.
+BOX_MARGIN = 24
+# px: the box of an object starts at a multiple of this number, since pixels of the coarsest
+# matched level are whole then.
+BOX_ALIGNMENT = 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,16 +118,14 @@ def find_object_path(
     with_depth : bool
         Or the path alone.
     """
-    numbers = [
-        frame for frame in thing.frames if (labelled(frame) == thing.id).sum() >= FEWEST_PIXELS
-    ]
-    if len(numbers) < FEWEST_FRAMES:
-        return f"it is too small, or seen in fewer than {FEWEST_FRAMES} frames"
+    numbers = [frame for frame in thing.frames if (labelled(frame) == thing.id).sum() >= MIN_PIXELS]
+    if len(numbers) < MIN_FRAMES:
+        return f"it is too small, or seen in fewer than {MIN_FRAMES} frames"
     own = _FramesOf(frames, numbers, labelled, thing.id)
     side = float(np.median(np.sqrt(thing.boxes[:, 2] * thing.boxes[:, 3])))
     longer = max(frames.shape)
-    cells = min(CELLS * longer / max(side, 1.0), longer / FINEST)
-    rim = np.ones((RIM, RIM), np.uint8)
+    cells = min(CELLS * longer / max(side, 1.0), longer / MIN_TRACK_DISTANCE)
+    rim = np.ones((RIM_WIDTH, RIM_WIDTH), np.uint8)
 
     def tracked(number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         grey = np.rint(own.grey(number)).clip(0, 255).astype(np.uint8)
@@ -174,7 +181,10 @@ def _box_of(own: Frames, frames: Iterable[int]) -> tuple[slice, slice]:
         counts |= True if counted is None else counted
     left, top, width, height = cv2.boundingRect(np.uint8(counts))
     rows, columns = (
-        slice(max(0, first - MARGIN) // ALIGNED * ALIGNED, min(first + length + MARGIN, most))
+        slice(
+            max(0, first - BOX_MARGIN) // BOX_ALIGNMENT * BOX_ALIGNMENT,
+            min(first + length + BOX_MARGIN, most),
+        )
         for first, length, most in zip((top, left), (height, width), own.shape, strict=True)
     )
     return rows, columns

@@ -14,10 +14,16 @@ from tisfm.motion.objects.contacts import contact_scale
 from tisfm.reconstruction.objects.object_path import ObjectPath
 from tisfm.reconstruction.result.moving_object import ScaleFrom
 
-# Of its points along an axis: what they reach over leaves out as many at both ends.
-OUTLYING = 0.03
-AROUND = 15  # px about a thing, that may tell how far away it is
-BOXES, MOST_POINTS = 2000, 1000  # of which the smallest is taken, and points that are looked at
+# Values without a stated source were set by hand.
+
+# Share of the points that is dropped at both ends of an axis before an extent is measured.
+TRIMMED_SHARE = 0.03
+# px around an object whose depth may tell its distance.
+SURROUNDINGS = 15
+# Orientations of a box that are tried for the smallest one.
+BOX_TRIALS = 2000
+# Points that boxes are fitted to.
+MAX_BOX_POINTS = 1000
 
 
 def find_object_scale(
@@ -56,7 +62,7 @@ def find_object_scale(
         contact = contact_scale(both, labels, mine & ~sure, number)
         if contact is not None:
             contacts.append(1 / contact)
-        window = np.ones((2 * AROUND + 1, 2 * AROUND + 1), np.uint8)
+        window = np.ones((2 * SURROUNDINGS + 1, 2 * SURROUNDINGS + 1), np.uint8)
         ring = (cv2.dilate(np.uint8(mine), window) > 0) & (labels == 0) & (behind > 0)
         if ring.any():
             # It hides what is around it, so it is at least as near as the nearest there.
@@ -71,7 +77,7 @@ def find_object_scale(
 
 def reach(points: np.ndarray) -> np.ndarray:
     """Return how far points, (N, 3), reach along each axis, (3,), without those at both ends."""
-    low, high = np.quantile(points, [OUTLYING, 1 - OUTLYING], axis=0)
+    low, high = np.quantile(points, [TRIMMED_SHARE, 1 - TRIMMED_SHARE], axis=0)
     return np.asarray(high - low)
 
 
@@ -80,9 +86,9 @@ def longest_side(points: np.ndarray) -> float:
 
     However they are turned, it is the same. Its sides are as `reach` measures.
     """
-    some = points[:: 1 + len(points) // MOST_POINTS]
+    some = points[:: 1 + len(points) // MAX_BOX_POINTS]
     random = np.random.default_rng(0)
-    turns = Rotation.from_quat(random.normal(size=(BOXES, 4))).as_matrix()
+    turns = Rotation.from_quat(random.normal(size=(BOX_TRIALS, 4))).as_matrix()
     sides = np.stack([reach(some @ turn) for turn in turns])
     surface = (sides * np.roll(sides, 1, axis=1)).sum(axis=1)
     return float(sides[surface.argmin()].max())

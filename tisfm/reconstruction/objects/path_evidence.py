@@ -20,11 +20,16 @@ from tisfm.reconstruction.objects.motion_evidence import (
     shown,
 )
 
-STEPS = (1, 2, 3, 5, 8)  # frames before and after that one depth has to serve
-ROUNDS, BEYOND = 3, 3.0  # of the robust fit of depth; deviations from which on frames count less
-# Of the longer side: where the usual distance of a pixel from its place at rest is more, the path
-# is none of what is at rest.
-WRONG = 1.5e-3
+# Values without a stated source were set by hand.
+
+# Frames before and after that one depth has to explain.
+FRAME_STEPS = (1, 2, 3, 5, 8)
+# Reweighted rounds of the robust fit of depth.
+FIT_ROUNDS = 3
+# px per root of the frame step: error with half the weight.
+OUTLIER_PIXELS = 3.0
+# Share of the longer side: if the usual error is larger, the path is not that of static points.
+MAX_USUAL_ERROR = 1.5e-3
 
 
 def path_evidence(
@@ -54,9 +59,9 @@ def path_evidence(
         return None
     shape = motion.grey(frame).shape
     views: list[tuple[ChainedFlow, StaticMotion]] = []
-    for led in motion.chained_flows(frame, max(STEPS)):
+    for led in motion.chained_flows(frame, max(FRAME_STEPS)):
         other = poses[led.frame]
-        if led.steps in STEPS and other is not None:
+        if led.steps in FRAME_STEPS and other is not None:
             relative = np.linalg.inv(other) @ pose
             views.append((led, StaticMotion(relative[:3, :3], relative[:3, 3], camera, shape)))
     if len(views) < 2:
@@ -67,7 +72,7 @@ def path_evidence(
     if resting.sum() < 100:
         return None
     usual = 1.48 * float(np.median(far[resting]))
-    if usual > WRONG * max(shape):
+    if usual > MAX_USUAL_ERROR * max(shape):
         return None
     usual += LEAST_DEVIATION / 2 * max(shape)  # many frames are surer than one
     says = np.clip((far / (usual * NEUTRAL)) ** 2 - 1, AT_REST, MOVING)
@@ -87,14 +92,14 @@ def _joint_depth(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the inverse depth that serves frames best, and how far it is off, px, (H, W) each."""
     inverse_depth = np.zeros(shape, np.float32)
-    for number in range(ROUNDS):
+    for number in range(FIT_ROUNDS):
         squares, products = np.full(shape, 1e-12, np.float32), np.zeros(shape, np.float32)
         for led, at_rest in views:
             slope, missed = at_rest.slope_and_missed(inverse_depth, led.places)
             weight = led.found / np.float32(led.steps)  # of chains, errors add up
             if number:
                 off = np.linalg.norm(missed, axis=-1) / np.float32(led.steps**0.5)
-                weight = weight / (1 + (off / BEYOND) ** 2)
+                weight = weight / (1 + (off / OUTLIER_PIXELS) ** 2)
             squares += weight * (slope * slope).sum(axis=-1)
             products += weight * (slope * missed).sum(axis=-1)
         inverse_depth = np.maximum(inverse_depth + products / squares, 0)

@@ -17,7 +17,7 @@ from tisfm.reconstruction.objects.motion_evidence import (
     accumulate_evidence,
     evidence_of,
 )
-from tisfm.reconstruction.objects.moving_regions import BOUNDARY
+from tisfm.reconstruction.objects.moving_regions import REGION_EVIDENCE
 from tisfm.reconstruction.objects.path_evidence import path_evidence
 
 KNOWN, HALF = 0.3, AT_REST / 2  # frames that say something, and what they say of what is at rest
@@ -73,7 +73,7 @@ class SequenceLabels:
         both = DiskCache(Evidence.arrays, Evidence.of_arrays)
         depths = DiskCache(StaticDepth.arrays, StaticDepth.of_arrays)
         for frame, own in enumerate(self._evidence):
-            moving = self._together[frame].mean() > BOUNDARY
+            moving = self._together[frame].mean() > REGION_EVIDENCE
             more = path_evidence(self._motion, frame, poses, small, moving)
             if more is None:
                 both.append(own)

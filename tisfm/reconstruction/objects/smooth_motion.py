@@ -6,9 +6,16 @@ import numpy as np
 
 from tisfm.reconstruction.frames.image_motion import ImageMotion, pixel_grid, vector_lengths
 
-FEWEST, FEWEST_QUADRATIC = 30, 400  # pixels that a smooth motion is fitted to
-STARTING = 1.0  # px from a velocity: what moves otherwise counts little at first
-LEAST_DEVIATION = 0.2  # px, of what a smooth motion misses
+# Values without a stated source were set by hand.
+
+# Pixels that a smooth motion is fitted to.
+MIN_PIXELS = 30
+# Pixels that a quadratic motion is fitted to.
+MIN_PIXELS_QUADRATIC = 400
+# px from the expected velocity: pixels with another motion count little in the first round.
+START_TOLERANCE = 1.0
+# px: standard deviation of a smooth motion at least.
+MIN_DEVIATION = 0.2
 
 Terms = Literal[1, 3, 6]
 
@@ -56,7 +63,7 @@ class SmoothMotions:
         deviations = []
         for way, (flow, found) in enumerate(self._ways):
             inside = mask & found
-            if inside.sum() < FEWEST:
+            if inside.sum() < MIN_PIXELS:
                 continue
             sign = 1 if self._later and way == 0 else -1
             start = None if velocity is None else sign * velocity
@@ -64,7 +71,7 @@ class SmoothMotions:
             deviations.append(1.48 * float(np.median(missed[inside])))
             total += np.where(found, missed, 0)
             count += found
-        deviation = max([LEAST_DEVIATION, *deviations])
+        deviation = max([MIN_DEVIATION, *deviations])
         return total / np.maximum(count, 1), deviation
 
 
@@ -87,12 +94,12 @@ def smooth_motion(
     size = max(1.0, float(max(np.ptp(columns), np.ptp(rows))) / 2)
     x, y = np.moveaxis((pixel_grid(flow.shape) - middle) / size, -1, 0).clip(-2, 2)
     shapes = [np.ones_like(x), x, y, x * x, x * y, y * y]
-    stacked = np.stack(shapes[: terms if len(rows) >= FEWEST_QUADRATIC else min(terms, 3)], -1)
+    stacked = np.stack(shapes[: terms if len(rows) >= MIN_PIXELS_QUADRATIC else min(terms, 3)], -1)
     every = max(1, len(rows) // 4000)
     inside, moved = stacked[mask][::every], flow[mask][::every].astype(np.float64)
     weight = np.ones(len(moved))
     if start is not None:
-        weight = 1 / (1 + (np.linalg.norm(moved - start, axis=1) / STARTING) ** 2) ** 2
+        weight = 1 / (1 + (np.linalg.norm(moved - start, axis=1) / START_TOLERANCE) ** 2) ** 2
     for _ in range(5):
         weighted = inside * weight[:, None]
         gram = weighted.T @ inside + 1e-6 * len(moved) * np.eye(inside.shape[1])

@@ -10,7 +10,8 @@ from tisfm.status import Status
 from tisfm.trajectory import Trajectory
 from tisfm.trajectory.times import are_increasing, associate
 
-REACH = 0.5  # of the time from a frame to the next, in the median: no pose is farther away
+# Share of the median interval between frames: largest time from a frame to its pose.
+MAX_TIME_SHARE = 0.5
 
 
 def poses_of_frames(
@@ -45,7 +46,7 @@ def poses_of_frames(
         poses = given.poses
     else:
         known = np.array(times, np.float64)
-        reach = REACH * float(np.median(np.diff(known)))
+        reach = MAX_TIME_SHARE * float(np.median(np.diff(known)))
         frames, places = associate(known, given.times, farthest=reach)
         if not len(frames):
             raise InputError(

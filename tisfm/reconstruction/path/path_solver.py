@@ -13,7 +13,7 @@ from tisfm.reconstruction.calibration.self_calibration import (
     undistort_points,
 )
 from tisfm.reconstruction.frames.disk_cache import DiskCache
-from tisfm.reconstruction.mapping.incremental import FEWEST, SMALLEST
+from tisfm.reconstruction.mapping.incremental import MIN_SHARED, MIN_VIEWS
 from tisfm.reconstruction.mapping.models import (
     Model,
     find_models,
@@ -29,7 +29,7 @@ from tisfm.reconstruction.mapping.solution import (
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.rolling_shutter.unrolled_path import find_unrolled_path
 from tisfm.reconstruction.rolling_shutter.unrolled_tracks import TrackUnroller
-from tisfm.reconstruction.submaps.joining import MOST, focal_from_submaps, models_from_submaps
+from tisfm.reconstruction.submaps.joining import MAX_VIEWS, focal_from_submaps, models_from_submaps
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, SequenceTracks
 from tisfm.reconstruction.tracks.tracker import CELLS, Observations
 from tisfm.reconstruction.tracks.views import View
@@ -143,7 +143,7 @@ class PathSolver:
         def near(
             views: Sequence[View], seen: Sequence[Observations], before: Sequence[Piece]
         ) -> PathSolution:
-            if len(views) > MOST:
+            if len(views) > MAX_VIEWS:
                 models = models_from_submaps(
                     views, matches, pinhole, self.tracks.shape, seen, focal_known=self._focal_stated
                 )
@@ -157,7 +157,7 @@ class PathSolver:
         )
         if rolling is None:
             return solution, None
-        if len(found.views) <= MOST:
+        if len(found.views) <= MAX_VIEWS:
             # A path that was bent by what rows do may stay so. Another begins without it.
             calibrate: Calibrate = "focal" if self.calibrate == "focal" else "nothing"
             anew = self._solution(found.views, found.seen, pinhole, calibrate)
@@ -190,7 +190,7 @@ class PathSolver:
     ) -> PathSolution:
         """Return the path through views and tracks in every frame."""
         matches, shape, focal = self.tracks.matches, self.tracks.shape, None
-        if len(views) > MOST:  # memory is to be bounded
+        if len(views) > MAX_VIEWS:  # memory is to be bounded
             if calibrate != "nothing":
                 focal = focal_from_submaps(
                     views, matches, camera, shape, calibrate, limit=self.limit
@@ -360,17 +360,17 @@ def status_of_lost(
         Whether the focal length was stated: then a path may begin before a plane.
     """
     count = len(seen.tracks)
-    if count < FEWEST:
+    if count < MIN_SHARED:
         return Status(
             "no_texture",
             f"it shows {count} points that could be followed: it is dark, bare or blurred",
         )
     if not pieces and different < 2:
         return Status("no_motion", "frames hardly differ: the camera has to change its place")
-    if not pieces and different < SMALLEST:
+    if not pieces and different < MIN_VIEWS:
         return Status(
             "little_parallax",
-            f"only {different} frames differ, but a path needs {SMALLEST}: take more frames, or "
+            f"only {different} frames differ, but a path needs {MIN_VIEWS}: take more frames, or "
             "give the pair to tisfm.interpret",
         )
     if not pieces and focal_known:

@@ -15,19 +15,30 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.tracks.views import View
 from tisfm.shutter import transported
 
-FEWEST_VIEWS = 3  # that see a point
-VIEWS, OBSERVATIONS = 60, 8000  # at most: those at which the camera turns most
-OUTLYING = (3.0, 1.0)  # px: residuals beyond count less and less; the first is to begin with
-STEPS = 4  # of Gauss–Newton, with each
-DAMPING = 1e-4  # of the steps, as a share of the diagonal
-# Of the deviation, as a share of the diagonal. A larger one would act as a prior, and hide that the
-# focal length or poses explain the same.
-LEAST_DAMPING = 1e-10
-BEHIND = 1e-6  # of the usual depth: nearer points are not seen
-# Times the deviation that independent residuals would leave: films whose rows are read at once are
-# off by so many of those.
-DEPENDENT = 5.5
-FARTHEST = 100.0  # px: of what is further off, nothing is said
+# Values without a stated source were set by hand.
+
+# Views that show a point.
+MIN_VIEWS = 3
+# Consecutive views that are used: those in which the camera rotates most.
+MAX_VIEWS = 60
+# Observations of points that most views show.
+MAX_OBSERVATIONS = 8000
+# px: residuals beyond this have a decreasing weight; the first value is for the first steps.
+OUTLIER_PIXELS = (3.0, 1.0)
+# Gauss–Newton steps with each of these values.
+STEPS_PER_SCALE = 4
+# Damping of the steps, as a share of the diagonal.
+DAMPING = 1e-4
+# Damping of the system that gives the standard deviation, as a share of the diagonal. A larger one
+# would act as a prior, and hide that the focal length or poses explain the same effect.
+MIN_DAMPING = 1e-10
+# Depth, in the usual depth: nearer points are not visible.
+MIN_DEPTH = 1e-6
+# Standard deviation, as a multiple of that of independent residuals: the errors of films with a
+# global shutter are this much larger.
+DEPENDENCE = 5.5
+# px: observations with a larger residual are ignored.
+MAX_RESIDUAL = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +98,7 @@ def estimate_readout(
         None where views have too little in common.
     """
     numbers = [k for k, view in enumerate(views) if view.frame in rates]
-    if len(numbers) < FEWEST_VIEWS:
+    if len(numbers) < MIN_VIEWS:
         return None
     numbers = _turning(numbers, views, rates)
     seen = _seen_by(views, matches, numbers)
@@ -102,22 +113,22 @@ def estimate_readout(
         shape,
         begun,
     )
-    for outlying in OUTLYING:
-        for _ in range(STEPS):
+    for outlying in OUTLIER_PIXELS:
+        for _ in range(STEPS_PER_SCALE):
             problem.step(outlying)
-    deviation = problem.deviation(OUTLYING[-1])
-    return ReadoutEstimate(readout=problem.readout, deviation=DEPENDENT * deviation)
+    deviation = problem.deviation(OUTLIER_PIXELS[-1])
+    return ReadoutEstimate(readout=problem.readout, deviation=DEPENDENCE * deviation)
 
 
 def _turning(
     numbers: list[int], views: Sequence[View], rates: Mapping[int, np.ndarray]
 ) -> list[int]:
     """Return as many views in a row as are taken, those at which the camera turns most."""
-    if len(numbers) <= VIEWS:
+    if len(numbers) <= MAX_VIEWS:
         return numbers
     turns = np.cumsum([0.0, *(np.linalg.norm(rates[views[k].frame][3:]) for k in numbers)])
-    first = int(np.argmax(turns[VIEWS:] - turns[:-VIEWS]))
-    return numbers[first : first + VIEWS]
+    first = int(np.argmax(turns[MAX_VIEWS:] - turns[:-MAX_VIEWS]))
+    return numbers[first : first + MAX_VIEWS]
 
 
 def _seen_by(
@@ -151,8 +162,8 @@ def _seen_by(
     often = np.bincount(whole.point)
     often[wrong] = 0
     ranked = np.sort(often)[::-1]
-    enough = ranked[np.searchsorted(np.cumsum(ranked), OBSERVATIONS).clip(0, len(ranked) - 1)]
-    return whole.of(often[whole.point] >= max(FEWEST_VIEWS, enough))
+    enough = ranked[np.searchsorted(np.cumsum(ranked), MAX_OBSERVATIONS).clip(0, len(ranked) - 1)]
+    return whole.of(often[whole.point] >= max(MIN_VIEWS, enough))
 
 
 class _Problem:
@@ -198,7 +209,7 @@ class _Problem:
 
     def deviation(self, outlying: float) -> float:
         """Return the deviation of the readout, if residuals were independent."""
-        return self._solved(*self._linearised(outlying), LEAST_DAMPING)[2]
+        return self._solved(*self._linearised(outlying), MIN_DAMPING)[2]
 
     def _linearised(self, outlying: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return derivatives by views, by points, and by readout and log focal; and residuals.
@@ -210,11 +221,11 @@ class _Problem:
         late = self.readout * self._late
         speed = self._rates[view, :3] + np.cross(self._rates[view, 3:], local)
         moved = local + late[:, None] * speed
-        z = np.maximum(moved[:, 2], BEHIND)
+        z = np.maximum(moved[:, 2], MIN_DEPTH)
         seen = self._focal * moved[:, :2] / z[:, None]
         off = seen - self._places
         square = (off**2).sum(axis=1)
-        counts = (moved[:, 2] > BEHIND) & (square < FARTHEST**2)
+        counts = (moved[:, 2] > MIN_DEPTH) & (square < MAX_RESIDUAL**2)
         weight = np.where(counts, 1 / (1 + square / outlying**2), 0)
         root = np.sqrt(weight)[:, None, None]
         slope = np.zeros((len(z), 2, 3))

@@ -14,13 +14,21 @@ from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 from tisfm.shutter import Rolling, rates_of
 
-SEEN = 4.0  # deviations from 0: of a readout that is taken
-MOST = 1.0  # interval: a frame has been read when the next one begins
-ROUNDS, SAME = 4, 0.02  # of path and readout, at most; and a change that is none
-KNOWN_ROUNDS = 2  # of a path whose readout is known
-# A path that was found with too little readout hides a part of the rest: how much of each change
-# is foreseen to come again, at most.
-HIDDEN = 0.6
+# Values without a stated source were set by hand.
+
+# Standard deviations from 0: a readout time that is nearer to 0 is dropped.
+MIN_SIGNIFICANCE = 4.0
+# Intervals between frames: a frame is read before the next one begins.
+MAX_READOUT = 1.0
+# Rounds of path and readout time.
+MAX_ROUNDS = 4
+# Intervals: with a smaller change, the rounds end.
+MIN_CHANGE = 0.02
+# Rounds of a path whose readout time is known.
+KNOWN_ROUNDS = 2
+# A path that was found with too small a readout time hides a part of the rest: the share of each
+# change that is expected to come again, at most.
+MAX_HIDDEN_SHARE = 0.6
 
 Near = Callable[[Sequence[View], Sequence[Observations], Sequence[Piece]], PathSolution]
 
@@ -60,15 +68,15 @@ def find_unrolled_path(
         views.append(View(frame=view.frame, seen=way.seen[view.frame], detected=detected))
     found, rolling = way, None
     value, deviation, change = readout or 0.0, 0.0, 0.0
-    for number in range(ROUNDS if readout is None else KNOWN_ROUNDS):
+    for number in range(MAX_ROUNDS if readout is None else KNOWN_ROUNDS):
         if readout is None:
             estimate = _estimate(found, views, matches, instants, camera, shape, begun=value)
             if estimate is None or not _is_seen(estimate):
                 break
             before, change = change, estimate.readout - value
-            if number and abs(change) < SAME:
+            if number and abs(change) < MIN_CHANGE:
                 break
-            hidden = min(max(change / before, 0.0), HIDDEN) if before else 0.0
+            hidden = min(max(change / before, 0.0), MAX_HIDDEN_SHARE) if before else 0.0
             value, last = _taken(value + change / (1 - hidden)), value
             deviation = float(f"{estimate.deviation:.3g}")
             if number and value == last:  # it is as much as it can be
@@ -89,13 +97,13 @@ def _is_seen(estimate: ReadoutEstimate) -> bool:
 
     Of a deviation by which none that a camera has would differ from 0, nothing is believed.
     """
-    least = SEEN * estimate.deviation
-    return least < MOST and least < abs(estimate.readout) < MOST + least
+    least = MIN_SIGNIFICANCE * estimate.deviation
+    return least < MAX_READOUT and least < abs(estimate.readout) < MAX_READOUT + least
 
 
 def _taken(readout: float) -> float:
     """Return a readout as it is taken: whole thousandths, so that no rounding gets further."""
-    return round(min(max(readout, -MOST), MOST), 3)
+    return round(min(max(readout, -MAX_READOUT), MAX_READOUT), 3)
 
 
 def _estimate(

@@ -14,7 +14,8 @@ from tisfm.reconstruction.tracks.triangulation import points_of_tracks
 from tisfm.reconstruction.tracks.views import View
 from tisfm.shutter import Rolling, at_middle, rates_of
 
-NEAR = 3  # tracks around a point, whose median depth it is taken to have
+# Tracks around a detected point: their median depth is used for the point. Set by hand.
+DEPTH_NEIGHBOURS = 3
 
 
 class TrackUnroller:
@@ -94,7 +95,7 @@ class TrackUnroller:
             return replace(view, seen=self.tracks(frame))
         depth, known = self._depths[frame]
         _, near = cKDTree(self._seen[frame].points[known]).query(
-            view.detected, k=min(NEAR, int(known.sum()))
+            view.detected, k=min(DEPTH_NEIGHBOURS, int(known.sum()))
         )
         around = np.median(depth[known][near].reshape(len(view.detected), -1), axis=1)
         return replace(

@@ -14,8 +14,10 @@ from tisfm.sources import BadFrames, FrameSource, Source
 from tisfm.sources.frame_reader import is_integer
 from tisfm.sources.masks import Mask
 
-DELAY = 60  # frames
-SHORTEST = 6  # frames: of a delay
+# Frames between reading and yielding a frame, by default. Set by hand.
+DEFAULT_DELAY = 60
+# Frames: the shortest delay that can be asked for. Set by hand.
+MIN_DELAY = 6
 
 
 def reconstruct_stream(
@@ -25,7 +27,7 @@ def reconstruct_stream(
     calibrate: Calibrate | None = None,
     settings: Settings | None = None,
     mask: Mask | None = None,
-    delay: int = DELAY,
+    delay: int = DEFAULT_DELAY,
     step: int = 1,
     start: int = 0,
     stop: int | None = None,
@@ -97,8 +99,8 @@ def reconstruct_stream(
     camera, _ = checked_camera(camera)
     if not is_integer(delay):
         raise InputTypeError(f"delay is {delay!r}: expected a whole number of frames")
-    if delay < SHORTEST:
-        raise InputError(f"delay is {delay}: expected {SHORTEST} frames at least")
+    if delay < MIN_DELAY:
+        raise InputError(f"delay is {delay}: expected {MIN_DELAY} frames at least")
     frames = FrameSource(
         source,
         step=step,

@@ -24,8 +24,12 @@ from tisfm.reconstruction.tracks.views import View, ViewSelection
 from tisfm.shutter import Rolling, instants_of
 from tisfm.status import Status
 
-REMEMBERED = 16  # views with poses that stay, from which the path is continued
-ANCHORS = 6  # of them at least: where there are fewer, later ones stay as well
+# Values without a stated source were set by hand.
+
+# Views with fixed poses from which the path is continued.
+FIXED_VIEWS = 16
+# With fewer fixed views, the poses of later views are fixed as well.
+MIN_FIXED_VIEWS = 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -243,7 +247,7 @@ class SlidingPath:
             if min(piece.poses) > last:
                 continue
             held = {frame: pose for frame, pose in piece.poses.items() if frame <= last}
-            missing = ANCHORS - sum(frame in held for frame in piece.views)
+            missing = MIN_FIXED_VIEWS - sum(frame in held for frame in piece.views)
             later = [frame for frame in sorted(piece.views) if frame > last]
             held.update({frame: piece.poses[frame] for frame in later[: max(0, missing)]})
             self._held[number] = held
@@ -259,7 +263,7 @@ class SlidingPath:
         views = self._views
         frames = [view.frame for view in views.chosen]
         settled = sum(frame <= self.settled for frame in frames)
-        views.forget(max(0, settled - REMEMBERED))
+        views.forget(max(0, settled - FIXED_VIEWS))
         of_views = {view.frame for view in views.chosen}
         gone = [frame for frame in self.seen.frames() if frame < before and frame not in kept]
         for frame in gone:

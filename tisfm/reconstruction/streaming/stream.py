@@ -17,7 +17,7 @@ from tisfm.reconstruction.calibration.source_camera import (
 )
 from tisfm.reconstruction.depth.pose_adjustment import adjust_poses
 from tisfm.reconstruction.depth.segment_depth import (
-    REACH,
+    MAX_FRAME_DISTANCE,
     FrameDepth,
     PieceDepths,
     depth_effort,
@@ -38,7 +38,8 @@ from tisfm.sources.frame_reader import warn_notes
 from tisfm.status import Status
 from tisfm.trajectory.times import time_fault
 
-AHEAD = 3  # a third of the delay is used for the path, but not given out yet
+# The delay divided by this number: frames that the path uses, and that are yielded later.
+LOOKAHEAD_DIVISOR = 3
 
 
 class Stream:
@@ -103,7 +104,7 @@ class Stream:
                 del frame  # or it would be held while others are worked on
                 count += 1
                 if len(self._about) > self._delay:
-                    yield from self._given(count - 1 - self._delay // AHEAD)
+                    yield from self._given(count - 1 - self._delay // LOOKAHEAD_DIVISOR)
             if self._about and (count > 1 or fault is not None):
                 yield from self._given(count - 1, at_end=True)
         if fault is not None:
@@ -281,7 +282,7 @@ class Stream:
         """Forget what the path and depth of later frames do not need."""
         self._frames.settle(self._path.settled)
         kept = {key for key, _ in self._keys.values()}
-        for frame in self._path.forget(self._path.settled + 1 - REACH, kept=kept):
+        for frame in self._path.forget(self._path.settled + 1 - MAX_FRAME_DISTANCE, kept=kept):
             self._frames.forget(frame)
         alive = self._path.pieces
         self._keys = {number: key for number, key in self._keys.items() if number in alive}

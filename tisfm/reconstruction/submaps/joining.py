@@ -20,7 +20,7 @@ from tisfm.reconstruction.geometry.sim3 import (
     transform_pose,
 )
 from tisfm.reconstruction.geometry.sim3_graph import Edge, optimise_sim3_graph
-from tisfm.reconstruction.mapping.incremental import SMALLEST
+from tisfm.reconstruction.mapping.incremental import MIN_VIEWS
 from tisfm.reconstruction.mapping.models import Model
 from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.result.calibration import Calibrate
@@ -29,22 +29,35 @@ from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import triangulate_tracks
 from tisfm.reconstruction.tracks.views import View
 
-MOST, OVERLAP = 370, 40  # views of a part, at most, and of two parts that follow one another
-GROUPS, SMALLEST_GROUP = 120, 8  # of views: about so many, of so many views at least
-# Points that two groups share; at a joint, and where a place is seen again, those that agree, and
-# their share.
-FEWEST, FEWEST_AGREE, SHARE_AGREE = 15, 20, 0.5
-SAMPLE = 60  # points that an edge keeps
-EXACT = 0.002  # of their distance: no points are more exact
+# Values without a stated source were set by hand.
+
+# Views of a submap.
+MAX_VIEWS = 370
+# Views that consecutive submaps share.
+OVERLAP_VIEWS = 40
+# Groups of views that all submaps are divided into, roughly.
+GROUP_COUNT = 120
+# Views of a group.
+MIN_GROUP_VIEWS = 8
+# Points that two groups of one submap share.
+MIN_SHARED_POINTS = 15
+# Points that agree on a similarity, between submaps and at loops,
+MIN_INLIERS = 20
+# and their share of all points.
+MIN_INLIER_SHARE = 0.5
+# Points that an edge of the graph keeps.
+EDGE_POINTS = 60
+# Error of a point, as a share of its distance: no point is more exact.
+MIN_POINT_ERROR = 0.002
 
 
 def submap_spans(count: int) -> list[tuple[int, int]]:
     """Return the first view of each part, and the one after its last."""
-    if count <= MOST:
+    if count <= MAX_VIEWS:
         return [(0, count)]
-    parts = -(-(count - OVERLAP) // (MOST - OVERLAP))
-    begins = [k * (count - OVERLAP) // parts for k in range(parts + 1)]
-    return [(begin, end + OVERLAP) for begin, end in pairwise(begins)]
+    parts = -(-(count - OVERLAP_VIEWS) // (MAX_VIEWS - OVERLAP_VIEWS))
+    begins = [k * (count - OVERLAP_VIEWS) // parts for k in range(parts + 1)]
+    return [(begin, end + OVERLAP_VIEWS) for begin, end in pairwise(begins)]
 
 
 def focal_from_submaps(
@@ -101,7 +114,7 @@ def models_from_submaps(
     list of Model
         The largest first. A view is in one of them at most.
     """
-    size = max(SMALLEST_GROUP, len(views) // GROUPS)
+    size = max(MIN_GROUP_VIEWS, len(views) // GROUP_COUNT)
     spans = submap_spans(len(views))
     grower = SubmapBuilder(views, matches, camera, shape, spans, size, focal_known=focal_known)
     parts = grower.parts()
@@ -120,7 +133,7 @@ def models_from_submaps(
     # Parts that do not go together both have the views where they overlap: the larger keeps them.
     for poses in sorted(whole, key=lambda one: (-len(one), min(one))):
         own = {frame: pose for frame, pose in poses.items() if frame not in taken}
-        if len(own) >= SMALLEST:
+        if len(own) >= MIN_VIEWS:
             taken.update(own)
             models.append(Model(poses=own, points=triangulate_tracks(seen, own, camera, shape)))
     return sorted(models, key=lambda one: (-len(one.poses), min(one.poses)))
@@ -132,13 +145,15 @@ def _inside(parts: Sequence[Submap], begins: Sequence[int]) -> Iterator[Edge]:
         for first in range(len(part.groups)):
             for second in range(first + 1, len(part.groups)):
                 both = part.shows[first] & part.shows[second]
-                if both.sum() < FEWEST:
+                if both.sum() < MIN_SHARED_POINTS:
                     if second > first + 1:
                         continue
                     both = part.shows[first] | part.shows[second]  # a part does not fall apart
                 points = part.points[both]
                 distances = part.distances(first, points)
-                yield _edge(begin + first, begin + second, np.eye(4), points, distances, EXACT)
+                yield _edge(
+                    begin + first, begin + second, np.eye(4), points, distances, MIN_POINT_ERROR
+                )
 
 
 def _joints(
@@ -157,7 +172,7 @@ def _joints(
             middle = part.posed(shared)[:, :3, 3].mean(axis=0)
             distances = np.linalg.norm(points - middle, axis=1)
             found = fit_sim3_ransac(
-                points, others, distances, fewest=FEWEST_AGREE, share=SHARE_AGREE
+                points, others, distances, fewest=MIN_INLIERS, share=MIN_INLIER_SHARE
             )
             if found is None:
                 continue
@@ -171,10 +186,10 @@ def _joints(
             for first, second, common in _common(part, other, shared):
                 here = np.unique(np.concatenate([views[view].seen.tracks for view in common]))
                 both = agree & np.isin(tracks, here)
-                if both.sum() >= FEWEST:
+                if both.sum() >= MIN_SHARED_POINTS:
                     yield _edge(
                         begins[k] + first, begins[n] + second, similarity,
-                        points[both], distances[both], EXACT,
+                        points[both], distances[both], MIN_POINT_ERROR,
                     )  # fmt: skip
 
 
@@ -216,7 +231,7 @@ def _loops(parts: Sequence[Submap], begins: Sequence[int], matches: Matches) -> 
         points, others, distances = map(np.concatenate, zip(*lots, strict=True))
         _, once = np.unique(np.hstack([points, others]), axis=0, return_index=True)
         points, others, distances = points[once], others[once], distances[once]
-        fit = fit_sim3_ransac(points, others, distances, fewest=FEWEST_AGREE, share=SHARE_AGREE)
+        fit = fit_sim3_ransac(points, others, distances, fewest=MIN_INLIERS, share=MIN_INLIER_SHARE)
         if fit is not None:
             similarity, agree = fit
             off = relative_errors(similarity, points[agree], others[agree], distances[agree])
@@ -235,14 +250,14 @@ def _edge(
     deviation: float,
     certain: bool = True,
 ) -> Edge:
-    some = np.linspace(0, len(points) - 1, min(len(points), SAMPLE)).astype(int)
+    some = np.linspace(0, len(points) - 1, min(len(points), EDGE_POINTS)).astype(int)
     return Edge(
         first=first,
         second=second,
         similarity=similarity,
         points=points[some],
         distances=distances[some],
-        deviation=max(deviation, EXACT),
+        deviation=max(deviation, MIN_POINT_ERROR),
         worth=float(len(points)),
         certain=certain,
     )

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.mapping.incremental import SMALLEST
+from tisfm.reconstruction.mapping.incremental import MIN_VIEWS
 from tisfm.reconstruction.mapping.models import ViewGraph
 from tisfm.reconstruction.tracks.triangulation import TrackPoints
 from tisfm.reconstruction.tracks.views import View
@@ -114,7 +114,7 @@ class SubmapBuilder:
     ) -> list[Submap]:
         """Return what views of a part that are left are in, grown from those of another part."""
         left = set(range(*span)).difference(*(part.poses for part in own))
-        if len(left) < SMALLEST:
+        if len(left) < MIN_VIEWS:
             return []
         for other in sorted(others, key=lambda part: -len(part.poses)):
             known = {view: pose for view, pose in other.poses.items() if span[0] <= view < span[1]}
@@ -147,7 +147,7 @@ class SubmapBuilder:
         return [
             self._part(shared, whole, views, numbers)
             for whole in grown
-            if whole.num_reg_images() >= SMALLEST
+            if whole.num_reg_images() >= MIN_VIEWS
         ]
 
     def _part(

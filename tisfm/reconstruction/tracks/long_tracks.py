@@ -6,9 +6,11 @@ import numpy as np
 
 from tisfm.reconstruction.tracks.tracker import Observations
 
-# Along the longer side: each of a view's cells gives the track that most views see. The first
-# number that gives views so many, in the median, is taken: parts of frames may show nothing.
-CELLS, ENOUGH = (10, 16, 24), 60
+# Cells along the longer side: each cell of a view keeps the track that most views see. The first
+# number with enough tracks is used, since parts of frames may be bare. Set by hand.
+CELL_COUNTS = (10, 16, 24)
+# Tracks of a view, in the median, that are enough. Set by hand.
+MIN_TRACKS = 60
 
 
 def choose_long_tracks(seen: Sequence[Observations], longer_side: int) -> list[Observations]:
@@ -27,9 +29,9 @@ def choose_long_tracks(seen: Sequence[Observations], longer_side: int) -> list[O
     if not seen:
         return []
     chosen: list[np.ndarray] = []
-    for cells in CELLS:
+    for cells in CELL_COUNTS:
         chosen = _chosen(seen, longer_side / cells)
-        if np.median([len(one) for one in chosen]) >= ENOUGH:
+        if np.median([len(one) for one in chosen]) >= MIN_TRACKS:
             break
     kept = np.unique(np.concatenate(chosen))
     return [_of(one, np.isin(one.tracks, kept)) for one in seen]

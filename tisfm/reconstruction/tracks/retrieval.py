@@ -8,13 +8,26 @@ import numpy as np
 from tisfm.motion.sparse_matches import Described
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 
-WORDS, SAMPLE, ROUNDS = 32, 8192, 8  # of the codebook: descriptors that it is clustered from
-PER_VIEW = 3  # earlier views that are compared with a view
-BETWEEN = 3  # views, at least, from one of them to the next
-FEWEST = 30  # points of a view that can be found again
-ALIKE = 0.4  # of the likeness of neighbours: views less alike are not compared
-LEVELS = 255.0
-BLOCK = 512  # views whose codes are in memory at a time
+# Values without a stated source were set by hand.
+
+# Words of the codebook.
+CODEBOOK_SIZE = 32
+# Descriptors that the codebook is clustered from.
+CODEBOOK_SAMPLE = 8192
+# Rounds of this clustering.
+CODEBOOK_ROUNDS = 8
+# Earlier views that a view is matched with.
+CANDIDATES = 3
+# Views between two of these candidates.
+MIN_CANDIDATE_DISTANCE = 3
+# Points of a view with descriptors.
+MIN_POINTS = 30
+# Share of the likeness of neighbouring views: views that are less alike are not matched.
+MIN_LIKENESS = 0.4
+# Largest value of a descriptor, which is kept in 8 bits.
+MAX_LEVEL = 255.0
+# Views whose codes are in memory at a time.
+BLOCK_VIEWS = 512
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +48,7 @@ class ImageDescriptors:
     @classmethod
     def of(cls, found: Described) -> "ImageDescriptors":
         """Return the look of a view with these points."""
-        return cls(points=found.points, levels=np.rint(found.roots * LEVELS).astype(np.uint8))
+        return cls(points=found.points, levels=np.rint(found.roots * MAX_LEVEL).astype(np.uint8))
 
     @classmethod
     def of_arrays(cls, points: np.ndarray, levels: np.ndarray) -> "ImageDescriptors":
@@ -48,7 +61,7 @@ class ImageDescriptors:
 
     def described(self) -> Described:
         """Return the points with their descriptors."""
-        return Described(points=self.points, roots=self.levels.astype(np.float32) / LEVELS)
+        return Described(points=self.points, roots=self.levels.astype(np.float32) / MAX_LEVEL)
 
 
 def find_similar_views(looks: Sequence[ImageDescriptors], *, apart: int) -> list[tuple[int, int]]:
@@ -68,25 +81,27 @@ def find_similar_views(looks: Sequence[ImageDescriptors], *, apart: int) -> list
     Arandjelović and Zisserman, "All about VLAD", CVPR 2013, doi 10.1109/CVPR.2013.207 (each
     word's part is of unit length).
     """
-    seen = [k for k, look in enumerate(looks) if len(look.points) >= FEWEST]
+    seen = [k for k, look in enumerate(looks) if len(look.points) >= MIN_POINTS]
     if len(seen) < 2 or seen[-1] - seen[0] < apart:
         return []
     codebook = _codebook(looks, seen)
     codes = DiskCache[np.ndarray](lambda block: (block,), np.asarray)
     found: list[tuple[float, int, int]] = []
     following = []
-    for begin in range(0, len(seen), BLOCK):
-        block = np.stack([_code(looks[k].levels, codebook) for k in seen[begin : begin + BLOCK]])
+    for begin in range(0, len(seen), BLOCK_VIEWS):
+        block = np.stack(
+            [_code(looks[k].levels, codebook) for k in seen[begin : begin + BLOCK_VIEWS]]
+        )
         likeness = np.hstack([*(block @ before.T for before in codes), block @ block.T])
         codes.append(block)
-        for row, later in enumerate(seen[begin : begin + BLOCK], start=begin):
+        for row, later in enumerate(seen[begin : begin + BLOCK_VIEWS], start=begin):
             alike = likeness[row - begin, :row]
             following += alike[-1:].tolist()
             found += [
                 (float(alike[column]), seen[column], later)
                 for column in _most_alike(alike, seen, later - apart)
             ]
-    least = ALIKE * float(np.median(np.array(following, np.float32)))
+    least = MIN_LIKENESS * float(np.median(np.array(following, np.float32)))
     return [(earlier, later) for like, earlier, later in found if like >= least]
 
 
@@ -94,9 +109,9 @@ def _most_alike(alike: np.ndarray, seen: Sequence[int], last: int) -> list[int]:
     """Return which of the views seen, up to the last one, a view is most alike, in order."""
     chosen: list[int] = []
     for column in np.argsort(-alike, kind="stable").tolist():
-        if len(chosen) == PER_VIEW:
+        if len(chosen) == CANDIDATES:
             break
-        far = all(abs(seen[column] - seen[other]) >= BETWEEN for other in chosen)
+        far = all(abs(seen[column] - seen[other]) >= MIN_CANDIDATE_DISTANCE for other in chosen)
         if seen[column] <= last and far:
             chosen.append(column)
     return sorted(chosen)
@@ -104,17 +119,17 @@ def _most_alike(alike: np.ndarray, seen: Sequence[int], last: int) -> list[int]:
 
 def _codebook(looks: Sequence[ImageDescriptors], seen: Sequence[int]) -> np.ndarray:
     """Return the centres of clusters of descriptors, (WORDS, 128) float32."""
-    each = max(1, SAMPLE // len(seen))
+    each = max(1, CODEBOOK_SAMPLE // len(seen))
     # Some of each view, evenly: seeds of a random choice are not needed.
     some = []
-    for k in seen[:: -(-len(seen) // SAMPLE)]:
+    for k in seen[:: -(-len(seen) // CODEBOOK_SAMPLE)]:
         levels = looks[k].levels
         some.append(levels[np.linspace(0, len(levels) - 1, min(each, len(levels))).astype(int)])
     sample = np.vstack(some).astype(np.float32)
-    centres = sample[np.linspace(0, len(sample) - 1, WORDS).astype(int)]
-    for _ in range(ROUNDS):
+    centres = sample[np.linspace(0, len(sample) - 1, CODEBOOK_SIZE).astype(int)]
+    for _ in range(CODEBOOK_ROUNDS):
         word = _words(sample, centres)
-        for k in range(WORDS):
+        for k in range(CODEBOOK_SIZE):
             if (word == k).any():
                 centres[k] = sample[word == k].mean(axis=0)
     return centres

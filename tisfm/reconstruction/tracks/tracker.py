@@ -9,18 +9,34 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.frames.frame_flow import find_flow, flow_scale, shrink_for_flow
 from tisfm.settings import Settings
 
-CELLS = 32  # along the longer side, unless told otherwise: each has a point begun that has none
-APART = 0.6  # of a cell: of tracks that have come into one square of this side, the oldest goes on
-STRUCTURE = 5  # px: the window in which a point is to stand out
-STANDING_OUT = 0.5  # of the pixels: points are begun where structure is above this quantile
-BORDER = 4  # px that no point comes nearer to
-# The way there and back ends no further from its start: px, and a share of the longer side.
-RETURN, RETURN_SHARE = 0.5, 0.5 / 640
-PATCH = 7  # px across, of what is compared along a track
-UNLIKE = 12.0  # grey levels, mean difference of patches of one track, but for brightness
-# Of the search for the place where a point looks as before: it begins where the flow leads.
-WINDOW, ROUNDS, STEP = 11, 10, 0.01
-FURTHEST = 1.0  # px from where the flow leads: what is found beyond is something else
+# Values without a stated source were set by hand.
+
+# Cells along the longer side, by default: a track begins in every cell without one.
+CELLS = 32
+# Share of a cell: of tracks within one square of this side, the oldest stays.
+MIN_DISTANCE = 0.6
+# px: side of the window that the structure tensor is averaged in.
+STRUCTURE_WINDOW = 5
+# Quantile of the structure of all pixels that a new point exceeds.
+STRUCTURE_QUANTILE = 0.5
+# px: distance of points from the border.
+BORDER = 4
+# px: distance from the start after the way there and back,
+MAX_RETURN_ERROR = 0.5
+# or a share of the longer side, if that is more.
+MAX_RETURN_SHARE = 0.5 / 640
+# px: side of the patches that are compared along a track.
+PATCH_SIDE = 7
+# Grey levels: mean difference of two patches of a track, without their difference in brightness.
+MAX_PATCH_DIFFERENCE = 12.0
+# px: side of the window of the search for the same patch, which begins where the flow leads.
+SEARCH_WINDOW = 11
+# Rounds of this search.
+SEARCH_ROUNDS = 10
+# px: a smaller step ends this search.
+SEARCH_TOLERANCE = 0.01
+# px from where the flow leads: a patch that is found farther away is another one.
+MAX_SEARCH = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +116,7 @@ class Tracker:
                 flow = find_flow(self._small, small, share, self._camera, self._settings)
             points, kept = carry_points(self._grey, grey, points, flow)
             points, tracks = points[kept], tracks[kept]
-            kept = thin_out(points, APART * _cell(grey, self._cells))
+            kept = thin_out(points, MIN_DISTANCE * _cell(grey, self._cells))
             points, tracks = points[kept], tracks[kept]
         if ignored is not None:
             x, y = np.rint(points).astype(np.intp).T
@@ -146,15 +162,17 @@ def carry_points(
     motion = _flow_at(flow, points, grey0)
     led = points + motion
     near, seen = _sought(grey0, grey1, points, led)
-    taken = seen & (np.hypot(*(near - led).T) < FURTHEST)
+    taken = seen & (np.hypot(*(near - led).T) < MAX_SEARCH)
     moved = np.where(taken[:, None], near, led)
     returned, found = _sought(grey1, grey0, moved, moved - motion)
-    found &= np.hypot(*(returned - points).T) < max(RETURN, RETURN_SHARE * max(height, width))
+    found &= np.hypot(*(returned - points).T) < max(
+        MAX_RETURN_ERROR, MAX_RETURN_SHARE * max(height, width)
+    )
     low, high = np.array([BORDER, BORDER]), np.array([width, height]) - 1 - BORDER
     found &= ((moved >= low) & (moved <= high)).all(axis=1)
     difference = _patches(grey0, points) - _patches(grey1, moved)
     difference -= difference.mean(axis=1, keepdims=True)
-    found &= np.abs(difference).mean(axis=1) < UNLIKE
+    found &= np.abs(difference).mean(axis=1) < MAX_PATCH_DIFFERENCE
     return moved, found
 
 
@@ -167,9 +185,9 @@ def _sought(
         grey1,
         points.astype(np.float32),
         near.astype(np.float32),
-        winSize=(WINDOW, WINDOW),
+        winSize=(SEARCH_WINDOW, SEARCH_WINDOW),
         maxLevel=0,
-        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, ROUNDS, STEP),
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, SEARCH_ROUNDS, SEARCH_TOLERANCE),
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
         minEigThreshold=1e-5,
     )
@@ -199,8 +217,8 @@ def choose_new_points(
     rows, columns = height // cell, width // cell
     if not rows * columns:
         return np.empty((0, 2))
-    strength = cv2.cornerMinEigenVal(grey, STRUCTURE)
-    least = max(float(np.quantile(strength[::2, ::2], STANDING_OUT)), 1e-6)
+    strength = cv2.cornerMinEigenVal(grey, STRUCTURE_WINDOW)
+    least = max(float(np.quantile(strength[::2, ::2], STRUCTURE_QUANTILE)), 1e-6)
     inside = np.zeros((height, width), bool)
     inside[BORDER:-BORDER, BORDER:-BORDER] = True
     if ignored is not None:
@@ -245,7 +263,7 @@ def _sampled(image: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def _patches(grey: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return what is around points, (N, PATCH²) float32."""
-    offsets = np.arange(PATCH, dtype=np.float32) - PATCH // 2
+    offsets = np.arange(PATCH_SIDE, dtype=np.float32) - PATCH_SIDE // 2
     dx, dy = (grid.ravel() for grid in np.meshgrid(offsets, offsets))
     x, y = (points[:, k, None].astype(np.float32) + d for k, d in enumerate((dx, dy)))
     patches = cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

@@ -8,10 +8,16 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.reconstruction.tracks.tracker import Observations
 
-FEWEST = 2  # frames that see a track
-LEAST_ANGLE = 0.5  # degrees between the rays of a track that says anything of its depth
-INLIER = 3.0  # px: the median of a track's residuals
-LOT = 2**18  # observations of tracks that are worked on at a time
+# Values without a stated source were set by hand.
+
+# Frames that see a track.
+MIN_FRAMES = 2
+# Degrees between the rays of a track: with less, they show no depth.
+MIN_ANGLE = 0.5
+# px: median residual of a track.
+MAX_MEDIAN_RESIDUAL = 3.0
+# Observations that are triangulated at a time, so that memory is bounded.
+MAX_OBSERVATIONS = 2**18
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,10 +121,10 @@ def _lots(
         if tracks[-1] >= len(count):
             count = np.concatenate([count, np.zeros(tracks[-1] + 1 - len(count), np.int64)])
         count[tracks] += 1
-    if count.sum() <= LOT:
+    if count.sum() <= MAX_OBSERVATIONS:
         yield {frame: seen[frame] for frame in poses}
         return
-    lot = np.cumsum(count) // LOT
+    lot = np.cumsum(count) // MAX_OBSERVATIONS
     for begin in np.flatnonzero(np.diff(lot, prepend=-1)).tolist():
         end = int(np.searchsorted(lot, lot[begin], side="right"))
         some = {}
@@ -164,7 +170,7 @@ def _triangulated(
     np.add.at(mean, index, ray)
     # Where rays are parallel, the least eigenvalue vanishes: count · sin² of their spread.
     least = np.linalg.eigvalsh(matrix)[:, 0]
-    good = (count >= FEWEST) & (least > count * np.sin(np.radians(LEAST_ANGLE) / 2) ** 2)
+    good = (count >= MIN_FRAMES) & (least > count * np.sin(np.radians(MIN_ANGLE) / 2) ** 2)
     point = np.zeros((len(numbers), 3))
     point[good] = np.linalg.solve(matrix[good], vector[good][..., None])[..., 0]
     residual = np.full(len(index), np.inf)
@@ -177,7 +183,7 @@ def _triangulated(
         residual[mine] = np.where(local[:, 2] > 0, np.nan_to_num(off, nan=np.inf), np.inf)
     order = np.lexsort((residual, index))
     first = np.concatenate([[0], np.cumsum(count)[:-1]])
-    good &= residual[order][first + (count - 1) // 2] < INLIER
+    good &= residual[order][first + (count - 1) // 2] < MAX_MEDIAN_RESIDUAL
     return TrackPoints(tracks=numbers[good], positions=point[good])
 
 

@@ -13,19 +13,32 @@ from tisfm.reconstruction.frames.frame_flow import flow_scale, shrink_for_flow
 from tisfm.reconstruction.tracks.retrieval import ImageDescriptors, find_similar_views
 from tisfm.reconstruction.tracks.tracker import Observations
 
-# A frame becomes a view where tracks have moved by this share of the longer side since the last
-# view, or fewer than this share of its tracks are still seen.
-MOVED, KEPT = 0.025, 0.35
-PER_CELL = 4  # points of a cell: fewer than for pairs, since views are matched with several
-MATCHED = 3  # views before, that a view is matched with by what points look like
-FEWEST_MATCHES = 15
-# Of views that only seem to show the same place: matches that one motion explains, and their share.
-FEWEST_OF_LOOP, SHARE_OF_LOOP = 25, 0.4
-# Of frames out of order: views, at least; the share that shows something of the view before, at
-# most; and the share that shows something of others, at least.
-FEWEST_TO_ORDER, FOLLOWING, KNOWN_ELSEWHERE = 8, 0.4, 0.7
-INLIER = 2.0  # px, of 640 across: from an epipolar line
-TRIALS = 500
+# Values without a stated source were set by hand.
+
+# A frame becomes a view if tracks have moved by this share of the longer side since the last view,
+MIN_MOTION = 0.025
+# or if less than this share of its tracks is still visible.
+MIN_KEPT_TRACKS = 0.35
+# Points of a cell: fewer than for pairs, since views are matched with several others.
+POINTS_PER_CELL = 4
+# Previous views that a view is matched with by appearance.
+MATCHED_VIEWS = 3
+# Matches of two neighbouring views.
+MIN_MATCHES = 15
+# Matches of two views at a loop that one motion explains,
+MIN_LOOP_MATCHES = 25
+# and their share of all matches.
+MIN_LOOP_SHARE = 0.4
+# Frames are out of order if, of at least this number of views,
+MIN_ORDERED_VIEWS = 8
+# at most this share matches the previous view,
+MAX_FOLLOWING_SHARE = 0.4
+# and at least this share matches other views.
+MIN_ELSEWHERE_SHARE = 0.7
+# px, of 640 across: distance of a match from its epipolar line.
+EPIPOLAR_TOLERANCE = 2.0
+# Trials of RANSAC.
+RANSAC_TRIALS = 500
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,13 +107,13 @@ class ViewSelection:
         """Let matches from now on fit a camera whose focal length is known."""
         self._camera, self._focal_known = camera, True
 
-    def needs(self, seen: Observations, longer_side: int, share: float = MOVED) -> bool:
+    def needs(self, seen: Observations, longer_side: int, share: float = MIN_MOTION) -> bool:
         """Return whether a frame shows enough that is new to become a view."""
         if not self.chosen:
             return len(seen.tracks) > 0
         before = self.chosen[-1].seen
         index0, index1 = before.shared(seen)
-        if len(index0) < KEPT * len(before.tracks):
+        if len(index0) < MIN_KEPT_TRACKS * len(before.tracks):
             return True
         if len(index0) == 0:
             return len(seen.tracks) > 0
@@ -115,16 +128,16 @@ class ViewSelection:
         number = len(self.chosen)
         self.chosen.append(View(frame=frame, seen=seen, detected=found.points))
         self._looks.append(ImageDescriptors.of(found))
-        for earlier in self._matchable[-MATCHED:]:
-            self._match(earlier, number, grey.shape, fewest=FEWEST_MATCHES, share=0.0)
-        if len(found.points) >= FEWEST_MATCHES:
+        for earlier in self._matchable[-MATCHED_VIEWS:]:
+            self._match(earlier, number, grey.shape, fewest=MIN_MATCHES, share=0.0)
+        if len(found.points) >= MIN_MATCHES:
             self._matchable.append(number)
 
     def close_loops(self, shape: tuple[int, int]) -> None:
         """Match views that show the same place again; shape is that of frames."""
-        for pair in find_similar_views(self._looks, apart=MATCHED + 1):
+        for pair in find_similar_views(self._looks, apart=MATCHED_VIEWS + 1):
             if pair not in self._compared:
-                self._match(*pair, shape, fewest=FEWEST_OF_LOOP, share=SHARE_OF_LOOP)
+                self._match(*pair, shape, fewest=MIN_LOOP_MATCHES, share=MIN_LOOP_SHARE)
 
     def forget(self, count: int) -> None:
         """Forget the first views."""
@@ -142,17 +155,20 @@ class ViewSelection:
     def out_of_order(self) -> bool:
         """Return whether most views show nothing of the view before, but what others show."""
         count = len(self.chosen)
-        if count < FEWEST_TO_ORDER:
+        if count < MIN_ORDERED_VIEWS:
             return False
         follows = sum(
             (k, k + 1) in self.matches or self._share_tracks(k, k + 1) for k in range(count - 1)
         )
         others = {view for pair in self.matches if pair[1] - pair[0] > 1 for view in pair}
-        return follows < FOLLOWING * (count - 1) and len(others) > KNOWN_ELSEWHERE * count
+        return (
+            follows < MAX_FOLLOWING_SHARE * (count - 1)
+            and len(others) > MIN_ELSEWHERE_SHARE * count
+        )
 
     def _share_tracks(self, first: int, second: int) -> bool:
         index, _ = self.chosen[first].seen.shared(self.chosen[second].seen)
-        return len(index) >= FEWEST_MATCHES
+        return len(index) >= MIN_MATCHES
 
     def _match(
         self, earlier: int, later: int, shape: tuple[int, ...], *, fewest: int, share: float
@@ -174,7 +190,7 @@ class ViewSelection:
     ) -> np.ndarray | None:
         """Return which points one motion explains, (N, 1), None if there is no motion."""
         height, width = shape
-        threshold = INLIER * max(height, width) / 640
+        threshold = EPIPOLAR_TOLERANCE * max(height, width) / 640
         try:
             if self._focal_known:
                 cx, cy = self._camera.center_for(height, width)
@@ -186,11 +202,11 @@ class ViewSelection:
                     method=cv2.USAC_MAGSAC,
                     prob=0.999,
                     threshold=threshold,
-                    maxIters=TRIALS,
+                    maxIters=RANSAC_TRIALS,
                 )
             else:
                 _, inlier = cv2.findFundamentalMat(
-                    before, after, cv2.USAC_MAGSAC, threshold, 0.999, TRIALS
+                    before, after, cv2.USAC_MAGSAC, threshold, 0.999, RANSAC_TRIALS
                 )
         except cv2.error:  # it asserts where matches are degenerate, as those of overlays may be
             return None
@@ -200,7 +216,7 @@ class ViewSelection:
 def _described(grey: np.ndarray, ignored: np.ndarray | None) -> Described:
     """Return points of a frame and what they look like, found on the level of the flow."""
     small = shrink_for_flow(grey)
-    found = described(small, per_cell=PER_CELL)
+    found = described(small, per_cell=POINTS_PER_CELL)
     points = (found.points + 0.5) / flow_scale(small, grey) - 0.5
     if ignored is None:
         return Described(points=points, roots=found.roots)
