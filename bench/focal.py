@@ -23,7 +23,7 @@ from bench.shared.command import options_parser, words_of
 from bench.shared.figures import CURVES, tidy
 from bench.shared.results import RESULTS, Table, machine, text_of, write
 from tisfm import runtime
-from tisfm.evaluation.record import LITTLE_PARALLAX
+from tisfm.evaluation.pair_errors import LITTLE_PARALLAX
 from tisfm.metrics import depth_errors, endpoint_error, pose_errors
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair, static_scene

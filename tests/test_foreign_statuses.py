@@ -6,11 +6,11 @@ import pytest
 
 from tests.interpretation_file.stored import about
 from tests.view.results import write_reconstruction, write_run
-from tisfm.exports.result_frames import PairFrames
 from tisfm.folders.run_record import read_record
 from tisfm.interpretation import Interpretation
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.results.opening import open_result
+from tisfm.results.pair_frames import PairFrames
 from tisfm.status import Status
 
 NO_CODES = ("<img src=x>", "Converged", "", "a b", "converged\n", "é", None, 3, ["converged"])

@@ -12,7 +12,7 @@ from bench.depth.pairs import DepthPair
 from bench.depth.two_stage import NoMotion, two_stage
 from bench.shared.contest import Method as FlowMethod
 from bench.shared.contest import MethodFailure
-from tisfm.evaluation.record import LITTLE_PARALLAX
+from tisfm.evaluation.pair_errors import LITTLE_PARALLAX
 from tisfm.rigid import pose_matrix
 from tisfm.settings import Motion, Preset, Settings
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from bench.depth.methods import Estimate
 from bench.depth.pairs import DepthPair
-from tisfm.evaluation.record import LITTLE_PARALLAX
+from tisfm.evaluation.pair_errors import LITTLE_PARALLAX
 from tisfm.metrics import certain_error, depth_errors, pose_errors
 from tisfm.metrics.valid_pixels import is_known
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
-from tisfm.evaluation.masks import true_masks
+from tisfm.evaluation.moving_objects import true_masks
 from tisfm.formats import read_image
 from tisfm.formats.label_picture import read_label_picture
 from tisfm.scenes import BodiesFilm, bodies_film, bodies_path

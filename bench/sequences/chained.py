@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.evaluation.record import LITTLE_PARALLAX
+from tisfm.evaluation.pair_errors import LITTLE_PARALLAX
 from tisfm.interpretation import Interpretation
 from tisfm.rigid import pose_matrix
 

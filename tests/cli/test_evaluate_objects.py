@@ -18,7 +18,7 @@ def folders(place):
 def test_masks_are_compared(tisfm_run, folders):
     code, out, err = tisfm_run("eval", "camel", "--objects", "--result", "found", "-o", "out")
     assert code == 0 and err == "1 thing in 4 frames. Every number in out.\n"
-    assert "Moving things of camel" in out and "1.000" in out and "4 of 4" in out
+    assert "Moving objects of camel" in out and "1.000" in out and "4 of 4" in out
     record = json.loads(Path("out/eval.json").read_text(encoding="utf-8"))["objects"]
     assert record["name"] == "camel" and record["iou"] == 1 and record["switches"] == 0
     assert record["things"][0]["label"] == 1

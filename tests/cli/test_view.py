@@ -95,7 +95,7 @@ def test_it_waits_for_a_run_no_longer_than_that_goes_on(place):
             process = stack.enter_context(begun("r"))
             assert "no complete reconstruction yet: waiting" in process.stderr.readline()
         out, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 1 and out == "" and "nobody goes on with it" in err
+    assert process.returncode == 1 and out == "" and "no command continues it" in err
 
 
 def assert_answers(url):

@@ -12,6 +12,7 @@ import tisfm
 from tests.evaluation.reconstructed import DEPTHS, PATH, H, N, Result, make_sequence
 from tests.trajectory.paths import similar
 from tisfm.datasets import find_sequences
+from tisfm.evaluation.sequence_result import TrajectoryResult
 from tisfm.evaluation.sequence_tables import sequence_tables
 from tisfm.evaluation.sequences import (
     SequenceEvaluation,
@@ -19,7 +20,6 @@ from tisfm.evaluation.sequences import (
     compare_sequence,
     reconstruct_and_compare,
 )
-from tisfm.evaluation.trajectory_result import TrajectoryResult
 from tisfm.metrics import absolute_errors, path_length
 from tisfm.rigid import rigid_motion
 from tisfm.settings import Settings

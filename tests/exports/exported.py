@@ -45,7 +45,7 @@ def errors_of(tracks, film):
     These are known by their positions, which are those of pixels.
     """
     errors = []
-    whole = (tracks.places == np.rint(tracks.places)).all(axis=1)
+    whole = (tracks.image_points == np.rint(tracks.image_points)).all(axis=1)
     for point in range(len(tracks)):
         first, last = np.searchsorted(tracks.points, (point, point + 1))
         begun = first + np.flatnonzero(whole[first:last])
@@ -53,8 +53,8 @@ def errors_of(tracks, film):
             continue
         others = np.array([k for k in range(first, last) if k != begun[0]])
         frames = tracks.frames[others]
-        true = true_places(film, tracks.places[begun], tracks.frames[begun[0]], frames)[0]
-        errors.append(np.linalg.norm(tracks.places[others] - true, axis=1))
+        true = true_places(film, tracks.image_points[begun], tracks.frames[begun[0]], frames)[0]
+        errors.append(np.linalg.norm(tracks.image_points[others] - true, axis=1))
     errors = np.concatenate(errors)
     return errors[np.isfinite(errors)]
 

@@ -58,6 +58,7 @@ def run_of(folder, *, scales=(1.0, 1.0, 1.0), posed=False, motion="camera", came
         "format": FORMAT,
         "version": tisfm.__version__,
         "camera": asdict(camera),
+        "settings": {"motion": motion},
         "outputs": ["npz"],
         "pairs": dict(reversed(pairs.items())),
     }

@@ -14,7 +14,7 @@ import tisfm
 from tests.exports.made import SHAPE, made
 from tests.trajectory.paths import PATIENT, random_path
 from tisfm.exports import write_chan, write_gltf_cameras
-from tisfm.exports.camera_axes import lens_record
+from tisfm.exports.camera_path import lens_record
 from tisfm.rigid import pose_matrix
 
 H, W = SHAPE

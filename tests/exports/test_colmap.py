@@ -17,7 +17,7 @@ from tests.exports.exported import contents, errors_of, retriangulated, tracks_p
 from tests.reconstruction.films import along
 from tisfm import Camera
 from tisfm.exports import colmap, write_colmap
-from tisfm.exports.colmap_files import check_whole, write_model
+from tisfm.exports.colmap import check_complete, write_model
 from tisfm.exports.tracks import Tracks, measured_tracks
 from tisfm.formats import FormatError
 from tisfm.reconstruction.result.folder import depth_path, read_depth, write_depth, write_labels
@@ -129,7 +129,7 @@ def test_any_model_comes_back_from_text_and_binary(found, data, tmp_path_factory
         frames=np.concatenate(
             [np.zeros(0, int), *(sorted(random.choice(frames, n, replace=False)) for n in lengths)]
         ).astype(np.int32),
-        places=random.uniform(0, 200, (total, 2)),
+        image_points=random.uniform(0, 200, (total, 2)),
         residual=np.zeros(total),
     )
     model = colmap._model(result, frames, tracks)
@@ -140,7 +140,7 @@ def test_any_model_comes_back_from_text_and_binary(found, data, tmp_path_factory
         for e in point.track.elements
         for image in [model.images[e.image_id]]
     }
-    expected = zip(tracks.points + 1, tracks.frames, *tracks.places.T, strict=True)
+    expected = zip(tracks.points + 1, tracks.frames, *tracks.image_points.T, strict=True)
     np.testing.assert_allclose(sorted(seen), sorted(expected), atol=1e-9)
     folder = tmp_path_factory.mktemp("any")
     model.write_binary(folder)
@@ -205,7 +205,7 @@ def test_nothing_that_is_masked_or_moves_has_points(copied, tmp_path):
     moving = replace(copied, settings=replace(copied.settings, motion="objects"))
     tracks = measured_tracks(moving, 0)
     assert len(tracks) > 30
-    x, y = np.rint(tracks.places).T
+    x, y = np.rint(tracks.image_points).T
     assert x.min() >= half and y.min() >= 60
     write_colmap(moving, tmp_path / "out", images="none")
     mask = cv2.imread(str(tmp_path / "out" / "masks" / "000003.jpg.png"), cv2.IMREAD_UNCHANGED)
@@ -269,9 +269,9 @@ def test_files_that_are_cut_off_are_told(exported, tmp_path, form):
         for cut in (1, len(data) // 2, len(data)):
             path.write_bytes(data[:-cut])
             with pytest.raises(OSError, match=rf"{path.name} was not written to its end"):
-                check_whole(model, tmp_path / "model", form)
+                check_complete(model, tmp_path / "model", form)
         path.write_bytes(data)
-    check_whole(model, tmp_path / "model", form)
+    check_complete(model, tmp_path / "model", form)
 
 
 def test_pictures_of_another_size_are_refused(copied, tmp_path):

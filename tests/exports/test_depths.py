@@ -10,8 +10,8 @@ from hypothesis.extra.numpy import arrays
 from tests.exports.made import SHAPE, made, ramp
 from tests.trajectory.paths import PATIENT
 from tisfm.exports import SequenceFrames, write_depths
-from tisfm.exports.depths import SUFFIXES, depth_of
 from tisfm.exports.float_images import write_exr, write_pfm, write_tiff
+from tisfm.exports.frame_maps import SUFFIXES, depth_of
 from tisfm.formats import read_depth_png, read_dpt
 
 KINDS = sorted(SUFFIXES)

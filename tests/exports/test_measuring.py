@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.exports.exported import predicted, true_places
-from tisfm.exports.guided_matching import Pose, is_smooth, measured, positions_of
+from tisfm.exports.guided_matching import Pose, is_smooth, measure_points, points_in_world
 from tisfm.reconstruction.tracks.tracker import choose_new_points
 
 
@@ -17,7 +17,7 @@ def begun(film):
 
 def sought(film, points, inverse_depth, other, frame=3):
     poses = [Pose(camera=film.camera, matrix=film.poses[k]) for k in (frame, other)]
-    return measured(film.frames[frame], film.frames[other], points, inverse_depth, *poses)
+    return measure_points(film.frames[frame], film.frames[other], points, inverse_depth, *poses)
 
 
 def inverse(film, frame=3):
@@ -51,7 +51,7 @@ def test_a_wrong_depth_leads_elsewhere_but_the_place_is_as_measured(film, begun,
     column, row = begun.astype(int).T
     led = [
         predicted(
-            positions_of(begun, depth[row, column].astype(float), pose, shape),
+            points_in_world(begun, depth[row, column].astype(float), pose, shape),
             Pose(camera=film.camera, matrix=film.poses[other]),
             shape,
         )
@@ -69,7 +69,7 @@ def test_another_exposure_changes_little(film, begun):
     brighter = np.clip(0.8 * frame + 30, 0, 255).astype(np.uint8)
     poses = [Pose(camera=film.camera, matrix=film.poses[k]) for k in (3, 5)]
     found, again = (
-        measured(film.frames[3], other, begun, inverse(film), *poses)
+        measure_points(film.frames[3], other, begun, inverse(film), *poses)
         for other in (film.frames[5], brighter)
     )
     apart = np.linalg.norm(found - again, axis=1)
@@ -80,16 +80,16 @@ def test_another_exposure_changes_little(film, begun):
 def test_unrelated_frames_share_nothing(film, begun):
     noise = np.random.default_rng(0).integers(0, 256, film.frames[0].shape).astype(np.uint8)
     poses = [Pose(camera=film.camera, matrix=film.poses[k]) for k in (3, 4)]
-    found = measured(film.frames[3], noise, begun, inverse(film), *poses)
+    found = measure_points(film.frames[3], noise, begun, inverse(film), *poses)
     assert np.isfinite(found[:, 0]).sum() <= 1
 
 
 def test_what_is_behind_the_camera_is_nowhere(film, begun):
     turned = film.poses[3] @ np.diag([-1.0, 1, -1, 1])
     poses = [Pose(camera=film.camera, matrix=matrix) for matrix in (film.poses[3], turned)]
-    found = measured(film.frames[3], film.frames[4], begun, inverse(film), *poses)
+    found = measure_points(film.frames[3], film.frames[4], begun, inverse(film), *poses)
     assert np.isnan(found).all()
-    nothing = measured(film.frames[3], film.frames[4], begun[:0], inverse(film), *poses)
+    nothing = measure_points(film.frames[3], film.frames[4], begun[:0], inverse(film), *poses)
     assert nothing.shape == (0, 2)
 
 

@@ -73,7 +73,7 @@ def test_points_are_seen_where_they_were_measured(found, written):
     for frame, shot in enumerate(about["frames"]):
         mine = tracks.frames == frame
         places = seen_by(about, shot, np.asarray(cloud.vertices)[tracks.points[mine]])
-        apart = np.linalg.norm(places - tracks.places[mine] - 0.5, axis=1)
+        apart = np.linalg.norm(places - tracks.image_points[mine] - 0.5, axis=1)
         np.testing.assert_allclose(apart, tracks.residual[mine], atol=2e-3)
 
 

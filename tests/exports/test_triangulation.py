@@ -7,7 +7,7 @@ from tests.exports.exported import predicted
 from tisfm.camera import Camera
 from tisfm.exports import track_triangulation
 from tisfm.exports.guided_matching import Pose
-from tisfm.exports.track_triangulation import consistent, triangulated
+from tisfm.exports.track_triangulation import consistent_points, triangulate
 from tisfm.rigid import pose_matrix
 
 SHAPE, CAMERA = (120, 160), Camera(focal=150.0)
@@ -25,7 +25,7 @@ def setting(count=5, step=(0.1, 0, 0.02, 0, 0.01, 0), seed=0, points=40):
 def test_exact_places_give_the_points_wherever_they_begin():
     poses, world, places = setting()
     begun = world * np.random.default_rng(1).uniform(0.8, 1.25, (len(world), 1))
-    found = triangulated(places, poses, SHAPE, begun, np.full(len(world), 1.0))
+    found = triangulate(places, poses, SHAPE, begun, np.full(len(world), 1.0))
     np.testing.assert_allclose(found.positions, world, atol=2e-3)
     assert np.nanmax(found.residual) < 0.02
 
@@ -33,7 +33,7 @@ def test_exact_places_give_the_points_wherever_they_begin():
 def test_noise_is_spread_over_the_frames():
     poses, world, places = setting(count=8)
     noisy = places + np.random.default_rng(2).normal(scale=0.3, size=places.shape)
-    found = triangulated(noisy, poses, SHAPE, world * 1.05, np.full(len(world), 0.5))
+    found = triangulate(noisy, poses, SHAPE, world * 1.05, np.full(len(world), 0.5))
     assert np.median(np.linalg.norm(found.positions - world, axis=1)) < 0.06
     assert np.nanmedian(found.residual) < 0.5
 
@@ -41,14 +41,14 @@ def test_noise_is_spread_over_the_frames():
 def test_without_parallax_depth_stays_as_it_was():
     poses, world, places = setting(step=(0, 0, 0, 0.01, 0.02, 0))
     begun = 1.3 * world
-    found = triangulated(places, poses, SHAPE, begun, np.full(len(world), 0.02))
+    found = triangulate(places, poses, SHAPE, begun, np.full(len(world), 0.02))
     np.testing.assert_allclose(found.positions, begun, rtol=1e-4, atol=1e-3)
 
 
 def test_one_wrong_place_is_dropped_and_the_rest_kept():
     poses, world, places = setting()
     places[7, 3] += (9, -4)
-    kept, left, found = consistent(places, poses, SHAPE, world, np.full(len(world), 0.1), 3)
+    kept, left, found = consistent_points(places, poses, SHAPE, world, np.full(len(world), 0.1), 3)
     assert kept.all() and np.isnan(left[7, 3]).all()
     assert np.isfinite(left).sum() == places.size - 2
     assert np.linalg.norm(found.positions[7] - world[7]) < 0.01
@@ -59,22 +59,22 @@ def test_points_that_too_few_frames_see_are_dropped():
     places[0, 2:] = np.nan  # two frames
     places[1, 0] = np.nan  # not where it begins
     places[2] += np.random.default_rng(3).uniform(-30, 30, places[2].shape)
-    kept, left, _ = consistent(places, poses, SHAPE, world, np.full(len(world), 0.1), 3)
+    kept, left, _ = consistent_points(places, poses, SHAPE, world, np.full(len(world), 0.1), 3)
     assert not kept[:3].any() and kept[3:].all() and len(left) == kept.sum()
-    kept, _, _ = consistent(places, poses, SHAPE, world, np.full(len(world), 0.1), 2)
+    kept, _, _ = consistent_points(places, poses, SHAPE, world, np.full(len(world), 0.1), 2)
     assert kept[0]
 
 
 def test_points_behind_a_camera_are_dropped():
     poses, world, places = setting()
-    kept, *_ = consistent(places, poses, SHAPE, -world, np.full(len(world), 0.1), 3)
+    kept, *_ = consistent_points(places, poses, SHAPE, -world, np.full(len(world), 0.1), 3)
     assert not kept.any()
 
 
 @pytest.mark.parametrize("points", [0, 1])
 def test_few_points(points):
     poses, world, places = setting(points=points)
-    kept, left, found = consistent(places, poses, SHAPE, world, np.full(points, 0.1), 3)
+    kept, left, found = consistent_points(places, poses, SHAPE, world, np.full(points, 0.1), 3)
     assert len(kept) == len(left) == len(found.positions) == points
 
 
@@ -82,9 +82,9 @@ def test_points_are_the_same_in_lots(monkeypatch):
     poses, world, places = setting(points=23)
     places[5, 2] += 7
     places[11, 1:] = np.nan
-    whole = consistent(places, poses, SHAPE, world, np.full(23, 0.1), 3)
-    monkeypatch.setattr(track_triangulation, "LOT", 21)  # four points
-    lots = consistent(places, poses, SHAPE, world, np.full(23, 0.1), 3)
+    whole = consistent_points(places, poses, SHAPE, world, np.full(23, 0.1), 3)
+    monkeypatch.setattr(track_triangulation, "BATCH", 21)  # four points
+    lots = consistent_points(places, poses, SHAPE, world, np.full(23, 0.1), 3)
     np.testing.assert_array_equal(lots[0], whole[0])
     np.testing.assert_array_equal(lots[1], whole[1])
     np.testing.assert_allclose(lots[2].positions, whole[2].positions, atol=1e-9)

@@ -7,7 +7,7 @@ import pytest
 import tisfm
 from tests.reconstruction.films import path_error
 from tests.rendered import bodies_film
-from tisfm.evaluation.object_paths import compare_object_paths, has_true_paths
+from tisfm.evaluation.moving_objects import compare_object_paths, has_true_paths
 from tisfm.formats.label_picture import write_label_png
 from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
 from tisfm.reconstruction.frames.image_motion import ImageMotion

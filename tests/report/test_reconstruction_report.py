@@ -8,10 +8,7 @@ import pytest
 from PIL import Image
 
 from tests.report.made import EVIL, Read, assert_self_contained, reconstruction
-from tisfm.camera import Camera
 from tisfm.report import REPORT, is_report, write_reconstruction_report
-from tisfm.report.reconstruction_report import predicted_flow
-from tisfm.rigid import pose_matrix
 from tisfm.status import Status
 
 
@@ -35,7 +32,7 @@ def test_it_says_what_became_of_the_frames(tmp_path):
         "piece 1, 2 frames, from the side",
         "unit of the path, and each piece has one of its own.",
         "cut off",
-        "Those of the preset fast",
+        "Settings of the preset fast",
     ):
         assert words in page.text, words
     assert len(page.all("div", _class="slide")) == 6
@@ -104,20 +101,3 @@ def test_what_is_no_report_is_not_replaced(tmp_path):
     with pytest.raises(ValueError, match="no report of tisfm"):
         write_reconstruction_report(reconstruction(tmp_path / "r", pieces=[0]), tmp_path)
     assert (tmp_path / REPORT).read_text() == "mine"
-
-
-def test_flow_is_that_of_a_point_seen_from_two_poses():
-    camera, random = Camera(focal=50.0, center=(10.0, 8.0)), np.random.default_rng(1)
-    inverse = random.uniform(0.3, 1, (17, 23)).astype(np.float32)
-    inverse[3, 4] = np.nan
-    first, second = (pose_matrix(random.normal(scale=0.05, size=6)) for _ in range(2))
-    flow = predicted_flow(inverse, first, second, camera)
-    assert np.isnan(flow[3, 4]).all()
-    for y, x in ((0, 0), (9, 20), (16, 11)):
-        ray = np.array([(x - 10) / 50, (y - 8) / 50, 1, inverse[y, x]]) / inverse[y, x]
-        there = np.linalg.inv(second) @ first @ ray
-        seen = 50 * there[:2] / there[2] + (10, 8)
-        np.testing.assert_allclose(flow[y, x], seen - (x, y), atol=1e-4)
-    np.testing.assert_allclose(
-        predicted_flow(inverse, first, first, camera)[inverse > 0], 0, atol=1e-4
-    )

@@ -28,7 +28,7 @@ from tisfm.show import (
     save_figure,
     uncertainty_to_color,
 )
-from tisfm.show.ticks import as_read, depth_ticks, doublings
+from tisfm.show.ticks import depth_ticks, doublings, number_text
 
 
 def empty(width=6.0, height=4.0, dpi=100):
@@ -164,7 +164,7 @@ def test_scales_of_depth_have_round_numbers():
     """Each tick lies where the inverse of its depth does; all but the nearest are round."""
     for limit in (1 / 119.3, 0.5, 7.0, 1e-9, 3e8, 1.0):
         (far, text), *between, (near, nearest) = depth_ticks(limit)
-        assert (far, text, near) == (0, "∞", 1) and nearest == f"≤ {as_read(1 / limit)}"
+        assert (far, text, near) == (0, "∞", 1) and nearest == f"≤ {number_text(1 / limit)}"
         assert len(between) >= 3
         shares = [share for share, _ in between]
         assert shares == sorted(shares) and shares[0] > 0 and shares[-1] < 1

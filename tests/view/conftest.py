@@ -9,12 +9,12 @@ from tisfm.results.opening import open_result
 @pytest.fixture
 def opened():
     """Open pages on results, and end them."""
-    from tisfm.view.page import Page
+    from tisfm.view.page import ViewerPage
 
     pages = []
 
     def page_of(folder, **options):
-        pages.append(Page(open_result(folder), port=0, **options))
+        pages.append(ViewerPage(open_result(folder), port=0, **options))
         return pages[-1]
 
     yield page_of

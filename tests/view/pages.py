@@ -15,19 +15,13 @@ def between_drawings(page, look):
         except BaseException as error:
             found.set_exception(error)
 
-    page._jobs.put(job)
-    page._wake.set()
+    page.thread.put(job)
     return found.result(timeout=PATIENCE)
 
 
 def is_drawn(page):
     """Return whether a page has drawn all that was asked of it, and its thread rests."""
-
-    def look():
-        is_left = page._is_stale or page._is_coarse or page._without_picture
-        return page._jobs.empty() and not is_left
-
-    return between_drawings(page, look)
+    return between_drawings(page, page.thread.is_idle)
 
 
 def wait_until_drawn(page):

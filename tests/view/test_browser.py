@@ -203,7 +203,7 @@ def test_a_pixel_that_is_typed_is_read(look, tmp_path):
         ),
         "the pixel is not read",
     )
-    assert "thing 2" in tab.get_by_test_id("reading").inner_text()
+    assert "object 2" in tab.get_by_test_id("reading").inner_text()
 
 
 @pytest.mark.nightly

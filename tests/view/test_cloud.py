@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from tests.view.results import write_run
 from tisfm.camera import Camera
-from tisfm.results.frame import ViewFrame
+from tisfm.results.frame import ResultFrame
 from tisfm.results.opening import open_result
 from tisfm.status import Status
 from tisfm.view.colors import Ranges
-from tisfm.view.frame_cloud import Choice, cloud
+from tisfm.view.frame_cloud import PointFilter, frame_cloud
 from tisfm.view.surface import surface_file, triangles_between
 
 RANGES = Ranges(inverse_depth=1.0, flow=1.0)
@@ -31,7 +31,7 @@ def made(inverse_depth, **parts):
         "inverse_depth": inverse_depth,
         "status": Status("converged"),
     }
-    return ViewFrame(**{**given, **parts})
+    return ResultFrame(**{**given, **parts})
 
 
 @given(
@@ -47,21 +47,21 @@ def test_points_project_to_their_pixels(height, width, most, scale, seed):
     inverse = random.uniform(0.5, 1.5, (height, width))
     inverse[random.uniform(size=inverse.shape) < 0.2] = np.nan
     frame = made(inverse, scale=scale)
-    points = cloud(frame, "image", RANGES, Choice(most_points=most))
+    points = frame_cloud(frame, "image", RANGES, PointFilter(most_points=most))
     x, y, z = points.positions.T
     rows, columns = points.pixels.T
     np.testing.assert_allclose(30 * x / z + 11, columns, atol=1e-3)
     np.testing.assert_allclose(30 * y / z + 5, rows, atol=1e-3)
     np.testing.assert_allclose(scale / z, inverse[rows, columns], rtol=1e-5)
     np.testing.assert_array_equal(points.colors, frame.picture[rows, columns])
-    whole = cloud(frame, "image", RANGES, Choice(most_points=10**9))
+    whole = frame_cloud(frame, "image", RANGES, PointFilter(most_points=10**9))
     assert len(whole) == np.isfinite(inverse).sum()
     assert whole.step == 1 and points.step >= 1
 
 
 @pytest.mark.parametrize("most", [1, 10, 100, 1000, 5000])
 def test_about_as_many_points_are_left_as_asked_for(most):
-    points = cloud(made(np.ones((60, 80))), "image", RANGES, Choice(most_points=most))
+    points = frame_cloud(made(np.ones((60, 80))), "image", RANGES, PointFilter(most_points=most))
     assert 0.3 * min(most, 4800) <= len(points) <= 1.4 * most + 1
 
 
@@ -70,7 +70,7 @@ def test_thresholds_leave_what_they_say(tmp_path):
     frame = open_result(tmp_path).read(0)
 
     def left(**options):
-        points = cloud(frame, "image", RANGES, Choice(most_points=10**9, **options))
+        points = frame_cloud(frame, "image", RANGES, PointFilter(most_points=10**9, **options))
         mask = np.zeros(frame.shape, bool)
         mask[tuple(points.pixels.T)] = True
         return mask
@@ -91,14 +91,14 @@ def test_a_box_is_in_the_world():
     pose = np.eye(4)
     pose[:3, 3] = 10, 0, 0
     box = np.array((10.0, -9, -9)), np.array((99.0, 9, 9))
-    points = cloud(frame, "image", RANGES, Choice(box=box), pose)
+    points = frame_cloud(frame, "image", RANGES, PointFilter(box=box), pose)
     assert (points.pixels[:, 1] >= 11).all() and len(points) == 11 * 12
     far = np.array((-9.0, -9, -9)), np.array((0.0, 9, 9))
-    assert len(cloud(frame, "image", RANGES, Choice(box=far), pose)) == 0
+    assert len(frame_cloud(frame, "image", RANGES, PointFilter(box=far), pose)) == 0
 
 
 def test_a_frame_without_depth_has_no_points():
-    points = cloud(made(np.full((4, 5), np.nan)), "depth", RANGES, Choice())
+    points = frame_cloud(made(np.full((4, 5), np.nan)), "depth", RANGES, PointFilter())
     assert len(points) == 0 and points.size > 0
     assert len(triangles_between(points, (4, 5))) == 0
 
@@ -107,7 +107,7 @@ def test_a_frame_without_depth_has_no_points():
 def test_a_surface_is_torn_where_depth_jumps(most):
     inverse = np.ones((20, 31))
     inverse[:, 15:] = 0.5
-    points = cloud(made(inverse), "image", RANGES, Choice(most_points=most))
+    points = frame_cloud(made(inverse), "image", RANGES, PointFilter(most_points=most))
     triangles = triangles_between(points, (20, 31))
     near = points.positions[:, 2][triangles] < 1.5
     assert len(triangles) and (near.all(axis=1) | (~near).all(axis=1)).all()
@@ -118,7 +118,7 @@ def test_a_surface_is_torn_where_depth_jumps(most):
 
 def test_a_surface_is_read_by_others_and_has_no_light():
     frame = made(np.ones((6, 8)))
-    points = cloud(frame, "image", RANGES, Choice())
+    points = frame_cloud(frame, "image", RANGES, PointFilter())
     data = surface_file(points, triangles_between(points, (6, 8)), frame.picture)
     assert b"KHR_materials_unlit" in data
     read = trimesh.load(io.BytesIO(data), file_type="glb", force="mesh", process=False)

@@ -77,7 +77,7 @@ def test_legends_say_what_colours_mean(quantity):
     if quantity == "image":
         assert found is None and text == ""
     elif quantity == "object":
-        assert "thing 3" in text and len(found.colors) == 3
+        assert "object 3" in text and len(found.colors) == 3
     else:
         assert "linear-gradient" in text
         assert all(tick in text for tick in found.ticks)
@@ -99,7 +99,7 @@ def test_pictures_are_as_wide_as_asked_for(kind):
 
 def test_captions_have_units():
     assert "full colour at 3 px" in caption("flow", RANGES)
-    assert "from 0.5" in caption("depth", RANGES)
+    assert "depth of 0.5" in caption("depth", RANGES)
     assert caption("frame", RANGES) == ""
 
 
@@ -127,13 +127,13 @@ class Frames:
 def test_few_frames_are_kept():
     result = Frames(100)
     size = full().nbytes
-    cache = FrameCache(result, most_bytes=3 * size)
+    cache = FrameCache(result, max_bytes=3 * size)
     for number in (0, 1, 3, 0, 4, 5):
         assert cache[number].number == number
     assert len(cache) == 3 and cache.nbytes <= 3 * size
     assert result.read_ones == [0, 1, 3, 4, 5]
     assert cache[0].number == 0 and result.read_ones[-1] == 5  # it was used since
-    tiny = FrameCache(result, most_bytes=1)
+    tiny = FrameCache(result, max_bytes=1)
     assert tiny[7].number == 7 and len(tiny) == 1
 
 

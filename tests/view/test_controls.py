@@ -47,7 +47,7 @@ def sees_camera(page):
 
 
 def note(page):
-    return page.controls.whole_note.content
+    return page.controls.fused_note.content
 
 
 def distance(page):
@@ -87,12 +87,12 @@ def test_controls_of_a_run(opened, tmp_path, name, value, shown):
     ("name", "value", "shown"),
     [
         ("follow", True, sees_camera),
-        ("whole", "points", note),
+        ("fused", "points", note),
         ("with_frame", False, sees_points),
         ("path", False, nodes),
         ("frusta", False, frusta),
         ("pictures", False, pictures),
-        ("things", False, nodes),
+        ("objects", False, nodes),
     ],
 )
 def test_controls_of_a_reconstruction(opened, tmp_path, name, value, shown):
@@ -151,9 +151,9 @@ def test_the_speed_holds_from_now_on(opened, tmp_path):
     write_run(tmp_path / "r", 2)
     page = opened(tmp_path / "r")
     change(page, "play", True)
-    since = page._playing_since
+    since = page.playback._begin
     change(page, "speed", 20)
-    assert page._playing_since[0] > since[0]
+    assert page.playback._begin[0] > since[0]
 
 
 def test_one_frame_has_nothing_to_play(opened, tmp_path):

@@ -18,7 +18,7 @@ from tisfm.status import Status
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 
 from tisfm.results.opening import open_result
-from tisfm.view.frame_cloud import Choice
+from tisfm.view.frame_cloud import PointFilter
 from tisfm.view.ranges import ranges_of, sampled
 from tisfm.view.static_page import static_page
 
@@ -98,7 +98,7 @@ def test_no_exported_page_runs_script_of_a_folder(tab, tmp_path, kind):
             result,
             quantity="image",
             ranges=ranges_of(sampled(FrameCache(result), 1)),
-            choice=Choice(most_points=50),
+            points=PointFilter(most_points=50),
             most_frames=4,
             frames_per_second=8,
         )

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from tests.view.results import DEVIATION, film, write_reconstruction, write_run
+from tisfm.camera import Camera
+from tisfm.results.frame import ResultFrame
 from tisfm.results.opening import open_result
+from tisfm.rigid import pose_matrix
+from tisfm.status import Status
 
 
 @pytest.fixture
@@ -104,3 +108,26 @@ def test_a_pixel_outside_is_refused(tmp_path, pixel):
     write_run(tmp_path / "r", 1)
     with pytest.raises(IndexError, match="column below 61 and a row below 45"):
         open_result(tmp_path / "r").read(0).reading(*pixel)
+
+
+def test_flow_is_that_of_a_point_seen_from_two_poses():
+    random = np.random.default_rng(1)
+    inverse = random.uniform(0.3, 1, (17, 23)).astype(np.float32)
+    inverse[3, 4] = np.nan
+    first, second = (pose_matrix(random.normal(scale=0.05, size=6)) for _ in range(2))
+    frame = ResultFrame(
+        number=0,
+        picture=np.zeros((17, 23, 3), np.uint8),
+        camera=Camera(focal=50.0, center=(10.0, 8.0)),
+        inverse_depth=inverse,
+        status=Status("converged"),
+        motions={0: (np.zeros(6), np.linalg.inv(second) @ first)},
+    )
+    assert np.isnan(frame.flow[3, 4]).all()
+    for y, x in ((0, 0), (9, 20), (16, 11)):
+        ray = np.array([(x - 10) / 50, (y - 8) / 50, 1, inverse[y, x]]) / inverse[y, x]
+        there = np.linalg.inv(second) @ first @ ray
+        seen = 50 * there[:2] / there[2] + (10, 8)
+        np.testing.assert_allclose(frame.flow[y, x], seen - (x, y), atol=1e-4)
+    still = frame.flow_of_motion(np.eye(4), frame.has_depth)
+    np.testing.assert_allclose(still, 0, atol=1e-4)

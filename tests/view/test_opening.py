@@ -8,7 +8,7 @@ import pytest
 from tests.view.results import film, write_reconstruction, write_record_of, write_run
 from tisfm.folders.result_folder import LOCK, locked_folder
 from tisfm.formats import FormatError
-from tisfm.results.opening import NothingYetError, how_far, open_result
+from tisfm.results.opening import NotReadyError, describe_progress, open_result
 
 
 def test_a_run_that_goes_on_shows_what_is_finished(tmp_path):
@@ -93,7 +93,7 @@ RECORD = json.dumps({"format": 2, "version": "1", "settings": {"motion": "field"
 @pytest.mark.parametrize(
     ("name", "text", "yet", "ended"),
     [
-        ("reconstruction.begun", "", "no complete reconstruction yet", "nobody goes on with it"),
+        ("reconstruction.begun", "", "no complete reconstruction yet", "no command continues it"),
         ("run.json", RECORD, "no finished pair yet", "no run writes to it"),
         (None, "", "no finished pair yet", "neither run.json nor reconstruction.json"),
     ],
@@ -103,7 +103,7 @@ def test_what_is_being_made_is_waited_for_and_what_was_killed_is_not(
 ):
     if name is not None:
         (tmp_path / name).write_text(text)
-    with locked_folder(tmp_path), pytest.raises(NothingYetError, match=yet):
+    with locked_folder(tmp_path), pytest.raises(NotReadyError, match=yet):
         open_result(tmp_path)
     (tmp_path / LOCK).touch()  # a killed run leaves the file, and nobody holds it
     with pytest.raises(FileNotFoundError, match=ended):
@@ -111,14 +111,14 @@ def test_what_is_being_made_is_waited_for_and_what_was_killed_is_not(
 
 
 def test_how_far_a_reconstruction_is(tmp_path):
-    assert how_far(tmp_path) == ""
+    assert describe_progress(tmp_path) == ""
     (tmp_path / "reconstruction.begun").touch()
-    assert "read" in how_far(tmp_path)
+    assert "read" in describe_progress(tmp_path)
     for part, count, ending in (("frames", 5, "jpg"), ("depth", 2, "npz")):
         (tmp_path / part).mkdir()
         for k in range(count):
             (tmp_path / part / f"{k:06d}.{ending}").touch()
-    assert how_far(tmp_path) == "5 frames are read, 2 of them have depth"
+    assert describe_progress(tmp_path) == "5 frames are read, 2 of them have depth"
 
 
 def test_other_folders_are_refused(tmp_path):

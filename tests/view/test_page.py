@@ -19,9 +19,9 @@ from tisfm.results.opening import open_result
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 
 from tisfm.view.colors import Ranges
-from tisfm.view.frame_cloud import Choice
-from tisfm.view.page import Page
-from tisfm.view.scene import SceneView
+from tisfm.view.frame_cloud import PointFilter
+from tisfm.view.page import ViewerPage
+from tisfm.view.scene import ViewerScene
 from tisfm.view.server import start_server
 from tisfm.view.static_page import static_page
 from tisfm.view.waiting_page import WaitingPage
@@ -67,9 +67,9 @@ def test_pages_from_elsewhere_are_refused(opened, tmp_path):
 def test_a_host_that_is_none_is_refused(tmp_path):
     write_run(tmp_path / "r", 1)
     with pytest.raises(OSError, match=r"cannot listen at 192\.0\.2\.1"):
-        Page(open_result(tmp_path / "r"), host="192.0.2.1")
+        ViewerPage(open_result(tmp_path / "r"), host="192.0.2.1")
     with pytest.raises(ValueError, match="port is 70000"):
-        Page(open_result(tmp_path / "r"), port=70000)
+        ViewerPage(open_result(tmp_path / "r"), port=70000)
 
 
 def test_frames_are_read_when_they_are_looked_at(opened, tmp_path):
@@ -84,7 +84,7 @@ def test_frames_are_read_when_they_are_looked_at(opened, tmp_path):
     result.poses, result.piece = np.tile(np.eye(4), (200, 1, 1)), np.arange(200)
     read = []
     result.read = lambda number, read_one=result.read: read.append(number) or read_one(number)
-    page = Page(result, port=0)
+    page = ViewerPage(result, port=0)
     try:
         wait_until_drawn(page)
         assert len(set(read)) <= 4
@@ -143,7 +143,7 @@ def test_it_plays_and_stops(opened, tmp_path):
     write_reconstruction(tmp_path / "r")
     page = opened(tmp_path / "r")
     page.controls.speed.value = 30
-    page._toggle_play()
+    page._toggle_playback()
     seen = set()
 
     def has_seen_all():
@@ -152,7 +152,7 @@ def test_it_plays_and_stops(opened, tmp_path):
 
     wait_for(has_seen_all)
     assert page.controls.play.label == "Pause"
-    page._toggle_play()
+    page._toggle_playback()
     time.sleep(0.5)
     wait_until_drawn(page)
     number = page.number
@@ -245,14 +245,14 @@ def test_clicks_read_pixels(opened, tmp_path):
     assert page.number == 1
     frame, pose = page.frame, film().poses[1]
     ray = frame.rays(np.array([15]), np.array([16]))[0]
-    page._jobs.put(lambda: page._pick(pose[:3, 3] - 0.001 * pose[:3, 2], pose[:3, :3] @ ray))
+    page.thread.put(lambda: page.pick(pose[:3, 3] - 0.001 * pose[:3, 2], pose[:3, :3] @ ray))
     # From the place of the camera the picture in the frustum is the first thing that is hit.
     wait_for(lambda: "column 16, row 15" in page.controls.reading.content)
-    assert "thing 2" in page.controls.reading.content
+    assert "object 2" in page.controls.reading.content
     assert page.controls.pixel.value == (16, 15)
     change(page, "follow", True)  # there is no picture in the way
-    page._jobs.put(
-        lambda: page._pick(pose[:3, 3], pose[:3, :3] @ frame.rays(*np.array([[30], [40]]))[0])
+    page.thread.put(
+        lambda: page.pick(pose[:3, 3], pose[:3, :3] @ frame.rays(*np.array([[30], [40]]))[0])
     )
     wait_for(lambda: "column 40, row 30" in page.controls.reading.content)
     assert f"{1 / frame.inverse_depth[30, 40]:.4g} ±" in page.controls.reading.content
@@ -276,10 +276,10 @@ def test_a_pixel_outside_of_the_frame_is_told(opened, tmp_path):
     write_reconstruction(tmp_path / "r")
     page = opened(tmp_path / "r")
     wait_until_drawn(page)
-    page._mark(15, 400)
+    page.mark(15, 400)
     assert "column 400, row 15 is outside" in page.controls.reading.content.lower()
     assert "the frame has 45 × 61" in page.controls.reading.content
-    page._mark(15, 16)
+    page.mark(15, 16)
     assert "column 16, row 15" in page.controls.reading.content
 
 
@@ -294,10 +294,10 @@ def test_two_clicks_measure(opened, tmp_path):
     for row, column in ends:
         ray = frame.rays(row, column)[0]
         places.append(ray / frame.inverse_depth[row, column])
-        page._jobs.put(lambda ray=ray: page._pick(np.zeros(3), ray))
+        page.thread.put(lambda ray=ray: page.pick(np.zeros(3), ray))
     expected = float(np.linalg.norm(places[0] - places[1]))
     wait_for(lambda: f"distance {expected:.4g}" in page.controls.distance.content)
-    page._measure_anew()
+    page.thread.put(page.marks.clear_measured)
     wait_for(lambda: "two points" in page.controls.distance.content)
     assert not page.marks.measured
 
@@ -308,7 +308,7 @@ def test_paths_of_the_camera_and_of_things(opened, tmp_path):
     write_reconstruction(tmp_path / "r", things=True, changes=changes)
     page = opened(tmp_path / "r")
     wait_for(lambda: set(page.scene.frusta) == {0, 1, 2})
-    assert len(page.scene._nodes["thing2"].points) == 2  # of three frames of this piece
+    assert len(page.scene._nodes["object2"].points) == 2  # of three frames of this piece
     wait_for(lambda: all(handle.image is not None for handle in page.scene.frusta.values()))
     change(page, "frame", 4)
     wait_for(lambda: set(page.scene.frusta) == {3, 4})
@@ -318,9 +318,9 @@ def test_paths_of_the_camera_and_of_things(opened, tmp_path):
 
 def test_a_static_page_holds_everything(tmp_path):
     write_reconstruction(tmp_path / "r", things=True)
-    page = Page(open_result(tmp_path / "r"), port=0)
+    page = ViewerPage(open_result(tmp_path / "r"), port=0)
     page.stop()
-    options = {"ranges": page.ranges, "choice": page.choice(500), "frames_per_second": 5}
+    options = {"ranges": page.ranges, "points": page.point_filter(500), "frames_per_second": 5}
     text = static_page(page.result, quantity="image", most_frames=3, **options)
     assert "__VISER_EMBED_DATA__" in text.text and "</html>" in text.text
     more = static_page(page.result, quantity="image", most_frames=5, **options)
@@ -341,18 +341,18 @@ def test_a_static_page_has_the_path_of_every_piece(tmp_path, monkeypatch):
     write_reconstruction(tmp_path / "r", changes={"piece": piece, "unit": (1.0, 1.0)})
     result = open_result(tmp_path / "r")
     shown = []
-    show = SceneView.show_path
+    show = ViewerScene.show_path
 
     def noted(scene, number, *arguments, **options):
         show(scene, number, *arguments, **options)
         shown.append(sorted(scene.frusta))
 
-    monkeypatch.setattr(SceneView, "show_path", noted)
+    monkeypatch.setattr(ViewerScene, "show_path", noted)
     static_page(
         result,
         quantity="image",
         ranges=Ranges(inverse_depth=1.0, flow=1.0),
-        choice=Choice(most_points=100),
+        points=PointFilter(most_points=100),
         most_frames=5,
         frames_per_second=5,
     )
@@ -380,7 +380,7 @@ def test_a_page_waits_for_a_reconstruction_and_shows_how_far_it_is(opened, tmp_p
         for name in ("path.npz", "reconstruction.json"):
             shutil.copy(tmp_path / "made" / name, folder)
         wait_for(lambda: found)
-    page = Page(found[0], server=server)
+    page = ViewerPage(found[0], server=server)
     try:
         assert page.server is server and "1 of 5" in page.controls.status.content
         assert page.frame.shape == shot.frames.shape[1:3]
@@ -395,26 +395,26 @@ def test_the_whole_scene_is_a_layer(opened, tmp_path):
     points = PointCloud(positions=positions, colors=colors, confidence=confidence)
     points.save(tmp_path / "r" / "points.ply")
     page = opened(tmp_path / "r")
-    assert "whole" not in page.scene._nodes
-    change(page, "whole", "points")
-    wait_for(lambda: "points.ply: 40 points" in page.controls.whole_note.content)
-    wait_for(lambda: "whole" in page.scene._nodes)
-    np.testing.assert_array_equal(page.scene._nodes["whole"].points, positions)
+    assert "fused" not in page.scene._nodes
+    change(page, "fused", "points")
+    wait_for(lambda: "points.ply: 40 points" in page.controls.fused_note.content)
+    wait_for(lambda: "fused" in page.scene._nodes)
+    np.testing.assert_array_equal(page.scene._nodes["fused"].points, positions)
     change(page, "with_frame", False)
     wait_for(lambda: not page.scene._nodes["points"].visible)
     page.controls.box_low.value, page.controls.box_high.value = (0, 0, 0), (1, 1, 1)
     change(page, "box", True)
-    wait_for(lambda: len(page.scene._nodes["whole"].points) == (positions > 0).all(axis=1).sum())
-    change(page, "whole", "nothing")
-    wait_for(lambda: "whole" not in page.scene._nodes)
-    assert page.controls.whole_note.content == ""
+    wait_for(lambda: len(page.scene._nodes["fused"].points) == (positions > 0).all(axis=1).sum())
+    change(page, "fused", "nothing")
+    wait_for(lambda: "fused" not in page.scene._nodes)
+    assert page.controls.fused_note.content == ""
 
 
 def test_a_whole_scene_that_cannot_be_had_is_told(opened, tmp_path):
     write_reconstruction(tmp_path / "r", changes={"keyframes": ()})
     page = opened(tmp_path / "r")
-    change(page, "whole", "surface")
-    wait_for(lambda: "no keyframes" in page.controls.whole_note.content)
+    change(page, "fused", "surface")
+    wait_for(lambda: "no keyframes" in page.controls.fused_note.content)
     change(page, "frame", 2)
     wait_for(lambda: page.number == 2)  # the page goes on
 

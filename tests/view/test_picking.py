@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.view.test_cloud import RANGES, made
-from tisfm.view.frame_cloud import Choice, cloud
+from tisfm.view.frame_cloud import PointFilter, frame_cloud
 from tisfm.view.picking import field_of_view, frustum_scale, picked_pixel, picked_point
 
 
@@ -14,7 +14,7 @@ from tisfm.view.picking import field_of_view, frustum_scale, picked_pixel, picke
 @settings(max_examples=60)
 def test_a_ray_through_a_pixel_hits_its_point(seed, row, column):
     inverse = np.random.default_rng(seed).uniform(0.9, 1.1, (11, 23))
-    points = cloud(made(inverse), "image", RANGES, Choice())
+    points = frame_cloud(made(inverse), "image", RANGES, PointFilter())
     ray = made(inverse).rays(np.array([row]), np.array([column]))[0]
     hit = picked_point(np.zeros(3), 3 * ray, points.positions)
     assert points.pixels[hit].tolist() == [row, column]

@@ -64,7 +64,7 @@ def test_a_replaced_result_has_its_own_sizes_ranges_and_choices(opened, tmp_path
     change(page, "frame", 4)  # the controls that are there now are listened to
     wait_for(lambda: "5 of 5" in page.controls.status.content)
     change(page, "color", "object")
-    wait_for(lambda: "thing 2" in page.controls.legend.content)
+    wait_for(lambda: "object 2" in page.controls.legend.content)
 
 
 def test_a_replaced_result_of_the_same_kind_keeps_its_controls(opened, tmp_path):
@@ -122,8 +122,8 @@ def test_a_page_that_waits_in_vain_says_so(tmp_path):
             thread.start()
             wait_for(lambda: "as soon as it is there" in waiting._text.content)
         wait_for(lambda: raised)
-        assert "nobody goes on with it" in raised[0]
-        assert "nobody goes on with it" in waiting._text.content
+        assert "no command continues it" in raised[0]
+        assert "no command continues it" in waiting._text.content
         assert "as soon as it is there" not in waiting._text.content
     finally:
         stop_server(server)

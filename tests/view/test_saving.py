@@ -14,8 +14,8 @@ from tisfm.results.opening import open_result
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 
 from tisfm.view.colors import Ranges
-from tisfm.view.downloads import save_film, save_screenshot, tell_browser
-from tisfm.view.frame_cloud import Choice
+from tisfm.view.downloads import notify, save_film, save_screenshot
+from tisfm.view.frame_cloud import PointFilter
 from tisfm.view.static_page import static_page
 
 
@@ -85,10 +85,10 @@ def test_a_film_leaves_out_what_cannot_be_read_and_says_so(page, browser, tmp_pa
 
 
 def test_a_browser_that_is_gone_is_told_nothing(page, browser, monkeypatch):
-    tell_browser(page, browser, "a", "b")
+    notify(page, browser, "a", "b")
     assert browser.notes == [("a", "b")]
     monkeypatch.setattr("viser.ViserServer.get_clients", lambda _: {})
-    tell_browser(page, browser, "c", "d")
+    notify(page, browser, "c", "d")
     assert browser.notes == [("a", "b")]
 
 
@@ -102,7 +102,7 @@ def test_a_static_page_says_what_its_colours_mean(tmp_path, quantity, words):
         open_result(tmp_path / "r"),
         quantity=quantity,
         ranges=Ranges(inverse_depth=1.0, flow=1.0),
-        choice=Choice(most_points=100),
+        points=PointFilter(most_points=100),
         most_frames=1,
         frames_per_second=5,
     )

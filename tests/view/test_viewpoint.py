@@ -55,12 +55,12 @@ def test_without_points_the_camera_is_in_sight():
 
 def test_up_is_how_cameras_were_held(tmp_path):
     pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
-    from tisfm.view.page import Page
+    from tisfm.view.page import ViewerPage
 
     turn = np.eye(4)
     turn[:3, :3] = ((1, 0, 0), (0, 0, 1), (0, -1, 0))  # Y of the camera is −Z of the world
     shot = write_reconstruction(tmp_path / "before")
     write_reconstruction(tmp_path / "r", changes={"poses": turn @ shot.poses})
-    page = Page(open_result(tmp_path / "r"), port=0)
+    page = ViewerPage(open_result(tmp_path / "r"), port=0)
     page.stop()
     assert page.scene.up == pytest.approx((0, 0, 1), abs=0.1)

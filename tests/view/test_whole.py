@@ -13,7 +13,7 @@ from tisfm.formats.srgb import linear_from_srgb
 from tisfm.fusion import Mesh
 from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.result.reconstruction import Reconstruction
-from tisfm.results.fused_scene import Whole, clipped, fused_whole, stored_whole, thinned
+from tisfm.results.fused_scene import FusedScene, clipped, fuse_keyframes, read_fused, thinned
 from tisfm.results.opening import open_result
 
 
@@ -38,7 +38,7 @@ def sheet(side):
         ]
     ).astype(np.int32)
     colors = np.tile(np.array((10, 200, 30), np.uint8), (len(positions), 1))
-    return Whole(positions=positions, colors=colors, faces=faces, origin="made")
+    return FusedScene(positions=positions, colors=colors, faces=faces, origin="made")
 
 
 def area(whole):
@@ -47,10 +47,10 @@ def area(whole):
 
 
 def test_files_are_read_as_they_were_written(tmp_path):
-    assert stored_whole(tmp_path, "points") is None and stored_whole(tmp_path, "surface") is None
+    assert read_fused(tmp_path, "points") is None and read_fused(tmp_path, "surface") is None
     points = some_points()
     points.save(tmp_path / "points.ply")
-    found = stored_whole(tmp_path, "points")
+    found = read_fused(tmp_path, "points")
     np.testing.assert_array_equal(found.positions, points.positions)
     np.testing.assert_array_equal(found.colors, points.colors)
     assert found.faces is None and found.origin == "points.ply"
@@ -58,7 +58,7 @@ def test_files_are_read_as_they_were_written(tmp_path):
     mesh = Mesh(vertices=made.positions + 1, faces=made.faces, colors=made.colors, voxel=1.0)
     for name in ("mesh.glb", "mesh.ply"):
         mesh.save(tmp_path / name)
-        found = stored_whole(tmp_path, "surface")
+        found = read_fused(tmp_path, "surface")
         assert found.origin == name
         np.testing.assert_allclose(found.positions, mesh.vertices, atol=1e-6)
         np.testing.assert_array_equal(found.faces, mesh.faces)
@@ -71,7 +71,7 @@ def test_a_surface_of_before_whose_light_has_8_bits_is_read(tmp_path):
     light = np.rint(255 * linear_from_srgb()[made.colors]).astype(np.uint8)
     old = Trimesh(made.positions, made.faces, vertex_colors=light, process=False)
     (tmp_path / "mesh.glb").write_bytes(old.export(file_type="glb"))
-    found = stored_whole(tmp_path, "surface")
+    found = read_fused(tmp_path, "surface")
     np.testing.assert_allclose(found.colors.astype(int), made.colors, atol=4)
 
 
@@ -80,16 +80,16 @@ def test_a_surface_of_before_whose_light_has_8_bits_is_read(tmp_path):
 def test_damaged_files_are_told(tmp_path, name, kind, data):
     (tmp_path / name).write_bytes(data)
     with pytest.raises(FormatError, match=name):
-        stored_whole(tmp_path, kind)
+        read_fused(tmp_path, kind)
 
 
 @given(most=st.integers(1, 200))
 def test_few_points_are_left(most):
     points = some_points(100)
-    whole = Whole(positions=points.positions, colors=points.colors, faces=None, origin="")
+    whole = FusedScene(positions=points.positions, colors=points.colors, faces=None, origin="")
     few = thinned(whole, points=most)
     assert len(few.positions) == len(few.colors) == min(most, 100)
-    assert few.left == min(most, 100) / 100
+    assert few.kept_share == min(most, 100) / 100
     known = {tuple(place): tuple(color) for place, color in zip(*_lists(whole), strict=True)}
     assert all(
         known[tuple(place)] == tuple(color) for place, color in zip(*_lists(few), strict=True)
@@ -116,7 +116,7 @@ def test_a_coarser_surface_is_much_the_same(most):
 def test_what_is_clipped_lies_in_the_box(low, wide):
     box = np.full(3, low), np.full(3, low + wide)
     points = some_points()
-    whole = Whole(positions=points.positions, colors=points.colors, faces=None, origin="")
+    whole = FusedScene(positions=points.positions, colors=points.colors, faces=None, origin="")
     inside = clipped(whole, box)
     assert ((inside.positions >= low) & (inside.positions <= low + wide)).all()
     expected = ((points.positions >= low) & (points.positions <= low + wide)).all(axis=1)
@@ -134,7 +134,7 @@ def test_a_clipped_surface_has_the_faces_that_lie_inside():
 def test_keyframes_of_the_piece_are_fused(tmp_path, monkeypatch):
     write_reconstruction(tmp_path / "r", changes={"keyframes": (0, 1, 2, 3, 4)})
     result = Reconstruction.load(tmp_path / "r")
-    whole = fused_whole(result, "points", 0)
+    whole = fuse_keyframes(result, "points", 0)
     assert len(whole.positions) > 500 and whole.origin == "5 of 5 keyframes, fused"
     truth = film()
     for place in whole.positions[:: len(whole.positions) // 20]:  # each is on what a frame shows
@@ -148,21 +148,21 @@ def test_keyframes_of_the_piece_are_fused(tmp_path, monkeypatch):
             if z > 0 and 0 <= row < depth.shape[0] and 0 <= column < depth.shape[1]:
                 errors.append(abs(depth[row, column] / z - 1))
         assert min(errors) < 0.05
-    monkeypatch.setattr("tisfm.results.fused_scene.MOST_VIEWS", 3)
-    assert fused_whole(result, "points", 4).origin == "3 of 5 keyframes, fused"
+    monkeypatch.setattr("tisfm.results.fused_scene.MAX_KEYFRAMES", 3)
+    assert fuse_keyframes(result, "points", 4).origin == "3 of 5 keyframes, fused"
 
 
 def test_without_keyframes_there_is_nothing_to_fuse(tmp_path):
     write_reconstruction(tmp_path / "r", changes={"keyframes": ()})
     with pytest.raises(ValueError, match="no keyframes"):
-        open_result(tmp_path / "r").whole("points", 0)
+        open_result(tmp_path / "r").fused("points", 0)
 
 
 def test_what_was_written_is_taken_before_anything_is_fused(tmp_path):
     write_reconstruction(tmp_path / "r")
     points = some_points()
     points.save(tmp_path / "r" / "points.ply")
-    assert len(open_result(tmp_path / "r").whole("points", 3).positions) == len(points)
+    assert len(open_result(tmp_path / "r").fused("points", 3).positions) == len(points)
 
 
 def test_the_surface_in_the_browser_has_the_colours_it_was_given():

@@ -20,21 +20,23 @@ from tisfm.datasets import (
 )
 from tisfm.errors import InputError, is_user_error
 from tisfm.evaluation.files import EVALUATION_RECORD
-from tisfm.evaluation.masks import compare_masks, mask_table, true_masks
-from tisfm.evaluation.object_paths import (
+from tisfm.evaluation.moving_objects import (
+    compare_masks,
     compare_object_paths,
     has_true_paths,
+    mask_table,
     object_path_table,
+    true_masks,
 )
+from tisfm.evaluation.sequence_result import TrajectoryResult
 from tisfm.evaluation.sequence_tables import sequence_tables
 from tisfm.evaluation.sequences import (
-    Reconstructed,
     SequenceEvaluation,
+    SequenceResult,
     as_record,
     compare_sequence,
     reconstruct_and_compare,
 )
-from tisfm.evaluation.trajectory_result import TrajectoryResult
 from tisfm.folders.result_folder import InputFiles, make_result_folder
 from tisfm.formats import atomic_write
 from tisfm.reconstruction.progress import Progress
@@ -186,14 +188,14 @@ def _foretelling(name: str) -> Progress:
     return lambda stage, done, total: foretold[stage].done(done, total)
 
 
-def _read(path: Path, loaded: LoadedSequence) -> tuple[Reconstructed, bool]:
+def _read(path: Path, loaded: LoadedSequence) -> tuple[SequenceResult, bool]:
     """Return what was saved, and whether it has depth."""
     if path.is_dir():
         return tisfm.Reconstruction.load(path), True
     return TrajectoryResult(read_trajectory(path), loaded, path), False
 
 
-def _write_paths(path: Path, loaded: LoadedSequence, found: Reconstructed) -> None:
+def _write_paths(path: Path, loaded: LoadedSequence, found: SequenceResult) -> None:
     """Write the poses of a sequence; those of another world, a piece, to a file of their own."""
     known = [None] * len(loaded.frames) if loaded.times is None else list(loaded.times)
     times = times_or_numbers(known)

@@ -22,9 +22,10 @@ from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.show.stereo import check_disparity, check_screen
 
 if TYPE_CHECKING:  # their import takes seconds: it imports Taichi and SciPy
-    from tisfm.exports.export_request import Export as ExportRequest
+    from tisfm.exports.export_request import ExportRequest
     from tisfm.exports.formats import Format
-    from tisfm.exports.result_frames import PairFrames, SequenceFrames
+    from tisfm.results.pair_frames import PairFrames
+    from tisfm.results.sequence_frames import SequenceFrames
 
 FormatName = Literal[
     "tum", "kitti", "ply", "glb", "mesh-ply", "mesh-glb", "gltf-camera", "chan", "colmap",
@@ -110,8 +111,8 @@ def export(
     `frames` are start, stop and step; `scale` are two frames and the distance of the camera's
     places. All is checked, as far as it can be, before anything is written.
     """
-    from tisfm.exports.clock import check_rate
-    from tisfm.exports.export_request import Export as ExportRequest
+    from tisfm.exports.chosen_frames import check_rate
+    from tisfm.exports.export_request import ExportRequest
 
     wanted = _formats(formats)
     if frames_per_second is not None:
@@ -128,7 +129,7 @@ def export(
         )
     _refuse_inside(output, folder)
     result, found = _opened(folder, scale)
-    if screen_depth is not None and not found.is_posed:
+    if screen_depth is not None and not found.has_one_scale:
         raise InputError(
             f"--screen-depth is a depth, and each pair of {folder} has a unit of its own: give "
             "--screen, a quantile"
@@ -183,7 +184,9 @@ def _opened(
     folder: Path, scale: tuple[int, int, float] | None
 ) -> "tuple[Reconstruction | None, SequenceFrames | PairFrames]":
     """Return the reconstruction in a folder, if it is one, and the frames in it."""
-    from tisfm.exports.result_frames import RUN, PairFrames, SequenceFrames
+    from tisfm.folders.run_record import RECORD as RUN
+    from tisfm.results.pair_frames import PairFrames
+    from tisfm.results.sequence_frames import SequenceFrames
 
     if not folder.is_dir():
         raise FileNotFoundError(

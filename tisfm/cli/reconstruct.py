@@ -34,7 +34,7 @@ from tisfm.reconstruction.chunks.spans import CHUNK
 from tisfm.reconstruction.progress import DepthOf, Enough, Stage
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.reconstruction import Reconstruction
-from tisfm.report import refuse_foreign
+from tisfm.report import check_report
 from tisfm.running.pairs import FrameSelection
 from tisfm.running.pool import check_workers
 from tisfm.runtime import Arch
@@ -233,7 +233,7 @@ def reconstruct(
     if mesh is not None:
         check_library()
     if report:
-        refuse_foreign(output)
+        check_report(output)
     if isinstance(camera, Path):
         _check_fits(camera, source, frames)
     options = {

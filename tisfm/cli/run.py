@@ -27,7 +27,7 @@ from tisfm.folders.run_record import RECORD
 from tisfm.formats.float_maps import require_writable_flow
 from tisfm.interpretation import Interpretation
 from tisfm.machine.text import as_size
-from tisfm.report import refuse_foreign
+from tisfm.report import check_report
 from tisfm.running.background import Background
 from tisfm.running.pair_chunks import Chunk, FinishedChunk, chunks_of, interpret_chunk
 from tisfm.running.pair_files import USUAL, checked_outputs
@@ -199,7 +199,7 @@ def run(
                 "the report shows what NAME.npz holds: let npz be among the outputs, or leave out "
                 "--report"
             )
-        refuse_foreign(output)
+        check_report(output)
     check_workers(workers, cluster)
     is_shared = workers > 1 or cluster is not None
     if is_shared:

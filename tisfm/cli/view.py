@@ -12,10 +12,10 @@ from tisfm.cli.console import tell
 from tisfm.errors import InputError
 from tisfm.formats import atomic_write
 from tisfm.results.frame_cache import FrameCache
-from tisfm.results.opening import NothingYetError, open_result
-from tisfm.results.result import Result
-from tisfm.view.frame_cloud import Choice
-from tisfm.view.page import Page
+from tisfm.results.opening import NotReadyError, open_result
+from tisfm.results.result_frames import ResultFrames
+from tisfm.view.frame_cloud import PointFilter
+from tisfm.view.page import ViewerPage
 from tisfm.view.ranges import ranges_of, sampled
 from tisfm.view.server import start_server, stop_server, url_of
 from tisfm.view.static_page import static_page
@@ -78,7 +78,7 @@ def view(folder: Path, *, host: str, port: int, browser: bool, frame: int, point
     if points < 1:
         raise InputError(f"--points is {points}: expected a positive number")
     result, server = _opened(folder, frame, host=host, port=port, browser=browser)
-    page = Page(
+    page = ViewerPage(
         result,
         host=host,
         port=port,
@@ -112,7 +112,7 @@ def write_static(folder: Path, path: Path, *, frames: int, points: int) -> int:
         result,
         quantity="image",
         ranges=ranges,
-        choice=Choice(most_points=points),
+        points=PointFilter(most_points=points),
         most_frames=frames,
         frames_per_second=8,
     )
@@ -127,7 +127,7 @@ def write_static(folder: Path, path: Path, *, frames: int, points: int) -> int:
 
 def _opened(
     folder: Path, frame: int, *, host: str, port: int, browser: bool
-) -> "tuple[Result, ViserServer | None]":
+) -> "tuple[ResultFrames, ViserServer | None]":
     """Open a result; wait for its first frame where one is being made, and say so on a page.
 
     That page's server is returned as well.
@@ -136,7 +136,7 @@ def _opened(
         result = open_result(folder)
         _require_frame(result, frame)
         return result, None
-    except NothingYetError as error:
+    except NotReadyError as error:
         server = start_server(host, port)
         tell(f"{error}: waiting for it at {url_of(server)}, Ctrl-C ends that")
     try:
@@ -150,7 +150,7 @@ def _opened(
     return result, server
 
 
-def _require_frame(result: Result, frame: int) -> None:
+def _require_frame(result: ResultFrames, frame: int) -> None:
     count = len(result.names)
     if not 0 <= frame < count:
         raise InputError(f"--frame is {frame}: expected 0 to {count - 1}")

@@ -1,12 +1,12 @@
-"""Interpretations against known flow, depth and motion.
+"""Evaluation: pairs and sequences compared with known flow, depth and motion.
 
-Here: pairs and whole sequences of datasets evaluated, the means of their errors, tables and files.
+Here: errors of pairs and sequences of datasets, their means, tables and files.
 May import: all of `tisfm` but `tisfm.cli`.
 """
 
-from tisfm.evaluation.masks import compare_masks
+from tisfm.evaluation.moving_objects import compare_masks
+from tisfm.evaluation.pair_errors import PairEvaluation
 from tisfm.evaluation.pairs import Evaluation, evaluate
-from tisfm.evaluation.record import PairEvaluation
 from tisfm.evaluation.sequence_depth import SequenceDepthErrors
 from tisfm.evaluation.sequences import PieceErrors, SequenceEvaluation, compare_sequence
 

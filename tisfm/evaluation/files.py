@@ -30,37 +30,37 @@ from tisfm.show import (
 from tisfm.version import __version__
 
 EVALUATION_RECORD = "eval.json"
-_DPI = 250  # at which panels have all their pixels, up to a size
+_DPI = 250  # px per inch, the resolution up to which panels of a figure are not reduced
 _ENDINGS = ("_flow.flo", "_flow.png", "_error.png", "_depth_error.png")
 _PACKAGES = ("numpy", "opencv-python-headless", "taichi")
 
 
 class EvaluationWriter:
-    """Writes evaluations of pairs into a folder, and everything about them into one record.
+    """Writes the files of evaluated pairs into a folder, and one record of all pairs.
 
-    For a pair NAME of DATASET: ``DATASET/NAME_flow.flo``; where the true flow is known,
+    For a pair NAME of DATASET: ``DATASET/NAME_flow.flo``; with a true flow,
     ``DATASET/NAME_flow.png`` (recovered beside true flow) and ``DATASET/NAME_error.png`` (end-point
-    error, on one scale for all); where the true depth is known and one is recovered,
+    error, on one scale for all pairs); with a true and a recovered depth,
     ``DATASET/NAME_depth_error.png`` (both on one scale, and the relative error). The record,
-    ``eval.json``, is written first, and renewed after every pair, so that it always holds the pairs
-    of this evaluation whose files are complete; its "complete" turns true at the end.
+    ``eval.json``, is written first and replaced after every pair: it always lists the pairs whose
+    files are complete. Its "complete" turns true at the end.
 
     Parameters
     ----------
     folder : path
         Made if it does not exist.
     camera : Camera or None
-        The camera given for every pair, if one was.
+        The camera of every pair, if the user gave one.
     settings : Settings
     pairs : iterable of DatasetPair
-        The pairs to come. Their files are not to be replaced.
+        The pairs to evaluate, whose own files must not be replaced.
 
     Raises
     ------
     OSError
         If the folder cannot be made or written to.
     ValueError
-        If a file to be written is one of those of the pairs.
+        If an output file is an input file of a pair.
     """
 
     def __init__(
@@ -116,9 +116,9 @@ class EvaluationWriter:
         ----------
         evaluation : PairEvaluation
         result : Interpretation or None
-            Its interpretation; None for a pair with a fault, of which there is only the record.
+            None for a failed pair, which is only recorded.
         loaded : LoadedPair or None
-            What its files hold; None for a pair with a fault.
+            The loaded files; None for a failed pair.
 
         Raises
         ------
@@ -155,12 +155,12 @@ class EvaluationWriter:
         Parameters
         ----------
         evaluation : Evaluation
-            Of the pairs that were written.
+            Evaluation of the written pairs.
 
         Raises
         ------
         OSError
-            If it cannot be written.
+            If the record cannot be written.
         """
         means = {**evaluation.dataset_means, "": evaluation.mean}
         records = {name: None if mean is None else asdict(mean) for name, mean in means.items()}
@@ -170,7 +170,7 @@ class EvaluationWriter:
         self._write_record()
 
     def _stem(self, pair: DatasetPair) -> str:
-        """Return the beginning of file names that no other pair has, within the folder."""
+        """Return a unique beginning of the file names of a pair, inside the folder."""
         if pair not in self._stems:
             parts = (pair.dataset, pair.name)
             stem = "/".join(re.sub(r"[^\w.+-]+", "_", part).lstrip(".") or "_" for part in parts)
@@ -184,7 +184,7 @@ class EvaluationWriter:
         return self._stems[pair]
 
     def _files(self, stem: str) -> list[Path]:
-        """Return the files that a pair may have."""
+        """Return all files that a pair can have."""
         return [self.folder / f"{stem}{ending}" for ending in _ENDINGS]
 
     def _write_record(self) -> None:
@@ -197,5 +197,5 @@ class EvaluationWriter:
 def _version(package: str) -> str | None:
     try:
         return version(package)
-    except ModuleNotFoundError:  # such as another build of OpenCV
+    except ModuleNotFoundError:  # the package has another name, as other builds of OpenCV do
         return None

@@ -9,14 +9,14 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from tisfm.evaluation.means import ErrorSummary, MeanErrors, mean_errors
+from tisfm.evaluation.pair_errors import ErrorSummary, MeanErrors, mean_errors
 from tisfm.evaluation.pairs import Evaluation, PairEvaluation
 from tisfm.metrics import DepthErrors, OcclusionScores, PoseErrors
 
-_NOTHING = "–"
+_NOTHING = "–"  # cell without a value
 _Row = PairEvaluation | MeanErrors
 
-# Heading, and the text of a row; some are columns only where a pair has such an error.
+# Headings and cells. Some columns exist only if a pair has such an error.
 _FLOW: dict[str, Callable[[_Row], str]] = {
     "EPE, px": lambda row: f"{row.errors.endpoint:.3f}" if row.errors else _NOTHING,
     "AAE, °": lambda row: f"{row.errors.angular:.2f}" if row.errors else _NOTHING,
@@ -46,7 +46,7 @@ _Errors = TypeVar("_Errors", DepthErrors, PoseErrors)
 
 @dataclass(frozen=True)
 class _Line:
-    """One row: its name, and a cell of every column but the time."""
+    """One row: name, cells of all columns except the time, and the time, s."""
 
     name: str
     cells: list[str]
@@ -54,7 +54,7 @@ class _Line:
 
 
 def evaluation_tables(evaluation: Evaluation) -> list[Table]:
-    """Lay out an evaluation as tables of flow, depth and pose, as far as there are truths.
+    """Return tables of flow, depth and pose, for the pairs with a known truth.
 
     Parameters
     ----------
@@ -63,9 +63,9 @@ def evaluation_tables(evaluation: Evaluation) -> list[Table]:
     Returns
     -------
     list of rich.table.Table
-        Of each, one row per pair; the mean, for depth and pose also the median, of each dataset
-        of more than one pair; and those of all if there is more than one dataset. Poses have a
-        table where one was compared, or where nothing else is known of a pair.
+        Each table has a row per pair; the mean, for depth and pose also the median, of each dataset
+        with several pairs; and of all pairs if there are several datasets. Poses have a table if
+        one was compared, or if only the pose of a pair is known.
     """
     flows = [pair for pair in evaluation.pairs if pair.pair.knows_flow]
     depths = [pair for pair in evaluation.pairs if pair.pair.knows_depth]
@@ -104,7 +104,7 @@ def _flow_table(pairs: Sequence[PairEvaluation]) -> Table:
     def cells(row: _Row) -> list[str]:
         return [text(row) for text in columns.values()]
 
-    def sums(name: str, among: Sequence[PairEvaluation]) -> list[_Line]:
+    def summaries(name: str, among: Sequence[PairEvaluation]) -> list[_Line]:
         means = mean_errors(among)
         if means is None:
             return []
@@ -114,7 +114,7 @@ def _flow_table(pairs: Sequence[PairEvaluation]) -> Table:
         _Line(f"{pair.label} (failed)" if pair.fault else pair.label, cells(pair), pair.seconds)
         for pair in pairs
     ]
-    return _table("Flow against the truth", notes, list(columns), pairs, lines, sums)
+    return _table("Flow against the truth", notes, list(columns), pairs, lines, summaries)
 
 
 def _depth_table(pairs: Sequence[PairEvaluation]) -> Table:
@@ -132,7 +132,7 @@ def _depth_table(pairs: Sequence[PairEvaluation]) -> Table:
         _DEPTH,
         pairs,
         of_pair=lambda pair: pair.depth,
-        of_all=lambda means: means.depth,
+        of_means=lambda means: means.depth,
     )
 
 
@@ -151,7 +151,7 @@ def _pose_table(pairs: Sequence[PairEvaluation]) -> Table:
         _POSE,
         pairs,
         of_pair=lambda pair: pair.pose,
-        of_all=lambda means: means.pose,
+        of_means=lambda means: means.pose,
     )
 
 
@@ -162,16 +162,16 @@ def _errors_table(
     pairs: Sequence[PairEvaluation],
     *,
     of_pair: Callable[[PairEvaluation], _Errors | None],
-    of_all: Callable[[MeanErrors], ErrorSummary[_Errors] | None],
+    of_means: Callable[[MeanErrors], ErrorSummary[_Errors] | None],
 ) -> Table:
-    """Lay out a table with means, medians, and how many pairs have no such errors, and why."""
+    """Return a table with means, medians, and the numbers of pairs without errors by reason."""
 
     def cells(errors: _Errors | None) -> list[str]:
         return [text(errors) if errors else _NOTHING for text in columns.values()]
 
-    def sums(name: str, among: Sequence[PairEvaluation]) -> list[_Line]:
+    def summaries(name: str, among: Sequence[PairEvaluation]) -> list[_Line]:
         means = mean_errors(among)
-        found = None if means is None else of_all(means)
+        found = None if means is None else of_means(means)
         lines = []
         if found is not None and found.pairs:
             seconds = [pair.seconds for pair in among if pair.seconds is not None]
@@ -180,7 +180,7 @@ def _errors_table(
                 ("median", found.median, np.median(seconds)),
             ):
                 lines.append(_Line(f"{name}, {word} of {found.pairs}", cells(errors), float(time)))
-        reasons = Counter(_lack(pair) for pair in among if pair.fault is None)
+        reasons = Counter(_missing_depth(pair) for pair in among if pair.fault is None)
         del reasons[""]
         return lines + [
             _Line(f"{name}, {reason}: {count}", cells(None), None)
@@ -189,10 +189,10 @@ def _errors_table(
 
     lines = []
     for pair in pairs:
-        reason = "failed" if pair.fault is not None else _lack(pair)
+        reason = "failed" if pair.fault is not None else _missing_depth(pair)
         name = f"{pair.label} ({reason})" if reason else pair.label
         lines.append(_Line(name, cells(of_pair(pair)), pair.seconds))
-    return _table(title, notes, list(columns), pairs, lines, sums)
+    return _table(title, notes, list(columns), pairs, lines, summaries)
 
 
 def _table(
@@ -201,9 +201,9 @@ def _table(
     headings: Sequence[str],
     pairs: Sequence[PairEvaluation],
     lines: Sequence[_Line],
-    sums: Callable[[str, Sequence[PairEvaluation]], list[_Line]],
+    summaries: Callable[[str, Sequence[PairEvaluation]], list[_Line]],
 ) -> Table:
-    """Lay out the lines of pairs, with sums of each dataset and of all below them."""
+    """Return a table of pairs, with summaries of each dataset and of all pairs."""
     table = Table(title=title, caption=" ".join(notes))
     table.add_column("", overflow="fold")
     for heading in (*headings, "s"):
@@ -212,7 +212,7 @@ def _table(
     def add(lines: Sequence[_Line], *, style: str | None = None) -> None:
         for line in lines:
             time = _NOTHING if line.seconds is None else f"{line.seconds:.2f}"
-            # Text, because in a plain string square brackets would be markup.
+            # Text, because Rich reads square brackets in a plain string as markup.
             table.add_row(Text(line.name), *line.cells, time, style=style)
 
     groups: dict[str, list[int]] = {}
@@ -221,20 +221,20 @@ def _table(
     for name, members in groups.items():
         add([lines[index] for index in members])
         if len(members) > 1:
-            add(sums(name, [pairs[index] for index in members]), style="bold")
+            add(summaries(name, [pairs[index] for index in members]), style="bold")
         table.add_section()
     if len(groups) > 1:
-        add(sums("all", pairs), style="bold")
+        add(summaries("all", pairs), style="bold")
     return table
 
 
-def _lack(pair: PairEvaluation) -> str:
-    """Return why an interpretation has no depth, or nothing if it has one."""
+def _missing_depth(pair: PairEvaluation) -> str:
+    """Return why an interpretation has no depth; empty if it has depth."""
     if pair.little_parallax:
         return "too little parallax"
     return "no depth" if pair.without_depth else ""
 
 
 def _f1(scores: OcclusionScores | None) -> str:
-    """Return F1 in percent, where there is something to find."""
+    """Return F1 in percent; no value if no pixel is occluded."""
     return f"{100 * scores.f1:.1f}" if scores is not None and scores.occluded else _NOTHING

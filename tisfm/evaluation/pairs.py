@@ -1,4 +1,4 @@
-"""Interpretations of pairs whose flow, depth or pose is known, compared with it."""
+"""Interpretations of pairs, compared with known flow, depth or pose."""
 
 import os
 import time
@@ -11,8 +11,7 @@ import numpy as np
 from tisfm.camera import Camera, check_pinhole
 from tisfm.datasets import DatasetPair, LoadedPair
 from tisfm.errors import InputError, InputTypeError, is_user_error
-from tisfm.evaluation.means import MeanErrors, mean_errors
-from tisfm.evaluation.record import LITTLE_PARALLAX, PairEvaluation
+from tisfm.evaluation.pair_errors import LITTLE_PARALLAX, MeanErrors, PairEvaluation, mean_errors
 from tisfm.interpretation import Interpretation
 from tisfm.lens import undistort_depth
 from tisfm.metrics import (
@@ -30,7 +29,7 @@ from tisfm.rigid import pose_matrix
 from tisfm.settings import Settings, check_settings
 from tisfm.visibility.occlusion import leaves_image
 
-_WARM_UP_SIDE = 64  # px
+_WARM_UP_SIDE = 64  # px, of the frames that compile the kernels; set by hand
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +40,7 @@ class Evaluation:
     ----------
     settings : Settings
     pairs : tuple of PairEvaluation
-        In the order they were given.
+        In the given order.
 
     Examples
     --------
@@ -57,7 +56,7 @@ class Evaluation:
 
     @property
     def faults(self) -> list[PairEvaluation]:
-        """The pairs that could not be evaluated."""
+        """The failed pairs."""
         return [pair for pair in self.pairs if pair.fault is not None]
 
     @property
@@ -70,12 +69,12 @@ class Evaluation:
 
     @property
     def dataset_means(self) -> dict[str, MeanErrors | None]:
-        """Means of each dataset; None for one of which no pair could be evaluated."""
+        """Means of each dataset; None for a dataset whose pairs have all failed."""
         return {name: mean_errors(pairs) for name, pairs in self.datasets.items()}
 
     @property
     def mean(self) -> MeanErrors | None:
-        """Means over all pairs; None if none could be evaluated."""
+        """Means over all pairs; None if all have failed."""
         return mean_errors(self.pairs)
 
 
@@ -92,31 +91,29 @@ def evaluate(
 ) -> Evaluation:
     """Interpret pairs and compare their flow, depth and pose with the truth.
 
-    A pose that the dataset knows beforehand, as of a rectified stereo pair, is given to
-    interpretations that recover one motion of the camera (``motion="camera"``). Where a camera has
-    distortion or oblong pixels, the true depth is resampled as the frames are. A pair that cannot
-    be read, interpreted or compared is recorded with its fault, and the others go on. Kernels are
-    compiled beforehand, so that no time includes it.
+    With ``motion="camera"``, a pose that the dataset knows beforehand, as for a rectified stereo
+    pair, is given to the interpretation. For a camera with distortion or oblong pixels, the true
+    depth is resampled like the frames. A pair that cannot be read, interpreted or compared is
+    recorded as failed, and the evaluation goes on. Kernels are compiled beforehand, so that times
+    do not include it.
 
     Parameters
     ----------
     pairs : iterable of DatasetPair
-        Such as from `tisfm.datasets.find_pairs`. One that is given twice is evaluated once.
+        For example from `tisfm.datasets.find_pairs`. Duplicates are evaluated once.
     camera : Camera, optional
-        Camera of every pair; by default the one that the dataset states, or else `Camera()`.
+        Camera of every pair; by default that of the dataset, or else `Camera()`.
     settings : Settings, optional
-        By default those of the preset "balanced".
+        By default the preset "balanced".
     give_poses : bool
-        Whether every true pose is given, and only depth is compared, for ``motion="camera"``.
+        Whether to give all true poses and compare depth alone, for ``motion="camera"``.
     max_depth : float, optional
-        True depth beyond it is taken to be unknown; in the unit of the dataset.
+        True depth beyond it counts as unknown; in the unit of the dataset.
     on_load : callable, optional
-        Called with what was loaded of a pair before it is interpreted. An error that it raises is
-        the fault of the pair.
+        Called with a loaded pair before it is interpreted. Its errors make the pair fail.
     on_pair : callable, optional
-        Called after every pair with its evaluation, the interpretation and what was loaded (None
-        for a pair with a fault). An error that it raises is the fault of the pair, and it is then
-        called once more with that.
+        Called after every pair with evaluation, interpretation and loaded pair (None for a failed
+        pair). Its errors make the pair fail; it is then called again with the failed pair.
 
     Returns
     -------
@@ -127,10 +124,10 @@ def evaluate(
     TypeError
         If `camera` or `settings` is not of its type.
     ValueError
-        If `camera` has distortion or oblong pixels: the true flow is that of the frames as they
-        are. If poses are to be given to another motion, or `max_depth` is not positive.
+        If `camera` has distortion or oblong pixels, as the true flow is that of the original
+        frames; if poses are given to another motion, or `max_depth` is not positive.
     Exception
-        What nobody foresaw, which is a bug and no fault of a pair.
+        An unexpected error, which is a bug of tisfm.
 
     Examples
     --------
@@ -162,15 +159,15 @@ def evaluate(
     for pair in dict.fromkeys(pairs):
         try:
             loaded = pair.load()
-            taken_by = camera or loaded.camera or Camera()
-            loaded = _prepared(loaded, taken_by, give_poses=give_poses, max_depth=max_depth)
+            pair_camera = camera or loaded.camera or Camera()
+            loaded = _prepared(loaded, pair_camera, give_poses=give_poses, max_depth=max_depth)
             if on_load is not None:
                 on_load(loaded)
             kind = (loaded.frame0.shape[2:], loaded.frame0.dtype)
             if kind not in compiled:
                 _warm_up(settings, *kind)
                 compiled.add(kind)
-            evaluation, result = _evaluate_pair(pair, loaded, camera=taken_by, settings=settings)
+            evaluation, result = _evaluate_pair(pair, loaded, camera=pair_camera, settings=settings)
             if on_pair is not None:
                 on_pair(evaluation, result, loaded)
         except (OSError, TypeError, ValueError, RuntimeError, MemoryError) as error:
@@ -185,7 +182,7 @@ def evaluate(
 
 
 def as_record(evaluation: PairEvaluation) -> dict[str, Any]:
-    """Return everything about a pair as plain values, for JSON."""
+    """Return the evaluation of a pair as plain values for JSON."""
     record = asdict(evaluation)
     pair = {
         key: os.fspath(value) if isinstance(value, os.PathLike) else value
@@ -226,7 +223,7 @@ def _evaluate_pair(
 def _prepared(
     loaded: LoadedPair, camera: Camera, *, give_poses: bool, max_depth: float | None
 ) -> LoadedPair:
-    """Return a pair with the depth that its pinhole frames show, and its pose given if it is to be.
+    """Return a pair with the depth of its pinhole frames, and the choice whether its pose is given.
 
     Raises
     ------
@@ -248,7 +245,7 @@ def _prepared(
 
 
 def _depth_errors(result: Interpretation, loaded: LoadedPair) -> DepthErrors | None:
-    """Compare the depth with the true one, or return None if one of them does not exist."""
+    """Compare the depth with the true depth; return None if one of them is missing."""
     if loaded.depth is None or result.status in LITTLE_PARALLAX:
         return None
     depth = result.depth
@@ -257,7 +254,7 @@ def _depth_errors(result: Interpretation, loaded: LoadedPair) -> DepthErrors | N
 
 
 def _pose_errors(result: Interpretation, loaded: LoadedPair) -> PoseErrors | None:
-    """Compare the motion of the camera with the true one, or return None if there is none."""
+    """Compare the motion of the camera with the true motion; return None if one is missing."""
     if result.motions is None or loaded.pose is None or loaded.pose_given:
         return None
     errors = pose_errors(pose_matrix(result.motions[0]), loaded.pose)
@@ -267,7 +264,7 @@ def _pose_errors(result: Interpretation, loaded: LoadedPair) -> PoseErrors | Non
 def _errors_outside(
     flow: np.ndarray, truth: np.ndarray | None, mask: np.ndarray | None
 ) -> FlowErrors | None:
-    """Return the errors without the pixels of a mask, or None if there is none or no pixel is."""
+    """Return the errors without the pixels of a mask; None without a mask or without pixels."""
     if truth is None or mask is None:
         return None
     counted = ~mask
@@ -276,11 +273,11 @@ def _errors_outside(
 
 
 def _scores(occlusion: np.ndarray, loaded: LoadedPair) -> OcclusionScores | None:
-    """Compare a map of occlusion with the dataset's, or return None if it has none."""
+    """Compare a map of occlusion with that of the dataset; return None if it has no map."""
     if loaded.flow is None or loaded.occlusion is None:
         return None
     known = np.isfinite(loaded.flow).all(axis=-1)
-    # Datasets differ in whether what leaves the image is occluded; to us it is.
+    # Datasets differ in whether pixels that leave the image are occluded; here they are.
     truth = loaded.occlusion | leaves_image(np.moveaxis(loaded.flow, -1, 0))
     return occlusion_scores(occlusion, truth, mask=known)
 
@@ -290,6 +287,6 @@ def _warm_up(settings: Settings, channels: tuple[int, ...], dtype: np.dtype) -> 
     noise = np.random.default_rng(0).integers(0, 256, (_WARM_UP_SIDE, _WARM_UP_SIDE, *channels))
     frame = noise.astype(dtype)
     moved = np.roll(frame, 1, axis=1)
-    nearer = slice(_WARM_UP_SIDE // 2, None)  # parallax, without which depth is not looked for
+    nearer = slice(_WARM_UP_SIDE // 2, None)  # parallax, so that kernels for depth run too
     moved[nearer] = np.roll(frame, 3, axis=1)[nearer]
     interpret(frame, moved, camera=Camera(focal=_WARM_UP_SIDE), settings=settings)

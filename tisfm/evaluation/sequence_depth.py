@@ -1,8 +1,7 @@
-"""The depth of the frames of a sequence against the true one, in one scale."""
+"""Depth of the frames of a sequence compared with the true depth, in one scale."""
 
 from dataclasses import dataclass
 from statistics import fmean, median
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 from tisfm.camera import Camera
 from tisfm.datasets import LoadedSequence
 from tisfm.datasets.pose_files import motion_between
+from tisfm.evaluation.sequence_result import SequenceResult
 from tisfm.lens import undistort_depth
 from tisfm.metrics.depth_sequence import (
     LogMedian,
@@ -20,17 +20,7 @@ from tisfm.metrics.depth_sequence import (
     limited_error,
 )
 
-WITHOUT = 1.0  # what a frame without depth counts as
-
-
-class DepthMaps(Protocol):
-    """What has a depth for every frame."""
-
-    def inverse_depth(self, index: int) -> NDArray[np.float32]:
-        """Return that of a frame, (H, W); NaN where there is none."""
-
-    def inverse_depth_std(self, index: int) -> NDArray[np.float32]:
-        """Return its standard deviation, (H, W)."""
+ERROR_WITHOUT_DEPTH = 1.0  # limited error of a frame without depth
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,16 +31,16 @@ class FrameDepthErrors:
     ----------
     frame : int
     error : float
-        As `tisfm.metrics.limited_error`; 1 of a frame without depth.
+        As `tisfm.metrics.limited_error`; 1 for a frame without depth.
     certain : float or None
-        As `tisfm.metrics.certain_error`, of the 40 % of the pixels with the least relative
-        deviation; 1 of a frame without depth, None of one without deviations.
+        As `tisfm.metrics.certain_error`, over the 40 % of the pixels with the least relative
+        deviation; 1 for a frame without depth, None for a frame without deviations.
     share : float
-        Of the pixels of known depth, those that have one.
+        Share of the pixels of known depth that have depth.
     scale : float or None
-        The best one for this frame alone: its median of d*/d. None without depth.
+        Best scale for this frame alone: the median of d*/d. None without depth.
     flicker : float or None
-        As `tisfm.metrics.flicker`, from this frame to the next; None without a pair to compare.
+        As `tisfm.metrics.flicker`, from this frame to the next; None if one of them is missing.
     """
 
     frame: int
@@ -63,21 +53,21 @@ class FrameDepthErrors:
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceDepthErrors:
-    """Errors of the depth of a sequence, of the frames whose true depth is known.
+    """Errors of the depth of a sequence, over the frames with a true depth.
 
     Attributes
     ----------
     frames : int
         Frames with a true depth.
     without : int
-        Those of them without an estimate.
+        Frames among these without depth.
     scale : float
-        What all depth was multiplied by: the median of d*/d over the pixels of all frames, or 1
-        where the poses were given.
+        Factor of all depth: the median of d*/d over the pixels of all frames, or 1 if the poses
+        were given.
     error : float
         Median over frames, see `FrameDepthErrors`.
     certain : float or None
-        The same; None where a frame with depth has no deviations.
+        The same; None if a frame with depth has no deviations.
     mean_error : float
         Mean over frames.
     share : float
@@ -114,35 +104,35 @@ class SequenceDepthErrors:
 
 def sequence_depth_errors(
     loaded: LoadedSequence,
-    result: DepthMaps,
+    result: SequenceResult,
     *,
     camera: Camera,
     scale: float | None = None,
     max_depth: float | None = None,
 ) -> SequenceDepthErrors | None:
-    """Compare the depth of a sequence with the true one.
+    """Compare the depth of a sequence with the true depth.
 
     Parameters
     ----------
     loaded : LoadedSequence
-    result : DepthMaps
-        Of the same frames, without distortion.
+    result : SequenceResult
+        Result of the same frames, without distortion.
     camera : Camera
-        Of the frames as they were taken: true depth is resampled as they are.
+        Camera of the original frames: true depth is resampled like these.
     scale : float, optional
-        What estimated depth is multiplied by; by default the median of d*/d of all frames.
+        Factor of the depth; by default the median of d*/d of all frames.
     max_depth : float, optional
-        True depth beyond it is taken to be unknown.
+        True depth beyond it counts as unknown.
 
     Returns
     -------
     SequenceDepthErrors or None
-        None where no frame has a true depth.
+        None if no frame has a true depth.
 
     Raises
     ------
     ValueError
-        If a map is of another size than the true one.
+        If the size of a map differs from the true map.
     FormatError, OSError
         If a true map cannot be read.
     """
@@ -178,13 +168,13 @@ def sequence_depth_errors(
 
 def _frames(
     loaded: LoadedSequence,
-    result: DepthMaps,
+    result: SequenceResult,
     camera: Camera,
     max_depth: float | None,
     scale: float,
     best: dict[int, float | None],
 ) -> list[FrameDepthErrors]:
-    """Compare every frame that has a true depth; each map is read once."""
+    """Compare every frame with a true depth; each map is read once."""
     frames: list[FrameDepthErrors] = []
     later: tuple[int, NDArray, NDArray] | None = None  # the frame after, going backwards
     for index in sorted(best, reverse=True):
@@ -201,8 +191,8 @@ def _frames(
                 center=camera.center_for(*true.shape),
                 scale=scale,
             )
-        error: float = WITHOUT
-        certain: float | None = WITHOUT
+        error: float = ERROR_WITHOUT_DEPTH
+        certain: float | None = ERROR_WITHOUT_DEPTH
         if best[index] is not None:
             error = limited_error(inverse, true, scale=scale)
             certain = _certain(inverse, result.inverse_depth_std(index), true, scale)
@@ -229,7 +219,7 @@ def _certain(inverse: NDArray, deviation: NDArray, true: NDArray, scale: float) 
 def _truth(
     loaded: LoadedSequence, index: int, camera: Camera, max_depth: float | None
 ) -> NDArray | None:
-    """Return the true depth of a frame without distortion; None where none is known."""
+    """Return the true depth of a frame, without distortion; None if it is unknown."""
     depth = loaded.depth(index)
     if depth is None:
         return None

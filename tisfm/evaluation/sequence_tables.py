@@ -11,7 +11,7 @@ _NOTHING = "–"
 
 
 def sequence_tables(evaluations: Sequence[SequenceEvaluation]) -> list[Table]:
-    """Lay out evaluations of sequences as tables of paths and of depth, as far as there are truths.
+    """Return tables of paths and of depth, for the evaluations with a known truth.
 
     Parameters
     ----------
@@ -20,7 +20,8 @@ def sequence_tables(evaluations: Sequence[SequenceEvaluation]) -> list[Table]:
     Returns
     -------
     list of rich.table.Table
-        Of paths a row for every piece, the largest first; of depth one for every sequence.
+        The table of paths has a row for every piece, the largest first; the table of depth has one
+        for every sequence.
     """
     tables = []
     paths = [e for e in evaluations if e.fault or (e.path is not None and not e.poses_given)]
@@ -81,10 +82,11 @@ def _depth_table(evaluations: Sequence[SequenceEvaluation]) -> Table:
     table = Table(
         title="Depth of sequences against the truth",
         caption="In one scale for all frames of a sequence, 1 where the poses were given. error: "
-        "|ΔZ|/Z over all pixels of known depth, those without one taken as far, a frame without "
-        "depth as 1; surest: of the 40 % with the least relative deviation; both medians over "
-        "frames. pixels: share that has a depth. spread: deviation of the logarithm of the best "
-        "scale of a frame; flicker: mean change of relative inverse depth along the true flow.",
+        "|ΔZ|/Z over all pixels of known depth, where pixels without depth count as infinitely "
+        "far and a frame without depth as 1; surest: over the 40 % with the least relative "
+        "deviation; both are medians over frames. pixels: share with depth. spread: standard "
+        "deviation of the logarithm of the best scale of a frame; flicker: mean change of relative "
+        "inverse depth along the true flow.",
     )
     table.add_column("", overflow="fold")
     for heading in ("frames", "error", "surest 40 %", "pixels, %", "spread", "flicker"):

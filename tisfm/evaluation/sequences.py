@@ -1,10 +1,9 @@
-"""Reconstructions of sequences whose path or depth is known, compared with it."""
+"""Reconstructions of sequences, compared with a known path or depth."""
 
 import time
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from tisfm.camera import Camera
 from tisfm.datasets import DatasetSequence, LoadedSequence
 from tisfm.errors import InputError
 from tisfm.evaluation.sequence_depth import SequenceDepthErrors, sequence_depth_errors
+from tisfm.evaluation.sequence_result import SequenceResult
 from tisfm.metrics import (
     AbsoluteErrors,
     Drift,
@@ -26,53 +26,30 @@ from tisfm.metrics import (
 from tisfm.reconstruction.progress import Progress
 from tisfm.settings import Settings
 
-STEP = 10  # frames: of the second relative error
-FEWEST = 3  # poses of a piece: with fewer, nothing is left after an alignment
-
-
-class Reconstructed(Protocol):
-    """What is compared: `tisfm.Reconstruction`, or whatever else answers so."""
-
-    @property
-    def poses(self) -> NDArray[np.float64]:
-        """(N, 4, 4), camera to world; NaN where there is none."""
-
-    @property
-    def piece(self) -> NDArray[np.int32]:
-        """(N,), which poses are of one world; -1 without a pose."""
-
-    @property
-    def status(self) -> Sequence[Any]:
-        """Of each frame."""
-
-    def inverse_depth(self, index: int) -> NDArray[np.float32]:
-        """Return that of a frame, (H, W); NaN where there is none."""
-
-    def inverse_depth_std(self, index: int) -> NDArray[np.float32]:
-        """Return its standard deviation, (H, W)."""
+STEP = 10  # frames, of the second relative error; set by hand
+MIN_POSES = 3  # of a piece: an alignment fits fewer poses exactly
 
 
 @dataclass(frozen=True, kw_only=True)
 class PieceErrors:
-    """Errors of the poses that are of one world.
+    """Errors of the poses of one piece.
 
     Attributes
     ----------
     piece : int
     frames : int
-        Frames that have a pose in it.
+        Frames with a pose in the piece.
     absolute : AbsoluteErrors or None
-        None where fewer than 3 of them have a true pose.
+        None if fewer than 3 of these have a true pose.
     share : float or None
-        `absolute.similarity` per length of the true path of the whole sequence; None where it
-        stands still.
+        `absolute.similarity` over the length of the true path of the whole sequence; None for a
+        static camera.
     rigid_share : float or None
-        The same of `absolute.rigid`.
+        `absolute.rigid` over the same length.
     relative, relative_step : RelativeErrors or None
-        From each frame to the next, and to the tenth after it, after scaling by that of the
-        alignment.
+        From each frame to the next, and to the tenth after it, in the scale of the alignment.
     drift : Drift or None
-        After the same.
+        In the same scale.
 
     Examples
     --------
@@ -99,28 +76,28 @@ class PieceErrors:
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceEvaluation:
-    """What came of one sequence.
+    """The errors of one sequence, or why there are none.
 
     Attributes
     ----------
     sequence : DatasetSequence
     step : int
-        Every so many frames were taken.
+        Step of the evaluated frames.
     fault : str or None
-        Why there are no errors, in one line; None if all went well.
+        Why the sequence has no errors, in one line; None if it was evaluated.
     frames, posed : int
-        Frames, and those of them that have a pose.
+        Numbers of frames, and of frames with a pose.
     path : float or None
-        Length of the true path, m; None where it is not known.
+        Length of the true path, m; None if it is unknown.
     pieces : tuple of PieceErrors
         The largest first.
     depth : SequenceDepthErrors or None
-        None where no frame has a true depth, or there is nothing to compare with it.
+        None without a true depth, or without depth to compare.
     poses_given : bool
     seconds : float or None
-        Of the reconstruction; None of a result that was read.
+        Time of the reconstruction; None for a result from a file.
     statuses : dict
-        Code of a status → number of frames.
+        Number of frames by status.
 
     Examples
     --------
@@ -153,7 +130,7 @@ class SequenceEvaluation:
 def compare_sequence(
     sequence: DatasetSequence,
     loaded: LoadedSequence,
-    result: Reconstructed,
+    result: SequenceResult,
     *,
     camera: Camera,
     step: int = 1,
@@ -168,21 +145,21 @@ def compare_sequence(
     ----------
     sequence : DatasetSequence
     loaded : LoadedSequence
-        The frames that were reconstructed.
-    result : Reconstructed
-        Poses and depth of each of them.
+        The reconstructed frames.
+    result : SequenceResult
+        Poses and depth of each frame.
     camera : Camera
-        Whose pinhole picture the depth is of: the true depth is brought to it.
+        Camera of the original frames: the true depth is resampled to its pinhole picture.
     step : int
-        What `loaded` was loaded with.
+        Step with which `loaded` was loaded.
     poses_given : bool
-        Whether it was told the poses: they are then not compared, and depth is not scaled.
+        Whether poses were given: they are then not compared, and depth is not scaled.
     max_depth : float, optional
-        True depth beyond it is taken to be unknown, m.
+        True depth beyond it counts as unknown, m.
     with_depth : bool
-        Whether there is a depth to compare.
+        Whether to compare depth.
     seconds : float, optional
-        What it took.
+        Time of the reconstruction.
 
     Returns
     -------
@@ -191,7 +168,7 @@ def compare_sequence(
     Raises
     ------
     ValueError
-        If the result is of another number of frames, or its depth of another size.
+        If the number of frames, or the size of depth, differs from the result.
     OSError
         If a depth map cannot be read.
 
@@ -241,7 +218,7 @@ def reconstruct_and_compare(
     give_poses: bool = False,
     max_depth: float | None = None,
     progress: Progress | None = None,
-) -> tuple[SequenceEvaluation, Reconstructed]:
+) -> tuple[SequenceEvaluation, SequenceResult]:
     """Reconstruct a sequence by `tisfm.reconstruct`, and compare it with the truth.
 
     Parameters
@@ -250,14 +227,14 @@ def reconstruct_and_compare(
         As for `compare_sequence`.
     settings : Settings
     give_poses : bool
-        Whether it is told the true poses, and depth alone is compared.
+        Whether to give the true poses and compare depth alone.
     progress : callable, optional
         As for `tisfm.reconstruct`.
 
     Raises
     ------
     ValueError
-        As `compare_sequence`; and if poses are to be given that are not all known.
+        As `compare_sequence`; and if poses are to be given but some are unknown.
     """
     if give_poses and not loaded.posed.all():
         raise InputError(
@@ -287,7 +264,7 @@ def reconstruct_and_compare(
 
 
 def as_record(evaluation: SequenceEvaluation) -> dict[str, Any]:
-    """Return everything about a sequence as plain values, for JSON."""
+    """Return the evaluation of a sequence as plain values for JSON."""
     record = asdict(evaluation)
     sequence = record.pop("sequence")
     return {
@@ -300,7 +277,7 @@ def as_record(evaluation: SequenceEvaluation) -> dict[str, Any]:
 
 
 def _pieces(
-    result: Reconstructed, loaded: LoadedSequence, path: float | None
+    result: SequenceResult, loaded: LoadedSequence, path: float | None
 ) -> tuple[PieceErrors, ...]:
     pieces = np.asarray(result.piece)
     numbers, counts = np.unique(pieces[pieces >= 0], return_counts=True)
@@ -318,7 +295,7 @@ def _piece(
 ) -> PieceErrors:
     posed = np.isfinite(poses[:, 0, 0])
     both = posed & np.isfinite(truth[:, 0, 0])
-    if both.sum() < FEWEST:
+    if both.sum() < MIN_POSES:
         return PieceErrors(piece=number, frames=int(posed.sum()))
     absolute = absolute_errors(poses, truth)
     return PieceErrors(

@@ -1,4 +1,4 @@
-"""The moving camera for Blender and Nuke, and its lens."""
+"""The moving camera for Blender and Nuke, and its lens: Y up, the camera looks along −Z."""
 
 import json
 import math
@@ -6,17 +6,95 @@ import os
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tisfm.exports.camera_axes import lens_record, vertical_angle, y_up
-from tisfm.exports.clock import frame_rate
+from tisfm.camera import Camera
+from tisfm.exports.chosen_frames import chosen_frames, frame_rate, piece_files, pieces_of
 from tisfm.exports.gltf import camera_document
-from tisfm.exports.pieces import chosen_frames, piece_files, pieces_of
 from tisfm.formats import atomic_write
 from tisfm.reconstruction.result.reconstruction import Reconstruction
+
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # changes the sign of Y and Z; it is its own inverse
+SENSOR = 36.0  # mm, width of the sensor that a focal length in mm refers to: full frame
+_MAX_CENTRED = 0.5  # px of the principal point from the middle of the frame; set by hand
+
+
+def y_up(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return poses in a world with Y up, of a camera that looks along −Z with Y up.
+
+    Parameters
+    ----------
+    poses : (N, 4, 4) float64
+        Camera to world; camera and world have X right, Y down, Z forward.
+
+    Returns
+    -------
+    (N, 4, 4) float64
+    """
+    return np.asarray(FLIP @ poses @ FLIP)
+
+
+def vertical_angle(camera: Camera, height: int) -> float:
+    """Return the vertical field of view of the frames, rad."""
+    return 2 * math.atan2(height / 2, camera.focal)
+
+
+def is_centered(camera: Camera, shape: tuple[int, int]) -> bool:
+    """Return whether the principal point is within half a pixel of the middle of the frame."""
+    height, width = shape
+    cx, cy = camera.center_for(height, width)
+    return max(abs(cx - (width - 1) / 2), abs(cy - (height - 1) / 2)) <= _MAX_CENTRED
+
+
+def lens_record(camera: Camera, shape: tuple[int, int]) -> dict[str, Any]:
+    """Return the lens in the units of Blender and Nuke.
+
+    Parameters
+    ----------
+    camera : Camera
+        Without distortion.
+    shape : (int, int)
+        Height and width of its frames, px.
+
+    Returns
+    -------
+    dict
+        ``width``, ``height``, ``focal`` and ``center``, px, in the coordinates of array indices;
+        ``vertical_angle`` and ``horizontal_angle``, degrees; ``blender``: ``sensor_width`` and
+        ``lens``, mm, for the sensor fit HORIZONTAL, with ``shift_x`` and ``shift_y``, in widths;
+        ``nuke``: ``focal``, ``haperture`` and ``vaperture``, mm, and ``win_translate``, right and
+        up, in halves of the width.
+    """
+    height, width = shape
+    cx, cy = camera.center_for(height, width)
+    length = SENSOR * camera.focal / width
+    shift = ((width - 1) / 2 - cx) / width, (cy - (height - 1) / 2) / width
+    return {
+        "width": width,
+        "height": height,
+        "focal": camera.focal,
+        "center": [cx, cy],
+        "vertical_angle": math.degrees(vertical_angle(camera, height)),
+        "horizontal_angle": math.degrees(vertical_angle(camera, width)),
+        "blender": {
+            "sensor_fit": "HORIZONTAL",
+            "sensor_width": SENSOR,
+            "lens": length,
+            "shift_x": shift[0],
+            "shift_y": shift[1],
+        },
+        "nuke": {
+            "focal": length,
+            "haperture": SENSOR,
+            "vaperture": SENSOR * height / width,
+            "win_translate": [2 * part for part in shift],
+        },
+    }
+
 
 GLTF, CHAN, LENS = "camera.gltf", "camera.chan", "lens.json"
 
@@ -37,21 +115,21 @@ def write_gltf_cameras(
     ----------
     result : Reconstruction
     folder : path
-        It has to exist. Each piece of a sequence has a file of its own, as in `write_tum_paths`.
+        It has to exist. Each piece of a sequence has its own file, as in `write_tum_paths`.
     frames : iterable of int, optional
         Numbers of frames; by default all.
     frames_per_second : float, optional
-        By default what the times of the source say, or 25.
+        By default from the times of the source, or 25.
 
     Returns
     -------
     list of Path
-        What was written.
+        The files.
 
     Raises
     ------
     ValueError, IndexError
-        If no frame has a pose, or there is no such frame; if the frame rate is none.
+        If no frame has a pose, a frame does not exist, or the frame rate is out of range.
     OSError
         If a file cannot be written.
 
@@ -89,9 +167,9 @@ def write_chan(
 ) -> list[Path]:
     """Write the camera as Nuke reads it, ``camera.chan``, and its lens, ``lens.json``.
 
-    A line has frame tx ty tz rx ry rz vfov. Y points up, the camera looks along −Z; angles are
-    degrees, in the rotation order ZXY: about Z first, then X, then Y. Frames have their numbers,
-    from 0; those without a pose have no line.
+    A line has frame tx ty tz rx ry rz vfov. Y points up, the camera looks along −Z. Angles are in
+    degrees, in the rotation order ZXY: about Z first, then X, then Y. Frames are counted from 0; a
+    frame without a pose has no line.
 
     Parameters
     ----------
@@ -101,7 +179,7 @@ def write_chan(
     Returns
     -------
     list of Path
-        What was written.
+        The files.
 
     Raises
     ------
@@ -132,10 +210,10 @@ def write_chan(
 
 def _zxy_degrees(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the angles rx, ry, rz of R = Ry Rx Rz, (N, 3), degrees, without jumps of a turn."""
-    with warnings.catch_warnings():  # looking straight up, one of many answers is taken
+    with warnings.catch_warnings():  # looking straight up, SciPy warns that angles are not unique
         warnings.simplefilter("ignore", UserWarning)
-        turned = Rotation.from_matrix(rotations).as_euler("YXZ")
-    return np.degrees(np.unwrap(turned, axis=0)[:, [1, 0, 2]])
+        angles = Rotation.from_matrix(rotations).as_euler("YXZ")
+    return np.degrees(np.unwrap(angles, axis=0)[:, [1, 0, 2]])
 
 
 def _write_lens(result: Reconstruction, folder: Path) -> Path:

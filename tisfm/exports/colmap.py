@@ -4,12 +4,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from os import PathLike
-from typing import Any, get_args
+from pathlib import Path
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from tisfm.errors import InputError
-from tisfm.exports.colmap_files import Form, write_model
 from tisfm.exports.folders import IMAGES, MASKS, MODELS, renewed_export
 from tisfm.exports.frame_files import (
     Images,
@@ -24,24 +24,24 @@ from tisfm.reconstruction.mapping.colmap import pycolmap
 from tisfm.reconstruction.mapping.database import PIXEL_CENTRE, colmap_camera
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
-CAMERA = 1  # the number of the one camera
-FEWEST_FRAMES = 2  # of a piece that is a model
+Form = Literal["binary", "text", "both"]
+CAMERA = 1  # id of the only camera
+MIN_FRAMES = 2  # of a piece with a model
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportedModel:
-    """What was written of one piece.
+    """A summary of the written model of a piece.
 
     Attributes
     ----------
     name : str
-        Where, in the folder.
+        Path in the folder.
     piece : int
-        Of the reconstruction.
+        Piece of the reconstruction.
     images, points, observations : int
     error : float or None
-        Median distance from where a point was measured to where pose and position say, px; None
-        without points.
+        Median distance between measured and projected points, px; None without points.
 
     Examples
     --------
@@ -72,33 +72,33 @@ def write_colmap(
 ) -> tuple[ExportedModel, ...]:
     """Write a project of COLMAP: images, and a model of each piece, with measured tracks.
 
-    ``sparse/0`` is the model of the piece of most frames, ``sparse/1`` of the next, as each has a
-    scale of its own. Frames without a pose, and pieces of a single frame, have no place in it. A
-    point begins at a corner of a keyframe; its positions in other frames are measured in the
-    images, to a fraction of a pixel, and it lies nearest to all of them. The camera is a
-    ``PINHOLE``, as the frames are without distortion; image n + 1 is frame n of the reconstruction.
+    ``sparse/0`` is the model of the largest piece, ``sparse/1`` of the next: each has its own
+    scale. Frames without a pose, and pieces of a single frame, are left out. A point begins at a
+    corner of a keyframe; its positions in other frames are measured in the images, to a fraction of
+    a pixel, and the point minimises its distance to all of them. The camera is a ``PINHOLE``, as
+    the frames are without distortion; image n + 1 is frame n of the reconstruction.
 
-    With ``motion="objects"``, ``masks/`` has the masks that COLMAP takes, black where something
-    moves on its own, and nothing there has a point.
+    With ``motion="objects"``, ``masks/`` has masks for COLMAP, in which moving objects are black,
+    and moving objects have no points.
 
     Parameters
     ----------
     reconstruction : Reconstruction
     folder : path
-        A new or empty folder, or one with an earlier export, which is replaced when all is written.
+        A new or empty folder, or one with an earlier export, which is replaced at the end.
     form : {"binary", "text", "both"}
-        Of the models.
+        Format of the models.
     images : {"copy", "link", "none"}
         Whether ``images/`` has copies of the frames or hard links to them, or is left out.
     spacing : float, optional
-        Between points that are begun in a frame, px; by default 1/80 of the longer side.
+        Distance of new points in a frame, px; by default 1/80 of the longer side.
     progress : callable, optional
-        Called with the number of frames that are done, and of those there are.
+        Called with the number of finished frames and of all frames.
 
     Returns
     -------
     tuple of ExportedModel
-        What was written.
+        A summary of each model.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def write_colmap(
             )
             name = f"{MODELS}/{number}"
             write_model(_model(reconstruction, frames, tracks), new / name, form)
-            written.append(account(name, piece, frames, tracks))
+            written.append(summary_of(name, piece, frames, tracks))
         posed = sorted(frame for frames in pieces.values() for frame in frames)
         if images != "none":
             write_pictures(reconstruction, posed, new / IMAGES, images)
@@ -154,15 +154,15 @@ def write_colmap(
 
 
 def pieces_of(result: Reconstruction) -> dict[int, list[int]]:
-    """Return the frames of every piece that has several, the piece of most frames first.
+    """Return the frames of every piece of at least two, the largest piece first.
 
     Raises
     ------
     ValueError
-        If there is none.
+        If there is no such piece.
     """
     frames = {k: np.flatnonzero(result.piece == k).tolist() for k in range(len(result.unit))}
-    several = {k: few for k, few in frames.items() if len(few) >= FEWEST_FRAMES}
+    several = {k: few for k, few in frames.items() if len(few) >= MIN_FRAMES}
     if not several:
         raise InputError(
             f"no two of the {len(result)} frames have poses in one scale: there is nothing to "
@@ -171,20 +171,20 @@ def pieces_of(result: Reconstruction) -> dict[int, list[int]]:
     return dict(sorted(several.items(), key=lambda item: -len(item[1])))
 
 
-def account(name: str, piece: int, frames: Sequence[int], tracks: Tracks) -> ExportedModel:
-    """Return what was written of a piece."""
+def summary_of(name: str, piece: int, frames: Sequence[int], tracks: Tracks) -> ExportedModel:
+    """Return the summary of the model of a piece."""
     return ExportedModel(
         name=name,
         piece=piece,
         images=len(frames),
         points=len(tracks),
-        observations=len(tracks.places),
+        observations=len(tracks.image_points),
         error=float(np.median(tracks.residual)) if len(tracks) else None,
     )
 
 
 def _model(result: Reconstruction, frames: Sequence[int], tracks: Tracks) -> Any:
-    """Return pycolmap's reconstruction of one piece."""
+    """Return a piece as a reconstruction of pycolmap."""
     colmap = pycolmap()
     model = colmap.Reconstruction()
     model.add_camera_with_trivial_rig(colmap_camera(result.camera, result.shape))
@@ -196,7 +196,7 @@ def _model(result: Reconstruction, frames: Sequence[int], tracks: Tracks) -> Any
         number_in_frame[mine] = np.arange(len(mine))
         image = colmap.Image(
             name=name_of(frame),
-            keypoints=tracks.places[mine] + PIXEL_CENTRE,
+            keypoints=tracks.image_points[mine] + PIXEL_CENTRE,
             camera_id=CAMERA,
             image_id=frame + 1,
         )
@@ -215,7 +215,81 @@ def _model(result: Reconstruction, frames: Sequence[int], tracks: Tracks) -> Any
 def _shifted(
     progress: Callable[[int, int], None] | None, before: int, total: int
 ) -> Callable[[int, int], None] | None:
-    """Return what tells the progress of one piece as that of all."""
+    """Return a function that reports the progress of one piece as progress of all."""
     if progress is None:
         return None
     return lambda done, _: progress(before + done, total)
+
+
+def write_model(model: Any, folder: Path, form: Form) -> None:
+    """Write a reconstruction of pycolmap that has one camera, and check that it is complete.
+
+    pycolmap raises no error if the disk is full, and cannot read the incomplete files then.
+
+    Parameters
+    ----------
+    model : pycolmap.Reconstruction
+    folder : Path
+        Made here.
+    form : {"binary", "text", "both"}
+
+    Raises
+    ------
+    OSError
+        If a file is incomplete.
+    """
+    folder.mkdir(parents=True)
+    if form != "text":
+        model.write_binary(folder)
+    if form != "binary":
+        model.write_text(folder)
+    check_complete(model, folder, form)
+
+
+def check_complete(model: Any, folder: Path, form: Form) -> None:
+    """Raise OSError unless the files of a model have all bytes, or all lines."""
+    if form != "text":
+        for name, size in _sizes(model).items():
+            _require((folder / name).stat().st_size == size, folder / name)
+    if form != "binary":
+        for name, rows in _rows(model).items():
+            _require(_rows_of(folder / name) == rows, folder / name)
+
+
+def _require(complete: bool, path: Path) -> None:
+    if not complete:
+        raise OSError(f"{path} was not written to its end: is the disk full?")
+
+
+def _sizes(model: Any) -> dict[str, int]:
+    """Return the lengths of the binary files, bytes. Each begins with a count of 8 bytes."""
+    images = sum(
+        4 + 56 + 4 + len(image.name) + 1 + 8 + 24 * image.num_points2D()
+        for image in model.images.values()
+    )
+    points = sum(51 + 8 * point.track.length() for point in model.points3D.values())
+    return {
+        "cameras.bin": 8 + 24 + 8 * 4,
+        "rigs.bin": 8 + 16,
+        "frames.bin": 8 + 84 * model.num_images(),
+        "images.bin": 8 + images,
+        "points3D.bin": 8 + points,
+    }
+
+
+def _rows(model: Any) -> dict[str, int]:
+    """Return the numbers of lines of the text files, without comments."""
+    images = model.num_images()
+    return {
+        "cameras.txt": 1,
+        "rigs.txt": 1,
+        "frames.txt": images,
+        "images.txt": 2 * images,
+        "points3D.txt": model.num_points3D(),
+    }
+
+
+def _rows_of(path: Path) -> int:
+    """Return the number of complete lines of a text file, without comments."""
+    with path.open("rb") as file:
+        return sum(line.endswith(b"\n") and not line.startswith(b"#") for line in file)

@@ -1,95 +1,98 @@
-"""Tracks of points whose depth is known: it leads to the frames that see them."""
+"""Tracks of points of known depth, which predicts their positions in other frames."""
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 
 import numpy as np
 
-from tisfm.exports.guided_matching import is_smooth, measured, positions_of
+from tisfm.exports.guided_matching import is_smooth, measure_points, points_in_world
 from tisfm.exports.track_frames import PieceFrames, SeenPoints
-from tisfm.exports.track_triangulation import consistent
+from tisfm.exports.track_triangulation import consistent_points
 from tisfm.reconstruction.tracks.tracker import choose_new_points
 
-AROUND = 4  # keyframes to either side that a keyframe is compared with, and all frames to the next
-MOST = 120  # frames to either side
-ELSEWHERE, SHARED = 4, 0.5  # keyframes further off, and the share of points that each sees
-LARGEST_RATIO = 1.6  # of distances: beyond, a point does not look the same
-SAMPLE = 64  # points that tell which keyframes see the same
-FEW = 150  # points of a frame: with fewer, it begins some itself
-NEAR = (1, 2, 3, 4, 6, 8, 12)  # frames to either side that such a frame is compared with
-LARGEST_STD = 0.3  # of the inverse depth that leads to other frames, as a share of it
+# Set by hand.
+NEIGHBOUR_KEYFRAMES = 4  # to either side of a keyframe, besides all frames up to the next keyframe
+MAX_GAP = 120  # frames to either side of a keyframe
+DISTANT_KEYFRAMES = 4  # further keyframes that see the same points
+MIN_SHARED = 0.5  # share of the points of a keyframe that such a keyframe sees
+MAX_DISTANCE_RATIO = 1.6  # between views of a point: beyond it the point looks different
+SAMPLED_POINTS = 64  # that decide which keyframes see the same points
+FEW_POINTS = 150  # of a frame other than a keyframe: with fewer, points begin there as well
+NEIGHBOUR_STEPS = (1, 2, 3, 4, 6, 8, 12)  # frames to either side that such a frame is matched with
+MAX_RELATIVE_STD = 0.3  # of inverse depth that predicts positions
 
 Others = Callable[[int, np.ndarray, np.ndarray], list[int]]
 
 
 class DepthTracks:
-    """Begins points in keyframes, and in frames that see few, and finds them in others.
+    """Finds points of keyframes, and of frames with few points, in other frames.
 
     Parameters
     ----------
     frames : PieceFrames
     cells : int
-        Along the longer side: a point is begun in every cell that has none.
+        Along the longer side: each cell without a point gets a new one.
     """
 
     def __init__(self, frames: PieceFrames, cells: int) -> None:
         self._frames, self._cells = frames, cells
-        self._taken: dict[int, list[np.ndarray]] = {frame: [] for frame in frames.numbers}
+        self._observed: dict[int, list[np.ndarray]] = {frame: [] for frame in frames.numbers}
 
-    def found(self, progress: Callable[[int, int], None]) -> list[SeenPoints]:
-        """Return the points of all frames; progress is told frames that are done, and all."""
+    def find(self, progress: Callable[[int, int], None]) -> list[SeenPoints]:
+        """Return the points of all frames; `progress` receives finished frames and all frames."""
         numbers, keyframes = self._frames.numbers, self._frames.keyframes
         found = []
         for frame in keyframes:
-            found += self._begun(frame, self._around)
+            found += self._begin_in(frame, self._frames_of_keyframe)
             progress(frame - numbers[0] + 1, len(numbers))
         for frame in sorted(set(numbers) - set(keyframes)):
-            if sum(map(len, self._taken[frame])) < FEW:
-                found += self._begun(frame, self._near)
+            if sum(map(len, self._observed[frame])) < FEW_POINTS:
+                found += self._begin_in(frame, self._neighbours)
         progress(len(numbers), len(numbers))
         return found
 
-    def _begun(self, frame: int, others: Others) -> list[SeenPoints]:
-        """Begin points in a frame where it has none, and find them in others."""
+    def _begin_in(self, frame: int, others: Others) -> list[SeenPoints]:
+        """Begin points in free cells of a frame, and find them in other frames."""
         frames, result = self._frames, self._frames.result
         inverse_depth = result.inverse_depth(frame)
         with np.errstate(invalid="ignore", divide="ignore"):
             relative_std = result.inverse_depth_std(frame) / inverse_depth
-            trusted = (inverse_depth > 0) & (relative_std < LARGEST_STD)
+            trusted = (inverse_depth > 0) & (relative_std < MAX_RELATIVE_STD)
         trusted &= frames.usable(frame) & is_smooth(inverse_depth)
-        taken = np.vstack([np.empty((0, 2)), *self._taken[frame]])
-        points = choose_new_points(frames.grey(frame), taken, ~trusted, self._cells)
+        observed = np.vstack([np.empty((0, 2)), *self._observed[frame]])
+        points = choose_new_points(frames.grey(frame), observed, ~trusted, self._cells)
         if not len(points):
             return []
         column, row = points.astype(np.intp).T
         inverse, std = (
             values[row, column].astype(float) for values in (inverse_depth, relative_std)
         )
-        begun = positions_of(points, inverse, frames.pose(frame), result.shape)
-        seen_by = [frame, *(k for k in others(frame, begun, 1 / inverse) if k != frame)]
-        places = np.stack(
-            [points, *(self._places(frame, k, points, inverse_depth) for k in seen_by[1:])], axis=1
-        )
+        positions = points_in_world(points, inverse, frames.pose(frame), result.shape)
+        seen_by = [frame, *(k for k in others(frame, positions, 1 / inverse) if k != frame)]
+        elsewhere = [self._positions_in(frame, k, points, inverse_depth) for k in seen_by[1:]]
+        image_points = np.stack([points, *elsewhere], axis=1)
         poses = [frames.pose(k) for k in seen_by]
-        kept, places, found = consistent(places, poses, result.shape, begun, std, frames.fewest)
-        for number, one in enumerate(seen_by):
-            there = places[np.isfinite(places[:, number, 0]), number]
-            self._taken[one].append(there.astype(np.float32))
+        kept, image_points, estimate = consistent_points(
+            image_points, poses, result.shape, positions, std, frames.min_observations
+        )
+        for number, observer in enumerate(seen_by):
+            there = image_points[np.isfinite(image_points[:, number, 0]), number]
+            self._observed[observer].append(there.astype(np.float32))
         of_frame = SeenPoints(
             frames=seen_by,
-            places=places,
-            positions=found.positions,
-            residual=found.residual,
+            image_points=image_points,
+            positions=estimate.positions,
+            residual=estimate.residual,
             colors=frames.colors(frame, points[kept]),
         )
         return [of_frame]
 
-    def _places(
+    def _positions_in(
         self, frame: int, other: int, points: np.ndarray, inverse_depth: np.ndarray
     ) -> np.ndarray:
-        """Return where another frame sees points, (N, 2), NaN where not, or what is there moves."""
+        """Return the positions of points in another frame, (N, 2); NaN if lost or moving."""
         frames = self._frames
-        places = measured(
+        image_points = measure_points(
             frames.grey(frame),
             frames.grey(other),
             points,
@@ -97,42 +100,51 @@ class DepthTracks:
             frames.pose(frame),
             frames.pose(other),
         )
-        seen = np.flatnonzero(np.isfinite(places[:, 0]))
-        column, row = np.rint(places[seen]).astype(np.intp).T
-        places[seen[~frames.usable(other)[row, column]]] = np.nan
-        return places
+        seen = np.flatnonzero(np.isfinite(image_points[:, 0]))
+        column, row = np.rint(image_points[seen]).astype(np.intp).T
+        image_points[seen[~frames.usable(other)[row, column]]] = np.nan
+        return image_points
 
-    def _around(self, frame: int, begun: np.ndarray, depth: np.ndarray) -> list[int]:
-        """Return frames that see much of what a keyframe sees."""
+    def _frames_of_keyframe(
+        self, frame: int, positions: np.ndarray, depth: np.ndarray
+    ) -> list[int]:
+        """Return frames that see much of the scene of a keyframe."""
         numbers, keyframes = self._frames.numbers, self._frames.keyframes
-        place = bisect_left(keyframes, frame)
-        first = keyframes[place - 1] if place else numbers[0]
-        last = keyframes[place + 1] if place + 1 < len(keyframes) else numbers[-1]
-        begin = bisect_left(numbers, max(first, frame - MOST))
-        end = bisect_right(numbers, min(last, frame + MOST))
-        near = {*numbers[begin:end], *keyframes[max(0, place - AROUND) : place + AROUND + 1]}
-        return sorted(near | self._elsewhere(near, begun, depth))
+        index = bisect_left(keyframes, frame)
+        first = keyframes[index - 1] if index else numbers[0]
+        last = keyframes[index + 1] if index + 1 < len(keyframes) else numbers[-1]
+        begin = bisect_left(numbers, max(first, frame - MAX_GAP))
+        end = bisect_right(numbers, min(last, frame + MAX_GAP))
+        neighbours = keyframes[
+            max(0, index - NEIGHBOUR_KEYFRAMES) : index + NEIGHBOUR_KEYFRAMES + 1
+        ]
+        near = {*numbers[begin:end], *neighbours}
+        return sorted(near | self._distant_keyframes(near, positions, depth))
 
-    def _elsewhere(self, near: set[int], begun: np.ndarray, depth: np.ndarray) -> set[int]:
-        """Return other keyframes that see most of the points, (N, 3), from about as near, (N,)."""
+    def _distant_keyframes(
+        self, near: set[int], positions: np.ndarray, depth: np.ndarray
+    ) -> set[int]:
+        """Return distant keyframes that see most points, (N, 3), from similar distances, (N,)."""
         result, keyframes = self._frames.result, self._frames.keyframes
-        sample = np.linspace(0, len(begun) - 1, min(SAMPLE, len(begun))).astype(np.intp)
+        count = min(SAMPLED_POINTS, len(positions))
+        sample = np.linspace(0, len(positions) - 1, count).astype(np.intp)
         poses = result.poses[keyframes]
-        local = (begun[sample] - poses[:, None, :3, 3]) @ poses[:, :3, :3]
+        local = (positions[sample] - poses[:, None, :3, 3]) @ poses[:, :3, :3]
         z = local[..., 2]
         height, width = result.shape
         with np.errstate(invalid="ignore", divide="ignore"):
-            places = local[..., :2] / z[..., None] * result.camera.focal
-            places += result.camera.center_for(height, width)
-            seen = (z > 0) & (np.abs(np.log(z / depth[sample])) < np.log(LARGEST_RATIO))
-        share = (seen & ((places >= 0) & (places < (width, height))).all(axis=-1)).mean(axis=1)
+            image_points = local[..., :2] / z[..., None] * result.camera.focal
+            image_points += result.camera.center_for(height, width)
+            seen = (z > 0) & (np.abs(np.log(z / depth[sample])) < np.log(MAX_DISTANCE_RATIO))
+        inside = ((image_points >= 0) & (image_points < (width, height))).all(axis=-1)
+        share = (seen & inside).mean(axis=1)
         share[np.isin(keyframes, list(near))] = 0
-        best = np.argsort(-share, kind="stable")[:ELSEWHERE]
-        return {keyframes[k] for k in best if share[k] >= SHARED}
+        best = np.argsort(-share, kind="stable")[:DISTANT_KEYFRAMES]
+        return {keyframes[k] for k in best if share[k] >= MIN_SHARED}
 
-    def _near(self, frame: int, begun: np.ndarray, depth: np.ndarray) -> list[int]:
-        """Return frames before and after one, in the order of time."""
+    def _neighbours(self, frame: int, positions: np.ndarray, depth: np.ndarray) -> list[int]:
+        """Return frames before and after a frame, in the order of time."""
         numbers = self._frames.numbers
-        place = bisect_left(numbers, frame)
-        steps = sorted({sign * step for step in NEAR for sign in (-1, 1)})
-        return [numbers[place + step] for step in steps if 0 <= place + step < len(numbers)]
+        index = bisect_left(numbers, frame)
+        steps = sorted({sign * step for step in NEIGHBOUR_STEPS for sign in (-1, 1)})
+        return [numbers[index + step] for step in steps if 0 <= index + step < len(numbers)]

@@ -1,4 +1,4 @@
-"""A result that is exported, and what is taken of it."""
+"""The request of an export: the result, the chosen frames and the options."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,29 +8,30 @@ from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
 from tisfm.camera_file import read_camera, record_in
 from tisfm.errors import InputError
-from tisfm.exports.result_frames import PairFrames, SequenceFrames
 from tisfm.folders.result_folder import make_subfolder
 from tisfm.reconstruction.result.reconstruction import Reconstruction
+from tisfm.results.pair_frames import PairFrames
+from tisfm.results.sequence_frames import SequenceFrames
 
 
 @dataclass(frozen=True, kw_only=True)
-class Export:
-    """A result that is written, and how.
+class ExportRequest:
+    """What to export, and how.
 
     Attributes
     ----------
     result : Reconstruction or None
-        None of a folder of `tisfm run`.
+        None for a folder of `tisfm run`.
     frames : SequenceFrames or PairFrames
     chosen : sequence of int
-        Numbers of the frames that are taken.
+        Numbers of the frames to export.
     folder : Path
-        What is written to; it exists.
+        Folder of the exported files; it exists.
     frames_per_second : float or None
     disparity : float or None
         Of anaglyphs and of the swinging camera, as a share of the width.
     screen, screen_depth : float or None
-        The plane of their screen, as a quantile of the depth or as a depth.
+        The plane of the screen of these, as a quantile of the depth or as a depth.
     """
 
     result: Reconstruction | None
@@ -44,7 +45,7 @@ class Export:
 
     @property
     def sequence(self) -> Reconstruction:
-        """The reconstruction, or ValueError if it is of pairs."""
+        """The reconstruction; raises ValueError for a folder of pairs."""
         if self.result is None:
             raise InputError(
                 f"{self.frames.folder} is of tisfm run, whose pairs have no common scale and no "
@@ -53,19 +54,19 @@ class Export:
         return self.result
 
     def subfolder(self, name: str) -> Path:
-        """Return a folder in that which is written to; it is made if need be."""
+        """Return a folder inside the folder of the export; make it if it does not exist."""
         return make_subfolder(self.folder / name)
 
 
-def source_camera(export: Export) -> tuple[Camera, tuple[int, int]]:
-    """Return the camera with its distortion, and height and width of its frames, px.
+def source_camera(export: ExportRequest) -> tuple[Camera, tuple[int, int]]:
+    """Return the camera with distortion, and height and width of its frames, px.
 
-    Of a reconstruction they are those of the source, before any part was cut out or shrunk.
+    For a reconstruction these are the frames of the source, before cropping and shrinking.
 
     Raises
     ------
     FileNotFoundError
-        If the reconstruction has no file of it.
+        If the reconstruction has no camera file.
     """
     if isinstance(export.frames, PairFrames):
         return export.frames.camera, export.frames.shape

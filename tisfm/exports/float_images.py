@@ -1,4 +1,4 @@
-"""Pictures of float32: EXR, TIFF and PFM."""
+"""Images of float32: EXR, TIFF and PFM."""
 
 import os
 import tempfile
@@ -13,7 +13,7 @@ from tisfm.errors import MissingPackageError
 from tisfm.formats import atomic_write
 from tisfm.formats.atomic import TEMPORARY_PREFIX, TEMPORARY_SUFFIX
 
-_DEFLATE = 8  # of the ways that TIFF compresses in
+_DEFLATE = 8  # code of the compression in TIFF
 
 
 def check_exr() -> None:
@@ -33,12 +33,12 @@ def write_exr(path: str | os.PathLike[str], channels: Mapping[str, NDArray[np.fl
     ----------
     path : path
     channels : mapping of str to (H, W) float32
-        By their names, such as Z, or R, G and B.
+        Channels by name, such as Z, or R, G and B.
 
     Raises
     ------
     ImportError
-        If OpenEXR is not there.
+        If OpenEXR is not installed.
     OSError
         If the file cannot be written.
     """
@@ -47,10 +47,10 @@ def write_exr(path: str | os.PathLike[str], channels: Mapping[str, NDArray[np.fl
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     arrays = {name: np.ascontiguousarray(values, "<f4") for name, values in channels.items()}
-    place = Path(path).absolute().parent
-    # The library takes names of files alone, and says what went wrong as a RuntimeError.
+    parent = Path(path).absolute().parent
+    # OpenEXR only takes file names, and raises RuntimeError if writing fails.
     with tempfile.TemporaryDirectory(
-        prefix=TEMPORARY_PREFIX, suffix=TEMPORARY_SUFFIX, dir=place
+        prefix=TEMPORARY_PREFIX, suffix=TEMPORARY_SUFFIX, dir=parent
     ) as folder:
         file = Path(folder, "picture.exr")
         try:

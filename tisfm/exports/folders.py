@@ -1,4 +1,4 @@
-"""The folder of an export: all of it, or what was there before."""
+"""The folder of an export, replaced as a whole or not at all."""
 
 import json
 import os
@@ -18,24 +18,23 @@ RECORD = "export.json"  # written last, removed first
 IMAGES, MASKS, MODELS = "images", "masks", "sparse"
 TRANSFORMS, POINTS = "transforms.json", "sparse_points.ply"
 PARTS = (RECORD, IMAGES, MASKS, MODELS, TRANSFORMS, POINTS)
-_OF_SYSTEMS = {".DS_Store", "Thumbs.db", "desktop.ini"}  # that looking into a folder leaves
+_SYSTEM_FILES = {".DS_Store", "Thumbs.db", "desktop.ini"}  # file browsers write them
 NEW, EARLIER = ".tisfm-new", ".tisfm-earlier"
 
 
 @contextmanager
 def renewed_export(folder: str | PathLike[str], about: dict[str, Any]) -> Iterator[Path]:
-    """Give a folder to write an export to, which is moved to its place when the block ends.
+    """Yield a new folder to write an export to; it replaces the earlier export when the block ends.
 
-    An earlier export stays until then, and is still there if an exception leaves the block; where
-    there was no folder, there is none then. Of a process that was killed, what it left is removed
-    by the next one.
+    If an exception leaves the block, the earlier export stays, or the folder is removed if it is
+    new. The next export removes what a killed process has left.
 
     Parameters
     ----------
     folder : path
         Made if it does not exist.
     about : dict
-        What ``export.json`` says, as JSON has it; it may be added to within the block.
+        Contents of ``export.json``; the block may add to it.
 
     Yields
     ------
@@ -44,9 +43,9 @@ def renewed_export(folder: str | PathLike[str], about: dict[str, Any]) -> Iterat
     Raises
     ------
     FileExistsError
-        If the folder holds anything that is not of an export.
+        If the folder holds files that are not of an export.
     OSError
-        If it cannot be made or written to, or another run writes to it.
+        If the folder cannot be made or written to, or another run writes to it.
     """
     is_new = not Path(folder).exists()
     path = make_result_folder(folder)
@@ -62,7 +61,7 @@ def renewed_export(folder: str | PathLike[str], about: dict[str, Any]) -> Iterat
 
 @contextmanager
 def _renewed(path: Path, about: dict[str, Any]) -> Iterator[Path]:
-    """Do so in a folder that exists."""
+    """Yield the new folder inside a folder that exists."""
     with locked_folder(path):
         refuse_others(path)
         remove(path / NEW)
@@ -78,18 +77,18 @@ def _renewed(path: Path, about: dict[str, Any]) -> Iterator[Path]:
 
 
 def _exchange(path: Path) -> None:
-    """Put what is new in the place of what was there; ``export.json`` goes first and comes last."""
+    """Replace the earlier export by the new one; ``export.json`` goes first and comes last."""
     remove(path / EARLIER)
     (path / EARLIER).mkdir()
-    placed: list[str] = []
+    moved: list[str] = []
     try:
         _move(path, path / EARLIER, PARTS)
         for name in reversed(PARTS):
             if os.path.lexists(path / NEW / name):
-                placed.append(name)
+                moved.append(name)
                 (path / NEW / name).replace(path / name)
     except BaseException:
-        for name in placed:
+        for name in moved:
             remove(path / name)
         _move(path / EARLIER, path, PARTS[::-1])
         shutil.rmtree(path / NEW, ignore_errors=True)
@@ -106,10 +105,10 @@ def _move(source: Path, target: Path, names: Iterable[str]) -> None:
 
 
 def refuse_others(path: Path) -> None:
-    """Raise FileExistsError if a folder holds anything that is not of an export."""
+    """Raise FileExistsError if a folder holds files that are not of an export."""
     there = {item.name for item in path.iterdir() if not is_temporary(item.name)} - {
         LOCK,
-        *_OF_SYSTEMS,
+        *_SYSTEM_FILES,
     }
     ours = {RECORD, NEW, EARLIER} & there
     others = sorted(there - {NEW, EARLIER} - set(PARTS if ours else ()))

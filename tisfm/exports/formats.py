@@ -1,4 +1,4 @@
-"""The formats of `tisfm export`, by name: how each is written, and what is checked before."""
+"""The formats of `tisfm export` by name: how each is checked and written."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,90 +9,91 @@ from typing import Literal
 from tisfm.errors import InputError
 from tisfm.exports import notes
 from tisfm.exports.camera_path import write_chan, write_gltf_cameras
+from tisfm.exports.chosen_frames import pieces_of
 from tisfm.exports.colmap import write_colmap
-from tisfm.exports.depths import (
+from tisfm.exports.export_request import ExportRequest, source_camera
+from tisfm.exports.float_images import check_exr
+from tisfm.exports.folders import refuse_others
+from tisfm.exports.frame_maps import (
     VALUES_PER_UNIT,
     DepthKind,
     check_fits,
     frames_with_depth,
     write_depths,
+    write_masks,
 )
-from tisfm.exports.export_request import Export, source_camera
-from tisfm.exports.float_images import check_exr
-from tisfm.exports.folders import refuse_others
-from tisfm.exports.masks import write_masks
 from tisfm.exports.nerfstudio import write_nerfstudio
-from tisfm.exports.pieces import pieces_of
-from tisfm.exports.result_frames import SequenceFrames
 from tisfm.exports.surfaces import Suffix, save_points, write_meshes, write_points
 from tisfm.exports.trajectories import write_kitti_paths, write_tum_paths
 from tisfm.exports.undistortion import check_distorts, write_undistortion
 from tisfm.exports.video_file import check_video
 from tisfm.exports.videos import VideoKind, write_video
 from tisfm.fusion.mesh import check_library
+from tisfm.results.result_frames import file_names
+from tisfm.results.sequence_frames import SequenceFrames
 
 Progress = Callable[[int, int], None]
 Files = list[Path]
 
 
-def _nothing(export: Export) -> list[str]:
+def _no_notes(export: ExportRequest) -> list[str]:
     return []
 
 
 @dataclass(frozen=True, kw_only=True)
 class Format:
-    """What is written under a name.
+    """A format of `tisfm export`.
 
     Attributes
     ----------
     write : callable
-        Takes an `Export` and what is told of progress; returns the files.
+        Takes an `ExportRequest` and a function for progress; returns the files.
     check : callable
-        Raises what `write` would, as far as it can be told before long work: ImportError where a
-        package is missing, ValueError where the result does not have what is asked for.
+        Raises errors of `write` that can be known before long work: ImportError if a package is
+        missing, ValueError if the result lacks what the format needs.
     notes : callable
-        Returns what is to be said of the files.
+        Returns notes on the files for the user.
     bytes_per_pixel : float
-        At most, of every frame; 0 where it does not grow with them.
+        Upper bound of the size of a frame in the files; 0 for files that do not grow with frames.
     """
 
-    write: Callable[[Export, Progress], Files]
-    check: Callable[[Export], object]
-    notes: Callable[[Export], list[str]] = _nothing
+    write: Callable[[ExportRequest, Progress], Files]
+    check: Callable[[ExportRequest], object]
+    notes: Callable[[ExportRequest], list[str]] = _no_notes
     bytes_per_pixel: float = 0.0
 
 
-def _has_poses(export: Export) -> object:
+def _require_poses(export: ExportRequest) -> object:
     return pieces_of(export.sequence, export.chosen)
 
 
-def _has_depth(export: Export) -> None:
+def _require_depth(export: ExportRequest) -> None:
     frames = export.frames
     if not any(frames.has_depth(frame) for frame in export.chosen):
         frames_with_depth(frames, export.chosen)
 
 
 def _depth(kind: DepthKind, bytes_per_pixel: float) -> Format:
-    def write(export: Export, progress: Progress) -> Files:
-        place = export.subfolder(f"depth-{kind}")
-        return write_depths(export.frames, place, kind, chosen=export.chosen, progress=progress)
+    def write(export: ExportRequest, progress: Progress) -> Files:
+        subfolder = export.subfolder(f"depth-{kind}")
+        return write_depths(export.frames, subfolder, kind, chosen=export.chosen, progress=progress)
 
-    def check(export: Export) -> None:
+    def check(export: ExportRequest) -> None:
         if kind == "exr":
             check_exr()
-        _has_depth(export)
+        _require_depth(export)
         if kind in VALUES_PER_UNIT:
             check_fits(export.frames, frames_with_depth(export.frames, export.chosen), kind)
 
-    def said(export: Export) -> list[str]:
-        scale = notes.of_scale(export, kind) if kind in VALUES_PER_UNIT else []
-        return [*scale, *notes.of_depth(export)]
+    def describe(export: ExportRequest) -> list[str]:
+        scale = notes.note_scale(export, kind) if kind in VALUES_PER_UNIT else []
+        return [*scale, *notes.note_depth(export)]
 
-    return Format(write=write, check=check, notes=said, bytes_per_pixel=bytes_per_pixel)
+    return Format(write=write, check=check, notes=describe, bytes_per_pixel=bytes_per_pixel)
 
 
 def _video(kind: VideoKind) -> Format:
-    def write(export: Export, progress: Progress) -> Files:
+    def write(export: ExportRequest, progress: Progress) -> Files:
         file = write_video(
             export.frames,
             export.folder / f"{kind}.mp4",
@@ -106,96 +107,97 @@ def _video(kind: VideoKind) -> Format:
         )
         return [file]
 
-    def check(export: Export) -> None:
+    def check(export: ExportRequest) -> None:
         check_video()
         if kind == "flow":
             export.frames.flow(export.chosen[0])
         else:
-            _has_depth(export)
+            _require_depth(export)
 
-    def said(export: Export) -> list[str]:
-        without = [] if kind == "flow" else notes.of_depth(export)
-        return [*notes.of_rate(export), *without]
+    def describe(export: ExportRequest) -> list[str]:
+        without = [] if kind == "flow" else notes.note_depth(export)
+        return [*notes.note_rate(export), *without]
 
-    return Format(write=write, check=check, notes=said, bytes_per_pixel=0.4)
+    return Format(write=write, check=check, notes=describe, bytes_per_pixel=0.4)
 
 
 def _points(suffix: Suffix) -> Format:
-    def write(export: Export, progress: Progress) -> Files:
+    def write(export: ExportRequest, progress: Progress) -> Files:
         if isinstance(export.frames, SequenceFrames):
             return write_points(export.sequence, export.folder, suffix=suffix, frames=export.chosen)
-        place, written = export.subfolder(f"points-{suffix}"), []
+        subfolder, written = export.subfolder(f"points-{suffix}"), []
+        names = file_names(export.frames.names)
         for done, frame in enumerate(export.chosen, 1):
             points = export.frames.result(frame).points()
             if len(points):
-                written.append(place / f"{export.frames.names[frame]}.{suffix}")
+                written.append(subfolder / f"{names[frame]}.{suffix}")
                 save_points(points, written[-1])
             progress(done, len(export.chosen))
         if not written:
             raise InputError(
-                f"no pair in {export.frames.folder} shows a point: {export.frames.advice}"
+                f"no pair in {export.frames.folder} shows a point: {export.frames.depth_advice}"
             )
         return written
 
-    def said(export: Export) -> list[str]:
-        return notes.of_poses(export) if isinstance(export.frames, SequenceFrames) else []
+    def describe(export: ExportRequest) -> list[str]:
+        return notes.note_poses(export) if isinstance(export.frames, SequenceFrames) else []
 
-    return Format(write=write, check=_has_depth, notes=said)
+    return Format(write=write, check=_require_depth, notes=describe)
 
 
 def _mesh(suffix: Suffix) -> Format:
-    def write(export: Export, progress: Progress) -> Files:
+    def write(export: ExportRequest, progress: Progress) -> Files:
         return write_meshes(export.sequence, export.folder, suffix=suffix, frames=export.chosen)
 
-    def check(export: Export) -> None:
-        _has_poses(export)
+    def check(export: ExportRequest) -> None:
+        _require_poses(export)
         check_library()
-        _has_depth(export)
+        _require_depth(export)
 
-    return Format(write=write, check=check, notes=notes.of_poses)
+    return Format(write=write, check=check, notes=notes.note_poses)
 
 
 def _undistortion(suffix: Literal["exr", "tiff"]) -> Format:
-    def write(export: Export, progress: Progress) -> Files:
+    def write(export: ExportRequest, progress: Progress) -> Files:
         return write_undistortion(*source_camera(export), export.folder, suffix=suffix)
 
-    def check(export: Export) -> None:
+    def check(export: ExportRequest) -> None:
         if suffix == "exr":
             check_exr()
         check_distorts(source_camera(export)[0])
 
-    return Format(write=write, check=check, notes=notes.of_shutter)
+    return Format(write=write, check=check, notes=notes.note_shutter)
 
 
 def _model(
     name: str,
     write: Callable[..., object],
-    said: Callable[[Export], list[str]] = notes.of_models,
+    describe: Callable[[ExportRequest], list[str]] = notes.note_models,
 ) -> Format:
-    """Return a format that is a folder of its own, made by a function of the reconstruction."""
+    """Return a format whose files fill a folder of their own."""
 
-    def written(export: Export, progress: Progress) -> Files:
-        place = export.folder / name
-        write(export.sequence, place, progress=progress)
-        return [place]
+    def written(export: ExportRequest, progress: Progress) -> Files:
+        subfolder = export.folder / name
+        write(export.sequence, subfolder, progress=progress)
+        return [subfolder]
 
-    def check(export: Export) -> None:
+    def check(export: ExportRequest) -> None:
         if max(map(len, pieces_of(export.sequence, export.chosen))) < 2:
             raise InputError(f"{name} takes pieces of two frames or more, and there is none")
         if len(export.chosen) < len(export.frames):
             raise InputError(f"{name} takes all frames: leave out --start, --stop and --step")
-        place = export.folder / name
-        if place.exists():
-            refuse_others(place)
+        subfolder = export.folder / name
+        if subfolder.exists():
+            refuse_others(subfolder)
 
-    return Format(write=written, check=check, notes=said, bytes_per_pixel=0.5)
+    return Format(write=written, check=check, notes=describe, bytes_per_pixel=0.5)
 
 
 def _path(
     write: Callable[..., Files],
-    said: Callable[[Export], list[str]],
+    describe: Callable[[ExportRequest], list[str]],
 ) -> Format:
-    def written(export: Export, progress: Progress) -> Files:
+    def written(export: ExportRequest, progress: Progress) -> Files:
         return write(
             export.sequence,
             export.folder,
@@ -205,31 +207,31 @@ def _path(
 
     return Format(
         write=written,
-        check=_has_poses,
-        notes=lambda export: [*notes.of_poses(export), *said(export)],
+        check=_require_poses,
+        notes=lambda export: [*notes.note_poses(export), *describe(export)],
     )
 
 
 FORMATS = {
-    "tum": _path(write_tum_paths, notes.of_times),
-    "kitti": _path(write_kitti_paths, notes.of_times),
+    "tum": _path(write_tum_paths, notes.note_times),
+    "kitti": _path(write_kitti_paths, notes.note_times),
     "ply": _points("ply"),
     "glb": _points("glb"),
     "mesh-ply": _mesh("ply"),
     "mesh-glb": _mesh("glb"),
     "gltf-camera": _path(
-        write_gltf_cameras, lambda export: [*notes.of_rate(export), *notes.of_lens(export)]
+        write_gltf_cameras, lambda export: [*notes.note_rate(export), *notes.note_lens(export)]
     ),
     "chan": Format(
         write=lambda export, progress: write_chan(
             export.sequence, export.folder, frames=export.chosen
         ),
-        check=_has_poses,
-        notes=lambda export: [*notes.of_poses(export), *notes.of_lens(export)],
+        check=_require_poses,
+        notes=lambda export: [*notes.note_poses(export), *notes.note_lens(export)],
     ),
     "colmap": _model("colmap", write_colmap),
     "colmap-text": _model("colmap-text", partial(write_colmap, form="text")),
-    "nerfstudio": _model("nerfstudio", write_nerfstudio, notes.of_largest),
+    "nerfstudio": _model("nerfstudio", write_nerfstudio, notes.note_largest),
     "undistortion": _undistortion("exr"),
     "undistortion-tiff": _undistortion("tiff"),
     "depth-tum": _depth("tum", 2.0),

@@ -1,4 +1,4 @@
-"""Frames of a reconstruction as files of an export, and what in them moves on its own."""
+"""Frames of a reconstruction, and masks of moving objects, as files of an export."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,22 +13,22 @@ from tisfm.reconstruction.result.folder import PICTURES
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 Images = Literal["copy", "link", "none"]
-AT_REST = 255  # of a mask: what counts
+AT_REST = 255  # level of the static scene in a mask
 
 
 def name_of(frame: int) -> str:
-    """Return what the picture of a frame is called, as in the folder of the reconstruction."""
+    """Return the file name of a frame, as in the folder of the reconstruction."""
     return f"{frame:06d}.jpg"
 
 
 def check_images(images: str) -> None:
-    """Raise ValueError if that is no way to take the frames along."""
+    """Raise ValueError unless a choice of `Images` is given."""
     if images not in get_args(Images):
         raise InputError(f"images is {images!r}: expected 'copy', 'link' or 'none'")
 
 
 def has_masks(result: Reconstruction) -> bool:
-    """Return whether it says of every pixel what moves on its own."""
+    """Return whether a reconstruction has labels of moving objects."""
     return result.settings.motion == "objects"
 
 
@@ -37,9 +37,8 @@ def write_pictures(
 ) -> None:
     """Copy the pictures of frames, byte for byte, or link them.
 
-    A link is a hard one, where the file system has such: it stays right if the reconstruction is
-    moved, deleted or made anew. Elsewhere the file is copied, and so is the picture that a symbolic
-    link in the reconstruction leads to.
+    Links are hard links, which stay valid if the reconstruction is moved, deleted or replaced. The
+    file is copied if the file system has no hard links, or the picture is a symbolic link.
 
     Raises
     ------
@@ -55,7 +54,7 @@ def write_pictures(
 
 
 def write_masks(result: Reconstruction, frames: Sequence[int], folder: Path, suffix: str) -> None:
-    """Write which pixels of frames are at rest, as PNG: 255 if so, 0 of what moves on its own.
+    """Write masks of frames as PNG: 255 for the static scene, 0 for moving objects.
 
     Parameters
     ----------
@@ -64,7 +63,7 @@ def write_masks(result: Reconstruction, frames: Sequence[int], folder: Path, suf
     folder : Path
         Made here.
     suffix : str
-        In place of the picture's: ``.png``, or ``.jpg.png`` as COLMAP has it.
+        Replaces the suffix of the picture: ``.png``, or ``.jpg.png`` for COLMAP.
     """
     folder.mkdir()
     for frame in frames:
@@ -78,7 +77,7 @@ def picture_of(result: Reconstruction, frame: int) -> np.ndarray:
     Raises
     ------
     FileNotFoundError, tisfm.formats.FormatError
-        If it is missing or damaged, or has another size than the reconstruction says.
+        If the file is missing or damaged, or its size is not that of the reconstruction.
     """
     picture = result.picture(frame)
     if picture.shape[:2] != result.shape:

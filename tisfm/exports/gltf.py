@@ -1,4 +1,4 @@
-"""A document of glTF 2.0 with one camera that moves."""
+"""A glTF 2.0 document with one moving camera."""
 
 import base64
 import json
@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from tisfm.version import __version__
 
-_FLOAT, _KINDS = 5126, {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
-_NEAREST = 0.01  # what is drawn, in the unit of the poses
+_FLOAT = 5126  # code of float32 in glTF
+_KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}  # type of an accessor by its number of columns
+_NEAR_PLANE = 0.01  # in the unit of the poses; set by hand
 
 
 def camera_document(
@@ -22,20 +23,20 @@ def camera_document(
     aspect: float,
     about: dict[str, Any],
 ) -> bytes:
-    """Return a glTF document, its numbers within.
+    """Return a glTF document that contains its binary data.
 
     Parameters
     ----------
     poses : (N, 4, 4) float64
         Camera to world, Y up, the camera looks along −Z.
     times : (N,) float64
-        s, each above the one before.
+        s, strictly rising.
     vertical_angle : float
-        From the upper edge of the frames to the lower one, rad.
+        Vertical field of view, rad.
     aspect : float
         Width of the frames over height.
     about : dict
-        What else is to be said of the camera; it goes into its ``extras``.
+        Further properties of the camera, for its ``extras``.
 
     References
     ----------
@@ -60,7 +61,7 @@ def camera_document(
         )
         start += values.nbytes
     content = base64.b64encode(b"".join(values.tobytes() for values in arrays)).decode()
-    lens = {"yfov": vertical_angle, "aspectRatio": aspect, "znear": _NEAREST}
+    lens = {"yfov": vertical_angle, "aspectRatio": aspect, "znear": _NEAR_PLANE}
     samplers = [{"input": 0, "output": k, "interpolation": "LINEAR"} for k in (1, 2)]
     channels = [
         {"sampler": k, "target": {"node": 0, "path": path}}
@@ -89,9 +90,9 @@ def camera_document(
 
 
 def _continuous(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return quaternions of the same rotations, each near the one before.
+    """Return the same rotations with signs that make neighbouring quaternions similar.
 
-    Both signs mean one rotation, but programs interpolate the numbers.
+    Both signs mean the same rotation, but programs interpolate the numbers.
     """
     products = (quaternions[1:] * quaternions[:-1]).sum(axis=1)
     signs = np.cumprod(np.concatenate([[1.0], np.where(products < 0, -1.0, 1.0)]))

@@ -1,4 +1,4 @@
-"""A reconstruction as a ``transforms.json``, as nerfstudio and other NeRF trainers read it."""
+"""A reconstruction as a ``transforms.json`` for nerfstudio and other NeRF trainers."""
 
 import json
 import math
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tisfm.errors import InputError
-from tisfm.exports.colmap import ExportedModel, account, pieces_of
+from tisfm.exports.colmap import ExportedModel, pieces_of, summary_of
 from tisfm.exports.folders import IMAGES, MASKS, POINTS, TRANSFORMS, renewed_export
 from tisfm.exports.frame_files import (
     Images,
@@ -26,7 +26,7 @@ from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.mapping.database import PIXEL_CENTRE
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
-# From our axes, Y down, to those of the trainers' worlds, Z up.
+# From the axes of a reconstruction, Y down, to a world with Z up.
 WORLD = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 OPENGL = np.diag([1.0, -1, -1, 1])  # axes of a camera: X right, Y up, Z backward
 
@@ -43,29 +43,29 @@ def write_nerfstudio(
     """Write ``transforms.json``, the frames of one piece, and its sparse points.
 
     Cameras have the axes of OpenGL, X right, Y up, Z backward, in a world whose Z is up in the
-    piece's first frame; ``applied_transform`` is the way there from the axes of the
-    reconstruction. ``sparse_points.ply`` has the points of measured tracks, as for
-    `write_colmap`, in the same world: trainers begin Gaussian splats there. With
-    ``motion="objects"``, ``masks/`` has what is at rest in white.
+    first frame of the piece; ``applied_transform`` leads there from the axes of the reconstruction.
+    ``sparse_points.ply`` has the points of measured tracks, as for `write_colmap`, in the same
+    world: trainers initialise Gaussian splats with them. With ``motion="objects"``, ``masks/`` has
+    the static scene in white.
 
     Parameters
     ----------
     reconstruction : Reconstruction
     folder : path
-        A new or empty folder, or one with an earlier export, which is replaced when all is written.
+        A new or empty folder, or one with an earlier export, which is replaced at the end.
     piece : int, optional
-        By default that of most frames.
+        By default the largest.
     images : {"copy", "link", "none"}
         Whether ``images/`` has copies of the frames or hard links to them, or is left out.
     spacing : float, optional
-        Between points that are begun in a frame, px; by default 1/80 of the longer side.
+        Distance of new points in a frame, px; by default 1/80 of the longer side.
     progress : callable, optional
-        Called with the number of frames that are done, and of those there are.
+        Called with the number of finished frames and of all frames.
 
     Returns
     -------
     ExportedModel
-        What was written.
+        A summary of the written model.
 
     Raises
     ------
@@ -114,24 +114,24 @@ def write_nerfstudio(
             write_pictures(reconstruction, frames, new / IMAGES, images)
         if has_masks(reconstruction):
             write_masks(reconstruction, frames, new / MASKS, ".png")
-        written = account(TRANSFORMS, chosen, frames, tracks)
+        written = summary_of(TRANSFORMS, chosen, frames, tracks)
         about["models"] = [asdict(written)]
     return written
 
 
 def _transforms(result: Reconstruction, frames: list[int]) -> dict[str, Any]:
-    """Return what ``transforms.json`` says of frames."""
+    """Return the contents of ``transforms.json``."""
     height, width = result.shape
     focal = result.camera.focal
     cx, cy = result.camera.center_for(height, width)
-    shots = []
+    entries = []
     for frame in frames:
         name = name_of(frame)
-        shot: dict[str, Any] = {"file_path": f"{IMAGES}/{name}"}
+        entry: dict[str, Any] = {"file_path": f"{IMAGES}/{name}"}
         if has_masks(result):
-            shot["mask_path"] = f"{MASKS}/{name.removesuffix('.jpg')}.png"
-        shot["transform_matrix"] = (WORLD @ result.poses[frame] @ OPENGL).tolist()
-        shots.append(shot)
+            entry["mask_path"] = f"{MASKS}/{name.removesuffix('.jpg')}.png"
+        entry["transform_matrix"] = (WORLD @ result.poses[frame] @ OPENGL).tolist()
+        entries.append(entry)
     return {
         "camera_model": "PINHOLE",
         "fl_x": focal,
@@ -144,5 +144,5 @@ def _transforms(result: Reconstruction, frames: list[int]) -> dict[str, Any]:
         "camera_angle_y": 2 * math.atan(height / (2 * focal)),
         "applied_transform": WORLD[:3].tolist(),
         "ply_file_path": POINTS,
-        "frames": shots,
+        "frames": entries,
     }

@@ -1,4 +1,4 @@
-"""Points and surfaces of a reconstruction, for viewers and modellers."""
+"""Points and surfaces of a reconstruction, as PLY and GLB files."""
 
 import os
 from collections.abc import Iterable
@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from tisfm.errors import InputError
-from tisfm.exports.pieces import piece_files, pieces_of
+from tisfm.exports.chosen_frames import piece_files, pieces_of
 from tisfm.formats import atomic_write
 from tisfm.formats.glb import glb_points
 from tisfm.point_cloud import PointCloud
@@ -24,23 +24,24 @@ def write_points(
     suffix: Suffix = "ply",
     frames: Iterable[int] | None = None,
 ) -> list[Path]:
-    """Write the coloured points that keyframes agree on: ``points.ply`` or ``points.glb``.
+    """Write the fused coloured points of the keyframes: ``points.ply`` or ``points.glb``.
 
     Parameters
     ----------
     result : Reconstruction
     folder : path
-        It has to exist. Each piece of a sequence has a file of its own, as in `write_tum_paths`.
+        It has to exist. Each piece of a sequence has its own file, as in `write_tum_paths`.
     suffix : {"ply", "glb"}
         PLY has x, y, z, red, green, blue and confidence, in the axes of the world: Y points down.
-        GLB has positions and colours, and wants Y up: Y and Z change sign.
+        GLB has positions and colours, with Y up: Y and Z change sign.
     frames : iterable of int, optional
-        The keyframes among these; by default all. Where there are none among them, all of these.
+        The keyframes among these frames are fused, or all of them if there is no keyframe; by
+        default all frames.
 
     Returns
     -------
     list of Path
-        What was written: nothing of a piece that has no point.
+        The files; a piece without points has none.
 
     Raises
     ------
@@ -60,7 +61,7 @@ def write_points(
     written = []
     for file, piece in zip(piece_files(Path(folder), f"points.{suffix}", pieces), pieces,
                            strict=True):  # fmt: skip
-        points = result.points(_fused(result, piece))
+        points = result.points(_frames_to_fuse(result, piece))
         if len(points):
             save_points(points, file)
             written.append(file)
@@ -76,7 +77,7 @@ def write_meshes(
     suffix: Suffix = "ply",
     frames: Iterable[int] | None = None,
 ) -> list[Path]:
-    """Write the coloured surface that keyframes agree on: ``mesh.ply`` or ``mesh.glb``.
+    """Write the fused coloured surface of the keyframes: ``mesh.ply`` or ``mesh.glb``.
 
     Parameters
     ----------
@@ -86,12 +87,12 @@ def write_meshes(
     Returns
     -------
     list of Path
-        What was written: nothing of a piece without a surface.
+        The files; a piece without a surface has none.
 
     Raises
     ------
     ImportError
-        If scikit-image is not there: ``pip install 'tisfm[mesh]'``.
+        If scikit-image is not installed: ``pip install 'tisfm[mesh]'``.
     ValueError
         If no piece has a surface.
     OSError
@@ -108,7 +109,7 @@ def write_meshes(
     written = []
     for file, piece in zip(piece_files(Path(folder), f"mesh.{suffix}", pieces), pieces,
                            strict=True):  # fmt: skip
-        mesh = result.mesh(_fused(result, piece))
+        mesh = result.mesh(_frames_to_fuse(result, piece))
         if len(mesh.faces):
             mesh.save(file)
             written.append(file)
@@ -123,7 +124,7 @@ def save_points(points: PointCloud, path: str | os.PathLike[str]) -> None:
     Raises
     ------
     ValueError
-        If the suffix is another, or a GLB file were to hold nothing.
+        If the suffix is another, or a GLB file would be empty.
     OSError
         If the file cannot be written.
     """
@@ -139,6 +140,6 @@ def save_points(points: PointCloud, path: str | os.PathLike[str]) -> None:
         file.write(content)
 
 
-def _fused(result: Reconstruction, piece: list[int]) -> list[int]:
-    """Return the keyframes of a piece, or all its frames where there is none among them."""
+def _frames_to_fuse(result: Reconstruction, piece: list[int]) -> list[int]:
+    """Return the keyframes of a piece, or all its frames if it has no keyframe."""
     return [frame for frame in piece if frame in set(result.keyframes)] or piece

@@ -8,16 +8,16 @@ import numpy as np
 from tisfm.checks import Floats
 from tisfm.errors import InputError
 from tisfm.exports.depth_tracks import DepthTracks
-from tisfm.exports.flow_tracks import along_motion
+from tisfm.exports.flow_tracks import tracks_along_flow
 from tisfm.exports.track_frames import PieceFrames, SeenPoints
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
-CELLS = 80  # along the longer side: a point is begun in every cell that has none
+CELLS = 80  # along the longer side: each cell without a point gets a new group; set by hand
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tracks:
-    """Points of one piece, and where frames see them.
+    """Points of group piece, and their observations in frames.
 
     Attributes
     ----------
@@ -26,20 +26,20 @@ class Tracks:
     colors : (P, 3) uint8
         Red, green, blue.
     points : (O,) int32
-        Of every observation: which point is seen. Observations of one point follow one another.
+        Point of every observation. Observations of group point are neighbours.
     frames : (O,) int32
-        In which frame.
-    places : (O, 2) float64
-        Where: (x, y), px from the upper left pixel's centre, measured in the images.
+        Frame of every observation.
+    image_points : (O, 2) float64
+        Measured position (x, y) in the frame, px from the centre of the upper left pixel.
     residual : (O,) float64
-        How far that is from where the pose and the position say, px.
+        Distance of the measured position from the projected point, px.
     """
 
     positions: Floats
     colors: np.ndarray
     points: np.ndarray
     frames: np.ndarray
-    places: Floats
+    image_points: Floats
     residual: Floats
 
     def __len__(self) -> int:
@@ -53,47 +53,51 @@ def measured_tracks(
     spacing: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Tracks:
-    """Return tracks of points that stand out, through the frames of a piece.
+    """Return tracks of corners through the frames of a piece.
 
-    A point is begun in a keyframe, at a corner whose depth is known; depth and poses lead to other
-    frames, and there its position is measured in the images. It is kept where three frames or more
-    agree on one point in space, within 1.5 px of each. What moves on its own, and masked pixels,
-    have no points. Where no frame has depth, points are carried along the image motion.
+    A point begins in a keyframe, at a corner of known depth. Depth and poses predict its position
+    in other frames, where it is measured in the images. A point is kept if three frames or more
+    agree on group point in space, within 1.5 px in each frame. Moving objects and masked pixels
+    have no points. Without any depth, points are tracked from frame to frame along the image
+    motion, by the tracker of the reconstruction.
+
+    That tracker cannot replace the prediction: its tracks end within tens of frames, while depth
+    and poses also find a point in frames that see it again later, and from afar.
 
     Parameters
     ----------
     result : Reconstruction
     piece : int
     spacing : float, optional
-        Between points that are begun in a frame, px; by default 1/80 of the longer side.
+        Distance of new points in a frame, px; by default 1/80 of the longer side.
     progress : callable, optional
-        Called with the number of frames that are done, and of those there are.
+        Called with the number of finished frames and of all frames.
 
     Raises
     ------
     ValueError
-        If there is no such piece, or the spacing is not positive.
+        If the piece does not exist, or the spacing is not positive.
     FileNotFoundError, tisfm.formats.FormatError
         If files of the reconstruction are missing or damaged.
     """
     if not 0 <= piece < len(result.unit):
         raise InputError(f"piece is {piece}: expected 0 to {len(result.unit) - 1}")
-    told = progress or _untold
+    report = progress or _ignore
     frames, cells = PieceFrames(result, piece), cells_of(result.shape, spacing)
     if not any(map(frames.has_depth, frames.numbers)):
-        return _joined(along_motion(frames, cells, told))
-    found = DepthTracks(frames, cells).found(told)
-    if not any(len(one.positions) for one in found):  # there is depth, but none that leads on
-        found = along_motion(frames, cells, _untold)  # all frames are said to be done
-    return _joined(found)
+        return _joined(tracks_along_flow(frames, cells, report))
+    groups = DepthTracks(frames, cells).find(report)
+    if not any(len(group.positions) for group in groups):  # no point was found by depth
+        groups = tracks_along_flow(frames, cells, _ignore)  # progress was already reported
+    return _joined(groups)
 
 
-def _untold(done: int, count: int) -> None:
-    """Tell nobody how far it is."""
+def _ignore(done: int, count: int) -> None:
+    """Ignore progress."""
 
 
 def cells_of(shape: tuple[int, int], spacing: float | None) -> int:
-    """Return how many cells there are along the longer side of frames.
+    """Return the number of cells along the longer side of the frames.
 
     Raises
     ------
@@ -107,35 +111,35 @@ def cells_of(shape: tuple[int, int], spacing: float | None) -> int:
     return max(1, round(max(shape) / spacing))
 
 
-def _joined(found: Sequence[SeenPoints]) -> Tracks:
-    """Return the points of all, numbered throughout."""
-    observed = list(_observations(found))
-    points, frames, places, residual = (
-        np.concatenate([empty, *(one[k] for one in observed)])
+def _joined(groups: Sequence[SeenPoints]) -> Tracks:
+    """Return all points with common numbers."""
+    observed = list(_observations(groups))
+    points, frames, image_points, residual = (
+        np.concatenate([empty, *(group[k] for group in observed)])
         for k, empty in enumerate(
             (np.empty(0, np.int32), np.empty(0, np.int32), np.empty((0, 2)), np.empty(0))
         )
     )
     return Tracks(
-        positions=np.vstack([np.empty((0, 3)), *(one.positions for one in found)]),
-        colors=np.vstack([np.empty((0, 3), np.uint8), *(one.colors for one in found)]),
+        positions=np.vstack([np.empty((0, 3)), *(group.positions for group in groups)]),
+        colors=np.vstack([np.empty((0, 3), np.uint8), *(group.colors for group in groups)]),
         points=points,
         frames=frames,
-        places=places,
+        image_points=image_points,
         residual=residual,
     )
 
 
-def _observations(found: Sequence[SeenPoints]) -> Iterator[tuple[np.ndarray, ...]]:
-    """Give points, frames, places and residuals of what was seen, point by point."""
-    begun = 0
-    for one in found:
-        point, number = np.nonzero(np.isfinite(one.places[..., 0]))
-        frames = np.array(one.frames, np.int32)[number]
+def _observations(groups: Sequence[SeenPoints]) -> Iterator[tuple[np.ndarray, ...]]:
+    """Yield points, frames, positions and residuals of observations, point by point."""
+    count = 0
+    for group in groups:
+        point, number = np.nonzero(np.isfinite(group.image_points[..., 0]))
+        frames = np.array(group.frames, np.int32)[number]
         yield (
-            (point + begun).astype(np.int32),
+            (point + count).astype(np.int32),
             frames,
-            one.places[point, number],
-            one.residual[point, number],
+            group.image_points[point, number],
+            group.residual[point, number],
         )
-        begun += len(one.positions)
+        count += len(group.positions)

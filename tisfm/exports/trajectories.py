@@ -1,11 +1,10 @@
-"""The path of the camera as TUM's and KITTI's tools read it."""
+"""The path of the camera in the formats of TUM and KITTI."""
 
 import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from tisfm.exports.clock import frame_times
-from tisfm.exports.pieces import piece_files, pieces_of
+from tisfm.exports.chosen_frames import frame_times, piece_files, pieces_of
 from tisfm.formats import atomic_write
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.trajectory import write_kitti, write_tum
@@ -20,32 +19,32 @@ def write_tum_paths(
     frames: Iterable[int] | None = None,
     frames_per_second: float | None = None,
 ) -> list[Path]:
-    """Write the path as TUM's tools and evo read it: ``trajectory.tum``.
+    """Write the path for the tools of TUM and for evo: ``trajectory.tum``.
 
     A line has time tx ty tz qx qy qz qw, camera to world, in the unit of the poses. Frames without
-    a pose have none.
+    a pose have no line.
 
     Parameters
     ----------
     result : Reconstruction
     folder : path
-        It has to exist. Where the sequence fell into pieces, the largest is ``trajectory.tum``,
-        the next ``trajectory-piece2.tum``, and so on.
+        It has to exist. If the sequence has several pieces, the largest is ``trajectory.tum``, the
+        next ``trajectory-piece2.tum``, and so on.
     frames : iterable of int, optional
-        Numbers of frames; by default all.
+        Frame numbers; by default all.
     frames_per_second : float, optional
-        Times are then the numbers of frames over it. By default they are those of the source, s,
-        or the numbers of the frames where these are not known.
+        Times are then frame numbers divided by it. By default they are the times of the source, s,
+        or frame numbers if these are unknown.
 
     Returns
     -------
     list of Path
-        What was written.
+        The files.
 
     Raises
     ------
     ValueError, IndexError
-        If no frame has a pose, or there is no such frame.
+        If no frame has a pose, or a frame does not exist.
     OSError
         If a file cannot be written.
 
@@ -71,11 +70,11 @@ def write_kitti_paths(
     frames: Iterable[int] | None = None,
     frames_per_second: float | None = None,
 ) -> list[Path]:
-    """Write the path as KITTI's tools and evo read it: ``poses.kitti`` and ``poses.times``.
+    """Write the path for the tools of KITTI and for evo: ``poses.kitti`` and ``poses.times``.
 
-    A line of the first has twelve numbers, the rows of (R | t), camera to world; the same line of
-    the other has the time of the frame. Frames without a pose have no line in either, as programs
-    stop at one without numbers.
+    A line of ``poses.kitti`` has twelve numbers, the rows of (R | t), camera to world; the same
+    line of ``poses.times`` has the time of the frame. Frames without a pose have no line in either
+    file, because programs stop at a line without numbers.
 
     Parameters
     ----------
@@ -85,7 +84,7 @@ def write_kitti_paths(
     Returns
     -------
     list of Path
-        What was written.
+        The files.
 
     Raises
     ------
@@ -103,8 +102,8 @@ def write_kitti_paths(
     times = frame_times(result.times, frames_per_second)
     poses = piece_files(Path(folder), KITTI, pieces)
     stamps = piece_files(Path(folder), KITTI_TIMES, pieces)
-    for file, other, piece in zip(poses, stamps, pieces, strict=True):
+    for file, times_file, piece in zip(poses, stamps, pieces, strict=True):
         write_kitti(file, result.poses[piece])
-        with atomic_write(other) as stream:
+        with atomic_write(times_file) as stream:
             stream.write("".join(f"{time!r}\n" for time in times[piece].tolist()).encode())
     return [*poses, *stamps]

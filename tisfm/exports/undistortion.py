@@ -1,4 +1,4 @@
-"""Maps that remove the distortion of a lens, and put it back, for Nuke, Fusion and others."""
+"""ST maps that remove and add the distortion of a lens, for Nuke, Fusion and others."""
 
 import os
 from pathlib import Path
@@ -13,9 +13,9 @@ from tisfm.errors import InputError
 from tisfm.exports.float_images import check_exr, write_exr, write_tiff
 from tisfm.lens import Undistortion
 
-_NOWHERE = -1.0  # outside of every picture
-_PRECISE = 0.01  # px, by which a point may come back beside itself
-_STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
+_NOWHERE = -1.0  # coordinate outside every picture
+_MAX_ROUND_TRIP = 0.01  # px: error of a point after undistortion and distortion; set by hand
+_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 
 
 def write_undistortion(
@@ -27,35 +27,35 @@ def write_undistortion(
 ) -> list[Path]:
     """Write ST maps: ``undistort.exr`` and ``redistort.exr``, or TIFF.
 
-    A pixel of the first says where the undistorted picture takes its colour from in the frame; of
-    the second, where the frame takes it from in the undistorted picture. Red is the column, from 0
-    at the left edge to 1 at the right one, green the row, from 0 at the bottom edge to 1 at the
-    top: the centre of the upper left pixel of W × H is (0.5 / W, 1 − 0.5 / H). Blue is 1 where
-    there is something to take, else 0; there red and green are −1.
+    A pixel of ``undistort`` is the position in the frame of a pixel of the undistorted picture. A
+    pixel of ``redistort`` is the position in the undistorted picture of a pixel of the frame. Red
+    is the column, from 0 at the left edge to 1 at the right edge; green is the row, from 0 at the
+    bottom edge to 1 at the top: the centre of the upper left pixel of W × H is (0.5 / W, 1 − 0.5 /
+    H). Blue is 1 for a position inside the picture. Otherwise it is 0, and red and green are −1.
 
     Parameters
     ----------
     camera : Camera
-        That of the frames, with distortion or oblong pixels. The undistorted picture has the same
-        size, focal length (the smaller of both) and principal point.
+        Camera of the frames, with distortion or oblong pixels. The undistorted picture has the same
+        size, focal length (the smaller of two) and principal point.
     shape : (int, int)
         Height and width of the frames, px.
     folder : path
         It has to exist.
     suffix : {"exr", "tiff"}
-        Both of float32; EXR needs ``pip install 'tisfm[export]'``.
+        Both have float32; EXR needs ``pip install 'tisfm[export]'``.
 
     Returns
     -------
     list of Path
-        What was written.
+        The files.
 
     Raises
     ------
     ValueError
-        If the camera does not distort, or cannot be that of the frames.
+        If the camera has no distortion, or cannot be the camera of the frames.
     ImportError
-        If OpenEXR is not there.
+        If OpenEXR is not installed.
     OSError
         If a file cannot be written.
 
@@ -71,18 +71,18 @@ def write_undistortion(
     if suffix == "exr":
         check_exr()
     written = []
-    for name, places in zip(("undistort", "redistort"), st_maps(camera, shape), strict=True):
+    for name, st_map in zip(("undistort", "redistort"), st_maps(camera, shape), strict=True):
         file = Path(folder) / f"{name}.{suffix}"
         if suffix == "exr":
-            write_exr(file, {name: places[..., k] for k, name in enumerate("RGB")})
+            write_exr(file, {name: st_map[..., k] for k, name in enumerate("RGB")})
         else:
-            write_tiff(file, places)
+            write_tiff(file, st_map)
         written.append(file)
     return written
 
 
 def check_distorts(camera: Camera) -> None:
-    """Raise ValueError if a map would undo nothing."""
+    """Raise ValueError if the camera has no distortion."""
     if camera.is_pinhole:
         raise InputError("the camera has no distortion: there is nothing that a map would undo")
 
@@ -94,37 +94,39 @@ def st_maps(
     height, width = shape
     forward = Undistortion(camera, height, width)
     x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
-    taken = distorted(camera, shape, np.stack([x, y], axis=-1))
+    distorting = distorted(camera, shape, np.stack([x, y], axis=-1))
     back = undistorted(camera, shape, np.stack([x, y], axis=-1))
-    again = distorted(camera, shape, back)
-    reached = np.hypot(again[..., 0] - x, again[..., 1] - y) < _PRECISE
+    round_trip = distorted(camera, shape, back)
+    reached = np.hypot(round_trip[..., 0] - x, round_trip[..., 1] - y) < _MAX_ROUND_TRIP
     inside = reached & _inside(back, shape)
     column, row = (np.rint(back[..., k]).clip(0, end - 1) for k, end in enumerate((width, height)))
-    column, row = (np.where(inside, places, 0).astype(int) for places in (column, row))
+    column, row = (np.where(inside, st_map, 0).astype(int) for st_map in (column, row))
     inside &= forward.valid[row, column]
-    return _as_st(taken, forward.valid, shape), _as_st(back, inside, shape)
+    return _as_st(distorting, forward.valid, shape), _as_st(back, inside, shape)
 
 
 def distorted(
     camera: Camera, shape: tuple[int, int], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return where points of the undistorted picture, (…, 2) px, are in the frame."""
-    taken, pinhole = _matrices(camera, shape)
+    """Return the positions in the frame of points of the undistorted picture, (…, 2) px."""
+    distorting, pinhole = _matrices(camera, shape)
     rays = (points.reshape(-1, 2) - pinhole[:2, 2]) / pinhole[[0, 1], [0, 1]]
     ahead = np.column_stack([rays, np.ones(len(rays))])
-    found, _ = cv2.projectPoints(ahead, np.zeros(3), np.zeros(3), taken, _coefficients(camera))
-    return np.asarray(found, float).reshape(points.shape)
+    positions, _ = cv2.projectPoints(
+        ahead, np.zeros(3), np.zeros(3), distorting, _coefficients(camera)
+    )
+    return np.asarray(positions, float).reshape(points.shape)
 
 
 def undistorted(
     camera: Camera, shape: tuple[int, int], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return where points of the frame, (…, 2) px, are in the undistorted picture."""
-    taken, pinhole = _matrices(camera, shape)
-    found = cv2.undistortPoints(
-        points.reshape(-1, 1, 2), taken, _coefficients(camera), P=pinhole, criteria=_STEPS
+    """Return the positions in the undistorted picture of points of the frame, (…, 2) px."""
+    distorting, pinhole = _matrices(camera, shape)
+    positions = cv2.undistortPoints(
+        points.reshape(-1, 1, 2), distorting, _coefficients(camera), P=pinhole, criteria=_CRITERIA
     )
-    return np.nan_to_num(np.asarray(found, float).reshape(points.shape), nan=_NOWHERE * 1e9)
+    return np.nan_to_num(np.asarray(positions, float).reshape(points.shape), nan=_NOWHERE * 1e9)
 
 
 def _matrices(
@@ -132,11 +134,11 @@ def _matrices(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the intrinsics of the frame and of the undistorted picture, (3, 3)."""
     cx, cy = camera.center_for(*shape)
-    taken, pinhole = (
+    distorting, pinhole = (
         np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         for fx, fy in (camera.focals, camera.pinhole().focals)
     )
-    return taken, pinhole
+    return distorting, pinhole
 
 
 def _coefficients(camera: Camera) -> NDArray[np.float64]:
@@ -155,9 +157,9 @@ def _as_st(
     points: NDArray[np.float64], valid: NDArray[np.bool_], shape: tuple[int, int]
 ) -> NDArray[np.float32]:
     height, width = shape
-    places = np.stack(
+    st_map = np.stack(
         [(points[..., 0] + 0.5) / width, 1 - (points[..., 1] + 0.5) / height, np.ones(shape)],
         axis=-1,
     )
-    places[~valid] = (_NOWHERE, _NOWHERE, 0)
-    return places.astype(np.float32)
+    st_map[~valid] = (_NOWHERE, _NOWHERE, 0)
+    return st_map.astype(np.float32)

@@ -1,4 +1,4 @@
-"""Videos that browsers and players show: H.264 in MP4."""
+"""Video files for browsers and players: H.264 in MP4."""
 
 import os
 from collections.abc import Iterator
@@ -19,9 +19,10 @@ if TYPE_CHECKING:
 
 _CODEC = "libx264"
 _QUALITY = {"crf": "18", "preset": "medium"}
-_LARGEST_SIDE = 16384  # px, of H.264
-_BT709, _LIMITED = 1, 1  # of FFmpeg's lists of colour spaces and ranges
-_TICKS = 1001  # of the frame rate's denominator at most, as 30000/1001
+_MAX_SIDE = 16384  # px, a limit of H.264
+_BT709 = 1  # code of the colour space in FFmpeg
+_LIMITED_RANGE = 1  # code of levels from 16 to 235 in FFmpeg
+_MAX_DENOMINATOR = 1001  # of the frame rate, as in 30000/1001
 
 
 def check_video() -> None:
@@ -40,32 +41,32 @@ def check_video() -> None:
 
 
 class VideoWriter:
-    """Takes the frames of a video, one after the other.
+    """Encodes the frames of a video one after another.
 
     Attributes
     ----------
     frames : int
-        How many it has taken.
+        Number of frames so far.
     """
 
     def __init__(self, container: "OutputContainer", frames_per_second: float) -> None:
         self._container, self.frames = container, 0
-        self._rate = Fraction(frames_per_second).limit_denominator(_TICKS)
+        self._rate = Fraction(frames_per_second).limit_denominator(_MAX_DENOMINATOR)
         self._stream: VideoStream | None = None
         self._shape: tuple[int, int] = (0, 0)
 
     def add(self, picture: NDArray[np.uint8]) -> None:
-        """Add a frame, (H, W, 3) RGB; a last column or row is repeated where a side is odd.
+        """Add a frame, (H, W, 3) RGB. The last column or row is repeated if a side is odd.
 
         Raises
         ------
         ValueError
-            If its size is not that of the first, or larger than such videos may be.
+            If its size differs from the first frame, or is too large for H.264.
         """
         from av import VideoFrame
 
         if self._stream is None:
-            self._stream = self._begun(*picture.shape[:2])
+            self._stream = self._open_stream(*picture.shape[:2])
         elif picture.shape[:2] != self._shape:
             raise InputError(
                 f"a frame is {picture.shape[:2]} but the first was {self._shape}: frames of a "
@@ -84,14 +85,14 @@ class VideoWriter:
         self.frames += 1
 
     def finish(self) -> None:
-        """Write what is still held back."""
+        """Write the frames that the encoder still holds."""
         if self._stream is not None:
             self._container.mux(self._stream.encode(None))
 
-    def _begun(self, height: int, width: int) -> "VideoStream":
-        if max(height, width) > _LARGEST_SIDE:
+    def _open_stream(self, height: int, width: int) -> "VideoStream":
+        if max(height, width) > _MAX_SIDE:
             raise InputError(
-                f"frames of the video are {height} × {width} px: expected at most {_LARGEST_SIDE}"
+                f"frames of the video are {height} × {width} px: expected at most {_MAX_SIDE}"
             )
         stream: Any = self._container.add_stream(_CODEC, rate=self._rate, options=dict(_QUALITY))
         stream.width, stream.height = width + width % 2, height + height % 2
@@ -99,14 +100,14 @@ class VideoWriter:
         stream.time_base = 1 / self._rate
         context = stream.codec_context
         context.colorspace = context.color_primaries = context.color_trc = _BT709
-        context.color_range = _LIMITED
+        context.color_range = _LIMITED_RANGE
         self._shape = (height, width)
         return stream
 
 
 @contextmanager
 def video_file(path: str | os.PathLike[str], frames_per_second: float) -> Iterator[VideoWriter]:
-    """Write a video that is there, complete, when the block ends without an exception; else not.
+    """Yield a writer for a video, which exists only if the block ends without an exception.
 
     Parameters
     ----------
@@ -116,9 +117,9 @@ def video_file(path: str | os.PathLike[str], frames_per_second: float) -> Iterat
     Raises
     ------
     ImportError
-        If PyAV is not there.
+        If PyAV is not installed.
     ValueError
-        At the end, if there was no frame.
+        At the end, if there is no frame.
     OSError
         If the file cannot be written.
     """
@@ -126,7 +127,8 @@ def video_file(path: str | os.PathLike[str], frames_per_second: float) -> Iterat
     import av
 
     with atomic_write(path) as file:
-        # By its name, since the index is moved to the front in the end, so that browsers can begin.
+        # Opened by name, because FFmpeg moves the index to the front at the end: browsers then play
+        # a video before they have all of it.
         options = {"movflags": "+faststart"}
         with av.open(file.name, "w", format="mp4", options=options) as container:
             writer = VideoWriter(container, frames_per_second)

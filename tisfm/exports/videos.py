@@ -1,4 +1,4 @@
-"""Videos of depth, of image motion, and for one's eyes to see depth."""
+"""Videos of depth, of image motion, and stereoscopic videos."""
 
 import math
 import os
@@ -10,19 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.errors import InputError
-from tisfm.exports.clock import frame_rate
-from tisfm.exports.depths import frames_with_depth
-from tisfm.exports.pieces import chosen_frames
-from tisfm.exports.result_frames import ResultFrames
+from tisfm.exports.chosen_frames import chosen_frames, frame_rate
+from tisfm.exports.frame_maps import frames_with_depth
 from tisfm.exports.value_ranges import inverse_depth_ranges, speed_range
 from tisfm.exports.video_file import check_video, video_file
+from tisfm.results.result_frames import ResultFrames
 from tisfm.show import anaglyph, depth_to_color, flow_to_color, stereo_view
 from tisfm.show.arrays import as_rgb
 from tisfm.show.stereo import DISPARITY, check_disparity, check_screen
 
 VideoKind = Literal["depth", "flow", "side-by-side", "anaglyph", "wiggle"]
 Picture = NDArray[np.uint8]
-_SWING = 1.2  # s, there and back
+_SWING_PERIOD = 1.2  # s, of the swinging camera; set by hand
 
 
 def write_video(
@@ -37,46 +36,46 @@ def write_video(
     screen_depth: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write a video, H.264 in MP4, with one range of colours from its beginning to its end.
+    """Write a video, H.264 in MP4, with one range of colours for all frames.
 
     Parameters
     ----------
     frames : ResultFrames
-        Those without depth are left out, but for flow.
+        Frames without depth are left out, except for flow.
     path : path
-        The file; ``.mp4`` is the customary suffix, and none is added.
+        The file. No suffix is added; ``.mp4`` is usual.
     kind : {"depth", "flow", "side-by-side", "anaglyph", "wiggle"}
-        Inverse depth in colours, near is bright; image motion, its direction as hue; the frame, and
-        depth beside it; for red-cyan glasses; or a camera that swings from side to side, about a
-        single frame too.
+        Inverse depth in colours, near is bright; image motion with direction as hue; frame and
+        depth side by side; an anaglyph for red-cyan glasses; or a camera that swings from side to
+        side, also around a single frame.
     chosen : iterable of int, optional
-        Numbers of frames; by default all.
+        Frame numbers; by default all.
     frames_per_second : float, optional
-        By default what the times of the frames say, or 25.
+        By default from the times of the frames, or 25.
     disparity : float, optional
-        How far the nearest moves against what is infinitely far from one view to the other, as a
-        share of the width, at most 0.2: 0.03 for an anaglyph and 0.015 to either side for the
+        Disparity between the nearest point and infinity from one view to the other, as a share of
+        the width, at most 0.2. By default 0.03 for an anaglyph, and 0.015 to either side for the
         swinging camera.
     screen : float, optional
-        The plane of the screen, which stays in place, as a quantile of the depth of all frames with
-        one scale: 0 for the farthest, 1 for the nearest. By default it is half as near as the
-        nearest.
+        The plane of the screen, without disparity, as a quantile of the depth of all frames with
+        one scale: 0 for the farthest, 1 for the nearest point. By default its inverse depth is half
+        of the nearest.
     screen_depth : float, optional
-        The same as a depth, in the unit of the frames.
+        The plane of the screen as a depth, in the unit of the frames.
     progress : callable, optional
-        Called with the number of frames that are done, and of all.
+        Called with the number of finished frames and of all frames.
 
     Returns
     -------
     Path
-        What was written.
+        The file.
 
     Raises
     ------
     ValueError
-        If there is no depth, or no flow; if an option is impossible.
+        If there is no depth or no flow, or an option is out of range.
     ImportError
-        If PyAV is not there.
+        If PyAV is not installed.
     OSError
         If the file cannot be written.
 
@@ -92,19 +91,19 @@ def write_video(
     if disparity is not None:
         check_disparity(disparity)
     check_screen(screen, screen_depth)
-    if screen_depth is not None and not frames.is_posed:
+    if screen_depth is not None and not frames.has_one_scale:
         raise InputError(
             "screen_depth is a depth, and each pair has a unit of its own: give screen, a quantile"
         )
-    taken = chosen_frames(chosen, len(frames))
+    numbers = chosen_frames(chosen, len(frames))
     if kind != "flow":
-        taken = frames_with_depth(frames, taken)
-    rate = frame_rate(frames.times, taken, frames_per_second)
-    if kind == "wiggle" and len(taken) == 1:  # a still swings once there and back
-        taken = taken * max(2, round(_SWING * rate))
+        numbers = frames_with_depth(frames, numbers)
+    rate = frame_rate(frames.times, numbers, frames_per_second)
+    if kind == "wiggle" and len(numbers) == 1:  # one period around a single frame
+        numbers = numbers * max(2, round(_SWING_PERIOD * rate))
     draw = _drawing(
         frames,
-        taken,
+        numbers,
         kind,
         rate=rate,
         disparity=disparity,
@@ -112,16 +111,16 @@ def write_video(
         screen_depth=screen_depth,
     )
     with video_file(path, rate) as video:
-        for done, frame in enumerate(taken):
+        for done, frame in enumerate(numbers):
             video.add(draw(done, frame))
             if progress is not None:
-                progress(done + 1, len(taken))
+                progress(done + 1, len(numbers))
     return Path(path)
 
 
 def _drawing(
     frames: ResultFrames,
-    taken: list[int],
+    numbers: list[int],
     kind: VideoKind,
     *,
     rate: float,
@@ -129,11 +128,11 @@ def _drawing(
     screen: float | None,
     screen_depth: float | None,
 ) -> Callable[[int, int], Picture]:
-    """Return what draws a frame, by how many came before and by its number."""
+    """Return a function that draws a frame by its position in the video and its number."""
     if kind == "flow":
-        fastest = speed_range(frames, taken)
+        fastest = speed_range(frames, numbers)
         return lambda done, frame: flow_to_color(frames.flow(frame), limit=fastest, beyond="same")
-    ranges = inverse_depth_ranges(frames, taken)
+    ranges = inverse_depth_ranges(frames, numbers)
 
     def colors(frame: int) -> Picture:
         group, scale = frames.scale(frame)
@@ -143,10 +142,10 @@ def _drawing(
         return lambda done, frame: colors(frame)
     if kind == "side-by-side":
         return lambda done, frame: np.hstack([as_rgb(frames.picture(frame)), colors(frame)])
-    planes = {} if screen is None else inverse_depth_ranges(frames, taken, 100 * screen)
+    planes = {} if screen is None else inverse_depth_ranges(frames, numbers, 100 * screen)
 
     def planes_of(frame: int) -> tuple[float, float | None]:
-        """Return what counts as nearest, as inverse depth, and the depth of the screen."""
+        """Return the inverse depth of the nearest point, and the depth of the screen."""
         group, scale = frames.scale(frame)
         nearest = ranges[group] * scale
         if screen is None:
@@ -164,16 +163,16 @@ def _drawing(
             limit=nearest,
         )
 
-    def swung(done: int, frame: int) -> Picture:
+    def swing(done: int, frame: int) -> Picture:
         nearest, plane = planes_of(frame)
         view = stereo_view(
             frames.picture(frame),
             frames.inverse_depth(frame),
-            eye=math.sin(2 * math.pi * done / (_SWING * rate)),
+            eye=math.sin(2 * math.pi * done / (_SWING_PERIOD * rate)),
             disparity=DISPARITY / 2 if disparity is None else disparity,
             screen_depth=plane,
             limit=nearest,
         )
         return as_rgb(view)
 
-    return swung if kind == "wiggle" else lambda done, frame: red_cyan(frame)
+    return swing if kind == "wiggle" else lambda done, frame: red_cyan(frame)

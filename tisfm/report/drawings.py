@@ -128,7 +128,7 @@ def _svg(figure: "Figure") -> Markup:
     head, rest = drawing.split(">", 1)
     box = re.search(r'viewBox="[^"]*"', head)
     assert box is not None
-    return Markup('<svg {} role="img">{}').format(Markup(box[0]), Markup(rest))
+    return Markup(f'<svg {box[0]} role="img">{rest}')
 
 
 def _mean(values: NDArray[np.float64]) -> float:

@@ -1,46 +1,32 @@
-"""The page: one HTML text with its styles, its script and its pictures inside.
+"""A report: its contents, and the file with its HTML page.
 
-Markup is written as literals of `markupsafe.Markup`, whose ``format`` and ``join`` escape every
-plain text that is put into them.
+The page has its styles, its script and its pictures inside. The template is
+``tisfm/templates/report.html``.
 """
 
-from collections.abc import Container, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from markupsafe import Markup
 
-from tisfm.folders.side_files import MARK
+from tisfm.errors import InputError
+from tisfm.folders.side_files import MARK, REPORT, is_report
+from tisfm.formats import atomic_write
+from tisfm.report.legends import Legend
 from tisfm.report.setting_rows import SettingRow
 from tisfm.report.statuses import StatusCount, color_of
-from tisfm.report.style import SCRIPT, STYLE
+from tisfm.templates import render
 from tisfm.version import __version__
 
-_NARROWEST, _LOWEST = 200, 110  # px: a picture is no smaller, where a screen has room for it
-_NONE = Markup()
-_LONG = 60  # characters: a value of more has a line of its own
-_PAGE = Markup(
-    """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8">{mark}
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="color-scheme" content="light dark">
-<title>{title} – tisfm</title>
-<style>{style}</style>
-<noscript><style>.slide[hidden]{{display:block}}.control{{display:none}}</style></noscript>
-</head><body>
-<header><p>{kind}</p><h1>{title}</h1></header>
-<main>
-{sections}
-</main>
-<footer>tisfm {version}</footer>
-<script>{script}</script>
-</body></html>
-"""
-)
+# Set by hand: a picture is at least so large, where the screen has space for it.
+_MIN_PICTURE_WIDTH = 200  # px
+_MIN_PICTURE_HEIGHT = 110  # px
 
 
 @dataclass(frozen=True, kw_only=True)
-class View:
-    """A picture of a slide: its title, and its address, None where there is none."""
+class Picture:
+    """A picture of a slide: its title, and its data address, None if there is no picture."""
 
     title: str
     url: str | None
@@ -48,43 +34,49 @@ class View:
 
 @dataclass(frozen=True, kw_only=True)
 class Slide:
-    """What is shown of one frame, whose height and width are `shape`, px."""
+    """The pictures and the status of one frame, whose height and width are `shape`, px."""
 
     name: str
     number: int
     status: str
     message: str
     shape: tuple[int, int]
-    views: Sequence[View]
+    pictures: Sequence[Picture]
+
+    @property
+    def min_width(self) -> int:
+        """Least width of a picture on the page, px."""
+        height, width = self.shape
+        return max(_MIN_PICTURE_WIDTH, round(_MIN_PICTURE_HEIGHT * width / height))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Page:
-    """What a report says: plain texts, which are escaped, and HTML that this package made.
+class Report:
+    """The contents of a page, as plain texts that the template escapes.
 
     Attributes
     ----------
     title : str
     kind : str
-        What it is the report of.
+        What the report is about.
     summary : sequence of (str, str)
         Names and values.
     statuses : sequence of StatusCount
     spans : sequence of (float, float, str)
-        Begin, end and code of frames in a row with one status, as shares of the whole.
+        Consecutive frames with one status: begin and end as shares of the sequence, and the code.
     unit : str
         What is counted: "frame" or "pair".
     drawing : Markup
-        A path or curves, an ``svg`` element; empty if there are none.
+        Paths or curves as ``svg`` elements; empty if there are none.
     drawing_title, drawing_text : str
     slides : sequence of Slide
     slides_text : str
-        What is said of them.
-    legends : sequence of (str, str, Markup)
-        Titles of views, titles of their legends, and the legends.
+        A sentence above the slides.
+    legends : sequence of Legend
     tables : sequence of (str, sequence of str, sequence of sequences of str)
         Titles, headings and rows of further tables.
     preset : str
+        Name of the preset that is nearest to the settings.
     settings : sequence of SettingRow
     """
 
@@ -94,181 +86,56 @@ class Page:
     statuses: Sequence[StatusCount]
     spans: Sequence[tuple[float, float, str]]
     unit: str
-    drawing: Markup = _NONE
-    drawing_title: str = ""
-    drawing_text: str = ""
-    slides: Sequence[Slide] = ()
-    slides_text: str = ""
-    legends: Sequence[tuple[str, str, Markup]] = ()
-    tables: Sequence[tuple[str, Sequence[str], Sequence[Sequence[str]]]] = ()
-    preset: str = ""
-    settings: Sequence[SettingRow] = ()
+    drawing: Markup
+    drawing_title: str
+    drawing_text: str
+    slides: Sequence[Slide]
+    slides_text: str
+    legends: Sequence[Legend]
+    tables: Sequence[tuple[str, Sequence[str], Sequence[Sequence[str]]]]
+    preset: str
+    settings: Sequence[SettingRow]
+
+    @property
+    def shown_titles(self) -> set[str]:
+        """Titles of pictures that at least one slide has; others are left out with their legend."""
+        pictures = (picture for slide in self.slides for picture in slide.pictures)
+        return {picture.title for picture in pictures if picture.url is not None}
+
+    @property
+    def changed_settings(self) -> int:
+        """How many settings differ from the preset."""
+        return sum(row.preset_value is not None for row in self.settings)
+
+    @property
+    def setting_cells(self) -> list[tuple[str, str, str]]:
+        """Cells of the table of settings."""
+        return [(row.name, row.value, row.preset_value or "") for row in self.settings]
 
 
-def html(page: Page) -> str:
-    """Return a page as HTML."""
-    drawing = _section(page.drawing_title, _drawing_part(page)) if page.drawing else _NONE
-    slides = _section(f"{page.unit.capitalize()}s", _slides_part(page))
-    parts = [
-        _section("Summary", _pairs(page.summary)),
-        _section("Statuses", _status_part(page)),
-        *((drawing, slides) if page.unit == "frame" else (slides, drawing)),
-        *(_section(title, _table(head, rows)) for title, head, rows in page.tables if rows),
-        _section("Settings", _settings_part(page)) if page.settings else _NONE,
-    ]
-    text = _PAGE.format(
-        mark=Markup(MARK),
-        title=page.title,
-        style=Markup(STYLE),
-        kind=page.kind,
-        sections=Markup("\n").join(filter(None, parts)),
-        version=__version__,
-        script=Markup(SCRIPT),
-    )
-    return str(text)
+def check_report(folder: Path) -> Path:
+    """Return the path of the report of a folder, if tisfm may write it.
 
-
-def color_bar(colors: Sequence[Sequence[int]], low: str, high: str) -> Markup:
-    """Return a bar of colours with words at its ends, as HTML."""
-    stops = ", ".join(f"rgb({r},{g},{b})" for r, g, b in colors)
-    return Markup(
-        '<span>{}</span><span class="bar" style="background:linear-gradient(to right, {})"></span>'
-        "<span>{}</span>"
-    ).format(low, stops, high)
-
-
-def _section(title: str, content: Markup) -> Markup:
-    return Markup("<section><h2>{}</h2>\n{}\n</section>").format(title, content)
-
-
-def _pairs(pairs: Sequence[tuple[str, str]]) -> Markup:
-    rows = Markup().join(
-        Markup("<div{}><dt>{}</dt><dd>{}</dd></div>").format(
-            " class=long" if len(value) > _LONG else "", name, value
+    Raises
+    ------
+    ValueError
+        If a file that tisfm did not write would be replaced.
+    """
+    path = folder / REPORT
+    if path.exists() and not is_report(path):
+        raise InputError(
+            f"{path} is no report of tisfm, and would be replaced: give another folder with -o"
         )
-        for name, value in pairs
+    return path
+
+
+def write_report(path: Path, report: Report) -> None:
+    """Write the page of a report, whole or not at all.
+
+    Characters that UTF-8 cannot encode become question marks.
+    """
+    page = render(
+        "report.html", report=report, mark=Markup(MARK), color_of=color_of, version=__version__
     )
-    return Markup("<dl>{}</dl>").format(rows)
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Markup:
-    heading = Markup().join(Markup("<th>{}</th>").format(name) for name in head)
-    body = Markup().join(
-        Markup("<tr>{}</tr>").format(
-            Markup().join(Markup("<td>{}</td>").format(cell) for cell in row)
-        )
-        for row in rows
-    )
-    return Markup(
-        '<div class="wide"><table><thead><tr>{}</tr></thead><tbody>{}</tbody></table></div>'
-    ).format(heading, body)
-
-
-def _chip(code: str) -> Markup:
-    return Markup('<span class="chip" style="--c:{}">{}</span>').format(color_of(code), code)
-
-
-def _status_part(page: Page) -> Markup:
-    strip = Markup().join(
-        Markup('<i style="left:{:.3f}%;width:{:.3f}%;background:{}" title="{}"></i>').format(
-            100 * begin, 100 * (end - begin), color_of(code), code
-        )
-        for begin, end, code in page.spans
-    )
-    rows = Markup().join(
-        Markup("<tr><td>{}</td><td>{}</td><td>{}{}</td><td>{}</td></tr>").format(
-            _chip(status.code),
-            status.count,
-            status.meaning,
-            _advice(status.advice),
-            status.names,
-        )
-        for status in page.statuses
-    )
-    return Markup(
-        '<div class="strip" role="img" aria-label="Statuses over the {unit}s">{strip}</div>'
-        '<div class="wide"><table><thead><tr><th>Status</th><th>{units}</th>'
-        "<th>What it means, and what to try</th><th>Which</th></tr></thead>"
-        "<tbody>{rows}</tbody></table></div>"
-    ).format(unit=page.unit, units=f"{page.unit.capitalize()}s", strip=strip, rows=rows)
-
-
-def _advice(text: str) -> Markup:
-    return Markup('<p class="advice">{}</p>').format(text) if text else _NONE
-
-
-def _drawing_part(page: Page) -> Markup:
-    return Markup('<p>{}</p><div class="drawing">{}</div>').format(page.drawing_text, page.drawing)
-
-
-def _slides_part(page: Page) -> Markup:
-    said = Markup("<p>{}</p>").format(page.slides_text)
-    if not page.slides:
-        return said
-    # A view that no slide has is left out, and its legend.
-    there = {view.title for slide in page.slides for view in slide.views if view.url is not None}
-    legends = Markup().join(
-        Markup('<p class="legend"><b>{}</b>{}</p>').format(title, content)
-        for view, title, content in page.legends
-        if view in there
-    )
-    return said + Markup(
-        '<div class="control"><button type="button" id="play" aria-label="Play">▶</button>'
-        '<input type="range" id="at" min="0" max="{last}" value="0" aria-label="{unit}"></div>'
-        '<div id="slides">{slides}</div>{legends}'
-    ).format(
-        last=len(page.slides) - 1,
-        unit=page.unit,
-        slides=Markup().join(_slide(slide, k, there) for k, slide in enumerate(page.slides)),
-        legends=legends,
-    )
-
-
-def _slide(slide: Slide, index: int, there: Container[str]) -> Markup:
-    views = Markup().join(
-        Markup("<figure>{}<figcaption>{}</figcaption></figure>").format(
-            _picture(view, slide), view.title
-        )
-        for view in slide.views
-        if view.title in there
-    )
-    width = max(_NARROWEST, round(_LOWEST * slide.shape[1] / slide.shape[0]))
-    return Markup(
-        '<div class="slide"{hidden}><p><b>{name}</b> <span>number {number}</span> {chip} '
-        '<span class="said">{message}</span></p>'
-        '<div class="views" style="--w:{width}px">{views}</div></div>'
-    ).format(
-        hidden=" hidden" if index else "",
-        name=slide.name,
-        number=slide.number,
-        chip=_chip(slide.status),
-        message=slide.message,
-        width=width,
-        views=views,
-    )
-
-
-def _picture(view: View, slide: Slide) -> Markup:
-    if view.url is None:
-        height, width = slide.shape
-        return Markup('<div class="none" style="aspect-ratio:{}/{}">none here</div>').format(
-            width, height
-        )
-    return Markup('<img src="{}" alt="{} of {}" decoding="async">').format(
-        view.url, view.title, slide.name
-    )
-
-
-def _settings_part(page: Page) -> Markup:
-    changed = sum(row.preset_value is not None for row in page.settings)
-    told = f"Those of the preset {page.preset}"
-    if changed:
-        told += f", but for {changed}, which stand first"
-    rows = [
-        (row.name, row.value, "" if row.preset_value is None else row.preset_value)
-        for row in page.settings
-    ]
-    table = _table(("Setting", "Value", "In the preset, where it differs"), rows)
-    return Markup("<p>{}.</p><details><summary>All settings</summary>{}</details>").format(
-        told, table
-    )
+    with atomic_write(path) as file:
+        file.write(page.encode("utf-8", "replace"))

@@ -12,9 +12,8 @@ from tisfm.focal_guess import at_size
 from tisfm.interpretation import Interpretation
 from tisfm.report.drawings import curves_drawing
 from tisfm.report.embedded_images import Pictures, chosen
-from tisfm.report.file import refuse_foreign, write_page
-from tisfm.report.legends import depth_legend, flow_legend, share_legend
-from tisfm.report.page import Page, Slide, View, html
+from tisfm.report.legends import confidence_legend, depth_legend, flow_legend
+from tisfm.report.page import Picture, Report, Slide, check_report, write_report
 from tisfm.report.setting_rows import nearest_preset, setting_rows
 from tisfm.report.statuses import counted, shortened, spans
 from tisfm.settings import Settings
@@ -29,7 +28,7 @@ from tisfm.show import (
 from tisfm.status import Status
 
 _DEPTH, _MOTION, _CONFIDENCE = "Depth, near is bright", "Image motion", "Confidence"
-_VIEWS = 4  # pictures of a pair; one more for labels
+_PICTURES = 4  # pictures of a pair; one more for labels
 
 
 def write_run_report(
@@ -54,9 +53,9 @@ def write_run_report(
     OSError, ValueError
         If a file cannot be read or written, or the record is not that of a run.
     """
-    path = refuse_foreign(folder)
+    path = check_report(folder)
     run = _read(folder, record)
-    write_page(path, html(_page(folder, run, source)))
+    write_report(path, _report(folder, run, source))
     return path
 
 
@@ -119,7 +118,7 @@ def _read(folder: Path, record: Mapping[str, Any]) -> _Run:
         raise InputError(f"{folder} holds no run that a report can be made of ({error})") from error
 
 
-def _page(folder: Path, run: _Run, source: str | None) -> Page:
+def _report(folder: Path, run: _Run, source: str | None) -> Report:
     names = [pair.name for pair in run.pairs]
     statuses = [pair.status for pair in run.pairs]
     counts = counted(statuses, names)
@@ -135,11 +134,11 @@ def _page(folder: Path, run: _Run, source: str | None) -> Page:
         told = f"{len(slides)} of {len(names)} pairs" if len(slides) < len(names) else "All pairs"
         told += ", each by its first frame."
     legends = [
-        (_DEPTH, "Depth", depth_legend("in multiples of each pair's mean inverse depth")),
-        (_MOTION, _MOTION, flow_legend(flow_limit)),
-        (_CONFIDENCE, _CONFIDENCE, share_legend()),
+        depth_legend(_DEPTH, "in multiples of each pair's mean inverse depth"),
+        flow_legend(_MOTION, _MOTION, flow_limit),
+        confidence_legend(_CONFIDENCE),
     ]
-    return Page(
+    return Report(
         title=source or folder.resolve().name,
         kind="Pairs of frames, interpreted by tisfm run",
         summary=_summary(folder, run, shape, source),
@@ -199,28 +198,28 @@ def _slides(
         speeds.append(usual_length(result.flow))
     depth_limit = float(np.median(levels)) if levels else 1.0
     flow_limit = float(recorded or (np.median(speeds) if speeds else 0.0))
-    pictures = Pictures((_VIEWS + 1) * len(shown))
+    pictures = Pictures((_PICTURES + 1) * len(shown))
     slides = []
     for pair in shown:
         result = Interpretation.load(folder / f"{pair.name}.npz")
         level = _mean_inverse_depth(result)
-        views = [
-            View(title="Frame", url=pictures.url(result.frame)),
-            View(
+        images = [
+            Picture(title="Frame", url=pictures.url(result.frame)),
+            Picture(
                 title=_DEPTH,
                 url=pictures.url(depth_to_color(result.inverse_depth, limit=depth_limit * level))
                 if level > 0
                 else None,
             ),
-            View(
+            Picture(
                 title=_MOTION,
                 url=pictures.url(flow_to_color(result.flow, limit=flow_limit, beyond="same")),
             ),
-            View(title=_CONFIDENCE, url=pictures.url(confidence_to_color(result.confidence))),
+            Picture(title=_CONFIDENCE, url=pictures.url(confidence_to_color(result.confidence))),
         ]
         if result.labels is not None and result.labels.max() > 0:
             overlay = label_overlay(result.frame, result.labels)
-            views.append(View(title="What moves on its own", url=pictures.url(overlay)))
+            images.append(Picture(title="What moves on its own", url=pictures.url(overlay)))
         slides.append(
             Slide(
                 name=pair.name,
@@ -228,7 +227,7 @@ def _slides(
                 status=str(pair.status),
                 shape=result.flow.shape[:2],
                 message="" if pair.status == "converged" else shortened(pair.status.message),
-                views=views,
+                pictures=images,
             )
         )
     return slides, shape, flow_limit

@@ -1,4 +1,4 @@
-"""A frame as it is looked at: its picture, depth, motion, and what is known of each pixel."""
+"""A frame of a result: picture, depth, motion and labels, and the values of one pixel."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,41 +12,42 @@ from tisfm.errors import OutOfRangeError
 from tisfm.status import Status
 
 Floats = NDArray[np.float32]
+_MIN_DEPTH = 1e-9  # Z of a moved ray below which it lies behind the camera; a bound on rounding
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ViewFrame:
-    """What is known of one frame.
+class ResultFrame:
+    """Everything a result has about one frame.
 
     Attributes
     ----------
     number : int
-        Its place in the result.
+        Index in the result.
     picture : (H, W, 3) uint8
         Red, green, blue.
     camera : Camera
-        The pinhole that all of this belongs to.
+        Pinhole camera of all maps.
     inverse_depth : (H, W) float32
-        In the unit of the result; NaN where there is none.
+        In the inverse unit of the result; NaN if unknown.
     status : Status
     scale : float
-        What depth is multiplied by in the scene, so that frames of scales of their own look alike;
-        1 where all have one scale.
+        Factor of depth in a common scene: the mean inverse depth if each frame has its own scale,
+        else 1.
     inverse_depth_std : (H, W) float32 or None
-        Infinite where nothing is known.
+        Infinite if unknown.
     confidence : (H, W) float32 or None
         In [0, 1].
     labels : (H, W) int or None
-        Which thing a pixel belongs to; 0 is what is at rest.
+        Moving object of each pixel; 0 for the static scene.
     hidden : (H, W) bool or None
-        Where a pixel is not visible in the next frame.
+        Pixels that are not visible in the next frame.
     rho : (6, H, W) float32 or None
-        (τ, ω)·f, where motion is free at every pixel.
+        (τ, ω)·f of the model in which every pixel has its own motion.
     stored_flow : (H, W, 2) float32 or None
-        Image motion to the next frame, px, where the result has it.
+        Image motion to the next frame, px, if the result stores it.
     motions : dict of int to ((6,) twist, (4, 4) pose)
-        By labels, the motion of the scene before the camera to the next frame, in the unit of the
-        depth; empty where it is not known.
+        By label, the motion before the camera to the next frame, in the unit of depth; empty if
+        unknown.
     """
 
     number: int
@@ -73,7 +74,7 @@ class ViewFrame:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that its arrays take, those that are made when they are looked at included."""
+        """Bytes of all arrays, including those that properties compute and keep."""
         arrays: list[NDArray[Any] | None] = [
             self.picture, self.inverse_depth, self.inverse_depth_std, self.confidence, self.labels,
             self.hidden, self.rho, self.stored_flow,
@@ -84,18 +85,18 @@ class ViewFrame:
 
     @property
     def has_depth(self) -> NDArray[np.bool_]:
-        """Where there is a positive finite depth, (H, W) bool."""
+        """Pixels with a positive finite depth, (H, W) bool."""
         return np.isfinite(self.inverse_depth) & (self.inverse_depth > 0)
 
     @property
-    def usual_depth(self) -> float:
-        """The median depth in the scene; 1 if there is none."""
+    def median_depth(self) -> float:
+        """The median depth in the scene; 1 without depth."""
         known = self.inverse_depth[self.has_depth]
         return self.scale / float(np.median(known)) if known.size else 1.0
 
     @cached_property
     def relative_deviation(self) -> Floats | None:
-        """Deviation of the inverse depth over it, (H, W); NaN where it is not known."""
+        """Standard deviation of inverse depth over inverse depth, (H, W); NaN if unknown."""
         if self.inverse_depth_std is None:
             return None
         known = self.has_depth & np.isfinite(self.inverse_depth_std)
@@ -105,33 +106,49 @@ class ViewFrame:
 
     @cached_property
     def flow(self) -> Floats | None:
-        """Image motion to the next frame, (H, W, 2), px; NaN where it is not known, or None."""
+        """Image motion to the next frame, (H, W, 2) px, NaN if unknown; None without any motion."""
         if self.stored_flow is not None or not self.motions:
             return self.stored_flow
-        height, width = self.shape
-        flow = np.full((height, width, 2), np.nan, np.float32)
+        flow = np.full((*self.shape, 2), np.nan, np.float32)
         for label, (_, pose) in self.motions.items():
-            mine = (
+            pixels = (
                 self.has_depth if self.labels is None else self.has_depth & (self.labels == label)
             )
-            rows, columns = np.nonzero(mine)
-            flow[rows, columns] = self._displacement(rows, columns, pose)[0]
+            flow[pixels] = self.flow_of_motion(pose, pixels)
         return flow
 
+    def flow_of_motion(self, pose: NDArray[np.float64], pixels: NDArray[np.bool_]) -> Floats:
+        """Return the image motion that a motion of the scene before the camera causes.
+
+        Parameters
+        ----------
+        pose : (4, 4) float64
+            The motion, in the unit of depth.
+        pixels : (H, W) bool
+            Pixels with depth.
+
+        Returns
+        -------
+        (N, 2) float32
+            px, for each of the pixels; NaN for points that come to lie behind the camera.
+        """
+        rows, columns = np.nonzero(pixels)
+        return self._displacement(rows, columns, pose)[0]
+
     def rays(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
-        """Return the directions of pixels, (N, 3), Z = 1, in the axes of the camera."""
+        """Return the rays of pixels, (N, 3), with Z = 1, in the axes of the camera."""
         cx, cy = self.camera.center_for(*self.shape)
         x = (columns - cx) / self.camera.focal
         y = (rows - cy) / self.camera.focal
         return np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float32)
 
     def reading(self, row: int, column: int) -> "PixelReading":
-        """Return what is known of a pixel.
+        """Return the values of a pixel.
 
         Raises
         ------
         IndexError
-            If it is outside of the frame.
+            If the pixel lies outside the frame.
         """
         height, width = self.shape
         if not (0 <= row < height and 0 <= column < width):
@@ -160,7 +177,7 @@ class ViewFrame:
             row=row,
             column=column,
             depth=depth,
-            # to first order, as that of the inverse depth
+            # to first order, from the deviation of inverse depth
             depth_std=None
             if depth is None or deviation is None or not np.isfinite(deviation)
             else deviation * depth**2,
@@ -180,14 +197,14 @@ class ViewFrame:
     def _displacement(
         self, rows: NDArray[np.intp], columns: NDArray[np.intp], pose: NDArray[np.float64]
     ) -> tuple[Floats, Floats]:
-        """Return where a motion takes pixels, (N, 2) px, and its derivative in inverse depth.
+        """Return the image motion of pixels, (N, 2) px, and its derivative by inverse depth.
 
-        NaN for what comes to lie behind the camera.
+        NaN for points that come to lie behind the camera.
         """
         rays = self.rays(rows, columns).astype(np.float64)
         inverse = self.inverse_depth[rows, columns].astype(np.float64)[:, None]
         moved = rays @ pose[:3, :3].T + inverse * pose[:3, 3]
-        depth = np.where(moved[:, 2:] > 1e-9, moved[:, 2:], np.nan)
+        depth = np.where(moved[:, 2:] > _MIN_DEPTH, moved[:, 2:], np.nan)
         focal = self.camera.focal
         flow = focal * (moved[:, :2] / depth - rays[:, :2])
         slope = focal * (pose[:2, 3] * depth - moved[:, :2] * pose[2, 3]) / depth**2
@@ -196,7 +213,7 @@ class ViewFrame:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PixelReading:
-    """What is known of a pixel; None stands for what is not.
+    """The values of a pixel; None for unknown values.
 
     Attributes
     ----------
@@ -208,11 +225,11 @@ class PixelReading:
     omega : (3,) or None
         ω, rad/frame.
     flow, flow_std : (2,) or None
-        Image motion and its deviation by that of depth, px.
+        Image motion, and its standard deviation caused by the deviation of depth, px.
     confidence : float or None
     label : int or None
     hidden : bool
-        Whether it is not visible in the next frame.
+        Whether the pixel is not visible in the next frame.
     """
 
     row: int
@@ -227,3 +244,12 @@ class PixelReading:
     confidence: float | None
     label: int | None
     hidden: bool
+
+
+def mean_inverse_depth(inverse_depth: Floats) -> float:
+    """Return the mean inverse depth of a frame, in which unknown pixels count as infinitely far.
+
+    It is the scale of a frame whose depth has a unit of its own.
+    """
+    known = np.maximum(np.nan_to_num(inverse_depth, nan=0.0, posinf=0.0), 0)
+    return float(known.mean(dtype=np.float64))

@@ -1,38 +1,38 @@
-"""Frames that were read, as many as fit into a number of bytes."""
+"""A cache of frames that is limited by bytes."""
 
 from collections import OrderedDict
 from dataclasses import replace
 
-from tisfm.results.frame import ViewFrame
-from tisfm.results.result import Result
+from tisfm.results.frame import ResultFrame
+from tisfm.results.result_frames import ResultFrames
 
-MOST_BYTES = 256 * 2**20
+MAX_BYTES = 256 * 2**20  # set by hand
 
 
 class FrameCache:
-    """Frames of a result; those that were not asked for the longest are forgotten.
+    """Frames of a result; the least recently used frames are dropped.
 
     Parameters
     ----------
-    result : Result
-    most_bytes : int
-        Of all frames kept; the last one is kept whatever it takes.
+    result : ResultFrames
+    max_bytes : int
+        Bytes of all frames in the cache; the latest frame is kept whatever its size.
     """
 
-    def __init__(self, result: Result, most_bytes: int = MOST_BYTES) -> None:
-        self._result, self._most = result, most_bytes
-        self._frames: OrderedDict[str, ViewFrame] = OrderedDict()
+    def __init__(self, result: ResultFrames, max_bytes: int = MAX_BYTES) -> None:
+        self._result, self._max_bytes = result, max_bytes
+        self._frames: OrderedDict[str, ResultFrame] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self._frames)
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the frames that are kept."""
+        """Bytes of the frames in the cache."""
         return sum(frame.nbytes for frame in self._frames.values())
 
-    def __getitem__(self, number: int) -> ViewFrame:
-        """Return a frame, and read it if need be.
+    def __getitem__(self, number: int) -> ResultFrame:
+        """Return a frame; read it if it is not in the cache.
 
         Raises
         ------
@@ -43,13 +43,13 @@ class FrameCache:
         frame = self._frames.pop(name, None)
         if frame is None:
             frame = self._result.read(number)
-        elif frame.number != number:  # others came before it
+        elif frame.number != number:  # a growing result has new frames before this one
             frame = replace(frame, number=number)
         self._frames[name] = frame
-        while len(self._frames) > 1 and self.nbytes > self._most:
+        while len(self._frames) > 1 and self.nbytes > self._max_bytes:
             self._frames.popitem(last=False)
         return frame
 
     def clear(self) -> None:
-        """Forget all frames."""
+        """Drop all frames."""
         self._frames.clear()

@@ -1,4 +1,4 @@
-"""What all frames show together: points or a surface, read from a file or fused."""
+"""Points or a surface of several frames: read from a file, or fused."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,19 +12,21 @@ from tisfm.formats import FormatError
 from tisfm.formats.glb import srgb_from_light
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
-WholeKind = Literal["points", "surface"]
-KINDS: tuple[WholeKind, ...] = get_args(WholeKind)
-FILES: dict[WholeKind, tuple[str, ...]] = {
+FusedKind = Literal["points", "surface"]
+KINDS: tuple[FusedKind, ...] = get_args(FusedKind)
+FILES: dict[FusedKind, tuple[str, ...]] = {
     "points": ("points.ply",),
     "surface": ("mesh.ply", "mesh.glb"),
 }
-MOST_VIEWS = 60  # keyframes that are fused when it is asked for
-MOST_POINTS, MOST_FACES = 500_000, 300_000  # that browsers are given
-_COARSER = 1.3  # times, until a surface has few enough faces
+# Set by hand, so that a browser answers without delay.
+MAX_KEYFRAMES = 60  # keyframes that are fused
+MAX_POINTS = 500_000
+MAX_FACES = 300_000
+_COARSENING = 1.3  # factor of the cube side from one attempt to thin a surface to the next
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Whole:
+class FusedScene:
     """Points of several frames in the world, or a surface through them.
 
     Attributes
@@ -35,20 +37,20 @@ class Whole:
     faces : (M, 3) int32 or None
         None for points.
     origin : str
-        Where it is from, in words.
-    left : float
-        Share of the points that are left.
+        Its source, in words: a file, or keyframes.
+    kept_share : float
+        Share of the points after thinning.
     """
 
     positions: NDArray[np.float32]
     colors: NDArray[np.uint8]
     faces: NDArray[np.int32] | None
     origin: str
-    left: float = 1.0
+    kept_share: float = 1.0
 
 
-def stored_whole(folder: Path, kind: WholeKind) -> Whole | None:
-    """Return what `tisfm reconstruct` wrote with ``--ply`` or ``--mesh``; None if it did not.
+def read_fused(folder: Path, kind: FusedKind) -> FusedScene | None:
+    """Return the points or the surface that `tisfm reconstruct` wrote; None without such a file.
 
     Raises
     ------
@@ -61,38 +63,37 @@ def stored_whole(folder: Path, kind: WholeKind) -> Whole | None:
     from trimesh import load_scene
 
     try:
-        scene = load_scene(path, process=False)
-        (geometry,) = scene.geometry.values()
+        (geometry,) = load_scene(path, process=False).geometry.values()
         colors = geometry.colors if kind == "points" else _vertex_colors(geometry.visual)
         positions = np.asarray(geometry.vertices, np.float32)
         colors = np.asarray(colors).reshape(-1, np.shape(colors)[-1])[:, :3]
-        if path.suffix == ".glb":  # there Y points up, and colours are amounts of light
+        if path.suffix == ".glb":  # Y points up there, and colours are linear light
             positions = positions * np.array((1, -1, -1), np.float32)
             colors = srgb_from_light(colors)
         else:
             colors = colors.astype(np.uint8)
-        found = Whole(
+        scene = FusedScene(
             positions=positions,
             colors=colors,
             faces=None if kind == "points" else np.asarray(geometry.faces, np.int32),
             origin=path.name,
         )
-    except Exception as error:  # trimesh fails in many ways
+    except Exception as error:  # trimesh raises errors of many kinds
         reason = " ".join(str(error).split())
         raise FormatError(f"{path} is damaged or of another kind: {reason}") from error
-    if found.colors.shape != found.positions.shape:
-        raise FormatError(f"{path} has {len(found.colors)} colours of {len(positions)} points")
-    return found
+    if scene.colors.shape != scene.positions.shape:
+        raise FormatError(f"{path} has {len(scene.colors)} colours of {len(positions)} points")
+    return scene
 
 
 def _vertex_colors(visual: Any) -> Any:
-    """Return the colours of vertices, which trimesh keeps elsewhere where there is a material."""
+    """Return the colours of vertices; trimesh keeps them elsewhere if there is a material."""
     if hasattr(visual, "vertex_colors"):
         return visual.vertex_colors
     return visual.vertex_attributes["color"]
 
 
-def fused_whole(result: Reconstruction, kind: WholeKind, number: int) -> Whole:
+def fuse_keyframes(result: Reconstruction, kind: FusedKind, number: int) -> FusedScene:
     """Fuse the keyframes of a frame's piece that are nearest to it in time.
 
     Raises
@@ -100,78 +101,82 @@ def fused_whole(result: Reconstruction, kind: WholeKind, number: int) -> Whole:
     ImportError
         If scikit-image is missing, for a surface.
     OSError, ValueError
-        If there is nothing to fuse, or a frame cannot be read.
+        If there are no keyframes, or a frame cannot be read.
     """
     piece = int(result.piece[number])
     keyframes = [k for k in result.keyframes if result.piece[k] == piece >= 0]
     if not keyframes:
         raise InputError("the piece of this frame has no keyframes to fuse")
-    near = sorted(sorted(keyframes, key=lambda k: abs(k - number))[:MOST_VIEWS])
-    origin = f"{len(near)} of {len(keyframes)} keyframes, fused"
+    nearest = sorted(sorted(keyframes, key=lambda k: abs(k - number))[:MAX_KEYFRAMES])
+    origin = f"{len(nearest)} of {len(keyframes)} keyframes, fused"
     if kind == "points":
-        points = result.points(near)
-        return Whole(positions=points.positions, colors=points.colors, faces=None, origin=origin)
-    mesh = result.mesh(near)
-    return Whole(positions=mesh.vertices, colors=mesh.colors, faces=mesh.faces, origin=origin)
-
-
-def thinned(whole: Whole, *, points: int = MOST_POINTS, faces: int = MOST_FACES) -> Whole:
-    """Return fewer points, or a coarser surface, if there are more than so many."""
-    if whole.faces is None:
-        if len(whole.positions) <= points:
-            return whole
-        chosen = np.sort(np.random.default_rng(0).permutation(len(whole.positions))[:points])
-        return replace(
-            whole,
-            positions=whole.positions[chosen],
-            colors=whole.colors[chosen],
-            left=points / len(whole.positions),
+        points = result.points(nearest)
+        return FusedScene(
+            positions=points.positions, colors=points.colors, faces=None, origin=origin
         )
-    if len(whole.faces) <= faces:
-        return whole
-    edges = whole.positions[whole.faces[:, 0]] - whole.positions[whole.faces[:, 1]]
+    mesh = result.mesh(nearest)
+    return FusedScene(positions=mesh.vertices, colors=mesh.colors, faces=mesh.faces, origin=origin)
+
+
+def thinned(scene: FusedScene, *, points: int = MAX_POINTS, faces: int = MAX_FACES) -> FusedScene:
+    """Return at most so many points, or a coarser surface with at most so many faces."""
+    if scene.faces is None:
+        if len(scene.positions) <= points:
+            return scene
+        chosen = np.sort(np.random.default_rng(0).permutation(len(scene.positions))[:points])
+        return replace(
+            scene,
+            positions=scene.positions[chosen],
+            colors=scene.colors[chosen],
+            kept_share=points / len(scene.positions),
+        )
+    if len(scene.faces) <= faces:
+        return scene
+    edges = scene.positions[scene.faces[:, 0]] - scene.positions[scene.faces[:, 1]]
     side = float(np.median(np.linalg.norm(edges, axis=1))) or 1.0
-    coarse = whole
+    coarse = scene
     while coarse.faces is not None and len(coarse.faces) > faces:
-        side *= _COARSER
-        coarse = _clustered(whole, side)
+        side *= _COARSENING
+        coarse = _clustered(scene, side)
     return coarse
 
 
-def clipped(whole: Whole, box: tuple[NDArray[np.float64], NDArray[np.float64]] | None) -> Whole:
-    """Return what lies in a box; all of it where there is none."""
+def clipped(
+    scene: FusedScene, box: tuple[NDArray[np.float64], NDArray[np.float64]] | None
+) -> FusedScene:
+    """Return the part inside a box; everything without a box."""
     if box is None:
-        return whole
+        return scene
     low, high = box
-    inside = ((whole.positions >= low) & (whole.positions <= high)).all(axis=1)
+    inside = ((scene.positions >= low) & (scene.positions <= high)).all(axis=1)
     faces = None
-    if whole.faces is not None:
+    if scene.faces is not None:
         numbers = np.cumsum(inside, dtype=np.int32) - 1
-        kept = np.asarray(inside)[whole.faces].all(axis=1)
-        faces = numbers[whole.faces[kept]]
+        kept = np.asarray(inside)[scene.faces].all(axis=1)
+        faces = numbers[scene.faces[kept]]
     return replace(
-        whole, positions=whole.positions[inside], colors=whole.colors[inside], faces=faces
+        scene, positions=scene.positions[inside], colors=scene.colors[inside], faces=faces
     )
 
 
-def _clustered(whole: Whole, side: float) -> Whole:
-    """Return a surface whose vertices within a cube of this side are one, their mean."""
-    assert whole.faces is not None
-    cubes = np.floor(whole.positions / side).astype(np.int64)
+def _clustered(scene: FusedScene, side: float) -> FusedScene:
+    """Return a surface whose vertices are the means of all vertices in a cube of this side."""
+    assert scene.faces is not None
+    cubes = np.floor(scene.positions / side).astype(np.int64)
     _, inverse, count = np.unique(cubes, axis=0, return_inverse=True, return_counts=True)
     inverse = inverse.reshape(-1)
     means = [
         np.stack([np.bincount(inverse, column) for column in values.T.astype(float)], axis=1)
         / count[:, None]
-        for values in (whole.positions, whole.colors)
+        for values in (scene.positions, scene.colors)
     ]
-    faces = inverse[whole.faces].astype(np.int32)
+    faces = inverse[scene.faces].astype(np.int32)
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
     return replace(
-        whole,
+        scene,
         positions=means[0].astype(np.float32),
         colors=np.rint(means[1]).astype(np.uint8),
         faces=faces,
-        left=len(count) / len(whole.positions),
+        kept_share=len(count) / len(scene.positions),
     )

@@ -1,30 +1,29 @@
-"""Which kind of result lies in a folder."""
+"""Opening the folder of a result, whichever command wrote it."""
 
 from pathlib import Path
 
 from tisfm.errors import InputError
 from tisfm.folders.result_folder import is_locked
+from tisfm.folders.run_record import RECORD as RUN
 from tisfm.reconstruction.result.folder import BEGUN, DEPTH, PICTURES
 from tisfm.reconstruction.result.folder import RECORD as RECONSTRUCTION
-from tisfm.results.reconstruction_result import ReconstructionResult
-from tisfm.results.result import Result
-from tisfm.results.run_result import RECORD as RUN
-from tisfm.results.run_result import RunResult
+from tisfm.results.pair_frames import PairFrames
+from tisfm.results.sequence_frames import SequenceFrames
 
 
-class NothingYetError(InputError):
-    """A result is being made, and has no frame yet that can be looked at."""
+class NotReadyError(InputError):
+    """A command still writes the result, and no frame is complete."""
 
 
-def open_result(folder: Path) -> Result:
-    """Open what `tisfm run` or `tisfm reconstruct` wrote, or is writing.
+def open_result(folder: Path) -> SequenceFrames | PairFrames:
+    """Open the folder of `tisfm run` or `tisfm reconstruct`, also while a run goes on.
 
     Raises
     ------
     FileNotFoundError, NotADirectoryError
-        If there is no such folder, or it has no result, and none is being made.
-    NothingYetError
-        A ValueError: if a result is being made, and nothing of it is complete.
+        If there is no such folder, or it has no result and no command writes to it.
+    NotReadyError
+        A ValueError: if a command writes to the folder, and no frame is complete.
     tisfm.formats.FormatError
         A ValueError: if a file is damaged.
     """
@@ -33,35 +32,35 @@ def open_result(folder: Path) -> Result:
     if not folder.is_dir():
         raise NotADirectoryError(f"{folder} is no folder: give the one that a command wrote")
     if (folder / RECONSTRUCTION).is_file():
-        return ReconstructionResult(folder)
+        return SequenceFrames.open(folder)
     if (folder / RUN).is_file():
-        result = RunResult(folder)
-        if result.names:
-            return result
-    _require_being_made(folder)
+        pairs = PairFrames(folder, complete=False)
+        if pairs.names:
+            return pairs
+    _require_writer(folder)
     if (folder / BEGUN).is_file():
-        raise NothingYetError(f"{folder} has no complete reconstruction yet")
-    raise NothingYetError(f"{folder} has no finished pair yet")
+        raise NotReadyError(f"{folder} has no complete reconstruction yet")
+    raise NotReadyError(f"{folder} has no finished pair yet")
 
 
-def how_far(folder: Path) -> str:
-    """Return what there is of a reconstruction that is being made, in words; nothing of a run."""
+def describe_progress(folder: Path) -> str:
+    """Return how far a reconstruction is, in words; empty for a run."""
     if not (folder / BEGUN).is_file():
         return ""
     pictures, depths = (len(list((folder / part).glob("*.*"))) for part in (PICTURES, DEPTH))
     if not pictures:
-        return "frames are read, and its path is found"
+        return "tisfm reads the frames and computes the path of the camera"
     return f"{pictures} frames are read, {depths} of them have depth"
 
 
-def _require_being_made(folder: Path) -> None:
-    """Raise FileNotFoundError if nobody writes to a folder without a result."""
+def _require_writer(folder: Path) -> None:
+    """Raise FileNotFoundError if no command writes to a folder without a result."""
     if is_locked(folder):
         return
     if (folder / BEGUN).is_file():
         raise FileNotFoundError(
-            f"the reconstruction in {folder} is not complete, and nobody goes on with it: run the "
-            "command again that made it"
+            f"the reconstruction in {folder} is not complete, and no command continues it: run "
+            "tisfm reconstruct again"
         )
     if (folder / RUN).is_file():
         raise FileNotFoundError(f"{folder} has no finished pair, and no run writes to it")

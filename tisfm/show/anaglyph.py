@@ -11,7 +11,7 @@ from tisfm.formats.srgb import linear_from_srgb, srgb_from_linear
 from tisfm.show.arrays import as_image, as_rgb, as_uint8, require_same_size
 from tisfm.show.stereo import DISPARITY, stereo_view
 
-# Least-squares matrices for red-cyan glasses: out = L left + R right, rows and columns R, G, B.
+# Least-squares matrices for red-cyan glasses (Dubois): out = L left + R right, in order R, G, B.
 _MATRICES = {
     "2009": (
         ((0.437, 0.449, 0.164), (-0.062, -0.062, -0.024), (-0.048, -0.050, -0.017)),
@@ -50,9 +50,9 @@ def dubois(
         Least-squares matrices: the set of 2009, or the original set for CRT displays.
     linear : bool
         Whether to undo the sRGB transfer curve before the matrices and apply it after them. The
-        default is True because the matrices were fitted to amounts of light, and the share of each
-        eye's view that leaks through the other eye's filter, which their negative entries cancel,
-        adds up as light. False applies them to the coded values, as much software does.
+        default is True because the matrices were fitted to linear light: part of the view of one
+        eye leaks through the filter of the other, adds up as light, and the negative entries cancel
+        it. False applies the matrices to coded values, as much software does.
 
     Returns
     -------
@@ -82,7 +82,7 @@ def dubois(
     if matrices not in _MATRICES:
         raise InputError(f"matrices is {matrices!r}, expected one of {sorted(_MATRICES)}")
     decode = linear_from_srgb() if linear else np.arange(256, dtype=np.float32) / 255
-    # Amounts of light have more steps than coded values, whose darkest ones lie close together.
+    # Linear light needs more steps than coded values, whose darkest levels lie close together.
     most, kind = (65535, cv2.CV_16U) if linear else (255, cv2.CV_8U)
     weights = np.array(_MATRICES[matrices], dtype=np.float32) * np.float32(most)
     lights = (
@@ -111,7 +111,7 @@ def anaglyph(
 ) -> NDArray[np.uint8]:
     """Make a picture for red-cyan glasses from one picture and its depth.
 
-    The picture is the left eye's view; the right eye's is made by `stereo_view`.
+    The picture is the view of the left eye; `stereo_view` makes the view of the right eye.
 
     Parameters
     ----------
@@ -120,8 +120,8 @@ def anaglyph(
     inverse_depth : (H, W) array_like
         Inverse depth in any unit.
     disparity, max_disparity, screen, screen_depth, limit, crop
-        The disparity budget, as a share of the width or in px, the plane of the screen, the inverse
-        depth that counts as nearest, and whether the border is cut off: as in `stereo_view`.
+        As in `stereo_view`: the disparity budget, as a share of the width or in px, the plane of
+        the screen, the inverse depth that counts as nearest, and whether the border is cut off.
     matrices, linear
         As in `dubois`.
 

@@ -1,4 +1,4 @@
-"""Checks and conversions of the arrays that pictures are made from."""
+"""Checks and conversions of the arrays of pictures."""
 
 from typing import Any
 
@@ -35,7 +35,7 @@ def as_image(name: str, values: ArrayLike) -> NDArray[Any]:
 
 
 def is_depth(values: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
-    """Return where there is a depth, or an inverse depth: finite, before the camera."""
+    """Return which values are a depth or an inverse depth: finite and positive."""
     return np.asarray(np.isfinite(values) & (values > 0))
 
 
@@ -56,14 +56,14 @@ def check_limit(name: str, limit: float) -> float:
 
 
 def as_uint8(*images: NDArray[Any]) -> tuple[NDArray[np.uint8], ...]:
-    """Bring pictures to 8 bits, all by one factor.
+    """Convert pictures to 8 bits, all by one factor.
 
     Parameters
     ----------
     *images : ndarray
-        uint8 as it is; uint16 divided by 257; floats times 255 if all of them are in [0, 1], but
-        for overshoots (`tisfm.frames.in_unit_range`), else as they are, like other integers. NaN
-        becomes black.
+        uint8 stays; uint16 is divided by 257; floats are multiplied by 255 if all are in [0, 1],
+        apart from overshoots (`tisfm.frames.in_unit_range`), else they stay, like other integers.
+        NaN becomes black.
 
     Returns
     -------
@@ -85,7 +85,7 @@ def as_uint8(*images: NDArray[Any]) -> tuple[NDArray[np.uint8], ...]:
 
 
 def as_rgb(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a picture with three channels, grey ones repeated."""
+    """Return a picture with three channels."""
     return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
 
 
@@ -98,5 +98,5 @@ def _real(name: str, values: ArrayLike) -> NDArray[Any]:
 
 
 def _as_float(array: NDArray[Any]) -> NDArray[np.floating[Any]]:
-    """Keep float64 and convert everything else to float32, which is enough for a picture."""
+    """Keep float64; convert other types to float32, which suffices for a picture."""
     return array if array.dtype == np.float64 else array.astype(np.float32, copy=False)

@@ -1,6 +1,7 @@
-"""Drawing into axes that are given: text and lines in proportion to them, and room for a legend.
+"""Drawing into given axes: text and lines in proportion to the axes, and space for a legend.
 
-Matplotlib is imported when something is drawn, and used without pyplot: nothing global is touched.
+Matplotlib is imported when something is drawn. It is used without pyplot, so that no global state
+changes.
 """
 
 from __future__ import annotations
@@ -14,8 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.show.legends import new_figure
-from tisfm.show.mosaic import panel_size
+from tisfm.show.mosaic import new_figure, panel_size
 from tisfm.show.palette import FAINT, INK
 from tisfm.show.ticks import with_room
 
@@ -23,24 +23,28 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.legend import Legend
 
-# Height of text as a share of the mean side of the axes.
-_TEXT_OF_PICTURE, _TEXT_OF_PLOT = 0.028, 0.036
-_LEAST_TEXT = 9.0  # px: less is not read
-_MOST_PIXELS = 2  # of a picture per pixel of the axes: what is finer is reduced
-_AROUND, _ROOM_ASIDE, _ROOM_BELOW = 0.3, 1.0, 0.4  # inches, of a picture in a figure of its own
-_CHARACTER = 0.6  # width of a mean character, in its height
-_FLATTEST = 12  # ratio of the sides of a picture: flatter ones are stretched, to stay visible
+# All numbers here are set by hand, by the look of the pictures.
+_PICTURE_TEXT = 0.028  # height of text around a picture, as a share of the mean side of the axes
+_PLOT_TEXT = 0.036  # height of text around a plot, as a share of the mean side of the axes
+_MIN_TEXT_PIXELS = 9.0  # px: smaller text is hard to read
+_MAX_PIXELS_PER_AXES_PIXEL = 2  # finer pictures are reduced before they are drawn
+_PIXELS_PER_INCH = 250  # pictures up to this resolution are never reduced
+_MARGIN = 0.3  # inches around a picture in a figure of its own
+_LEGEND_WIDTH = 1.0  # inches for a legend beside that picture
+_LEGEND_HEIGHT = 0.4  # inches for a legend below that picture
+_CHARACTER_WIDTH = 0.6  # of a mean character, in text heights
+_MAX_SIDE_RATIO = 12  # of a picture: longer ones are stretched across, to stay visible
 
 
 @dataclass
-class _Place:
-    """How the place of axes is divided, and among which others."""
+class _LegendSpace:
+    """How the area of axes is divided between a picture and its legends."""
 
     divider: Any
-    rooms: list[Axes] = field(default_factory=list)
+    legends: list[Axes] = field(default_factory=list)
 
 
-_PLACE = "_tisfm_place"  # the attribute of axes that keeps it as long as they live
+_LEGEND_SPACE = "_tisfm_legend_space"  # attribute of the axes that holds their `_LegendSpace`
 
 
 @dataclass(frozen=True)
@@ -56,53 +60,54 @@ class Sizes:
         return self.text / 72
 
 
-def sizes_for(axes: Axes, share: float = _TEXT_OF_PICTURE) -> Sizes:
-    """Return sizes of text and lines that are read in axes, from a thumbnail to a whole screen."""
+def sizes_for(axes: Axes, share: float = _PICTURE_TEXT) -> Sizes:
+    """Return sizes of text and lines that suit axes, from a thumbnail to a whole screen."""
     box = axes.get_window_extent()
-    pixels = max(_LEAST_TEXT, share * math.sqrt(max(box.width * box.height, 1.0)))
+    pixels = max(_MIN_TEXT_PIXELS, share * math.sqrt(max(box.width * box.height, 1.0)))
     points = pixels * 72 / axes.figure.dpi
     return Sizes(text=points, line=points / 7)
 
 
 def picture_axes(height: int, width: int, *, below: bool = False) -> Axes:
-    """Return axes for a picture and its legend, beside or below, in a figure of their own."""
+    """Return axes in a new figure, for a picture with a legend beside or below it."""
     wide, high = panel_size(height, width)
-    aside, under = (0.0, _ROOM_BELOW) if below else (_ROOM_ASIDE, 0.0)
-    size = wide + aside + 2 * _AROUND, high + under + 2 * _AROUND
+    aside, under = (0.0, _LEGEND_HEIGHT) if below else (_LEGEND_WIDTH, 0.0)
+    size = wide + aside + 2 * _MARGIN, high + under + 2 * _MARGIN
     figure = new_figure(size)
-    left, bottom = _AROUND / size[0], _AROUND / size[1]
+    left, bottom = _MARGIN / size[0], _MARGIN / size[1]
     return figure.add_axes((left, bottom, 1 - 2 * left, 1 - 2 * bottom))
 
 
 def plot_axes(width: float, height: float) -> Axes:
-    """Return axes for curves in a figure of their own, of a size in inches."""
+    """Return axes for curves in a new figure, whose width and height are in inches."""
     figure = new_figure((width, height))
     figure.set_layout_engine("constrained")
     return figure.add_subplot()
 
 
 def show_picture(axes: Axes, image: NDArray[np.uint8], title: str | None = None) -> Sizes:
-    """Show a picture in axes, in its pixels, y downwards, and return the sizes for what is around.
+    """Show a picture in axes whose unit is its pixel, y downwards; return sizes for text and lines.
 
     Parameters
     ----------
     axes : matplotlib.axes.Axes
-        Modified in place; what was in them is removed.
+        Modified in place: earlier contents are removed.
     image : (H, W) or (H, W, 3) uint8 ndarray
-        What is finer than the axes is reduced: a mean of pixels, not every so many.
+        An image finer than the axes is reduced by averaging pixels.
     title : str, optional
-        Text above it.
+        Text above the picture.
     """
     _empty(axes)
     sizes = sizes_for(axes)
     rows, columns = image.shape[:2]
     box = axes.get_window_extent()
-    smaller = (
-        max(1, min(columns, math.ceil(_MOST_PIXELS * box.width))),
-        max(1, min(rows, math.ceil(_MOST_PIXELS * box.height))),
+    finest = max(_MAX_PIXELS_PER_AXES_PIXEL, _PIXELS_PER_INCH / axes.figure.dpi)
+    reduced_size = (
+        max(1, min(columns, math.ceil(finest * box.width))),
+        max(1, min(rows, math.ceil(finest * box.height))),
     )
-    reduced = cv2.resize(np.ascontiguousarray(image), smaller, interpolation=cv2.INTER_AREA)
-    is_flat = max(rows, columns) > _FLATTEST * min(rows, columns)
+    reduced = cv2.resize(np.ascontiguousarray(image), reduced_size, interpolation=cv2.INTER_AREA)
+    is_flat = max(rows, columns) > _MAX_SIDE_RATIO * min(rows, columns)
     axes.imshow(
         reduced,
         cmap="gray",
@@ -122,12 +127,12 @@ def show_picture(axes: Axes, image: NDArray[np.uint8], title: str | None = None)
 
 
 def write_title(axes: Axes, title: str, sizes: Sizes) -> None:
-    """Write a title above axes; a dollar sign in it is a dollar sign."""
+    """Write a title above axes. A dollar sign does not begin a formula."""
     axes.set_title(title, fontsize=1.15 * sizes.text, color=INK, parse_math=False)
 
 
 def write_inside(axes: Axes, sizes: Sizes, text: str) -> None:
-    """Write in the middle of axes why there is nothing else."""
+    """Write in the middle of empty axes why they are empty."""
     axes.text(
         0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", fontsize=sizes.text,
         color=INK, parse_math=False,
@@ -135,10 +140,10 @@ def write_inside(axes: Axes, sizes: Sizes, text: str) -> None:
 
 
 def style_plot(axes: Axes, title: str | None = None) -> Sizes:
-    """Empty axes, make them look like all plots, and return the sizes for what is in them."""
+    """Empty axes, give them the style of all plots, and return sizes for text and lines."""
     _empty(axes)
     axes.set_aspect("auto")
-    sizes = sizes_for(axes, _TEXT_OF_PLOT)
+    sizes = sizes_for(axes, _PLOT_TEXT)
     axes.grid(color=FAINT, linewidth=0.4 * sizes.line, alpha=0.4)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=sizes.text, colors=INK, width=0.5 * sizes.line)
@@ -149,20 +154,20 @@ def style_plot(axes: Axes, title: str | None = None) -> Sizes:
     return sizes
 
 
-def write_plainly(legend: Legend) -> None:
-    """Let a dollar sign in the texts of a legend be a dollar sign."""
+def without_formulas(legend: Legend) -> None:
+    """Write dollar signs in a legend as they are, not as the beginning of a formula."""
     for text in legend.get_texts():
         text.set_parse_math(False)
 
 
 def name_axis(axes: Axes, sizes: Sizes, x: str, y: str) -> None:
-    """Write what the two axes of a plot show, with units."""
+    """Write the quantities and units along both axes of a plot."""
     axes.set_xlabel(x, fontsize=sizes.text, color=INK, parse_math=False)
     axes.set_ylabel(y, fontsize=sizes.text, color=INK, parse_math=False)
 
 
 def few_ticks(axes: Axes, sizes: Sizes) -> None:
-    """Leave as many ticks as their labels have room for."""
+    """Keep only as many ticks as their labels have space for."""
     from matplotlib.ticker import MaxNLocator
 
     box = axes.get_window_extent()
@@ -181,49 +186,49 @@ def draw_bar(
     sizes: Sizes,
     below: bool,
 ) -> Axes:
-    """Draw a bar of colours beside a picture or below it, within the room of its axes.
+    """Draw a colour bar beside or below a picture; the picture gives way within its axes.
 
     Parameters
     ----------
     axes : matplotlib.axes.Axes
-        The picture's, which gives the room.
+        Axes of the picture.
     ramp : (N, 3) uint8 ndarray
         Colours from the least to the greatest value.
     ticks : sequence of (float, str)
-        Shares of the bar, rising from 0 to 1, and what they stand for. The ends are written always,
-        those between them where there is room.
+        Positions along the bar, rising from 0 to 1, and their labels. The ends are always written,
+        others where there is space.
     label : str
-        What the bar shows, with its unit.
+        The quantity and its unit.
     short : str
-        The same where there is room for little.
+        A shorter label, for little space.
     sizes : Sizes
     below : bool
-        Whether it lies below the picture.
+        Whether the bar lies below the picture, else it is beside it.
 
     Returns
     -------
     matplotlib.axes.Axes
-        Those of the bar.
+        Axes of the bar.
     """
     longest = max(len(text) for _, text in ticks)
-    character = _CHARACTER * sizes.inch
+    character = _CHARACTER_WIDTH * sizes.inch
     width, height = _shown_size(axes)
     if below:
-        bar = _room(axes, "bottom", 0.8 * sizes.inch, 0.6 * sizes.inch)
-        _room(axes, "bottom", 3.2 * sizes.inch, 0).set_axis_off()
+        bar = _side_axes(axes, "bottom", 0.8 * sizes.inch, 0.6 * sizes.inch)
+        _side_axes(axes, "bottom", 3.2 * sizes.inch, 0).set_axis_off()
         bar.imshow(ramp[None], extent=(0, 1, 0, 1), aspect="auto", interpolation="bilinear")
         shown = with_room(ticks, 1.5 * (longest + 1) * character / width)
         bar.set_yticks([])
         bar.set_xticks([share for share, _ in shown], [text for _, text in shown])
         first, *_, last = bar.get_xticklabels()
-        first.set_horizontalalignment("left")  # so that nothing is beyond the picture
+        first.set_horizontalalignment("left")  # keeps both labels within the picture
         last.set_horizontalalignment("right")
         name = label if len(label) * character < width else short
         bar.set_xlabel(name, fontsize=sizes.text, color=INK, labelpad=2, parse_math=False)
     else:
-        bar = _room(axes, "right", 0.8 * sizes.inch, 0.6 * sizes.inch)
+        bar = _side_axes(axes, "right", 0.8 * sizes.inch, 0.6 * sizes.inch)
         beside = longest * character + 2.6 * sizes.inch
-        _room(axes, "right", beside, 0).set_axis_off()
+        _side_axes(axes, "right", beside, 0).set_axis_off()
         bar.imshow(ramp[::-1, None], extent=(0, 1, 0, 1), aspect="auto", interpolation="bilinear")
         left = max(width - beside - 1.4 * sizes.inch, 0.0) * height / width
         shown = with_room(ticks, 1.6 * sizes.inch / max(left, 1e-6))
@@ -243,41 +248,41 @@ def draw_bar(
 
 
 def _empty(axes: Axes) -> None:
-    """Remove what was drawn into axes before, with its legend, and give them their place back."""
-    place = getattr(axes, _PLACE, None)
-    if place is not None:
-        delattr(axes, _PLACE)
-        for room in place.rooms:
-            room.remove()
+    """Remove earlier contents of axes with their legends, and restore the position of the axes."""
+    space = getattr(axes, _LEGEND_SPACE, None)
+    if space is not None:
+        delattr(axes, _LEGEND_SPACE)
+        for legend in space.legends:
+            legend.remove()
         axes.set_axes_locator(None)  # type: ignore[arg-type]
     axes.clear()
     is_laid_out = axes.get_in_layout()
     axes.reset_position()
-    axes.set_in_layout(is_laid_out)  # which a position takes away
+    axes.set_in_layout(is_laid_out)  # reset_position takes axes out of the layout
 
 
-def legend_room(axes: Axes, width: float, gap: float) -> Axes:
-    """Return empty axes beside a picture, so many inches wide, within the room of its axes."""
-    room = _room(axes, "right", width, gap)
-    room.set_axis_off()
-    return room
+def legend_axes(axes: Axes, width: float, gap: float) -> Axes:
+    """Return empty axes beside a picture, within its axes; width and gap are in inches."""
+    legend = _side_axes(axes, "right", width, gap)
+    legend.set_axis_off()
+    return legend
 
 
-def _room(axes: Axes, side: str, size: float, gap: float) -> Axes:
-    """Return axes at a side of others, which give way: their position is found when drawn."""
+def _side_axes(axes: Axes, side: str, size: float, gap: float) -> Axes:
+    """Return new axes at a side of others, which become smaller when they are drawn."""
     from mpl_toolkits.axes_grid1.axes_divider import make_axes_locatable
 
-    place = getattr(axes, _PLACE, None)
-    if place is None:
-        place = _Place(divider=make_axes_locatable(axes))
-        setattr(axes, _PLACE, place)
-    room: Axes = place.divider.append_axes(side, size=size, pad=gap)
-    place.rooms.append(room)
-    return room
+    space = getattr(axes, _LEGEND_SPACE, None)
+    if space is None:
+        space = _LegendSpace(divider=make_axes_locatable(axes))
+        setattr(axes, _LEGEND_SPACE, space)
+    legend: Axes = space.divider.append_axes(side, size=size, pad=gap)
+    space.legends.append(legend)
+    return legend
 
 
 def _shown_size(axes: Axes) -> tuple[float, float]:
-    """Return the width and height, inches, that a picture has in its axes without a legend."""
+    """Return the width and height, inches, of a picture in axes without a legend."""
     box = axes.get_window_extent()
     width, height = max(box.width, 1.0) / axes.figure.dpi, max(box.height, 1.0) / axes.figure.dpi
     if axes.get_aspect() == "auto":

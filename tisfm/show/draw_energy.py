@@ -1,4 +1,4 @@
-"""The course of the energy over the iterations, into axes."""
+"""The energy over the iterations, into axes."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 CurveQuantity = Literal["energy", "change"]
-_BELOW_NAMES = 0.0, 0.0, 1.0, 0.88  # where a legend may lie, of the axes
-_LEAST_CHANGE = 1e-12  # of a logarithmic axis, below which nothing is computed
+_LEGEND_BOX = 0.0, 0.0, 1.0, 0.88  # area for the legend below the names of levels, in axes
+_MIN_CHANGE = 1e-12  # smallest change on a logarithmic axis; set by hand
 
 
 def draw_energy(
@@ -27,18 +27,18 @@ def draw_energy(
     quantity: CurveQuantity = "energy",
     title: str | None = None,
 ) -> Axes:
-    """Draw what every iteration left of the energy, or changed.
+    """Draw the energy after every iteration, or the change by every iteration.
 
-    Bands are the levels of the pyramid, from the coarsest on the left, and a line is broken where
-    the images are warped anew: only within a warp is the energy that of one function, which never
-    rises. Points are iterations.
+    Bands are the levels of the pyramid, from the coarsest on the left. A line is broken at every
+    new warp of the images: the energy is one function, which never rises, only within a warp.
+    Points are iterations.
 
     Parameters
     ----------
     history : tisfm.status.History
         `tisfm.Interpretation.history`.
     axes : matplotlib.axes.Axes, optional
-        Where it is drawn; by default in a figure of its own, ``axes.figure``.
+        Axes to draw into; by default those of a new figure, ``axes.figure``.
     quantity : {"energy", "change"}
         The energy (eq. 6, 20) and its half-quadratic form (eq. 8, 21), or the relative change of
         the unknowns.
@@ -48,12 +48,12 @@ def draw_energy(
     Returns
     -------
     matplotlib.axes.Axes
-        What it was drawn into.
+        The axes.
 
     Raises
     ------
     ValueError
-        If `quantity` is another.
+        If `quantity` is unknown.
     ImportError
         If Matplotlib is not installed.
 
@@ -84,7 +84,7 @@ def draw_energy(
     if energy:
         curves.append(("half-quadratic", history.half_quadratic, OTHER, "--"))
     else:
-        curves = [("change", np.maximum(history.change, _LEAST_CHANGE), ESTIMATE, "-")]
+        curves = [("change", np.maximum(history.change, _MIN_CHANGE), ESTIMATE, "-")]
     if all((values > 0).all() and np.isfinite(values).all() for _, values, _, _ in curves):
         target.set_yscale("log")
     warps = np.flatnonzero(np.diff(history.level) | np.diff(history.warp)) + 1
@@ -103,13 +103,13 @@ def draw_energy(
     for warp in warps:
         target.axvline(warp - 0.5, color=FAINT, linewidth=0.35 * sizes.line, linestyle=":")
     low, high = target.get_ylim()
-    is_log = target.get_yscale() == "log"  # the names of levels have the top to themselves
+    is_log = target.get_yscale() == "log"  # space at the top for the names of levels
     target.set_ylim(low, high * (high / low) ** 0.15 if is_log else high + 0.15 * (high - low))
     _draw_levels(target, history.level, sizes.text)
     if energy:
         target.legend(
             loc="best",
-            bbox_to_anchor=_BELOW_NAMES,
+            bbox_to_anchor=_LEGEND_BOX,
             fontsize=sizes.text,
             labelcolor=INK,
             framealpha=0.8,
@@ -118,7 +118,7 @@ def draw_energy(
 
 
 def _draw_levels(axes: Axes, level: np.ndarray, text: float) -> None:
-    """Shade every other level, and number those that have room for it, the rows above the plot."""
+    """Shade every other level, and name the levels that have space for a name."""
     starts = [0, *(np.flatnonzero(np.diff(level)) + 1), len(level)]
     box = axes.get_window_extent()
     character = 0.6 * text / 72 * axes.figure.dpi

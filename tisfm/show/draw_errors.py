@@ -1,4 +1,4 @@
-"""Errors against the truth, and whether deviations are as large as errors, into axes."""
+"""Errors against the truth, and calibration of standard deviations, into axes."""
 
 from __future__ import annotations
 
@@ -13,17 +13,21 @@ from tisfm.metrics.depth_std import error_in_deviations
 from tisfm.metrics.valid_pixels import is_known
 from tisfm.show.arrays import as_flow, as_map, is_depth, require_same_size
 from tisfm.show.axes import name_axis, plot_axes, style_plot
-from tisfm.show.depth_error import DEPTH_ERROR_RANGE
-from tisfm.show.draw_maps import with_bar
-from tisfm.show.error import ERROR_RANGE, check_error_limits, error_to_color
-from tisfm.show.palette import ESTIMATE, FAINT, INK
+from tisfm.show.color_maps import (
+    DEPTH_ERROR_RANGE,
+    ERROR_RANGE,
+    check_error_limits,
+    error_to_color,
+)
+from tisfm.show.draw_maps import Bar, draw_with_bar
+from tisfm.show.palette import ESTIMATE, FAINT, INK, color_ramp
 from tisfm.show.ticks import doublings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_MOST_DEVIATIONS = 3.0
-_STEPS = 121  # of the curve
+_MAX_DEVIATIONS = 3.0  # standard deviations, the end of the axis of a calibration plot
+_CURVE_POINTS = 121  # of a calibration curve
 
 
 def draw_flow_error(
@@ -32,6 +36,7 @@ def draw_flow_error(
     *,
     axes: Axes | None = None,
     limits: tuple[float, float] = ERROR_RANGE,
+    legend: bool = True,
     title: str | None = None,
 ) -> Axes:
     """Draw the end-point error of a flow, as `error_to_color` shows it.
@@ -39,18 +44,20 @@ def draw_flow_error(
     Parameters
     ----------
     flow, truth : (H, W, 2) array_like
-        Recovered and true flow, px/frame. Grey where the truth is not known.
+        Recovered and true flow, px/frame. Pixels without a known truth are grey.
     axes : matplotlib.axes.Axes, optional
-        Where it is drawn; by default in a figure of its own, ``axes.figure``.
+        Axes to draw into; by default those of a new figure, ``axes.figure``.
     limits : (float, float)
         Errors at the two ends of the logarithmic scale, px.
+    legend : bool
+        Whether to draw the legend.
     title : str, optional
         Text above the picture, by default the mean error.
 
     Returns
     -------
     matplotlib.axes.Axes
-        What it was drawn into.
+        The axes of the picture.
 
     Raises
     ------
@@ -73,7 +80,10 @@ def draw_flow_error(
     if is_known(true).all(axis=2).any():
         error = endpoint_error_map(recovered, true)
     title = _mean_of(error, "px") if title is None else title
-    return _draw_error(error, limits, "px", ("end-point error (px)", "error (px)"), axes, title)
+    label = "end-point error (px)", "error (px)"
+    return draw_error_map(
+        error, limits, unit="px", label=label, legend=legend, axes=axes, title=title
+    )
 
 
 def draw_depth_error(
@@ -82,6 +92,7 @@ def draw_depth_error(
     *,
     axes: Axes | None = None,
     limits: tuple[float, float] = DEPTH_ERROR_RANGE,
+    legend: bool = True,
     title: str | None = None,
 ) -> Axes:
     """Draw the relative error of a depth after scaling by the median.
@@ -89,19 +100,21 @@ def draw_depth_error(
     Parameters
     ----------
     depth, truth : (H, W) array_like
-        Recovered and true depth, each in a unit of its own; not finite or not positive where it is
-        not known: grey.
+        Recovered and true depth, each in its own unit. A value that is not finite and positive is
+        unknown: grey.
     axes : matplotlib.axes.Axes, optional
-        Where it is drawn; by default in a figure of its own, ``axes.figure``.
+        Axes to draw into; by default those of a new figure, ``axes.figure``.
     limits : (float, float)
         Relative errors at the two ends of the logarithmic scale.
+    legend : bool
+        Whether to draw the legend.
     title : str, optional
         Text above the picture, by default the mean error.
 
     Returns
     -------
     matplotlib.axes.Axes
-        What it was drawn into.
+        The axes of the picture.
 
     Raises
     ------
@@ -125,7 +138,10 @@ def draw_depth_error(
         error = 100 * depth_error_map(recovered, true)
     title = _mean_of(error, "%") if title is None else title
     percent = (100 * low, 100 * high)
-    return _draw_error(error, percent, "%", ("error of depth (%)", "error (%)"), axes, title)
+    label = "error of depth (%)", "error (%)"
+    return draw_error_map(
+        error, percent, unit="%", label=label, legend=legend, axes=axes, title=title
+    )
 
 
 def draw_calibration(
@@ -136,27 +152,27 @@ def draw_calibration(
     axes: Axes | None = None,
     title: str | None = None,
 ) -> Axes:
-    """Draw how many errors of the depth are within so many standard deviations.
+    """Draw the share of depth errors within a number of standard deviations.
 
-    Where deviations are right, the curve is that of normal errors: 68 % within one, 95 % within
-    two. Below it, they are too small.
+    With right deviations the curve is that of normal errors: 68 % within one standard deviation,
+    95 % within two. A lower curve means that the deviations are too small.
 
     Parameters
     ----------
     inverse_depth, inverse_depth_std : (H, W) array_like
-        Inverse depth and its standard deviation. It is scaled by the median first, as by
+        Inverse depth and its standard deviation. Both are first scaled by the median, as in
         `tisfm.metrics.std_coverage`.
     truth : (H, W) array_like
-        True depth, not finite or not positive where it is not known.
+        True depth. A value that is not finite and positive is unknown.
     axes : matplotlib.axes.Axes, optional
-        Where it is drawn; by default in a figure of its own, ``axes.figure``.
+        Axes to draw into; by default those of a new figure, ``axes.figure``.
     title : str, optional
         Text above the plot.
 
     Returns
     -------
     matplotlib.axes.Axes
-        What it was drawn into.
+        The axes of the picture.
 
     Raises
     ------
@@ -176,14 +192,14 @@ def draw_calibration(
     >>> axes = draw_calibration(scene.inverse_depth + noise * deviation, deviation, scene.depth)
     >>> save_figure("calibration.png", axes.figure, dpi=60)
     """
-    found, deviation = (
+    estimate, deviation = (
         as_map("inverse_depth", inverse_depth),
         as_map("inverse_depth_std", inverse_depth_std),
     )
     true = as_map("truth", truth)
-    off = error_in_deviations(found, deviation, true)
-    times = np.linspace(0, _MOST_DEVIATIONS, _STEPS)
-    covered = 100 * np.searchsorted(np.sort(off), times, side="right") / len(off)
+    ratios = error_in_deviations(estimate, deviation, true)
+    times = np.linspace(0, _MAX_DEVIATIONS, _CURVE_POINTS)
+    covered = 100 * np.searchsorted(np.sort(ratios), times, side="right") / len(ratios)
     expected = [100 * math.erf(time / math.sqrt(2)) for time in times]
     target = plot_axes(4.4, 3.4) if axes is None else axes
     sizes = style_plot(target, title)
@@ -195,10 +211,10 @@ def draw_calibration(
         covered,
         color=ESTIMATE,
         linewidth=1.6 * sizes.line,
-        label=f"found: {100 * (off <= 1).mean():.0f} % within one",
+        label=f"found: {100 * (ratios <= 1).mean():.0f} % within one",
     )
     target.axvline(1.0, color=FAINT, linewidth=0.5 * sizes.line, linestyle=":")
-    target.set(xlim=(0, _MOST_DEVIATIONS), ylim=(0, 102), xticks=(0, 1, 2, 3))
+    target.set(xlim=(0, _MAX_DEVIATIONS), ylim=(0, 102), xticks=(0, 1, 2, 3))
     target.set_yticks((0, 25, 50, 75, 100))
     name_axis(target, sizes, "error (standard deviations)", "pixels within (%)")
     target.legend(loc="lower right", fontsize=sizes.text, labelcolor=INK, framealpha=0.8)
@@ -206,19 +222,22 @@ def draw_calibration(
 
 
 def _mean_of(error: NDArray[np.floating], unit: str) -> str:
-    """Return the mean of what is known, as it is written above a picture."""
+    """Return a title with the mean of the known errors."""
     known = error[np.isfinite(error)]
     return f"mean {known.mean():.3g} {unit}" if known.size else "no truth to compare with"
 
 
-def _draw_error(
+def draw_error_map(
     error: NDArray[np.floating],
     limits: tuple[float, float],
+    *,
     unit: str,
     label: tuple[str, str],
-    axes: Axes | None,
-    title: str,
+    legend: bool = True,
+    axes: Axes | None = None,
+    title: str | None = None,
 ) -> Axes:
-    """Draw a map of errors with the bar of its colours."""
-    ticks = doublings(limits, unit)
-    return with_bar(error_to_color(error, limits=limits), "error", ticks, label, axes, title)
+    """Draw a map of errors, with the bar of its colours unless `legend` is false."""
+    bar = Bar(ramp=color_ramp("error"), ticks=doublings(limits, unit), label=label)
+    colors = error_to_color(error, limits=limits)
+    return draw_with_bar(colors, bar if legend else None, axes, title)

@@ -1,36 +1,91 @@
-"""Depth, motion, labels, confidence and deviation of a frame, each with a legend, into axes."""
+"""Depth, labels, confidence and deviation of a frame, each with a legend, into axes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.show.arrays import as_flow, as_map, check_limit
+from tisfm.checks import unmasked_mask
+from tisfm.show.arrays import as_image, as_map, as_uint8, check_limit, require_same_size
 from tisfm.show.axes import (
-    Sizes,
     draw_bar,
-    legend_room,
+    legend_axes,
     picture_axes,
     show_picture,
-    write_plainly,
+    without_formulas,
 )
-from tisfm.show.confidence import confidence_to_color
-from tisfm.show.depth import depth_to_color, inverse_depth_limit
-from tisfm.show.flow import color_wheel, flow_to_color, usual_length
+from tisfm.show.color_maps import (
+    UNCERTAINTY_RANGE,
+    confidence_to_color,
+    depth_grey,
+    depth_to_color,
+    inverse_depth_limit,
+    uncertainty_to_color,
+)
 from tisfm.show.labels import label_overlay
 from tisfm.show.mosaic import WIDE
-from tisfm.show.palette import FAINT, INK, Quantity, as_hex, color_ramp, colors_of_categories
+from tisfm.show.palette import FAINT, HIDDEN, INK, as_hex, color_ramp, colors_of_categories
 from tisfm.show.ticks import depth_ticks, doublings
-from tisfm.show.uncertainty import UNCERTAINTY_RANGE, uncertainty_to_color
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_WHEEL_PIXELS = 400
-_MOST_SWATCHES = 16  # labels beyond are counted
+GREYS = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)  # far to near
+_MAX_LABELS = 16  # of a legend, set by hand: further labels are only counted
+
+
+def draw_image(
+    image: ArrayLike,
+    *,
+    axes: Axes | None = None,
+    hidden: ArrayLike | None = None,
+    title: str | None = None,
+) -> Axes:
+    """Draw a picture, with pixels of a mask tinted red.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array_like
+        Picture: uint8, uint16 or float.
+    axes : matplotlib.axes.Axes, optional
+        Axes to draw into; by default those of a new figure, ``axes.figure``.
+    hidden : (H, W) array_like, optional
+        Nonzero for pixels to tint, such as those that are not visible in the next frame.
+    title : str, optional
+        Text above the picture.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes of the picture.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, or sizes differ.
+    ImportError
+        If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import draw_image, save_figure
+    >>> scene = two_blocks(48, 64)
+    >>> axes = draw_image(scene.frame0, hidden=scene.labels == 3)
+    >>> save_figure("frame.png", axes.figure, dpi=60)
+    """
+    (picture,) = as_uint8(as_image("image", image))
+    if hidden is not None:
+        mask = unmasked_mask(hidden, "hidden")
+        require_same_size("hidden", mask, "image", picture)
+        picture = _tinted(picture, mask)
+    target = picture_axes(*picture.shape[:2]) if axes is None else axes
+    show_picture(target, picture, title)
+    return target
 
 
 def draw_depth(
@@ -39,27 +94,33 @@ def draw_depth(
     axes: Axes | None = None,
     limit: float | None = None,
     unit: str = "relative",
+    grey: bool = False,
+    legend: bool = True,
     title: str | None = None,
 ) -> Axes:
-    """Draw depth in the colours of `depth_to_color`, with a bar that says which depth they are.
+    """Draw depth in the colours of `depth_to_color`, with a bar of colours labelled by depths.
 
     Parameters
     ----------
     inverse_depth : (H, W) array_like
-        Inverse depth; grey where it is not finite.
+        Inverse depth; unknown pixels, which are not finite, are grey.
     axes : matplotlib.axes.Axes, optional
-        Where it is drawn; by default in a figure of its own, ``axes.figure``.
+        Axes to draw into; by default those of a new figure, ``axes.figure``.
     limit : float, optional
         Inverse depth of the brightest colour, by default `inverse_depth_limit`.
     unit : str
         Unit of the depth, for the legend.
+    grey : bool
+        Whether to use the grey levels of `depth_grey`, as the paper does, in place of colours.
+    legend : bool
+        Whether to draw the legend.
     title : str, optional
         Text above the picture.
 
     Returns
     -------
     matplotlib.axes.Axes
-        What it was drawn into.
+        The axes of the picture.
 
     Raises
     ------
@@ -77,83 +138,36 @@ def draw_depth(
     """
     values = as_map("inverse_depth", inverse_depth)
     top = inverse_depth_limit(values) if limit is None else check_limit("limit", limit)
-    picture = depth_to_color(values, limit=top)
     label = f"depth Z ({unit})", f"Z ({unit})"
-    return with_bar(picture, "depth", depth_ticks(top), label, axes, title)
-
-
-def draw_flow(
-    flow: ArrayLike,
-    *,
-    axes: Axes | None = None,
-    limit: float | None = None,
-    title: str | None = None,
-) -> Axes:
-    """Draw image motion in the colours of `flow_to_color`, with its wheel.
-
-    The wheel is a convention of the Middlebury benchmark, so that pictures can be compared with
-    those of others. Its hues are not even to the eye, nor all told apart without green or red
-    cones: where that matters, draw errors and lengths (`draw_flow_error`, `flow_radius`).
-
-    Parameters
-    ----------
-    flow : (H, W, 2) array_like
-        Image motion, px/frame; black where it is not known.
-    axes : matplotlib.axes.Axes, optional
-        Where it is drawn; by default in a figure of its own, ``axes.figure``.
-    limit : float, optional
-        Motion at the rim of the wheel, px/frame, by default the 98th percentile of its length.
-        Longer motion looks as if it were as long.
-    title : str, optional
-        Text above the picture.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-        What it was drawn into.
-
-    Raises
-    ------
-    ValueError
-        As `flow_to_color`.
-    ImportError
-        If Matplotlib is not installed.
-
-    Examples
-    --------
-    >>> from matplotlib.figure import Figure
-    >>> from tisfm.scenes import two_blocks
-    >>> from tisfm.show import draw_flow, save_figure
-    >>> figure = Figure()
-    >>> axes = draw_flow(two_blocks(48, 64).flow, axes=figure.subplots(), title="Image motion")
-    >>> save_figure("flow.png", figure, dpi=60)
-    """
-    values = as_flow("flow", flow)
-    top = usual_length(values) if limit is None else check_limit("limit", limit)
-    target = picture_axes(*values.shape[:2]) if axes is None else axes
-    sizes = show_picture(target, flow_to_color(values, limit=top, beyond="same"), title)
-    _draw_wheel(target, top, sizes)
-    return target
+    bar = Bar(ramp=GREYS if grey else color_ramp("depth"), ticks=depth_ticks(top), label=label)
+    picture = depth_grey(values, limit=top) if grey else depth_to_color(values, limit=top)
+    return draw_with_bar(picture, bar if legend else None, axes, title)
 
 
 def draw_confidence(
-    confidence: ArrayLike, *, axes: Axes | None = None, title: str | None = None
+    confidence: ArrayLike,
+    *,
+    axes: Axes | None = None,
+    legend: bool = True,
+    title: str | None = None,
 ) -> Axes:
     """Draw confidence in the colours of `confidence_to_color`, with a bar from 0 to 1.
 
     Parameters
     ----------
     confidence : (H, W) array_like
-        In [0, 1]; grey where it is NaN.
+        In [0, 1]; NaN is grey.
     axes : matplotlib.axes.Axes, optional
-        Where it is drawn; by default in a figure of its own, ``axes.figure``.
+        Axes to draw into; by default those of a new figure, ``axes.figure``.
+    legend : bool
+        Whether to draw the legend.
     title : str, optional
         Text above the picture.
 
     Returns
     -------
     matplotlib.axes.Axes
-        What it was drawn into.
+        The axes of the picture.
 
     Raises
     ------
@@ -170,8 +184,9 @@ def draw_confidence(
     >>> save_figure("confidence.png", axes.figure, dpi=60)
     """
     ticks = [(share, f"{share:g}") for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
-    picture = confidence_to_color(confidence)
-    return with_bar(picture, "confidence", ticks, ("confidence (share)", "confidence"), axes, title)
+    label = "confidence (share)", "confidence"
+    bar = Bar(ramp=color_ramp("confidence"), ticks=ticks, label=label)
+    return draw_with_bar(confidence_to_color(confidence), bar if legend else None, axes, title)
 
 
 def draw_uncertainty(
@@ -180,6 +195,7 @@ def draw_uncertainty(
     *,
     axes: Axes | None = None,
     limits: tuple[float, float] = UNCERTAINTY_RANGE,
+    legend: bool = True,
     title: str | None = None,
 ) -> Axes:
     """Draw the relative standard deviation of the depth, as `uncertainty_to_color` shows it.
@@ -187,18 +203,20 @@ def draw_uncertainty(
     Parameters
     ----------
     inverse_depth, inverse_depth_std : (H, W) array_like
-        Inverse depth and its standard deviation, in one unit; grey where one of them is not known.
+        Inverse depth and its standard deviation, in one unit. A pixel is grey if either is unknown.
     axes : matplotlib.axes.Axes, optional
-        Where it is drawn; by default in a figure of its own, ``axes.figure``.
+        Axes to draw into; by default those of a new figure, ``axes.figure``.
     limits : (float, float)
         Relative deviations at the two ends of the logarithmic scale.
+    legend : bool
+        Whether to draw the legend.
     title : str, optional
         Text above the picture.
 
     Returns
     -------
     matplotlib.axes.Axes
-        What it was drawn into.
+        The axes of the picture.
 
     Raises
     ------
@@ -218,7 +236,8 @@ def draw_uncertainty(
     picture = uncertainty_to_color(inverse_depth, inverse_depth_std, limits=limits)
     ticks = doublings((100 * limits[0], 100 * limits[1]), "%")
     label = "standard deviation of depth (%)", "deviation (%)"
-    return with_bar(picture, "error", ticks, label, axes, title)
+    bar = Bar(ramp=color_ramp("error"), ticks=ticks, label=label)
+    return draw_with_bar(picture, bar if legend else None, axes, title)
 
 
 def draw_labels(
@@ -227,6 +246,7 @@ def draw_labels(
     *,
     axes: Axes | None = None,
     names: Sequence[str] = ("at rest",),
+    legend: bool = True,
     title: str | None = None,
 ) -> Axes:
     """Draw labels over a picture, as `label_overlay` does, with a list of their colours.
@@ -238,16 +258,18 @@ def draw_labels(
     labels : (H, W) array_like of int
         Labels from 0.
     axes : matplotlib.axes.Axes, optional
-        Where it is drawn; by default in a figure of its own, ``axes.figure``.
+        Axes to draw into; by default those of a new figure, ``axes.figure``.
     names : sequence of str
-        Names of the first labels; the others are called by their numbers.
+        Names of the first labels; the legend has numbers for the others.
+    legend : bool
+        Whether to draw the legend.
     title : str, optional
         Text above the picture.
 
     Returns
     -------
     matplotlib.axes.Axes
-        What it was drawn into.
+        The axes of the picture.
 
     Raises
     ------
@@ -269,20 +291,22 @@ def draw_labels(
     found = [int(label) for label in np.unique(np.asarray(labels))]
     target = picture_axes(*picture.shape[:2]) if axes is None else axes
     sizes = show_picture(target, picture, title)
-    texts = [names[k] if k < len(names) else str(k) for k in found[:_MOST_SWATCHES]]
-    if len(found) > _MOST_SWATCHES:
-        texts.append(f"{len(found) - _MOST_SWATCHES} more")
-    room = legend_room(target, (0.65 * max(map(len, texts)) + 2.2) * sizes.inch, 0.5 * sizes.inch)
+    if not legend:
+        return target
+    texts = [names[k] if k < len(names) else str(k) for k in found[:_MAX_LABELS]]
+    if len(found) > _MAX_LABELS:
+        texts.append(f"{len(found) - _MAX_LABELS} more")
+    space = legend_axes(target, (0.65 * max(map(len, texts)) + 2.2) * sizes.inch, 0.5 * sizes.inch)
     colors = colors_of_categories(np.array(found))
     from matplotlib.patches import Patch
 
     patches = [
         Patch(facecolor=as_hex(colors[k]), edgecolor=FAINT, linewidth=0.5 * sizes.line)
-        if k < _MOST_SWATCHES
+        if k < _MAX_LABELS
         else Patch(facecolor="none", edgecolor="none")
         for k in range(len(texts))
     ]
-    legend = room.legend(
+    listed = space.legend(
         patches,
         texts,
         loc="center left",
@@ -296,55 +320,46 @@ def draw_labels(
         handletextpad=0.5,
         labelspacing=0.3,
     )
-    write_plainly(legend)
+    without_formulas(listed)
     return target
 
 
-def with_bar(
-    picture: NDArray[np.uint8],
-    quantity: Quantity,
-    ticks: Sequence[tuple[float, str]],
-    label: tuple[str, str],
-    axes: Axes | None,
-    title: str | None,
+@dataclass(frozen=True, kw_only=True)
+class Bar:
+    """A bar of colours beside or below a picture.
+
+    Attributes
+    ----------
+    ramp : (N, 3) uint8
+        Colours from the least to the greatest value.
+    ticks : sequence of (float, str)
+        Positions along the bar, from 0 to 1, and their labels.
+    label : (str, str)
+        Quantity and unit, in a long and a short form.
+    """
+
+    ramp: NDArray[np.uint8]
+    ticks: Sequence[tuple[float, str]]
+    label: tuple[str, str]
+
+
+def draw_with_bar(
+    picture: NDArray[np.uint8], bar: Bar | None, axes: Axes | None, title: str | None
 ) -> Axes:
-    """Draw a picture with the bar of its colours, whose label is long or short."""
+    """Draw a picture, with the bar of its colours if there is one."""
     height, width = picture.shape[:2]
     below = width >= WIDE * height
     target = picture_axes(height, width, below=below) if axes is None else axes
     sizes = show_picture(target, picture, title)
-    draw_bar(
-        target,
-        color_ramp(quantity),
-        ticks,
-        label=label[0],
-        short=label[1],
-        sizes=sizes,
-        below=below,
-    )
+    if bar is not None:
+        long, short = bar.label
+        draw_bar(target, bar.ramp, bar.ticks, label=long, short=short, sizes=sizes, below=below)
     return target
 
 
-def _draw_wheel(axes: Axes, limit: float, sizes: Sizes) -> None:
-    """Draw the wheel of colours beside a picture, and what its rim stands for."""
-    box = axes.get_window_extent()
-    height, width = (side / axes.figure.dpi for side in (box.height, box.width))
-    rim = f"{limit:.0f}" if limit >= 100 else f"{limit:.2g}"
-    texts = [f"rim: ≥ {rim}", "px/frame"]
-    diameter = min(0.2 * width, max(0.6 * height, 2.0 * sizes.inch))
-    wide = max(diameter, 0.62 * max(map(len, texts)) * sizes.inch)
-    room = legend_room(axes, wide, 0.5 * sizes.inch)
-    wheel = room.inset_axes((0.0, 0.3, 1.0, 0.7))
-    wheel.imshow(color_wheel(_WHEEL_PIXELS), aspect="equal", interpolation="antialiased")
-    wheel.set_anchor("S")
-    wheel.set_axis_off()
-    room.text(
-        0.5,
-        0.28,
-        "\n".join(texts),
-        transform=room.transAxes,
-        ha="center",
-        va="top",
-        fontsize=sizes.text,
-        color=INK,
-    )
+def _tinted(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return a picture in colour whose masked pixels are two thirds red."""
+    tinted = np.dstack([image] * 3) if image.ndim == 2 else image.copy()
+    red = (tinted[mask].astype(np.uint16) + 2 * np.array(HIDDEN, np.uint16)) // 3
+    tinted[mask] = red.astype(np.uint8)
+    return tinted

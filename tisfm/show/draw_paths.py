@@ -1,4 +1,4 @@
-"""Paths of the camera and of things that move, from above and from the side, into axes."""
+"""Paths of the camera and of moving objects, from above and from the side, into axes."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from tisfm.show.axes import (
     name_axis,
     plot_axes,
     style_plot,
+    without_formulas,
     write_inside,
-    write_plainly,
 )
 from tisfm.show.palette import ESTIMATE, INK, OTHER, as_hex, color_ramp, colors_of_categories
 
@@ -28,13 +28,14 @@ if TYPE_CHECKING:
 
 PathView = Literal["above", "side"]
 
-_MOST_POINTS = 2000  # of a line
-_SHADES = 40, 215  # of the ramp: its ends are lost on a dark page or on a light one
-_ROOM = 0.58  # of the longest side, around the middle
-_MOST_LEGEND = 0.7  # of the width of axes
-_FLATTEST = 0.35  # of the spread in space: what hardly moves aside is not blown up
+# Set by hand.
+_MAX_POINTS = 2000  # of a drawn line
+_SHADES = 40, 215  # of 256 levels of the ramp: its ends are invisible on dark or light pages
+_HALF_SIDE = 0.58  # half side of the plot, in largest extents of the path
+_MAX_LEGEND_WIDTH = 0.7  # of the width of the axes
+_MIN_EXTENT = 0.35  # least extent shown, in largest extents in space: small motion is not enlarged
 
-# Axes that are drawn with their signs, and how they are called.
+# The coordinates along both axes with their signs, and the names of the axes.
 _VIEWS: dict[PathView, tuple[tuple[int, int], tuple[int, int], str, str]] = {
     "above": ((0, 1), (2, 1), "X, right", "Z, forward"),
     "side": ((2, 1), (1, -1), "Z, forward", "−Y, up"),
@@ -51,40 +52,40 @@ def draw_path(
     unit: str = "relative",
     title: str | None = None,
 ) -> Axes:
-    """Draw the path of a camera, beside the true one if there is one.
+    """Draw the path of a camera, and the true path if it is given.
 
-    It begins at the circle and ends at the square, early dark and late light. Axes are those of
-    the first camera: of the truth if there is one, else of the path.
+    The path begins at the circle and ends at the square; early parts are dark, late parts light.
+    The axes are those of the first camera: of the true path if it is given, else of the path.
 
     Parameters
     ----------
     poses : (N, 4, 4) array_like
-        Camera to world; NaN where a frame has none.
+        Camera to world; NaN for a frame without a pose.
     axes : matplotlib.axes.Axes, optional
-        Where it is drawn; by default in a figure of its own, ``axes.figure``.
+        Axes to draw into; by default those of a new figure, ``axes.figure``.
     view : {"above", "side"}
         From above, Z over X, or from the right side, up over Z.
     truth : (N, 4, 4) array_like, optional
-        True poses, NaN where they are not known. Each piece is brought nearest to them by a
-        similarity (`tisfm.metrics.align`), and drawn in their unit.
+        True poses, NaN if unknown. Each piece is aligned to them by a similarity
+        (`tisfm.metrics.align`), and drawn in their unit.
     piece : (N,) array_like of int, optional
-        The piece that a frame belongs to, each with a scale of its own; below 0 for none. Without
-        a truth the largest is drawn alone, as there is nothing to hold them together.
+        Piece of each frame; each piece has its own scale; below 0 for no piece. Without true poses
+        only the largest piece is drawn, because the scales of the pieces differ.
     unit : str
-        Unit of what is drawn.
+        Unit of the drawn positions.
     title : str, optional
         Text above the plot.
 
     Returns
     -------
     matplotlib.axes.Axes
-        What it was drawn into.
+        The axes.
 
     Raises
     ------
     ValueError
-        If a shape is wrong, numbers of frames differ, `piece` has other than integers, or `view` is
-        another.
+        If a shape is wrong, numbers of frames differ, `piece` has no integers, or `view` is
+        unknown.
     ImportError
         If Matplotlib is not installed.
 
@@ -97,37 +98,37 @@ def draw_path(
     >>> save_figure("path.png", axes.figure, dpi=60)
     """
     _check_view(view)
-    given = _poses("poses", poses)
+    path = _poses("poses", poses)
     true = None if truth is None else _poses("truth", truth)
-    number = np.zeros(len(given), np.int64) if piece is None else _piece(piece)
+    number = np.zeros(len(path), np.int64) if piece is None else _piece(piece)
     for name, others in (("truth", true), ("piece", number)):
-        if others is not None and len(others) != len(given):
-            raise InputError(f"{name} has {len(others)} frames but poses have {len(given)}")
-    number = np.where(_posed(given), number, -1)
+        if others is not None and len(others) != len(path):
+            raise InputError(f"{name} has {len(others)} frames but poses have {len(path)}")
+    number = np.where(_posed(path), number, -1)
     pieces, counts = np.unique(number[number >= 0], return_counts=True)
     target = plot_axes(4.4, 3.9) if axes is None else axes
     sizes = style_plot(target, title)
     if true is None:
         pieces = pieces[[int(np.argmax(counts))]] if len(pieces) else pieces
-        lines = [given[number == k, :3, 3] for k in pieces]
-        lines = _in_first_axes(lines, given[number == pieces[0]][0]) if lines else []
+        lines = [path[number == k, :3, 3] for k in pieces]
+        lines = _in_first_axes(lines, path[number == pieces[0]][0]) if lines else []
         name = "path" if len(counts) < 2 else f"largest of {len(counts)} pieces"
         _finish(target, sizes, lines, [], view, unit, name)
         return target
     lines, errors = [], []
     for k in pieces:
-        mine = number == k
-        both = mine & _posed(true)
+        in_piece = number == k
+        both = in_piece & _posed(true)
         if not both.any():
             continue
-        fitted = align(given[both, :3, 3], true[both, :3, 3])
-        lines.append(fitted.apply(given[mine, :3, 3]))
-        errors.append(fitted.apply(given[both, :3, 3]) - true[both, :3, 3])
+        fitted = align(path[both, :3, 3], true[both, :3, 3])
+        lines.append(fitted.apply(path[in_piece, :3, 3]))
+        errors.append(fitted.apply(path[both, :3, 3]) - true[both, :3, 3])
     known = true[_posed(true)]
     name = "no pose to compare"
     if lines:
         rmse = float(np.sqrt(np.square(np.concatenate(errors)).sum(axis=1).mean()))
-        name = f"found, rmse {rmse:.3g} {unit}"
+        name = f"path, rmse {rmse:.3g} {unit}"
     if len(known):
         lines = _in_first_axes(lines, known[0])
         (of_truth,) = _in_first_axes([known[:, :3, 3]], known[0])
@@ -146,33 +147,33 @@ def draw_object_paths(
     unit: str = "relative",
     title: str | None = None,
 ) -> Axes:
-    """Draw the paths of things that move on their own, in the colours of their labels.
+    """Draw the paths of moving objects, in the colours of their labels.
 
     Parameters
     ----------
     objects : mapping of int to (n, 4, 4) array_like
-        Poses of each, object to world, by its number; NaN where they are not known. Of a
-        reconstruction: ``{thing.id: thing.poses for thing in result.objects}``.
+        Poses of each object, object to world, by its number; NaN if unknown. For a reconstruction:
+        ``{one.id: one.poses for one in result.objects}``.
     axes : matplotlib.axes.Axes, optional
-        Where it is drawn; by default in a figure of its own, ``axes.figure``.
+        Axes to draw into; by default those of a new figure, ``axes.figure``.
     view : {"above", "side"}
         As for `draw_path`.
     camera : (N, 4, 4) array_like, optional
-        Poses of the camera, which is drawn too.
+        Poses of the camera, to draw its path as well.
     unit : str
-        Unit of what is drawn.
+        Unit of the drawn positions.
     title : str, optional
         Text above the plot.
 
     Returns
     -------
     matplotlib.axes.Axes
-        What it was drawn into.
+        The axes.
 
     Raises
     ------
     ValueError
-        If a shape is wrong, a number is negative, or `view` is another.
+        If a shape is wrong, a number is negative, or `view` is unknown.
     ImportError
         If Matplotlib is not installed.
 
@@ -182,17 +183,17 @@ def draw_object_paths(
     >>> from tisfm.show import draw_object_paths, save_figure
     >>> film = bodies_film(bodies_path(5), 24, 32)
     >>> axes = draw_object_paths(dict(enumerate(film.body_poses, 1)), camera=film.poses)
-    >>> save_figure("things.png", axes.figure, dpi=60)
+    >>> save_figure("objects.png", axes.figure, dpi=60)
     """
     _check_view(view)
     if any(number < 0 for number in objects):
         raise InputError(f"objects are {sorted(objects)}: expected numbers from 0")
     given = {number: _poses(f"object {number}", poses) for number, poses in objects.items()}
-    places = {number: poses[_posed(poses), :3, 3] for number, poses in given.items()}
-    places = {number: line for number, line in places.items() if len(line)}
+    positions = {number: poses[_posed(poses), :3, 3] for number, poses in given.items()}
+    positions = {number: line for number, line in positions.items() if len(line)}
     target = plot_axes(4.4, 3.9) if axes is None else axes
     sizes = style_plot(target, title)
-    lines = list(places.values())
+    lines = list(positions.values())
     if camera is not None:
         path = _poses("camera", camera)
         path = path[_posed(path), :3, 3]
@@ -200,12 +201,12 @@ def draw_object_paths(
             lines.append(path)
             _draw_line(target, path, view, sizes, color=INK, style="--", name="camera")
             _mark_ends(target, path, view, sizes, colors=(INK, INK))
-    for number, line in places.items():
+    for number, line in positions.items():
         color = as_hex(colors_of_categories(np.array(number)))
         _draw_line(target, line, view, sizes, color=color, name=f"object {number}")
         _mark_ends(target, line, view, sizes, colors=(color, color))
     _frame(target, sizes, lines, view, unit)
-    if not places:
+    if not positions:
         write_inside(target, sizes, "no object has a pose")
     if lines:
         _legend(target, sizes)
@@ -221,7 +222,7 @@ def _finish(
     unit: str,
     name: str,
 ) -> None:
-    """Draw paths that are early dark and late light, the truth dashed, and the frame of both."""
+    """Draw shaded paths, the true path dashed, the axes and the legend."""
     from matplotlib.lines import Line2D
 
     handles = []
@@ -242,7 +243,7 @@ def _finish(
 
 def _draw_line(
     axes: Axes,
-    places: NDArray[np.float64],
+    positions: NDArray[np.float64],
     view: PathView,
     sizes: Sizes,
     *,
@@ -250,18 +251,18 @@ def _draw_line(
     name: str,
     style: str = "-",
 ) -> None:
-    x, y = _seen(_thinned(places), view)
-    wide, order = (1.8, 2) if style == "-" else (0.8, 2.5)  # what is dashed lies on top
+    x, y = _projected(_thinned(positions), view)
+    wide, order = (1.8, 2) if style == "-" else (0.8, 2.5)  # dashed lines lie on top
     axes.plot(
         x, y, color=color, linestyle=style, linewidth=wide * sizes.line, label=name, zorder=order
     )
 
 
-def _draw_shaded(axes: Axes, places: NDArray[np.float64], view: PathView, sizes: Sizes) -> None:
-    """Draw a path that is dark where it begins and light where it ends."""
+def _draw_shaded(axes: Axes, positions: NDArray[np.float64], view: PathView, sizes: Sizes) -> None:
+    """Draw a path that is dark at its beginning and light at its end."""
     from matplotlib.collections import LineCollection
 
-    ends = np.stack(_seen(_thinned(places), view), axis=1)
+    ends = np.stack(_projected(_thinned(positions), view), axis=1)
     segments = np.stack([ends[:-1], ends[1:]], axis=1)
     levels = np.linspace(*_SHADES, len(segments)).astype(int)
     colors = color_ramp("confidence")[levels] / 255
@@ -272,13 +273,13 @@ def _draw_shaded(axes: Axes, places: NDArray[np.float64], view: PathView, sizes:
 
 def _mark_ends(
     axes: Axes,
-    places: NDArray[np.float64],
+    positions: NDArray[np.float64],
     view: PathView,
     sizes: Sizes,
     *,
     colors: tuple[str, str],
 ) -> None:
-    x, y = _seen(places, view)
+    x, y = _projected(positions, view)
     for index, marker, color in ((0, "o", colors[0]), (-1, "s", colors[1])):
         axes.plot(
             x[[index]],
@@ -298,7 +299,7 @@ def _frame(
     view: PathView,
     unit: str,
 ) -> None:
-    """Give both directions one scale, and name them."""
+    """Give both axes one scale, and name them."""
     _, _, across, up = _VIEWS[view]
     name_axis(axes, sizes, f"{across} ({unit})", f"{up} ({unit})")
     axes.set_aspect("equal", adjustable="box")
@@ -306,10 +307,10 @@ def _frame(
     if not lines:
         axes.set(xlim=(-1, 1), ylim=(-1, 1))
         return
-    places = np.concatenate(lines)
-    x, y = _seen(places, view)
-    spread = np.ptp(places, axis=0).max()
-    half = _ROOM * max(np.ptp(x), np.ptp(y), _FLATTEST * spread, 1e-9)
+    positions = np.concatenate(lines)
+    x, y = _projected(positions, view)
+    spread = np.ptp(positions, axis=0).max()
+    half = _HALF_SIDE * max(np.ptp(x), np.ptp(y), _MIN_EXTENT * spread, 1e-9)
     for set_limits, values in ((axes.set_xlim, x), (axes.set_ylim, y)):
         middle = (values.min() + values.max()) / 2
         set_limits(middle - half, middle + half)
@@ -318,12 +319,12 @@ def _frame(
 def _legend(
     axes: Axes, sizes: Sizes, handles: list[Line2D] | None = None, names: Sequence[str] = ()
 ) -> None:
-    """Say what lines are: where there is room, else above the axes."""
+    """Draw the legend inside the axes, or above them if it is wide."""
     given = (handles, names) if handles is not None else ()
     longest = max(map(len, names or axes.get_legend_handles_labels()[1]))
     needed = (longest * 0.6 + 4) * sizes.inch * axes.figure.dpi
     place: dict[str, Any] = {"loc": "best"}
-    if needed > _MOST_LEGEND * axes.get_window_extent().width:
+    if needed > _MAX_LEGEND_WIDTH * axes.get_window_extent().width:
         place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
         lines = len(names) or len(axes.get_legend_handles_labels()[1])
         if axes.get_title():
@@ -337,31 +338,31 @@ def _legend(
         handlelength=1.6,
         borderpad=0.3,
     )
-    write_plainly(legend)
+    without_formulas(legend)
 
 
 def _in_first_axes(
     lines: list[NDArray[np.float64]], first: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
-    """Return places in the axes of a camera, whose pose is given."""
+    """Return positions in the axes of a camera of a given pose."""
     rigid = Similarity(
         scale=1.0, rotation=first[:3, :3].T, translation=-first[:3, :3].T @ first[:3, 3]
     )
     return [rigid.apply(line) for line in lines]
 
 
-def _seen(
-    places: NDArray[np.float64], view: PathView
+def _projected(
+    positions: NDArray[np.float64], view: PathView
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return what is across and what is up of places, (M, 3)."""
+    """Return the coordinates of positions, (M, 3), along both axes of a view."""
     (across, to_right), (up, upwards), _, _ = _VIEWS[view]
-    return to_right * places[:, across], upwards * places[:, up]
+    return to_right * positions[:, across], upwards * positions[:, up]
 
 
-def _thinned(places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return so few places that they are drawn in no time, evenly, with the first and last."""
-    kept = np.unique(np.linspace(0, len(places) - 1, _MOST_POINTS).astype(int))
-    return places[kept]
+def _thinned(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return evenly spaced positions, few enough to draw fast, with the first and last."""
+    kept = np.unique(np.linspace(0, len(positions) - 1, _MAX_POINTS).astype(int))
+    return positions[kept]
 
 
 def _posed(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -381,7 +382,7 @@ def _piece(piece: ArrayLike) -> NDArray[np.integer]:
         raise InputError(f"piece has the shape {given.shape}, expected (N,)")
     if given.dtype.kind not in "iu" and given.size:
         raise InputError(f"piece has dtype {given.dtype}, expected integers, below 0 for none")
-    return given.astype(np.int64)  # which has room for -1
+    return given.astype(np.int64)  # a type with negative values
 
 
 def _check_view(view: str) -> None:

@@ -1,6 +1,7 @@
-"""Figures of several panels, such as the paper's: depth and motion beside a baseline and the truth.
+"""Figures of a pair: depth and motion beside a baseline, the truth, uncertainty and confidence.
 
-Importing this module is fast: Matplotlib is imported when the first figure is drawn.
+Each figure is a mosaic of panels that the ``draw_…`` functions draw. Matplotlib is imported when
+the first figure is drawn.
 """
 
 from __future__ import annotations
@@ -8,41 +9,42 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import unmasked_mask
+from tisfm.checks import refuse_masked, unmasked_mask
 from tisfm.errors import InputError
 from tisfm.formats import atomic_write
 from tisfm.show.arrays import (
     as_flow,
     as_image,
     as_map,
-    as_rgb,
     as_uint8,
     check_limit,
     require_same_size,
 )
-from tisfm.show.depth import depth_grey, inverse_depth_limit
-from tisfm.show.flow import flow_to_color, usual_length
-from tisfm.show.legends import (
-    DEPTH_BAR_SIZE,
-    LEGEND_SIZE,
-    backdrop,
-    draw_arrows,
-    draw_depth_bar,
-    draw_legend,
-    draw_panels,
+from tisfm.show.axes import show_picture
+from tisfm.show.color_maps import UNCERTAINTY_RANGE, inverse_depth_limit
+from tisfm.show.draw_flow import draw_arrows, draw_flow
+from tisfm.show.draw_maps import (
+    GREYS,
+    draw_confidence,
+    draw_depth,
+    draw_image,
+    draw_labels,
+    draw_uncertainty,
 )
-from tisfm.show.mosaic import beside_legends, beside_size, panel_size
-from tisfm.show.palette import HIDDEN
+from tisfm.show.flow import usual_length
+from tisfm.show.legends import depth_legend, error_legend, flow_legend, label_legend
+from tisfm.show.mosaic import WIDE, Panel, beside, mosaic, panel_size, stacked
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_NAMES = {
+_TITLES = {
     "frame": "Frame",
     "occlusion": "Frame (red: not visible in the next)",
     "depth": "Recovered depth (near is bright)",
@@ -52,9 +54,9 @@ _NAMES = {
     "truth": "True flow",
 }
 _SUFFIXES = (".jpeg", ".jpg", ".pdf", ".png", ".svg", ".tif", ".tiff")
-# Without these a file states when it was made, and two runs never make the same file.
+# Without these a file states its time, and two runs never write the same file.
 _UNDATED = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
-_PLEASANT_RATIO = 1.6
+_PANEL_FIGURE_RATIO = 1.6  # width over height of a figure of panels, set by hand
 
 
 def comparison_figure(
@@ -72,11 +74,10 @@ def comparison_figure(
     flow_limit: float | None = None,
     unit: str = "relative",
 ) -> Figure:
-    """Show a frame, its depth and its motion, beside a baseline and the truth where there are any.
+    """Show a frame, its depth and its motion, beside a baseline and the truth if these are given.
 
     The first row has the frame and the depth as grey levels. Below it each flow is shown as arrows
-    over the frame and as colours, side by side, all with one scale of the arrows and one range of
-    the colours.
+    over the frame and as colours. All flows share one scale of arrows and one range of colours.
 
     Parameters
     ----------
@@ -87,24 +88,23 @@ def comparison_figure(
     flow : (H, W, 2) array_like
         Recovered flow (eq. 25), px/frame.
     occlusion : (H, W) array_like, optional
-        Nonzero where a pixel is not visible in the next frame: red in the first panel.
+        Nonzero for pixels that are not visible in the next frame: red in the first panel.
     baseline_flow, truth_flow : (H, W, 2) array_like, optional
         Flow of the Horn-Schunck method, and true flow, px/frame. Unknown are NaN and values
         beyond 1e9.
     truth_inverse_depth : (H, W) array_like, optional
-        True inverse depth. Its unit is its own, and so is its range.
+        True inverse depth, in its own unit, shown with its own range.
     title : str, optional
         Heading of the figure.
     names : mapping, optional
-        Other titles of panels, for any of the keys "frame", "occlusion" (of the frame where
-        occlusion is given), "depth", "truth_depth", "flow",
-        "baseline" and "truth".
+        Titles of panels to replace, by the keys "frame", "occlusion" (the frame, if `occlusion` is
+        given), "depth", "truth_depth", "flow", "baseline" and "truth".
     depth_limit : float, optional
         Recovered inverse depth shown as white, by default its 95th percentile.
     flow_limit : float, optional
         Motion at the rim of the colour wheel, px/frame, by default the 98th percentile of the
-        length of the true flow, or else of the recovered one. No arrow is longer than three times
-        this. Give all figures of a sequence the same limits.
+        length of the true flow, or else of the recovered flow. No arrow is longer than three times
+        the limit. Give all figures of a sequence the same limits.
     unit : str
         Unit of the recovered depth, for the legend.
 
@@ -134,59 +134,206 @@ def comparison_figure(
     >>> figure = comparison_figure(scene.frame0, scene.inverse_depth, scene.flow)
     >>> save_figure("figure.png", figure, dpi=60)
     """
-    labels = _labels(names)
+    titles = _titles(names)
     picture = as_image("frame", frame)
-    depths = {"inverse_depth": as_map("inverse_depth", inverse_depth)}
-    if truth_inverse_depth is not None:
-        depths["truth_inverse_depth"] = as_map("truth_inverse_depth", truth_inverse_depth)
+    depth = as_map("inverse_depth", inverse_depth)
     flows = {"flow": as_flow("flow", flow)}
     if baseline_flow is not None:
-        flows["baseline_flow"] = as_flow("baseline_flow", baseline_flow)
+        flows["baseline"] = as_flow("baseline_flow", baseline_flow)
     if truth_flow is not None:
-        flows["truth_flow"] = as_flow("truth_flow", truth_flow)
+        flows["truth"] = as_flow("truth_flow", truth_flow)
+    true_depth = _optional_map("truth_inverse_depth", truth_inverse_depth)
     hidden = None if occlusion is None else unmasked_mask(occlusion, "occlusion")
-    masks = {} if hidden is None else {"occlusion": hidden}
-    for name, array in (*depths.items(), *flows.items(), *masks.items()):
-        require_same_size(name, array, "frame", picture)
-    if flow_limit is None:
-        limit = usual_length(flows.get("truth_flow", flows["flow"]))
-    else:
-        limit = check_limit("flow_limit", flow_limit)
+    arrays = {
+        "inverse_depth": depth,
+        "truth_inverse_depth": true_depth,
+        **{name if name == "flow" else f"{name}_flow": values for name, values in flows.items()},
+        "occlusion": hidden,
+    }
+    _require_size_of_frame(picture, arrays)
+    limit = _flow_limit(flow_limit, flows.get("truth", flows["flow"]))
+    nearest = _depth_limit(depth_limit, depth)
+    shape = (picture.shape[0], picture.shape[1])
 
-    nearest = (
-        inverse_depth_limit(depths["inverse_depth"])
-        if depth_limit is None
-        else check_limit("depth_limit", depth_limit)
-    )
-    scales = {f"depth Z\n({unit})": nearest}
-
-    (shown,) = as_uint8(picture)
     first = [
-        (labels["frame"], shown) if hidden is None else (labels["occlusion"], tint(shown, hidden)),
-        (labels["depth"], depth_grey(depths["inverse_depth"], limit=nearest)),
+        Panel(
+            title=titles["frame" if hidden is None else "occlusion"],
+            shape=shape,
+            draw=lambda axes: draw_image(picture, hidden=hidden, axes=axes),
+        ),
+        _depth_panel(titles["depth"], depth, nearest, grey=True),
     ]
-    if "truth_inverse_depth" in depths:
-        first.append((labels["truth_depth"], depth_grey(depths["truth_inverse_depth"])))
-        scales["true Z\n(its unit)"] = inverse_depth_limit(depths["truth_inverse_depth"])
-    flow_labels = {name: labels[name.removesuffix("_flow")] for name in flows}
-    dim = backdrop(shown)
-    arrows = [(f"{label}, arrows", dim) for label in flow_labels.values()]
+    bars = [depth_legend(nearest, f"depth Z\n({unit})", ramp=GREYS)]
+    if true_depth is not None:
+        true_nearest = inverse_depth_limit(true_depth)
+        first.append(_depth_panel(titles["truth_depth"], true_depth, true_nearest, grey=True))
+        bars.append(depth_legend(true_nearest, "true Z\n(its unit)", ramp=GREYS))
+    arrows = [
+        _arrow_panel(f"{titles[name]}, arrows", picture, values, limit)
+        for name, values in flows.items()
+    ]
     colors = [
-        (f"{label}, colours", flow_to_color(flows[name], limit=limit, beyond="same"))
-        for name, label in flow_labels.items()
+        _flow_panel(f"{titles[name]}, colours", values, limit) for name, values in flows.items()
     ]
-    # A single flow has its arrows and colours side by side as well.
+    # A single flow has its arrows and colours side by side, like several flows.
     below = [arrows + colors] if len(flows) == 1 else [arrows, colors]
-    legends = [DEPTH_BAR_SIZE] * len(scales) + [LEGEND_SIZE]
-    figure, axes, layout = draw_panels([first, *below], heading=title, legend=beside_size(legends))
-    for panel, values in zip(axes[len(first) :], flows.values(), strict=False):
-        draw_arrows(panel, values, limit)
-    *of_depth, wheel = beside_legends(layout, legends)
-    greys = as_rgb(np.arange(256, dtype=np.uint8)[:, None])[:, 0]
-    for room, (label, top) in zip(of_depth, scales.items(), strict=True):
-        draw_depth_bar(figure, room, greys, top, label=label)
-    draw_legend(figure, wheel, (picture.shape[0], picture.shape[1]), limit)
-    return figure
+    legend = beside([*bars, flow_legend(shape, limit)])
+    return mosaic([first, *below], heading=title, legend=legend)
+
+
+def rigid_figure(
+    frame: ArrayLike,
+    inverse_depth: ArrayLike,
+    flow: ArrayLike,
+    *,
+    inverse_depth_std: ArrayLike,
+    confidence: ArrayLike,
+    labels: ArrayLike | None = None,
+    occlusion: ArrayLike | None = None,
+    truth_flow: ArrayLike | None = None,
+    truth_inverse_depth: ArrayLike | None = None,
+    title: str | None = None,
+    depth_limit: float | None = None,
+    flow_limit: float | None = None,
+    unit: str = "relative",
+) -> Figure:
+    """Show the depth of rigid motions with its uncertainty, and the motion with its confidence.
+
+    The first row has the frame, the labels if there are several, the depth in the colours of
+    `depth_to_color`, the true depth if it is known, and the relative standard deviation of the
+    pixels that are visible in the next frame. The second row has the flow as arrows and as colours,
+    the true flow if it is known, and the confidence. Wide pictures stand two in a row, in the same
+    order.
+
+    Parameters
+    ----------
+    frame : (H, W) or (H, W, 3) array_like
+        The first frame: uint8, uint16 or float.
+    inverse_depth, inverse_depth_std : (H, W) array_like
+        Inverse depth in any unit and its standard deviation. An inverse depth that is not positive
+        is no depth.
+    flow : (H, W, 2) array_like
+        Image motion, px/frame.
+    confidence : (H, W) array_like
+        In [0, 1].
+    labels : (H, W) array_like of int, optional
+        The motion of each pixel by its number; 0 is the background.
+    occlusion : (H, W) array_like, optional
+        Nonzero for pixels that are not visible in the next frame: red in the first panel.
+    truth_flow : (H, W, 2) array_like, optional
+        True flow, px/frame. Unknown are NaN and values beyond 1e9.
+    truth_inverse_depth : (H, W) array_like, optional
+        True inverse depth, in its own unit, shown with its own range.
+    title : str, optional
+        Heading of the figure.
+    depth_limit, flow_limit : float, optional
+        As for `comparison_figure`.
+    unit : str
+        Unit of the depth, for the legend.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure, for `save_figure`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a shape or type is wrong, sizes differ, a value is masked, or a limit is negative or not
+        finite.
+    ImportError
+        If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from tisfm.scenes import static_scene
+    >>> from tisfm.show import rigid_figure, save_figure
+    >>> scene = static_scene("sideways", 48, 64)
+    >>> figure = rigid_figure(
+    ...     scene.frame0,
+    ...     scene.inverse_depth,
+    ...     scene.flow,
+    ...     inverse_depth_std=0.05 * scene.inverse_depth,
+    ...     confidence=np.ones((48, 64)),
+    ... )
+    >>> save_figure("figure.png", figure, dpi=60)
+    """
+    picture = as_image("frame", frame)
+    depth = as_map("inverse_depth", inverse_depth)
+    deviation = as_map("inverse_depth_std", inverse_depth_std)
+    motion, trust = as_flow("flow", flow), as_map("confidence", confidence)
+    true_motion = None if truth_flow is None else as_flow("truth_flow", truth_flow)
+    true_depth = _optional_map("truth_inverse_depth", truth_inverse_depth)
+    hidden = None if occlusion is None else unmasked_mask(occlusion, "occlusion")
+    refuse_masked(labels, "labels", "fill them first, for instance by labels.filled(0)")
+    arrays = {
+        "inverse_depth": depth,
+        "inverse_depth_std": deviation,
+        "flow": motion,
+        "confidence": trust,
+        "truth_flow": true_motion,
+        "truth_inverse_depth": true_depth,
+        "occlusion": hidden,
+    }
+    _require_size_of_frame(picture, arrays)
+    limit = _flow_limit(flow_limit, motion if true_motion is None else true_motion)
+    nearest = _depth_limit(depth_limit, depth)
+    shape = (picture.shape[0], picture.shape[1])
+    numbers = [0] if labels is None else [int(label) for label in np.unique(labels)]
+
+    first = [
+        Panel(
+            title=_TITLES["frame" if hidden is None else "occlusion"],
+            shape=shape,
+            draw=lambda axes: draw_image(picture, hidden=hidden, axes=axes),
+        )
+    ]
+    legends = []
+    if labels is not None and numbers[-1] > 0:
+        draw = partial(draw_labels, picture, labels)
+        first.append(
+            Panel(title="Motions", shape=shape, draw=lambda axes: draw(axes=axes, legend=False))
+        )
+        names = ["0, background" if label == 0 else str(label) for label in numbers]
+        legends.append(label_legend(numbers, names))
+    depth_title = "Depth (near is bright)" if (depth > 0).any() else "Depth: none to be seen"
+    first.append(_depth_panel(depth_title, depth, nearest))
+    bars = [depth_legend(nearest, f"depth Z\n({unit})")]
+    if true_depth is not None:
+        true_nearest = inverse_depth_limit(true_depth)
+        first.append(_depth_panel(_TITLES["truth_depth"], true_depth, true_nearest))
+        bars.append(depth_legend(true_nearest, "true Z\n(its unit)"))
+    if hidden is not None:  # the deviation is that of visible pixels
+        deviation = np.where(hidden, np.inf, deviation)
+    first.append(
+        Panel(
+            title="Uncertainty of the depth (grey: unknown)",
+            shape=shape,
+            draw=lambda axes: draw_uncertainty(depth, deviation, axes=axes, legend=False),
+        )
+    )
+    second = [
+        _arrow_panel("Flow, arrows", picture, motion, limit),
+        _flow_panel("Flow, colours", motion, limit),
+    ]
+    if true_motion is not None:
+        second.append(_flow_panel("True flow, colours", true_motion, limit))
+    second.append(
+        Panel(
+            title="Confidence (yellow: 1)",
+            shape=shape,
+            draw=lambda axes: draw_confidence(trust, axes=axes, legend=False),
+        )
+    )
+    rows = [first, second]
+    if shape[1] >= WIDE * shape[0]:
+        panels = first + second
+        rows = [panels[k : k + 2] for k in range(0, len(panels), 2)]
+    low, high = UNCERTAINTY_RANGE
+    bars.append(error_legend((100 * low, 100 * high), "%"))
+    legend = stacked([*legends, beside(bars), flow_legend(shape, limit)])
+    return mosaic(rows, heading=title, legend=legend)
 
 
 def panel_figure(
@@ -201,11 +348,11 @@ def panel_figure(
     ----------
     panels : sequence of (str, array_like)
         Titles and pictures, (H, W) or (H, W, 3), uint8, uint16 or float. Sizes may differ. Floats
-        are brought to grey levels one picture at a time: to compare two depths, make both by
+        are brought to grey levels picture by picture: to compare two depths, make both by
         `depth_grey` with one limit.
     columns : int, optional
-        Pictures in a row. The default is what makes the figure about 1.6 times as wide as high,
-        two or three pictures always being side by side.
+        Pictures in a row. By default the figure is about 1.6 times as wide as high; two or three
+        pictures are always side by side.
     title : str, optional
         Heading of the figure.
 
@@ -229,15 +376,19 @@ def panel_figure(
     >>> figure = panel_figure([("before", scene.frame0), ("after", scene.frame1)])
     >>> save_figure("panels.png", figure, dpi=60)
     """
-    shown = [(name, as_uint8(as_image(f"panel {name!r}", image))[0]) for name, image in panels]
-    if not shown:
+    images = [(name, as_uint8(as_image(f"panel {name!r}", image))[0]) for name, image in panels]
+    if not images:
         raise InputError("panels is empty, expected at least one (title, picture)")
     if columns is None:
-        columns = _pleasant_columns([image for _, image in shown])
+        columns = _default_columns([image for _, image in images])
     if columns < 1:
         raise InputError(f"columns is {columns}, expected 1 or more")
+    shown = [
+        Panel(title=name, shape=image.shape[:2], draw=partial(show_picture, image=image))
+        for name, image in images
+    ]
     rows = [shown[first : first + columns] for first in range(0, len(shown), columns)]
-    return draw_panels(rows, heading=title)[0]
+    return mosaic(rows, heading=title)
 
 
 def save_figure(path: str | os.PathLike[str], figure: Figure, dpi: float = 150) -> None:
@@ -276,35 +427,61 @@ def save_figure(path: str | os.PathLike[str], figure: Figure, dpi: float = 150) 
         figure.savefig(file, format=suffix[1:], dpi=dpi, metadata=_UNDATED.get(suffix))
 
 
-def tint(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return a picture in colour, red where the mask is set, with a third of itself kept.
-
-    Parameters
-    ----------
-    image : (H, W) or (H, W, 3) uint8 ndarray
-    mask : (H, W) bool ndarray
-
-    Returns
-    -------
-    (H, W, 3) uint8 ndarray
-    """
-    tinted = np.dstack([image] * 3) if image.ndim == 2 else image.copy()
-    red = (tinted[mask].astype(np.uint16) + 2 * np.array(HIDDEN, np.uint16)) // 3
-    tinted[mask] = red.astype(np.uint8)
-    return tinted
+def _depth_panel(
+    title: str, inverse_depth: NDArray[np.floating], limit: float, *, grey: bool = False
+) -> Panel:
+    draw = partial(draw_depth, inverse_depth, limit=limit, grey=grey, legend=False)
+    height, width = inverse_depth.shape
+    return Panel(title=title, shape=(height, width), draw=lambda axes: draw(axes=axes))
 
 
-def _labels(names: Mapping[str, str] | None) -> dict[str, str]:
-    """Return the titles of the panels, some of them replaced."""
+def _flow_panel(title: str, flow: NDArray[np.floating], limit: float) -> Panel:
+    draw = partial(draw_flow, flow, limit=limit, legend=False)
+    height, width = flow.shape[:2]
+    return Panel(title=title, shape=(height, width), draw=lambda axes: draw(axes=axes))
+
+
+def _arrow_panel(
+    title: str, image: NDArray[np.generic], flow: NDArray[np.floating], limit: float
+) -> Panel:
+    draw = partial(draw_arrows, image, flow, limit=limit)
+    height, width = flow.shape[:2]
+    return Panel(title=title, shape=(height, width), draw=lambda axes: draw(axes=axes))
+
+
+def _optional_map(name: str, values: ArrayLike | None) -> NDArray[np.floating] | None:
+    return None if values is None else as_map(name, values)
+
+
+def _require_size_of_frame(
+    frame: NDArray[np.generic], arrays: Mapping[str, NDArray[np.generic] | None]
+) -> None:
+    for name, array in arrays.items():
+        if array is not None:
+            require_same_size(name, array, "frame", frame)
+
+
+def _flow_limit(limit: float | None, flow: NDArray[np.floating]) -> float:
+    return usual_length(flow) if limit is None else check_limit("flow_limit", limit)
+
+
+def _depth_limit(limit: float | None, inverse_depth: NDArray[np.floating]) -> float:
+    if limit is None:
+        return inverse_depth_limit(inverse_depth)
+    return check_limit("depth_limit", limit)
+
+
+def _titles(names: Mapping[str, str] | None) -> dict[str, str]:
+    """Return the titles of the panels, with those that the caller changed."""
     changes = dict(names or {})
-    unknown = sorted(set(changes) - set(_NAMES))
+    unknown = sorted(set(changes) - set(_TITLES))
     if unknown:
-        raise InputError(f"names has {', '.join(unknown)}, expected any of {', '.join(_NAMES)}")
-    return {**_NAMES, **changes}
+        raise InputError(f"names has {', '.join(unknown)}, expected any of {', '.join(_TITLES)}")
+    return {**_TITLES, **changes}
 
 
-def _pleasant_columns(images: Sequence[NDArray[np.uint8]]) -> int:
-    """Return the number of columns that gives a figure of a pleasant shape."""
+def _default_columns(images: Sequence[NDArray[np.uint8]]) -> int:
+    """Return the number of columns that brings a figure nearest to a fixed ratio of sides."""
     count = len(images)
     if count <= 3:
         return count
@@ -313,4 +490,4 @@ def _pleasant_columns(images: Sequence[NDArray[np.uint8]]) -> int:
         columns: columns * width / (math.ceil(count / columns) * height)
         for columns in range(1, count + 1)
     }
-    return min(shapes, key=lambda columns: abs(math.log(shapes[columns] / _PLEASANT_RATIO)))
+    return min(shapes, key=lambda columns: abs(math.log(shapes[columns] / _PANEL_FIGURE_RATIO)))

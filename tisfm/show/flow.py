@@ -12,9 +12,9 @@ from tisfm.metrics.valid_pixels import is_known
 from tisfm.show.arrays import as_flow, check_limit
 from tisfm.show.palette import FLOW_PERCENTILE
 
-# Hues of the wheel: from each corner of the colour cube to the next in so many steps. There are
-# more steps where the eye tells hues apart well.
-_SEGMENTS = (
+# Hues of the wheel (Baker et al.): steps from each corner of the colour cube to the next. There are
+# more steps where the eye distinguishes more hues.
+_HUE_STEPS = (
     ((255, 0, 0), 15),  # red to yellow
     ((255, 255, 0), 6),  # yellow to green
     ((0, 255, 0), 4),  # green to cyan
@@ -22,7 +22,7 @@ _SEGMENTS = (
     ((0, 0, 255), 13),  # blue to magenta
     ((255, 0, 255), 6),  # magenta to red
 )
-_BEYOND = 0.75
+_BEYOND = 0.75  # brightness of motion beyond the limit, as in the benchmark
 
 
 class Arrows(NamedTuple):
@@ -44,12 +44,12 @@ class Arrows(NamedTuple):
 
 
 def flow_radius(flow: ArrayLike) -> NDArray[np.floating[Any]]:
-    """Return the length of the flow at each pixel, NaN where it is unknown.
+    """Return the length of the flow at each pixel; NaN if unknown.
 
     Parameters
     ----------
     flow : (H, W, 2) array_like
-        Flow (u, v), px. Unknown are NaN and components beyond 1e9.
+        Flow (u, v), px. NaN and components beyond 1e9 are unknown.
 
     Returns
     -------
@@ -72,17 +72,17 @@ def flow_radius(flow: ArrayLike) -> NDArray[np.floating[Any]]:
 
 
 def usual_length(flow: ArrayLike) -> float:
-    """Return the length, px, that all but 2 % of the known vectors of a flow stay below.
+    """Return the 98th percentile of the length of a flow, px.
 
     Parameters
     ----------
     flow : (H, W, 2) array_like
-        Flow (u, v), px. Unknown are NaN and components beyond 1e9.
+        Flow (u, v), px. NaN and components beyond 1e9 are unknown.
 
     Returns
     -------
     float
-        The 98th percentile of the lengths, px; 0.0 if no vector is known.
+        The percentile over known vectors, px; 0.0 if no vector is known.
 
     Examples
     --------
@@ -105,18 +105,18 @@ def flow_to_color(
     """Show flow as colours: direction as hue, length as saturation.
 
     No motion is white. Motion to the right is red, downwards yellow, to the left cyan to blue and
-    upwards violet, fully saturated at `limit`; longer motion is darkened by 0.75, or not.
+    upwards violet, fully saturated at `limit`. Longer motion is darkened by 0.75, or not.
 
     Parameters
     ----------
     flow : (H, W, 2) array_like
         Flow (u, v), px, v downwards. Unknown flow, NaN or beyond 1e9, is black.
     limit : float, optional
-        Length of full saturation, px. The default is the greatest known length, so that nothing
-        is darkened. Give pictures to be compared, and all of a sequence, the same limit.
+        Length of full saturation, px. By default the greatest known length, so that no motion is
+        darkened. Give pictures to be compared, and all frames of a sequence, the same limit.
     beyond : {"darker", "same"}
-        What longer motion looks like: darker, as the benchmark has it, or as if it were as long as
-        the limit, which looks less like an edge where the limit is a percentile.
+        Colour of longer motion: darker, as in the benchmark, or that of the limit, which avoids
+        false edges if the limit is a percentile.
 
     Returns
     -------
@@ -126,13 +126,13 @@ def flow_to_color(
     Raises
     ------
     ValueError
-        If `flow` is not (H, W, 2), `limit` is negative or not finite, or `beyond` is another.
+        If `flow` is not (H, W, 2), `limit` is negative or not finite, or `beyond` is unknown.
 
     Notes
     -----
-    The wheel of Baker et al. has 55 hues. Here it closes: the last hue runs into the first, so
-    that flow to the right does not change its colour suddenly with the sign of v. The published
-    pictures differ from these by at most one of the 55 steps of hue.
+    The wheel of Baker et al. has 55 hues. Here the last hue runs into the first, so that the colour
+    of flow to the right does not jump with the sign of v. Published pictures differ from these by
+    at most one of the 55 steps of hue.
 
     References
     ----------
@@ -158,7 +158,7 @@ def flow_to_color(
     u = np.where(known, values[..., 0], 0)
     v = np.where(known, values[..., 1], 0)
     hue = _hue(u, v)
-    # A limit of 0 leaves only two cases: no motion, and motion beyond the limit.
+    # With a limit of 0, motion is either zero or beyond the limit.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         share = np.where(radius > 0, np.minimum(radius / top, 2), 0)[..., None].astype(np.float32)
     last = hue * np.float32(_BEYOND) if beyond == "darker" else hue
@@ -168,7 +168,7 @@ def flow_to_color(
 
 
 def color_wheel(size: int) -> NDArray[np.uint8]:
-    """Draw the legend of `flow_to_color`: a disc in which each pixel shows the flow towards it.
+    """Draw the legend of `flow_to_color`: a disc whose pixels show the flow from its centre.
 
     Parameters
     ----------
@@ -196,26 +196,26 @@ def color_wheel(size: int) -> NDArray[np.uint8]:
     axis = (np.arange(size, dtype=np.float32) - (size - 1) / 2) * (2 / size)
     flow = np.stack(np.meshgrid(axis, axis), axis=2)
     radius = np.hypot(flow[..., 0], flow[..., 1])
-    # Beyond the rim the hue of the rim goes on, for the blend with white to start from.
+    # Pixels beyond the rim have its hue, so that the rim blends into white.
     color = flow_to_color(flow / np.maximum(radius, 1)[..., None], limit=1 + 1e-6)
     cover = np.clip((1 - radius) * (size / 2) + 0.5, 0, 1)[..., None]
     return np.rint(255 + cover * (color.astype(np.float32) - 255)).astype(np.uint8)
 
 
 def quiver_points(flow: ArrayLike, step: int) -> Arrows:
-    """Choose arrows for a flow field: one at each node of a regular grid, centred in the field.
+    """Choose arrows of a flow at the nodes of a regular grid, centred in the frame.
 
     Parameters
     ----------
     flow : (H, W, 2) array_like
-        Flow (u, v), px. Nodes where it is unknown, NaN or beyond 1e9, are left out.
+        Flow (u, v), px. Nodes of unknown flow, NaN or beyond 1e9, are left out.
     step : int
         Distance of the nodes, px.
 
     Returns
     -------
     Arrows
-        Tails (x, y), column and row, and flow (u, v), px, as stored at the tails.
+        Tails (x, y), column and row, and flow (u, v) at the tails, px.
 
     Raises
     ------
@@ -241,13 +241,13 @@ def quiver_points(flow: ArrayLike, step: int) -> Arrows:
 
 
 def _centred_nodes(length: int, step: int) -> NDArray[np.intp]:
-    """Return as many nodes a step apart as fit into a length, half a step or so from its ends."""
+    """Return the nodes of a grid in a length, about half a step from both ends."""
     count = max(1, length // step)
     return (length - 1 - (count - 1) * step) // 2 + step * np.arange(count)
 
 
 def _hue(u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float32]:
-    """Return the fully saturated colour of each direction, between the two nearest hues."""
+    """Return the saturated colour of each direction, interpolated between two hues."""
     wheel = _wheel()
     count = len(wheel)
     position = np.arctan2(v, u).astype(np.float32) * np.float32(count / (2 * math.pi))
@@ -259,11 +259,11 @@ def _hue(u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float32]:
 @functools.cache
 def _wheel() -> NDArray[np.float32]:
     """Return the 55 hues, (55, 3), red first."""
-    corners = [np.array(corner, dtype=np.float32) for corner, _ in _SEGMENTS]
+    corners = [np.array(corner, dtype=np.float32) for corner, _ in _HUE_STEPS]
     hues = [
         start + (end - start) * (step / count)
         for start, end, (_, count) in zip(
-            corners, corners[1:] + corners[:1], _SEGMENTS, strict=True
+            corners, corners[1:] + corners[:1], _HUE_STEPS, strict=True
         )
         for step in range(count)
     ]
@@ -272,6 +272,6 @@ def _wheel() -> NDArray[np.float32]:
 
 @functools.cache
 def _wheel_steps() -> NDArray[np.float32]:
-    """Return the difference from each hue to the next, (55, 3); the last leads to the first."""
+    """Return the difference from each hue to the next, (55, 3), and from the last to the first."""
     wheel = _wheel()
     return np.roll(wheel, -1, axis=0) - wheel

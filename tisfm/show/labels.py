@@ -1,4 +1,4 @@
-"""Which of several motions a pixel has, as colours over the picture."""
+"""Labels of pixels as colours over the picture."""
 
 import cv2
 import numpy as np
@@ -9,14 +9,14 @@ from tisfm.errors import InputError, InputTypeError
 from tisfm.show.arrays import as_image, as_uint8, require_same_size
 from tisfm.show.palette import category_colors, colors_of_categories
 
-_COVER = 0.55  # share of the colour in what it covers
-_LINES = 400  # outlines are 1 px wide in a picture so wide, and grow with it
+_COVER = 0.55  # share of the colour of a label over the picture; set by hand
+_WIDTH_OF_THIN_LINE = 400  # px, width of a picture with outlines of 1 px; set by hand
 
 
 def label_colors(count: int) -> NDArray[np.uint8]:
-    """Return a colour for each label: light grey for 0, the background, and others for the others.
+    """Return a colour for each label: light grey for 0, the background.
 
-    They are told apart with a colour vision deficiency as well.
+    The colours differ with a colour vision deficiency as well.
 
     Parameters
     ----------
@@ -26,8 +26,8 @@ def label_colors(count: int) -> NDArray[np.uint8]:
     Returns
     -------
     (count, 3) uint8 ndarray
-        Red, green, blue. The colour of a label does not depend on the number of labels. After 15
-        they repeat.
+        Red, green, blue. The colour of a label does not depend on the number of labels. Colours
+        repeat after 15 labels.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def label_colors(count: int) -> NDArray[np.uint8]:
 def label_overlay(image: ArrayLike, labels: ArrayLike) -> NDArray[np.uint8]:
     """Tint a picture by labels, and draw the boundaries between them.
 
-    What has label 0 is shown in grey levels, the rest in the colours of `label_colors`.
+    Pixels of label 0 are grey, others have the colours of `label_colors`.
 
     Parameters
     ----------
@@ -94,9 +94,9 @@ def label_overlay(image: ArrayLike, labels: ArrayLike) -> NDArray[np.uint8]:
 
 
 def _boundaries(labels: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """Mark pixels at which the label changes, as lines of a width that suits the picture."""
+    """Return lines between different labels, whose width grows with the picture."""
     edge = np.zeros(labels.shape, np.uint8)
     edge[:, 1:] |= labels[:, 1:] != labels[:, :-1]
     edge[1:] |= labels[1:] != labels[:-1]
-    width = max(1, round(labels.shape[1] / _LINES))
+    width = max(1, round(labels.shape[1] / _WIDTH_OF_THIN_LINE))
     return cv2.dilate(edge, np.ones((width, width), np.uint8)).astype(bool)

@@ -1,127 +1,189 @@
-"""Where the panels of a figure go."""
+"""Figures as mosaics: rows of titled panels, and legends in the free space.
+
+Every panel and every legend is drawn by a function that takes its axes.
+"""
+
+from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
-from tisfm.errors import InputError
+from tisfm.errors import MissingPackageError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Box = tuple[float, float, float, float]  # left, bottom, width, height, as shares of the figure
 
-WIDE = 2.0  # width over height from which pictures, and legends, go below one another
-TITLE_SIZE = 9.0  # points
-HEADING_SIZE = 12.0  # points
+WIDE = 2.0  # width over height of pictures from which they, and their legends, are stacked
+_TITLE_SIZE = 9.0  # points
+_HEADING_SIZE = 12.0  # points
 
-# All lengths in inches.
+# Lengths in inches, set by hand.
 _MARGIN = 0.12
-_GAP = 0.12
-_LEGEND_GAP = 0.25  # between legends below one another
-_TITLE_LINE = 0.16
+_GAP = 0.12  # between panels
+_LEGEND_GAP = 0.25  # between stacked legends
+_TITLE_LINE = 0.16  # height of a line of a title
 _TITLE_GAP = 0.04  # between a title and its panel
-_HEADING_LINE = 0.24
-_CHARACTER = 0.075  # width of a mean character of a title, generously
+_HEADING_LINE = 0.24  # height of a line of the heading
+_CHARACTER = 0.075  # width of a mean character of a title, rounded up
 _PANEL_AREA = 7.5  # square inches
-_NARROWEST_CELL = 1.9  # room for a title above a tall panel
-_LONGEST_SIDE = 5.5
-_SHORTEST_SIDE = 0.3
+_MIN_CELL_WIDTH = 1.9  # so that a title fits above a tall panel
+_MAX_SIDE = 5.5  # of a panel
+_MIN_SIDE = 0.3  # of a panel
+
+
+@dataclass(frozen=True, kw_only=True)
+class Panel:
+    """A titled picture of a mosaic.
+
+    Attributes
+    ----------
+    title : str
+    shape : (int, int)
+        Height and width of the picture, px.
+    draw : callable
+        Draws the picture into the axes that it is given.
+    """
+
+    title: str
+    shape: tuple[int, int]
+    draw: Callable[[Axes], object]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Legend:
+    """A legend of a mosaic.
+
+    Attributes
+    ----------
+    size : (float, float)
+        Width and height, inches.
+    draw : callable
+        Draws the legend into a box of a figure.
+    """
+
+    size: tuple[float, float]
+    draw: Callable[[Figure, Box], object]
+
+
+def stacked(legends: Sequence[Legend]) -> Legend:
+    """Return one legend made of several, from the top down."""
+
+    def draw(figure: Figure, box: Box) -> None:
+        wide, high = figure.get_size_inches()
+        left, bottom, _, height = box
+        top = bottom + height
+        for legend in legends:
+            share = legend.size[1] / high
+            legend.draw(figure, (left, top - share, legend.size[0] / wide, share))
+            top -= share + _LEGEND_GAP / high
+
+    heights = [legend.size[1] for legend in legends]
+    total = sum(heights) + _LEGEND_GAP * (len(legends) - 1)
+    return Legend(size=(max(legend.size[0] for legend in legends), total), draw=draw)
+
+
+def beside(legends: Sequence[Legend]) -> Legend:
+    """Return one legend made of several, from the left, with a common lower edge."""
+
+    def draw(figure: Figure, box: Box) -> None:
+        wide, high = figure.get_size_inches()
+        left, bottom, _, _ = box
+        for legend in legends:
+            width = legend.size[0] / wide
+            legend.draw(figure, (left, bottom, width, legend.size[1] / high))
+            left += width
+
+    widths = [legend.size[0] for legend in legends]
+    return Legend(size=(sum(widths), max(legend.size[1] for legend in legends)), draw=draw)
+
+
+def mosaic(
+    rows: Sequence[Sequence[Panel]], *, heading: str | None = None, legend: Legend | None = None
+) -> Figure:
+    """Draw rows of panels in a new figure.
+
+    Parameters
+    ----------
+    rows : sequence of sequences of Panel
+        Rows may differ in length.
+    heading : str, optional
+        Heading above all panels.
+    legend : Legend, optional
+        Drawn at the empty end of the lowest row with enough space, else in a column of its own.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    ImportError
+        If Matplotlib is not installed.
+    """
+    layout = arrange(
+        [[(panel.title, panel_size(*panel.shape)) for panel in row] for row in rows],
+        heading=heading,
+        legend=None if legend is None else legend.size,
+    )
+    figure = new_figure(layout.size)
+    panels = [panel for row in rows for panel in row]
+    height = layout.size[1]
+    for box, title, panel in zip(layout.panels, layout.titles, panels, strict=True):
+        panel.draw(figure.add_axes(box))
+        x, y = box[0] + box[2] / 2, box[1] + box[3] + _TITLE_GAP / height
+        write(figure, x, y, title, va="bottom", fontsize=_TITLE_SIZE)
+    write(figure, 0.5, 1 - _MARGIN / height, layout.heading, va="top", fontsize=_HEADING_SIZE)
+    if legend is not None and layout.legend is not None:
+        legend.draw(figure, layout.legend)
+    return figure
+
+
+def new_figure(size: tuple[float, float]) -> Figure:
+    """Return an empty white figure of a width and height in inches, drawn by Agg."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ModuleNotFoundError as error:
+        raise MissingPackageError(
+            "figures are drawn by Matplotlib: pip install matplotlib"
+        ) from error
+    figure = Figure(figsize=size, facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def write(target: Figure | Axes, x: float, y: float, text: str, **style: Any) -> None:
+    """Write centred text. A dollar sign does not begin a formula."""
+    target.text(x, y, text, ha="center", color="black", parse_math=False, **style)
+
+
+def panel_size(height: int, width: int) -> tuple[float, float]:
+    """Return the width and height, inches, of the panel of a picture whose size is in pixels.
+
+    All panels have about the same area, whatever their aspect ratio, up to a longest side. A very
+    flat or narrow picture is stretched across, to stay visible.
+    """
+    shown_width = math.sqrt(_PANEL_AREA * width / height)
+    shown_height = _PANEL_AREA / shown_width
+    factor = min(1.0, _MAX_SIDE / max(shown_width, shown_height))
+    return max(shown_width * factor, _MIN_SIDE), max(shown_height * factor, _MIN_SIDE)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """Positions for a grid of equal cells, each of them a title above a panel in its middle."""
+    """Positions for a grid of equal cells, each of them a title above a centred panel."""
 
     size: tuple[float, float]  # of the figure, inches
     panels: list[Box]  # row by row
     titles: list[str]  # broken into lines that fit above their panels
     heading: str  # broken into lines that fit
-    legend: Box | None  # room for a legend, if one was asked for
-
-    @property
-    def title_gap(self) -> float:
-        """Distance from a panel to its title, as a share of the figure."""
-        return _TITLE_GAP / self.size[1]
-
-    @property
-    def top(self) -> float:
-        """Top of the heading, as a share of the figure."""
-        return 1 - _MARGIN / self.size[1]
-
-
-def panel_size(height: int, width: int) -> tuple[float, float]:
-    """Return the width and height, inches, at which a picture of a size in pixels is shown.
-
-    All panels have about the same area, whatever their aspect ratio, up to a longest side. An
-    extremely flat or narrow picture gets a panel that is wider than its own ratio, to stay visible.
-    """
-    shown_width = math.sqrt(_PANEL_AREA * width / height)
-    shown_height = _PANEL_AREA / shown_width
-    factor = min(1.0, _LONGEST_SIDE / max(shown_width, shown_height))
-    return max(shown_width * factor, _SHORTEST_SIDE), max(shown_height * factor, _SHORTEST_SIDE)
-
-
-def stacked_size(sizes: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Return the width and height, inches, of legends of these sizes below one another."""
-    heights = [height for _, height in sizes]
-    return max(width for width, _ in sizes), sum(heights) + _LEGEND_GAP * (len(sizes) - 1)
-
-
-def stack_legends(layout: Layout, sizes: Sequence[tuple[float, float]]) -> list[Layout]:
-    """Divide the room for a legend of `stacked_size`.
-
-    Parameters
-    ----------
-    layout : Layout
-        With that room.
-    sizes : sequence of (float, float)
-        Width and height of each legend, inches, from the top down.
-
-    Returns
-    -------
-    list of Layout
-        The layout once for every legend, which it has room for.
-    """
-    if layout.legend is None:
-        raise InputError("layout has no room for a legend: ask draw_panels for it")
-    left, bottom, _, height = layout.legend
-    top = bottom + height
-    layouts = []
-    for wide, high in sizes:
-        share = high / layout.size[1]
-        layouts.append(replace(layout, legend=(left, top - share, wide / layout.size[0], share)))
-        top -= share + _LEGEND_GAP / layout.size[1]
-    return layouts
-
-
-def beside_size(sizes: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Return the width and height, inches, of legends of these sizes beside one another."""
-    return sum(width for width, _ in sizes), max(height for _, height in sizes)
-
-
-def beside_legends(layout: Layout, sizes: Sequence[tuple[float, float]]) -> list[Layout]:
-    """Divide the room for a legend of `beside_size`.
-
-    Parameters
-    ----------
-    layout : Layout
-        With that room.
-    sizes : sequence of (float, float)
-        Width and height of each legend, inches, from the left. They end at one height below.
-
-    Returns
-    -------
-    list of Layout
-        The layout once for every legend, which it has room for.
-    """
-    if layout.legend is None:
-        raise InputError("layout has no room for a legend: ask draw_panels for it")
-    left, bottom, _, _ = layout.legend
-    layouts = []
-    for wide, high in sizes:
-        box = left, bottom, wide / layout.size[0], high / layout.size[1]
-        layouts.append(replace(layout, legend=box))
-        left += box[2]
-    return layouts
+    legend: Box | None
 
 
 def arrange(
@@ -135,37 +197,37 @@ def arrange(
     Parameters
     ----------
     rows : sequence of sequences of (str, (float, float))
-        Rows of panels, each the title and the width and height, inches. Rows may differ in length.
+        Rows of panels: title, and width and height in inches. Rows may differ in length.
     heading : str, optional
-        Heading above all of them.
+        Heading above all panels.
     legend : (float, float), optional
-        Width and height, inches, of a legend. It goes to the empty end of the lowest row that has
-        room for it, else into a narrow column of its own.
+        Width and height, inches, of a legend. It goes to the empty end of the lowest row with
+        enough space, else into a narrow column of its own.
 
     Returns
     -------
     Layout
         Positions as shares of the figure, the panels of all rows in one list.
     """
-    cell = max(_NARROWEST_CELL, *(size[0] for row in rows for _, size in row))
+    cell = max(_MIN_CELL_WIDTH, *(size[0] for row in rows for _, size in row))
     columns = max(len(row) for row in rows)
     heights = [max(size[1] for _, size in row) for row in rows]
     lines = [[textwrap.wrap(title, int(cell / _CHARACTER)) for title, _ in row] for row in rows]
-    roomy = None
+    legend_row = None
     if legend is not None:
         for i, row in enumerate(rows):
             empty = columns - len(row)
-            room = empty * cell + (empty - 1) * _GAP
-            if empty and legend[0] <= room and legend[1] <= heights[i]:
-                roomy = i
+            free = empty * cell + (empty - 1) * _GAP
+            if empty and legend[0] <= free and legend[1] <= heights[i]:
+                legend_row = i
     width = 2 * _MARGIN + columns * cell + (columns - 1) * _GAP
-    if legend is not None and roomy is None:
+    if legend is not None and legend_row is None:
         width += _GAP + legend[0]
-    # Letters of the heading are larger than those of a title.
-    letters = int((width - 2 * _MARGIN) / _CHARACTER * TITLE_SIZE / HEADING_SIZE)
+    # Letters of the heading are larger than letters of a title.
+    letters = int((width - 2 * _MARGIN) / _CHARACTER * _TITLE_SIZE / _HEADING_SIZE)
     heading_lines = textwrap.wrap(heading or "", letters)
 
-    # From the top down, in inches; turned round at the end because a figure counts from below.
+    # In inches from the top down. Matplotlib counts from below: y is turned round at the end.
     y = _MARGIN + len(heading_lines) * _HEADING_LINE
     boxes = []
     middles = []
@@ -178,12 +240,12 @@ def arrange(
         y += row_height + _GAP
     height = y - _GAP + _MARGIN
     if legend is not None:
-        if roomy is None:
+        if legend_row is None:
             height = max(height, legend[1] + 2 * _MARGIN)
             x, middle = width - _MARGIN - legend[0], height / 2
         else:
-            empty_from = _MARGIN + len(rows[roomy]) * (cell + _GAP)
-            x, middle = (empty_from + width - _MARGIN - legend[0]) / 2, middles[roomy]
+            empty_from = _MARGIN + len(rows[legend_row]) * (cell + _GAP)
+            x, middle = (empty_from + width - _MARGIN - legend[0]) / 2, middles[legend_row]
         boxes.append((x, middle - legend[1] / 2, *legend))
 
     shares = [

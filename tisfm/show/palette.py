@@ -1,8 +1,8 @@
-"""The colours of all pictures: what each map, each category and what is unknown looks like.
+"""The colours of all pictures: maps of numbers, categories, and unknown pixels.
 
-Each kind of number has one map of colours. All three are even to the eye and become brighter from
-end to end, so that they are read as well with a colour vision deficiency, and in print without
-colours. What is unknown is a grey that none of them comes near.
+Each kind of number has one map of colours. All three are perceptually uniform and become brighter
+from end to end, so that they are readable with a colour vision deficiency and in grey print.
+Unknown pixels have a grey that is far from all maps.
 
 References
 ----------
@@ -22,27 +22,29 @@ from tisfm.errors import InputError
 Quantity = Literal["depth", "confidence", "error"]
 
 UNKNOWN_COLOR = (200, 200, 200)
-"""Red, green and blue of what is not known, in all pictures but those of flow and grey levels.
+"""Red, green and blue of unknown pixels, in all pictures except flow and grey levels.
 
-It is light because darker greys look like the middle of some map without one kind of cone.
+A light grey, because with a colour vision deficiency darker greys look like the middle of a map.
 """
 
 DEPTH_PERCENTILE = 95.0
-"""Inverse depths that lie within the range of a picture, percent."""
+"""Percentage of inverse depths inside the range of a picture; set by hand."""
 FLOW_PERCENTILE = 98.0
-"""Lengths of motion that lie within the range of a picture, percent."""
+"""Percentage of lengths of motion inside the range of a picture; set by hand."""
 
-INK, FAINT = "#0a0b0c", "#8c8c8c"  # of lines, text and grids
-ESTIMATE, OTHER = "#0072b2", "#d55e00"  # of curves: what was found, and what stands out from it
-HIDDEN = (255, 0, 60)  # of pixels that are not visible in the next frame
+INK = "#0a0b0c"  # lines and text
+FAINT = "#8c8c8c"  # grids and frames
+ESTIMATE = "#0072b2"  # curves of results
+OTHER = "#d55e00"  # curves in contrast to these
+HIDDEN = (255, 0, 60)  # pixels that are not visible in the next frame
 
 _MAPS = {
     "depth": cv2.COLORMAP_MAGMA,
     "confidence": cv2.COLORMAP_CIVIDIS,
     "error": cv2.COLORMAP_VIRIDIS,
 }
-# The first is what is at rest, the next seven are those of Okabe and Ito. Each of the others is
-# the colour farthest from all before it, as seen with usual vision and without green or red cones.
+# The static scene, then the seven of Okabe and Ito. Each further colour is the one farthest from
+# all earlier ones, with normal vision and with missing green or red cones.
 _CATEGORIES = np.array(
     [
         (191, 191, 191),
@@ -82,7 +84,7 @@ def color_ramp(quantity: Quantity) -> NDArray[np.uint8]:
     Raises
     ------
     ValueError
-        If `quantity` is another.
+        If `quantity` is unknown.
 
     Examples
     --------
@@ -103,7 +105,7 @@ def colors_of(share: NDArray[np.floating], quantity: Quantity) -> NDArray[np.uin
     Parameters
     ----------
     share : (H, W) ndarray
-        From 0 to 1; what is beyond has the colour of the end, NaN that of the unknown.
+        From 0 to 1; values beyond have the colour of the nearer end, NaN that of unknown pixels.
     quantity : str
         As for `color_ramp`.
     """
@@ -118,7 +120,7 @@ def colors_of(share: NDArray[np.floating], quantity: Quantity) -> NDArray[np.uin
 
 
 def category_colors(count: int) -> NDArray[np.uint8]:
-    """Return colours, (count, 3), of which the first is what is at rest; those after 15 repeat."""
+    """Return colours of labels, (count, 3): first the static scene; they repeat after 15 labels."""
     return colors_of_categories(np.arange(count))
 
 
@@ -130,5 +132,5 @@ def colors_of_categories(numbers: NDArray[np.integer]) -> NDArray[np.uint8]:
 
 
 def as_hex(color: NDArray[np.uint8]) -> str:
-    """Return a colour as Matplotlib and HTML read it."""
+    """Return a colour as ``#rrggbb``."""
     return "#" + bytes(int(level) for level in color).hex()

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.errors import InputError
 from tisfm.show.arrays import as_image, as_map, is_depth, require_same_size
 
-_SAME_SURFACE = 1  # px of shift: what differs by less lies as far behind
+_SAME_SURFACE = 1  # px: shifts that differ by at most this are of one depth; set by hand
 
 
 def second_view(
@@ -22,8 +22,7 @@ def second_view(
     """Make the view of a second camera, displaced along the X axis.
 
     By eq. 26 to 28 a point at column x1 of the given picture is at x2 = x1 - f d / Z in the other.
-    It is drawn at the nearest column, and hides what is farther; a picture stays a picture of
-    whole pixels.
+    It is drawn at the nearest column and hides farther points. Pixels are copied, not interpolated.
 
     Parameters
     ----------
@@ -36,8 +35,8 @@ def second_view(
         f d, px times the unit of depth: displacement times inverse depth is the shift, px. Positive
         for a second camera to the right of the first.
     fill : {"nearest", "behind"}
-        What columns show that nothing reaches: the nearest pixel of their row, as in the paper,
-        or the mirror image of what is behind, so that nothing near is stretched.
+        Fills columns that no point reaches: the nearest pixel of their row, as in the paper, or the
+        mirror image of the farther side, so that near objects are not stretched.
 
     Returns
     -------
@@ -47,13 +46,13 @@ def second_view(
     Raises
     ------
     ValueError
-        If a shape is wrong, the sizes differ, `displacement` is not finite, or `fill` is another.
+        If a shape is wrong, the sizes differ, `displacement` is not finite, or `fill` is unknown.
 
     Notes
     -----
-    Of the pixels that reach one place, the nearest is the one farthest right in the given picture
-    if the camera moves to the right: what shifts more to the left came from further right. The
-    greatest (or least) column is therefore all that has to be found, and depths are never sorted.
+    If the camera moves to the right, the nearest of several pixels that reach one column is the
+    rightmost in the given picture, because it has shifted most to the left. So the greatest column
+    decides, and depths are never sorted.
 
     References
     ----------
@@ -91,9 +90,9 @@ def second_view(
 
 
 def _shifts(inverse_depth: NDArray[Any], displacement: float) -> NDArray[np.int32]:
-    """Return f d / Z in whole pixels, no further than out of the picture.
+    """Return f d / Z in whole pixels, limited to shifts just out of the picture.
 
-    What leaves it stays another surface than what is just within.
+    A pixel that leaves the picture stays a different surface from a pixel just inside.
     """
     most = inverse_depth.shape[1] + _SAME_SURFACE + 1
     valid = is_depth(inverse_depth)
@@ -135,9 +134,9 @@ def _nearest_source(shifts: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def _fill_rows(source: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Give each empty place (-1) what the nearest filled place of its row has.
+    """Give each empty column (−1) the source of the nearest filled column of its row.
 
-    A row that is empty altogether, because all of it shifted out to the left, takes its last pixel.
+    A row without any filled column, all of which shifted out to the left, takes its last pixel.
     """
     height, width = source.shape
     flat = source.reshape(-1)  # a copy where there is a margin
@@ -150,10 +149,10 @@ def _fill_rows(source: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def _fill_from_behind(source: NDArray[np.int32], shifts: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Give each empty place (-1) the mirror image of the farther of the two sides of its row.
+    """Give each empty column (−1) the mirror image of the farther of both sides of its row.
 
-    It is the nearest side where both are as far. Where the mirror image would be something nearer,
-    or beyond the picture, it is the pixel at the side itself.
+    If both sides are equally far, the nearer column decides. The pixel at the side itself is taken
+    if the mirror image is nearer to the camera or lies outside the picture.
     """
     height, width = source.shape
     flat = source.reshape(-1)
@@ -182,14 +181,14 @@ def _sides(
 ) -> tuple[
     NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]
 ]:
-    """Return the empty places, the filled ones before and after each, and how far these are.
+    """Return empty columns, the filled columns before and after each, and their distances.
 
-    A distance is `width` where that side of the row has none.
+    A distance is `width` if that side of the row has no filled column.
     """
     filled = np.flatnonzero(flat >= 0)
     empty = np.flatnonzero(flat < 0)
     following = np.searchsorted(filled, empty)
-    # Places before the first row and after the last are filled as well, and far away.
+    # Two distant columns count as filled, before the first row and after the last.
     filled = np.concatenate([[-width - 1], filled, [len(flat) + width]])
     before, after = filled[following], filled[following + 1]
     start = empty - empty % width

@@ -1,4 +1,4 @@
-"""Views for two eyes, or of a camera that swings, from one picture and its depth."""
+"""Views for two eyes, or of a swinging camera, from one picture and its depth."""
 
 import math
 from dataclasses import dataclass
@@ -10,17 +10,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.errors import InputError
 from tisfm.show.arrays import as_image, as_map, as_uint8, check_limit, require_same_size
-from tisfm.show.depth import inverse_depth_limit
+from tisfm.show.color_maps import inverse_depth_limit
 from tisfm.show.second_view import second_view
 
 DISPARITY = 0.03
-"""Default budget: how far the nearest moves against the farthest between two eyes, of the width."""
-MOST_DISPARITY = 0.2  # of the width: eyes follow no more
+"""Default disparity budget between two eyes, nearest against farthest, as a share of the width."""
+MAX_DISPARITY = 0.2  # share of the width that eyes can still fuse; set by hand
 
-_FINER = 2  # columns for one: views move by halves of a pixel, and edges are smooth
-_EDGE = 0.02  # of the nearness: a larger change between neighbours is an edge
-_RIM = 3  # px: edges of images are soft, and their rim goes with what is near
-_LEAST_PART = 0.5  # of the picture that is left when its border is cut off
+# Set by hand.
+_UPSAMPLING = 2  # columns per pixel: views shift by half pixels, and edges are smooth
+_EDGE = 0.02  # change of nearness, in [0, 1], between neighbours at an edge of depth
+_SOFT_EDGE = 3  # px: soft edges of objects shift with the object
+_MIN_KEPT = 0.5  # share of the picture that is kept when its border is cut off
 
 
 def stereo_view(
@@ -37,43 +38,43 @@ def stereo_view(
 ) -> NDArray[np.uint8]:
     """Make the view of another eye from one picture and its depth.
 
-    The picture is the left eye's view, ``eye=0``. What is nearer than the screen stands out before
-    it, what is farther lies behind. What only the other eye would see is filled by the mirror image
-    of what is behind.
+    The picture is the view of the left eye, ``eye=0``. Points nearer than the screen stand out
+    before it, farther points lie behind. Parts that only the other eye would see are filled by the
+    mirror image of the background.
 
     Parameters
     ----------
     image : (H, W) or (H, W, 3) array_like
         Picture, sRGB: uint8, uint16, or float.
     inverse_depth : (H, W) array_like
-        Inverse depth in any unit. Where it is not finite it is that of the farther side of the row,
-        and what is not positive is infinitely far.
+        Inverse depth in any unit. A value that is not finite is replaced by the farther side of its
+        row; zero and negative values are infinitely far.
     eye : float
-        Where it is: 1 for the right eye, -1 for a camera as far to the left, and what is between:
-        a camera that swings.
+        Position: 1 for the right eye, -1 for a camera as far to the left; values between belong to
+        a swinging camera.
     disparity : float
-        Disparity budget: how far what is at `limit` moves against what is infinitely far between
-        the eyes 0 and 1, as a share of the width, up to 0.2.
+        Disparity budget: disparity of a point at `limit` against infinity between the eyes 0 and 1,
+        as a share of the width, up to 0.2.
     max_disparity : float, optional
-        The same in px, instead of `disparity`.
+        The budget in px, instead of `disparity`.
     screen : float, optional
-        The plane of the screen, which has no parallax, as a quantile of the depth of the picture: 0
-        for its farthest point, 1 for its nearest. By default it is in the middle of the budget,
-        half as near as `limit`, which is the same for all pictures with one limit.
+        The plane of the screen, without disparity, as a quantile of the depth of the picture: 0 for
+        the farthest point, 1 for the nearest. By default its inverse depth is half of `limit`, the
+        same for all pictures with one limit.
     screen_depth : float, optional
-        The same as a depth, in the inverse unit of `inverse_depth`: nearer than ``1 / limit`` is
-        as near. Infinity puts everything before the screen.
+        The plane of the screen as a depth, in the inverse unit of `inverse_depth`, not nearer than
+        ``1 / limit``. Infinity puts the whole scene before the screen.
     limit : float, optional
         Inverse depth that counts as nearest; by default `inverse_depth_limit`, the 95th percentile.
-        Give all pictures of a sequence the same limit, or depth will pump.
+        Give all pictures of a sequence the same limit, so that depth does not fluctuate.
     crop : bool
-        Whether to cut off the border that a view cannot show, as wide for all eyes, and enlarge
+        Whether to cut off the border without image content, equally wide for all eyes, and enlarge
         the rest.
 
     Returns
     -------
     (H, W) or (H, W, 3) uint8 ndarray
-        What the eye sees.
+        The view of the eye.
 
     Raises
     ------
@@ -105,21 +106,21 @@ def stereo_view(
     (shown,) = as_uint8(picture)
     seen = shown if eye == 0 else _view_beside(shown, parallax, eye)
     view = _inner_part(seen, parallax) if crop else seen
-    return view.copy() if view is shown else view  # never the picture that was given
+    return view.copy() if view is shown else view  # never the given picture itself
 
 
 def check_disparity(disparity: float) -> float:
-    """Return a disparity, or raise ValueError if it is no share that eyes could follow."""
-    if not 0 < disparity <= MOST_DISPARITY:
+    """Return a disparity; raise ValueError if it is out of range."""
+    if not 0 < disparity <= MAX_DISPARITY:
         raise InputError(
             f"disparity is {disparity!r}: expected a share of the width, above 0, up to "
-            f"{MOST_DISPARITY}"
+            f"{MAX_DISPARITY}"
         )
     return float(disparity)
 
 
 def check_screen(screen: float | None, screen_depth: float | None) -> None:
-    """Raise ValueError unless at most one of both is given, and in its range."""
+    """Raise ValueError if both are given, or one is out of range."""
     if screen is not None and screen_depth is not None:
         raise InputError(
             f"screen is {screen!r} and screen_depth is {screen_depth!r}: give one of them"
@@ -132,16 +133,16 @@ def check_screen(screen: float | None, screen_depth: float | None) -> None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Parallax:
-    """How far everything moves to the left for the right eye.
+    """The shifts of pixels to the left for the right eye.
 
     Attributes
     ----------
     near : (H, W) float32
-        In [0, 1], from infinitely far to the limit.
+        Nearness in [0, 1], from infinitely far to the limit.
     shift : float
-        px, of what is nearest against what is infinitely far.
+        Shift of the nearest point against infinity, px.
     screen : float
-        In [0, 1]: what is so near stays in place.
+        Nearness, in [0, 1], of points without shift.
     """
 
     near: NDArray[np.float32]
@@ -158,14 +159,14 @@ def _parallax(
     screen_depth: float | None,
     limit: float | None,
 ) -> _Parallax:
-    """Check the options, and return what they mean for an inverse depth."""
+    """Check the options, and return the shifts for an inverse depth."""
     width = depth.shape[1]
     shift = check_disparity(disparity) * width
     if max_disparity is not None:
         shift = check_limit("max_disparity", max_disparity)
     check_screen(screen, screen_depth)
     top = inverse_depth_limit(depth) if limit is None else check_limit("limit", limit)
-    if top == 0:  # no depth: everything stays where it is
+    if top == 0:  # no depth: no shifts
         return _Parallax(near=np.zeros(depth.shape, np.float32), shift=0.0, screen=0.0)
     near = (np.clip(_without_holes(depth), 0, top) / top).astype(np.float32)
     plane = 0.5
@@ -178,9 +179,9 @@ def _parallax(
 
 
 def _without_holes(inverse_depth: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-    """Return inverse depth with the farther of both sides of the row where it is not finite.
+    """Return inverse depth whose unknown pixels have the farther of both sides of their row.
 
-    A row that has nothing else is infinitely far.
+    A row without any known pixel is infinitely far.
     """
     known = np.isfinite(inverse_depth)
     if known.all():
@@ -194,7 +195,7 @@ def _without_holes(inverse_depth: NDArray[np.floating[Any]]) -> NDArray[np.float
 def _from_left(
     values: NDArray[np.floating[Any]], known: NDArray[np.bool_]
 ) -> NDArray[np.floating[Any]]:
-    """Return the last known value of each row up to each pixel, NaN where there is none."""
+    """Return the last known value of the row up to each pixel; NaN without one."""
     column = np.where(known, np.arange(values.shape[1]), -1)
     last = np.maximum.accumulate(column, axis=1)
     found = np.take_along_axis(values, np.maximum(last, 0), axis=1)
@@ -202,29 +203,31 @@ def _from_left(
 
 
 def _view_beside(picture: NDArray[np.uint8], parallax: _Parallax, eye: float) -> NDArray[np.uint8]:
-    """Return what an eye sees; beyond the border, pixels are repeated or mirrored."""
+    """Return the view of an eye; beyond the border, pixels are repeated or mirrored."""
     height, width = parallax.near.shape
-    size = (_FINER * width, height)
-    wide = cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST)  # what stays is not blurred
-    near = cv2.dilate(parallax.near, np.ones((_RIM, _RIM), np.uint8))
+    size = (_UPSAMPLING * width, height)
+    wide = cv2.resize(
+        picture, size, interpolation=cv2.INTER_NEAREST
+    )  # so that unshifted parts stay sharp
+    near = cv2.dilate(parallax.near, np.ones((_SOFT_EDGE, _SOFT_EDGE), np.uint8))
     depth = cv2.resize(near, size, interpolation=cv2.INTER_LINEAR)
-    # Depth between the two sides of an edge belongs to neither.
+    # Interpolated depth at an edge belongs to neither side.
     nearest = cv2.resize(near, size, interpolation=cv2.INTER_NEAREST)
     depth = np.where(np.abs(depth - nearest) < _EDGE, depth, nearest)
-    displacement = _FINER * parallax.shift * eye
+    displacement = _UPSAMPLING * parallax.shift * eye
     seen = second_view(wide, depth, displacement=displacement, fill="behind")
-    moved = np.arange(_FINER * width) - round(displacement * parallax.screen)
-    seen = seen[:, moved.clip(0, _FINER * width - 1)]
+    moved = np.arange(_UPSAMPLING * width) - round(displacement * parallax.screen)
+    seen = seen[:, moved.clip(0, _UPSAMPLING * width - 1)]
     return np.asarray(cv2.resize(seen, (width, height), interpolation=cv2.INTER_AREA))
 
 
 def _inner_part(picture: NDArray[np.uint8], parallax: _Parallax) -> NDArray[np.uint8]:
-    """Return a view without the border that is made up for some eye, enlarged to its size."""
+    """Return a view without the border that lacks content for some eye, enlarged to full size."""
     height, width = picture.shape[:2]
     margin = math.ceil(parallax.shift * max(parallax.screen, 1 - parallax.screen))
     if margin == 0:
         return picture
-    share = max(_LEAST_PART, 1 - 2 * margin / width)
+    share = max(_MIN_KEPT, 1 - 2 * margin / width)
     size = max(1, round(share * width)), max(1, round(share * height))
     inner = cv2.getRectSubPix(picture, size, ((width - 1) / 2, (height - 1) / 2))
     return np.asarray(cv2.resize(inner, (width, height), interpolation=cv2.INTER_CUBIC))

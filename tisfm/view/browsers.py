@@ -1,58 +1,59 @@
-"""Where the browsers that show a page look from."""
+"""The viewpoints of the browsers that show a page."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tisfm.results.frame import ViewFrame
-from tisfm.view.frame_cloud import Cloud
+from tisfm.results.frame import ResultFrame
+from tisfm.view.frame_cloud import FrameCloud
 from tisfm.view.picking import following_fov
-from tisfm.view.scene import SceneView, quaternion
+from tisfm.view.scene import ViewerScene, quaternion
 from tisfm.view.viewpoint import FOV, USUAL_ASPECT
 
 if TYPE_CHECKING:
     from viser import CameraHandle, ClientHandle, ViserServer
 
-_OTHER_SHAPE = 0.1  # of the logarithm of width over height: a window that shows other parts
-_TOUCHED = 1e-3  # of the depth: a view that was moved since
+# Set by hand.
+_ASPECT_CHANGE = 0.1  # change of log(width / height) of a window from which the view is fitted anew
+_MOVED = 1e-3  # distance, in median depths, from which a user has moved the view
 
 
 class Browsers:
-    """Brings browsers to where the frame that is shown is in sight.
+    """Moves browsers to viewpoints that show the current frame.
 
     Parameters
     ----------
     server : ViserServer
-    scene : SceneView
+    scene : ViewerScene
     is_followed : callable
-        Whether they are to look from where the camera was.
+        Tells whether browsers look from the position of the camera.
 
     Attributes
     ----------
-    frame, points : ViewFrame, Cloud or None
-        What is shown.
+    frame, points : ResultFrame, FrameCloud or None
+        The current frame and its points.
     """
 
     def __init__(
-        self, server: "ViserServer", scene: SceneView, is_followed: Callable[[], bool]
+        self, server: "ViserServer", scene: ViewerScene, is_followed: Callable[[], bool]
     ) -> None:
-        self.frame: ViewFrame | None = None
-        self.points: Cloud | None = None
+        self.frame: ResultFrame | None = None
+        self.points: FrameCloud | None = None
         self._server, self._scene, self._is_followed = server, scene, is_followed
 
     def go_all(self) -> None:
-        """Bring all to where the frame and its points are in sight."""
+        """Move all browsers to a viewpoint that shows the frame and its points."""
         for client in self._server.get_clients().values():
             self.go(client)
 
     def follow_all(self) -> None:
-        """Let all look from where the camera was."""
+        """Move all browsers to the position of the camera."""
         for client in self._server.get_clients().values():
             self._follow(client)
 
     def go(self, client: "ClientHandle") -> None:
-        """Bring one to where the frame and its points are in sight."""
+        """Move a browser to a viewpoint that shows the frame and its points."""
         if self.frame is None:
             return
         pose, distance = self._scene.overview(self.frame, self.points, client.camera.aspect)
@@ -64,26 +65,26 @@ class Browsers:
             client.camera.fov = FOV
 
     def welcome(self, client: "ClientHandle") -> None:
-        """Let all be in sight in the window of a browser, until somebody moves the view.
+        """Fit the view of a new browser to its window, until its user moves the view.
 
-        Where the camera is followed, that is all of the frame, whatever happens to the window.
+        A browser that follows the camera is always fitted, so that the whole frame is visible.
         """
-        fitted, has_come, is_touched = USUAL_ASPECT, False, False
-        followed = 0.0  # the shape of the window that the field of view was fitted to
+        fitted, has_begun, was_moved = USUAL_ASPECT, False, False
+        followed = 0.0  # width over height of the window that the field of view was fitted to
         home = np.asarray(self._server.initial_camera.position)
 
         def fit(camera: "CameraHandle") -> None:
-            nonlocal fitted, home, has_come, is_touched, followed
-            is_home = bool(np.linalg.norm(camera.position - home) <= _TOUCHED * self._scene.depth)
-            is_due = camera.aspect != followed or (is_home and not has_come)
+            nonlocal fitted, home, has_begun, was_moved, followed
+            is_home = bool(np.linalg.norm(camera.position - home) <= _MOVED * self._scene.depth)
+            is_due = camera.aspect != followed or (is_home and not has_begun)
             if self._is_followed() and is_due:
                 followed = camera.aspect
                 self._follow(client)
-            has_come |= is_home  # before that, it has not been told yet where to begin
-            is_touched |= has_come and not is_home
+            has_begun |= is_home  # until then, the browser has not received its first viewpoint
+            was_moved |= has_begun and not is_home
             if self._is_followed():
                 return
-            if is_home and not is_touched and abs(np.log(camera.aspect / fitted)) > _OTHER_SHAPE:
+            if is_home and not was_moved and abs(np.log(camera.aspect / fitted)) > _ASPECT_CHANGE:
                 fitted = camera.aspect
                 self.go(client)
                 home = np.array(camera.position)
@@ -92,7 +93,7 @@ class Browsers:
         fit(client.camera)
 
     def _follow(self, client: "ClientHandle") -> None:
-        """Let one look from where the camera was, all of the frame in sight."""
+        """Move a browser to the position of the camera, with the whole frame visible."""
         frame = self.frame
         if frame is None:
             return

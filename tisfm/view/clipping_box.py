@@ -1,4 +1,4 @@
-"""The box that the scene is clipped to, by numbers and by handles at two of its corners."""
+"""The clipping box of the scene, set by numbers or by handles at two of its corners."""
 
 import math
 from typing import TYPE_CHECKING, Any
@@ -6,35 +6,36 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.results.frame import ViewFrame
+from tisfm.results.frame import ResultFrame
 from tisfm.view.controls import Controls
-from tisfm.view.frame_cloud import Cloud
-from tisfm.view.scene import SceneView
+from tisfm.view.frame_cloud import FrameCloud
+from tisfm.view.scene import ViewerScene
 from tisfm.view.viewpoint import in_sight
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
 Box = tuple[NDArray[np.float64], NDArray[np.float64]]
-_HANDLE = 0.2  # length of the arrows, over the median depth
-_NEAR = 1.5  # median depths: it does not begin around what is farther
-_OUTSIDE = 2.0  # percent of the points that are beyond each side at first
-_SHARES = np.linspace(1.0, 0.2, 33)  # of what is around the points, largest first
-_STEPS = 50  # of the fields, in the median depth
+# Set by hand.
+_HANDLE_LENGTH = 0.2  # of the arrows of a handle, in median depths
+_MAX_DEPTH = 1.5  # in median depths: the first box leaves out farther points
+_OUTSIDE = 2.0  # percent of the points beyond each side of the first box
+_SHARES = np.linspace(1.0, 0.2, 33)  # sizes of the first box that are tried, largest first
+_STEPS = 50  # steps of the number fields in a median depth
 
 
 class ClippingBox:
-    """The box as the controls have it.
+    """The box that the controls choose.
 
     Parameters
     ----------
     server : ViserServer
     controls : Controls
-        A handle that is dragged changes their numbers.
-    scene : SceneView
+        Dragging a handle changes their numbers.
+    scene : ViewerScene
     """
 
-    def __init__(self, server: "ViserServer", controls: Controls, scene: SceneView) -> None:
+    def __init__(self, server: "ViserServer", controls: Controls, scene: ViewerScene) -> None:
         self._server, self._scene = server, scene
         self._is_on, self._corners = controls.box, (controls.box_low, controls.box_high)
         self._handles: list[Any] = []
@@ -43,20 +44,20 @@ class ClippingBox:
 
     @property
     def ends(self) -> Box | None:
-        """Least and greatest coordinates, (3,) each; None if nothing is clipped."""
+        """Least and greatest coordinates, (3,) each; None if the box is off."""
         if not self._is_on.value:
             return None
         corners = np.array([corner.value for corner in self._corners], np.float64)
         return corners.min(axis=0), corners.max(axis=0)
 
-    def begin_around(self, points: Cloud, frame: ViewFrame) -> None:
-        """Let it begin around points of a frame, so small that its handles are in sight."""
+    def begin_around(self, points: FrameCloud, frame: ResultFrame) -> None:
+        """Put the first box around points of a frame, with both handles visible."""
         depth, pose = self._scene.depth, self._scene.pose_of(frame.number)
         step = float(f"{depth / _STEPS:.0e}")
         self._decimals = max(0, 1 - math.floor(math.log10(step)))
         if len(points):
             depths = points.positions[:, 2]
-            near = points.positions[depths <= _NEAR * np.median(depths)]
+            near = points.positions[depths <= _MAX_DEPTH * np.median(depths)]
             world = near @ pose[:3, :3].T + pose[:3, 3]
             ends = np.percentile(world, (_OUTSIDE, 100 - _OUTSIDE), axis=0)
         else:
@@ -71,30 +72,30 @@ class ClippingBox:
             corner.step, corner.precision = step, self._decimals
             corner.value = tuple(np.round(end, self._decimals))
 
-    def forget(self) -> None:
-        """Remove its handles; the next time that it is shown it has others."""
+    def remove_handles(self) -> None:
+        """Remove the handles; `show` makes new ones."""
         for handle in self._handles:
             handle.remove()
         self._handles = []
 
     def show(self) -> None:
-        """Show its edges and handles; nothing if it is off."""
+        """Show the edges and handles of the box, if it is on."""
         self._scene.show_box(self.ends)
         if not self._is_on.value:
-            self.forget()
+            self.remove_handles()
             return
         if not self._handles:
             self._handles = [self._handle(k) for k in range(2)]
         for k, (handle, corner) in enumerate(zip(self._handles, self._corners, strict=True)):
-            # What is being dragged is where the hand is, ahead of what is drawn.
+            # A handle that is being dragged is already ahead of the number field.
             if tuple(corner.value) != self._dragged_to[k]:
                 handle.position = corner.value
 
     def _handle(self, k: int) -> Any:
-        """Return arrows by which a corner is dragged."""
+        """Return arrows that drag a corner."""
         handle = self._server.scene.add_transform_controls(
             f"/handles/corner{k}",
-            scale=_HANDLE * self._scene.depth,
+            scale=_HANDLE_LENGTH * self._scene.depth,
             disable_rotations=True,
             depth_test=False,
             position=self._corners[k].value,

@@ -1,4 +1,4 @@
-"""Colours of pixels by what is looked at, and what the colours mean."""
+"""Colours of points by a quantity, and the legends of these colours."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.results.frame import ViewFrame
+from tisfm.results.frame import ResultFrame
+from tisfm.results.result_frames import ResultFrames
 from tisfm.show import (
     UNCERTAINTY_RANGE,
     UNKNOWN_COLOR,
@@ -26,21 +27,22 @@ _RAMPS: dict[str, Literal["depth", "confidence", "error"]] = {
     "confidence": "confidence",
     "deviation": "error",
 }
-_STOPS = 9  # of the bar of a legend
+_BAR_COLORS = 9  # of a legend, which the browser interpolates; set by hand
+_COVER = 0.75  # share of the colour of a moving object over the grey picture; set by hand
 
 
 @dataclass(frozen=True, kw_only=True)
 class Legend:
-    """What colours mean.
+    """The legend of colours.
 
     Attributes
     ----------
     title : str
-        The quantity and its unit.
+        Quantity and unit.
     colors : tuple of str
         ``#rrggbb``, along a bar or one for each of `ticks`.
     ticks : tuple of str
-        What they stand for: at both ends and between, or one for each colour.
+        Values along the bar, or the name of each colour.
     is_bar : bool
     """
 
@@ -52,25 +54,22 @@ class Legend:
 
 @dataclass(frozen=True, kw_only=True)
 class Ranges:
-    """Ranges of colours and pictures, the same for all frames, or they would flicker.
+    """Ranges of colours, the same for all frames, so that pictures do not flicker.
 
     Attributes
     ----------
     inverse_depth : float
-        What is shown as nearest, in the scale of the scene.
+        Inverse depth of the nearest colour, in the scale of the scene.
     flow : float
-        What is shown as fastest, px.
+        Motion of the fastest colour, px.
     """
 
     inverse_depth: float
     flow: float
 
 
-def pixel_colors(frame: ViewFrame, quantity: Quantity, ranges: Ranges) -> NDArray[np.uint8]:
-    """Return a colour for every pixel of a frame, (H, W, 3) uint8.
-
-    Grey where the quantity is not known.
-    """
+def pixel_colors(frame: ResultFrame, quantity: Quantity, ranges: Ranges) -> NDArray[np.uint8]:
+    """Return a colour for every pixel of a frame, (H, W, 3) uint8; grey if unknown."""
     if quantity == "depth":
         return depth_to_color(frame.inverse_depth, limit=frame.scale * ranges.inverse_depth)
     if quantity == "confidence" and frame.confidence is not None:
@@ -82,7 +81,7 @@ def pixel_colors(frame: ViewFrame, quantity: Quantity, ranges: Ranges) -> NDArra
     if quantity == "object" and frame.labels is not None:
         grey = cv2.cvtColor(frame.picture, cv2.COLOR_RGB2GRAY)[..., None].astype(np.float32)
         own = label_colors(int(frame.labels.max()) + 1)[frame.labels]
-        cover = np.where(frame.labels > 0, 0.75, 0.0).astype(np.float32)[..., None]
+        cover = np.where(frame.labels > 0, _COVER, 0.0).astype(np.float32)[..., None]
         return np.rint((1 - cover) * grey + cover * own).astype(np.uint8)
     if quantity == "image":
         return frame.picture
@@ -90,32 +89,55 @@ def pixel_colors(frame: ViewFrame, quantity: Quantity, ranges: Ranges) -> NDArra
 
 
 def unknown_picture(shape: tuple[int, int]) -> NDArray[np.uint8]:
-    """Return a picture of which nothing is known, (H, W, 3)."""
+    """Return a picture of unknown pixels, (H, W, 3)."""
     return np.full((*shape, 3), UNKNOWN_COLOR, np.uint8)
 
 
-def legend(
-    quantity: Quantity, ranges: Ranges, unit: str, things: tuple[int, ...] = ()
+def legend_of_result(
+    result: ResultFrames, quantity: Quantity, ranges: Ranges, labels: set[int]
 ) -> Legend | None:
-    """Return what the colours of a quantity mean; None for those of the image.
+    """Return the legend of a quantity of a result; None for the colours of the image.
+
+    Parameters
+    ----------
+    result : ResultFrames
+    quantity : str
+    ranges : Ranges
+    labels : set of int
+        Visible labels, for a result without a list of moving objects.
+    """
+    listed = tuple(one.id for one in result.objects) or tuple(sorted(labels))
+    unit = result.unit if result.has_one_scale else "harmonic mean depths of the frame"
+    return legend(quantity, ranges, unit, listed)
+
+
+def object_labels(frame: ResultFrame) -> set[int]:
+    """Return the labels of the moving objects in a frame."""
+    return set() if frame.labels is None else {int(k) for k in np.unique(frame.labels) if k}
+
+
+def legend(
+    quantity: Quantity, ranges: Ranges, unit: str, labels: tuple[int, ...] = ()
+) -> Legend | None:
+    """Return the legend of a quantity; None for the colours of the image.
 
     Parameters
     ----------
     quantity : str
     ranges : Ranges
     unit : str
-        Of depth, in words.
-    things : tuple of int
-        Labels that are seen.
+        Unit of depth, in words.
+    labels : tuple of int
+        Labels of moving objects.
     """
     if quantity == "image":
         return None
     if quantity == "object":
-        own = label_colors(max(things, default=0) + 1)
-        names = ("at rest", *(f"thing {k}" for k in things))
-        shown = [as_hex(own[k]) for k in (0, *things)]
+        own = label_colors(max(labels, default=0) + 1)
+        names = ("at rest", *(f"object {k}" for k in labels))
+        shown = [as_hex(own[k]) for k in (0, *labels)]
         return Legend(title="object", colors=tuple(shown), ticks=names, is_bar=False)
-    bar = color_ramp(_RAMPS[quantity])[:: 255 // (_STOPS - 1)]
+    bar = color_ramp(_RAMPS[quantity])[:: 255 // (_BAR_COLORS - 1)]
     if quantity == "depth":
         top = ranges.inverse_depth or 1.0
         title, ticks = f"depth Z, {unit}", ["∞", f"{2 / top:.3g}", f"{1 / top:.3g}"]

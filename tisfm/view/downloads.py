@@ -1,4 +1,4 @@
-"""What a browser can save: a screenshot, a fly-through, a page that plays by itself."""
+"""Files that a browser can save: a screenshot, a fly-through, a page that plays by itself."""
 
 import io
 import tempfile
@@ -18,39 +18,42 @@ from tisfm.view.viewpoint import FOV
 if TYPE_CHECKING:
     from viser import ClientHandle
 
-    from tisfm.view.page import Page
+    from tisfm.view.page import ViewerPage
 
-MOST_FRAMES = 300  # of a fly-through
+# Set by hand.
+_MAX_FILM_FRAMES = 300
 FILM_SIZE = (540, 960)  # rows and columns, px
+_SWING = 0.15  # rad: half the angle of a film around frames without a common scale
 _TIMEOUT = 120.0  # s, for a browser to draw a picture
-_STATIC_FRAMES, _STATIC_POINTS = 120, 20_000
+_MAX_STATIC_FRAMES = 120  # of a page that plays by itself
+_MAX_STATIC_POINTS = 20_000  # of each of its frames
 
 
-def save_screenshot(page: "Page", client: "ClientHandle") -> None:
-    """Give a browser what it shows, as a PNG file."""
+def save_screenshot(page: "ViewerPage", client: "ClientHandle") -> None:
+    """Give a browser its view as a PNG file."""
     from PIL import Image
 
     height, width = client.camera.image_height, client.camera.image_width
     shown = client.get_render(height, width, transport_format="png", timeout=_TIMEOUT)
     picture = Image.fromarray(shown).convert("RGBA")
-    ground = Image.new("RGBA", picture.size, "white")  # as of the page
+    ground = Image.new("RGBA", picture.size, "white")  # the background of the page
     file = io.BytesIO()
     Image.alpha_composite(ground, picture).convert("RGB").save(file, "PNG")
     name = f"{page.result.names[max(page.number, 0)]}.png"
     client.send_file_download(name, file.getvalue(), save_immediately=True)
 
 
-def save_film(page: "Page", client: "ClientHandle") -> None:
-    """Give a browser a fly-through: along the path, or around where there is none.
+def save_film(page: "ViewerPage", client: "ClientHandle") -> None:
+    """Give a browser a film along the path, or around the frames if there is no path.
 
-    The browser draws each picture. Frames that cannot be read are left out, and told.
+    The browser draws each picture. Frames that cannot be read are left out, with a note.
 
     Raises
     ------
     ImportError
         If PyAV is not installed.
     RuntimeError, TimeoutError
-        If the browser does not draw.
+        If the browser does not answer.
     ValueError
         If no frame can be read.
     """
@@ -58,8 +61,8 @@ def save_film(page: "Page", client: "ClientHandle") -> None:
 
     check_video()
     count = len(page.result.names)
-    numbers = np.unique(np.linspace(0, count - 1, min(count, MOST_FRAMES)).astype(int))
-    before, depth, unread = page.number, page.scene.depth, list[str]()
+    numbers = np.unique(np.linspace(0, count - 1, min(count, _MAX_FILM_FRAMES)).astype(int))
+    first, depth, unread = page.number, page.scene.depth, list[str]()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "film.mp4")
         try:
@@ -71,46 +74,48 @@ def save_film(page: "Page", client: "ClientHandle") -> None:
                         continue
                     pose = behind(page.scene.pose_of(number), depth)
                     if not page.result.has_one_scale:
-                        pose = _swung(pose, depth, 0.15 * np.sin(2 * np.pi * k / len(numbers)))
+                        pose = _swung(pose, depth, _SWING * np.sin(2 * np.pi * k / len(numbers)))
                     film.add(_drawn(client, pose))
                 if len(unread) == len(numbers):
                     raise InputError(f"no frame can be read: {unread[0]}")
         finally:
-            page.show(max(before, 0))
+            page.show(max(first, 0))
         client.send_file_download("fly-through.mp4", path.read_bytes(), save_immediately=True)
-    _tell_unread(page, client, "The film is not complete", unread)
+    _note_unread(page, client, "The film is not complete", unread)
 
 
-def save_static(page: "Page", client: "ClientHandle") -> None:
-    """Give a browser a page that plays without Python, as HTML."""
-    made = static_page(
+def save_static(page: "ViewerPage", client: "ClientHandle") -> None:
+    """Give a browser a page that plays without Python, as an HTML file."""
+    static = static_page(
         page.result,
         quantity=page.controls.color.value,
         ranges=page.ranges,
-        choice=page.choice(_STATIC_POINTS),
-        most_frames=_STATIC_FRAMES,
+        points=page.point_filter(_MAX_STATIC_POINTS),
+        most_frames=_MAX_STATIC_FRAMES,
         frames_per_second=page.controls.speed.value,
         size=page.controls.size.value,
     )
-    client.send_file_download("view.html", made.text.encode(), save_immediately=True)
-    _tell_unread(page, client, "The page is not complete", made.unread)
+    client.send_file_download("view.html", static.text.encode(), save_immediately=True)
+    _note_unread(page, client, "The page is not complete", static.unread)
 
 
-def tell_browser(page: "Page", client: "ClientHandle", title: str, text: str) -> None:
-    """Show a note in a browser, if it is still there."""
+def notify(page: "ViewerPage", client: "ClientHandle", title: str, text: str) -> None:
+    """Show a note in a browser, if it is still connected."""
     if client.client_id in page.server.get_clients():
         client.add_notification(title, text)
 
 
-def _tell_unread(page: "Page", client: "ClientHandle", title: str, unread: Sequence[str]) -> None:
-    """Say in a browser which frames are left out, if any are."""
+def _note_unread(
+    page: "ViewerPage", client: "ClientHandle", title: str, unread: Sequence[str]
+) -> None:
+    """Note in a browser which frames were left out."""
     if unread:
         frames = "1 frame cannot" if len(unread) == 1 else f"{len(unread)} frames cannot"
-        tell_browser(page, client, title, f"{frames} be read: {unread[0]}")
+        notify(page, client, title, f"{frames} be read: {unread[0]}")
 
 
 def _drawn(client: "ClientHandle", pose: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Return what a browser draws as seen from a pose, (H, W, 3) uint8."""
+    """Return the view of a browser from a pose, (H, W, 3) uint8."""
     picture = client.get_render(
         *FILM_SIZE,
         wxyz=quaternion(pose),
@@ -123,7 +128,7 @@ def _drawn(client: "ClientHandle", pose: NDArray[np.float64]) -> NDArray[np.uint
 
 
 def _swung(pose: NDArray[np.float64], depth: float, angle: float) -> NDArray[np.float64]:
-    """Return a pose turned about what it looks at, by an angle about its Y axis, rad."""
+    """Return a pose turned about a point ahead of it, by an angle about its Y axis, rad."""
     turn = np.eye(4)
     turn[:3, :3] = (
         (np.cos(angle), 0, np.sin(angle)),

@@ -1,33 +1,33 @@
-"""The points of a frame, as far as thresholds and a box leave them."""
+"""The points of a frame, filtered by thresholds and a box."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.results.frame import ViewFrame
+from tisfm.results.frame import ResultFrame
 from tisfm.view.colors import Quantity, Ranges, pixel_colors
 
-FARTHEST_MEDIANS = 10.0  # depths, as of point clouds: farther depth is a guess
+MAX_DEPTH = 10.0  # in median depths: farther depth is a guess, as in `tisfm.point_cloud`
 
 
 @dataclass(frozen=True, kw_only=True)
-class Choice:
-    """Which points of a frame are shown.
+class PointFilter:
+    """Selects the points of a frame.
 
     Attributes
     ----------
     min_confidence : float
-        In [0, 1]; where a result has no confidence, all pixels pass.
+        In [0, 1]. Without confidence all pixels pass.
     max_deviation : float
-        Relative deviation of depth, as a share; infinite for no limit. Where a result has
-        deviations, pixels without one are left out below infinity.
+        Relative deviation of depth, as a share; infinite for no limit. With a limit, pixels of
+        unknown deviation are left out, if the result has deviations.
     box : ((3,), (3,)) or None
         Least and greatest coordinates, in the world of the scene.
     most_points : int
-        Pixels are left out, in a regular grid, until there are at most so many.
+        Limit of the points: every n-th row and column is taken.
     with_hidden : bool
-        Whether to show pixels that are not visible in the next frame.
+        Whether pixels pass that are not visible in the next frame.
     """
 
     min_confidence: float = 0.0
@@ -38,8 +38,8 @@ class Choice:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Cloud:
-    """Points of a frame, in the axes of its camera, in the scale of the scene.
+class FrameCloud:
+    """Points of a frame, in the axes of its camera and the scale of the scene.
 
     Attributes
     ----------
@@ -47,11 +47,11 @@ class Cloud:
         X right, Y down, Z forward.
     colors : (N, 3) uint8
     pixels : (N, 2) int32
-        Row and column of each.
+        Row and column of each point.
     step : int
-        Every so many rows and columns were taken.
+        Distance of the rows and columns that were taken, px.
     size : float
-        Of a point, so that neighbours touch at the median depth.
+        Size of a point at which neighbours touch at the median depth.
     """
 
     positions: NDArray[np.float32]
@@ -64,37 +64,37 @@ class Cloud:
         return len(self.positions)
 
 
-def cloud(
-    frame: ViewFrame,
+def frame_cloud(
+    frame: ResultFrame,
     quantity: Quantity,
     ranges: Ranges,
-    choice: Choice,
+    points: PointFilter,
     pose: NDArray[np.float64] | None = None,
-) -> Cloud:
+) -> FrameCloud:
     """Return the points of a frame.
 
     Parameters
     ----------
-    frame : ViewFrame
+    frame : ResultFrame
     quantity : str
-        What the points are coloured by.
+        Gives the colours of the points.
     ranges : Ranges
-    choice : Choice
+    points : PointFilter
     pose : (4, 4), optional
         Camera to world, for the box; by default the world is that of the camera.
     """
-    kept = _passing(frame, choice)
-    step = _step(int(kept.sum()), choice.most_points)
+    kept = _passing(frame, points)
+    step = _step(int(kept.sum()), points.most_points)
     rows, columns = np.nonzero(kept[::step, ::step])
     rows, columns = step * rows, step * columns
     positions = _positions(frame, rows, columns)
-    if choice.box is not None and len(positions):
+    if points.box is not None and len(positions):
         world = positions if pose is None else positions @ pose[:3, :3].T + pose[:3, 3]
-        low, high = choice.box
+        low, high = points.box
         inside = ((world >= low) & (world <= high)).all(axis=1)
         rows, columns, positions = rows[inside], columns[inside], positions[inside]
     median = float(np.median(positions[:, 2])) if len(positions) else 1.0
-    return Cloud(
+    return FrameCloud(
         positions=positions,
         colors=pixel_colors(frame, quantity, ranges)[rows, columns],
         pixels=np.stack([rows, columns], axis=-1).astype(np.int32),
@@ -103,29 +103,29 @@ def cloud(
     )
 
 
-def _passing(frame: ViewFrame, choice: Choice) -> NDArray[np.bool_]:
-    """Return which pixels thresholds leave, (H, W) bool."""
+def _passing(frame: ResultFrame, points: PointFilter) -> NDArray[np.bool_]:
+    """Return which pixels pass the thresholds, (H, W) bool."""
     kept = frame.has_depth
-    if frame.hidden is not None and not choice.with_hidden:
+    if frame.hidden is not None and not points.with_hidden:
         kept &= ~frame.hidden
-    if frame.confidence is not None and choice.min_confidence > 0:
-        kept &= frame.confidence >= choice.min_confidence
-    if frame.relative_deviation is not None and np.isfinite(choice.max_deviation):
-        kept &= frame.relative_deviation <= choice.max_deviation  # not so where it is NaN
+    if frame.confidence is not None and points.min_confidence > 0:
+        kept &= frame.confidence >= points.min_confidence
+    if frame.relative_deviation is not None and np.isfinite(points.max_deviation):
+        kept &= frame.relative_deviation <= points.max_deviation  # false for NaN
     if kept.any():
-        least = float(np.median(frame.inverse_depth[kept])) / FARTHEST_MEDIANS
+        least = float(np.median(frame.inverse_depth[kept])) / MAX_DEPTH
         kept &= frame.inverse_depth >= least
     return kept
 
 
 def _step(count: int, most: int) -> int:
-    """Return which rows and columns to take so that about so many of the pixels are left."""
+    """Return the distance of rows and columns that leaves at most so many of `count` pixels."""
     return max(1, int(np.ceil(np.sqrt(count / max(most, 1)))))
 
 
 def _positions(
-    frame: ViewFrame, rows: NDArray[np.intp], columns: NDArray[np.intp]
+    frame: ResultFrame, rows: NDArray[np.intp], columns: NDArray[np.intp]
 ) -> NDArray[np.float32]:
-    """Return where pixels are in the scene, (N, 3), in the axes of the camera."""
+    """Return the points of pixels, (N, 3), in the axes of the camera."""
     depth = np.float32(frame.scale) / frame.inverse_depth[rows, columns]
     return frame.rays(rows, columns) * depth[:, None]

@@ -1,109 +1,109 @@
-"""The layer of the page with what several frames show together."""
+"""The layer of the page with the fused points or surface of several frames."""
 
 import threading
 from collections.abc import Callable
 
 import numpy as np
 
-from tisfm.results.fused_scene import Whole, WholeKind, clipped
-from tisfm.results.result import Result
+from tisfm.results.fused_scene import FusedKind, FusedScene, clipped
+from tisfm.results.result_frames import ResultFrames
 from tisfm.view.clipping_box import Box
-from tisfm.view.controls import NO_WHOLE, Controls
+from tisfm.view.controls import NOT_FUSED, Controls
 from tisfm.view.html_texts import note_html, set_html
-from tisfm.view.scene import SceneView
+from tisfm.view.scene import ViewerScene
 
-Key = tuple[WholeKind, int]
+Key = tuple[FusedKind, int]
 
 
-class WholeLayer:
-    """Shows what the controls ask for, as soon as it is there; meanwhile the page goes on.
+class FusedLayer:
+    """Shows the fused scene that the controls choose; another thread makes it meanwhile.
 
     Parameters
     ----------
     controls : Controls
-    scene : SceneView
-    result : Result
+    scene : ViewerScene
+    result : ResultFrames
     do : callable
-        Has a function called in the thread that draws.
+        Has a function called by the drawing thread.
     """
 
     def __init__(
         self,
         controls: Controls,
-        scene: SceneView,
-        result: Result,
+        scene: ViewerScene,
+        result: ResultFrames,
         do: Callable[[Callable[[], None]], None],
     ) -> None:
         self._controls, self._scene, self._result, self._do = controls, scene, result, do
-        self._one_at_a_time = threading.Lock()
-        self._asked: Key | None = None
-        self._found: Whole | None = None
+        self._one_thread = threading.Lock()
+        self._requested: Key | None = None
+        self._fused: FusedScene | None = None
         self._drawn: object = None
 
     def update(self, number: int, box: Box | None, size: float) -> None:
-        """Show it for a frame, if it is on; it is made first if it is of another piece.
+        """Show the fused scene of the piece of a frame, if it is on; make it first if needed.
 
         Parameters
         ----------
         number : int
         box : ((3,), (3,)) or None
-            That it is clipped to.
+            Clipping box.
         size : float
             Of points, in the unit of the scene.
         """
-        kind, piece = self._controls.whole.value, int(self._result.piece[number])
-        if kind == NO_WHOLE:
-            self.forget()
+        kind, piece = self._controls.fused.value, int(self._result.piece[number])
+        if kind == NOT_FUSED:
+            self.clear()
             return
-        if (kind, piece) != self._asked:
-            self.forget()
-            self._asked = kind, piece
-            self._note("It is read, or fused now, which may take a while.")
-            arguments = kind, number, self._asked
+        if (kind, piece) != self._requested:
+            self.clear()
+            self._requested = kind, piece
+            self._note("It is read or fused now, which may take a while.")
+            arguments = kind, number, self._requested
             threading.Thread(
-                target=self._make, args=arguments, name="tisfm-view-whole", daemon=True
+                target=self._make, args=arguments, name="tisfm-view-fuse", daemon=True
             ).start()
         ends = None if box is None else tuple(np.concatenate(box))
-        drawn = self._asked, self._found is not None, ends, size
+        drawn = self._requested, self._fused is not None, ends, size
         if drawn != self._drawn:
             self._drawn = drawn
-            shown = None if self._found is None else clipped(self._found, box)
-            self._scene.show_whole(shown, size=size)
+            shown = None if self._fused is None else clipped(self._fused, box)
+            self._scene.show_fused(shown, size=size)
 
-    def forget(self) -> None:
-        """Show nothing; what is asked for next is made anew."""
-        if self._asked is not None:
-            self._asked = self._found = self._drawn = None
-            self._scene.show_whole(None, size=1.0)
+    def clear(self) -> None:
+        """Show nothing, and make the next scene from the beginning."""
+        if self._requested is not None:
+            self._requested = self._fused = self._drawn = None
+            self._scene.show_fused(None, size=1.0)
             self._note("")
 
-    def _make(self, kind: WholeKind, number: int, key: Key) -> None:
-        """Make it, and let the thread that draws take it; it has a thread of its own."""
-        with self._one_at_a_time:
-            if key != self._asked:
+    def _make(self, kind: FusedKind, number: int, key: Key) -> None:
+        """Make a scene, and give it to the drawing thread. Runs in a thread of its own."""
+        with self._one_thread:
+            if key != self._requested:
                 return
-            found, text = None, ""
+            fused, text = None, ""
             try:
-                found = self._result.whole(kind, number)
-                text = _described(found)
+                fused = self._result.fused(kind, number)
+                text = _described(fused)
             except (ImportError, OSError, ValueError) as error:
                 text = " ".join(str(error).split())
-        self._do(lambda: self._take(key, found, text))
+        self._do(lambda: self._set(key, fused, text))
 
-    def _take(self, key: Key, found: Whole | None, text: str) -> None:
-        """Take over what was made, unless something else is asked for by now."""
-        if key == self._asked:
-            self._found = found
+    def _set(self, key: Key, fused: FusedScene | None, text: str) -> None:
+        """Show a scene, unless another one is requested by now."""
+        if key == self._requested:
+            self._fused = fused
             self._note(text)
 
     def _note(self, text: str) -> None:
-        set_html(self._controls.whole_note, note_html(text))
+        set_html(self._controls.fused_note, note_html(text))
 
 
-def _described(whole: Whole) -> str:
-    """Return what a layer is, in words."""
-    if whole.faces is None:
-        text = f"{whole.origin}: {len(whole.positions):,} points"
+def _described(scene: FusedScene) -> str:
+    """Return the source and the size of a scene, in words."""
+    if scene.faces is None:
+        text = f"{scene.origin}: {len(scene.positions):,} points"
     else:
-        text = f"{whole.origin}: {len(whole.faces):,} triangles"
-    return text + (f", thinned to {100 * whole.left:.0f} %" if whole.left < 1 else "")
+        text = f"{scene.origin}: {len(scene.faces):,} triangles"
+    return text + (f", thinned to {100 * scene.kept_share:.0f} %" if scene.kept_share < 1 else "")

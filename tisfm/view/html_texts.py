@@ -1,45 +1,24 @@
-"""What the page says, as HTML: the legend, the reading of a pixel, a distance, the status.
+"""Texts of the page as HTML: legend, reading of a pixel, distance, status.
 
-Markup is written as literals of `markupsafe.Markup`, whose ``format`` and ``join`` escape every
-plain text that is put into them. `set_html` alone gives it to the page.
+The templates, ``tisfm/templates/view.html``, escape all texts. Only `set_html` gives HTML to the
+page.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
 from tisfm.errors import InputTypeError
-from tisfm.results.frame import PixelReading, ViewFrame
-from tisfm.results.result import Result
+from tisfm.results.frame import PixelReading, ResultFrame
+from tisfm.results.result_frames import ResultFrames
 from tisfm.status import STATUSES, UNKNOWN
-from tisfm.view.colors import Legend, Quantity, Ranges, legend
+from tisfm.templates import macro
+from tisfm.view.colors import Legend
 
-_BLOCK = "font-size:0.8em;padding:0.1em 0.75em 0.3em;line-height:1.35"
-
-
-def things_in(frame: ViewFrame) -> set[int]:
-    """Return the labels of things that are seen in a frame."""
-    return set() if frame.labels is None else {int(k) for k in np.unique(frame.labels) if k}
-
-
-def legend_of(
-    result: Result, quantity: Quantity, ranges: Ranges, things: set[int]
-) -> Legend | None:
-    """Return what colours of a quantity mean in a result.
-
-    Parameters
-    ----------
-    result : Result
-    quantity : str
-    ranges : Ranges
-    things : set of int
-        Labels that are seen, for a result that does not name its things.
-    """
-    named = tuple(thing.id for thing in result.objects) or tuple(sorted(things))
-    own = "harmonic mean depths of the frame"
-    return legend(quantity, ranges, result.unit if result.has_one_scale else own, named)
+_TEMPLATE = "view.html"
+NOTHING = Markup()
 
 
 def set_html(control: Any, content: Markup) -> None:
@@ -48,7 +27,7 @@ def set_html(control: Any, content: Markup) -> None:
     Raises
     ------
     TypeError
-        If it is plain text: its characters are not escaped.
+        If it is plain text, whose characters are not escaped.
     """
     if not isinstance(content, Markup):
         raise InputTypeError(f"content is {content!r}: expected Markup, in which texts are escaped")
@@ -56,34 +35,14 @@ def set_html(control: Any, content: Markup) -> None:
 
 
 def legend_html(legend: Legend | None) -> Markup:
-    """Return a legend: a bar with numbers, or a patch for each thing."""
-    if legend is None:
-        return Markup()
-    title = Markup("<div>{}</div>").format(legend.title)
-    if legend.is_bar:
-        return _block(
-            title,
-            Markup(
-                '<div style="height:0.8em;background:linear-gradient(to right,{})"></div>'
-            ).format(",".join(legend.colors)),
-            Markup('<div style="display:flex;justify-content:space-between">{}</div>').format(
-                Markup().join(Markup("<span>{}</span>").format(tick) for tick in legend.ticks)
-            ),
-        )
-    rows = (
-        Markup(
-            '<div><span style="display:inline-block;width:0.8em;height:0.8em;margin-right:0.4em;'
-            'background:{}"></span>{}</div>'
-        ).format(color, tick)
-        for color, tick in zip(legend.colors, legend.ticks, strict=True)
-    )
-    return _block(title, *rows)
+    """Return a legend: a bar with numbers, or a patch of colour for each label."""
+    return NOTHING if legend is None else macro(_TEMPLATE, "legend", legend)
 
 
 def reading_html(reading: PixelReading | None, unit: str) -> Markup:
-    """Return what is known of a pixel, a line for each quantity, with deviations."""
+    """Return the values of a pixel with deviations, a line for each quantity."""
     if reading is None:
-        return _block("Click a point, or a pixel of the picture in the frustum.")
+        return _text("Click a point, or a pixel of the picture in the frustum.")
     rows = [("pixel", f"column {reading.column}, row {reading.row}")]
     if reading.depth is None:
         rows.append(("Z", "no depth"))
@@ -95,77 +54,74 @@ def reading_html(reading: PixelReading | None, unit: str) -> Markup:
     if reading.confidence is not None:
         rows.append(("confidence", f"{reading.confidence:.3f}"))
     if reading.label is not None:
-        rows.append(("object", f"thing {reading.label}" if reading.label else "at rest"))
+        rows.append(("object", f"object {reading.label}" if reading.label else "at rest"))
     if reading.hidden:
         rows.append(("", "not visible in the next frame"))
-    cells = Markup().join(
-        Markup(
-            '<tr><td style="padding-right:0.7em;vertical-align:top"><b>{}</b></td><td>{}</td></tr>'
-        ).format(name, value)
-        for name, value in rows
-    )
-    return _block(Markup('<table data-testid="reading">{}</table>').format(cells))
+    return macro(_TEMPLATE, "reading", rows)
 
 
 def outside_html(row: int, column: int, shape: tuple[int, int]) -> Markup:
-    """Return that there is no such pixel, and how many rows and columns the frame has."""
+    """Return that a pixel lies outside the frame, and the size of the frame."""
     height, width = shape
     text = f"Column {column}, row {row} is outside: the frame has {height} × {width}"
-    return _marked("outside", f"{text}, rows by columns.")
+    return _lines("outside", [f"{text}, rows by columns."])
 
 
-def status_html(result: Result, frame: ViewFrame | None, number: int, fault: str = "") -> Markup:
-    """Return which frame is looked at, its time, its status, and where it is of no use why."""
-    parts: list[str] = [
-        Markup("<b>{}</b>, {} of {}").format(result.names[number], number + 1, len(result.names))
-    ]
+def status_html(
+    result: ResultFrames, frame: ResultFrame | None, number: int, fault: str = ""
+) -> Markup:
+    """Return name, number, time and status of a frame, with advice or the reason of a fault."""
+    lines = [f", {number + 1} of {len(result.names)}"]
     time = result.times[number]
     if time is not None:
-        parts.append(f"{time:.3f} s")
+        lines.append(f"{time:.3f} s")
     if fault:
-        parts.append(fault)
+        lines.append(fault)
     elif frame is not None:
         status = frame.status
-        parts.append(str(status))
+        lines.append(str(status))
         if status not in STATUSES:
-            parts.append(UNKNOWN)
+            lines.append(UNKNOWN)
         if str(status) != "converged" and status.message:
-            parts.append(status.message)
+            lines.append(status.message)
         if result.has_one_scale and result.piece[number] < 0:
-            parts.append("it has no pose: it is shown at the origin")
-    return _marked("status", *parts)
+            lines.append("it has no pose: it is shown at the origin")
+    return _lines("status", lines, bold=result.names[number])
 
 
 def note_html(text: str) -> Markup:
     """Return a note below a control."""
-    return _marked("note", text) if text else Markup()
+    return _lines("note", [text]) if text else NOTHING
 
 
-def waiting_html(reason: str, how_far: str = "", *, is_going_on: bool = True) -> Markup:
-    """Return why there is nothing to look at yet, or will not be, and how far it is."""
-    parts: list[str] = [Markup("<b>{}.</b>").format(reason)]
-    if how_far:
-        parts.append(f"{how_far}.")
-    if is_going_on:
-        parts.append("This page shows it as soon as it is there.")
+def waiting_html(reason: str, progress: str = "", *, is_running: bool = True) -> Markup:
+    """Return why there is nothing to look at, how far the run is, and whether it goes on."""
+    lines = ["", f"{progress}."] if progress else [""]
+    if is_running:
+        lines.append("This page shows the result as soon as there is one.")
     else:
-        parts.append("This page has ended.")
-    return _marked("waiting", *parts)
+        lines.append("This page has ended.")
+    return _lines("waiting", lines, bold=f"{reason}.")
 
 
 def progress_html(done: int, total: int) -> Markup:
     """Return how many pictures of a film are drawn."""
-    return Markup("<div>picture {} of {}</div>").format(done, total)
+    return _text(f"picture {done} of {total}")
 
 
 def distance_html(points: list[np.ndarray], scale: float, unit: str) -> Markup:
-    """Return the distance of two points in the scene, in the unit of the result."""
+    """Return the distance of two points of the scene, in the unit of the result."""
     if not points:
-        return _block("Click two points.")
+        return _text("Click two points.")
     if len(points) == 1:
-        return _block("Click the second point.")
+        return _text("Click the second point.")
     distance = float(np.linalg.norm(points[1] - points[0])) / scale
-    return _marked("distance", f"distance {distance:.4g} ({unit})")
+    return _lines("distance", [f"distance {distance:.4g} ({unit})"])
+
+
+def foot_html(legend: Markup, caption: str) -> Markup:
+    """Return the legend and the caption at the foot of a page that plays by itself."""
+    return macro(_TEMPLATE, "foot", legend, caption)
 
 
 def _vector(values: Iterable[float] | None, deviations: Iterable[float] | None, unit: str) -> str:
@@ -184,11 +140,10 @@ def _with_deviation(values: Iterable[float], deviations: Iterable[float | None] 
     return shown[0] if len(shown) == 1 else f"({', '.join(shown)})"
 
 
-def _marked(name: str, *lines: str) -> Markup:
-    """Return lines below each other, in an element of this name for tests."""
-    text = Markup("<br>").join(lines)
-    return _block(Markup('<div data-testid="{}">{}</div>').format(name, text))
+def _text(line: str) -> Markup:
+    return macro(_TEMPLATE, "text", line)
 
 
-def _block(*parts: str) -> Markup:
-    return Markup('<div style="{}">{}</div>').format(_BLOCK, Markup().join(parts))
+def _lines(name: str, lines: Sequence[str], *, bold: str = "") -> Markup:
+    """Return lines below one another, in an element that tests find by a name."""
+    return macro(_TEMPLATE, "lines", name, lines, bold)

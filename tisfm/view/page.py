@@ -1,152 +1,138 @@
-"""The page: what the controls ask for is drawn, coarse first, then in full."""
+"""The page of the viewer: shows the frame, the points and the pictures that its controls choose."""
 
 import contextlib
-import threading
-import time
-import traceback
 from collections.abc import Callable
-from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from markupsafe import Markup
 from numpy.typing import NDArray
 
-from tisfm.results.frame import ViewFrame
-from tisfm.results.frame_cache import MOST_BYTES, FrameCache
-from tisfm.results.result import Result
+from tisfm.results.frame import ResultFrame
+from tisfm.results.frame_cache import MAX_BYTES, FrameCache
+from tisfm.results.result_frames import ResultFrames, as_rgb
 from tisfm.view.browsers import Browsers
 from tisfm.view.clipping_box import ClippingBox
-from tisfm.view.colors import pixel_colors
-from tisfm.view.controls import ANY_DEVIATION, build_controls, kind_of, take_settings
-from tisfm.view.downloads import save_film, save_screenshot, save_static, tell_browser
-from tisfm.view.frame_cloud import Choice, Cloud, cloud
-from tisfm.view.fused_layer import WholeLayer
-from tisfm.view.html_texts import legend_html, legend_of, set_html, status_html, things_in
+from tisfm.view.colors import legend_of_result, object_labels, pixel_colors
+from tisfm.view.controls import ANY_DEVIATION, build_controls, copy_settings, features_of
+from tisfm.view.downloads import notify, save_film, save_screenshot, save_static
+from tisfm.view.drawing_thread import DrawingThread
+from tisfm.view.frame_cloud import FrameCloud, PointFilter, frame_cloud
+from tisfm.view.fused_layer import FusedLayer
+from tisfm.view.html_texts import NOTHING, legend_html, set_html, status_html
 from tisfm.view.marks import Marks
 from tisfm.view.pictures import caption, picture_of
+from tisfm.view.playback import Playback
 from tisfm.view.ranges import differ, ranges_of, sampled
-from tisfm.view.scene import SceneView, thumbnail
+from tisfm.view.scene import ViewerScene, thumbnail
 from tisfm.view.server import start_server, stop_server, url_of
 
 if TYPE_CHECKING:
     from viser import ClientHandle, ViserServer
 
-COARSE = 15_000  # points that are drawn at once; all others follow when nothing changes
-_REST = 0.25  # s without a change before the rest is drawn
-_CHECK, _SETTLED = 0.05, 1.0  # s: between looks for a browser, and until one has drawn
-_LOOK = 1.0  # s between looks at the folder
-_GROWN = 1.2  # times as many frames, for the path to be drawn anew, and ranges to be looked at
-_OTHER_RANGE = 1.25  # times as large or as small: before that, colours stay as they are
-_OTHER_SIZE = 1.5  # times as large or as small: a scene that browsers look at from elsewhere
-_PICTURE = 420  # px, pictures beside the scene
+# Set by hand.
+COARSE = 15_000  # points of a frame right after a change
+_GROWTH = 1.2  # ratio of frame counts from which path and ranges of a growing result are renewed
+_RANGE_CHANGE = 1.25  # ratio of ranges up to which colours stay as they are
+_SIZE_CHANGE = 1.5  # ratio of scene depths from which browsers look from elsewhere
+_PICTURE_WIDTH = 420  # px, of pictures beside the scene
 
 
-class Page:
+class ViewerPage:
     """A page that shows a result to all browsers that open it.
-
-    One thread draws; the controls only say that something has changed. So a browser that is
-    slower than the changes misses some of them, and none is drawn twice.
 
     Parameters
     ----------
-    result : Result
-        It has at least one frame.
+    result : ResultFrames
+        With at least one frame.
     host : str
-        The address that is listened at.
+        Address of the server.
     port : int
-        The first port that is tried, 0 for any.
+        First port that is tried, 0 for any.
     number : int
-        The frame that is looked at first.
+        Frame that is shown first.
     most_points : int
-        Of a frame, at first.
-    most_bytes : int
-        Of frames that are kept in memory.
+        Initial limit of the points of a frame.
+    max_bytes : int
+        Limit of the frames in memory.
     patience : float
-        For how long, s, only the first picture is made, unless a browser comes.
+        For so long, s, only the first coarse picture is drawn, unless a browser comes.
     server : ViserServer, optional
-        One that has shown something else so far, in place of one at `host` and `port`.
+        A running server to take over, in place of one at `host` and `port`.
 
     Raises
     ------
     ImportError
         If viser is not installed.
     OSError
-        If it cannot listen there.
+        If the server cannot listen at the address.
     """
 
     def __init__(
         self,
-        result: Result,
+        result: ResultFrames,
         *,
         host: str = "127.0.0.1",
         port: int = 8080,
         number: int = 0,
         most_points: int = 200_000,
-        most_bytes: int = MOST_BYTES,
+        max_bytes: int = MAX_BYTES,
         patience: float = 0.0,
         server: "ViserServer | None" = None,
     ) -> None:
         self.result = result
-        self.cache = FrameCache(result, most_bytes)
-        self.number, self.fault, self._patience = -1, "", patience
-        self.frame: ViewFrame | None = None
-        self.points: Cloud | None = None
+        self.cache = FrameCache(result, max_bytes)
+        self.number, self.fault = -1, ""
+        self.frame: ResultFrame | None = None
+        self.points: FrameCloud | None = None
         self.server = start_server(host, port) if server is None else server
-        self.scene = SceneView(self.server, result)
+        self.scene = ViewerScene(self.server, result)
         self.browsers = Browsers(
             self.server, self.scene, is_followed=lambda: self.controls.follow.value
         )
-        self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
-        self._wake, self._stopping = threading.Event(), threading.Event()
-        self._is_stale, self._is_coarse, self._changed_at = False, True, 0.0
-        self._playing_since: tuple[float, int] | None = None
-        self._looked_at = time.monotonic()
-        self._shown_path: tuple[int, bool] | None = None
-        self._path_of = self._ranges_of = 0  # frames, when they were drawn, or taken, last
-        self._without_picture: list[int] = []
+        self.playback = Playback()
+        self.thread = DrawingThread(self, patience=patience)
+        self._path_shown: tuple[int, bool] | None = None  # piece, and whether seen from inside
+        self._path_frames = self._range_frames = 0  # frames when path, ranges were last renewed
+        self._missing_thumbnails: list[int] = []
         if server is not None:
             server.gui.reset()
         self._build_controls(most_points)
         self._begin(number)
         self.server.scene.on_click()(lambda event: self._clicked(event))
         self.server.on_client_connect(self.browsers.welcome)
-        self._draw(most=COARSE)
-        self.browsers.go_all()  # they look at what was shown before
-        self._thread = threading.Thread(target=self._work, name="tisfm-view", daemon=True)
-        self._thread.start()
+        self.draw(coarse=True)
+        self.browsers.go_all()  # browsers of a server that was taken over look elsewhere
+        self.thread.start()
 
     @property
     def url(self) -> str:
-        """Where a browser finds it."""
+        """Address for a browser."""
         return url_of(self.server)
 
     def stop(self) -> None:
-        """End the page; browsers keep what they show."""
-        self._stopping.set()
-        self._wake.set()
-        self._thread.join(timeout=10)
+        """Stop the server; browsers keep what they show."""
+        self.thread.stop()
         stop_server(self.server)
 
-    def choice(self, most: int | None = None) -> Choice:
-        """Return which points the controls ask for, at most so many."""
+    def point_filter(self, most: int | None = None) -> PointFilter:
+        """Return the filter that the controls choose, with at most so many points."""
         controls = self.controls
         deviation = controls.max_deviation.value
-        asked = 1000 * int(controls.most.value)
-        return Choice(
+        limit = 1000 * int(controls.most.value)
+        return PointFilter(
             min_confidence=controls.min_confidence.value,
             max_deviation=np.inf if deviation >= ANY_DEVIATION else deviation / 100,
             box=self.box.ends,
-            most_points=asked if most is None else min(most, asked),
+            most_points=limit if most is None else min(most, limit),
             with_hidden=controls.hidden.value,
         )
 
-    def show(self, number: int, most: int | None = None) -> Cloud | None:
-        """Show a frame, as the controls ask for it; return its points, None if it has none.
+    def show(self, number: int, most: int | None = None) -> FrameCloud | None:
+        """Show a frame as the controls choose; return its points, None if it cannot be read.
 
-        It belongs to the thread that draws.
+        Only the drawing thread may call this.
         """
-        self._take_frame(number)
+        self._set_frame(number)
         frame, controls = self.frame, self.controls
         with self.server.atomic():
             if frame is None:
@@ -161,238 +147,182 @@ class Page:
                 else:
                     self.scene.show_points(self.points, frame, size=controls.size.value)
                 self.scene.set_visible("points", controls.with_frame.value)
-                self.scene.show_here(frame, visible=not controls.follow.value)
+                self.scene.show_frustum(frame, visible=not controls.follow.value)
                 spacing = self.scene.depth / frame.camera.focal
-                self.whole.update(number, self.box.ends, controls.size.value * spacing)
+                self.fused.update(number, self.box.ends, controls.size.value * spacing)
                 self.box.show()
             self._show_path(number)
         self.browsers.points = self.points
         return self.points
 
-    def _take_frame(self, number: int) -> None:
-        """Read the frame that is shown from now on."""
-        self.number, self.frame = number, self._read(number)
-        self.marks.frame = self.browsers.frame = self.frame
+    # Called by the drawing thread.
 
-    def _points_of(self, frame: ViewFrame, most: int | None) -> Cloud:
-        """Return the points of a frame that the controls ask for, at most so many."""
-        pose = self.scene.pose_of(frame.number)
-        return cloud(frame, self.controls.color.value, self.ranges, self.choice(most), pose)
+    def pick(self, origin: NDArray[np.float64], direction: NDArray[np.float64]) -> None:
+        """Mark or measure the point that a ray in the world hits."""
+        self.marks.pick(origin, direction, self.points)
+        self._show_pictures()
 
-    # What is shown first, and where the result is replaced.
+    def mark(self, row: int, column: int) -> None:
+        """Mark a pixel, and show its values."""
+        self.marks.mark(row, column)
+        self._show_pictures()
 
-    def _build_controls(self, most_points: int) -> None:
-        """Make the controls that suit the result, and what goes by them."""
-        with self.server.atomic():
-            self.controls = build_controls(self.server, self.result, most_points=most_points)
-        self.marks = Marks(self.controls, self.scene, self.result)
-        self.box = ClippingBox(self.server, self.controls, self.scene)
-        self.whole = WholeLayer(self.controls, self.scene, self.result, self._put_and_redraw)
-        self._kind = kind_of(self.result)
-        self._listen()
-
-    def _begin(self, number: int) -> None:
-        """Take sizes, ranges, and where browsers and the clipping box begin, from a frame."""
-        first = self._read(number)
-        self.ranges, self._ranges_of = ranges_of([first] if first else [], with_flow=False), 0
-        self.scene.begin(1.0 if first is None else first.usual_depth)
-        if first is not None:
-            points = self._points_of(first, COARSE)
-            self.scene.place_browsers(first, points)
-            if not self.controls.box.value:
-                self.box.begin_around(points, first)
-        self.controls.frame.value = number
-        self._jobs.put(self._widen_ranges)
-
-    def _begin_anew(self, number: int) -> None:
-        """Show another result in place of the one so far; what was set stays as far as it can."""
-        depth = self.scene.depth
-        self.cache.clear()
-        self.whole.forget()
-        self.marks.clear_measured()
-        self.number, self._shown_path = -1, None
-        if kind_of(self.result) != self._kind:
-            before, pixel = self.controls, self.marks.pixel
-            self.box.forget()
-            with self.server.atomic():
-                self.server.gui.reset()
-                self._build_controls(before.most.value * 1000)
-                take_settings(self.controls, before)
-            self.marks.pixel = pixel
-            self.controls.play.label = before.play.label
-        self._set_last()
-        self._begin(number)
-        self.box.forget()
-        self._restart_play()
-        self._draw(most=COARSE)
-        if abs(np.log(self.scene.depth / depth)) > np.log(_OTHER_SIZE):
-            self.browsers.go_all()
-        self._change(path=True)
-
-    # What a browser asks for.
-
-    def _listen(self) -> None:
-        """Take note of what the controls and clicks ask for."""
-        controls = self.controls
-        for control in controls.redrawing:
-            control.on_update(lambda _: self._change())
-        controls.frame.on_update(self._slid)
-        for control in (controls.path, controls.frusta, controls.things, controls.pictures):
-            control.on_update(lambda _: self._change(path=True))
-        controls.play.on_click(lambda _: self._toggle_play())
-        controls.go.on_click(lambda event: self.browsers.go(event.client))
-        controls.speed.on_update(lambda _: self._restart_play())
-        controls.pixel.on_update(lambda event: self._mark_typed(event.client is not None))
-        controls.measure.on_update(lambda _: self._measure_anew())
-        controls.clear.on_click(lambda _: self._measure_anew())
-        controls.screenshot.on_click(lambda event: self._do(save_screenshot, event.client))
-        controls.film.on_click(lambda event: self._do(save_film, event.client))
-        controls.static.on_click(lambda event: self._do(save_static, event.client))
-
-    def _put_and_redraw(self, job: Callable[[], None]) -> None:
-        """Have a job done by the thread that draws, and what is shown drawn anew after it."""
-        self._jobs.put(job)
-        self._change()
-
-    def _change(self, *, path: bool = False) -> None:
-        if path:
-            self._shown_path = None
-        self._is_stale = True
-        self._wake.set()
-
-    def _do(self, job: "Callable[[Page, ClientHandle], None]", client: "ClientHandle") -> None:
-        """Have something saved for a browser."""
-
-        def done() -> None:
-            try:
-                job(self, client)
-            except (ImportError, OSError, RuntimeError, ValueError) as error:
-                tell_browser(self, client, "It was not saved", " ".join(str(error).split()))
-            set_html(self.controls.progress, Markup())
-
-        self._jobs.put(done)
-        self._wake.set()
-
-    def _toggle_play(self) -> None:
-        playing = self._playing_since is None
-        self.controls.play.label = "Pause" if playing else "Play"
-        self._playing_since = (
-            (time.monotonic(), int(self.controls.frame.value)) if playing else None
-        )
-        self._wake.set()
-
-    def _slid(self, event: Any) -> None:
-        """Draw another frame, and let playing go on from where somebody moved the slider."""
-        if int(self.controls.frame.value) != self.number:
-            self._change()
-        if event.client is not None:
-            self._restart_play()
-
-    def _restart_play(self) -> None:
-        if self._playing_since is not None:
-            self._playing_since = (time.monotonic(), int(self.controls.frame.value))
-
-    def _clicked(self, event: Any) -> None:
-        origin, direction = event.ray_origin, event.ray_direction
-        self._jobs.put(lambda: self._pick(np.array(origin), np.array(direction)))
-        self._wake.set()
-
-    def _mark_typed(self, is_typed: bool) -> None:
-        if is_typed:
-            column, row = (int(part) for part in self.controls.pixel.value)
-            self._jobs.put(lambda: self._mark(row, column))
-            self._wake.set()
-
-    def _measure_anew(self) -> None:
-        self._jobs.put(lambda: self.marks.clear_measured())
-        self._wake.set()
-
-    # What the thread does.
-
-    def _work(self) -> None:
-        self._await_browser()
-        while not self._stopping.is_set():
-            self._wake.wait(self._pause())
-            self._wake.clear()
-            if self._stopping.is_set():
-                return
-            try:
-                self._step()
-            except Exception:  # a bug: it is told, and the page goes on
-                traceback.print_exc()
-
-    def _await_browser(self) -> None:
-        """Leave the processor to a browser until it shows the first picture, or asks for more."""
-        end = time.monotonic() + self._patience
-        while time.monotonic() < end and not self.server.get_clients():
-            if self._wake.wait(_CHECK):
-                return
-        if self._patience > 0:
-            self._wake.wait(_SETTLED)
-
-    def _step(self) -> None:
-        """Do what is to be done now."""
-        with contextlib.suppress(Empty):
-            while True:
-                self._jobs.get_nowait()()
-        self._play()
-        now = time.monotonic()
-        if self._is_stale:
-            self._is_stale, self._is_coarse, self._changed_at = False, True, now
-            self._draw(most=COARSE)
-        elif self._is_coarse and now - self._changed_at > _REST:
-            self._is_coarse = False
-            self._draw(most=None)
-        elif self._without_picture and self._playing_since is None:
-            self._give_picture(self._without_picture.pop(0))
-        if now - self._looked_at > _LOOK:
-            self._looked_at = now
-            self._look()
-
-    def _pause(self) -> float:
-        """Return how long to wait for a change, s."""
-        if self._is_stale:
-            return 0.0
-        if self._playing_since is not None:
-            return 0.5 / self.controls.speed.value
-        if self._is_coarse:
-            return _REST
-        return 0.02 if self._without_picture else _LOOK
-
-    def _play(self) -> None:
-        """Go on to the frame whose turn it is; those that there was no time for are left out."""
-        if self._playing_since is None:
-            return
-        since, start = self._playing_since
-        elapsed = int((time.monotonic() - since) * self.controls.speed.value)
-        number = (start + elapsed) % len(self.result.names)
-        if number != int(self.controls.frame.value):
-            self.controls.frame.value = number
-            self._is_stale = True
-
-    def _draw(self, most: int | None) -> None:
-        """Show the frame that the slider is at, and what belongs to it."""
+    def draw(self, *, coarse: bool) -> None:
+        """Show the frame that the slider is at, with its texts and pictures."""
         number = min(int(self.controls.frame.value), len(self.result.names) - 1)
         is_another = number != self.number
         if is_another and self.marks.measured and not self._shares_scale(number):
             self.marks.clear_measured()
-        self.show(number, most)
+        self.show(number, COARSE if coarse else None)
         if is_another:
             self._show_status()
-        if is_another or most == COARSE:
+        if is_another or coarse:
             self._show_pictures()
             self._show_legend()
             self.marks.show_reading()
         if self.controls.follow.value:
             self.browsers.follow_all()
 
-    def _shares_scale(self, number: int) -> bool:
-        """Return whether a frame has the scale of the one that is shown."""
-        piece = self.result.piece
-        return self.number >= 0 and piece[number] == piece[self.number] >= 0
+    def advance(self) -> bool:
+        """Move the slider to the frame that is due; return whether it has moved."""
+        number = self.playback.due(self.controls.speed.value, len(self.result.names))
+        if number is None or number == int(self.controls.frame.value):
+            return False
+        self.controls.frame.value = number
+        return True
 
-    def _read(self, number: int) -> ViewFrame | None:
-        """Return a frame, None if it cannot be read; what is wrong is said."""
+    def seconds_per_frame(self) -> float | None:
+        """Return the time of a frame while playing, else None."""
+        return 1 / self.controls.speed.value if self.playback.is_on else None
+
+    def has_missing_thumbnails(self) -> bool:
+        """Return whether a frustum has no picture yet."""
+        return bool(self._missing_thumbnails)
+
+    def add_thumbnail(self) -> None:
+        """Put the next missing picture into its frustum."""
+        number = self._missing_thumbnails.pop(0)
+        handle = self.scene.frusta.get(number)
+        if handle is not None:
+            with contextlib.suppress(OSError, ValueError):
+                handle.image = thumbnail(as_rgb(self.result.picture(number)))
+
+    def has_browser(self) -> bool:
+        """Return whether a browser shows the page."""
+        return bool(self.server.get_clients())
+
+    def watch_folder(self) -> None:
+        """Take over new frames of the result, or another result in its folder."""
+        number = max(self.number, 0)
+        name, pose = self.result.names[number], self.scene.pose_of(number)
+        try:
+            change = self.result.refresh()
+        except (OSError, ValueError):  # it is being replaced, or gone: the page stays as it is
+            return
+        if change is None:
+            return
+        names = self.result.names
+        number = names.index(name) if name in names else 0
+        if change == "replaced" or features_of(self.result) != self._features:
+            self._begin_again(number)
+            return
+        self._set_last_frame()
+        self._renumber(number, pose)
+        if len(names) >= _GROWTH * self._range_frames:
+            self.thread.put(self._renew_ranges)
+
+    # The result: at the beginning, and when it grows or is replaced.
+
+    def _build_controls(self, most_points: int) -> None:
+        """Build the controls for the result, and the parts of the page that depend on them."""
+        with self.server.atomic():
+            self.controls = build_controls(self.server, self.result, most_points=most_points)
+        self.marks = Marks(self.controls, self.scene, self.result)
+        self.box = ClippingBox(self.server, self.controls, self.scene)
+        self.fused = FusedLayer(
+            self.controls, self.scene, self.result, lambda job: self.thread.put(job, redraw=True)
+        )
+        self._features = features_of(self.result)
+        self._listen()
+
+    def _begin(self, number: int) -> None:
+        """Set sizes, ranges, the viewpoint of browsers and the clipping box from a frame."""
+        first = self._read(number)
+        self.ranges = ranges_of([first] if first else [], with_flow=False)
+        self._range_frames = 0
+        self.scene.begin(1.0 if first is None else first.median_depth)
+        if first is not None:
+            points = self._points_of(first, COARSE)
+            self.scene.place_browsers(first, points)
+            if not self.controls.box.value:
+                self.box.begin_around(points, first)
+        self.controls.frame.value = number
+        self.thread.put(self._renew_ranges)
+
+    def _begin_again(self, number: int) -> None:
+        """Show another result; settings of the controls stay where it has them too."""
+        depth = self.scene.depth
+        self.cache.clear()
+        self.fused.clear()
+        self.marks.clear_measured()
+        self.number, self._path_shown = -1, None
+        if features_of(self.result) != self._features:
+            before, pixel = self.controls, self.marks.pixel
+            self.box.remove_handles()
+            with self.server.atomic():
+                self.server.gui.reset()
+                self._build_controls(before.most.value * 1000)
+                copy_settings(before, self.controls)
+            self.marks.pixel = pixel
+            self.controls.play.label = before.play.label
+        self._set_last_frame()
+        self._begin(number)
+        self.box.remove_handles()
+        self._restart_playback()
+        self.draw(coarse=True)
+        if abs(np.log(self.scene.depth / depth)) > np.log(_SIZE_CHANGE):
+            self.browsers.go_all()
+        self._redraw(path=True)
+
+    def _set_last_frame(self) -> None:
+        """Let the slider end at the last frame; a single frame disables it."""
+        last = len(self.result.names) - 1
+        self.controls.frame.max = max(1, last)
+        self.controls.frame.disabled = self.controls.play.disabled = last < 1
+
+    def _renumber(self, number: int, pose: NDArray[np.float64]) -> None:
+        """Give the frame that is shown its number in the larger result.
+
+        It is drawn again if its pose has changed; the path is drawn again if it has grown enough.
+        """
+        has_changed = number != self.number
+        if has_changed:
+            self._set_frame(number)
+            self.controls.frame.value = number
+            self._restart_playback()
+        self._show_status()
+        if not self.result.has_one_scale:
+            return
+        if not np.array_equal(self.scene.pose_of(number), pose):
+            self._redraw(path=True)
+        elif has_changed or len(self.result.names) >= _GROWTH * self._path_frames:
+            self._path_shown = None
+            with self.server.atomic():
+                self._show_path(number)
+
+    def _renew_ranges(self) -> None:
+        """Set ranges of colours from a few frames of the whole result.
+
+        Ranges that differ little stay, so that colours do not change with every new frame.
+        """
+        is_first, self._range_frames = self._range_frames == 0, len(self.result.names)
+        ranges = ranges_of(sampled(self.cache, self._range_frames))
+        if is_first or differ(ranges, self.ranges, _RANGE_CHANGE):
+            self.ranges = ranges
+            self.thread.redraw()
+
+    def _read(self, number: int) -> ResultFrame | None:
+        """Read a frame; None if it cannot be read, with the reason in `fault`."""
         try:
             frame = self.cache[number]
         except (OSError, ValueError) as error:
@@ -401,85 +331,102 @@ class Page:
         self.fault = ""
         return frame
 
-    def _look(self) -> None:
-        """Take over what the folder has more than before."""
-        number = max(self.number, 0)
-        name, pose = self.result.names[number], self.scene.pose_of(number)
-        try:
-            change = self.result.refresh()
-        except (OSError, ValueError):  # it is replaced, or gone: what is there stays
-            return
-        if change is None:
-            return
-        names = self.result.names
-        number = names.index(name) if name in names else 0
-        if change == "replaced" or kind_of(self.result) != self._kind:
-            self._begin_anew(number)
-            return
-        self._set_last()
-        self._take_place(number, pose)
-        if len(names) >= _GROWN * self._ranges_of:
-            self._jobs.put(self._widen_ranges)
+    def _set_frame(self, number: int) -> None:
+        """Read the frame that is shown from now on."""
+        self.number, self.frame = number, self._read(number)
+        self.marks.frame = self.browsers.frame = self.frame
 
-    def _set_last(self) -> None:
-        """Let the slider end at the last frame; with one alone there is nothing to choose."""
-        last = len(self.result.names) - 1
-        self.controls.frame.max = max(1, last)
-        self.controls.frame.disabled = self.controls.play.disabled = last < 1
+    def _points_of(self, frame: ResultFrame, most: int | None) -> FrameCloud:
+        """Return the points of a frame that the controls choose, at most so many."""
+        pose = self.scene.pose_of(frame.number)
+        quantity = self.controls.color.value
+        return frame_cloud(frame, quantity, self.ranges, self.point_filter(most), pose)
 
-    def _take_place(self, number: int, pose: NDArray[np.float64]) -> None:
-        """Let the frame that is shown have the number that it has among more frames.
+    def _shares_scale(self, number: int) -> bool:
+        """Return whether a frame has the scale of the frame that is shown."""
+        piece = self.result.piece
+        return self.number >= 0 and piece[number] == piece[self.number] >= 0
 
-        It is drawn anew if it is at another place than its former pose; the path is, if need be.
-        """
-        is_moved = number != self.number
-        if is_moved:
-            self._take_frame(number)
-            self.controls.frame.value = number
-            self._restart_play()
-        self._show_status()
-        if not self.result.has_one_scale:
-            return
-        if not np.array_equal(self.scene.pose_of(number), pose):
-            self._change(path=True)
-        elif is_moved or len(self.result.names) >= _GROWN * self._path_of:
-            self._shown_path = None
-            with self.server.atomic():
-                self._show_path(number)
+    # Controls and clicks: they only give work to the drawing thread.
 
-    def _widen_ranges(self) -> None:
-        """Take ranges of colours from a few frames of the whole result.
+    def _listen(self) -> None:
+        controls = self.controls
+        for control in controls.redrawing:
+            control.on_update(lambda _: self._redraw())
+        controls.frame.on_update(self._slider_moved)
+        for control in (controls.path, controls.frusta, controls.objects, controls.pictures):
+            control.on_update(lambda _: self._redraw(path=True))
+        controls.play.on_click(lambda _: self._toggle_playback())
+        controls.go.on_click(lambda event: self.browsers.go(event.client))
+        controls.speed.on_update(lambda _: self._restart_playback())
+        controls.pixel.on_update(lambda event: self._pixel_entered(event.client is not None))
+        for control in (controls.measure.on_update, controls.clear.on_click):
+            control(lambda _: self.thread.put(lambda: self.marks.clear_measured()))
+        controls.screenshot.on_click(lambda event: self._save(save_screenshot, event.client))
+        controls.film.on_click(lambda event: self._save(save_film, event.client))
+        controls.static.on_click(lambda event: self._save(save_static, event.client))
 
-        Those that it has grown out of little are kept: colours do not change with every frame.
-        """
-        is_first, self._ranges_of = self._ranges_of == 0, len(self.result.names)
-        ranges = ranges_of(sampled(self.cache, self._ranges_of))
-        if is_first or differ(ranges, self.ranges, _OTHER_RANGE):
-            self.ranges, self._is_stale = ranges, True
+    def _redraw(self, *, path: bool = False) -> None:
+        if path:
+            self._path_shown = None
+        self.thread.redraw()
+
+    def _save(
+        self, save: "Callable[[ViewerPage, ClientHandle], None]", client: "ClientHandle"
+    ) -> None:
+        """Have a file saved for a browser; a failure is shown there."""
+
+        def job() -> None:
+            try:
+                save(self, client)
+            except (ImportError, OSError, RuntimeError, ValueError) as error:
+                notify(self, client, "It was not saved", " ".join(str(error).split()))
+            set_html(self.controls.progress, NOTHING)
+
+        self.thread.put(job)
+
+    def _toggle_playback(self) -> None:
+        self.playback.toggle(int(self.controls.frame.value))
+        self.controls.play.label = "Pause" if self.playback.is_on else "Play"
+        self.thread.wake()
+
+    def _restart_playback(self) -> None:
+        self.playback.restart(int(self.controls.frame.value))
+
+    def _slider_moved(self, event: Any) -> None:
+        """Draw another frame; if a user moved the slider, playing goes on from there."""
+        if int(self.controls.frame.value) != self.number:
+            self._redraw()
+        if event.client is not None:
+            self._restart_playback()
+
+    def _clicked(self, event: Any) -> None:
+        origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
+        self.thread.put(lambda: self.pick(origin, direction))
+
+    def _pixel_entered(self, by_user: bool) -> None:
+        if by_user:
+            column, row = (int(part) for part in self.controls.pixel.value)
+            self.thread.put(lambda: self.mark(row, column))
+
+    # Path, texts and pictures around the points.
 
     def _show_path(self, number: int) -> None:
-        """Show path and frusta, if they are those of another piece than before; and things."""
-        self.scene.show_things(number, visible=self.controls.things.value)
+        """Show moving objects, and path and frusta if they are not those of the last drawing."""
         controls = self.controls
-        from_inside = controls.follow.value  # where frusta are in the way
-        shown = int(self.result.piece[number]), from_inside
-        if self.frame is None or shown == self._shown_path:
+        self.scene.show_objects(number, visible=controls.objects.value)
+        from_inside = controls.follow.value  # path and frusta would be in the way
+        wanted = int(self.result.piece[number]), from_inside
+        if self.frame is None or wanted == self._path_shown:
             return
-        self._shown_path, self._path_of = shown, len(self.result.names)
+        self._path_shown, self._path_frames = wanted, len(self.result.names)
         self.scene.show_path(
             number,
             self.frame,
             path=controls.path.value and not from_inside,
             frusta=controls.frusta.value and not from_inside,
         )
-        self._without_picture = list(self.scene.frusta) if controls.pictures.value else []
-
-    def _give_picture(self, number: int) -> None:
-        """Put the picture of a frame into its frustum."""
-        handle = self.scene.frusta.get(number)
-        if handle is not None:
-            with contextlib.suppress(OSError, ValueError):
-                handle.image = thumbnail(self.result.picture(number))
+        self._missing_thumbnails = list(self.scene.frusta) if controls.pictures.value else []
 
     def _show_status(self) -> None:
         status = status_html(self.result, self.frame, self.number, self.fault)
@@ -490,18 +437,14 @@ class Page:
             if self.frame is not None:
                 image.label = caption(kind.value, self.ranges) or None
                 image.image = picture_of(
-                    self.frame, kind.value, self.ranges, width=_PICTURE, marked=self.marks.pixel
+                    self.frame,
+                    kind.value,
+                    self.ranges,
+                    width=_PICTURE_WIDTH,
+                    marked=self.marks.pixel,
                 )
 
     def _show_legend(self) -> None:
-        things = things_in(self.frame) if self.frame is not None else set[int]()
-        shown = legend_of(self.result, self.controls.color.value, self.ranges, things)
-        set_html(self.controls.legend, legend_html(shown))
-
-    def _pick(self, origin: NDArray[np.float64], direction: NDArray[np.float64]) -> None:
-        self.marks.pick(origin, direction, self.points)
-        self._show_pictures()
-
-    def _mark(self, row: int, column: int) -> None:
-        self.marks.mark(row, column)
-        self._show_pictures()
+        labels = object_labels(self.frame) if self.frame is not None else set[int]()
+        legend = legend_of_result(self.result, self.controls.color.value, self.ranges, labels)
+        set_html(self.controls.legend, legend_html(legend))

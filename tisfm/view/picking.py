@@ -1,14 +1,14 @@
-"""What a click hits: a point of the cloud, or a pixel of the picture in a frustum."""
+"""The point of a cloud, or the pixel of the picture in a frustum, that a click hits."""
 
 import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.results.frame import ViewFrame
+from tisfm.results.frame import ResultFrame
 
-WIDE = 0.012  # rad: how far beside a point a click may be
-_BEHIND = 1.03  # of the distance of the nearest: points of one surface
+CLICK_ANGLE = 0.012  # rad between a click and a point that it hits; set by hand
+_SAME_SURFACE = 1.03  # ratio of distances up to which points are of one surface; set by hand
 
 
 def picked_point(
@@ -16,47 +16,48 @@ def picked_point(
     direction: ArrayLike,
     positions: NDArray[np.floating],
     *,
-    wide: float = WIDE,
+    max_angle: float = CLICK_ANGLE,
 ) -> int | None:
-    """Return the index of the point that a ray hits, None if there is none.
+    """Return the index of the point that a ray hits; None without a hit.
 
-    Of those beside the ray the nearest surface counts, and of its points the one least beside.
+    Of the points near the ray, those of the nearest surface count, and the one nearest to the ray
+    is hit.
 
     Parameters
     ----------
     origin, direction : (3,) array_like
     positions : (N, 3)
         In the same axes.
-    wide : float
-        How far beside a point the ray may be, rad.
+    max_angle : float
+        Largest angle between the ray and a point, rad.
     """
     if not len(positions):
         return None
     along = np.asarray(direction, float)
     along = along / np.linalg.norm(along)
-    beside = np.asarray(positions, float) - np.asarray(origin, float)
-    distance = beside @ along
+    offset = np.asarray(positions, float) - np.asarray(origin, float)
+    distance = offset @ along
     with np.errstate(divide="ignore", invalid="ignore"):
-        angle = np.linalg.norm(beside - distance[:, None] * along, axis=1) / distance
-    near = (distance > 0) & (angle < wide)
+        angle = np.linalg.norm(offset - distance[:, None] * along, axis=1) / distance
+    near = (distance > 0) & (angle < max_angle)
     if not near.any():
         return None
-    front = near & (distance <= _BEHIND * distance[near].min())
+    front = near & (distance <= _SAME_SURFACE * distance[near].min())
     return int(np.argmin(np.where(front, angle, np.inf)))
 
 
 def picked_pixel(
-    origin: ArrayLike, direction: ArrayLike, frame: ViewFrame, distance: float
+    origin: ArrayLike, direction: ArrayLike, frame: ResultFrame, distance: float
 ) -> tuple[int, int, float] | None:
-    """Return row and column of the picture in a frustum that a ray hits, and how far away.
+    """Return row, column and distance of the pixel in a frustum that a ray hits.
 
     Parameters
     ----------
     origin, direction : (3,) array_like
         In the axes of the camera.
-    frame : ViewFrame
+    frame : ResultFrame
     distance : float
-        Of the picture before the camera.
+        From the camera to the picture.
 
     Returns
     -------
@@ -71,7 +72,7 @@ def picked_pixel(
         return None
     hit = start + length * along
     height, width = frame.shape
-    # A frustum is drawn about its axis, the middle of the picture.
+    # viser draws a frustum about its axis, through the middle of the picture.
     column = round(hit[0] / distance * frame.camera.focal + (width - 1) / 2)
     row = round(hit[1] / distance * frame.camera.focal + (height - 1) / 2)
     if 0 <= row < height and 0 <= column < width:
@@ -79,18 +80,18 @@ def picked_pixel(
     return None
 
 
-def field_of_view(frame: ViewFrame) -> tuple[float, float]:
+def field_of_view(frame: ResultFrame) -> tuple[float, float]:
     """Return the vertical field of view of a frame, rad, and its width over its height."""
     height, width = frame.shape
     return 2 * math.atan(height / (2 * frame.camera.focal)), width / height
 
 
-def following_fov(frame: ViewFrame, aspect: float) -> float:
-    """Return the vertical field of view, rad, of a window in which all of a frame is in sight.
+def following_fov(frame: ResultFrame, aspect: float) -> float:
+    """Return the vertical field of view, rad, of a window that shows the whole frame.
 
     Parameters
     ----------
-    frame : ViewFrame
+    frame : ResultFrame
     aspect : float
         Width over height of the window.
     """
@@ -99,9 +100,9 @@ def following_fov(frame: ViewFrame, aspect: float) -> float:
 
 
 def frustum_scale(fov: float, aspect: float, distance: float) -> float:
-    """Return the scale of a frustum whose picture lies so far before the camera.
+    """Return the scale of a frustum with its picture at a distance from the camera.
 
-    The browser draws one of scale 1 with a volume that does not depend on the field of view.
+    At scale 1, viser draws all frusta with the same volume, whatever their field of view.
     """
     y = math.tan(fov / 2)
     return distance * (y * y * aspect / 3) ** (1 / 3)

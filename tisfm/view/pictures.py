@@ -1,4 +1,4 @@
-"""Pictures beside the scene: the frame, its depth, its motion, an anaglyph."""
+"""Pictures beside the scene: the frame, depth, motion, an anaglyph."""
 
 from typing import Literal, get_args
 
@@ -6,37 +6,37 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.results.frame import ViewFrame
+from tisfm.results.frame import ResultFrame
 from tisfm.show import anaglyph, flow_to_color
 from tisfm.view.colors import Ranges, pixel_colors, unknown_picture
 
 PictureKind = Literal["frame", "depth", "flow", "anaglyph", "confidence", "deviation", "object"]
 KINDS: tuple[PictureKind, ...] = get_args(PictureKind)
-_CROSS = (230, 159, 0)
+_CROSS = (230, 159, 0)  # colour of the mark of a pixel
 
 
 def picture_of(
-    frame: ViewFrame,
+    frame: ResultFrame,
     kind: PictureKind,
     ranges: Ranges,
     *,
     width: int,
     marked: tuple[int, int] | None = None,
 ) -> NDArray[np.uint8]:
-    """Return a picture of a frame, (h, w, 3) uint8, at most so wide.
+    """Return a picture of a frame, (h, w, 3) uint8, of a limited width.
 
-    Small ones are enlarged by a whole number.
+    Small pictures are enlarged by a whole number.
 
     Parameters
     ----------
-    frame : ViewFrame
+    frame : ResultFrame
     kind : str
-        Of `KINDS`; grey where there is nothing to see.
+        One of `KINDS`; unknown pixels are grey.
     ranges : Ranges
     width : int
-        Most columns, px.
+        Largest width, px.
     marked : (int, int), optional
-        Row and column of a pixel that gets a cross.
+        Row and column of the pixel to mark by a cross.
     """
     picture = _picture(frame, kind, ranges)
     height, full = picture.shape[:2]
@@ -57,18 +57,18 @@ def picture_of(
 
 
 def caption(kind: PictureKind, ranges: Ranges) -> str:
-    """Return what the colours of a picture mean."""
+    """Return the meaning of the colours of a picture."""
     captions = {
-        "depth": f"bright is near, from {1 / ranges.inverse_depth:.3g} in the scene",
+        "depth": f"near is bright, brightest at a depth of {1 / ranges.inverse_depth:.3g}",
         "flow": f"direction as hue, full colour at {ranges.flow:.3g} px",
         "anaglyph": "for red-cyan glasses",
         "confidence": "blue 0, yellow 1",
-        "deviation": "dark 1 %, yellow 64 %, grey not known",
+        "deviation": "dark 1 %, yellow 64 %, grey unknown",
     }
     return captions.get(kind, "")
 
 
-def _picture(frame: ViewFrame, kind: PictureKind, ranges: Ranges) -> NDArray[np.uint8]:
+def _picture(frame: ResultFrame, kind: PictureKind, ranges: Ranges) -> NDArray[np.uint8]:
     if kind == "frame":
         return frame.picture
     if kind == "flow":

@@ -1,4 +1,4 @@
-"""The scene in the browser: points or a surface, the camera's path, things, marks."""
+"""The scene in the browser: points or a surface, the path of the camera, objects, marks."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.formats.glb import glb_surface
-from tisfm.results.frame import ViewFrame
-from tisfm.results.fused_scene import Whole
-from tisfm.results.result import Result
+from tisfm.results.frame import ResultFrame
+from tisfm.results.fused_scene import FusedScene
+from tisfm.results.result_frames import ResultFrames
 from tisfm.show import label_colors
-from tisfm.view.frame_cloud import Cloud
+from tisfm.view.frame_cloud import FrameCloud
 from tisfm.view.picking import field_of_view, frustum_scale
 from tisfm.view.surface import surface_file, triangles_between
 from tisfm.view.viewpoint import FOV, USUAL_ASPECT, overview
@@ -19,51 +19,59 @@ from tisfm.view.viewpoint import FOV, USUAL_ASPECT, overview
 if TYPE_CHECKING:
     from viser import ViserServer
 
-PATH_COLOR, HERE, MARK = (0, 114, 178), (213, 94, 0), (230, 159, 0)
-MOST_FRUSTA = 40
-_THUMB, _PICTURE = 96, 480  # px, of pictures in frusta
-_WIDE, _LONG = 0.13, 0.16  # diagonal and length of the frustum at most, over the median depth
-_ALONG = 0.35  # size of frusta along the path, over that of the frame that is looked at
-_APART = 0.6  # of their length, or they are left out
+PATH_COLOR = (0, 114, 178)
+FRAME_COLOR = (213, 94, 0)  # frustum of the frame that is shown
+MARK_COLOR = (230, 159, 0)
+BOX_COLOR = (120, 120, 120)
+# Set by hand.
+MAX_FRUSTA = 40  # along a path
+_THUMBNAIL_WIDTH = 96  # px, of pictures in frusta along the path
+_PICTURE_WIDTH = 480  # px, of the picture in the frustum of the frame
+_MAX_FRUSTUM_DIAGONAL = 0.13  # in median depths
+_MAX_FRUSTUM_LENGTH = 0.16  # in median depths
+_PATH_FRUSTUM = 0.35  # size of frusta along the path, over the frustum of the frame
+_MIN_FRUSTUM_DISTANCE = 0.6  # between frusta along the path, over their length
+_MARK_RADIUS = 0.008  # in median depths
+_BEHIND = (0.12, -0.22, -0.5)  # viewpoint of a film from the camera, in median depths
 
 
-class SceneView:
-    """What the browsers show, drawn node by node.
+class ViewerScene:
+    """The nodes of viser that the browsers show.
 
     Parameters
     ----------
     server : ViserServer
-    result : Result
+    result : ResultFrames
 
     Attributes
     ----------
     depth : float
-        A usual depth in the scene, which sizes of frusta and marks follow.
+        Median depth of the scene: sizes of frusta and marks are in proportion to it.
     up : (3,) float64
-        What points upwards in the world, as cameras are mostly held.
+        Upward direction of the world, as cameras are usually held.
     """
 
-    def __init__(self, server: "ViserServer", result: Result) -> None:
+    def __init__(self, server: "ViserServer", result: ResultFrames) -> None:
         self._server, self._result = server, result
         self._nodes: dict[str, Any] = {}
         self.frusta: dict[int, Any] = {}
         self.begin(1.0)
-        # What is shown has its own light: these would cost, and show nothing.
+        # All nodes have colours of their own: lights would cost time and change nothing.
         server.scene.configure_default_lights(cast_shadow=False)
         server.scene.configure_environment_map(None)
 
     def begin(self, depth: float) -> None:
-        """Take the direction up from the poses, and a usual depth; what is drawn next has them."""
-        self.depth, self.up = depth, _usual_up(self._result.poses)
+        """Set the median depth, and the upward direction from the poses."""
+        self.depth, self.up = depth, _mean_up(self._result.poses)
         self._server.scene.set_up_direction(tuple(self.up))
 
     def pose_of(self, number: int) -> NDArray[np.float64]:
-        """Return the pose of a frame, that of the origin where it has none."""
+        """Return the pose of a frame; the origin for a frame without a pose."""
         pose = self._result.poses[number]
         return pose if np.isfinite(pose).all() else np.eye(4)
 
-    def place_browsers(self, frame: ViewFrame, points: Cloud) -> None:
-        """Let browsers begin where a frame and its points are in sight."""
+    def place_browsers(self, frame: ResultFrame, points: FrameCloud) -> None:
+        """Let new browsers begin at a viewpoint that shows a frame and its points."""
         pose, distance = self.overview(frame, points)
         start = self._server.initial_camera
         start.position = pose[:3, 3]
@@ -73,16 +81,16 @@ class SceneView:
         start.fov = FOV
 
     def overview(
-        self, frame: ViewFrame, points: Cloud | None, aspect: float = USUAL_ASPECT
+        self, frame: ResultFrame, points: FrameCloud | None, aspect: float = USUAL_ASPECT
     ) -> tuple[NDArray[np.float64], float]:
-        """Return the pose in the world that a frame is looked at from, and how far its points are.
+        """Return a viewpoint in the world that shows a frame, and the distance of its points.
 
         Parameters
         ----------
-        frame : ViewFrame
-        points : Cloud or None
+        frame : ResultFrame
+        points : FrameCloud or None
         aspect : float
-            Width over height of what the browser shows.
+            Width over height of the view.
         """
         pose = self.pose_of(frame.number)
         height, width = frame.shape
@@ -92,16 +100,17 @@ class SceneView:
         seen, distance = overview(positions, frustum, up=pose[:3, :3].T @ self.up, aspect=aspect)
         return pose @ seen, distance
 
-    def show_surface(self, points: Cloud, frame: ViewFrame, colors: NDArray[np.uint8]) -> None:
-        """Show the surface between points in place of what was shown last.
+    def show_surface(
+        self, points: FrameCloud, frame: ResultFrame, colors: NDArray[np.uint8]
+    ) -> None:
+        """Show the surface between the points of a frame.
 
         Parameters
         ----------
-        points : Cloud
-        frame : ViewFrame
-            Theirs.
+        points : FrameCloud
+        frame : ResultFrame
         colors : (H, W, 3) uint8
-            Of all its pixels.
+            Of all pixels of the frame.
         """
         triangles = triangles_between(points, frame.shape)
         if not len(triangles):
@@ -117,8 +126,8 @@ class SceneView:
             receive_shadow=False,
         )
 
-    def show_points(self, points: Cloud, frame: ViewFrame, *, size: float) -> None:
-        """Show the points of a frame in place of what was shown last."""
+    def show_points(self, points: FrameCloud, frame: ResultFrame, *, size: float) -> None:
+        """Show the points of a frame."""
         pose = self.pose_of(frame.number)
         self._nodes["points"] = self._server.scene.add_point_cloud(
             "/points",
@@ -132,36 +141,36 @@ class SceneView:
             position=pose[:3, 3],
         )
 
-    def show_whole(self, whole: Whole | None, *, size: float) -> None:
-        """Show points or the surface of several frames, None to remove them.
+    def show_fused(self, fused: FusedScene | None, *, size: float) -> None:
+        """Show the points or the surface of several frames; None removes them.
 
         Parameters
         ----------
-        whole : Whole or None
+        fused : FusedScene or None
         size : float
             Of points, in the unit of the scene.
         """
-        if whole is None or not len(whole.positions):
-            self.remove("whole")
-        elif whole.faces is None:
-            self._nodes["whole"] = self._server.scene.add_point_cloud(
-                "/whole",
-                whole.positions,
-                whole.colors,
-                point_size=size / whole.left**0.5,
+        if fused is None or not len(fused.positions):
+            self.remove("fused")
+        elif fused.faces is None:
+            self._nodes["fused"] = self._server.scene.add_point_cloud(
+                "/fused",
+                fused.positions,
+                fused.colors,
+                point_size=size / fused.kept_share**0.5,
                 point_shape="square",
                 point_shading="flat",
                 precision="float32",
             )
         else:
-            self._nodes["whole"] = self._server.scene.add_glb(
-                "/whole",
-                glb_surface(whole.positions, whole.faces, whole.colors),
+            self._nodes["fused"] = self._server.scene.add_glb(
+                "/fused",
+                glb_surface(fused.positions, fused.faces, fused.colors),
                 cast_shadow=False,
                 receive_shadow=False,
             )
 
-    def show_here(self, frame: ViewFrame, *, visible: bool) -> None:
+    def show_frustum(self, frame: ResultFrame, *, visible: bool) -> None:
         """Show the frustum of a frame, with its picture."""
         pose = self.pose_of(frame.number)
         fov, aspect = field_of_view(frame)
@@ -170,10 +179,10 @@ class SceneView:
             fov,
             aspect,
             scale=frustum_scale(fov, aspect, self.picture_distance(frame)),
-            color=HERE,
+            color=FRAME_COLOR,
             thickness=2.0,
             thickness_units="screen",
-            image=thumbnail(frame.picture, _PICTURE),
+            image=thumbnail(frame.picture, _PICTURE_WIDTH),
             wxyz=quaternion(pose),
             position=pose[:3, 3],
             visible=visible,
@@ -181,12 +190,12 @@ class SceneView:
             receive_shadow=False,
         )
 
-    def picture_distance(self, frame: ViewFrame) -> float:
-        """Return how far before the camera the picture in the frustum is."""
+    def picture_distance(self, frame: ResultFrame) -> float:
+        """Return the distance from the camera to the picture in its frustum."""
         diagonal = float(np.hypot(*frame.shape)) / frame.camera.focal
-        return self.depth * min(_LONG, _WIDE / diagonal)
+        return self.depth * min(_MAX_FRUSTUM_LENGTH, _MAX_FRUSTUM_DIAGONAL / diagonal)
 
-    def show_path(self, number: int, frame: ViewFrame, *, path: bool, frusta: bool) -> None:
+    def show_path(self, number: int, frame: ResultFrame, *, path: bool, frusta: bool) -> None:
         """Show the path of the piece that a frame belongs to, and frusta along it."""
         self.remove("path")
         for handle in self.frusta.values():
@@ -195,9 +204,9 @@ class SceneView:
         piece = self._result.piece
         if piece[number] < 0:
             return
-        placed = np.flatnonzero(piece == piece[number])
-        centers = self._result.poses[placed, :3, 3]
-        if path and len(placed) > 1:
+        posed = np.flatnonzero(piece == piece[number])
+        centers = self._result.poses[posed, :3, 3]
+        if path and len(posed) > 1:
             self._nodes["path"] = self._server.scene.add_line_segments(
                 "/path",
                 np.stack([centers[:-1], centers[1:]], axis=1).astype(np.float32),
@@ -205,10 +214,10 @@ class SceneView:
                 thickness=3.0,
                 thickness_units="screen",
             )
-        if frusta and len(placed) > 1:
+        if frusta and len(posed) > 1:
             fov, aspect = field_of_view(frame)
-            length = _ALONG * self.picture_distance(frame)
-            for k in placed[_spread(centers, _APART * length)]:
+            length = _PATH_FRUSTUM * self.picture_distance(frame)
+            for k in posed[_spread(centers, _MIN_FRUSTUM_DISTANCE * length)]:
                 pose = self._result.poses[k]
                 self.frusta[int(k)] = self._server.scene.add_camera_frustum(
                     f"/frusta/{k}",
@@ -224,41 +233,41 @@ class SceneView:
                     receive_shadow=False,
                 )
 
-    def show_things(self, number: int, *, visible: bool) -> None:
-        """Show the paths of things that move on their own, and where they are in a frame."""
-        for name in [name for name in self._nodes if name.startswith("thing")]:
+    def show_objects(self, number: int, *, visible: bool) -> None:
+        """Show the paths of moving objects, and a name at each position in a frame."""
+        for name in [name for name in self._nodes if name.startswith("object")]:
             self.remove(name)
-        things = self._result.objects if visible else ()
-        colors = label_colors(max((thing.id for thing in things), default=0) + 1)
-        for thing in things:
-            known = np.isfinite(thing.poses).all(axis=(1, 2))
-            known &= self._result.piece[list(thing.frames)] == self._result.piece[number]
-            centers = thing.poses[known, :3, 3].astype(np.float32)
+        objects = self._result.objects if visible else ()
+        colors = label_colors(max((one.id for one in objects), default=0) + 1)
+        for one in objects:
+            known = np.isfinite(one.poses).all(axis=(1, 2))
+            known &= self._result.piece[list(one.frames)] == self._result.piece[number]
+            centers = one.poses[known, :3, 3].astype(np.float32)
             if len(centers) > 1:
-                self._nodes[f"thing{thing.id}"] = self._server.scene.add_line_segments(
-                    f"/things/{thing.id}",
+                self._nodes[f"object{one.id}"] = self._server.scene.add_line_segments(
+                    f"/objects/{one.id}",
                     np.stack([centers[:-1], centers[1:]], axis=1),
-                    colors[thing.id],
+                    colors[one.id],
                     thickness=4.0,
                     thickness_units="screen",
                 )
-            if number in thing.frames and known[thing.frames.index(number)]:
-                self._nodes[f"thing{thing.id}here"] = self._server.scene.add_label(
-                    f"/names/{thing.id}",
-                    f"thing {thing.id}",
-                    position=thing.poses[thing.frames.index(number), :3, 3],
+            if number in one.frames and known[one.frames.index(number)]:
+                self._nodes[f"object{one.id}here"] = self._server.scene.add_label(
+                    f"/names/{one.id}",
+                    f"object {one.id}",
+                    position=one.poses[one.frames.index(number), :3, 3],
                 )
 
     def show_marks(self, points: list[NDArray[np.float64]], name: str) -> None:
-        """Show marked points of the world, with a line between two; none to remove them."""
+        """Show marked points of the world, with a line between two; an empty list removes them."""
         for k in range(2):
             self.remove(f"{name}{k}")
         self.remove(f"{name}line")
         for k, point in enumerate(points):
             self._nodes[f"{name}{k}"] = self._server.scene.add_icosphere(
                 f"/marks/{name}{k}",
-                radius=0.008 * self.depth,
-                color=MARK,
+                radius=_MARK_RADIUS * self.depth,
+                color=MARK_COLOR,
                 position=point,
                 cast_shadow=False,
                 receive_shadow=False,
@@ -267,38 +276,35 @@ class SceneView:
             self._nodes[f"{name}line"] = self._server.scene.add_line_segments(
                 f"/marks/{name}line",
                 np.stack(points)[None].astype(np.float32),
-                MARK,
+                MARK_COLOR,
                 thickness=3.0,
                 thickness_units="screen",
             )
 
     def show_box(self, box: tuple[NDArray[np.float64], NDArray[np.float64]] | None) -> None:
-        """Show the edges of the clipping box, None to remove it."""
+        """Show the edges of the clipping box; None removes them."""
         self.remove("box")
         if box is not None:
             self._nodes["box"] = self._server.scene.add_line_segments(
-                "/box", box_edges(*box), (120, 120, 120), thickness=1.0, thickness_units="screen"
+                "/box", box_edges(*box), BOX_COLOR, thickness=1.0, thickness_units="screen"
             )
 
     def set_visible(self, name: str, visible: bool) -> None:
-        """Let a node be seen or not, if it is there."""
+        """Make a node visible or not, if it exists."""
         node = self._nodes.get(name)
         if node is not None and node.visible != visible:
             node.visible = visible
 
     def remove(self, name: str) -> None:
-        """Remove a node if it is there."""
+        """Remove a node, if it exists."""
         node = self._nodes.pop(name, None)
         if node is not None:
             node.remove()
 
 
 def _spread(centers: NDArray[np.float64], apart: float) -> NDArray[np.int_]:
-    """Return which of the places of a path get a frustum: not too many, and none too near.
-
-    The first one does.
-    """
-    every = np.unique(np.linspace(0, len(centers) - 1, MOST_FRUSTA).astype(int))
+    """Return the positions of a path that get a frustum: the first, and not too many or close."""
+    every = np.unique(np.linspace(0, len(centers) - 1, MAX_FRUSTA).astype(int))
     taken = [int(every[0])]
     for k in every[1:]:
         if np.linalg.norm(centers[k] - centers[taken[-1]]) >= apart:
@@ -306,10 +312,10 @@ def _spread(centers: NDArray[np.float64], apart: float) -> NDArray[np.int_]:
     return np.array(taken)
 
 
-def _usual_up(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean direction that points upwards in frames, (3,); −Y if there is none."""
-    placed = poses[np.isfinite(poses).all(axis=(1, 2))]
-    mean = -placed[:, :3, 1].mean(axis=0) if len(placed) else np.zeros(3)
+def _mean_up(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean upward direction of the frames, (3,); −Y without poses."""
+    posed = poses[np.isfinite(poses).all(axis=(1, 2))]
+    mean = -posed[:, :3, 1].mean(axis=0) if len(posed) else np.zeros(3)
     length = float(np.linalg.norm(mean))
     return mean / length if length > 1e-3 else np.array((0.0, -1.0, 0.0))
 
@@ -321,8 +327,8 @@ def quaternion(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(SO3.from_matrix(pose[:3, :3]).wxyz)
 
 
-def thumbnail(picture: NDArray[np.uint8], width: int = _THUMB) -> NDArray[np.uint8]:
-    """Return a picture that is at most so wide."""
+def thumbnail(picture: NDArray[np.uint8], width: int = _THUMBNAIL_WIDTH) -> NDArray[np.uint8]:
+    """Return a picture of at most a width, px."""
     height, full = picture.shape[:2]
     if full <= width:
         return picture
@@ -339,7 +345,7 @@ def box_edges(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np
 
 
 def behind(pose: NDArray[np.float64], depth: float) -> NDArray[np.float64]:
-    """Return a pose a little behind, above and beside another that looks the same way."""
+    """Return a pose behind, above and beside another, with the same direction."""
     moved = pose.copy()
-    moved[:3, 3] += pose[:3, :3] @ np.array((0.12, -0.22, -0.5)) * depth
+    moved[:3, 3] += pose[:3, :3] @ np.array(_BEHIND) * depth
     return moved

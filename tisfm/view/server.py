@@ -1,4 +1,4 @@
-"""The server of the page."""
+"""The web server of the page."""
 
 import contextlib
 import functools
@@ -13,20 +13,20 @@ from tisfm.errors import InputError, MissingPackageError
 if TYPE_CHECKING:
     from viser import ViserServer
 
-_OF_THIS_COMPUTER = re.compile(r"https?://(127(\.\d+){3}|localhost|\[::1\])(:\d+)?")
+_LOCAL_ORIGIN = re.compile(r"https?://(127(\.\d+){3}|localhost|\[::1\])(:\d+)?")
 
 
 def start_server(host: str, port: int) -> "ViserServer":
-    """Start viser at a port, or the next one that is free, without a word on standard output.
+    """Start viser at a port, or the next free one, without output of its own.
 
-    Where only this computer can reach it, pages that the browser has from elsewhere cannot either.
+    A server at a loopback address also refuses requests of web pages from other hosts.
 
     Raises
     ------
     ImportError
         If viser is not installed.
     OSError
-        If there is no such address here.
+        If this computer does not have the address.
     ValueError
         If the port is none.
     """
@@ -39,38 +39,38 @@ def start_server(host: str, port: int) -> "ViserServer":
     if not 0 <= port <= 65535:
         raise InputError(f"port is {port}: expected 0 to 65535")
     _require_address(host)
-    alone = _from_here_alone() if _is_loopback(host) else contextlib.nullcontext()
+    alone = _local_origins_only() if _is_loopback(host) else contextlib.nullcontext()
     with alone, contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label="tisfm", verbose=False)
-    # A page could ask for a tunnel to the outside: this one stays where it was asked for.
+    # A page of viser can request a tunnel to the internet: this server refuses.
     server.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]
     return server
 
 
 def url_of(server: "ViserServer") -> str:
-    """Return where a browser of this computer finds a server."""
+    """Return the address of a server for a browser of this computer."""
     host = server.get_host()
     shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
     return f"http://{f'[{shown}]' if ':' in shown else shown}:{server.get_port()}"
 
 
 def stop_server(server: "ViserServer") -> None:
-    """End a server, without a word on standard output."""
+    """Stop a server, without output of its own."""
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
 
 
 @contextlib.contextmanager
-def _from_here_alone() -> Iterator[None]:
-    """Let a server that starts in the block refuse what pages of other hosts ask for.
+def _local_origins_only() -> Iterator[None]:
+    """Let a server that starts in the block refuse requests of web pages from other hosts.
 
-    A browser lets any page talk to this computer, and says where the page is from. viser has no
-    option for that, but the library below has.
+    A browser lets every page connect to this computer, but sends the origin of the page. viser has
+    no option to check the origin; the websockets library below it has.
     """
     from websockets.asyncio import server
 
     serve = server.serve
-    origins = (_OF_THIS_COMPUTER, None)  # None: what is no browser says nothing
+    origins = (_LOCAL_ORIGIN, None)  # None: clients other than browsers send no origin
     server.serve = functools.partial(serve, origins=origins)  # type: ignore[misc, assignment]
     try:
         yield
@@ -83,7 +83,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def _require_address(host: str) -> None:
-    """Raise OSError if nothing can listen at an address: viser would try for ever."""
+    """Raise OSError if no server can listen at an address: viser would try forever."""
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(
             host, 0, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE

@@ -1,4 +1,4 @@
-"""The surface between the points of a frame, with its picture on it."""
+"""The textured surface through the points of a frame."""
 
 import io
 
@@ -7,17 +7,18 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from tisfm.formats.glb import make_unlit
-from tisfm.view.frame_cloud import Cloud
+from tisfm.view.frame_cloud import FrameCloud
 
-_TORN = 0.05  # neighbours whose depth differs by a larger share are of different surfaces
+_MAX_DEPTH_STEP = 0.05  # relative depth difference of neighbours on one surface; set by hand
+_JPEG_QUALITY = 92  # of the texture
 
 
-def triangles_between(points: Cloud, shape: tuple[int, int]) -> NDArray[np.int32]:
-    """Return triangles between neighbouring points, (M, 3) indices, torn where depth jumps.
+def triangles_between(points: FrameCloud, shape: tuple[int, int]) -> NDArray[np.int32]:
+    """Return triangles between neighbouring points of one surface, (M, 3) indices.
 
     Parameters
     ----------
-    points : Cloud
+    points : FrameCloud
     shape : (int, int)
         Height and width of the frame.
     """
@@ -29,17 +30,19 @@ def triangles_between(points: Cloud, shape: tuple[int, int]) -> NDArray[np.int32
     triangles = np.concatenate([np.stack(three, axis=-1).reshape(-1, 3) for three in corners])
     triangles = triangles[(triangles >= 0).all(axis=1)]
     depth = points.positions[:, 2][triangles]
-    whole = np.ptp(depth, axis=1) <= _TORN * points.step**0.5 * depth.min(axis=1)
-    kept: NDArray[np.int32] = triangles[whole]
-    return kept
+    is_smooth = np.ptp(depth, axis=1) <= _MAX_DEPTH_STEP * points.step**0.5 * depth.min(axis=1)
+    smooth: NDArray[np.int32] = triangles[is_smooth]
+    return smooth
 
 
-def surface_file(points: Cloud, triangles: NDArray[np.int32], colors: NDArray[np.uint8]) -> bytes:
+def surface_file(
+    points: FrameCloud, triangles: NDArray[np.int32], colors: NDArray[np.uint8]
+) -> bytes:
     """Return a surface as a GLB file.
 
     Parameters
     ----------
-    points : Cloud
+    points : FrameCloud
     triangles : (M, 3) int32
     colors : (H, W, 3) uint8
         Of all pixels of the frame.
@@ -51,7 +54,7 @@ def surface_file(points: Cloud, triangles: NDArray[np.int32], colors: NDArray[np
 
     height, width = colors.shape[:2]
     picture = io.BytesIO()
-    Image.fromarray(colors).save(picture, "JPEG", quality=92)
+    Image.fromarray(colors).save(picture, "JPEG", quality=_JPEG_QUALITY)
     across = (points.pixels[:, 1] + 0.5) / width
     up = 1 - (points.pixels[:, 0] + 0.5) / height
     material = PBRMaterial(baseColorTexture=Image.open(picture), doubleSided=True)

@@ -1,17 +1,20 @@
-"""From where a frame is looked at, so that all of it is in sight."""
+"""Viewpoints that show a frame and its points."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-FOV = 0.9  # of browsers, rad, from top to bottom
-USUAL_ASPECT = 0.85  # width over height of what browsers show between their panels
-_TOWARDS = (-0.13, 0.22, 1.0)  # in the axes of the camera: from its right, from above
-_NEAR = 2.0  # median depths: what is farther may be out of sight
-_BEHIND = 0.5  # median depths behind the camera at least: it is in sight, and not in the way
+# Set by hand.
+FOV = 0.9  # vertical field of view of browsers, rad
+USUAL_ASPECT = 0.85  # width over height of a browser's view between its panels
+_DIRECTION = (-0.13, 0.22, 1.0)  # of the view in the axes of the camera: from its right and above
+_MAX_DEPTH = 2.0  # in median depths: farther points may be outside the view
+_MIN_DISTANCE = 0.5  # from the viewpoint to the camera, in median depths
 _OUTSIDE = 2.0  # percent of the points that may be beyond each side
-_MOST = 500  # points that are reckoned with
-_FARTHER, _ROUNDS, _HALVINGS = 1.1, 40, 30
-_MARGIN = 0.9  # of the picture that is filled
+_MAX_POINTS = 500  # points that the viewpoint is fitted to
+_STEP_BACK = 1.1  # factor of the distance from one attempt to the next
+_MAX_STEPS = 40  # attempts, which multiply the distance by up to 45
+_HALVINGS = 30  # of the interval of a bisection: to 1e-9 of it
+_FILLED = 0.9  # share of the view that points may fill
 
 
 def overview(
@@ -21,71 +24,73 @@ def overview(
     up: ArrayLike = (0.0, -1.0, 0.0),
     aspect: float = USUAL_ASPECT,
 ) -> tuple[NDArray[np.float64], float]:
-    """Return a pose from which a camera and its points are in sight, and how far these are.
+    """Return a viewpoint that shows a camera and its points, and the distance of the points.
 
     Parameters
     ----------
     points : (N, 3)
-        In the axes of the camera. A few, and those that are far, may be out of sight.
+        In the axes of the camera. Far points, and a few others, may be outside the view.
     whole : (M, 3)
-        All of these are in sight.
+        Further points, all of which are inside the view.
     up : (3,) array_like
-        What points upwards there, in the same axes.
+        Upward direction in the same axes.
     aspect : float
-        Width over height of the picture.
+        Width over height of the view.
 
     Returns
     -------
     pose : (4, 4) float64
         In the axes of the points; X right, Y down, Z forward.
     distance : float
-        Of the median of the points.
+        From the viewpoint to the median of the points.
     """
-    forward = np.array(_TOWARDS) / np.linalg.norm(_TOWARDS)
+    forward = np.array(_DIRECTION) / np.linalg.norm(_DIRECTION)
     across = np.cross(forward, np.asarray(up, float))
     if np.linalg.norm(across) < 1e-3:  # it looks straight up or down
         across = np.array((1.0, 0.0, 0.0))
     right = across / np.linalg.norm(across)
     axes = np.stack([right, np.cross(forward, right), forward], axis=1)
-    places = np.concatenate([_usual(np.asarray(points, float)), np.asarray(whole, float)]) @ axes
-    middle = float(np.median(places[:, 2]))
-    most = np.tan(FOV / 2) * _MARGIN * np.array((aspect, 1.0))
-    behind = _BEHIND * middle
-    for _ in range(_ROUNDS):
-        beside, half = zip(*(_centred(places, axis, -behind) for axis in (0, 1)), strict=True)
+    points = np.concatenate([_sample(np.asarray(points, float)), np.asarray(whole, float)]) @ axes
+    middle = float(np.median(points[:, 2]))
+    most = np.tan(FOV / 2) * _FILLED * np.array((aspect, 1.0))
+    distance_behind = _MIN_DISTANCE * middle
+    for _ in range(_MAX_STEPS):
+        beside, half = zip(
+            *(_centred(points, axis, -distance_behind) for axis in (0, 1)), strict=True
+        )
         if (np.array(half) <= most).all():
             break
-        behind = _FARTHER * (behind + middle) - middle
+        distance_behind = _STEP_BACK * (distance_behind + middle) - middle
     pose = np.eye(4)
     pose[:3, :3] = axes
-    pose[:3, 3] = axes @ (*beside, -behind)
-    return pose, middle + behind
+    pose[:3, 3] = axes @ (*beside, -distance_behind)
+    return pose, middle + distance_behind
 
 
 def in_sight(
     points: NDArray[np.floating], pose: NDArray[np.floating], aspect: float = USUAL_ASPECT
 ) -> NDArray[np.bool_]:
-    """Return which points, (N, 3), are well within the picture that is seen from a pose."""
+    """Return which points, (N, 3), are well inside the view from a pose."""
     inside = (points - pose[:3, 3]) @ pose[:3, :3]
-    half = np.tan(FOV / 2) * _MARGIN * np.array((aspect, 1.0))
+    half = np.tan(FOV / 2) * _FILLED * np.array((aspect, 1.0))
     seen: NDArray[np.bool_] = (np.abs(inside[:, :2]) <= half * inside[:, 2:]).all(axis=1)
     return seen
 
 
-def _usual(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return some points of all, without those that are far, and without a few at each side."""
+def _sample(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a sample of the points, without far points and without a few at each side."""
     if not len(points):
         return points
-    near = points[points[:, 2] <= _NEAR * np.median(points[:, 2])]
+    near = points[points[:, 2] <= _MAX_DEPTH * np.median(points[:, 2])]
     slopes = near[:, :2] / near[:, 2:]
     low, high = np.percentile(slopes, (_OUTSIDE, 100 - _OUTSIDE), axis=0)
     kept = near[((slopes >= low) & (slopes <= high)).all(axis=1)]
-    return kept[:: max(1, len(kept) // _MOST)]
+    return kept[:: max(1, len(kept) // _MAX_POINTS)]
 
 
-def _centred(places: NDArray[np.float64], axis: int, depth: float) -> tuple[float, float]:
-    """Return where an eye at a depth has all places about its middle, and their largest slope."""
-    values, before = places[:, axis], np.maximum(places[:, 2] - depth, 1e-9)
+def _centred(points: NDArray[np.float64], axis: int, depth: float) -> tuple[float, float]:
+    """Return the coordinate of a centred eye at a depth, and the largest slope of a point."""
+    values, before = points[:, axis], np.maximum(points[:, 2] - depth, 1e-9)
     low, high = float(values.min()), float(values.max())
     for _ in range(_HALVINGS):
         eye = (low + high) / 2

@@ -1,33 +1,33 @@
-"""A page that says how far a result is, while there is nothing of it to look at."""
+"""A page that shows the progress of a result without a complete frame."""
 
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from markupsafe import Markup
 from numpy.typing import NDArray
 
 from tisfm.reconstruction.result.folder import PICTURES, read_picture
-from tisfm.results.opening import NothingYetError, how_far, open_result
-from tisfm.results.result import Result, as_rgb
-from tisfm.view.html_texts import set_html, waiting_html
+from tisfm.results.opening import NotReadyError, describe_progress, open_result
+from tisfm.results.result_frames import ResultFrames, as_rgb
+from tisfm.view.html_texts import NOTHING, set_html, waiting_html
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
-_LOOK = 0.5  # s between looks at a folder
-_RENEWED = 2.0  # s between pictures
-_SENT = 0.3  # s for browsers to be told the last
+# Set by hand.
+_FOLDER_CHECK = 0.5  # s between looks at the folder
+_PICTURE_PERIOD = 2.0  # s between pictures
+_LAST_MESSAGE = 0.3  # s for browsers to receive the last message
 
 
 class WaitingPage:
-    """Shows browsers what is known of a result that is being made.
+    """Shows browsers the progress of a command that writes a result.
 
     Parameters
     ----------
     server : ViserServer
-        Whoever shows the result takes it over, and removes what is shown here.
+        `ViewerPage` takes it over, and removes the texts of this page.
     folder : Path
     """
 
@@ -36,57 +36,57 @@ class WaitingPage:
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         self._text = gui.add_html("")
-        self._told = Markup()
+        self._shown_text = NOTHING
         self._image: Any = None
         self._add_image = gui.add_image
-        self._pictured_at = -np.inf
+        self._picture_time = -np.inf
 
-    def wait(self) -> Result:
-        """Return the result as soon as it can be looked at.
+    def wait(self) -> ResultFrames:
+        """Return the result as soon as it has a complete frame.
 
         Raises
         ------
         OSError, ValueError
-            If nobody goes on making it, or a file is damaged.
+            If the command has ended without a result, or a file is damaged.
         """
         while True:
             try:
                 return open_result(self._folder)
-            except NothingYetError as error:
+            except NotReadyError as error:
                 self._show(str(error))
             except (OSError, ValueError) as error:
                 reason = " ".join(str(error).split())
-                set_html(self._text, waiting_html(reason, is_going_on=False))
+                set_html(self._text, waiting_html(reason, is_running=False))
                 self._server.flush()
-                time.sleep(_SENT)
+                time.sleep(_LAST_MESSAGE)
                 raise
-            time.sleep(_LOOK)
+            time.sleep(_FOLDER_CHECK)
 
     def _show(self, reason: str) -> None:
-        """Show why there is nothing, how far it is, and the frame that was read last."""
-        text = waiting_html(reason, how_far(self._folder))
-        if text != self._told:
-            self._told = text
+        """Show the reason of waiting, the progress, and the latest frame."""
+        text = waiting_html(reason, describe_progress(self._folder))
+        if text != self._shown_text:
+            self._shown_text = text
             set_html(self._text, text)
         now = time.monotonic()
-        if now - self._pictured_at < _RENEWED:
+        if now - self._picture_time < _PICTURE_PERIOD:
             return
-        self._pictured_at = now
+        self._picture_time = now
         picture = _newest_picture(self._folder)
         if picture is None:
             return
         if self._image is None:
-            self._image = self._add_image(picture, label="the frame read last", jpeg_quality=80)
+            self._image = self._add_image(picture, label="latest frame", jpeg_quality=80)
         else:
             self._image.image = picture
 
 
 def _newest_picture(folder: Path) -> NDArray[np.uint8] | None:
-    """Return the last frame of a reconstruction that is being made, None if there is none."""
+    """Return the latest frame of a running reconstruction; None without a frame."""
     names = sorted(path.stem for path in (folder / PICTURES).glob("*.jpg"))
     if not names or not names[-1].isdigit():
         return None
     try:
         return as_rgb(read_picture(folder, int(names[-1])))
-    except (OSError, ValueError):  # it is just being replaced
+    except (OSError, ValueError):  # the file is being replaced
         return None

@@ -1,6 +1,8 @@
-"""A path that was read, in the place of a reconstruction."""
+"""Results that are compared with a sequence: a reconstruction, or a trajectory from a file."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,22 +12,44 @@ from tisfm.errors import InputError
 from tisfm.trajectory import Trajectory, associate
 
 
+class SequenceResult(Protocol):
+    """A result to compare: `tisfm.Reconstruction`, or an object with the same attributes."""
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """(N, 4, 4), camera to world; NaN for a frame without a pose."""
+
+    @property
+    def piece(self) -> NDArray[np.int32]:
+        """(N,), piece of each frame, with its own world; −1 without a pose."""
+
+    @property
+    def status(self) -> Sequence[Any]:
+        """Status of each frame."""
+
+    def inverse_depth(self, index: int) -> NDArray[np.float32]:
+        """Return the inverse depth of a frame, (H, W); NaN if unknown."""
+
+    def inverse_depth_std(self, index: int) -> NDArray[np.float32]:
+        """Return the standard deviation of inverse depth, (H, W)."""
+
+
 class TrajectoryResult:
-    """A trajectory that was read, as the result of a reconstruction without depth.
+    """A trajectory from a file, as a result without depth.
 
     Parameters
     ----------
     trajectory : Trajectory
-        One with times has the frames that have a pose; one without has a pose for every frame.
+        With times, it has poses of some frames; without times, a pose for every frame.
     loaded : LoadedSequence
-        The frames. Where they have no times, their numbers 0, 1, 2, … stand for them.
+        The frames. Without times, their numbers 0, 1, 2, … are used.
     source : Path
-        Where the trajectory was read, for errors.
+        File of the trajectory, for messages.
 
     Raises
     ------
     ValueError
-        If it is of another number of frames, or no times are those of frames.
+        If the number of poses differs from the frames, or no time is that of a frame.
     """
 
     def __init__(self, trajectory: Trajectory, loaded: LoadedSequence, source: Path) -> None:
@@ -52,7 +76,7 @@ class TrajectoryResult:
         self.status = ["read" if known else "no pose" for known in posed]
 
     def inverse_depth(self, index: int) -> NDArray[np.float32]:
-        """Refuse: there is none."""
+        """Raise ValueError: a trajectory has no depth."""
         raise InputError(f"frame {index} has no depth: a trajectory was read")
 
     inverse_depth_std = inverse_depth

@@ -1,0 +1,254 @@
+"""Labels and paths of the moving objects of a reconstruction, compared with the truth."""
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import tee
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+from rich.text import Text
+
+from tisfm.camera_file import NAME as CAMERA
+from tisfm.camera_file import read_camera
+from tisfm.checks import whole
+from tisfm.errors import InputError
+from tisfm.formats import IMAGE_SUFFIXES, FormatError
+from tisfm.formats.image_names import sort_by_name
+from tisfm.formats.label_picture import read_label_picture
+from tisfm.formats.reading import read_json
+from tisfm.lens import Undistortion
+from tisfm.metrics import LabelScores, ObjectPathErrors, label_scores, object_path_errors
+from tisfm.reconstruction.result.folder import OBJECTS
+from tisfm.reconstruction.result.moving_object import MovingObject
+from tisfm.reconstruction.result.reconstruction import Reconstruction
+from tisfm.trajectory import read_trajectory
+
+MASKS = "masks"
+_NOTHING = "–"  # cell without a value
+
+
+def compare_masks(
+    result: str | os.PathLike[str], truth: str | os.PathLike[str], *, step: int = 1
+) -> LabelScores:
+    """Compare the labels of a saved reconstruction with the true masks of a sequence.
+
+    Parameters
+    ----------
+    result : path
+        Folder of a reconstruction with moving objects: its ``masks`` has a picture of labels for
+        every frame, 0 for the static scene.
+    truth : path
+        Folder of true masks, or its parent with a folder ``masks``, as in DAVIS: a picture for
+        every frame, in the order of names, 0 for the static scene, and a value for each object.
+    step : int, default 1
+        Step of the reconstructed frames in the true masks.
+
+    Returns
+    -------
+    LabelScores
+        If the frames of the result were undistorted, the true masks are undistorted as well, and
+        pixels outside count in neither.
+
+    Raises
+    ------
+    FileNotFoundError
+        If a folder does not exist, or has no pictures.
+    ValueError
+        If numbers or sizes of masks differ, no true mask has an object, or `step` is not a positive
+        whole number.
+    tisfm.formats.FormatError
+        If a picture is damaged, or is no picture of labels.
+
+    See Also
+    --------
+    tisfm.metrics.label_scores : definition of the scores.
+
+    Examples
+    --------
+    >>> from tisfm.evaluation import compare_masks
+    >>> compare_masks("bodies", "bodies/masks").iou  # with itself
+    1.0
+    """
+    whole(1, step=step)
+    true_files = _pictures(true_masks(truth))[::step]
+    folder = Path(result)
+    if not folder.is_dir():
+        raise FileNotFoundError(f"there is no folder {folder}: check the path")
+    if not (folder / MASKS).is_dir():
+        raise FileNotFoundError(
+            f"{folder} has no folder {MASKS}: reconstruct with --motion objects, and every frame's "
+            "labels are saved there"
+        )
+    files = _pictures(folder / MASKS)
+    if len(files) != len(true_files):
+        raise InputError(
+            f"{folder} has masks of {len(files)} frames, but there are {len(true_files)} true ones "
+            f"at a step of {step}: expected one for each frame that was reconstructed"
+        )
+    pairs = _in_one_grid(folder, files, true_files)
+    found, true = tee(pairs)
+    return label_scores((one for one, _ in found), (one for _, one in true))
+
+
+def _in_one_grid(
+    folder: Path, files: Sequence[Path], true_files: Sequence[Path]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield labels and true labels, (H, W), both without distortion."""
+    lens = None
+    for file, true_file in zip(files, true_files, strict=True):
+        labels, true = read_label_picture(file), read_label_picture(true_file)
+        if (folder / CAMERA).is_file() and labels.shape == true.shape:
+            camera = read_camera(folder, true.shape)
+            if not camera.is_pinhole:
+                lens = lens or Undistortion(camera, *true.shape)
+                seen = np.nan_to_num(lens.nearest(np.float32(true))).astype(true.dtype)
+                labels, true = (np.where(lens.valid, one, 0) for one in (labels, seen))
+        yield labels, true
+
+
+def true_masks(folder: str | os.PathLike[str]) -> Path:
+    """Return the folder of the masks of a sequence: ``masks`` in a folder, or the folder itself.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the folder does not exist.
+    """
+    path = Path(folder)
+    if not path.is_dir():
+        raise FileNotFoundError(f"there is no folder {path}: check the path")
+    return path / MASKS if (path / MASKS).is_dir() else path
+
+
+def mask_table(name: str, scores: LabelScores) -> Table:
+    """Return a table of the scores of a sequence: a row for each object, and the mean."""
+    table = Table(
+        title=f"Moving objects of {name} against the true masks",
+        caption="IoU: intersection over union with the label matched to the object in all frames, "
+        "mean over the frames in which one of both is present. followed: frames in which a label "
+        "has an IoU of 0.5 or more with the object. switches: how often that label changes.",
+    )
+    table.add_column("object", overflow="fold")
+    for heading in ("label", "IoU", "frames", "followed", "switches"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for thing in scores.things:
+        table.add_row(
+            Text(str(thing.thing)),
+            _NOTHING if thing.label is None else str(thing.label),
+            f"{thing.iou:.3f}",
+            str(thing.frames),
+            f"{thing.followed} of {thing.there}",
+            str(thing.switches),
+        )
+    if len(scores.things) > 1:
+        there, followed = (
+            sum(getattr(thing, key) for thing in scores.things) for key in ("there", "followed")
+        )
+        row = (f"{scores.iou:.3f}", "", f"{followed} of {there}", str(scores.switches))
+        table.add_row("all", "", *row)
+    return table
+
+
+def _pictures(folder: Path) -> Sequence[Path]:
+    files = [
+        file
+        for file in folder.iterdir()
+        if file.suffix.lower() in IMAGE_SUFFIXES and not file.name.startswith(".")
+    ]
+    if not files:
+        raise FileNotFoundError(f"the folder {folder} has no pictures: expected a mask for a frame")
+    return sort_by_name(files)
+
+
+POSES = "poses.txt"
+
+
+def has_true_paths(folder: Path) -> bool:
+    """Return whether a folder has the true paths of objects and of the camera."""
+    return (folder / OBJECTS).is_file() and (folder / POSES).is_file()
+
+
+def compare_object_paths(
+    result: Path, truth: Path, labels: Mapping[int, int], *, step: int = 1
+) -> dict[int, ObjectPathErrors]:
+    """Compare the paths of the moving objects of a reconstruction with the true paths.
+
+    Parameters
+    ----------
+    result : Path
+        Folder of the reconstruction.
+    truth : Path
+        Folder with ``objects.json`` of the true objects, in the format of a reconstruction, and
+        ``poses.txt`` of the camera: rows of (R | t) from camera to world, for every frame.
+    labels : mapping of int to int
+        Ids of the objects of the reconstruction, by true ids.
+    step : int, default 1
+        Step of the reconstructed frames in the truth.
+
+    Returns
+    -------
+    dict of int to ObjectPathErrors
+        By true id, for objects with a path of three frames or more.
+
+    Raises
+    ------
+    ValueError
+        If the numbers of frames differ.
+    tisfm.formats.FormatError
+        If a file is damaged.
+    """
+    found = Reconstruction.load(result)
+    cameras = read_trajectory(truth / POSES).poses[::step]
+    if len(cameras) != len(found):
+        raise InputError(
+            f"{truth / POSES} has {len(cameras)} frames at a step of {step}, but {result} has "
+            f"{len(found)}: expected as many"
+        )
+    try:
+        record = read_json(truth / OBJECTS)
+        things = {thing.id: thing for thing in map(MovingObject.of_json, record["objects"])}
+    except FormatError:
+        raise
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
+        raise FormatError(f"{truth / OBJECTS} is damaged or of another kind: {error}") from error
+    own = {thing.id: thing for thing in found.objects}
+    errors = {}
+    for number, label in labels.items():
+        if number not in things or label not in own:
+            continue
+        both = object_path_errors(
+            _by_frame(own[label], len(found)),
+            _by_frame(things[number], len(found), step),
+            found.poses,
+            cameras,
+        )
+        if both is not None:
+            errors[number] = both
+    return errors
+
+
+def object_path_table(name: str, errors: Mapping[int, ObjectPathErrors]) -> Table:
+    """Return a table of the errors of paths: a row for each object."""
+    table = Table(
+        title=f"Paths of the moving objects of {name} against the true paths",
+        caption="position: root mean square distance from the true path, with the world aligned by "
+        "the path of the camera, and scale and origin of the object fitted; share: of the length "
+        "of the true path. rotation: of the axes, degrees.",
+    )
+    for heading in ("object", "frames", "position", "share", "rotation"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for number, error in errors.items():
+        share = "–" if error.share is None else f"{100 * error.share:.2f} %"
+        row = (f"{error.position:.4g}", share, f"{error.rotation:.2f}°")
+        table.add_row(str(number), str(error.frames), *row)
+    return table
+
+
+def _by_frame(thing: MovingObject, count: int, step: int = 1) -> np.ndarray:
+    """Return the poses of an object in every n-th frame, (N, 4, 4); NaN for no pose."""
+    poses = np.full((count, 4, 4), np.nan)
+    for frame, pose in zip(thing.frames, thing.poses, strict=True):
+        if frame % step == 0 and frame // step < count:
+            poses[frame // step] = pose
+    return poses

@@ -1,0 +1,250 @@
+"""Errors of a pair, and means of the errors of many pairs."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.datasets import DatasetPair
+from tisfm.metrics import DepthErrors, FlowErrors, OcclusionScores, PoseErrors
+
+LITTLE_PARALLAX = ("little_parallax", "pure_rotation", "no_motion")
+"""Statuses of too little parallax to measure depth and the direction of translation."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairEvaluation:
+    """The errors of one pair, or why there are none.
+
+    Attributes
+    ----------
+    pair : DatasetPair
+        The pair and its files.
+    fault : str or None
+        Why the pair has no errors, in one line; None if it was evaluated.
+    size : (int, int) or None
+        Height and width, px.
+    camera : Camera or None
+        The camera of the interpretation.
+    status, message : str
+        Status of the interpretation and advice; empty without an interpretation.
+    seconds : float or None
+        Time of the interpretation, without reading files, compiling kernels, comparing and writing.
+    errors : FlowErrors or None
+        Errors of the flow where the truth is known; None without a true flow.
+    visible : FlowErrors or None
+        The same without pixels that are occluded in frame 1, if the dataset marks them.
+    without_sky : FlowErrors or None
+        The same without the sky, if the dataset marks it.
+    occlusion : OcclusionScores or None
+        Agreement of the occlusion map with that of the dataset and with pixels that leave the
+        image, where the true flow is known; None if the dataset has no map. If no pixel is
+        occluded, its count of marked pixels is the number of false alarms.
+    depth : DepthErrors or None
+        Errors of the depth, scaled by the median, where the truth is known; None without a true
+        depth or a recovered depth.
+    without_depth : bool
+        Whether the dataset has true depth but the interpretation has none: its status reports too
+        little parallax, or no pixel of known depth has depth.
+    pose : PoseErrors or None
+        Errors of the motion of the scene before the camera; None without a true pose, if the pose
+        was given to the interpretation, or if the interpretation has no single motion. With too
+        little parallax, its direction is None.
+
+    Examples
+    --------
+    >>> from tisfm.datasets import find_pairs
+    >>> from tisfm.evaluation import PairEvaluation
+    >>> (pair,) = find_pairs("calibrated", step=8)
+    >>> record = PairEvaluation(pair=pair, fault="the file is damaged")  # `evaluate` makes it
+    >>> record.depth is None
+    True
+    """
+
+    pair: DatasetPair
+    fault: str | None = None
+    size: tuple[int, int] | None = None
+    camera: Camera | None = None
+    status: str = ""
+    message: str = ""
+    seconds: float | None = None
+    errors: FlowErrors | None = None
+    visible: FlowErrors | None = None
+    without_sky: FlowErrors | None = None
+    occlusion: OcclusionScores | None = None
+    depth: DepthErrors | None = None
+    without_depth: bool = False
+    pose: PoseErrors | None = None
+
+    @property
+    def label(self) -> str:
+        """Dataset and name."""
+        return f"{self.pair.dataset}/{self.pair.name}"
+
+    @property
+    def little_parallax(self) -> bool:
+        """Whether the interpretation reports too little parallax for depth."""
+        return self.status in LITTLE_PARALLAX
+
+
+_Errors = TypeVar("_Errors", FlowErrors, DepthErrors, PoseErrors)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ErrorSummary(Generic[_Errors]):
+    """Mean and median of one kind of errors over pairs.
+
+    Attributes
+    ----------
+    pairs : int
+        Pairs with such errors.
+    mean, median : FlowErrors, DepthErrors or PoseErrors, or None
+        Of every error separately, over the pairs that have it; None if `pairs` is 0.
+    """
+
+    pairs: int
+    mean: _Errors | None
+    median: _Errors | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthMeans(ErrorSummary[DepthErrors]):
+    """Errors of depth over pairs.
+
+    Attributes
+    ----------
+    without_depth : int
+        Pairs with a true depth but without a recovered depth. `pairs` does not count them.
+    """
+
+    without_depth: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseMeans(ErrorSummary[PoseErrors]):
+    """Errors of pose over pairs.
+
+    Attributes
+    ----------
+    without_direction : int
+        Pairs among `pairs` without a direction of translation to compare.
+    """
+
+    without_direction: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeanErrors:
+    """Means over pairs. Every pair has the same weight, whatever its size (but see `occlusion`).
+
+    Attributes
+    ----------
+    pairs : int
+        Evaluated pairs.
+    seconds : float
+        Mean time of their interpretations.
+    flow_pairs : int
+        Pairs among these with a true flow.
+    errors : FlowErrors or None
+        Over the pairs with a true flow; `pixels` is the total of all pairs. None without such
+        pairs.
+    visible, without_sky : FlowErrors or None
+        As in `PairEvaluation`; None unless every pair with a true flow has them, because means over
+        different pairs cannot be compared.
+    occlusion : OcclusionScores or None
+        Not a mean: scores of the pixels of all pairs together, so that false alarms count in pairs
+        without occlusion. None unless every pair with a true flow has them.
+    depth : DepthMeans or None
+        Over the pairs with a true depth; None without such pairs.
+    pose : PoseMeans or None
+        Over the pairs whose pose is compared; None without such pairs.
+    """
+
+    pairs: int
+    seconds: float
+    flow_pairs: int = 0
+    errors: FlowErrors | None = None
+    visible: FlowErrors | None = None
+    without_sky: FlowErrors | None = None
+    occlusion: OcclusionScores | None = None
+    depth: DepthMeans | None = None
+    pose: PoseMeans | None = None
+
+
+def mean_errors(pairs: Sequence[PairEvaluation]) -> MeanErrors | None:
+    """Return means over the evaluated pairs; None without such pairs."""
+    evaluated = [pair for pair in pairs if pair.seconds is not None]
+    if not evaluated:
+        return None
+    flows = [pair for pair in evaluated if pair.errors is not None]
+    return MeanErrors(
+        pairs=len(evaluated),
+        seconds=float(np.mean([pair.seconds for pair in evaluated])),
+        flow_pairs=len(flows),
+        errors=_mean_flow([pair.errors for pair in flows]),
+        visible=_mean_flow([pair.visible for pair in flows]),
+        without_sky=_mean_flow([pair.without_sky for pair in flows]),
+        occlusion=_joint_scores([pair.occlusion for pair in flows]),
+        depth=_depth_means(evaluated),
+        pose=_pose_means(evaluated),
+    )
+
+
+def _depth_means(pairs: Sequence[PairEvaluation]) -> DepthMeans | None:
+    known = [pair for pair in pairs if pair.depth is not None or pair.without_depth]
+    errors = [pair.depth for pair in known if pair.depth is not None]
+    if not known:
+        return None
+    return DepthMeans(
+        pairs=len(errors),
+        without_depth=len(known) - len(errors),
+        mean=_summary(DepthErrors, errors, np.mean) if errors else None,
+        median=_summary(DepthErrors, errors, np.median) if errors else None,
+    )
+
+
+def _pose_means(pairs: Sequence[PairEvaluation]) -> PoseMeans | None:
+    errors = [pair.pose for pair in pairs if pair.pose is not None]
+    if not errors:
+        return None
+    return PoseMeans(
+        pairs=len(errors),
+        without_direction=sum(error.direction is None for error in errors),
+        mean=_summary(PoseErrors, errors, np.mean),
+        median=_summary(PoseErrors, errors, np.median),
+    )
+
+
+def _mean_flow(errors: Sequence[FlowErrors | None]) -> FlowErrors | None:
+    """Return the mean of every error; None if a pair has no errors, or there is no pair."""
+    present = [error for error in errors if error is not None]
+    if not present or len(present) < len(errors):
+        return None
+    return _summary(FlowErrors, present, np.mean, pixels=sum(error.pixels for error in present))
+
+
+def _summary(
+    kind: type[_Errors],
+    errors: Sequence[_Errors],
+    reduce: Callable[[list[Any]], Any],
+    **given: Any,
+) -> _Errors:
+    """Reduce each error separately over the pairs that have it, except for given values."""
+    reduced: dict[str, Any] = {}
+    for field in fields(kind):
+        values = [getattr(error, field.name) for error in errors]
+        known = [value for value in values if value is not None]
+        reduced[field.name] = float(reduce(known)) if known else None
+    return kind(**{**reduced, **given})
+
+
+def _joint_scores(scores: Sequence[OcclusionScores | None]) -> OcclusionScores | None:
+    """Return the scores of all maps together; None if a map is missing, or there is no map."""
+    present = [score for score in scores if score is not None]
+    if not present or len(present) < len(scores):
+        return None
+    names = ("hits", "marked", "occluded", "pixels")
+    counts = {name: sum(getattr(score, name) for score in present) for name in names}
+    return OcclusionScores.from_counts(**counts)

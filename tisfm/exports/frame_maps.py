@@ -1,0 +1,209 @@
+"""Depth and masks of every frame in the files that other programs read."""
+
+import os
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm.errors import InputError
+from tisfm.exports.chosen_frames import chosen_frames
+from tisfm.exports.float_images import check_exr, write_exr, write_pfm, write_tiff
+from tisfm.exports.value_ranges import some_of, thinned
+from tisfm.folders.result_folder import make_subfolder
+from tisfm.formats import write_depth_png, write_dpt, write_png
+from tisfm.results.result_frames import ResultFrames, file_names
+
+DepthKind = Literal["tum", "kitti", "exr", "tiff", "pfm", "dpt"]
+Progress = Callable[[int, int], None]
+VALUES_PER_UNIT = {"tum": 5000.0, "kitti": 256.0}  # as the datasets of these names define
+MAX_VALUE = 65535  # of a 16-bit file
+_MAX_BEYOND = 0.5  # share of depth beyond the range from which an export is refused; set by hand
+_MIN_MEDIAN_VALUE = 10  # median value below which steps of depth are too coarse; set by hand
+SUFFIXES = {"tum": ".png", "kitti": ".png", "exr": ".exr", "tiff": ".tiff", "pfm": ".pfm",
+            "dpt": ".dpt"}  # fmt: skip
+
+
+def write_depths(
+    frames: ResultFrames,
+    folder: str | os.PathLike[str],
+    kind: DepthKind,
+    *,
+    chosen: Iterable[int] | None = None,
+    progress: Progress | None = None,
+) -> list[Path]:
+    """Write a file for every frame with depth.
+
+    Depth is Z, along the optical axis, in the unit of the result.
+
+    Parameters
+    ----------
+    frames : ResultFrames
+    folder : path
+        It has to exist. Files have the names of the frames.
+    kind : {"tum", "kitti", "exr", "tiff", "pfm", "dpt"}
+        16-bit PNG of 5000 (TUM) or 256 (KITTI) values per unit, 0 for no depth and for depth beyond
+        the largest value; EXR of float32, channel Z, with 0 for no depth; TIFF of float32, with
+        NaN; PFM, with infinity, as in Middlebury; ``.dpt`` of Sintel, with NaN.
+    chosen : iterable of int, optional
+        Frame numbers; by default all.
+    progress : callable, optional
+        Called with the number of finished frames and of all frames.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    ValueError
+        If no frame has depth, or half of the depth does not fit into 16 bits.
+    ImportError
+        If OpenEXR is not installed for EXR files.
+    OSError
+        If a file cannot be written.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.exports import SequenceFrames, write_depths
+    >>> frames = SequenceFrames(tisfm.Reconstruction.load("walk"))
+    >>> len(write_depths(frames, ".", "tum"))  # a 16-bit PNG for each frame
+    9
+    """
+    if kind == "exr":
+        check_exr()
+    with_depth = frames_with_depth(frames, chosen)
+    if kind in VALUES_PER_UNIT:
+        check_fits(frames, with_depth, kind)
+    names, written = file_names(frames.names), []
+    for done, frame in enumerate(with_depth, 1):
+        file = Path(folder) / f"{names[frame]}{SUFFIXES[kind]}"
+        _write(file, kind, depth_of(frames.inverse_depth(frame)))
+        written.append(file)
+        if progress is not None:
+            progress(done, len(with_depth))
+    return written
+
+
+def frames_with_depth(frames: ResultFrames, chosen: Iterable[int] | None = None) -> list[int]:
+    """Return the frames with depth; raise ValueError if there is none."""
+    with_depth = [frame for frame in chosen_frames(chosen, len(frames)) if frames.has_depth(frame)]
+    if not with_depth:
+        raise InputError(f"no frame of {frames.folder} has depth: {frames.depth_advice}")
+    return with_depth
+
+
+def check_fits(frames: ResultFrames, chosen: list[int], kind: DepthKind) -> float:
+    """Return the share of depth that 16 bits cannot hold, estimated from some of the frames.
+
+    Raises
+    ------
+    ValueError
+        If it is more than half, or if the median depth has a value below 10, so that steps are
+        coarse.
+    """
+    scale = VALUES_PER_UNIT[kind]
+    depth = [depth_of(thinned(frames.inverse_depth(frame))) for frame in some_of(chosen)]
+    values = np.concatenate([one[np.isfinite(one)] for one in depth])
+    if not len(values):
+        return 0.0
+    beyond = float((values * scale > MAX_VALUE + 0.5).mean())
+    median = float(np.median(values))
+    range_text = (
+        f"a file of {scale:g} values per unit holds {10 / scale:g} to {MAX_VALUE / scale:.4g}"
+    )
+    advice = f"{frames.unit_advice}, or take depth-exr, depth-tiff, depth-pfm or depth-dpt"
+    if beyond > _MAX_BEYOND:
+        raise InputError(
+            f"depth in {frames.folder} is {median:.4g} in the median, and {100 * beyond:.3g} % of "
+            f"it is beyond {MAX_VALUE / scale:.4g}, but {range_text}: {advice}"
+        )
+    if median * scale < _MIN_MEDIAN_VALUE:
+        raise InputError(
+            f"depth in {frames.folder} is {median:.3g} in the median, but {range_text}: {advice}"
+        )
+    return beyond
+
+
+def depth_of(inverse_depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return depth, (H, W) float32; NaN for no depth."""
+    depth = np.full_like(inverse_depth, np.nan)
+    with np.errstate(over="ignore"):
+        np.divide(1, inverse_depth, out=depth, where=inverse_depth > 0)
+    depth[~np.isfinite(depth) | (depth <= 0)] = np.nan
+    return depth
+
+
+def _write(file: Path, kind: DepthKind, depth: NDArray[np.float32]) -> None:
+    no_depth = np.isnan(depth)
+    if kind in VALUES_PER_UNIT:
+        scale = VALUES_PER_UNIT[kind]
+        write_depth_png(file, np.where(depth * scale > MAX_VALUE + 0.5, np.nan, depth), scale=scale)
+    elif kind == "exr":
+        write_exr(file, {"Z": np.where(no_depth, np.float32(0), depth)})
+    elif kind == "tiff":
+        write_tiff(file, depth)
+    elif kind == "pfm":
+        write_pfm(file, np.where(no_depth, np.float32(np.inf), depth))
+    else:
+        write_dpt(file, depth)
+
+
+def write_masks(
+    frames: ResultFrames,
+    folder: str | os.PathLike[str],
+    *,
+    chosen: Iterable[int] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Path]:
+    """Write black and white masks of every frame, a folder for each kind of mask.
+
+    Parameters
+    ----------
+    frames : ResultFrames
+        For a reconstruction with ``motion="objects"``: ``at-rest`` has the static scene in white,
+        ``object-1`` and so on the moving object of this id. For pairs: ``visible`` has the pixels
+        in white that are visible in the next frame; with ``motion="objects"``, ``motion-0`` and so
+        on the pixels with this motion, whose number is valid in the pair alone.
+    folder : path
+        It has to exist. Folders have the names of the masks, files the names of the frames.
+    chosen : iterable of int, optional
+        Frame numbers; by default all.
+    progress : callable, optional
+        Called with the number of finished frames and of all frames.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    ValueError
+        If the result has no labels.
+    OSError
+        If a file cannot be written.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.exports import SequenceFrames, write_masks
+    >>> frames = SequenceFrames(tisfm.Reconstruction.load("bodies"))  # of ``motion="objects"``
+    >>> written = write_masks(frames, ".", chosen=[0])
+    >>> written[0].parent.name
+    'at-rest'
+    """
+    numbers, names, written = chosen_frames(chosen, len(frames)), file_names(frames.names), []
+    for done, frame in enumerate(numbers, 1):
+        for name, mask in frames.masks(frame).items():
+            subfolder = make_subfolder(Path(folder) / name)
+            file = subfolder / f"{names[frame]}.png"
+            write_png(file, np.where(mask, np.uint8(255), np.uint8(0)))
+            written.append(file)
+        if progress is not None:
+            progress(done, len(numbers))
+    return written

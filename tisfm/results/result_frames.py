@@ -1,0 +1,144 @@
+"""The interface of results: frames with depth, poses, motion and labels, read on demand."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm.reconstruction.result.moving_object import MovingObject
+from tisfm.results.frame import ResultFrame
+from tisfm.results.fused_scene import FusedKind, FusedScene
+from tisfm.status import Status
+
+Change = Literal["grown", "replaced"]
+
+
+class ResultFrames(Protocol):
+    """The frames of a result.
+
+    Attributes
+    ----------
+    folder : Path
+    names : sequence of str
+        Names of the frames in the source.
+    times : sequence of float or None
+        s.
+    statuses : sequence of Status
+    poses : (N, 4, 4) float64
+        Camera to world, NaN for a frame without a pose.
+    piece : (N,) int32
+        Frames of one piece have one scale; −1 without a pose.
+    objects : tuple of MovingObject
+    unit : str
+        Unit of depth, in words.
+    has_one_scale : bool
+        Whether depth of all frames of a piece has the unit of the poses. Otherwise the depth of
+        each frame has its own unit.
+    quantities : tuple of str
+        What points can be coloured by, besides image and depth.
+    can_fuse : bool
+        Whether several frames can be fused.
+    unit_advice : str
+        How to get depth in another unit.
+    """
+
+    folder: Path
+    names: Sequence[str]
+    times: Sequence[float | None]
+    statuses: Sequence[Status]
+    poses: NDArray[np.float64]
+    piece: NDArray[np.int32]
+    objects: tuple[MovingObject, ...]
+    unit: str
+    has_one_scale: bool
+    quantities: tuple[str, ...]
+    can_fuse: bool
+    unit_advice: str
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width of the frames, px."""
+
+    @property
+    def depth_advice(self) -> str:
+        """How to get depth for frames without depth."""
+
+    def read(self, number: int) -> ResultFrame:
+        """Read everything about a frame.
+
+        Raises
+        ------
+        OSError, ValueError
+            If its file is missing or damaged.
+        """
+
+    def picture(self, number: int) -> NDArray[np.uint8]:
+        """Read the picture of a frame, (H, W) or (H, W, 3) RGB."""
+
+    def inverse_depth(self, number: int) -> NDArray[np.float32]:
+        """Read the inverse depth of a frame, (H, W); values that are not above 0 are unknown."""
+
+    def has_depth(self, number: int) -> bool:
+        """Return whether a frame has usable depth."""
+
+    def scale(self, number: int) -> tuple[int, float]:
+        """Return a group of frames with a common scale, and the scale of inverse depth in it."""
+
+    def flow(self, number: int) -> NDArray[np.float32]:
+        """Read the image motion to the next frame, (H, W, 2) px.
+
+        Raises
+        ------
+        ValueError
+            If the result does not keep image motion.
+        """
+
+    def masks(self, number: int) -> dict[str, NDArray[np.bool_]]:
+        """Return the masks of a frame, (H, W), by name.
+
+        Raises
+        ------
+        ValueError
+            If the result has no labels.
+        """
+
+    def fused(self, kind: FusedKind, number: int) -> FusedScene:
+        """Return the fused points or surface of the piece of a frame; this can take long.
+
+        Raises
+        ------
+        ImportError, OSError, ValueError
+            If there is nothing to fuse, a package is missing, or a file is damaged.
+        """
+
+    def refresh(self) -> Change | None:
+        """Read the record of the folder again if it has changed.
+
+        Returns
+        -------
+        {"grown", "replaced"} or None
+            "grown" if all earlier frames are still the same; None if nothing has changed.
+        """
+
+
+def file_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Return names for files, one for each frame: the base names if they differ, else numbers.
+
+    Names that differ only in upper and lower case count as equal, as some file systems do.
+    """
+    plain = [Path(name).name for name in names]
+    count = Counter(name.casefold() for name in plain)
+    if all(plain) and max(count.values(), default=1) == 1:
+        return tuple(plain)
+    return tuple(f"{number:06d}" for number in range(len(names)))
+
+
+def as_rgb(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a picture, (H, W) or (H, W, 3), with three channels."""
+    return np.repeat(picture[..., None], 3, axis=2) if picture.ndim == 2 else picture

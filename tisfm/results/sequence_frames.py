@@ -1,0 +1,186 @@
+"""The frames of a reconstruction, in memory or in the folder of `tisfm reconstruct`."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tisfm.errors import InputError
+from tisfm.reconstruction.result.folder import DEPTH, RECORD, depth_path
+from tisfm.reconstruction.result.moving_object import MovingObject
+from tisfm.reconstruction.result.reconstruction import Reconstruction
+from tisfm.results.frame import ResultFrame
+from tisfm.results.fused_scene import FusedKind, FusedScene, fuse_keyframes, read_fused, thinned
+from tisfm.results.result_frames import Change, as_rgb
+from tisfm.rigid import rigid_twist
+
+
+class SequenceFrames:
+    """The frames of a reconstruction; a `tisfm.results.result_frames.ResultFrames`.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> from tisfm.exports import SequenceFrames
+    >>> frames = SequenceFrames(tisfm.Reconstruction.load("walk"))
+    >>> len(frames), frames.has_depth(0), frames.inverse_depth(0).shape
+    (9, True, (180, 240))
+    """
+
+    unit = "the unit of the path"
+    unit_advice = "give another unit by --scale"
+    has_one_scale = can_fuse = True
+
+    def __init__(self, result: Reconstruction) -> None:
+        self._record_stamp: tuple[int, int] | None = None  # modification time and size
+        self._set_result(result)
+
+    @classmethod
+    def open(cls, folder: Path) -> "SequenceFrames":
+        """Open a folder, which `refresh` reads again when it is replaced.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the folder is not complete.
+        tisfm.formats.FormatError
+            If a file is damaged.
+        """
+        try:
+            stamp = _stamp(folder)
+        except FileNotFoundError:
+            raise FileNotFoundError(
+                f"the folder {folder} is not complete: it has no {RECORD}"
+            ) from None
+        frames = cls(Reconstruction.load(folder))
+        frames._record_stamp = stamp
+        return frames
+
+    def refresh(self) -> Change | None:
+        """Read the reconstruction again if it was replaced; keep it while it is being replaced."""
+        try:
+            stamp = _stamp(self.folder)
+        except FileNotFoundError:
+            return None
+        if stamp == self._record_stamp:
+            return None
+        self._set_result(Reconstruction.load(self.folder))
+        self._record_stamp = stamp
+        return "replaced"
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width of the frames, px."""
+        return self._result.shape
+
+    @property
+    def depth_advice(self) -> str:
+        """How to get depth for frames without depth."""
+        if not (self.piece >= 0).any():
+            return "none has a pose either; the statuses of the reconstruction say why"
+        if not (self.folder / DEPTH).is_dir():
+            return f"its folder {DEPTH} is gone"
+        return "reconstruct with --depth-of all"
+
+    def read(self, number: int) -> ResultFrame:
+        """Read everything about a frame."""
+        result = self._result
+        has_labels = result.settings.motion == "objects"
+        return ResultFrame(
+            number=number,
+            picture=as_rgb(self.picture(number)),
+            camera=result.camera,
+            inverse_depth=result.inverse_depth(number),
+            inverse_depth_std=result.inverse_depth_std(number),
+            status=result.status[number],
+            labels=result.labels(number) if has_labels else None,
+            motions=self._motions(number),
+        )
+
+    def picture(self, number: int) -> NDArray[np.uint8]:
+        """Read the picture of a frame, without distortion, (H, W) or (H, W, 3) RGB."""
+        return self._result.picture(number)
+
+    def inverse_depth(self, number: int) -> NDArray[np.float32]:
+        """Read the inverse depth of a frame, (H, W)."""
+        return self._result.inverse_depth(number)
+
+    def has_depth(self, number: int) -> bool:
+        """Return whether a frame has depth in a known scale."""
+        return bool(self.piece[number] >= 0) and depth_path(self.folder, number).exists()
+
+    def scale(self, number: int) -> tuple[int, float]:
+        """Return the piece of a frame and 1: all its frames have one scale."""
+        return int(self.piece[number]), 1.0
+
+    def flow(self, number: int) -> NDArray[np.float32]:
+        """Raise ValueError: a reconstruction keeps no image motion."""
+        raise InputError(
+            f"{self.folder} is of tisfm reconstruct, which keeps no image motion: export what "
+            "`tisfm run` makes of the same frames"
+        )
+
+    def masks(self, number: int) -> dict[str, NDArray[np.bool_]]:
+        """Return the mask of the static scene, and of every moving object."""
+        if self._result.settings.motion != "objects":
+            raise InputError(
+                f"{self.folder} has no labels of what moves: reconstruct with --motion objects"
+            )
+        labels = self._result.labels(number)
+        moving = {f"object-{one.id}": labels == one.id for one in self.objects}
+        return {"at-rest": labels == 0, **moving}
+
+    def fused(self, kind: FusedKind, number: int) -> FusedScene:
+        """Return the stored scene of the largest piece, or fuse the keyframes around a frame.
+
+        Its points are thinned for browsers.
+        """
+        result, stored = self._result, None
+        if self.piece[number] == result.largest_piece:
+            stored = read_fused(self.folder, kind)
+        return thinned(fuse_keyframes(result, kind, number) if stored is None else stored)
+
+    def _set_result(self, result: Reconstruction) -> None:
+        self._result, self.folder = result, result.folder
+        self.names, self.statuses = list(result.names), list(result.status)
+        self.times, self.objects = list(result.times), result.objects
+        self.poses, self.piece = result.poses, result.piece
+        self.quantities: tuple[str, ...] = ("deviation",)
+        self.quantities += ("object",) if result.settings.motion == "objects" else ()
+
+    def _motions(self, number: int) -> dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Return the motions before the camera to the next frame: static scene 0, and objects.
+
+        It is empty if the two frames are of different pieces.
+        """
+        following = number + 1
+        if following >= len(self.names) or not 0 <= self.piece[number] == self.piece[following]:
+            return {}
+        to_next = np.linalg.inv(self.poses[following])
+        motions = {0: to_next @ self.poses[number]}
+        for one in self.objects:
+            moved = _motion_in_world(one, number)
+            if moved is not None:
+                motions[one.id] = to_next @ moved @ self.poses[number]
+        return {label: (rigid_twist(m[:3, :3], m[:3, 3]), m) for label, m in motions.items()}
+
+
+def _stamp(folder: Path) -> tuple[int, int]:
+    """Return modification time and size of the record."""
+    about = os.stat(folder / RECORD)
+    return about.st_mtime_ns, about.st_size
+
+
+def _motion_in_world(one: MovingObject, number: int) -> NDArray[np.float64] | None:
+    """Return the motion of an object in the world to the next frame, (4, 4), if it is known."""
+    if number not in one.frames or number + 1 not in one.frames:
+        return None
+    here, there = (one.poses[one.frames.index(k)] for k in (number, number + 1))
+    if not (np.isfinite(here).all() and np.isfinite(there).all()):
+        return None
+    motion: NDArray[np.float64] = there @ np.linalg.inv(here)
+    return motion

@@ -1,0 +1,209 @@
+"""Image motion as colours and as arrows, into axes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tisfm.show.arrays import as_flow, as_image, as_uint8, check_limit, require_same_size
+from tisfm.show.axes import Sizes, legend_axes, picture_axes, show_picture
+from tisfm.show.flow import color_wheel, flow_to_color, quiver_points, usual_length
+from tisfm.show.mosaic import panel_size
+from tisfm.show.palette import INK
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Numbers set by hand.
+_WHEEL_PIXELS = 400  # width of the colour wheel beside a picture, px
+_DIMMED = 0.6  # brightness of a frame under arrows, as a share
+_ARROW_SPACING = 0.17  # inches, in a panel of the size that `panel_size` gives
+_ARROW_LENGTH = 2.0  # of a motion as long as the limit, in spacings
+_MAX_ARROW = 3.0  # longest arrow, in limits
+ARROW_STYLE: dict[str, Any] = {
+    "angles": "xy",
+    "scale_units": "xy",
+    "scale": 1.0,
+    "units": "inches",
+    "width": 0.018,
+    "headwidth": 3.6,
+    "headlength": 4.2,
+    "headaxislength": 3.6,
+    "minlength": 0.8,
+    "facecolor": "#ffdd33",
+    "edgecolor": "black",
+    "linewidth": 0.35,
+}
+
+
+def draw_flow(
+    flow: ArrayLike,
+    *,
+    axes: Axes | None = None,
+    limit: float | None = None,
+    legend: bool = True,
+    title: str | None = None,
+) -> Axes:
+    """Draw image motion in the colours of `flow_to_color`, with the colour wheel.
+
+    The wheel is that of the Middlebury benchmark, so that pictures can be compared with those of
+    other projects. Its hues are not perceptually uniform, and some look alike with a colour vision
+    deficiency. Where this matters, draw errors or lengths (`draw_flow_error`, `flow_radius`).
+
+    Parameters
+    ----------
+    flow : (H, W, 2) array_like
+        Image motion, px/frame; unknown pixels are black.
+    axes : matplotlib.axes.Axes, optional
+        Axes to draw into; by default those of a new figure, ``axes.figure``.
+    limit : float, optional
+        Motion at the rim of the wheel, px/frame, by default the 98th percentile of its length.
+        Longer motion has the colours of the rim.
+    legend : bool
+        Whether to draw the legend.
+    title : str, optional
+        Text above the picture.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes of the picture.
+
+    Raises
+    ------
+    ValueError
+        As `flow_to_color`.
+    ImportError
+        If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from matplotlib.figure import Figure
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import draw_flow, save_figure
+    >>> figure = Figure()
+    >>> axes = draw_flow(two_blocks(48, 64).flow, axes=figure.subplots(), title="Image motion")
+    >>> save_figure("flow.png", figure, dpi=60)
+    """
+    values = as_flow("flow", flow)
+    top = usual_length(values) if limit is None else check_limit("limit", limit)
+    target = picture_axes(*values.shape[:2]) if axes is None else axes
+    sizes = show_picture(target, flow_to_color(values, limit=top, beyond="same"), title)
+    if legend:
+        _draw_wheel(target, top, sizes)
+    return target
+
+
+def draw_arrows(
+    image: ArrayLike,
+    flow: ArrayLike,
+    *,
+    axes: Axes | None = None,
+    limit: float | None = None,
+    title: str | None = None,
+) -> Axes:
+    """Draw image motion as yellow arrows over a dimmed grey picture.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array_like
+        Picture: uint8, uint16 or float.
+    flow : (H, W, 2) array_like
+        Image motion, px/frame. Unknown motion has no arrow.
+    axes : matplotlib.axes.Axes, optional
+        Axes to draw into; by default those of a new figure, ``axes.figure``.
+    limit : float, optional
+        Motion, px/frame, whose arrow is two grid steps long; by default the 98th percentile of the
+        length. No arrow is longer than three times that; at 0 there are no arrows.
+    title : str, optional
+        Text above the picture.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes of the picture.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, sizes differ, or the limit is negative or not finite.
+    ImportError
+        If Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> from tisfm.scenes import two_blocks
+    >>> from tisfm.show import draw_arrows, save_figure
+    >>> scene = two_blocks(48, 64)
+    >>> save_figure("arrows.png", draw_arrows(scene.frame0, scene.flow).figure, dpi=60)
+    """
+    picture, values = as_image("image", image), as_flow("flow", flow)
+    require_same_size("flow", values, "image", picture)
+    top = usual_length(values) if limit is None else check_limit("limit", limit)
+    target = picture_axes(*values.shape[:2]) if axes is None else axes
+    show_picture(target, _dimmed(as_uint8(picture)[0]), title)
+    if top == 0:
+        return target
+    step, magnification = arrow_scale(values.shape[:2], top)
+    arrows = quiver_points(values, step)
+    length = np.hypot(arrows.u, arrows.v)
+    # One wrong, very long vector would be drawn across everything else.
+    factor = magnification * np.minimum(1, _MAX_ARROW * top / np.maximum(length, top))
+    target.quiver(arrows.x, arrows.y, arrows.u * factor, arrows.v * factor, **ARROW_STYLE)
+    return target
+
+
+def arrow_scale(shape: tuple[int, int], limit: float) -> tuple[int, float]:
+    """Choose the grid and the length of the arrows over a picture.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Height and width of the picture, px.
+    limit : float
+        Motion that counts as long, px/frame; above 0.
+
+    Returns
+    -------
+    step : int
+        Distance between arrows, px.
+    magnification : float
+        Drawn length of an arrow, px, per length of motion, px/frame.
+    """
+    pixels_per_inch = shape[1] / panel_size(*shape)[0]
+    spacing = _ARROW_SPACING * pixels_per_inch
+    return max(1, round(spacing)), _ARROW_LENGTH * spacing / limit
+
+
+def _dimmed(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a picture as dark grey levels, on which bright arrows are visible."""
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
+    return np.rint(grey * np.float32(_DIMMED)).astype(np.uint8)
+
+
+def _draw_wheel(axes: Axes, limit: float, sizes: Sizes) -> None:
+    """Draw the colour wheel beside a picture, and the motion at its rim."""
+    box = axes.get_window_extent()
+    height, width = (side / axes.figure.dpi for side in (box.height, box.width))
+    rim = f"{limit:.0f}" if limit >= 100 else f"{limit:.2g}"
+    texts = [f"rim: ≥ {rim}", "px/frame"]
+    diameter = min(0.2 * width, max(0.6 * height, 2.0 * sizes.inch))
+    wide = max(diameter, 0.62 * max(map(len, texts)) * sizes.inch)
+    space = legend_axes(axes, wide, 0.5 * sizes.inch)
+    wheel = space.inset_axes((0.0, 0.3, 1.0, 0.7))
+    wheel.imshow(color_wheel(_WHEEL_PIXELS), aspect="equal", interpolation="antialiased")
+    wheel.set_anchor("S")
+    wheel.set_axis_off()
+    space.text(
+        0.5,
+        0.28,
+        "\n".join(texts),
+        transform=space.transAxes,
+        ha="center",
+        va="top",
+        fontsize=sizes.text,
+        color=INK,
+    )

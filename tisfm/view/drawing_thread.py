@@ -1,0 +1,143 @@
+"""The thread that draws a page: coarse right after a change, in full when changes stop."""
+
+import contextlib
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from queue import Empty, SimpleQueue
+from typing import Protocol
+
+_FULL_AFTER = 0.25  # s without a change before everything is drawn; set by hand
+_BROWSER_CHECK = 0.05  # s between looks for the first browser
+_FIRST_PICTURE = 1.0  # s that a browser gets for its first picture
+_FOLDER_CHECK = 1.0  # s between looks at the folder of the result
+_THUMBNAIL_PAUSE = 0.02  # s between thumbnails, so that changes are noticed in time
+
+
+class Drawn(Protocol):
+    """A page, as the thread needs it."""
+
+    def draw(self, *, coarse: bool) -> None:
+        """Draw the frame that the slider is at."""
+
+    def advance(self) -> bool:
+        """Move the slider to the frame that is due; return whether it has moved."""
+
+    def seconds_per_frame(self) -> float | None:
+        """Return the time of a frame while playing, else None."""
+
+    def add_thumbnail(self) -> None:
+        """Put the next missing picture into its frustum."""
+
+    def has_missing_thumbnails(self) -> bool:
+        """Return whether a frustum has no picture yet."""
+
+    def watch_folder(self) -> None:
+        """Take over new frames of the result."""
+
+    def has_browser(self) -> bool:
+        """Return whether a browser shows the page."""
+
+
+class DrawingThread:
+    """Does all the drawing of a page; every other thread only requests it.
+
+    So a browser that is slower than the changes skips some of them.
+
+    Parameters
+    ----------
+    page : Drawn
+    patience : float
+        For so long, s, only the first coarse picture is drawn, unless a browser comes.
+    """
+
+    def __init__(self, page: Drawn, *, patience: float) -> None:
+        self._page, self._patience = page, patience
+        self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._wake, self._stopping = threading.Event(), threading.Event()
+        self._is_stale, self._is_coarse, self._changed_at = False, True, 0.0
+        self._watched_at = time.monotonic()
+        self._thread = threading.Thread(target=self._run, name="tisfm-view", daemon=True)
+
+    def start(self) -> None:
+        """Begin to draw."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread."""
+        self._stopping.set()
+        self._wake.set()
+        self._thread.join(timeout=10)
+
+    def put(self, job: Callable[[], None], *, redraw: bool = False) -> None:
+        """Have a function called by the thread, and the frame drawn anew after it."""
+        self._jobs.put(job)
+        if redraw:
+            self._is_stale = True
+        self._wake.set()
+
+    def redraw(self) -> None:
+        """Have the frame drawn anew."""
+        self._is_stale = True
+        self._wake.set()
+
+    def wake(self) -> None:
+        """Have the thread look at once whether there is anything to do."""
+        self._wake.set()
+
+    def is_idle(self) -> bool:
+        """Return whether everything is drawn; to be called by a job of the thread."""
+        left = self._is_stale or self._is_coarse or self._page.has_missing_thumbnails()
+        return self._jobs.empty() and not left
+
+    def _run(self) -> None:
+        self._await_browser()
+        while not self._stopping.is_set():
+            self._wake.wait(self._pause())
+            self._wake.clear()
+            if self._stopping.is_set():
+                return
+            try:
+                self._step()
+            except Exception:  # a bug: its traceback is printed, and the page goes on
+                traceback.print_exc()
+
+    def _await_browser(self) -> None:
+        """Leave the processor to a browser until it shows the first picture, or asks for more."""
+        end = time.monotonic() + self._patience
+        while time.monotonic() < end and not self._page.has_browser():
+            if self._wake.wait(_BROWSER_CHECK):
+                return
+        if self._patience > 0:
+            self._wake.wait(_FIRST_PICTURE)
+
+    def _step(self) -> None:
+        """Do the most urgent drawing, after all jobs."""
+        with contextlib.suppress(Empty):
+            while True:
+                self._jobs.get_nowait()()
+        self._is_stale |= self._page.advance()
+        now = time.monotonic()
+        if self._is_stale:
+            self._is_stale, self._is_coarse, self._changed_at = False, True, now
+            self._page.draw(coarse=True)
+        elif self._is_coarse and now - self._changed_at > _FULL_AFTER:
+            self._is_coarse = False
+            self._page.draw(coarse=False)
+        elif self._page.seconds_per_frame() is None and self._page.has_missing_thumbnails():
+            self._page.add_thumbnail()
+        if now - self._watched_at > _FOLDER_CHECK:
+            self._watched_at = now
+            self._page.watch_folder()
+
+    def _pause(self) -> float:
+        """Return how long to wait for a change, s."""
+        if self._is_stale:
+            return 0.0
+        period = self._page.seconds_per_frame()
+        if period is not None:
+            return 0.5 * period
+        if self._is_coarse:
+            return _FULL_AFTER
+        return _THUMBNAIL_PAUSE if self._page.has_missing_thumbnails() else _FOLDER_CHECK
