@@ -1,9 +1,9 @@
-"""Things that move far for their size, kept apart from what is around them.
+"""Objects that move far for their size, separated from their surroundings in a flow field.
 
-The smoothness of a flow charges for every step of motion along an outline, without bound, so that
-a small thing that moves far is cheaper moved with its surroundings, whatever the images say. Once
-the images have said it, the smoothness is cut along the outline, and the outline itself is found
-anew on every level, by the images alone.
+The smoothness term of a flow charges every step of motion along an outline, without a bound. A
+small object that moves far therefore costs less if it moves with its surroundings, even if the
+images show the opposite. Once the images have shown such an object, the smoothness is cut along its
+outline, and the outline is searched again on every level, by the images alone.
 """
 
 from collections.abc import Iterator
@@ -20,58 +20,61 @@ from tisfm.solver.coarse_to_fine import Problem
 from tisfm.solver.smoothness import FAINTEST_EDGE, mean_step
 from tisfm.solver.unknowns import Unknowns
 
-BEYOND, WITHIN = 5, 2  # px to either side of an outline: it is somewhere there
-WINDOW = 3  # px: the side of the square that tells to which side a pixel belongs
-TURNS = 3  # of finding an outline from the one before
-PASSES = 2  # of carrying, along rows and columns
-LIFTED = 1e6  # mean steps of the frame by which things are lifted: no smoothness crosses that
-MARGIN = 3  # px: as far as differences and means look
-AROUND = TURNS * BEYOND + MARGIN  # px around a thing: as far as its outline may be found
+# All of these were set by hand.
+OUTSIDE_MARGIN = 5  # px outside a known outline within which the outline is searched
+INSIDE_MARGIN = 2  # px inside a known outline within which the outline is searched
+WINDOW = 3  # px: side of the square whose residuals assign a pixel to object or surroundings
+OUTLINE_ROUNDS = 3  # searches of an outline, each from the one before
+FILL_PASSES = 2  # passes along rows and columns that fill a flow from known pixels
+# Mean steps of the frame that are added to grey levels of objects: no smoothness crosses the edge.
+EDGE_HEIGHT = 1e6
+STENCIL_REACH = 3  # px that differences and means reach
+SEARCH_REACH = OUTLINE_ROUNDS * OUTSIDE_MARGIN + STENCIL_REACH  # px around an object
 
 Part = tuple[slice, slice]  # rows and columns
 
 
 class FastObjects:
-    """Where things are that move on their own.
+    """Pixels of objects that move on their own, tracked from level to level.
 
     Parameters
     ----------
-    thing : (h, w) bool
-        The pixels of things, on any level.
+    mask : (h, w) bool
+        The pixels of the objects, on any level.
     problem : Problem
     """
 
-    def __init__(self, thing: np.ndarray, problem: Problem) -> None:
-        self._thing, self._problem = thing, problem
+    def __init__(self, mask: np.ndarray, problem: Problem) -> None:
+        self._mask, self._problem = mask, problem
 
     def set_apart(self, windows: Windows, unknowns: Unknowns) -> None:
-        """Find the outlines on a level, and cut the smoothness there.
+        """Find the outlines on a level, and cut the smoothness along them.
 
         Parameters
         ----------
         windows : Windows
-            Of that level.
+            Windows of that level.
         unknowns : Unknowns
             ρ̂ near the outlines is overwritten, and so are their `edges`.
         """
-        self._thing = _enlarged(self._thing, windows.shape)
-        self._outline(windows, unknowns)
+        self._mask = _resized_mask(self._mask, windows.shape)
+        self._update_outlines(windows, unknowns)
         step = max(mean_step(windows.levels0, windows.counted0), FAINTEST_EDGE)
         lifted = windows.levels0.copy()
-        lifted[self._thing] += np.float32(LIFTED * step)
+        lifted[self._mask] += np.float32(EDGE_HEIGHT * step)
         rate = self._problem.smoothness.image_edges / step
         image_edges(unknowns.grid, lifted, unknowns.edges, rate=rate)
 
-    def _outline(self, windows: Windows, unknowns: Unknowns) -> None:
-        """Find the outlines, each in its part of the image, and overwrite ρ̂ near them."""
+    def _update_outlines(self, windows: Windows, unknowns: Unknowns) -> None:
+        """Find each outline in its part of the image, and overwrite ρ̂ near the outlines."""
         flow, changes = unknowns.flow(), []
-        for part, own in _parts(self._thing, flow):
+        for part, own in _object_parts(self._mask, flow):
             before = better = cv2.merge(list(flow[:, part[0], part[1]]))
-            thing = self._thing[part] & own
-            evidence = ResidualComparison(windows.part(part), self._problem.constancy)
-            for _ in range(TURNS):
-                thing, better = _outlined(evidence, thing, better)
-            self._thing[part] = np.where(own, thing, self._thing[part])
+            mask = self._mask[part] & own
+            comparison = ResidualComparison(windows.part(part), self._problem.constancy)
+            for _ in range(OUTLINE_ROUNDS):
+                mask, better = _improve_outline(comparison, mask, better)
+            self._mask[part] = np.where(own, mask, self._mask[part])
             changes.append((part, np.where(own[..., None], better - before, 0)))
         del flow
         for component in range(2):
@@ -81,63 +84,65 @@ class FastObjects:
             image_to_lanes(unknowns.grid, rho, unknowns.rho, component=component)
 
 
-def _enlarged(thing: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return the pixels of things on a finer level, or a copy of those on the same."""
-    if thing.shape == shape:
-        return thing.copy()
+def _resized_mask(mask: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return a mask on a finer level, or a copy where the level is the same."""
+    if mask.shape == shape:
+        return mask.copy()
     size = shape[::-1]
-    return cv2.resize(thing.astype(np.float32), size, interpolation=cv2.INTER_LINEAR) > 0.5
+    return cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_LINEAR) > 0.5
 
 
-def _parts(thing: np.ndarray, flow: np.ndarray) -> Iterator[tuple[Part, np.ndarray]]:
-    """Yield, for each thing, the part of the image it crosses, and the pixels that are its own.
+def _object_parts(mask: np.ndarray, flow: np.ndarray) -> Iterator[tuple[Part, np.ndarray]]:
+    """Yield, for each object, the part of the image that it crosses and the pixels near it.
 
-    Its own are the pixels around it, (h, w) bool of that part, to which no other thing is as near.
+    The pixels, (h, w) bool of that part, are the surroundings to which no other object is nearer.
     """
-    around = cv2.dilate(thing.astype(np.uint8), _square(AROUND))
+    around = cv2.dilate(mask.astype(np.uint8), _square(SEARCH_REACH))
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(around, connectivity=8)
     for label in range(1, count):
         left, top, width, height, _ = boxes[label]
         u, v = flow[:, top : top + height, left : left + width]
         part = (
-            _reached(top, top + height, v, thing.shape[0]),
-            _reached(left, left + width, u, thing.shape[1]),
+            _range_with_motion(top, top + height, v, mask.shape[0]),
+            _range_with_motion(left, left + width, u, mask.shape[1]),
         )
         yield part, labels[part] == label
 
 
-def _reached(first: int, end: int, motion: np.ndarray, length: int) -> slice:
-    """Return where pixels from the first to the end are, and where motions along the axis go."""
-    least, most = first + motion.min() - MARGIN, end + motion.max() + MARGIN
-    first, end = (int(np.clip(place, 0, length)) for place in (min(first, least), max(end, most)))
+def _range_with_motion(first: int, end: int, motion: np.ndarray, length: int) -> slice:
+    """Return the pixels from the first to the end along an axis, and those they move to."""
+    least, most = first + motion.min() - STENCIL_REACH, end + motion.max() + STENCIL_REACH
+    first, end = (
+        int(np.clip(position, 0, length)) for position in (min(first, least), max(end, most))
+    )
     return slice(first, end)
 
 
-def _outlined(
-    evidence: ResidualComparison, thing: np.ndarray, flow: np.ndarray
+def _improve_outline(
+    comparison: ResidualComparison, mask: np.ndarray, flow: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return which pixels are of a thing, from what they seemed to be, and the flow of that."""
-    seeming = thing.astype(np.uint8)
-    wide = cv2.dilate(seeming, _square(BEYOND)) > 0
-    core = cv2.erode(seeming, _square(WITHIN)) > 0
-    inside, outside = _carried(flow, core), _carried(flow, ~wide)
-    found = core | (wide & evidence.better(inside, outside, window=WINDOW))
-    _, labels = cv2.connectedComponents(found.astype(np.uint8), connectivity=4)
-    found = np.isin(labels, np.unique(labels[core]))  # without what has come off
-    better = np.where(found[..., None], inside, outside)
-    return found, np.where(wide[..., None], better, flow)
+    """Return an improved mask of an object, and the flow that follows from it."""
+    previous = mask.astype(np.uint8)
+    wide = cv2.dilate(previous, _square(OUTSIDE_MARGIN)) > 0
+    core = cv2.erode(previous, _square(INSIDE_MARGIN)) > 0
+    inside, outside = _filled_flow(flow, core), _filled_flow(flow, ~wide)
+    improved = core | (wide & comparison.better(inside, outside, window=WINDOW))
+    _, labels = cv2.connectedComponents(improved.astype(np.uint8), connectivity=4)
+    improved = np.isin(labels, np.unique(labels[core]))  # parts without a core are dropped
+    better = np.where(improved[..., None], inside, outside)
+    return improved, np.where(wide[..., None], better, flow)
 
 
 def _square(reach: int) -> np.ndarray:
     return np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
 
 
-def _carried(flow: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return a flow carried from where it is known to the nearest pixels elsewhere."""
+def _filled_flow(flow: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return a flow whose unknown pixels take the flow of the nearest known pixel."""
     distance = np.where(known, 0, np.float32(known.size)).astype(np.float32)
     state = np.zeros((*known.shape, 4), np.float32)
     state[..., :2] = flow
     flat = np.zeros(known.shape, np.float32)
-    for _ in range(PASSES):
+    for _ in range(FILL_PASSES):
         carry(flat, distance, state, edge=1.0)
     return state[..., :2].copy()

@@ -1,4 +1,4 @@
-"""Which of two motions of a pixel the images bear out: by the residuals of the data term."""
+"""Comparison of two motions of a pixel by the residuals of the data term."""
 
 import cv2
 import numpy as np
@@ -6,58 +6,61 @@ import numpy as np
 from tisfm.motion.matched_windows import Windows
 from tisfm.solver.data_term import Constancy
 
-MOST_OFF = 5.0  # deviations of the noise: no residual counts for more
+LARGEST_RESIDUAL = 5.0  # deviations of the noise, at which residuals are clipped; set by hand
 
 
 class ResidualComparison:
-    """How far frame 1 is off along a flow, in deviations of the noise.
+    """Residuals of frame 1 along a flow, in standard deviations of the noise.
 
     Parameters
     ----------
     windows : Windows
     constancy : Constancy
-        Its weights are those of brightness and of the gradient.
+        Its weights of brightness and of the gradient are used.
     """
 
     def __init__(self, windows: Windows, constancy: Constancy) -> None:
         weights = (constancy.brightness, constancy.gradient, constancy.gradient)
         self._weights = [weight / sum(weights) for weight in weights]
         self._noise = windows.noise
-        self._frames0, self._frames1 = map(_with_slopes, (windows.levels0, windows.levels1))
+        self._frames0, self._frames1 = map(_frame_and_slopes, (windows.levels0, windows.levels1))
 
     def better(
         self, flow: np.ndarray, other: np.ndarray, *, window: int, by: float = 0.0
     ) -> np.ndarray:
-        """Return where frame 1 is off by less along a flow than along another, (h, w) bool.
+        """Return where a flow has a smaller residual than another flow, (h, w) bool.
 
         Parameters
         ----------
         flow, other : (h, w, 2) float32
             px/frame.
         window : int
-            px: the side of the square that residuals are means over, weighted so that a pixel at a
-            corner belongs to what it is a corner of.
+            px: side of the square in which residuals are averaged with Gaussian weights, so that a
+            pixel at the corner of an object takes part in that object.
         by : float
-            Deviations of the noise.
+            Least difference, deviations of the noise.
         """
         mean, others = (
-            cv2.GaussianBlur(self._off(of), (window, window), 0) for of in (flow, other)
+            cv2.GaussianBlur(self._residual(one), (window, window), 0) for one in (flow, other)
         )
         return np.asarray(mean < others - by)
 
-    def _off(self, flow: np.ndarray) -> np.ndarray:
+    def _residual(self, flow: np.ndarray) -> np.ndarray:
         height, width = flow.shape[:2]
         x = flow[..., 0] + np.arange(width, dtype=np.float32)
         y = flow[..., 1] + np.arange(height, dtype=np.float32)[:, None]
         total = np.zeros((height, width), np.float32)
         for weight, frame0, frame1 in zip(self._weights, self._frames0, self._frames1, strict=True):
             moved = cv2.remap(frame1, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            total += weight * np.minimum(np.abs(moved - frame0) / self._noise, MOST_OFF)
+            total += weight * np.minimum(np.abs(moved - frame0) / self._noise, LARGEST_RESIDUAL)
         return total
 
 
-def _with_slopes(levels: np.ndarray) -> list[np.ndarray]:
-    """Return a frame, over √2 as the difference of two has that times its noise, and its slopes."""
+def _frame_and_slopes(levels: np.ndarray) -> list[np.ndarray]:
+    """Return a frame divided by √2, and its slopes.
+
+    The difference of two frames has √2 times the noise of one.
+    """
     slope = np.array([[-0.5, 0, 0.5]], np.float32)
     across, down = (cv2.filter2D(levels, cv2.CV_32F, kernel) for kernel in (slope, slope.T))
     return [levels / np.float32(2**0.5), across, down]
