@@ -378,7 +378,7 @@ def test_poses_that_contradict_the_images(tisfm_run):
     code, _, err = tisfm_run("run", "frames", "-o", "out", *CAMERA, "--poses", "poses.txt")
     first, advice = err.splitlines()
     assert code == 0 and first.startswith("2 pairs: 2 pose_mismatch")
-    assert advice.startswith("pose_mismatch: the pose given does not explain the images")
+    assert advice.startswith("pose_mismatch: the given pose contradicts the images")
     assert "np.linalg.inv(pose)" in advice
     assert load("out", "f0").inverse_depth.any() and record("out")["depth_range"] is None
 

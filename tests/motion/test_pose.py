@@ -103,7 +103,7 @@ def test_a_wrong_pose_is_said_and_its_depth_kept(posed, change):
     result = interpreted(scene, FAST, pose=change(pose))
     assert result.status == "pose_mismatch"
     assert result.inverse_depth.any() and np.isfinite(result.inverse_depth).all()
-    assert "the pose given does not explain the images" in result.status.message
+    assert "the given pose contradicts the images" in result.status.message
     assert ("np.linalg.inv(pose)" in result.status.message) == (change is np.linalg.inv)
 
 

@@ -11,24 +11,26 @@ from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.status import Status
 from tisfm.visibility.confidence import median
 
-# Distances of a flow from a pose, over those from the motion that fits best: at most 5.7 where
-# poses are measured (7-Scenes), 17 and more where such a pose is inverted or t is reversed.
-OFF = 8.0
-LEAST_DISTANCE = 0.02  # px: distances from the best that are no smaller in real frames
-# Of the texture that is seen: what a flow field makes alike, by as much as `BETTER`, and motion and
-# depth do not. At most 0.11 where depth is off by less than a tenth, from 0.17 on where it is off
-# by more than half.
-UNEXPLAINED, BETTER = 0.15, 0.1
-# Of the pixels that are seen: those that lie behind the camera by more than 3 deviations, and than
-# a tenth of what is usual. At most 0.001 where depth is off by less than a tenth, from 0.039 on
-# where it is off by more than half.
-BEHIND, DEVIATIONS, BEYOND_INFINITY = 0.03, 3.0, 0.1
-# Of the pixels that are seen: those whose inverse depth has a deviation of more than half of
-# itself, and of what is usual. At most 0.03 where depth is off by less than 0.15.
-UNSURE, UNCERTAIN = 0.5, 0.05
-SAMPLED = 3  # px: of as many columns and rows, one tells
-HIDDEN = 0.3  # of a pixel of a coarser level: what is not seen of it
-BRIGHTER = 1.15  # times as bright in the mean, and more: the light may have changed
+# Distance of a flow from a given pose, over that from the best motion: at most 5.7 for measured
+# poses (7-Scenes), 17 and more if such a pose is inverted or its translation is reversed.
+POSE_DISTANCE = 8.0
+LEAST_DISTANCE = 0.02  # px: distances from the best motion are no smaller in real frames
+# Share of the visible texture that the flow field aligns better than motion and depth do. At most
+# 0.11 if depth is off by less than a tenth, 0.17 and more if it is off by more than half.
+UNEXPLAINED = 0.15
+BETTER = 0.1  # correlation by which the flow field aligns the frames better
+# Share of the visible pixels behind the camera. At most 0.001 if depth is off by less than a tenth,
+# 0.039 and more if it is off by more than half.
+BEHIND = 0.03
+BEHIND_DEVIATIONS = 3.0  # standard deviations that such a pixel lies behind the camera
+BEHIND_SHARE = 0.1  # of the median |inverse depth|, that it lies behind the camera as well
+# Share of the visible pixels with uncertain depth: at most 0.03 if depth is off by less than 0.15.
+UNCERTAIN = 0.05
+UNSURE = 0.5  # standard deviation of uncertain inverse depth, over itself and over the median
+SAMPLE_STEP = 3  # px: one of as many rows and columns is used
+HIDDEN = 0.3  # largest occluded share of a pixel of a coarser level that counts as visible
+BRIGHTER = 1.15  # ratio of mean brightness from which on the light may have changed; set by hand
+# Statuses to which a change of brightness may have led.
 DOUBTS = (
     "uncertain", "little_parallax", "pure_rotation", "two_motions", "behind_camera", "unexplained",
     "unrelated", "diverged",
@@ -40,12 +42,12 @@ def depth_status(
     estimate: Estimate,
     unseen: np.ndarray,
 ) -> Status | None:
-    """Return why the depth of one rigid motion is wrong or uncertain, None where it is neither.
+    """Return the status of wrong or uncertain depth of one rigid motion, None for others.
 
-    Depth is wrong where much of it lies behind the camera, and where much of the texture is more
-    alike where the flow field leads that the motion was first fitted to. Where that is not known,
-    because points were matched instead, frames have to be alike where the depth leads. It is
-    uncertain where its own deviation says so.
+    Depth is wrong if much of it lies behind the camera, or if the flow field that the motion was
+    first fitted to aligns much of the texture better. If points were matched instead, there is no
+    such flow field, and depth itself has to align the frames. Depth is uncertain if its standard
+    deviation is large at many pixels.
 
     Parameters
     ----------
@@ -63,18 +65,18 @@ def depth_status(
 
 
 def _behind(estimate: Estimate, seen: np.ndarray) -> Status | None:
-    """Return the status of depth much of which lies behind the camera."""
+    """Return the status of depth that is negative at many pixels, None for others."""
     assert estimate.inverse_depth_std is not None
-    sample = np.s_[::SAMPLED, ::SAMPLED]
+    sample = np.s_[::SAMPLE_STEP, ::SAMPLE_STEP]
     seen = seen[sample]
     negative = np.count_nonzero((estimate.inverse_depth[sample] < 0) & seen)
     if negative <= BEHIND * np.count_nonzero(seen):
         return None
     inverse_depth = estimate.inverse_depth[sample][seen]
-    # An error that pixels share is no excuse.
+    # Without the part of the deviation that all pixels share.
     deviation = estimate.inverse_depth_std[sample][seen] / np.float32(estimate.widening)
-    usual = np.float32(BEYOND_INFINITY) * median(np.abs(inverse_depth))
-    share = (inverse_depth < -np.maximum(np.float32(DEVIATIONS) * deviation, usual)).mean()
+    usual = np.float32(BEHIND_SHARE) * median(np.abs(inverse_depth))
+    share = (inverse_depth < -np.maximum(np.float32(BEHIND_DEVIATIONS) * deviation, usual)).mean()
     if share <= BEHIND:
         return None
     return Status(
@@ -86,9 +88,9 @@ def _behind(estimate: Estimate, seen: np.ndarray) -> Status | None:
 
 
 def _unsure(estimate: Estimate, seen: np.ndarray) -> Status | None:
-    """Return the status of depth much of which has a large deviation."""
+    """Return the status of depth with a large deviation at many pixels, None for others."""
     assert estimate.inverse_depth_std is not None
-    sample = np.s_[::SAMPLED, ::SAMPLED]
+    sample = np.s_[::SAMPLE_STEP, ::SAMPLE_STEP]
     seen = seen[sample]
     if not seen.any():
         return None
@@ -109,7 +111,7 @@ def _unsure(estimate: Estimate, seen: np.ndarray) -> Status | None:
 def _worse_than_flow(
     pyramid: ImagePyramid, estimate: Estimate, unseen: np.ndarray
 ) -> Status | None:
-    """Return the status of depth that leaves unlike what a flow field makes alike."""
+    """Return the status of depth that aligns frames worse than a flow field, None for others."""
     level, free = estimate.free_level, estimate.free_flow
     assert free is not None
     frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
@@ -119,10 +121,10 @@ def _worse_than_flow(
     seen = cv2.resize(unseen.astype(np.float32), size, interpolation=area) < HIDDEN
     weight = np.where(seen, texture(frame0), 0)
     tolerated = UNEXPLAINED * float(weight.sum())
-    if float(weight[alike < 1 - BETTER].sum()) <= tolerated:  # no flow is better by as much
+    if float(weight[alike < 1 - BETTER].sum()) <= tolerated:  # no flow can be better by as much
         return None
     worse = correlation(frame0, frame1, free) > alike + np.float32(BETTER)
-    if estimate.matched:  # then the flow is that of the motion as well
+    if estimate.matched:  # then the flow itself follows from the motion
         worse |= alike < CORRELATED
     left = float(weight[worse].sum())
     if left <= tolerated:
@@ -137,18 +139,18 @@ def _worse_than_flow(
 
 
 def pose_status(off: float, best: float, *, inverse: float | None = None) -> Status | None:
-    """Return the status of a known pose that does not explain a flow, None if it does.
+    """Return the status of a given pose that contradicts a flow, None for others.
 
     Parameters
     ----------
     off : float
-        How far the flow is from where the pose can take points, px of the finest level.
+        Distance of the flow from the epipolar lines of the pose, px of the finest level.
     best : float
         The same for the motion that fits best.
     inverse : float, optional
-        The same for the inverse of the pose; not for a rotation alone.
+        The same for the inverse of the pose; None for a rotation alone.
     """
-    tolerated = OFF * max(best, LEAST_DISTANCE)
+    tolerated = POSE_DISTANCE * max(best, LEAST_DISTANCE)
     if off <= tolerated:
         return None
     if inverse is not None and inverse <= tolerated:
@@ -160,15 +162,15 @@ def pose_status(off: float, best: float, *, inverse: float | None = None) -> Sta
         )
     return Status(
         "pose_mismatch",
-        f"the pose given does not explain the images: they move to {off:.2g} px beside where it "
-        f"can take points, the motion that fits best to {best:.2g} px; {advice}",
+        f"the given pose contradicts the images: points lie {off:.2g} px from its epipolar lines, "
+        f"and {best:.2g} px from those of the motion that fits best; {advice}",
     )
 
 
 def with_brightness_advice(status: Status, pyramid: ImagePyramid, settings: Settings) -> Status:
-    """Return a status whose message also says which frame is brighter, where that may be why.
+    """Return a status whose message also says which frame is brighter, if that may be the reason.
 
-    Its code stays: what a camera sees may be brighter from another place.
+    The code stays: a scene may be brighter from another position.
     """
     if status not in DOUBTS:
         return status
@@ -181,7 +183,7 @@ def with_brightness_advice(status: Status, pyramid: ImagePyramid, settings: Sett
     advice = "bring both frames to one brightness"
     weights = ["brightness"] if settings.motion == "field" else ["brightness", "depth_brightness"]
     in_use = [name for name in weights if getattr(settings, name) > 0]
-    if in_use and settings.gradient > 0:  # which is left then
+    if in_use and settings.gradient > 0:  # the gradient is left then
         advice += ", or take " + " and ".join(f"{name}=0" for name in in_use)
     return Status(
         status,

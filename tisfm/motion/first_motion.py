@@ -29,18 +29,22 @@ from tisfm.status import Status
 from tisfm.visibility.confidence import confidence
 from tisfm.visibility.occlusion import leaves_image
 
-WARPS = 2  # at least, linearisations on the level of the flow field
-# Of the parallax over the residual of the fit. Where the camera only turned, noise alone leaves 2.
-# On hand-held sequences depth below the last two was little better than a constant: less than a
-# pixel of parallax drowns in what lens and shutter do, which the residual does not show. From
-# ROUGH on it was better than a constant in most pairs.
-SEEN, ROUGH, ENOUGH, ENOUGH_BELOW_A_PIXEL = 2.5, 4.0, 6.0, 9.0
-FINEST = 0.005  # px of the level: no flow is better than that
-# px of the level, of the fit: at most 0.045 on rendered scenes and in a textured studio; in bare
-# rooms and between frames far apart, where directions were off by degrees, from 0.065 on.
-WANTING = 0.06
-STILL = 0.1  # px: median flow of a camera that stands still
-HARDLY = 0.3  # px: the same in frames with much noise
+LEAST_WARPS = 2  # linearisations on the level of the flow field
+# Parallax over the residual of the fit, from which on there is depth. Noise alone gives 2 where the
+# camera only turned. On hand-held sequences, depth with less than `ENOUGH` was little better than a
+# constant: errors of lens and shutter exceed a parallax below a pixel, and the residual does not
+# show them. From `ROUGH` on, depth was better than a constant in most pairs.
+SEEN = 2.5
+ROUGH = 4.0
+ENOUGH = 6.0
+ENOUGH_BELOW_A_PIXEL = 9.0  # the same if the parallax is less than 1 px
+FINEST_RESIDUAL = 0.005  # px of the level: least error of a flow; set by hand
+# px of the level: residual of a fit above which points are matched. At most 0.045 on rendered
+# scenes and in a textured studio; from 0.065 on in rooms with bare walls and between frames far
+# apart, where directions were off by degrees.
+POOR_RESIDUAL = 0.06
+STILL = 0.1  # px: largest median flow of a camera at rest
+STILL_IN_NOISE = 0.3  # px: the same in noisy frames
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,12 +56,11 @@ class FirstMotion:
     rotation, translation : (3, 3) and (3,) float64
         ‖t‖ = 1 unless it was given, or 0 where none is seen.
     residual : float
-        Robust deviation of the displacements from where the motion can take points, px of the
-        finest level.
+        Robust standard deviation of the displacements from epipolar lines, px of the finest level.
     status : Status or None
-        Why there is no depth to go on to, None if there is.
+        Why there is no depth; None if there is.
     doubt : Status or None
-        Why the pose may be wrong: it was given, or another one is as likely; or why depth will be
+        Why the given pose may be wrong, why another motion is as likely, or why depth will be
         rough.
     history : list of (level, warp, Iteration)
     flow : (h, w, 2) float32
@@ -67,9 +70,9 @@ class FirstMotion:
     level : int
         Of the flow field.
     matched : bool
-        Whether it is that of matched points, which frames far apart may share as well.
+        Whether the motion is that of matched points, which works for frames far apart, too.
     is_cut : bool
-        Whether the frames are two pictures of one layout, whose points need not be matched.
+        Whether the frames are two pictures of one layout, so that matching points is useless.
     """
 
     rotation: np.ndarray
@@ -102,19 +105,20 @@ def first_motion(
 ) -> FirstMotion:
     """Fit a motion to the flow field of a level, or judge a known one by it.
 
-    A pose with translation needs no parallax: where there is little, depth is far or uncertain.
+    A known pose with a translation needs no parallax: with little parallax, depth is large or
+    uncertain.
 
     Parameters
     ----------
     pyramid : ImagePyramid
     settings : Settings
     pose : KnownPose, optional
-        What is known of the motion; its translation, if any, is not 0.
+        The known motion; its translation, if any, is not 0.
     pixels : float
-        Of the level, at least: the coarsest that has as many, by default the finest.
+        The coarsest level with at least as many pixels is taken, by default the finest.
     matches : bool
-        Whether points are matched where the flow field is found wanting and no pose is known, or
-        where it leaves the frames unlike and a pose with translation is known.
+        Whether points are matched if the flow field fits no motion well and no pose is known, or
+        if it does not align the frames and a pose with translation is known.
     coarser : (rotation, translation), optional
         The motion of a coarser level, ‖t‖ = 1, that the fit to the flow field starts from alone.
     unseen : (h, w) bool array, optional
@@ -122,7 +126,7 @@ def first_motion(
     """
     large = [k for k, frame in enumerate(pyramid.frames0) if frame.size >= pixels]
     given = pose or KnownPose(rotation=np.eye(3), translation=None)
-    start = _flow_alone(pyramid, settings, given, level=max(large, default=0))
+    start = _flow_field(pyramid, settings, given, level=max(large, default=0))
     if start.status is not None:
         return start
     if unseen is not None:
@@ -142,10 +146,10 @@ def first_motion(
         return replace(start, status=Status("no_texture", message))
     frames = pyramid.frames0[start.level], pyramid.frames1[start.level]
     apart = unrelated(*frames, start.flow, start.trust)
-    if matches and pose is None and (apart is not None or found.residual > WANTING):
+    if matches and pose is None and (apart is not None or found.residual > POOR_RESIDUAL):
         dense = (found.rotation, found.translation) if apart is None else None
         far = sparse_start(pyramid, start.level, dense)
-        # What matches hardly see is better seen by a flow field, if there is one.
+        # A flow field, if there is one, measures a small parallax better than matches.
         if far is not None and (apart is not None or _matched_status(far.motion) is None):
             return matched_motion(start, far)
     if matches and apart is not None and given.translation is not None:
@@ -153,7 +157,7 @@ def first_motion(
         unit = given.rotation, given.translation / length
         posed, doubt = posed_start(pyramid, start.level, unit)
         if posed is not None and posed.apart is None:
-            # The images agree with the pose, by what no flow field shows.
+            # The images agree with the pose, although the flow field does not.
             return replace(
                 start,
                 residual=posed.motion.residual,
@@ -166,7 +170,7 @@ def first_motion(
             return replace(start, status=doubt)
     moved = float(np.median(np.linalg.norm(start.flow, axis=-1))) / scale
     cut = None
-    if apart is None and moved < HARDLY:
+    if apart is None and moved < STILL_IN_NOISE:
         cut = replaced(*frames, start.flow, unseen)
     if cut is not None:
         return replace(start, status=cut, is_cut=True)
@@ -175,10 +179,10 @@ def first_motion(
     best = found.residual / scale
     if given.translation is not None:
         off, back = (
-            distance_from_rays(start.flow, start.trust, camera, *way) / scale
-            for way in _both_ways(given.rotation, given.translation)
+            distance_from_rays(start.flow, start.trust, camera, *motion) / scale
+            for motion in _with_inverse(given.rotation, given.translation)
         )
-        # Along stripes a flow is no reason to doubt a pose.
+        # The flow of stripes is ambiguous: it is no reason to doubt a pose.
         doubt = None if stripes else pose_status(off, best, inverse=back)
         return replace(start, residual=0.0 if stripes else off, doubt=doubt)
     doubt = None
@@ -205,7 +209,7 @@ def first_motion(
 
 
 def matched_motion(start: FirstMotion, far: SparseStart) -> FirstMotion:
-    """Return the first motion that matches show, in place of the flow field's."""
+    """Return the first motion that follows from matches, in place of that of the flow field."""
     motion = far.motion
     status, doubt = far.apart or _matched_status(motion), far.doubt
     if status == "uncertain":
@@ -225,9 +229,9 @@ def matched_motion(start: FirstMotion, far: SparseStart) -> FirstMotion:
 
 
 def _matched_status(motion: SparseMotion) -> Status | None:
-    """Tell whether matches show more than a rotation."""
+    """Return the status of a motion from matches with too little parallax, None for others."""
     parallax, residual = motion.parallax, max(motion.residual, SMALLEST_RESIDUAL)
-    seen = f"what rotation leaves of the motion is {parallax:.2g} px, noise {residual:.2g} px"
+    seen = f"beyond a rotation, the image moves by {parallax:.2g} px, noise is {residual:.2g} px"
     if motion.model == "rotation":
         return _turned_only(seen)
     if parallax >= ENOUGH * residual:
@@ -235,11 +239,11 @@ def _matched_status(motion: SparseMotion) -> Status | None:
     return _rough(seen) if parallax >= ROUGH * residual else _hardly_moved(seen)
 
 
-def _flow_alone(
+def _flow_field(
     pyramid: ImagePyramid, settings: Settings, given: KnownPose, *, level: int
 ) -> FirstMotion:
-    """Return the flow field of a level, and of the motion what is given."""
-    settings = replace(settings, warps=max(settings.warps, WARPS))
+    """Return the flow field of a level, with the given motion."""
+    settings = replace(settings, warps=max(settings.warps, LEAST_WARPS))
     problem = flow_problem(settings, pyramid.cameras[0].focal)
     solution = coarse_to_fine(pyramid, problem, last=level)
     flow = solution.unknowns.flow()
@@ -265,18 +269,21 @@ def _flow_alone(
     )
 
 
-def _both_ways(rotation: np.ndarray, translation: np.ndarray) -> tuple[Pose, Pose]:
+def _with_inverse(rotation: np.ndarray, translation: np.ndarray) -> tuple[Pose, Pose]:
     """Return a motion and its inverse."""
     return (rotation, translation), (rotation.T, -rotation.T @ translation)
 
 
 def _parallax_status(found: CameraMotion, scale: float, moved: float) -> Status | None:
-    """Tell whether the flow shows more than a rotation; lengths of `found` are of a level."""
-    parallax, residual = found.parallax / scale, max(found.residual, FINEST) / scale
+    """Return the status of a flow with too little parallax, None for others.
+
+    Lengths of `found` are in px of its level.
+    """
+    parallax, residual = found.parallax / scale, max(found.residual, FINEST_RESIDUAL) / scale
     share = parallax / residual
     if share >= (ENOUGH if parallax >= 1 else ENOUGH_BELOW_A_PIXEL):
         return None
-    seen = f"what rotation leaves of the motion is {parallax:.2g} px, noise {residual:.2g} px"
+    seen = f"beyond a rotation, the image moves by {parallax:.2g} px, noise is {residual:.2g} px"
     if share >= ROUGH:
         return _rough(seen)
     if share >= SEEN:
@@ -284,7 +291,7 @@ def _parallax_status(found: CameraMotion, scale: float, moved: float) -> Status 
     if moved < max(STILL, 3 * residual):
         return Status(
             "no_motion",
-            f"too little parallax to see depth by: the image moves by {moved:.2g} px, no more than "
+            f"too little parallax for depth: the image moves by {moved:.2g} px, no more than "
             "noise; take frames further apart in time",
         )
     return _turned_only(seen)
@@ -301,7 +308,7 @@ def _rough(seen: str) -> Status:
 def _hardly_moved(seen: str) -> Status:
     return Status(
         "little_parallax",
-        f"too little parallax to see depth by: {seen}; take frames further apart, or move the "
+        f"too little parallax for depth: {seen}; take frames further apart, or move the "
         "camera sideways",
     )
 
@@ -309,6 +316,6 @@ def _hardly_moved(seen: str) -> Status:
 def _turned_only(seen: str) -> Status:
     return Status(
         "pure_rotation",
-        f"too little parallax to see depth by: the camera only turned, {seen}; it has to change "
-        "its place",
+        f"too little parallax for depth: the camera only turned. {seen[0].upper()}{seen[1:]}; move "
+        "the camera",
     )

@@ -13,32 +13,37 @@ from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.status import Status
 from tisfm.visibility.confidence import CONFIDENCE_WINDOW, median
 
-# Median correlation of frames that show the same: 0.97 and more on benchmarks, 0.65 under noise of
-# 40 grey levels. Of unrelated scenes and of noise it is below 0.4.
+# Least median correlation of frames that show the same scene: 0.97 and more on benchmarks, 0.65
+# under noise of 40 grey levels; below 0.4 between unrelated scenes and in noise.
 CORRELATED = 0.5
-# The images confirm a motion of half the image or more if their common part has a median motion of
-# a quarter of the longer side or more, and this median correlation.
-BORNE_OUT, FAR = 0.9, 0.25
-# Share of the trusted pixels that a flow folds over: at most 0.08 between real frames, of which it
-# misses much then, and under "paper" 0.17 and more between unrelated ones.
+# A motion of half the image or more is confirmed if the common part of the frames has at least this
+# median correlation and at least this median motion, a share of the longer side; set by hand.
+LARGE_MOTION_CORRELATION = 0.9
+LARGE_MOTION = 0.25
+# Share of the trusted pixels at which a flow folds over: at most 0.08 between real frames, and then
+# the flow misses much; with "paper" 0.17 and more between unrelated frames.
 FOLDED = 0.12
-JUDGED = 2**12  # pixels, at least, of the level that a flow field is judged on
-# Share of the windows with structure in which two frames at rest are not alike. Noise, and an
-# object that moves before a camera at rest, give 0.00; a picture with 37 % replaced in its middle
-# 0.21, and with 52 % 0.48.
+JUDGED_PIXELS = 2**12  # pixels, at least, of the level on which a flow is judged; set by hand
+# Share of the textured windows in which two frames at rest differ. Noise, and an object that moves
+# before a camera at rest, give 0.00; a picture whose middle is replaced gives 0.21 for 37 % of the
+# area and 0.48 for 52 %.
 REPLACED = 0.15
-# Share of the squares that are not alike which one displacement finds in the other frame, and the
-# least correlation there. An object that moves and fills a sixth to a third of the frame gives 0.52
-# and more; a picture whose middle is replaced gives 0.28 at most.
-MOVED, FOUND = 0.4, 0.8
-SQUARE, SQUARE_STEP = 15, 5  # px
-STRUCTURE = 16.0  # least variance of a window with structure, over the variance of the noise
-QUIETEST = 10  # percentile of the variances of differences that is taken for noise
-FEWEST_SEEN = 0.05  # of all windows: if fewer have structure, frames are not judged
-# Stripes: in all but this share of the windows, no more than this share of the variation is along
-# them. Noise of 20 grey levels on stripes of 40 makes it 0.17; in real frames it is above a half.
-VARIED, ALONG = 0.01, 0.25
-FAINT = 0.01  # of the usual variation: windows with less do not count
+# Share of the squares with differences that one displacement finds in the other frame. An object
+# that moves and fills a sixth to a third of the frame gives 0.52 and more; a picture whose middle
+# is replaced gives 0.28 at most.
+MOVED_TOGETHER = 0.4
+SQUARE_CORRELATION = 0.8  # least correlation of a square that is found in the other frame
+SQUARE = 15  # px: side of a square that is searched in the other frame
+SQUARE_STEP = 5  # px between squares
+TEXTURED = 16.0  # least variance of a textured window, over the variance of the noise
+NOISE_PERCENTILE = 10  # percentile of the variances of differences that is taken for the noise
+FEWEST_TEXTURED = 0.05  # share of the windows: with fewer textured ones, frames are not judged
+# A frame consists of stripes if at most this share of its windows has more than the second share of
+# its variation along the stripes. Noise of 20 grey levels on stripes of 40 gives a share along of
+# 0.17; in real frames it is above a half.
+STRIPES_EXCEPTED = 0.01
+STRIPES_ALONG = 0.25
+FAINT = 0.01  # share of the mean variation: windows with less do not count
 BORDER = 4  # px that are repeated where a frame is resampled, which bends stripes
 
 
@@ -50,11 +55,11 @@ def unrelated(
     *,
     free: bool = True,
 ) -> Status | None:
-    """Return the status of frames that a flow does not make alike, None if it does.
+    """Return the status of frames that a flow does not align, None if the flow aligns them.
 
-    That is judged by their correlation in windows, at the median of what is trusted. Where motion
-    is free, it also has to leave neighbours in their order nearly everywhere: a flow that folds the
-    image makes any two frames alike.
+    Frames are aligned if their correlation in windows is high at the median trusted pixel. A flow
+    that is free at every pixel also has to keep neighbours in order nearly everywhere: a flow that
+    folds the image can align any two frames.
 
     Parameters
     ----------
@@ -63,7 +68,7 @@ def unrelated(
     flow : (H, W, 2) float32
         px/frame.
     trust : (H, W) float32
-        Its confidence; not all 0.
+        Confidence of the flow; not all 0.
     free : bool
         Whether the flow is free at every pixel.
     """
@@ -92,18 +97,20 @@ def replaced(
 ) -> Status | None:
     """Return the status of frames with one layout and different contents, None for others.
 
-    The parts that such frames share do not move. In contrast to frames of a scene at rest, many
-    windows with structure are not alike. A large object that moves far gives such windows too, but
-    most of these are found elsewhere in the other frame.
+    The parts that such frames share are at rest, and many textured windows differ. A large object
+    that moves far also gives windows that differ, but most of them are found elsewhere in the other
+    frame.
 
     Parameters
     ----------
     frame0, frame1, flow
         As for `unrelated`.
     unseen : (H, W) bool, optional
-        Pixels that frame 1 cannot show; they do not count. By default all do.
+        Pixels that are not visible in frame 1; they do not count. By default all pixels count.
     """
-    while frame0.size >= 4 * JUDGED and min(frame0.shape) > 4 * BORDER:  # where noise is less
+    while (
+        frame0.size >= 4 * JUDGED_PIXELS and min(frame0.shape) > 4 * BORDER
+    ):  # noise is less on coarse levels
         frame0, frame1, flow = (
             cv2.resize(array, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
             for array in (frame0, frame1, flow * np.float32(0.5))
@@ -120,49 +127,53 @@ def replaced(
             variance_in_windows(image, mean_in_windows(image))
             for image in (moved - frame0, frame0, moved)
         )
-        quiet = float(np.percentile(difference, QUIETEST))
+        quiet = float(np.percentile(difference, NOISE_PERCENTILE))
         noise = max(quiet / 2, (FAINT * float(unit)) ** 2)
-        seen = np.maximum(first, second) > np.float32(STRUCTURE * noise)
+        seen = np.maximum(first, second) > np.float32(TEXTURED * noise)
     if unseen is not None:
         seen &= ~unseen
-    if np.count_nonzero(seen) < FEWEST_SEEN * seen.size:
+    if np.count_nonzero(seen) < FEWEST_TEXTURED * seen.size:
         return None
     lost = seen & (correlation(frame0, frame1, flow) < CORRELATED)
     share = np.count_nonzero(lost) / np.count_nonzero(seen)
-    if share <= REPLACED or _moved_together(frame0, frame1, lost) >= MOVED:
+    if share <= REPLACED or _moved_together(frame0, frame1, lost) >= MOVED_TOGETHER:
         return None
     return Status(
         "unrelated",
-        f"parts of the frames are alike and do not move, but {100 * share:.0f}% of their texture "
-        "differs in the second: check that they show one scene, or mask the parts that are fixed "
-        "to the image",
+        f"parts of the frames are alike and at rest, but {100 * share:.0f}% of the texture differs "
+        "in the second frame: check that they show one scene, or mask parts that are fixed to the "
+        "image",
     )
 
 
 def _moved_together(frame0: np.ndarray, frame1: np.ndarray, lost: np.ndarray) -> float:
     """Return the largest share of lost squares that one displacement finds in the other frame.
 
-    Squares around lost pixels are sought in all of the other frame. Some are found by chance, but
-    hardly at one displacement.
+    Squares around lost pixels are searched in the whole other frame. Chance matches rarely share
+    one displacement.
     """
     half = SQUARE // 2
     squares = np.argwhere(lost[half:-half:SQUARE_STEP, half:-half:SQUARE_STEP])
-    ways = np.full((2, len(squares), 2), np.nan)  # from frame 0 to frame 1, both ways round
+    # Displacements from frame 0 to frame 1, found in both directions.
+    displacements = np.full((2, len(squares), 2), np.nan)
     for k, (here, there) in enumerate(((frame0, frame1), (frame1, frame0))):
         for number, (top, left) in enumerate(squares * SQUARE_STEP):
             square = here[top : top + SQUARE, left : left + SQUARE]
             alike = cv2.matchTemplate(there, square, cv2.TM_CCOEFF_NORMED)
             _, best, _, (column, row) = cv2.minMaxLoc(alike)
-            if best >= FOUND:
-                ways[k, number] = (1 - 2 * k) * np.array([column - left, row - top])
-    known = np.isfinite(ways[..., 0])
-    together = [(np.abs(ways - way).max(axis=-1) <= 1).any(axis=0).sum() for way in ways[known]]
+            if best >= SQUARE_CORRELATION:
+                displacements[k, number] = (1 - 2 * k) * np.array([column - left, row - top])
+    known = np.isfinite(displacements[..., 0])
+    together = [
+        (np.abs(displacements - one).max(axis=-1) <= 1).any(axis=0).sum()
+        for one in displacements[known]
+    ]
     return max(together, default=0) / max(len(squares), 1)
 
 
 def _folded(flow: np.ndarray, trust: np.ndarray) -> float:
-    """Return the share of what is trusted whose neighbours to the right and below change sides."""
-    with np.errstate(over="ignore", invalid="ignore"):  # where it diverged
+    """Return the share of the trust at pixels where the flow turns the image over."""
+    with np.errstate(over="ignore", invalid="ignore"):  # where the flow diverged
         across = np.diff(flow[:-1], axis=1)
         down = np.diff(flow[:, :-1], axis=0)
         area = (1 + across[..., 0]) * (1 + down[..., 1]) - across[..., 1] * down[..., 0]
@@ -172,10 +183,10 @@ def _folded(flow: np.ndarray, trust: np.ndarray) -> float:
 
 
 def field_status(pyramid: ImagePyramid, flow: np.ndarray, trust: np.ndarray) -> Status | None:
-    """Return why a flow field of the finest level is wrong, None where nothing is against it.
+    """Return the status of a wrong flow field of the finest level, None for others.
 
-    That is judged on a coarser level.
-    Motion that is free at every pixel makes fine detail alike in any two frames.
+    The flow is judged on a coarser level, since motion that is free at every pixel can align fine
+    detail of any two frames.
 
     Parameters
     ----------
@@ -183,7 +194,7 @@ def field_status(pyramid: ImagePyramid, flow: np.ndarray, trust: np.ndarray) -> 
     flow : (2, H, W) float32
         px/frame.
     trust : (H, W) float32
-        Its confidence.
+        Confidence of the flow.
     """
     level = _judged_level(pyramid)
     frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
@@ -198,13 +209,15 @@ def field_status(pyramid: ImagePyramid, flow: np.ndarray, trust: np.ndarray) -> 
 
 def _judged_level(pyramid: ImagePyramid) -> int:
     """Return the level that a flow field is judged on."""
-    return max((k for k, frame in enumerate(pyramid.frames0) if frame.size >= JUDGED), default=0)
+    return max(
+        (k for k, frame in enumerate(pyramid.frames0) if frame.size >= JUDGED_PIXELS), default=0
+    )
 
 
 def confirms_large_motion(pyramid: ImagePyramid, flow: np.ndarray, unseen: np.ndarray) -> bool:
-    """Return whether the images confirm that most of their common part has moved far.
+    """Return whether the images confirm that most of their common part moved far.
 
-    A texture that repeats confirms no motion: it looks alike at every period.
+    A repetitive texture confirms no motion, since it matches at every period.
 
     Parameters
     ----------
@@ -212,11 +225,11 @@ def confirms_large_motion(pyramid: ImagePyramid, flow: np.ndarray, unseen: np.nd
     flow : (2, H, W) float32
         px/frame of the finest level.
     unseen : (H, W) bool
-        Pixels that leave the image or are hidden; they are not judged.
+        Pixels that leave the image or are occluded; they are not judged.
     """
     if unseen.all() or not np.isfinite(flow[:, ~unseen]).all():
         return False
-    far = np.float32(FAR * max(flow.shape[1:]))
+    far = np.float32(LARGE_MOTION * max(flow.shape[1:]))
     if median(np.hypot(*flow[:, ~unseen])) < far:
         return False
     level = _judged_level(pyramid)
@@ -229,28 +242,28 @@ def confirms_large_motion(pyramid: ImagePyramid, flow: np.ndarray, unseen: np.nd
     coarse = cv2.merge([cv2.resize(part, size, interpolation=area) for part in known])
     if not seen.any() or _folded(coarse, seen) > FOLDED:
         return False
-    if median(correlation(frame0, frame1, coarse)[seen > 0]) < BORNE_OUT:
+    if median(correlation(frame0, frame1, coarse)[seen > 0]) < LARGE_MOTION_CORRELATION:
         return False
     return not _repeats(frame0, seen > 0)
 
 
 def _repeats(frame: np.ndarray, seen: np.ndarray) -> bool:
-    """Return whether the middle of the visible part looks alike elsewhere in the same frame."""
+    """Return whether the middle of the visible part matches elsewhere in the same frame."""
     left, top, width, height = cv2.boundingRect(seen.astype(np.uint8))
     left, top = left + width // 4, top + height // 4
     width, height = max(width // 2, 1), max(height // 2, 1)
     part = frame[top : top + height, left : left + width]
     if not part.std():
-        return True  # without texture it looks alike everywhere
-    alike = cv2.matchTemplate(frame, part, cv2.TM_CCOEFF_NORMED) >= BORNE_OUT
-    _, places = cv2.connectedComponents(alike.astype(np.uint8), connectivity=8)
-    return bool((alike & (places != places[top, left])).any())
+        return True  # without texture it matches everywhere
+    alike = cv2.matchTemplate(frame, part, cv2.TM_CCOEFF_NORMED) >= LARGE_MOTION_CORRELATION
+    _, areas = cv2.connectedComponents(alike.astype(np.uint8), connectivity=8)
+    return bool((alike & (areas != areas[top, left])).any())
 
 
 def aperture_status(frame: np.ndarray) -> Status | None:
     """Return the status of a frame that varies along one direction only, None for others.
 
-    How far it moves along its stripes cannot be seen: the aperture problem.
+    Its motion along the stripes cannot be seen: the aperture problem.
 
     Parameters
     ----------
@@ -263,9 +276,9 @@ def aperture_status(frame: np.ndarray) -> Status | None:
     and Ullman, "Directional selectivity and its use in early visual processing", Proc. R. Soc.
     Lond. B 211 (1981), doi 10.1098/rspb.1981.0001 (aperture problem).
     """
-    while frame.size >= 4 * JUDGED and min(frame.shape) > 4 * BORDER:
+    while frame.size >= 4 * JUDGED_PIXELS and min(frame.shape) > 4 * BORDER:
         frame = cv2.resize(frame, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    if min(frame.shape) < 2 * BORDER + CONFIDENCE_WINDOW:  # too few windows to tell
+    if min(frame.shape) < 2 * BORDER + CONFIDENCE_WINDOW:  # too few windows
         return None
     inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
     with np.errstate(over="ignore", invalid="ignore"):  # frames may be far too bright
@@ -283,10 +296,10 @@ def aperture_status(frame: np.ndarray) -> Status | None:
         for x, y in directions.T
     )
     faint = np.float32(FAINT * variation.sum())
-    if (along > ALONG * (along + across + faint)).mean() > VARIED:
+    if (along > STRIPES_ALONG * (along + across + faint)).mean() > STRIPES_EXCEPTED:
         return None
     return Status(
         "aperture",
-        "the frames vary along one direction only, so that motion along their stripes cannot be "
-        "seen (the aperture problem): take frames that show corners, or give the pose",
+        "the frames vary along one direction only, so motion along their stripes cannot be seen "
+        "(the aperture problem): take frames that show corners, or give the pose",
     )
