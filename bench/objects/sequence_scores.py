@@ -47,14 +47,14 @@ class ClipScore:
 def scored(method: str, clip: Clip, found: Found) -> ClipScore:
     """Compare the labels of a method with the truth."""
     scores = label_scores(found.labels, clip.truth)
-    there = sum(thing.there for thing in scores.things)
+    there = sum(thing.present for thing in scores.objects)
     return ClipScore(
         method=method,
         variant=found.variant,
         clip=clip.name,
         group=clip.group,
         iou=scores.iou,
-        followed=sum(thing.followed for thing in scores.things) / there,
+        followed=sum(thing.followed for thing in scores.objects) / there,
         switches=scores.switches,
         seconds=found.seconds / len(clip.frames),
         paths=_paths(clip, found, scores),
@@ -67,14 +67,14 @@ def _paths(clip: Clip, found: Found, scores: LabelScores) -> tuple[ObjectPathErr
         return ()
     by_id = {item.id: item for item in found.objects}
     errors: list[ObjectPathErrors | None] = []
-    for thing in scores.things:
+    for thing in scores.objects:
         item = None if thing.label is None else by_id.get(thing.label)
         if item is None:
             errors.append(None)
             continue
         poses = np.full((len(clip.frames), 4, 4), np.nan)
         poses[list(item.frames)] = item.poses
-        truth: NDArray[np.float64] = clip.film.body_poses[thing.thing - 1]
+        truth: NDArray[np.float64] = clip.film.body_poses[thing.object_id - 1]
         errors.append(object_path_errors(poses, truth, found.cameras, clip.film.poses))
     return tuple(errors)
 

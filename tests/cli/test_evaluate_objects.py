@@ -21,7 +21,7 @@ def test_masks_are_compared(tisfm_run, folders):
     assert "Moving objects of camel" in out and "1.000" in out and "4 of 4" in out
     record = json.loads(Path("out/eval.json").read_text(encoding="utf-8"))["objects"]
     assert record["name"] == "camel" and record["iou"] == 1 and record["switches"] == 0
-    assert record["things"][0]["label"] == 1
+    assert record["objects"][0]["label"] == 1
 
 
 def test_several_things_have_a_mean(tisfm_run, folders, place):

@@ -50,8 +50,8 @@ def result(tmp_path):
 @pytest.mark.parametrize("inner", [True, False])
 def test_indices_of_a_palette_are_the_labels(clip, result, inner):
     scores = compare_masks(result, clip / "masks" if inner else clip)
-    (thing,) = scores.things
-    assert (thing.thing, thing.label, thing.frames) == (255, 2, 4)
+    (thing,) = scores.objects
+    assert (thing.object_id, thing.label, thing.frames) == (255, 2, 4)
     assert thing.iou == pytest.approx((1 + 1 + 0 + 0.5) / 4)
     assert thing.switches == 2 and scores.frames == 4
 

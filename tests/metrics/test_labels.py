@@ -29,7 +29,7 @@ def test_true_labels_are_right_whatever_their_values():
     truth = bars([(255, 0, 3), (7, 5, 9)], [(255, 1, 4), (7, 5, 9)])
     labels = np.select([truth == 255, truth == 7], [2, 9])
     scores = label_scores(labels, truth)
-    assert [(s.thing, s.label, s.iou, s.frames) for s in scores.things] == [
+    assert [(s.object_id, s.label, s.iou, s.frames) for s in scores.objects] == [
         (7, 9, 1.0, 2),
         (255, 2, 1.0, 2),
     ]
@@ -39,7 +39,7 @@ def test_true_labels_are_right_whatever_their_values():
 def test_one_label_stands_for_a_thing_throughout():
     truth = bars(*[[(1, 0, 4)]] * 4)
     labels = bars([(3, 0, 4)], [(3, 0, 4)], [(5, 0, 4)], [(3, 0, 2), (5, 2, 4)])
-    (thing,) = label_scores(labels, truth).things
+    (thing,) = label_scores(labels, truth).objects
     assert thing.label == 3
     assert thing.iou == pytest.approx((1 + 1 + 0 + 0.5) / 4)
     assert thing.followed == 4 and thing.switches == 2  # 3, 3, 5, and 3: the first of equals
@@ -48,8 +48,8 @@ def test_one_label_stands_for_a_thing_throughout():
 def test_frames_count_where_the_thing_or_its_label_is():
     truth = bars([(1, 0, 4)], [], [], [(1, 0, 4)])
     labels = bars([(2, 0, 4)], [], [(2, 5, 6)], [])
-    (thing,) = label_scores(labels, truth).things
-    assert (thing.frames, thing.there, thing.followed) == (3, 2, 1)
+    (thing,) = label_scores(labels, truth).objects
+    assert (thing.frames, thing.present, thing.followed) == (3, 2, 1)
     assert thing.iou == pytest.approx(1 / 3)
 
 
@@ -57,7 +57,7 @@ def test_things_share_no_label_and_the_sum_is_the_greatest():
     # Label 1 covers both; the second thing has no other, the first has 2 in part.
     truth = bars([(1, 0, 4), (2, 4, 8)])
     labels = bars([(1, 1, 8), (2, 0, 1)])
-    first, second = label_scores(labels, truth).things
+    first, second = label_scores(labels, truth).objects
     assert (first.label, second.label) == (2, 1)
     assert first.iou == pytest.approx(1 / 4) and second.iou == pytest.approx(4 / 7)
 
@@ -65,11 +65,11 @@ def test_things_share_no_label_and_the_sum_is_the_greatest():
 def test_a_thing_without_a_label():
     truth = bars([(1, 0, 4), (2, 6, 8)], [(1, 0, 4)])
     labels = bars([(1, 0, 4)], [(1, 0, 4)])
-    first, second = label_scores(labels, truth).things
+    first, second = label_scores(labels, truth).objects
     assert first.iou == 1
     assert (second.label, second.iou, second.frames, second.followed) == (None, 0.0, 1, 0)
     nothing = label_scores(np.zeros_like(labels), truth)
-    assert nothing.iou == 0 and [s.label for s in nothing.things] == [None, None]
+    assert nothing.iou == 0 and [s.label for s in nothing.objects] == [None, None]
 
 
 def test_hidden_and_lost_frames_are_passed_over_by_switches():
@@ -86,7 +86,7 @@ def test_least_decides_what_follows():
     counts = [
         (s.followed, s.switches)
         for least in (0.2, 0.5, 0.6)
-        for s in label_scores(labels, truth, least=least).things
+        for s in label_scores(labels, truth, least=least).objects
     ]
     assert counts == [(2, 1), (2, 1), (1, 0)]
 
@@ -99,7 +99,7 @@ def test_the_mean_is_that_of_frames_one_by_one(seed, things, found):
     truth[0, 0, :things] = np.arange(things) + 1
     labels = rng.integers(0, found + 1, (5, *SHAPE))
     scores = label_scores(labels, truth)
-    of = {s.thing: s.label for s in scores.things}
+    of = {s.object_id: s.label for s in scores.objects}
     given_away = [label for label in of.values() if label is not None]
     assert len(given_away) == len(set(given_away))
     means = {}
@@ -108,7 +108,7 @@ def test_the_mean_is_that_of_frames_one_by_one(seed, things, found):
         counted = [k for k in range(5) if mine[k].any() or true[k].any()]
         means[thing, label] = np.mean([iou(mine[k], true[k]) for k in counted] or [0])
         if of[thing] == label:
-            assert scores.things[thing - 1].frames == len(counted)
+            assert scores.objects[thing - 1].frames == len(counted)
     # The best of all choices of labels, some of which stand for none.
     choices = permutations([*range(1, found + 1), *[None] * things], things)
     best = max(sum(means.get(pair, 0) for pair in enumerate(choice, 1)) for choice in set(choices))
@@ -121,8 +121,8 @@ def test_booleans_generators_and_inputs_stay():
     truth[:, 1:4] = True
     labels = 3 * truth.astype(np.int32)
     before = labels.copy(), truth.copy()
-    (thing,) = label_scores((label for label in labels), iter(truth)).things
-    assert (thing.thing, thing.label, thing.iou) == (1, 3, 1.0)
+    (thing,) = label_scores((label for label in labels), iter(truth)).objects
+    assert (thing.object_id, thing.label, thing.iou) == (1, 3, 1.0)
     np.testing.assert_array_equal(labels, before[0])
     np.testing.assert_array_equal(truth, before[1])
 
@@ -137,8 +137,8 @@ def test_booleans_generators_and_inputs_stay():
         (np.ones((1, 4, 5), int), -np.ones((1, 4, 5), int), ValueError, "from -1 to -1"),
         (300 * np.ones((1, 4, 5), int), np.ones((1, 4, 5), int), ValueError, "expected 0 to 255"),
         (np.ones((1, 4), int), np.ones((1, 4), int), ValueError, r"labels\[0\] is \(4,\)"),
-        (np.ones((1, 4, 5), int), np.zeros((1, 4, 5), int), ValueError, "truth has no thing"),
-        ([], [], ValueError, "truth has no thing in any of 0 frames"),
+        (np.ones((1, 4, 5), int), np.zeros((1, 4, 5), int), ValueError, "truth has no object"),
+        ([], [], ValueError, "truth has no object in any of 0 frames"),
         (
             [np.ma.masked_equal([[1, 2]], 2)],
             [np.ones((1, 2), int)],

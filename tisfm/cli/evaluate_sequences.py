@@ -248,7 +248,7 @@ def evaluate_objects(
     scores = compare_masks(result, folder, step=1 if step is None else step)
     masks = true_masks(folder).resolve()
     name = masks.parent.name if masks.name == "masks" else masks.name
-    labels = {thing.thing: thing.label for thing in scores.things if thing.label is not None}
+    labels = {thing.object_id: thing.label for thing in scores.objects if thing.label is not None}
     true_folder = masks.parent if masks.name == "masks" else masks
     paths = None
     if has_true_paths(true_folder):
@@ -274,6 +274,6 @@ def evaluate_objects(
     if paths is not None:
         print_whole(object_path_table(name, paths))
     where = "" if output is None else f" Every number in {output}."
-    count = len(scores.things)
+    count = len(scores.objects)
     tell(f"{count} thing{'s' * (count != 1)} in {scores.frames} frames.{where}")
     return 0

@@ -132,20 +132,20 @@ def mask_table(name: str, scores: LabelScores) -> Table:
     table.add_column("object", overflow="fold")
     for heading in ("label", "IoU", "frames", "followed", "switches"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for thing in scores.things:
+    for thing in scores.objects:
         table.add_row(
-            Text(str(thing.thing)),
+            Text(str(thing.object_id)),
             _NOTHING if thing.label is None else str(thing.label),
             f"{thing.iou:.3f}",
             str(thing.frames),
-            f"{thing.followed} of {thing.there}",
+            f"{thing.followed} of {thing.present}",
             str(thing.switches),
         )
-    if len(scores.things) > 1:
-        there, followed = (
-            sum(getattr(thing, key) for thing in scores.things) for key in ("there", "followed")
+    if len(scores.objects) > 1:
+        present, followed = (
+            sum(getattr(thing, key) for thing in scores.objects) for key in ("present", "followed")
         )
-        row = (f"{scores.iou:.3f}", "", f"{followed} of {there}", str(scores.switches))
+        row = (f"{scores.iou:.3f}", "", f"{followed} of {present}", str(scores.switches))
         table.add_row("all", "", *row)
     return table
 

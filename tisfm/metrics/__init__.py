@@ -1,8 +1,9 @@
-"""Errors of flow, depth, occlusion, pose, path, labels and deviation against the truth.
+"""Errors of flow, depth, occlusion, pose, trajectory, labels and standard deviation.
 
-They are those that the usual benchmarks define. Pixels whose truth is unknown never count: those
-where it is not finite or above 1e9 in magnitude, the Middlebury convention. Masked arrays are
-refused if a value is masked. Sums are float64 whatever the input.
+They are defined as in the usual benchmarks. Pixels with unknown ground truth never count: it is
+unknown where it is not finite, or above 1e9 in magnitude (the convention of Middlebury). Masked
+arrays are refused if a value is masked. Sums are float64 for any input.
+
 May import: of the top level `checks` and `rigid`.
 """
 
@@ -18,7 +19,7 @@ from tisfm.metrics.flow import (
     flow_errors,
     outlier_rate,
 )
-from tisfm.metrics.labels import LabelScores, ThingScores, label_scores
+from tisfm.metrics.labels import LabelScores, ObjectScores, label_scores
 from tisfm.metrics.object_path import ObjectPathErrors, object_path_errors
 from tisfm.metrics.occlusion import OcclusionScores, occlusion_scores
 from tisfm.metrics.pose import PoseErrors, pose_errors
@@ -43,7 +44,7 @@ __all__ = [
     "PoseErrors",
     "RelativeErrors",
     "Similarity",
-    "ThingScores",
+    "ObjectScores",
     "absolute_errors",
     "align",
     "angular_error",

@@ -1,4 +1,4 @@
-"""The similarity that brings points nearest to others."""
+"""The similarity that aligns points with other points in least squares."""
 
 from dataclasses import dataclass
 
@@ -8,12 +8,12 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.checks import unmasked
 from tisfm.errors import InputError
 
-_STILL = 1e-12  # of the largest coordinate: points that spread less are one
+_SAME_POINT = 1e-12  # of the largest coordinate: points that spread less count as one point
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Similarity:
-    """p ↦ s R p + t.
+    """The transform p ↦ s R p + t.
 
     Attributes
     ----------
@@ -35,20 +35,20 @@ class Similarity:
     translation: NDArray[np.float64]
 
     def apply(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Return where points, (N, 3), go to."""
+        """Return transformed points, (N, 3)."""
         return np.asarray(self.scale * np.asarray(points) @ self.rotation.T + self.translation)
 
 
 def align(points: ArrayLike, truth: ArrayLike, *, with_scale: bool = True) -> Similarity:
-    """Return the similarity after which points are nearest to others, in the sum of squares.
+    """Return the similarity that minimises the sum of squared distances from points to others.
 
     Parameters
     ----------
     points, truth : array_like, shape (N, 3)
-        N ≥ 1. Where all points lie on a line, or are one, the rotation is not unique: any of the
-        best is returned. The scale of points that stand still is 1.
+        N ≥ 1. If all points lie on a line, or are one point, the rotation is not unique: one of the
+        best is returned. The scale is 1 if all points are one point.
     with_scale : bool, default True
-        Without, the scale is 1: a rigid motion.
+        If False, the scale is 1: the similarity is a rigid motion.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def align(points: ArrayLike, truth: ArrayLike, *, with_scale: bool = True) -> Si
     Raises
     ------
     ValueError
-        If the shapes are others, or a value is masked or not finite.
+        If the arrays have other shapes, or a value is masked or not finite.
 
     References
     ----------
@@ -85,8 +85,8 @@ def align(points: ArrayLike, truth: ArrayLike, *, with_scale: bool = True) -> Si
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
     rotation = u * signs @ vt
     spread = float(np.square(left).sum(axis=1).mean())
-    still = spread <= (_STILL * np.abs(source).max()) ** 2
-    scale = float(values @ signs / spread) if with_scale and not still else 1.0
+    is_point = spread <= (_SAME_POINT * np.abs(source).max()) ** 2
+    scale = float(values @ signs / spread) if with_scale and not is_point else 1.0
     return Similarity(scale=scale, rotation=rotation, translation=goal - scale * rotation @ centre)
 
 

@@ -8,12 +8,12 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.checks import unmasked
 from tisfm.errors import InputError
 from tisfm.metrics.depth_sequence import FARTHEST, NEAREST
-from tisfm.metrics.valid_pixels import counting, is_known
+from tisfm.metrics.valid_pixels import is_known, mask_or_all
 
 
 @dataclass(frozen=True, kw_only=True)
 class DepthErrors:
-    """Errors of a depth map. All but `rmse` are without unit.
+    """Errors of a depth map d with the truth d*. All but `rmse` have no unit.
 
     Attributes
     ----------
@@ -26,15 +26,15 @@ class DepthErrors:
     delta1, delta2, delta3 : float
         Share of pixels with max(d/d*, d*/d) below 1.25, 1.25² and 1.25³.
     silog : float
-        100 · standard deviation of log d - log d*, which no scaling changes.
+        100 · standard deviation of log d - log d*; no scaling of d changes it.
     scale : float
-        The factor d was multiplied by before comparing: the median of d*/d, or 1.
+        Factor of d before comparing: the median of d*/d, or 1.
     density : float
-        Share of the pixels with known truth where the estimate is finite and positive; the errors
-        are over these.
+        Share of the pixels with known truth where the estimate is finite and positive; the other
+        errors, except `abs_rel_all`, are over these pixels.
     abs_rel_all : float
-        Mean |d - d*| / d* over all pixels with known truth, none left out: estimates are limited to
-        [0.1 min d*, 10 max d*], and a pixel without one has 10 max d*.
+        Mean |d - d*| / d* over all pixels with known truth: estimates are limited to
+        [0.1 min d*, 10 max d*], and a pixel without an estimate counts as 10 max d*.
 
     Examples
     --------
@@ -75,13 +75,14 @@ def depth_errors(
     mask : array_like, shape (H, W), optional
         Nonzero where pixels count.
     align : {"median", None}, default "median"
-        With "median", the estimate is first multiplied by the median of truth/estimate: one
-        camera's depth is relative. With None it is compared as it is.
+        With "median", the estimate is first multiplied by the median of truth/estimate, since depth
+        from one camera has no scale. With None it is compared unscaled.
 
     Returns
     -------
     DepthErrors
-        Estimates that are not finite and positive lower the density and enter no error.
+        Estimates that are not finite and positive lower the density, and are in no other error but
+        `abs_rel_all`.
 
     Raises
     ------
@@ -172,9 +173,9 @@ def _depths(
     Returns
     -------
     depth, truth : (H, W) float64
-        The former multiplied by `scale`.
+        The depth is multiplied by `scale`.
     valid, known : (H, W) bool
-        Where both are known, and where the truth is.
+        Where depth and truth are known, and where the truth is known.
     scale : float
     """
     if align not in ("median", None):
@@ -185,7 +186,7 @@ def _depths(
         raise InputError(
             f"depth is {estimate.shape} and truth is {true.shape}: expected the same shape, (H, W)"
         )
-    known = is_known(true) & (true > 0) & counting(mask, true.shape)
+    known = is_known(true) & (true > 0) & mask_or_all(mask, true.shape)
     if not known.any():
         raise InputError(f"no pixel of the {true.shape} truth is known, positive and in the mask")
     valid = known & np.isfinite(estimate) & (estimate > 0)

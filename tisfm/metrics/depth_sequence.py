@@ -1,4 +1,4 @@
-"""Errors of the depth of one frame of a sequence, in a scale that all its frames share."""
+"""Errors of the depth of single frames of a sequence, with one scale for all frames."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -7,28 +7,30 @@ from tisfm.checks import unmasked
 from tisfm.errors import InputError
 from tisfm.metrics.valid_pixels import is_known
 
-CERTAIN = 0.4  # share of the pixels: those of the least relative deviation
-WORST = 3.0  # relative error at which a pixel's is limited
-SAME_SURFACE = 0.02  # relative: depths that differ by less are of one point
-NEAREST, FARTHEST = 0.1, 10.0  # of the least and the greatest true depth: limits of an estimate
+# Definitions of these measures, set by hand:
+CERTAIN_SHARE = 0.4  # share of the pixels, those of the smallest relative deviation
+MAX_ERROR = 3.0  # relative error to which the error of a pixel is limited
+SAME_SURFACE = 0.02  # relative difference of two depths up to which they count as one point
+NEAREST = 0.1  # of the smallest true depth: lower limit of an estimate
+FARTHEST = 10.0  # of the largest true depth: upper limit of an estimate
 
 
 def limited_error(inverse_depth: ArrayLike, truth: ArrayLike, *, scale: float = 1.0) -> float:
-    """Return the mean |d - d*| / d* over all pixels with known truth, none left out.
+    """Return the mean |d - d*| / d* over all pixels with known truth.
 
     Parameters
     ----------
     inverse_depth : array_like, shape (H, W)
-        Estimate. A pixel without one, not finite and positive, is taken to be as far as the limit.
+        Estimate. A pixel without an estimate (not finite and positive) counts as 10 max d*.
     truth : array_like, shape (H, W)
         True depth d*; unknown where it is not finite and positive.
     scale : float, default 1
-        What depth, d, is multiplied by before it is limited to [0.1 min d*, 10 max d*].
+        Factor of the depth d, which is then limited to [0.1 min d*, 10 max d*].
 
     Returns
     -------
     float
-        As `DepthErrors.abs_rel_all`, with a given scale; 1 where no pixel has an estimate.
+        As `DepthErrors.abs_rel_all`, with a given scale; 1 if no pixel has an estimate.
 
     Raises
     ------
@@ -61,9 +63,9 @@ def certain_error(
     truth: ArrayLike,
     *,
     scale: float = 1.0,
-    share: float = CERTAIN,
+    share: float = CERTAIN_SHARE,
 ) -> float:
-    """Return the mean |d - d*| / d* of the pixels with the least relative deviation.
+    """Return the mean |d - d*| / d* of the pixels with the smallest relative deviation.
 
     Parameters
     ----------
@@ -72,10 +74,10 @@ def certain_error(
     truth : array_like, shape (H, W)
         True depth d*; unknown where it is not finite and positive.
     scale : float, default 1
-        What depth is multiplied by first.
+        Factor of the depth before comparing.
     share : float, default 0.4
-        Of the pixels with known truth, which count. The error of each is limited to 3, which those
-        without an estimate have.
+        Share of the pixels with known truth that counts. The error of a pixel is limited to 3; a
+        pixel without an estimate has the error 3.
 
     Returns
     -------
@@ -105,12 +107,12 @@ def certain_error(
         )
     inverse, sigma, true = inverse[known], sigma[known], true[known]
     valid = _valid(inverse) & np.isfinite(sigma)
-    relative, error = np.full(len(true), np.inf), np.full(len(true), WORST)
+    relative, error = np.full(len(true), np.inf), np.full(len(true), MAX_ERROR)
     relative[valid] = sigma[valid] / inverse[valid]
     positive = _valid(inverse)
     error[positive] = np.abs(scale / inverse[positive] - true[positive]) / true[positive]
     order = np.argsort(relative, kind="stable")[: max(1, round(share * len(true)))]
-    return float(np.minimum(error[order], WORST).mean())
+    return float(np.minimum(error[order], MAX_ERROR).mean())
 
 
 def flicker(
@@ -122,30 +124,31 @@ def flicker(
     center: tuple[float, float],
     scale: float = 1.0,
 ) -> float | None:
-    """Return how much relative inverse depth changes along the true flow between two frames.
+    """Return the mean change of the relative inverse depth r between two frames.
 
-    Relative inverse depth is the estimated one times the true depth, 1 where it is right: what a
-    point gains or loses by coming nearer is no change.
+    r is the estimated inverse depth times the true depth, 1 for a correct estimate, so that the
+    true change of depth does not count.
 
     Parameters
     ----------
     first, second : (array_like, array_like), each of shape (H, W)
-        Of two frames, the estimated inverse depth and the true depth.
+        Estimated inverse depth and true depth of two frames.
     motion : array_like, shape (4, 4)
-        The true one, from the axes of the first camera to those of the second, in the unit of the
+        True motion from the axes of the first camera to those of the second, in the unit of the
         true depth.
     focal : float
-        px.
+        Focal length, px.
     center : (float, float)
         Principal point (cx, cy), px.
     scale : float, default 1
-        What estimated depth is multiplied by first.
+        Factor of the estimated depth before comparing.
 
     Returns
     -------
     float or None
-        Mean of |r₁ - r₀| over the pixels whose point both frames see, by the true depths, within
-        2 % of one another, and have an estimate for; None where there is none.
+        Mean of |r₁ - r₀| over the pixels that have an estimate in both frames and whose point is
+        visible in both: projected, its depth differs by at most 2 % from the true depth of the
+        second frame. None if there is no such pixel.
 
     Raises
     ------
@@ -191,7 +194,7 @@ def flicker(
 
 
 def depth_ratios(inverse_depth: ArrayLike, truth: ArrayLike) -> NDArray[np.float64]:
-    """Return d* / d, (K,), of the pixels with a known truth and an estimate."""
+    """Return the ratios d* / d, (K,), of the pixels with known truth and an estimate."""
     inverse, true, known = _maps(inverse_depth, truth)
     counted = known & _valid(inverse)
     return np.asarray(true[counted] * inverse[counted])
@@ -204,7 +207,7 @@ def known_share(inverse_depth: ArrayLike, truth: ArrayLike) -> float:
 
 
 def _maps(inverse_depth: ArrayLike, truth: ArrayLike) -> tuple[NDArray, NDArray, NDArray]:
-    """Return both as float64, and where the truth is known."""
+    """Return inverse depth and truth as float64, and where the truth is known."""
     inverse = unmasked(inverse_depth, "inverse_depth", np.float64)
     true = unmasked(truth, "truth", np.float64)
     if inverse.shape != true.shape or true.ndim != 2:
@@ -222,29 +225,29 @@ def _valid(inverse: NDArray) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(inverse) & (inverse > 0))
 
 
-_FINENESS = 1e-4  # of a bin, natural logarithm
-_REACH = 70.0  # of the logarithm, either way: beyond float32's
+_BIN_WIDTH = 1e-4  # of the natural logarithm
+_MAX_LOG = 70.0  # of the natural logarithm, ±; values beyond count as the bound
 
 
 class LogMedian:
-    """Collects positive values, and tells their median within 0.01 %.
+    """The median of positive values, within 0.01 %, without storing them.
 
-    Values are counted in bins of their logarithm, so that memory does not grow with their number.
+    Values are counted in bins of their logarithm: memory does not grow with their number.
     """
 
     def __init__(self) -> None:
-        self._counts = np.zeros(round(2 * _REACH / _FINENESS), np.int64)
+        self._counts = np.zeros(round(2 * _MAX_LOG / _BIN_WIDTH), np.int64)
 
     def add(self, values: NDArray[np.float64]) -> None:
         """Count positive values, of any shape."""
-        bins = ((np.log(values).ravel() + _REACH) / _FINENESS).astype(np.int64)
+        bins = ((np.log(values).ravel() + _MAX_LOG) / _BIN_WIDTH).astype(np.int64)
         np.add.at(self._counts, bins.clip(0, len(self._counts) - 1), 1)
 
     def median(self) -> float | None:
-        """Return their median, None of none."""
+        """Return the median; None without values."""
         total = int(self._counts.sum())
         if not total:
             return None
         cumulative = np.cumsum(self._counts)
         low, high = np.searchsorted(cumulative, [(total + 1) // 2, total // 2 + 1])
-        return float(np.exp(((low + high) / 2 + 0.5) * _FINENESS - _REACH))
+        return float(np.exp(((low + high) / 2 + 0.5) * _BIN_WIDTH - _MAX_LOG))

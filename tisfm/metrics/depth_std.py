@@ -1,4 +1,4 @@
-"""How often a standard deviation of the depth covers its error."""
+"""Calibration of the standard deviation of inverse depth: how often it covers the error."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,15 +13,15 @@ def std_coverage(
     truth: ArrayLike,
     mask: ArrayLike | None = None,
 ) -> float:
-    """Return the share of pixels whose inverse depth is off by less than its standard deviation.
+    """Return the share of pixels whose error of inverse depth is within one standard deviation.
 
-    If the deviations are right it is 0.68.
+    It is 0.68 for correct standard deviations of normal errors.
 
     Parameters
     ----------
     inverse_depth, inverse_depth_std : array_like, shape (H, W)
-        Estimate, in any unit, and its standard deviation. The estimate is compared after scaling
-        by the median of the ratio to the truth, over the pixels where it is positive.
+        Estimate, in any unit, and its standard deviation. Before comparing, the truth is scaled by
+        the median ratio of estimate and truth, over the pixels where the estimate is positive.
     truth : array_like, shape (H, W)
         True depth; unknown where it is not finite and positive.
     mask : array_like, shape (H, W), optional
@@ -30,8 +30,8 @@ def std_coverage(
     Returns
     -------
     float
-        From 0 to 1, of the pixels that count and whose truth is known. A deviation that is
-        infinite covers everything, one that is NaN nothing.
+        From 0 to 1, over the pixels that count and have a known truth. An infinite deviation covers
+        any error, NaN covers none.
 
     Raises
     ------
@@ -58,10 +58,10 @@ def error_in_deviations(
     truth: ArrayLike,
     mask: ArrayLike | None = None,
 ) -> NDArray[np.float64]:
-    """Return how many standard deviations the inverse depth is off, of the pixels that count.
+    """Return the error of inverse depth in standard deviations, for the pixels that count.
 
-    Parameters and errors are those of `std_coverage`. What has an infinite deviation is off by
-    none, what has no deviation (NaN) by NaN.
+    Parameters and exceptions are those of `std_coverage`. The result is 0 for an infinite deviation
+    and NaN for a deviation of NaN.
 
     Returns
     -------
@@ -86,7 +86,7 @@ def error_in_deviations(
     if not (ratio > 0).any():
         raise InputError(
             f"no pixel of the {found.shape} inverse depth is positive where the truth is known and "
-            "counts"
+            "counts: nothing can be compared"
         )
     error = np.abs(found[counts] - np.median(ratio[ratio > 0]) / true[counts])
     with np.errstate(divide="ignore", invalid="ignore"):

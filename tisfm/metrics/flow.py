@@ -1,4 +1,4 @@
-"""Errors of flow, as the usual benchmarks define them."""
+"""Errors of flow, as defined in the usual benchmarks."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
 from tisfm.errors import InputError
-from tisfm.metrics.valid_pixels import counting, is_known
+from tisfm.metrics.valid_pixels import is_known, mask_or_all
 
 
 def endpoint_error_map(
@@ -118,7 +118,7 @@ def angular_error(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None =
     """
     estimate, known = _finite_pairs(flow, truth, mask)
     dot = (estimate * known).sum(axis=-1) + 1
-    # Of (u, v, 1) × (u*, v*, 1); an arc cosine would lose small angles to rounding.
+    # The length of (u, v, 1) × (u*, v*, 1). An arc cosine would lose small angles to rounding.
     turn = estimate[:, 0] * known[:, 1] - estimate[:, 1] * known[:, 0]
     cross = np.hypot(_length(estimate - known), turn)
     return float(np.degrees(np.arctan2(cross, dot)).mean())
@@ -139,15 +139,15 @@ def outlier_rate(
     flow, truth, mask
         As in `endpoint_error_map`.
     pixels : float, default 3
-        An outlier is off by at least this, px,
+        Least error of an outlier, px.
     fraction : float, default 0.05
-        and by at least this fraction of the true displacement. A flow that is not finite is an
-        outlier too.
+        Least error of an outlier as a fraction of the true displacement. Both bounds must hold.
+        A flow that is not finite is an outlier.
 
     Returns
     -------
     float
-        Outliers among the pixels that count, in [0, 1].
+        Share of outliers among the pixels that count, in [0, 1].
 
     Raises
     ------
@@ -238,7 +238,7 @@ def flow_errors(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = N
     (5.0, 1.0, 3072)
     """
     estimate, known = _finite_pairs(flow, truth, mask)
-    # All of them at once below: a mask would be applied once for each.
+    # One row with the pixels that count: so the functions below apply no mask again.
     estimate, known = estimate[None], known[None]
     return FlowErrors(
         endpoint=endpoint_error(estimate, known),
@@ -258,7 +258,7 @@ def _flows(flow: ArrayLike, truth: ArrayLike, mask: ArrayLike | None) -> tuple[N
             f"flow is {estimate.shape} and truth is {truth.shape}: expected the same shape, "
             "(H, W, 2)"
         )
-    counts = is_known(truth).all(axis=-1) & counting(mask, truth.shape[:2])
+    counts = is_known(truth).all(axis=-1) & mask_or_all(mask, truth.shape[:2])
     if not counts.any():
         raise InputError(f"no pixel of the {truth.shape} truth is known and in the mask")
     return estimate, truth, counts

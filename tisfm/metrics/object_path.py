@@ -1,4 +1,4 @@
-"""Errors of the path of a moving thing."""
+"""Errors of the path of a moving object."""
 
 from dataclasses import dataclass
 
@@ -7,31 +7,32 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.errors import InputError
 from tisfm.metrics.alignment import Similarity
-from tisfm.metrics.trajectory_errors import path_length, rotation_angles, whole_poses
+from tisfm.metrics.trajectory_errors import check_poses, path_length, rotation_angles
 
-FEWEST = 3  # frames: 9 equations for a scale and an offset
+MIN_FRAMES = 3
+"""Frames that a comparison needs: 9 equations for the 4 unknowns, a scale and an offset."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectPathErrors:
-    """How far a moving thing is from where it truly is.
+    """Errors of the estimated poses of a moving object.
 
     Attributes
     ----------
     frames : int
-        Frames that were compared.
+        Number of frames that were compared.
     position : float
-        Root mean square distance of the origin of the found axes from where it is truly, in the
-        unit of the truth.
+        Root mean square distance between the estimated and the true position of the origin of the
+        estimated axes, in the unit of the truth.
     share : float or None
-        The same per length of the true path of the body's origin through these frames; None where
-        it stands still.
+        The same divided by the length of the true path of the object in these frames; None if the
+        object stands still.
     rotation : float
-        Root mean square angle between the found and the true axes, degrees.
+        Root mean square angle between the estimated and the true axes, degrees.
     scale : float
-        What the found distances from the camera are multiplied by, in the aligned world.
+        Factor of the estimated distances from the camera, in the aligned world.
     offset : tuple of float
-        The origin of the found axes in those of the body, (x, y, z), in the unit of the truth.
+        Origin of the estimated axes in the true axes, (x, y, z), in the unit of the truth.
 
     Examples
     --------
@@ -55,44 +56,44 @@ class ObjectPathErrors:
 def object_path_errors(
     poses: ArrayLike, truth: ArrayLike, cameras: ArrayLike, true_cameras: ArrayLike
 ) -> ObjectPathErrors | None:
-    """Compare the path of a moving thing with that of the true body, through the world.
+    """Compare the estimated path of a moving object with its true path, in the world.
 
     Parameters
     ----------
     poses, truth : array_like, shape (N, 4, 4)
-        For each frame found pose, thing to world, and true pose, body to world; NaN where unknown.
+        Estimated and true pose of the object in each frame, object to world; NaN if unknown.
     cameras, true_cameras : array_like, shape (N, 4, 4)
-        Found and true poses of the camera, camera to world; NaN where there is none. Found worlds
-        are brought to the true one by all frames that have both.
+        Estimated and true poses of the camera, camera to world; NaN if unknown. The estimated world
+        is aligned with the true world by all frames that have both.
 
     Returns
     -------
     ObjectPathErrors or None
-        None where fewer than 3 frames have all four poses.
+        None if fewer than 3 frames have all four poses.
 
     Raises
     ------
     ValueError
-        If shapes differ or are others, or a value is masked.
+        If the arrays have other or different shapes, or a value is masked.
 
     Notes
     -----
-    Three things cannot be found from pictures, and are fitted:
+    Images do not determine three quantities, which are fitted:
 
-    - The world: the similarity p ↦ s R p + t. R is the rotation nearest to all of the cameras'
-      turns, rather than that of the best alignment of centres, which on a straight path may turn
-      about the path. s and t then bring the centres nearest.
-    - The scale of a moving thing relative to the world: in frame k, with the camera's centre c_k,
-      the thing may as well be at c_k + σ d_k, for one σ of all frames; d_k leads from the camera
-      to it. σ is not negative.
-    - The axes that a thing was given: its origin is at q in those of the true body, and its axes
-      are those of the body turned by Q.
+    - The world: a similarity p ↦ s R p + t. R is the rotation nearest to the relative rotations of
+      all cameras. (The rotation of the best alignment of centres is not unique on a straight path.)
+      s and t then align the centres in least squares.
+    - The scale of the object relative to the world: with the camera centre c_k in frame k, and d_k
+      from the camera to the estimated position, the object may also be at c_k + σ d_k, with one
+      σ ≥ 0 for all frames.
+    - The axes of the object: the origin of the estimated axes is at q in the true axes, and the
+      estimated axes are the true axes rotated by Q.
 
     With true poses (B_k, b_k), σ and q minimise Σ ‖c_k + σ d_k - B_k q - b_k‖², which is linear.
-    Where frames cannot tell, as those of a body that flies along with the camera without a turn,
-    the answer nearest to σ = 1 and q = 0 is taken. Q is the rotation nearest to all B_kᵀ R O_k, of
-    found axes O_k. The positions compared are of the origin of the found axes, so an origin far
-    outside of the body, which `offset` tells, makes for other errors than one within.
+    If the frames do not determine the minimum (an object that moves with the camera and does not
+    rotate), the solution nearest to σ = 1 and q = 0 is taken. Q is the rotation nearest to all
+    B_kᵀ R O_k, with estimated axes O_k. Errors are of the origin of the estimated axes: `offset`
+    tells whether it is far outside of the object.
 
     Examples
     --------
@@ -106,7 +107,7 @@ def object_path_errors(
     (5, 0.0, 0.0)
     """
     found, true, camera, true_camera = (
-        whole_poses(values, name)
+        check_poses(values, name)
         for values, name in (
             (poses, "poses"),
             (truth, "truth"),
@@ -120,21 +121,21 @@ def object_path_errors(
         raise InputError(
             f"poses, truth, cameras and true_cameras are of {numbers} frames: expected as many"
         )
-    seen = _known(camera) & _known(true_camera)
-    both = seen & _known(found) & _known(true)
-    if both.sum() < FEWEST:
+    posed = _known(camera) & _known(true_camera)
+    both = posed & _known(found) & _known(true)
+    if both.sum() < MIN_FRAMES:
         return None
-    world = _world(camera[seen], true_camera[seen])
+    world = _align_world(camera[posed], true_camera[posed])
     length = path_length(true[both])
     centre = world.apply(camera[both, :3, 3])
     away = world.apply(found[both, :3, 3]) - centre
-    turns, places = true[both, :3, :3], true[both, :3, 3]
-    scale, offset = _fitted(centre, away, turns, places)
-    left = centre + scale * away - turns @ offset - places
+    rotations, positions = true[both, :3, :3], true[both, :3, 3]
+    scale, offset = _fit_scale_and_offset(centre, away, rotations, positions)
+    residual = centre + scale * away - rotations @ offset - positions
     axes = world.rotation @ found[both, :3, :3]
-    fixed = nearest_rotation((turns.transpose(0, 2, 1) @ axes).sum(axis=0))
-    angles = rotation_angles((turns @ fixed).transpose(0, 2, 1) @ axes)
-    position = float(np.sqrt(np.square(left).sum(axis=1).mean()))
+    fixed = nearest_rotation((rotations.transpose(0, 2, 1) @ axes).sum(axis=0))
+    angles = rotation_angles((rotations @ fixed).transpose(0, 2, 1) @ axes)
+    position = float(np.sqrt(np.square(residual).sum(axis=1).mean()))
     x, y, z = map(float, offset)
     return ObjectPathErrors(
         frames=int(both.sum()),
@@ -153,32 +154,32 @@ def nearest_rotation(matrix: NDArray) -> NDArray[np.float64]:
     return np.asarray(left * signs @ right)
 
 
-def _world(cameras: NDArray, true_cameras: NDArray) -> Similarity:
-    """Return what brings found cameras to the true ones: their turns first, then their centres."""
+def _align_world(cameras: NDArray, true_cameras: NDArray) -> Similarity:
+    """Return the similarity from estimated to true cameras: rotation first, then the centres."""
     turn = (true_cameras[:, :3, :3] @ cameras[:, :3, :3].transpose(0, 2, 1)).sum(axis=0)
     rotation = nearest_rotation(turn)
     centres, goal = cameras[:, :3, 3] @ rotation.T, true_cameras[:, :3, 3]
     middle, target = centres.mean(axis=0), goal.mean(axis=0)
     spread = float(np.square(centres - middle).sum())
     scale = float(((centres - middle) * (goal - target)).sum() / spread) if spread else 1.0
-    if scale <= 0:  # it went elsewhere: no scale is right, and the thing's own makes up for it
+    if scale <= 0:  # the paths do not correlate; the scale of the object is fitted in any case
         scale = 1.0
     return Similarity(scale=scale, rotation=rotation, translation=target - scale * middle)
 
 
-def _fitted(
-    centre: NDArray, away: NDArray, turns: NDArray, places: NDArray
+def _fit_scale_and_offset(
+    centre: NDArray, away: NDArray, rotations: NDArray, positions: NDArray
 ) -> tuple[float, NDArray[np.float64]]:
-    """Return σ and q: what is nearest to σ = 1 and q = 0, of all that fit best."""
-    # In lengths: σ - 1 times the mean distance, beside q.
+    """Return σ and q in least squares; of several solutions the nearest to σ = 1 and q = 0."""
+    # The unknowns are lengths, so that their norm is meaningful: (σ - 1) · distance, and q.
     distance = float(np.sqrt(np.square(away).sum(axis=1).mean())) or 1.0
-    system = np.concatenate([away[:, :, None] / distance, -turns], axis=2).reshape(-1, 4)
-    left = (places - centre - away).ravel()
-    step = np.linalg.lstsq(system, left, rcond=1e-9)[0]
-    scale, offset = 1 + float(step[0]) / distance, step[1:]
+    system = np.concatenate([away[:, :, None] / distance, -rotations], axis=2).reshape(-1, 4)
+    target = (positions - centre - away).ravel()
+    solution = np.linalg.lstsq(system, target, rcond=1e-9)[0]
+    scale, offset = 1 + float(solution[0]) / distance, solution[1:]
     if scale < 0:
-        scale, left = 0.0, (places - centre).ravel()
-        offset = np.linalg.lstsq(system[:, 1:], left, rcond=1e-9)[0]
+        scale, target = 0.0, (positions - centre).ravel()
+        offset = np.linalg.lstsq(system[:, 1:], target, rcond=1e-9)[0]
     return scale, offset
 
 

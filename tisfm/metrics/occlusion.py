@@ -1,4 +1,4 @@
-"""How well a map of occlusion agrees with the true one."""
+"""Precision and recall of an occlusion map."""
 
 from dataclasses import dataclass
 
@@ -6,12 +6,12 @@ from numpy.typing import ArrayLike
 
 from tisfm.checks import unmasked_mask
 from tisfm.errors import InputError
-from tisfm.metrics.valid_pixels import counting
+from tisfm.metrics.valid_pixels import mask_or_all
 
 
 @dataclass(frozen=True, kw_only=True)
 class OcclusionScores:
-    """How well a map of occlusion agrees with the truth.
+    """Precision and recall of an occlusion map.
 
     Attributes
     ----------
@@ -20,9 +20,10 @@ class OcclusionScores:
     recall : float
         Share of the occluded pixels that are marked, in [0, 1]; 0 if none is occluded.
     f1 : float
-        Their harmonic mean.
+        Harmonic mean of precision and recall.
     hits, marked, occluded : int
-        Pixels that are both, that are marked, and that are occluded: of several maps, they add up.
+        Pixels that are marked and occluded, that are marked, and that are occluded. The counts of
+        several maps can be added.
     pixels : int
         Pixels that counted.
 
@@ -61,12 +62,12 @@ class OcclusionScores:
 def occlusion_scores(
     occlusion: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = None
 ) -> OcclusionScores:
-    """Compare a map of occlusion with the truth.
+    """Compare an occlusion map with the truth.
 
     Parameters
     ----------
     occlusion, truth : array_like, shape (H, W)
-        Nonzero where a pixel is, or is said to be, not visible in the other frame.
+        Estimated and true occlusion, nonzero where a pixel is not visible in the other frame.
     mask : array_like, shape (H, W), optional
         Nonzero where pixels count.
 
@@ -96,9 +97,9 @@ def occlusion_scores(
         raise InputError(
             f"occlusion is {found.shape} and truth is {true.shape}: both must be (H, W)"
         )
-    counts = counting(mask, found.shape)
+    counts = mask_or_all(mask, found.shape)
     if not counts.any():
-        raise InputError("no pixel counts: the mask leaves none")
+        raise InputError("no pixel counts: the mask is zero everywhere")
     hits, marked, occluded = (int((m & counts).sum()) for m in (found & true, found, true))
     return OcclusionScores.from_counts(
         hits=hits, marked=marked, occluded=occluded, pixels=int(counts.sum())

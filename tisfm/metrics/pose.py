@@ -12,15 +12,15 @@ from tisfm.rigid import is_rotation
 
 @dataclass(frozen=True, kw_only=True)
 class PoseErrors:
-    """Errors of a rigid motion whose length of translation cannot be known.
+    """Errors of a rigid motion whose translation has an unknown length.
 
     Attributes
     ----------
     direction : float or None
-        Angle between the directions of translation, degrees, from 0 to 180: the opposite
-        direction is as wrong as can be. None where one of the translations is zero.
+        Angle between the directions of translation, degrees, from 0 to 180. None if one of the
+        translations is zero.
     rotation : float
-        Angle of the rotation that takes one rotation to the other, degrees, from 0 to 180.
+        Angle of the relative rotation between estimate and truth, degrees, from 0 to 180.
 
     Examples
     --------
@@ -53,7 +53,7 @@ def pose_errors(pose: ArrayLike, truth: ArrayLike) -> PoseErrors:
     Raises
     ------
     ValueError
-        If one is not (4, 4), has a masked value, is not finite, or its upper left part is no
+        If one is not (4, 4), has a masked value, is not finite, or its upper left part is not a
         rotation.
 
     References
@@ -87,7 +87,7 @@ def pose_errors(pose: ArrayLike, truth: ArrayLike) -> PoseErrors:
 
 
 def _rigid(name: str, pose: ArrayLike) -> tuple[NDArray, NDArray]:
-    """Return rotation and translation of a checked rigid motion."""
+    """Check a rigid motion; return its rotation and translation."""
     matrix = unmasked(pose, name, np.float64, advice="expected a matrix without a mask")
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise InputError(

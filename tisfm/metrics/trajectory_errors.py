@@ -1,4 +1,4 @@
-"""Errors of the path of a camera."""
+"""Errors of the trajectory of a camera: ATE, RPE and KITTI's drift."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,24 +10,29 @@ from tisfm.checks import unmasked, whole
 from tisfm.errors import InputError
 from tisfm.metrics.alignment import align
 
-KITTI_LENGTHS = tuple(100.0 * k for k in range(1, 9))  # m
-SHARES = tuple(0.1 * k for k in range(1, 9))  # of a path that is shorter than the first of these
-KITTI_EVERY = 10  # frames from one beginning to the next
+KITTI_LENGTHS = tuple(100.0 * k for k in range(1, 9))
+"""Lengths of the segments of KITTI's odometry benchmark, m."""
+
+KITTI_EVERY = 10
+"""Frames between the starts of segments, as in that benchmark."""
+
+LENGTH_SHARES = tuple(0.1 * k for k in range(1, 9))
+"""Lengths of segments as shares of the path, for paths up to 100 m."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AbsoluteErrors:
-    """How far the centres of a camera are from the true ones.
+    """Absolute trajectory errors (ATE): distances of camera centres from the true ones.
 
     Attributes
     ----------
     poses : int
-        Frames that were compared.
+        Number of frames that were compared.
     similarity, rigid : float
-        Root mean square distance after the best similarity, and after the best rigid motion (ATE),
-        in the unit of the truth.
+        Root mean square distance after alignment by a similarity, and by a rigid motion, in the
+        unit of the truth.
     scale : float
-        That of the similarity: true lengths per estimated one.
+        Scale of the similarity: true length per estimated length.
 
     Examples
     --------
@@ -49,18 +54,20 @@ class AbsoluteErrors:
 
 @dataclass(frozen=True, kw_only=True)
 class RelativeErrors:
-    """Errors of the motions between frames (RPE).
+    """Relative pose errors (RPE): errors of the motions between frames.
+
+    The residual motion of a pair of frames is the estimated motion times the inverse true motion.
 
     Attributes
     ----------
     pairs : int
-        Pairs of frames that were compared.
+        Number of pairs of frames that were compared.
     step : int
-        Frames from the first to the second of a pair.
+        Frames from the first to the second frame of a pair.
     translation : float
-        Root mean square of the length of what is left of the motion, in the unit of the truth.
+        Root mean square length of the residual translations, in the unit of the truth.
     rotation : float
-        Root mean square of its angle, degrees.
+        Root mean square angle of the residual rotations, degrees.
 
     Examples
     --------
@@ -81,18 +88,18 @@ class RelativeErrors:
 
 @dataclass(frozen=True, kw_only=True)
 class Drift:
-    """Errors of the motions along parts of a path, per length.
+    """Errors of the motions along segments of a path, per length.
 
     Attributes
     ----------
     segments : int
-        Parts that were compared.
+        Number of segments that were compared.
     lengths : tuple of float
-        Lengths of the parts that were asked for.
+        Lengths of the segments, in the unit of the truth.
     translation : float
-        Mean length of what is left of the motion, per length of the part; 0.01 is 1 %.
+        Mean length of the residual translation per length of the segment; 0.01 is 1 %.
     rotation : float
-        Mean of its angle, degrees per unit of length.
+        Mean angle of the residual rotation, degrees per unit of length.
 
     Examples
     --------
@@ -112,7 +119,7 @@ class Drift:
 
 
 def path_length(truth: ArrayLike) -> float:
-    """Return the length of a path, straight from each frame with a pose to the next.
+    """Return the length of a path: the sum of the distances between consecutive known poses.
 
     Parameters
     ----------
@@ -127,8 +134,8 @@ def path_length(truth: ArrayLike) -> float:
     >>> path_length(np.array([pose_matrix([k, 0, 0, 0, 0, 0]) for k in range(4)]))
     3.0
     """
-    poses = whole_poses(truth, "truth")
-    return float(_travelled(poses[_posed(poses)])[-1]) if _posed(poses).any() else 0.0
+    poses = check_poses(truth, "truth")
+    return float(_distances_along(poses[_has_pose(poses)])[-1]) if _has_pose(poses).any() else 0.0
 
 
 def absolute_errors(poses: ArrayLike, truth: ArrayLike) -> AbsoluteErrors:
@@ -137,8 +144,8 @@ def absolute_errors(poses: ArrayLike, truth: ArrayLike) -> AbsoluteErrors:
     Parameters
     ----------
     poses, truth : array_like, shape (N, 4, 4)
-        Estimated and true poses, camera to world; NaN where there is none. Frames count that have
-        both.
+        Estimated and true poses, camera to world; NaN for a missing pose. Frames with both poses
+        count.
 
     Returns
     -------
@@ -167,8 +174,8 @@ def absolute_errors(poses: ArrayLike, truth: ArrayLike) -> AbsoluteErrors:
     >>> round(errors.similarity, 6), round(errors.scale, 6)
     (0.0, 2.0)
     """
-    found, true = _both(poses, truth)
-    known = _posed(found) & _posed(true)
+    found, true = _check_both(poses, truth)
+    known = _has_pose(found) & _has_pose(true)
     centres, goal = found[known, :3, 3], true[known, :3, 3]
     best, rigid = align(centres, goal), align(centres, goal, with_scale=False)
     return AbsoluteErrors(
@@ -187,15 +194,15 @@ def relative_errors(
     Parameters
     ----------
     poses, truth : array_like, shape (N, 4, 4)
-        Estimated and true poses, camera to world; NaN where there is none.
+        Estimated and true poses, camera to world; NaN for a missing pose.
     step : int, default 1
     scale : float, default 1
-        What the estimate is multiplied by first, such as `AbsoluteErrors.scale`.
+        Factor of the estimated translations before comparing, such as `AbsoluteErrors.scale`.
 
     Returns
     -------
     RelativeErrors or None
-        None where there is no such pair of which all four poses are known.
+        None if no pair has all four poses.
 
     Raises
     ------
@@ -218,9 +225,9 @@ def relative_errors(
     0.1
     """
     whole(1, step=step)
-    found, true = _both(poses, truth)
+    found, true = _check_both(poses, truth)
     first = np.arange(max(0, len(found) - step))
-    left = _left_over(found, true, first, first + step, scale)
+    left = _residual_motions(found, true, first, first + step, scale)
     if not len(left):
         return None
     return RelativeErrors(
@@ -239,27 +246,26 @@ def drift(
     every: int | None = None,
     scale: float = 1.0,
 ) -> Drift | None:
-    """Compare the motions along parts of the true path of given lengths.
+    """Compare the motions along segments of the true path that have given lengths.
 
     Parameters
     ----------
     poses, truth : array_like, shape (N, 4, 4)
-        Estimated and true poses, camera to world; NaN where there is none.
+        Estimated and true poses, camera to world; NaN for a missing pose.
     lengths : sequence of float, optional
-        Of the parts, in the unit of the truth. By default KITTI's, 100, 200, …, 800 m, if the path
-        is longer than 100 m; else 10, 20, …, 80 % of it, which may be few frames, so that errors
-        are divided by the true length from the first frame of a part to the last. Errors of
-        lengths that are given, and of KITTI's, are divided by these, as the benchmark has it.
+        Lengths of the segments, in the unit of the truth. By default KITTI's 100, 200, …, 800 m for
+        a path longer than 100 m, else 10, 20, …, 80 % of the path. Errors are divided by these
+        lengths, as in the benchmark; only for the shares of a path, whose segments may have few
+        frames, by the true length from the first frame of a segment to the last.
     every : int, optional
-        Frames from the beginning of a part to that of the next; by default KITTI's 10, or 1 where
-        the path is no longer than 100 m.
+        Frames between the starts of segments; by default KITTI's 10, or 1 for a path up to 100 m.
     scale : float, default 1
-        What the estimate is multiplied by first.
+        Factor of the estimated translations before comparing.
 
     Returns
     -------
     Drift or None
-        None where no part has both its poses.
+        None if no segment has estimated poses at both ends.
 
     Raises
     ------
@@ -270,8 +276,8 @@ def drift(
     References
     ----------
     Geiger, Lenz and Urtasun, Are we ready for autonomous driving?, CVPR 2012,
-    doi 10.1109/CVPR.2012.6248074. A part ends at the first frame that is farther along the path,
-    as in the benchmark's program.
+    doi 10.1109/CVPR.2012.6248074. A segment ends at the first frame beyond its length, as in the
+    program of the benchmark.
 
     Examples
     --------
@@ -283,13 +289,13 @@ def drift(
     >>> round(drift(found, truth).translation, 6)  # a tenth of the way
     0.1
     """
-    found, true = _both(poses, truth)
-    known = np.flatnonzero(_posed(true))
-    along = _travelled(true[known])
+    found, true = _check_both(poses, truth)
+    known = np.flatnonzero(_has_pose(true))
+    along = _distances_along(true[known])
     short = along[-1] <= KITTI_LENGTHS[0]
     measured = lengths is None and short
     if lengths is None:
-        lengths = [share * along[-1] for share in SHARES] if short else KITTI_LENGTHS
+        lengths = [share * along[-1] for share in LENGTH_SHARES] if short else KITTI_LENGTHS
     elif not all(np.isfinite(length) and length > 0 for length in lengths):
         raise InputError(f"lengths are {list(lengths)}: expected positive numbers")
     if every is None:
@@ -300,9 +306,9 @@ def drift(
     for length in lengths:
         ends = np.searchsorted(along, along[begins] + length, side="right")
         first, last = begins[ends < len(known)], ends[ends < len(known)]
-        posed = _posed(found)[known[first]] & _posed(found)[known[last]]
+        posed = _has_pose(found)[known[first]] & _has_pose(found)[known[last]]
         first, last = first[posed], last[posed]
-        left = _left_over(found, true, known[first], known[last], scale)
+        left = _residual_motions(found, true, known[first], known[last], scale)
         divisor = along[last] - along[first] if measured else np.full(len(last), length)
         translations.append(np.linalg.norm(left[:, :3, 3], axis=1) / divisor)
         rotations.append(rotation_angles(left) / divisor)
@@ -316,11 +322,11 @@ def drift(
     )
 
 
-def _left_over(
+def _residual_motions(
     found: NDArray, true: NDArray, first: NDArray, second: NDArray, scale: float
 ) -> NDArray[np.float64]:
-    """Return (true motion)⁻¹ · motion, (K, 4, 4), of the pairs whose poses are known."""
-    known = _posed(found) & _posed(true)
+    """Return (true motion)⁻¹ · motion, (K, 4, 4), of the pairs with all poses."""
+    known = _has_pose(found) & _has_pose(true)
     counted = known[first] & known[second]
     first, second = first[counted], second[counted]
     scaled = found.copy()
@@ -336,33 +342,33 @@ def rotation_angles(motions: NDArray) -> NDArray[np.float64]:
     return np.degrees(Rotation.from_matrix(motions[:, :3, :3]).magnitude())
 
 
-def _travelled(poses: NDArray) -> NDArray[np.float64]:
-    """Return how far along the path each pose is, (N,)."""
+def _distances_along(poses: NDArray) -> NDArray[np.float64]:
+    """Return the distance of each pose from the start along the path, (N,)."""
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def _both(poses: ArrayLike, truth: ArrayLike) -> tuple[NDArray, NDArray]:
-    found, true = whole_poses(poses, "poses"), whole_poses(truth, "truth")
+def _check_both(poses: ArrayLike, truth: ArrayLike) -> tuple[NDArray, NDArray]:
+    found, true = check_poses(poses, "poses"), check_poses(truth, "truth")
     if found.shape != true.shape:
         raise InputError(f"poses are {found.shape} and truth is {true.shape}: expected as many")
-    if not (_posed(found) & _posed(true)).any():
+    if not (_has_pose(found) & _has_pose(true)).any():
         raise InputError(
-            f"no frame has both poses: of {len(found)}, {_posed(found).sum()} have an estimated "
-            f"and {_posed(true).sum()} a true one"
+            f"no frame has both poses: of {len(found)}, {_has_pose(found).sum()} have an estimated "
+            f"and {_has_pose(true).sum()} a true one"
         )
     return found, true
 
 
-def whole_poses(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Return poses, (N, 4, 4) float64; raise ValueError unless they are such."""
+def check_poses(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Return poses as float64; raise ValueError unless they are (N, 4, 4)."""
     array = unmasked(values, name, np.float64)
     if array.ndim != 3 or array.shape[1:] != (4, 4):
         raise InputError(f"{name} are {array.shape}: expected (N, 4, 4)")
     return array
 
 
-def _posed(poses: NDArray) -> NDArray[np.bool_]:
+def _has_pose(poses: NDArray) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(poses).all(axis=(1, 2)))
 
 

@@ -1,4 +1,4 @@
-"""What counts as known in a truth, and which pixels count."""
+"""Which pixels of a ground truth are known, and which pixels count."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -6,20 +6,21 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.checks import unmasked_mask
 from tisfm.errors import InputError
 
-UNKNOWN = 1e9
+UNKNOWN_ABOVE = 1e9
+"""Magnitude above which a true value stands for an unknown one, as in Middlebury's .flo files."""
 
 
 def is_known(truth: NDArray) -> NDArray[np.bool_]:
-    """Return where a truth is known."""
-    # A comparison with NaN is false, as wanted.
-    return np.abs(truth) <= UNKNOWN
+    """Return where a ground truth is known."""
+    # NaN compares as false, so it counts as unknown.
+    return np.abs(truth) <= UNKNOWN_ABOVE
 
 
-def counting(mask: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return where a mask counts: everywhere without one."""
+def mask_or_all(mask: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return where pixels count: where the mask is nonzero, or everywhere without a mask."""
     if mask is None:
         return np.ones(shape, bool)
-    counting = unmasked_mask(mask, "mask")
-    if counting.shape != shape:
-        raise InputError(f"mask is {counting.shape}: expected the shape of the truth, {shape}")
-    return counting
+    mask_or_all = unmasked_mask(mask, "mask")
+    if mask_or_all.shape != shape:
+        raise InputError(f"mask is {mask_or_all.shape}: expected the shape of the truth, {shape}")
+    return mask_or_all

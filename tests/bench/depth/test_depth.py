@@ -45,7 +45,7 @@ from bench.depth.two_stage import NoMotion, triangulated, two_stage
 from bench.focal import picture
 from bench.shared.contest import Call, MethodFailure
 from tisfm.metrics import pose_errors
-from tisfm.metrics.depth_sequence import CERTAIN, WORST
+from tisfm.metrics.depth_sequence import CERTAIN_SHARE, MAX_ERROR
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import static_scene
 from tisfm.scenes.block_scenes import STATIC_KINDS
@@ -201,13 +201,13 @@ def test_the_most_certain_pixels_are_judged_in_the_unit_of_the_pose():
     pair = replace(small_entries("sideways-f300")[0].load(), pose_given=True)
     estimate = exact(pair, factor=1.0, deviation=0.1)
     certain = np.zeros(pair.depth.shape, bool)
-    certain.ravel()[: round(CERTAIN * certain.size)] = True
+    certain.ravel()[: round(CERTAIN_SHARE * certain.size)] = True
     estimate.inverse_depth[...] = np.where(certain, 0.8 / pair.depth, 0.01 / pair.depth)
     estimate.deviation[...] = np.where(certain, 1e-6, 1e-3) * estimate.inverse_depth
     assert score(estimate, pair).abs_rel_certain == pytest.approx(0.25)
     estimate.deviation[...] = np.where(certain, 1e-3, 1e-6) * estimate.inverse_depth
     wrong = score(estimate, pair).abs_rel_certain
-    assert wrong == pytest.approx(WORST, rel=1e-6)  # each pixel's error is limited
+    assert wrong == pytest.approx(MAX_ERROR, rel=1e-6)  # each pixel's error is limited
     assert score(estimate, replace(pair, pose_given=False)).abs_rel_certain is None
 
 
