@@ -13,9 +13,9 @@ from tests.fusion.test_points import wall, walls
 from tests.one_thread import bits_on_one_thread, several_threads
 from tisfm.formats.glb import srgb_from_light
 from tisfm.fusion import Mesh, fused_mesh, signed_distance
-from tisfm.fusion.depth_views import Views
-from tisfm.fusion.isosurface import surface_of
-from tisfm.fusion.signed_distance import Field, coordinates, numbers_of
+from tisfm.fusion.depth_views import PosedViews
+from tisfm.fusion.isosurface import extract_surface
+from tisfm.fusion.signed_distance import DistanceField, block_coordinates, block_numbers
 
 
 def bits():
@@ -87,16 +87,18 @@ def test_colors_are_those_of_the_frames(rendered):
 def sphere(radius=10.3, center=(2.2, -3.1, 1.7)):
     """A field about a sphere, in voxels of 1, with negative coordinates."""
     low = np.array(np.meshgrid(*[np.arange(-3, 3)] * 3, indexing="ij")).reshape(3, -1).T
-    numbers = np.sort(numbers_of(low.astype(np.int64)))
+    numbers = np.sort(block_numbers(low.astype(np.int64)))
     offsets = np.array(list(np.ndindex(8, 8, 8)))
-    at = coordinates(numbers)[:, None] * 8 + offsets
+    at = block_coordinates(numbers)[:, None] * 8 + offsets
     distance = np.clip((np.linalg.norm(at - center, axis=2) - radius) / 4, -1, 1)
     views = np.full(distance.shape, 2, np.int32)
-    return Field(voxel=1.0, numbers=numbers, distance=distance.astype(np.float32), views=views)
+    return DistanceField(
+        voxel=1.0, numbers=numbers, distance=distance.astype(np.float32), views=views
+    )
 
 
 def test_the_surface_of_a_sphere_is_whole():
-    vertices, faces = surface_of(sphere(), 2)
+    vertices, faces = extract_surface(sphere(), 2)
     np.testing.assert_allclose(np.linalg.norm(vertices - (2.2, -3.1, 1.7), axis=1), 10.3, atol=0.03)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     assert mesh.is_watertight and mesh.is_winding_consistent and mesh.euler_number == 2
@@ -106,7 +108,7 @@ def test_the_surface_of_a_sphere_is_whole():
 
 def test_a_sphere_through_voxels_is_whole():
     """Distances of exactly zero, where a vertex would belong to several edges."""
-    vertices, faces = surface_of(sphere(radius=10.0, center=(0.0, 0.0, 0.0)), 2)
+    vertices, faces = extract_surface(sphere(radius=10.0, center=(0.0, 0.0, 0.0)), 2)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     assert mesh.is_watertight and mesh.euler_number == 2
 
@@ -114,24 +116,24 @@ def test_a_sphere_through_voxels_is_whole():
 def test_the_surface_in_several_batches_is_the_same(monkeypatch):
     from tisfm.fusion import isosurface
 
-    expected = surface_of(sphere(), 2)
-    monkeypatch.setattr(isosurface, "_SIDE", 3)
-    found = surface_of(sphere(), 2)
+    expected = extract_surface(sphere(), 2)
+    monkeypatch.setattr(isosurface, "_BATCH_SIDE", 3)
+    found = extract_surface(sphere(), 2)
     np.testing.assert_allclose(found[0], expected[0], atol=1e-5)
     np.testing.assert_array_equal(np.sort(found[1].ravel()), np.sort(expected[1].ravel()))
 
 
 def test_the_surface_is_open_where_too_few_views_look():
-    assert len(surface_of(sphere(), 3)[1]) == 0
+    assert len(extract_surface(sphere(), 3)[1]) == 0
     field = sphere()
-    field.views[coordinates(field.numbers)[:, 0] >= 0] = 1
-    vertices, _ = surface_of(field, 2)
+    field.views[block_coordinates(field.numbers)[:, 0] >= 0] = 1
+    vertices, _ = extract_surface(field, 2)
     assert vertices[:, 0].max() <= 0 and len(vertices) > 100
 
 
 def test_numbers_of_blocks():
     at = np.array([[0, 0, 0], [-1, 5, 2**16 - 1], [-(2**16), 1, -7]])
-    np.testing.assert_array_equal(coordinates(numbers_of(at)), at)
+    np.testing.assert_array_equal(block_coordinates(block_numbers(at)), at)
 
 
 def test_normals_point_to_the_views():
@@ -228,7 +230,9 @@ def test_candidates_of_one_view_are_dropped_where_they_are_too_many(monkeypatch)
     views = [*walls(3, size=(30, 40)), wall(depth=1.0, size=(30, 40))]
     expected = fused_mesh(views, voxel=0.1)
     count = len(
-        signed_distance._blocks(Views(views, max_relative_std=0.1, max_depth=None), 0.05, 0.2, 1)
+        signed_distance._blocks(
+            PosedViews(views, max_relative_std=0.1, max_depth=None), 0.05, 0.2, 1
+        )
     )
     monkeypatch.setattr(signed_distance, "MOST_CANDIDATES", count - 1)
     found = fused_mesh(views, voxel=0.1)

@@ -11,8 +11,8 @@ from tests.fusion.rooms import completeness, noisy_views, poses_in_room, relativ
 from tests.one_thread import bits_on_one_thread, several_threads
 from tisfm.fusion import DepthView, fused_points
 from tisfm.fusion import points as points_module
-from tisfm.fusion.depth_views import Views
-from tisfm.fusion.points import neighbours
+from tisfm.fusion.depth_views import PosedViews
+from tisfm.fusion.points import choose_neighbours
 from tisfm.rigid import pose_matrix
 
 
@@ -190,7 +190,7 @@ def test_a_cube_has_the_mean_of_its_points_by_precision():
 def test_the_deviation_of_a_point_is_that_of_the_mean():
     """Its precision is the sum of those of the views, relative to the inverse depth."""
     stds = (0.02, 0.01, 0.03)
-    read = Views([wall(std=std) for std in stds], max_relative_std=0.1, max_depth=None, held=3)
+    read = PosedViews([wall(std=std) for std in stds], max_relative_std=0.1, max_depth=None, held=3)
     view, *others = read
     shown = np.zeros(view.inverse_depth.shape, bool)
     _, relative, _, _ = points_module._points_of(view, others, shown, 3)
@@ -227,24 +227,24 @@ def test_views_are_read_one_by_one(rendered):
 
 
 def test_no_more_views_are_held_than_asked_for(rendered):
-    views = Views(noisy_views(rendered), max_relative_std=0.1, max_depth=None, held=3)
+    views = PosedViews(noisy_views(rendered), max_relative_std=0.1, max_depth=None, held=3)
     first = views[0]
     assert views[0] is first
     _ = views[1], views[0], views[2], views[3]
     assert views[0] is first
-    assert len(views._cache) == 3
+    assert views._cached.cache_info().currsize == 3
 
 
 def test_neighbours_see_the_same(rendered):
-    views = Views(noisy_views(rendered), max_relative_std=0.1, max_depth=None)
+    views = PosedViews(noisy_views(rendered), max_relative_std=0.1, max_depth=None)
     for n in range(len(views)):
-        found = neighbours(n, views.seen, 5)
+        found = choose_neighbours(n, views.seen, 5)
         assert n not in found
         assert len(set(found)) == len(found) == 5
     turned = dataclasses.replace(
         views.seen[0], pose=views.seen[0].pose @ pose_matrix((0, 0, 0, 0, np.pi, 0))
     )
-    assert neighbours(0, [views.seen[0], turned], 5) == []
+    assert choose_neighbours(0, [views.seen[0], turned], 5) == []
 
 
 @several_threads

@@ -28,7 +28,7 @@ from tisfm.folders.result_folder import locked_folder
 from tisfm.folders.side_files import TIMINGS
 from tisfm.formats import atomic_write
 from tisfm.formats.csv_table import csv_table
-from tisfm.fusion.mesh import check_library
+from tisfm.fusion.mesh import check_scikit_image
 from tisfm.machine.text import as_size
 from tisfm.reconstruction.chunks.spans import CHUNK
 from tisfm.reconstruction.progress import DepthOf, Enough, Stage
@@ -231,7 +231,7 @@ def reconstruct(
     if scale is not None:
         _check_scale(*scale, count=_count(source, frames))
     if mesh is not None:
-        check_library()
+        check_scikit_image()
     if report:
         check_report(output)
     if isinstance(camera, Path):

@@ -28,7 +28,7 @@ from tisfm.exports.trajectories import write_kitti_paths, write_tum_paths
 from tisfm.exports.undistortion import check_distorts, write_undistortion
 from tisfm.exports.video_file import check_video
 from tisfm.exports.videos import VideoKind, write_video
-from tisfm.fusion.mesh import check_library
+from tisfm.fusion.mesh import check_scikit_image
 from tisfm.results.result_frames import file_names
 from tisfm.results.sequence_frames import SequenceFrames
 
@@ -151,7 +151,7 @@ def _mesh(suffix: Suffix) -> Format:
 
     def check(export: ExportRequest) -> None:
         _require_poses(export)
-        check_library()
+        check_scikit_image()
         _require_depth(export)
 
     return Format(write=write, check=check, notes=notes.note_poses)

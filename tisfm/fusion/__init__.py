@@ -1,7 +1,8 @@
-"""Depth maps of many views, fused into one cloud of points or one mesh.
+"""Fusion of the depth maps of many views into one point cloud or one mesh.
 
-Here: the views that are fused, which points they agree on, a field of signed distances in blocks
-near the surface, the mesh taken from it, and the file that keeps a mesh.
+Here: the views, the points that several views agree on, a truncated signed distance field in blocks
+near the surface, the mesh extracted from it, and the file of a mesh.
+
 May import: `tisfm.formats`, `tisfm.kernels`, and of the top level `camera`, `checks`,
 `point_cloud`, `rigid` and `runtime`.
 """

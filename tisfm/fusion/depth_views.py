@@ -1,8 +1,9 @@
-"""Views that are fused: a depth map with its deviation, seen from a known pose."""
+"""Views for fusion: depth maps with standard deviations and camera poses."""
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from numbers import Real
 
 import numpy as np
@@ -13,21 +14,23 @@ from tisfm.checks import Floats, refuse_masked, unmasked
 from tisfm.errors import InputError, InputTypeError
 from tisfm.rigid import is_rotation
 
-LEAST_RELATIVE_STD = 0.002  # nothing is known better: depth is looked up between pixels
+MIN_RELATIVE_STD = 0.002
+"""Lower bound of the relative standard deviation of depth: interpolation between pixels adds as
+much error. Set by hand."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DepthView:
-    """A frame, its depth and where its camera stood.
+    """A frame, its depth, and the pose of its camera.
 
     Attributes
     ----------
     inverse_depth : (H, W) float32
-        In the inverse unit of the pose. There is no depth where it is not finite or not positive.
+        Inverse depth, per unit of the pose. Unknown where it is not finite or not positive.
     inverse_depth_std : (H, W) float32
-        Standard deviation of the inverse depth. Depth is left out where it is not finite.
+        Standard deviation of the inverse depth. Pixels where it is not finite are not used.
     pose : (4, 4) float64
-        Camera to world. A view with NaN in its pose is left out.
+        Camera to world. A view with NaN in its pose is not used.
     frame : (H, W) or (H, W, 3) uint8
         Grey, or red, green and blue.
     camera : Camera
@@ -36,8 +39,8 @@ class DepthView:
     Raises
     ------
     TypeError, ValueError
-        If an array is not of this shape or kind, or a value is masked; if the pose is no rotation
-        and translation; if the camera has distortion.
+        If an array has another shape or type, or a value is masked; if the pose is not a rotation
+        and a translation; if the camera has distortion.
     """
 
     inverse_depth: NDArray[np.float32]
@@ -80,17 +83,17 @@ class DepthView:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PosedDepth:
-    """A view as kernels take it, in a unit of length of its own.
+    """A view in the form that kernels take, with lengths in the unit of `PosedViews`.
 
     Attributes
     ----------
     inverse_depth, deviation : (H, W) float32
-        0 where there is no depth, or it is left out.
+        Inverse depth and its standard deviation; 0 where depth is unknown or not used.
     colors : (H, W, 3) float32
     pose : (4, 4) float64
         Camera to world.
     intrinsics : (3, 3) float64
-        From the camera's axes to pixels.
+        From camera axes to pixels.
     """
 
     inverse_depth: NDArray[np.float32]
@@ -101,39 +104,39 @@ class PosedDepth:
 
     @property
     def to_pixels(self) -> Floats:
-        """(3, 4): (u z, v z, z) of a point of the world."""
+        """(3, 4) matrix from a point of the world to (u z, v z, z)."""
         return self.intrinsics @ np.linalg.inv(self.pose)[:3]
 
     @property
     def to_world(self) -> Floats:
-        """(3, 4): the point at depth Z of pixel (x, y) is columns 0–2 times (x, y, 1) Z plus 3."""
+        """(3, 4) matrix M: pixel (x, y) at depth Z is the point M[:, :3] (x, y, 1) Z + M[:, 3]."""
         return np.column_stack(
             [self.pose[:3, :3] @ np.linalg.inv(self.intrinsics), self.pose[:3, 3]]
         )
 
     def projection_to(self, other: "PosedDepth") -> Floats:
-        """(3, 4): (g u, g v, g) of a point in another view is it times (x, y, 1, d)."""
-        between = np.linalg.inv(other.pose) @ self.pose
-        turned = between[:3, :3] @ np.linalg.inv(self.intrinsics)
-        return other.intrinsics @ np.column_stack([turned, between[:3, 3]])
+        """(3, 4) matrix from (x, y, 1, inverse depth) to (g u, g v, g) in another view."""
+        motion = np.linalg.inv(other.pose) @ self.pose
+        rotated_rays = motion[:3, :3] @ np.linalg.inv(self.intrinsics)
+        return other.intrinsics @ np.column_stack([rotated_rays, motion[:3, 3]])
 
 
 @dataclass(frozen=True, kw_only=True)
-class Seen:
-    """What is known of a view once it was read.
+class ViewSummary:
+    """A summary of a view.
 
     Attributes
     ----------
     pose : (4, 4) float64
         Camera to world.
     depth, deviation : float
-        Medians of Z and of its standard deviation.
+        Medians of depth Z and of its standard deviation.
     farthest : float
         Greatest Z that is used.
     focal : float
-        px.
+        Focal length, px.
     field : float
-        Angle from the axis to the corners of the image, rad.
+        Angle from the optical axis to the farthest corner of the image, rad.
     """
 
     pose: Floats
@@ -144,29 +147,30 @@ class Seen:
     field: float
 
 
-class Views:
-    """Views that are read when they are needed: some are held, those used last.
+class PosedViews:
+    """Views that are read when they are needed; the last ones used stay in memory.
 
-    What has no pose or no depth to use is left out; `len` and indices are those of the others. The
-    unit of length is the median of the views' median depths, so that numbers are near 1.
+    Views without a pose, or without usable depth, are left out: `len` and indices are those of the
+    other views. The unit of length is the median of the median depths of the views, so that numbers
+    are near 1.
 
     Parameters
     ----------
     views : sequence of DepthView
-        Anything with a length and items, which may read a view from a file each time.
+        Any object with a length and items, which may read a view from a file at each access.
     max_relative_std : float
-        Depth of a larger relative deviation is left out.
+        Depth with a larger relative standard deviation is not used.
     max_depth : float or None
-        As is depth beyond so many median depths of its view.
+        Depth beyond this multiple of the median depth of its view is not used.
     held : int
-        How many views are kept in memory.
+        Number of views that stay in memory.
 
     Attributes
     ----------
     unit : float
-        In the unit of the poses; 1 without a view.
-    seen : list of Seen
-        In that unit.
+        The unit of length, in the unit of the poses; 1 without views.
+    seen : list of ViewSummary
+        Summaries of the views, in that unit.
 
     Raises
     ------
@@ -190,15 +194,15 @@ class Views:
         check_positive(max_relative_std, "max_relative_std")
         if max_depth is not None:
             check_positive(max_depth, "max_depth", "a positive number of median depths, or None")
-        self._views, self._held = views, held
+        self._views = views
         self._max_relative_std, self._max_depth = max_relative_std, max_depth
-        self._cache: dict[int, PosedDepth] = {}
-        found = [(index, self._look(index)) for index in range(len(views))]
-        self._indices = [index for index, seen in found if seen]
-        self._given = [seen for _, seen in found if seen]
-        self.unit = float(np.median([seen.depth for seen in self._given] or [1.0]))
+        self._cached = lru_cache(maxsize=held)(self._prepare)
+        summaries = [(index, self._summarise(index)) for index in range(len(views))]
+        self._indices = [index for index, summary in summaries if summary]
+        self._unscaled = [summary for _, summary in summaries if summary]
+        self.unit = float(np.median([summary.depth for summary in self._unscaled] or [1.0]))
         self.seen = [
-            Seen(
+            ViewSummary(
                 pose=_scaled(seen.pose, self.unit),
                 depth=seen.depth / self.unit,
                 deviation=seen.deviation / self.unit,
@@ -206,7 +210,7 @@ class Views:
                 focal=seen.focal,
                 field=seen.field,
             )
-            for seen in self._given
+            for seen in self._unscaled
         ]
 
     def __len__(self) -> int:
@@ -216,11 +220,11 @@ class Views:
         return (self[n] for n in range(len(self)))
 
     def __getitem__(self, n: int) -> PosedDepth:
-        if n in self._cache:
-            self._cache[n] = self._cache.pop(n)  # the last of them
-            return self._cache[n]
+        return self._cached(n)
+
+    def _prepare(self, n: int) -> PosedDepth:
         view = self._view(self._indices[n])
-        usable = self._usable(view, self._given[n].farthest)
+        usable = self._usable(view, self._unscaled[n].farthest)
         height, width = usable.shape
         frame = view.frame if view.frame.ndim == 3 else view.frame[..., None]
         cx, cy = view.camera.center_for(height, width)
@@ -228,19 +232,15 @@ class Views:
         with np.errstate(invalid="ignore"):
             deviation = np.where(usable, view.inverse_depth_std, 0) * np.float64(self.unit)
         focal = view.camera.focal
-        prepared = PosedDepth(
+        return PosedDepth(
             inverse_depth=inverse_depth.astype(np.float32),
-            deviation=np.maximum(deviation, LEAST_RELATIVE_STD * inverse_depth).astype(np.float32),
+            deviation=np.maximum(deviation, MIN_RELATIVE_STD * inverse_depth).astype(np.float32),
             colors=np.ascontiguousarray(
                 np.broadcast_to(frame, (height, width, 3)), dtype=np.float32
             ),
             pose=_scaled(view.pose, self.unit),
             intrinsics=np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]]),
         )
-        self._cache[n] = prepared
-        if len(self._cache) > self._held:
-            del self._cache[next(iter(self._cache))]
-        return prepared
 
     def _view(self, index: int) -> DepthView:
         view = self._views[index]
@@ -248,7 +248,8 @@ class Views:
             raise InputTypeError(f"views[{index}] is a {type(view).__name__}: expected a DepthView")
         return view
 
-    def _look(self, index: int) -> Seen | None:
+    def _summarise(self, index: int) -> ViewSummary | None:
+        """Return a summary in the unit of the poses; None if the view is not used."""
         view = self._view(index)
         if not np.isfinite(view.pose).all():
             return None
@@ -262,10 +263,10 @@ class Views:
         height, width = usable.shape
         cx, cy = view.camera.center_for(height, width)
         half = [max(c + 0.5, n - 0.5 - c) for c, n in ((cx, width), (cy, height))]
-        return Seen(
+        return ViewSummary(
             pose=view.pose,
             depth=1 / median,
-            deviation=max(relative, LEAST_RELATIVE_STD) / median,
+            deviation=max(relative, MIN_RELATIVE_STD) / median,
             farthest=1 / max(float(values.min()), bound),
             focal=view.camera.focal,
             field=math.atan2(math.hypot(*half), view.camera.focal),
@@ -299,7 +300,7 @@ def _checked_pose(pose: Floats) -> Floats:
     if matrix.shape != (4, 4):
         raise InputError(f"pose is {matrix.shape}: expected (4, 4), camera to world")
     if not np.isfinite(matrix).all():
-        return matrix  # a frame whose pose was not found
+        return matrix  # a frame without a pose
     if not is_rotation(matrix[:3, :3]) or np.abs(matrix[3] - (0, 0, 0, 1)).max() > 1e-6:
         raise InputError(
             f"pose is {matrix.tolist()}: expected a rotation and a translation above (0, 0, 0, 1)"

@@ -13,9 +13,14 @@ from tisfm.checks import refuse_masked, whole
 from tisfm.errors import InputError, MissingPackageError
 from tisfm.formats import atomic_write
 from tisfm.formats.glb import glb_surface
-from tisfm.fusion.depth_views import DepthView, Views, check_positive
-from tisfm.fusion.isosurface import surface_of
-from tisfm.fusion.signed_distance import MOST_BLOCKS, Field, TooFineError, field_of
+from tisfm.fusion.depth_views import DepthView, PosedViews, check_positive
+from tisfm.fusion.isosurface import extract_surface
+from tisfm.fusion.signed_distance import (
+    MOST_BLOCKS,
+    DistanceField,
+    VoxelTooSmallError,
+    integrate_views,
+)
 
 SUFFIXES = (".ply", ".glb")
 
@@ -29,17 +34,17 @@ class Mesh:
     vertices : (V, 3) float32
         In the world's axes.
     faces : (F, 3) int32
-        Three vertices each, anticlockwise seen from outside, from where the surface was seen.
+        Three vertices each, anticlockwise seen from the side of the cameras.
     colors : (V, 3) uint8
         Red, green, blue.
     voxel : float
-        Edge of the voxels that it was taken from, in the unit of the vertices.
+        Edge of the voxels of the distance field, in the unit of the vertices.
 
     Raises
     ------
     ValueError
-        If the arrays are not of these shapes and types, a value is masked, or a face names a vertex
-        that there is not.
+        If the arrays have other shapes or types, a value is masked, or a face has the number of a
+        vertex that does not exist.
     """
 
     vertices: NDArray[np.float32]
@@ -70,10 +75,10 @@ class Mesh:
         return f"Mesh of {len(self.vertices)} vertices and {len(self.faces)} faces"
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a binary PLY or GLB file, whole or not at all.
+        """Write a binary PLY or GLB file; after an error there is no incomplete file.
 
-        In a PLY file vertices are as they are here: where the first camera stood upright, Y points
-        down. GLB wants Y up: Y and Z change sign.
+        A PLY file has the axes of the world: Y points down if the first camera was upright. GLB
+        requires Y up: Y and Z change sign.
 
         Parameters
         ----------
@@ -83,7 +88,7 @@ class Mesh:
         Raises
         ------
         ValueError
-            If the suffix is another, or a GLB file were to hold nothing.
+            If the path has another suffix, or the mesh is empty and the suffix is ``.glb``.
         OSError
             If the folder does not exist or cannot be written to.
         """
@@ -102,7 +107,7 @@ class Mesh:
         )
 
     def _ply(self) -> bytes:
-        from trimesh import Trimesh  # takes a while to load
+        from trimesh import Trimesh  # slow to import
         from trimesh.exchange.ply import export_ply
 
         mesh = Trimesh(
@@ -111,12 +116,13 @@ class Mesh:
         return bytes(export_ply(mesh, "binary", vertex_normal=False))
 
 
-VOXEL = 2.0  # px at the median depth
-FINEST = 0.5  # deviations of depth: finer voxels would show mistakes alone
-TRUNCATION = 4.0  # voxels
-DEVIATIONS = 3.0  # of depth that the truncation has room for
-UNSEEN = 128  # grey of vertices that no view shows
-_COARSER = 1.1  # at least, where a default was too fine
+# Defaults, set by hand:
+VOXEL_PIXELS = 2.0  # edge of a voxel, px at the median depth
+VOXEL_DEVIATIONS = 0.5  # least edge of a voxel, median deviations of depth: finer ones show noise
+TRUNCATION_VOXELS = 4.0  # truncation distance, voxels
+TRUNCATION_DEVIATIONS = 3.0  # least truncation distance, median deviations of depth
+UNSEEN_GREY = 128  # grey level of vertices that no view shows
+_ENLARGEMENT = 1.1  # least factor by which voxels grow if the default is too small
 
 
 def fused_mesh(
@@ -128,42 +134,42 @@ def fused_mesh(
     voxel: float | None = None,
     truncation: float | None = None,
 ) -> Mesh:
-    """Fuse depth maps into a mesh, by a truncated field of signed distances.
+    """Fuse depth maps into a mesh by a truncated signed distance field (TSDF).
 
-    Voxels near the surface hold the mean of their distances from it, weighted by precision. What a
-    view sees through counts as empty, so that single mistakes vanish. The mesh lies where the mean
-    changes its sign, and is open where too few views look.
+    A voxel near the surface stores the mean of its signed distances in all views, weighted by their
+    precision. Space in front of a surface counts as empty, so that errors of single views vanish.
+    The mesh lies where the mean distance is zero, and is open where too few views show the surface.
 
     Parameters
     ----------
     views : sequence of DepthView
-        Anything with a length and items. Views are read one by one, four times each.
+        Any object with a length and items. Views are read one by one, four times each.
     agreeing : int, default 3
-        How many views must show the surface at a place; all where there are fewer views.
+        Number of views that must show the surface near a voxel; all views if there are fewer.
     max_relative_std : float, default 0.05
-        Depth of a larger deviation, relative to itself, is left out.
+        Depth with a larger relative standard deviation is not used.
     max_depth : float, default 5
-        Depth beyond so many median depths of its view is left out; None for no bound.
+        Depth beyond this multiple of the median depth of its view is not used; None for no bound.
     voxel : float, optional
-        Edge of a voxel, in the unit of the poses. By default 2 px at the median depth, or half the
-        median deviation of depth where that is more, or what fills 1 GB; the result says which.
+        Edge of a voxel, in the unit of the poses. By default the largest of 2 px at the median
+        depth, half the median deviation of depth, and the edge with which the field fills 1 GB; the
+        result tells the edge.
     truncation : float, optional
-        How far from the surface the field reaches, in the unit of the poses. Things must be thicker
-        than that. By default 4 voxels, or 3 median deviations of depth where that is more.
+        Greatest distance from the surface in the field, in the unit of the poses. Objects must be
+        thicker than it. By default the larger of 4 voxels and 3 median deviations of depth.
 
     Returns
     -------
     Mesh
-        In the world's axes and unit, without faces where there is nothing to see. Colours are means
-        over the views, weighted by 1/Z².
+        In the world's axes and unit; without faces if no surface is found. Colours are means over
+        the views, weighted by 1/Z².
 
     Raises
     ------
     ModuleNotFoundError
         If scikit-image is not installed.
     TypeError, ValueError
-        If an option or a view is not as above, or voxels of the size that was asked for would fill
-        too much memory.
+        If an option or a view is not valid, or voxels of the given size would need too much memory.
 
     References
     ----------
@@ -175,8 +181,8 @@ def fused_mesh(
     for name, value in (("voxel", voxel), ("truncation", truncation)):
         if value is not None:
             check_positive(value, name)
-    check_library()
-    read = Views(views, max_relative_std=max_relative_std, max_depth=max_depth)
+    check_scikit_image()
+    read = PosedViews(views, max_relative_std=max_relative_std, max_depth=max_depth)
     if not len(read):
         empty = np.empty((0, 3))
         return Mesh(
@@ -188,7 +194,7 @@ def fused_mesh(
     runtime.start()
     needed = min(agreeing, len(read))
     field, reach = _field(read, voxel, truncation, needed)
-    vertices, faces = surface_of(field, needed)
+    vertices, faces = extract_surface(field, needed)
     colors = _colors(read, vertices, reach)
     return Mesh(
         vertices=(vertices * read.unit).astype(np.float32),
@@ -199,33 +205,33 @@ def fused_mesh(
 
 
 def _field(
-    views: Views, voxel: float | None, truncation: float | None, agreeing: int
-) -> tuple[Field, float]:
-    """Return the field and its truncation, in the views' unit; choose what was not given."""
+    views: PosedViews, voxel: float | None, truncation: float | None, agreeing: int
+) -> tuple[DistanceField, float]:
+    """Return the field and its truncation distance, in the unit of the views."""
     deviation = float(np.median([seen.deviation for seen in views.seen]))
     if voxel is None:
         pixel = float(np.median([seen.depth / seen.focal for seen in views.seen]))
-        side = max(VOXEL * pixel, FINEST * deviation)
+        side = max(VOXEL_PIXELS * pixel, VOXEL_DEVIATIONS * deviation)
     else:
         side = voxel / views.unit
     while True:
         if truncation is None:
-            reach = max(TRUNCATION * side, DEVIATIONS * deviation)
+            reach = max(TRUNCATION_VOXELS * side, TRUNCATION_DEVIATIONS * deviation)
         else:
             reach = truncation / views.unit
         try:
-            return field_of(views, side, reach, agreeing), reach
-        except TooFineError as error:
+            return integrate_views(views, side, reach, agreeing), reach
+        except VoxelTooSmallError as error:
             if voxel is not None:
                 raise InputError(
                     f"voxel is {voxel:g}: the surface would need more than {MOST_BLOCKS} blocks of "
                     f"8×8×8 voxels, the most that is kept in memory; give at least "
                     f"{1.05 * error.larger * voxel:.2g}, or a smaller max_depth"
                 ) from None
-            side *= max(_COARSER, error.larger)
+            side *= max(_ENLARGEMENT, error.larger)
 
 
-def _colors(views: Views, vertices: NDArray[np.float64], near: float) -> NDArray[np.uint8]:
+def _colors(views: PosedViews, vertices: NDArray[np.float64], near: float) -> NDArray[np.uint8]:
     """Return the mean colour of each vertex, (V, 3)."""
     from tisfm.kernels.fusion.colors import add_colors
 
@@ -241,12 +247,12 @@ def _colors(views: Views, vertices: NDArray[np.float64], near: float) -> NDArray
             near=near,
         )
     shown = sums[:, 3:] > 0
-    mean = np.where(shown, sums[:, :3] / np.where(shown, sums[:, 3:], 1), UNSEEN)
+    mean = np.where(shown, sums[:, :3] / np.where(shown, sums[:, 3:], 1), UNSEEN_GREY)
     return np.rint(mean).astype(np.uint8)
 
 
-def check_library() -> None:
-    """Raise ModuleNotFoundError, which says what to install, if there is no scikit-image."""
+def check_scikit_image() -> None:
+    """Raise ModuleNotFoundError, which says what to install, if scikit-image is missing."""
     try:
         import skimage.measure  # noqa: F401
     except ModuleNotFoundError as error:

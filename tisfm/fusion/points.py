@@ -8,58 +8,66 @@ from numpy.typing import NDArray
 
 from tisfm import runtime
 from tisfm.checks import Floats, whole
-from tisfm.fusion.depth_views import DepthView, PosedDepth, Seen, Views, check_positive
+from tisfm.fusion.depth_views import DepthView, PosedDepth, PosedViews, ViewSummary, check_positive
 from tisfm.point_cloud import FARTHEST_MEDIANS, PointCloud
 
-# Of the sum of angles, in fields of view and rad, and of the logarithm of the ratio of distances:
-NEAR = 0.7  # much is seen by both
-FARTHEST = 1.5  # hardly anything is
+# Bounds of the difference of two views (`_differences`), set by hand:
+NEAR = 0.7  # views with a smaller difference see much of the same surface
+FARTHEST = 1.5  # views with a larger difference see hardly any of it
 
 
-def neighbours(n: int, seen: Sequence[Seen], count: int) -> list[int]:
-    """Return other views that see much of what a view sees, from the nearest to the farthest.
+def choose_neighbours(n: int, seen: Sequence[ViewSummary], count: int) -> list[int]:
+    """Return other views that see the same surface as a view, the most similar ones first.
 
-    They are judged by the point in the middle of what the view sees: how far from their axis they
-    see it, in their field of view, how much their direction to it differs, and their distance. Of
-    the views that are near in this, `count` are taken from the nearest to the farthest: neighbours
-    in time alone may show the same mistakes. Where there are fewer, others follow.
+    Of the similar views (difference up to `NEAR`), `count` are chosen evenly from the most to the
+    least similar one: neighbours in time alone may share the same errors. If there are fewer, the
+    views up to `FARTHEST` follow.
 
     Parameters
     ----------
     n : int
-        The view.
-    seen : sequence of Seen
+        Number of the view.
+    seen : sequence of ViewSummary
         All views.
     count : int
-        How many are taken at most.
+        Greatest number of views returned.
     """
-    apart = _apart(seen[n], seen)
-    apart[n] = math.inf
-    order = np.argsort(apart, kind="stable")
-    usable = min(count, np.count_nonzero(apart <= FARTHEST))
-    near = order[: max(usable, np.count_nonzero(apart <= NEAR))]
+    difference = _differences(seen[n], seen)
+    difference[n] = math.inf
+    order = np.argsort(difference, kind="stable")
+    usable = min(count, np.count_nonzero(difference <= FARTHEST))
+    near = order[: max(usable, np.count_nonzero(difference <= NEAR))]
     chosen = np.linspace(0, len(near) - 1, min(count, len(near))).round().astype(int)
     return [int(near[k]) for k in chosen]
 
 
-def _apart(mine: Seen, seen: Sequence[Seen]) -> Floats:
-    """Return how differently each view sees the point in the middle of a view, (N,)."""
-    axis = mine.pose[:3, 2]
+def _differences(view: ViewSummary, seen: Sequence[ViewSummary]) -> Floats:
+    """Return the differences of all views from a view, (N,).
+
+    They compare the views of one point, on the optical axis of the view at its median depth. Each
+    is a sum of three terms: the angle between the point and the optical axis of the other view, as
+    a share of its field; the angle between the two rays to the point, rad; and the absolute
+    logarithm of the ratio of the distances.
+    """
+    axis = view.pose[:3, 2]
     poses = np.array([other.pose for other in seen])
-    rays = mine.pose[:3, 3] + mine.depth * axis - poses[:, :3, 3]
+    rays = view.pose[:3, 3] + view.depth * axis - poses[:, :3, 3]
     distance = np.linalg.norm(rays, axis=1)
-    there = distance == 0
-    distance[there] = 1
+    at_point = distance == 0
+    distance[at_point] = 1
     rays /= distance[:, None]
     from_axis = np.arccos(np.clip((rays * poses[:, :3, 2]).sum(axis=1), -1, 1))
     parallax = np.arccos(np.clip(rays @ axis, -1, 1))
     fields = np.array([other.field for other in seen])
-    apart = from_axis / fields + parallax + np.abs(np.log(distance / mine.depth))
-    return np.where(there, math.inf, apart)
+    difference = from_axis / fields + parallax + np.abs(np.log(distance / view.depth))
+    return np.where(at_point, math.inf, difference)
 
 
-NEIGHBOURS = 8  # that a view is compared with
-TOLERANCE = 3.0  # combined deviations within which two views agree
+NEIGHBOURS = 8
+"""Number of views that a view is compared with. Set by hand."""
+
+TOLERANCE = 3.0
+"""Difference of inverse depth, in combined standard deviations, up to which two views agree."""
 
 
 def fused_points(
@@ -70,51 +78,52 @@ def fused_points(
     max_depth: float | None = FARTHEST_MEDIANS,
     voxel: float | None = None,
 ) -> PointCloud:
-    """Fuse depth maps into the points that enough of them agree on.
+    """Fuse depth maps into the points that several views agree on.
 
-    Each point of a view is looked for in up to eight others that see much of the same. One that
-    shows an inverse depth within three combined deviations agrees; one that sees something farther
-    there sees through the point. A point is kept where enough views agree and fewer see through
-    it. It then lies on its ray at the mean of their inverse depths, weighted by precision. What a
-    point that was found before shows is not taken again.
+    Each pixel of a view is projected into up to eight other views of the same surface. A view
+    agrees if its inverse depth there is within three combined standard deviations; it sees through
+    the point if its surface there is farther. A point is kept if enough views agree, and fewer see
+    through it. It lies on its ray at the mean of the inverse depths, weighted by precision. Pixels
+    that show a point found before are skipped.
 
     Parameters
     ----------
     views : sequence of DepthView
-        Anything with a length and items. Views are read one by one, some times each, and a few are
-        held at a time.
+        Any object with a length and items. Views are read one by one, several times each; a few at
+        a time are in memory.
     agreeing : int, default 3
-        How many views must show a point, its own among them; all where there are fewer views.
+        Number of views that must show a point, its own view included; all views if there are fewer.
     max_relative_std : float, default 0.05
-        Depth of a larger deviation, relative to itself, is left out.
+        Depth with a larger relative standard deviation is not used.
     max_depth : float, default 10
-        Depth beyond so many median depths of its view is left out; None for no bound.
+        Depth beyond this multiple of the median depth of its view is not used; None for no bound.
     voxel : float, optional
-        Edge of cubes, in the unit of the poses, of whose points one is left: their mean, weighted
-        by precision. By default all are kept, about one for each pixel that shows the surface best.
+        Edge of cubes, in the unit of the poses: the points of a cube are replaced by their mean,
+        weighted by precision. By default all points are kept, about one for each pixel of the view
+        that shows the surface best.
 
     Returns
     -------
     PointCloud
         In the world's axes and unit. Colours are means over the views that agree. The confidence is
-        a / (a + s + 1), where a other views agree and s see through the point.
+        a / (a + s + 1), with a other views that agree and s views that see through the point.
 
     Raises
     ------
     TypeError, ValueError
-        If an option or a view is not as above.
+        If an option or a view is not valid.
     """
     whole(1, agreeing=agreeing)
     if voxel is not None:
         check_positive(voxel, "voxel")
-    read = Views(
+    read = PosedViews(
         views, max_relative_std=max_relative_std, max_depth=max_depth, held=2 * NEIGHBOURS + 1
     )
     runtime.start()
     needed = min(agreeing, len(read))
-    found = _Found()
+    found = _PointList()
     for n, view in enumerate(read):
-        others = [read[other] for other in neighbours(n, read.seen, NEIGHBOURS)]
+        others = [read[other] for other in choose_neighbours(n, read.seen, NEIGHBOURS)]
         found.add(*_points_of(view, others, found.shown_by(view), needed))
     if voxel is not None:
         found.thin(voxel / read.unit)
@@ -125,14 +134,14 @@ def fused_points(
     )
 
 
-class _Found:
+class _PointList:
     """The points found so far.
 
     Attributes
     ----------
     positions : (N, 3) float32
     relative_deviation : (N,) float32
-        Of the inverse depth.
+        Relative standard deviation of the inverse depth.
     colors : (N, 3) float32
     confidence : (N,) float32
     """
@@ -156,7 +165,7 @@ class _Found:
         self.confidence = np.concatenate([self.confidence, confidence])
 
     def shown_by(self, view: PosedDepth) -> NDArray[np.bool_]:
-        """Return the pixels of a view that show a point found."""
+        """Return the pixels of a view, (H, W) bool, that show one of the points."""
         from tisfm.kernels.fusion.agreement import mark_shown
 
         shown = np.zeros(view.inverse_depth.shape, np.int32)
@@ -173,7 +182,7 @@ class _Found:
         return shown > 0
 
     def thin(self, voxel: float) -> None:
-        """Leave one point in each cube: the mean, weighted by precision."""
+        """Replace the points in each cube by their mean, weighted by precision."""
         cubes = np.floor(self.positions / voxel)
         _, first, cube = np.unique(cubes, axis=0, return_index=True, return_inverse=True)
         cube, count = cube.ravel(), len(first)
@@ -192,7 +201,7 @@ class _Found:
 def _points_of(
     view: PosedDepth, others: Sequence[PosedDepth], shown: NDArray[np.bool_], needed: int
 ) -> tuple[NDArray[np.float32], ...]:
-    """Return the points of a view that enough views agree on, as `_Found.add` takes them."""
+    """Return the points of a view that enough views agree on: the arguments of `_PointList.add`."""
     from tisfm.kernels.fusion.agreement import compare
 
     wanted = (view.inverse_depth > 0) & ~shown

@@ -1,4 +1,4 @@
-"""A field of signed distances, in blocks near the surface that views show."""
+"""A truncated signed distance field, stored in blocks near the surface."""
 
 from dataclasses import dataclass
 
@@ -6,28 +6,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.checks import Floats
-from tisfm.fusion.depth_views import PosedDepth, Views
+from tisfm.fusion.depth_views import PosedDepth, PosedViews
 
-MOST_BLOCKS = 150_000  # of 6 KB each
-MOST_CANDIDATES = 16 * MOST_BLOCKS  # of 12 bytes each
-_ROWS = 64  # that are looked through at a time
-_ACROSS = 3  # pixels that are looked at, at least, across a block
-_MOST_STEPS = 8  # from one to the next, px: where blocks are large
-_APART = 4.0  # voxels between places of a ray that are looked at
-_MOST_PLACES = 101  # of a ray
-_BITS = 17  # of a block's coordinate, so that a voxel's has 20
+MOST_BLOCKS = 150_000  # blocks of a field, 6 KB each: 0.9 GB
+MOST_CANDIDATES = 16 * MOST_BLOCKS  # blocks while views are counted, 12 bytes each
+# Sampling of a view's rays for the blocks near its surface; set by hand:
+_BAND_ROWS = 64  # rows of sampled pixels that are processed at a time
+_SAMPLES_PER_BLOCK = 3  # least number of pixels sampled across a block in the image
+_MAX_PIXEL_STEP = 8  # px between sampled pixels, for large blocks
+_RAY_STEP = 4.0  # voxels between the sampled points of a ray
+_MAX_RAY_SAMPLES = 101  # sampled points of a ray
+_BITS = 17  # bits of a block coordinate, so that a voxel coordinate has 20
 _HALF = 2 ** (_BITS - 1)
 
 Blocks = NDArray[np.int64]
+"""Block numbers: three coordinates of `_BITS` bits each."""
 
 
-class TooFineError(Exception):
-    """Voxels of this size would be too many.
+class VoxelTooSmallError(Exception):
+    """The field would need too many voxels of this size.
 
     Attributes
     ----------
     larger : float
-        By how much the voxels must be larger, at least, as far as can be told.
+        Estimate of the least factor by which the voxels must be larger.
     """
 
     def __init__(self, larger: float) -> None:
@@ -36,19 +38,20 @@ class TooFineError(Exception):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Field:
-    """A truncated field of signed distances.
+class DistanceField:
+    """A truncated signed distance field.
 
     Attributes
     ----------
     voxel : float
         Edge of a voxel.
     numbers : (N,) int64
-        Of the blocks, ascending (`coordinates`).
+        Numbers of the blocks, ascending (`block_coordinates`).
     distance : (N, 512) float32
-        Mean distance before the surface, in truncations, in [−1, 1].
+        Mean signed distance from the surface, in truncation distances, from −1 (behind the surface)
+        to 1 (in front of it).
     views : (N, 512) int32
-        How many views show the surface nearby.
+        Number of views that show the surface near the voxel.
     """
 
     voxel: float
@@ -57,33 +60,35 @@ class Field:
     views: NDArray[np.int32]
 
 
-def coordinates(numbers: Blocks) -> NDArray[np.int64]:
-    """Return (N, 3), where blocks lie, in blocks from the world's origin."""
+def block_coordinates(numbers: Blocks) -> NDArray[np.int64]:
+    """Return the coordinates of blocks, (N, 3), in blocks from the world's origin."""
     mask = 2**_BITS - 1
     return np.stack([(numbers >> (shift * _BITS)) & mask for shift in (2, 1, 0)], axis=1) - _HALF
 
 
-def numbers_of(blocks: NDArray[np.int64]) -> Blocks:
-    """Return the numbers of blocks at (…, 3)."""
+def block_numbers(blocks: NDArray[np.int64]) -> Blocks:
+    """Return the numbers of blocks at the coordinates (…, 3)."""
     x, y, z = np.moveaxis(blocks + _HALF, -1, 0)
     return (((x << _BITS) | y) << _BITS) | z
 
 
-def field_of(views: Views, voxel: float, truncation: float, agreeing: int) -> Field:
-    """Take all views into a field.
+def integrate_views(
+    views: PosedViews, voxel: float, truncation: float, agreeing: int
+) -> DistanceField:
+    """Integrate all views into a field.
 
     Parameters
     ----------
-    views : Views
+    views : PosedViews
         They are read twice.
     voxel, truncation : float
-        In the views' unit.
+        Edge of a voxel and truncation distance, in the unit of the views.
     agreeing : int
-        How many views must come near to a block; others are left out.
+        Number of views whose surface must come near a block; other blocks are left out.
 
     Raises
     ------
-    TooFineError
+    VoxelTooSmallError
         If there would be too many blocks.
     """
     from tisfm.kernels.fusion.distance_field import VOXELS
@@ -94,13 +99,13 @@ def field_of(views: Views, voxel: float, truncation: float, agreeing: int) -> Fi
     count = np.zeros((len(numbers), VOXELS), np.int32)
     for view in views:
         _integrate(view, voxel, truncation, numbers, distance, weight, count)
-    return Field(voxel=voxel, numbers=numbers, distance=distance, views=count)
+    return DistanceField(voxel=voxel, numbers=numbers, distance=distance, views=count)
 
 
-def _blocks(views: Views, voxel: float, truncation: float, agreeing: int) -> Blocks:
-    """Return the numbers of the blocks that enough views come near to, ascending.
+def _blocks(views: PosedViews, voxel: float, truncation: float, agreeing: int) -> Blocks:
+    """Return the numbers of the blocks near the surfaces of enough views, ascending.
 
-    Mistakes of single views would be many more.
+    Blocks near errors of single views would be many more.
     """
     numbers, count = np.empty(0, np.int64), np.empty(0, np.int32)
     for view, seen in zip(views, views.seen, strict=True):
@@ -113,20 +118,20 @@ def _blocks(views: Views, voxel: float, truncation: float, agreeing: int) -> Blo
         numbers, count = both, counted
         if len(numbers) > MOST_CANDIDATES:
             kept = count >= min(agreeing, 2)
-            kept[new] = True  # others may follow
+            kept[new] = True  # later views may add to their counts
             numbers, count = numbers[kept], count[kept]
         if len(numbers) > MOST_CANDIDATES:
-            raise TooFineError(np.sqrt(len(numbers) / MOST_BLOCKS))
+            raise VoxelTooSmallError(np.sqrt(len(numbers) / MOST_BLOCKS))
     numbers = numbers[count >= agreeing]
     if len(numbers) > MOST_BLOCKS:
-        raise TooFineError(np.sqrt(len(numbers) / MOST_BLOCKS))
+        raise VoxelTooSmallError(np.sqrt(len(numbers) / MOST_BLOCKS))
     return numbers
 
 
 def _blocks_near(view: PosedDepth, farthest: float, voxel: float, truncation: float) -> Blocks:
-    """Return the numbers of the blocks that a view's surface comes near to, ascending.
+    """Return the numbers of the blocks near the surface of a view, ascending.
 
-    Of the pixels as many are looked at as the smallest block in the image needs.
+    Pixels are sampled densely enough for the smallest block in the image.
     """
     from tisfm.kernels.fusion.distance_field import CORNERS, EDGE, blocks_near
 
@@ -137,20 +142,20 @@ def _blocks_near(view: PosedDepth, farthest: float, voxel: float, truncation: fl
     if np.abs([first, first + extent]).max() >= _HALF - 1 or extent.prod() >= 2**31:
         too_many = np.cbrt(extent.prod() / 2**31)
         too_far = np.abs([first, first + extent]).max() / (_HALF - 1)
-        raise TooFineError(1.01 * max(too_many, too_far))
-    places = 1 + 2 * int(np.ceil(truncation / (_APART * voxel)))
-    if places > _MOST_PLACES:
-        raise TooFineError(places / _MOST_PLACES)
+        raise VoxelTooSmallError(1.01 * max(too_many, too_far))
+    samples = 1 + 2 * int(np.ceil(truncation / (_RAY_STEP * voxel)))
+    if samples > _MAX_RAY_SAMPLES:
+        raise VoxelTooSmallError(samples / _MAX_RAY_SAMPLES)
     nx, ny, nz = extent.astype(int).tolist()
     across = edge * view.intrinsics[0, 0] / farthest
-    step = int(np.clip(across / _ACROSS, 1, _MOST_STEPS))
+    step = int(np.clip(across / _SAMPLES_PER_BLOCK, 1, _MAX_PIXEL_STEP))
     rays = view.to_world / voxel
     rays[:, 3] -= first * EDGE
     height, width = view.inverse_depth.shape
     found = []
-    for top in range(0, height, _ROWS * step):
-        rows = -(-min(height - top, _ROWS * step) // step)
-        near = np.empty((rows, -(-width // step), places, CORNERS), np.int32)
+    for top in range(0, height, _BAND_ROWS * step):
+        rows = -(-min(height - top, _BAND_ROWS * step) // step)
+        near = np.empty((rows, -(-width // step), samples, CORNERS), np.int32)
         blocks_near(
             view.inverse_depth,
             view.deviation,
@@ -161,17 +166,17 @@ def _blocks_near(view: PosedDepth, farthest: float, voxel: float, truncation: fl
             extent=(nx, ny, nz),
             truncation=truncation,
         )
-        # Most pixels come near to the same blocks as the one to their left.
+        # Most pixels are near the same blocks as the pixel to their left.
         new = near >= 0
         new[:, 1:] &= near[:, 1:] != near[:, :-1]
         found.append(np.unique(near[new]))
     flat = np.unique(np.concatenate(found)).astype(np.int64)
     blocks = np.stack([flat // (ny * nz), flat // nz % ny, flat % nz], axis=1)
-    return np.sort(numbers_of(blocks + first.astype(np.int64)))
+    return np.sort(block_numbers(blocks + first.astype(np.int64)))
 
 
 def _bounds(view: PosedDepth, farthest: float, margin: float) -> tuple[Floats, Floats]:
-    """Return the least and the greatest coordinates of what a view may see, and a margin beyond."""
+    """Return the least and the greatest coordinates of the space that a view sees, and a margin."""
     height, width = view.inverse_depth.shape
     corners = np.array([(x, y, 1) for x in (-0.5, width - 0.5) for y in (-0.5, height - 0.5)])
     rays = view.to_world
@@ -188,13 +193,13 @@ def _integrate(
     weight: NDArray[np.float32],
     count: NDArray[np.int32],
 ) -> None:
-    """Take a view into the field's arrays, which are modified."""
+    """Integrate a view into the arrays of the field, which are modified in place."""
     from tisfm.kernels.fusion.distance_field import EDGE, integrate
 
     to_pixels = view.to_pixels
-    corners = coordinates(numbers) * (EDGE * voxel) @ to_pixels[:, :3].T + to_pixels[:, 3]
+    corners = block_coordinates(numbers) * (EDGE * voxel) @ to_pixels[:, :3].T + to_pixels[:, 3]
     steps = np.ascontiguousarray(voxel * to_pixels[:, :3].T)
-    index = np.flatnonzero(_may_be_seen(view, corners, steps * (EDGE - 1), truncation))
+    index = np.flatnonzero(_in_frustum(view, corners, steps * (EDGE - 1), truncation))
     integrate(
         view.inverse_depth,
         view.deviation,
@@ -209,17 +214,17 @@ def _integrate(
     )
 
 
-def _may_be_seen(
+def _in_frustum(
     view: PosedDepth, corners: Floats, across: Floats, truncation: float
 ) -> NDArray[np.bool_]:
-    """Return which blocks have a corner on each inner side of the view's bounds.
+    """Return which blocks may intersect the frustum of a view.
 
     Parameters
     ----------
     corners : (N, 3) float64
         (u z, v z, z) of the first voxel of each block.
     across : (3, 3) float64
-        What the last voxel along each axis adds.
+        Difference of (u z, v z, z) from the first to the last voxel, along each axis.
     """
     height, width = view.inverse_depth.shape
     farthest = 1 / view.inverse_depth[view.inverse_depth > 0].min() + truncation

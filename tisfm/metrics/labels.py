@@ -233,6 +233,7 @@ def _check_labels(values: object, name: str) -> NDArray:
         raise InputError(f"{name} is {array.shape}: expected (H, W)")
     if array.size and not 0 <= array.min() <= array.max() < _LABEL_COUNT:
         raise InputError(
-            f"{name} has values from {array.min()} to {array.max()}: expected 0 to {_LABEL_COUNT - 1}"
+            f"{name} has values from {array.min()} to {array.max()}: expected 0 to "
+            f"{_LABEL_COUNT - 1}"
         )
     return array
