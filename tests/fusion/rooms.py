@@ -8,7 +8,7 @@ import tisfm
 from tisfm.fusion import DepthView
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import Plane, Scene
-from tisfm.scenes.room import _shell, _things
+from tisfm.scenes.room import _furniture, _walls
 
 
 def room_view(pose, height, width):
@@ -16,7 +16,7 @@ def room_view(pose, height, width):
     to_camera = np.linalg.inv(pose)
     rotation, translation = to_camera[:3, :3], to_camera[:3, 3]
     objects = []
-    for item in [*_shell(np.zeros(6), width, 0), *_things(np.zeros(6), width, 0)]:
+    for item in [*_walls(np.zeros(6), width, 0), *_furniture(np.zeros(6), width, 0)]:
         if isinstance(item, Plane):
             moved = {"point": item.point, "normal": rotation @ item.normal}
         else:

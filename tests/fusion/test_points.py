@@ -170,7 +170,7 @@ def test_a_cube_has_the_mean_of_its_points_by_precision():
     positions = np.concatenate([random.uniform(0.1, 0.9, (4, 3)), random.uniform(1.1, 1.9, (3, 3))])
     deviation = np.array([0.01, 0.02, 0.05, 0.01, 0.03, 0.01, 0.01])
     colors, confidence = random.uniform(0, 255, (7, 3)), random.uniform(0, 1, 7)
-    found = points_module._Found()
+    found = points_module._PointList()
     given = (positions, deviation, colors, confidence)
     found.add(*(values.astype(np.float32) for values in given))
     found.thin(1.0)

@@ -6,7 +6,7 @@ from tests.rendered import room_film, shared
 from tisfm.camera import Camera
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import Box, Film, Scene, Texture, bodies_path
-from tisfm.scenes.room import FOCAL, room_at_rest, taken, wavelength_at
+from tisfm.scenes.room import FOCAL, room_objects, taken, wavelength_at
 
 STEP = np.array((0.12, 0.0, 0.05, 0.0, 0.012, 0.0))  # of the camera, m and rad a frame
 
@@ -28,7 +28,7 @@ def board_film(count=20, height=240, width=320, *, with_board=True):
     The board fills a third of the frames, has more contrast than the room, and moves on its own.
     """
     path, camera, random = bodies_path(count), Camera(focal=FOCAL * width), np.random.default_rng(0)
-    room = room_at_rest(width, 0, textured=True)
+    room = room_objects(width, 0, textured=True)
     paint = Texture(wavelength=wavelength_at(1.6), octaves=4, mean=120, contrast=60, seed=100)
     frames, depth, seen = [], [], []
     for k, pose in enumerate(path):

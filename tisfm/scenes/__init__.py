@@ -6,9 +6,9 @@ one frame to the next, by the exact exponential of the twist, P1 = R P0 + t. A c
 (V, Ω) in its own axes sees a static scene with T = -V, ω = -Ω.
 
 Grey levels are painted on the surfaces, so brightness constancy holds exactly up to anti-aliasing
-and quantisation. The paint is band-limited and measured in scene units: the picture does not
-depend on the size at which it is rendered, except that waves too short for the pixels fade out.
-The ready scenes add shorter waves to larger pictures, unless told how many.
+and quantisation. The paint is band-limited and measured in scene units: the image does not depend
+on the size at which it is rendered, except that waves too short for the pixels fade out. The
+predefined scenes add shorter waves for larger images, unless `detail` states their number.
 
 May import: of the top level `camera`, `checks` and `rigid`.
 """

@@ -1,4 +1,4 @@
-"""Ready scenes: blocks in a room, seen by a camera that looks down on its floor."""
+"""Predefined scenes: blocks in a room, seen by a camera that looks down on the floor."""
 
 import math
 
@@ -14,7 +14,7 @@ from .geometry import Box, Plane
 from .render import Scene, SyntheticPair
 from .texture import Patch, Texture
 
-# (V, Ω) of the camera in its own axes. The turn adds to the sideways flow.
+# (V, Ω) of the camera in its own axes. The rotation adds to the sideways flow.
 _STATIC_MOTIONS = {
     "sideways": (0.03, 0.0, 0.0, 0.0, 0.0, 0.0),
     "forward": (0.0, 0.0, 0.1, 0.0, 0.0, 0.0),
@@ -26,12 +26,12 @@ STATIC_KINDS = tuple(_STATIC_MOTIONS)
 # The camera looks down on the floor by 25°. Axes of the room in columns: right, down, ahead.
 _COS, _SIN = math.cos(math.radians(25)), math.sin(math.radians(25))
 _ROOM = np.array([[1.0, 0.0, 0.0], [0.0, _COS, -_SIN], [0.0, _SIN, _COS]])
-_EYE_HEIGHT = 2.6
-_WALL_DISTANCE = 9.0
-# Without detail the finest wave has this length, px, in a picture of this width, px.
-_FINEST, _WIDTH = 4.0, 320
+_EYE_HEIGHT = 2.6  # of the camera above the floor, in the unit of the scene
+_WALL_DISTANCE = 9.0  # from the camera, in the unit of the scene
+_FINEST_WAVE = 4.0  # px, the finest wave without detail, in an image of this width:
+_REFERENCE_WIDTH = 320  # px
 
-# Of a block: its place on the floor (right, ahead), its edge lengths, its turn in degrees.
+# A block: position on the floor (right, ahead), edge lengths, rotation in degrees.
 _Block = tuple[tuple[float, float], tuple[float, float, float], float]
 _TWO_BLOCKS: list[_Block] = [
     ((-0.62, 4.7), (1.5, 1.3, 1.2), 28),
@@ -216,11 +216,11 @@ def bare_patches(
 ) -> SyntheticPair:
     """Render a block before a wall, both with large parts of a single grey level.
 
-    What the paper leaves open (its remark (a)): motion is not seen in such a part, only around
-    it. One lies within the texture of the wall. The one on the block reaches the block's right
-    edge, behind which the wall is bare too: there, only a step of grey tells them apart. Shapes
-    scale with the size; at the default one the parts are 70 to 110 px wide, and displacements are
-    about 2 px on the wall and 4 px on the block.
+    A case that the paper leaves open (its remark (a)): motion is visible only around such a part.
+    One lies within the texture of the wall. The one on the block reaches the block's right edge,
+    behind which the wall is bare, too: there, only a step of grey separates them. Shapes scale with
+    the size; at the default size the parts are 70 to 110 px wide, and displacements are about 2 px
+    on the wall and 4 px on the block.
 
     Parameters
     ----------
@@ -251,11 +251,11 @@ def bare_patches(
     """
     whole(1, height=height, width=width)
     motion = -finite(camera_motion, (6,), "camera_motion")
-    octaves = max(0, round(math.log2(width / _WIDTH)))
+    octaves = max(0, round(math.log2(width / _REFERENCE_WIDTH)))
 
     def paint(depth: float, number: int, mean: float, patches: tuple[Patch, ...]) -> Texture:
         return Texture(
-            wavelength=_FINEST * depth / _WIDTH,
+            wavelength=_FINEST_WAVE * depth / _REFERENCE_WIDTH,
             detail=octaves,
             mean=mean,
             contrast=50,
@@ -296,13 +296,13 @@ def _room(
     focal: float | None,
     detail: int | None,
 ) -> Scene:
-    """Stand blocks before the wall; `own` holds their twists besides the camera's effect."""
+    """Return a scene with blocks in front of a wall; `own` are their twists in a fixed camera."""
     whole(1, height=height, width=width)
     static = -finite(camera_motion, (6,), "camera_motion")
-    octaves = max(0, round(math.log2(width / _WIDTH))) if detail is None else detail
+    octaves = max(0, round(math.log2(width / _REFERENCE_WIDTH))) if detail is None else detail
 
     def paint(depth: float, label: int, mean: float, contrast: float) -> Texture:
-        wavelength, number = _FINEST * depth / _WIDTH, seed + label
+        wavelength, number = _FINEST_WAVE * depth / _REFERENCE_WIDTH, seed + label
         return Texture(
             wavelength=wavelength, detail=octaves, mean=mean, contrast=contrast, seed=number
         )

@@ -1,4 +1,4 @@
-"""A ready scene with moving bodies: boxes that fly through the room, in front of each other."""
+"""A predefined scene with moving objects: boxes that fly through the room."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -19,9 +19,9 @@ from .room import (
     check_film,
     check_readout,
     detail_for,
-    read_in_turn,
-    room_at_rest,
-    taken,
+    expose,
+    render_rolling_shutter,
+    room_objects,
     wavelength_at,
 )
 from .texture import Texture
@@ -36,9 +36,9 @@ class BodiesFilm(Film):
     frames, depth, poses, camera
         As in `Film`.
     labels : (N, H, W) uint8
-        What is seen at the pixel's centre: 0 for the room, 1 to K for a body.
+        Object at the centre of each pixel: 0 for the room, 1 to K for a body.
     body_poses : (K, N, 4, 4) float64
-        Body to world; a body's axes are along its edges, from its centre.
+        Body to world; the axes of a body are along its edges, with the origin at its centre.
     body_sizes : (K, 3) float64
         Edge lengths along the body's axes, m.
 
@@ -57,16 +57,16 @@ class BodiesFilm(Film):
 
 @dataclass(frozen=True, kw_only=True)
 class _Flight:
-    """The path of a body: it swings along each axis of the world, and turns all the while.
+    """The path of a body: it swings along each axis of the world, and rotates steadily.
 
     Attributes
     ----------
     size : edge lengths, m
-    middle, reach : middle of the path and how far it swings to both sides, (3,), m
-    period, start : frames of a swing forth and back along each axis, and where it starts, in frames
-        before the middle; (3,)
-    spin : how it turns about its axis right, down and ahead, rad/frame
-    mean : grey level of its paint
+    middle, reach : centre and amplitude of the swing along each axis, (3,), m
+    period : period of the swing along each axis, (3,), frames
+    start : frame in which the body passes the centre along each axis, (3,)
+    spin : rotation about the axes right, down and ahead, rad/frame
+    mean : mean grey level of its paint
     """
 
     size: tuple[float, float, float]
@@ -78,7 +78,7 @@ class _Flight:
     mean: float
 
     def pose(self, number: float) -> Floats:
-        """Return body to world, (4, 4), at a frame's number."""
+        """Return the pose, body to world, (4, 4), at the number of a frame."""
         swing = np.sin(2 * np.pi * (number - np.array(self.start)) / np.array(self.period))
         pose = pose_matrix(np.array([0, 0, 0, *self.spin]) * number)
         pose[:3, 3] = np.array(self.middle) + np.array(self.reach) * swing
@@ -132,24 +132,23 @@ def bodies_film(
     samples: int = 2,
     readout: float = 0.0,
 ) -> BodiesFilm:
-    """Render the room with boxes that fly through it and turn, from a path of the camera.
+    """Render the room with rotating boxes that fly through it, along a path of the camera.
 
-    The boxes are of about half a metre, and swing from one side of the image to the other. From
-    `bodies_path`, all are seen in the first frames; each moves by 1.5 to 9 px a frame against the
-    room at the default size; and within 40 frames the third hides the first, which hides the
-    second, for some frames.
+    The boxes have edges of about half a metre, and swing from one side of the image to the other.
+    From `bodies_path`, all are visible in the first frames; each moves by 1.5 to 9 px a frame
+    against the room at the default size; and within 40 frames the third occludes the first, which
+    occludes the second, for some frames.
 
     Parameters
     ----------
     poses : array_like, shape (N, 4, 4)
-        Camera to world, in m; the identity is where `room` has frame 0.
+        Camera to world, in m; the identity is the pose of frame 0 in `room`.
     height, width : int
         Size of the frames, px.
     bodies : int, default 3
-        How many boxes fly, up to 3. With fewer, the others stay the same; with none, the film is
-        the one of the room at rest.
+        Number of boxes, 0 to 3. With fewer boxes the others do not change.
     seed : int, default 0
-        Pattern of the textures and of the noise; paths are always the same.
+        Pattern of the textures and of the noise; the paths do not depend on it.
     focal : float, optional
         Focal length, px; by default 0.6 of the width.
     textured : bool, default True
@@ -159,8 +158,8 @@ def bodies_film(
     samples : int, default 2
         Rays per pixel side, as in `Scene.render`.
     readout : float, default 0
-        As for `room_film`: bodies go on as well while a frame is read. The truth is that of the
-        middle row.
+        As for `room_film`; the bodies move while a frame is read, too. The ground truth is that of
+        the middle row.
 
     Returns
     -------
@@ -170,7 +169,7 @@ def bodies_film(
     Raises
     ------
     ValueError
-        If an option is impossible, or a pose is no rigid motion or outside of the room.
+        If an option is not valid, or a pose is not a rigid motion or is outside of the room.
 
     Examples
     --------
@@ -186,7 +185,7 @@ def bodies_film(
         raise InputError(f"bodies is {bodies}: expected {len(_FLIGHTS)} at most")
     camera = Camera(focal=FOCAL * width if focal is None else focal)
     flights = _FLIGHTS[:bodies]
-    at_rest = room_at_rest(width, seed, textured=textured)
+    at_rest = room_objects(width, seed, textured=textured)
     paints = [_paint(flight, width, seed, number) for number, flight in enumerate(flights)]
     body_poses = np.array(
         [[flight.pose(number) for number in range(len(path))] for flight in flights]
@@ -196,22 +195,22 @@ def bodies_film(
     labels = np.empty((len(path), height, width), np.uint8)
     random = np.random.default_rng(seed)
 
-    def later(frame: int, late: float) -> Scene:
-        places = [flight.pose(frame + late) for flight in flights]
+    def scene_at(frame: int, delay: float) -> Scene:
+        box_poses = [flight.pose(frame + delay) for flight in flights]
         boxes = [
-            Box(texture=paint, center=place[:3, 3], size=flight.size, axes=place[:3, :3])
-            for flight, paint, place in zip(flights, paints, places, strict=True)
+            Box(texture=paint, center=pose[:3, 3], size=flight.size, axes=pose[:3, :3])
+            for flight, paint, pose in zip(flights, paints, box_poses, strict=True)
         ]
         return Scene(objects=[*at_rest, *boxes], camera=camera, height=height, width=width)
 
     for k, pose in enumerate(path):
-        scene = later(k, 0.0)
+        scene = scene_at(k, 0.0)
         depth[k], seen = scene.depth_and_labels(pose)
         if readout:
-            frame = read_in_turn(partial(later, k), path, k, readout, samples)
+            frame = render_rolling_shutter(partial(scene_at, k), path, k, readout, samples)
         else:
             frame = scene.frame_from(pose, samples=samples)
-        frames[k] = taken(frame, random, noise, 0.0, "uint8")
+        frames[k] = expose(frame, random, noise, 0.0, "uint8")
         labels[k] = np.maximum(seen - len(at_rest) + 1, 0)
     return BodiesFilm(
         frames=frames,
@@ -225,14 +224,14 @@ def bodies_film(
 
 
 def bodies_path(count: int = 40) -> Floats:
-    """Return poses, (count, 4, 4), of a camera that sees the bodies of `bodies_film` fly.
+    """Return poses, (count, 4, 4), of a camera that observes the bodies of `bodies_film`.
 
-    It goes aside and forward, and turns a little, for 40 frames; then back, and so on.
+    It moves sideways and forward, and turns a little, for 40 frames; then back, and so on.
 
     Parameters
     ----------
     count : int, default 40
-        How many frames.
+        Number of frames.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The objects of a scene: planes and boxes, where rays meet them and what grey they find."""
+"""The objects of a scene: planes and boxes, where rays hit them, and their grey levels."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,11 +11,11 @@ from tisfm.errors import InputError
 
 from .texture import Texture
 
-# Surfaces farther than this count as missed, which keeps grazing rays finite.
+# Depth of a plane, in scene units, beyond which a ray counts as a miss: grazing rays stay finite.
 FARTHEST_SURFACE = 1e9
-# Relative to the largest coordinate of a box: far more than rounding.
+# Margin of the bounds of a box, as a share of its largest coordinate: far more than rounding.
 BOUNDS_MARGIN = 1e-6
-# Shade by direction of a box's face, -X +X -Y +Y -Z +Z: the top light, one side in the shade.
+# Factors of the grey level of a box's faces -X +X -Y +Y -Z +Z: the top is light, one side dark.
 FACE_SHADES = (0.66, 0.76, 1.16, 0.6, 0.98, 0.86)
 _CORNER_SIGNS = 2.0 * np.indices((2, 2, 2)).reshape(3, 8) - 1
 
@@ -92,7 +92,7 @@ class Plane:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box:
-    """A textured box; its faces differ in pattern and shade. From inside it is not seen.
+    """A textured box; its faces differ in pattern and shade. It is invisible from inside.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ class Box:
         return _CORNER_SIGNS * (self.size / 2)[:, None]
 
     def _hit(self, origin: Floats, ray: Floats) -> Floats:
-        # By slabs: inside the box is inside all three pairs of planes.
+        # The slab method: the box is the intersection of three slabs between parallel planes.
         enter, leave = np.zeros(ray.shape[1]), np.full(ray.shape[1], np.inf)
         for position, direction, half in zip(origin, ray, self.size / 2, strict=True):
             one, other = (-half - position) / direction, (half - position) / direction
@@ -179,8 +179,8 @@ class Box:
         return relative, np.argmax(np.abs(relative), axis=0)
 
 
-class View:
-    """An object as the camera sees it after a rigid motion P1 = R P0 + t.
+class ObjectView:
+    """An object in camera axes after a rigid motion P1 = R P0 + t.
 
     Rays are (x̂, ŷ, 1), shape (3, n), and depths, shape (n,), along the camera's Z axis.
     """
@@ -189,7 +189,7 @@ class View:
         axes, center = item._pose()
         self.rotation, self.translation = rotation, translation
         axes, center = rotation @ axes, rotation @ center + translation
-        # The object's own coordinates of a point P are turn P + origin.
+        # A point P of the camera axes has the object coordinates turn P + origin.
         self.item, self.turn, self.origin = item, axes.T, -axes.T @ center
         self._bounds = _bounds_of(item._corners, axes, center)
 
@@ -201,20 +201,20 @@ class View:
         return first[0] > right or last[0] < left or first[1] > bottom or last[1] < top
 
     def hit(self, rays: Floats) -> Floats:
-        """Return the depth at which rays meet the object, infinite where they miss it."""
+        """Return the depth of the object along rays, infinite where they miss it."""
         return self.item._hit(self.origin, self._turned(rays))
 
     def grey(self, rays: Floats, depth: Floats, focal: float) -> NDArray:
-        """Return the grey level, float32, where rays meet the object; focal length in px."""
+        """Return the grey level, float32, where rays hit the object; focal length in px."""
         ray = self._turned(rays)
         return self.item._grey(ray * depth + self.origin[:, None], ray, depth / focal)
 
     def plain(self, rays: Floats, depth: Floats) -> NDArray[np.bool_]:
-        """Return whether the surface has a single grey level where rays meet the object."""
+        """Return whether the surface has a single grey level where rays hit the object."""
         return self.item._plain(self._turned(rays) * depth + self.origin[:, None])
 
     def _turned(self, rays: Floats) -> Floats:
-        # A component of exactly zero would divide by zero where slabs are met.
+        # Avoids components of exactly zero, by which the slab method would divide.
         return self.turn @ rays + 1e-150
 
 

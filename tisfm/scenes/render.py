@@ -1,4 +1,4 @@
-"""Rendering: the frames of a scene, its depth, motion and flow, and what stays visible."""
+"""Rendering: the frames of a scene, with depth, motion, flow and visibility."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,12 +11,12 @@ from tisfm.checks import Floats, finite, whole
 from tisfm.errors import InputError, InputTypeError
 from tisfm.rigid import rigid_motion, rigid_twist
 
-from .geometry import Box, Plane, View
+from .geometry import Box, ObjectView, Plane
 
-# Rays cast at once: their temporary arrays stay in the cache.
 CHUNK = 1 << 15
+"""Rays that are cast at once: their temporary arrays stay in the cache."""
 
-# Rays (x̂, ŷ, 1), (3, n), and the depth and label of the nearest object along them, (n,).
+# Rays (x̂, ŷ, 1), (3, n), and the depth and the label of the nearest object along them, (n,).
 Band = tuple[Floats, Floats, NDArray[np.int32]]
 
 
@@ -82,8 +82,8 @@ class Scene:
     Parameters
     ----------
     objects : sequence of Plane or Box
-        What there is to see; an object's place in the sequence is its label. Together they must
-        cover the image: put a background plane among them.
+        The objects; the index of an object is its label. Together they must cover the image, for
+        instance by a background plane.
     camera : Camera
         Focal length and principal point, px.
     height, width : int
@@ -124,12 +124,12 @@ class Scene:
                 raise InputTypeError(f"objects[{index}] is a {kind}: expected a Plane or a Box")
 
     def render(self, *, samples: int = 3, dtype: str = "uint8") -> SyntheticPair:
-        """Cast the rays of both frames and work out the truth.
+        """Cast the rays of both frames and compute the ground truth.
 
         Parameters
         ----------
         samples : int, default 3
-            Rays per pixel side: each pixel averages samples² of them. Time grows alike.
+            Rays per pixel side: a pixel is the mean of samples² rays. Time grows in proportion.
         dtype : {"uint8", "float32"}
             Type of the frames; float32 keeps the fractions of a grey level.
 
@@ -141,12 +141,12 @@ class Scene:
         Raises
         ------
         ValueError
-            If an option is not as above, or some ray meets no object.
+            If an option is not valid, or some ray hits no object.
         """
         whole(1, samples=samples)
         check_dtype(dtype)
-        before = [View(item, np.eye(3), np.zeros(3)) for item in self.objects]
-        after = [View(item, *rigid_motion(item.motion)) for item in self.objects]
+        before = [ObjectView(item, np.eye(3), np.zeros(3)) for item in self.objects]
+        after = [ObjectView(item, *rigid_motion(item.motion)) for item in self.objects]
         frames = [self._frame(views, samples) for views in (before, after)]
         if dtype == "uint8":
             frames = [np.rint(frame).astype(np.uint8) for frame in frames]
@@ -172,7 +172,7 @@ class Scene:
         )
 
     def seen_from(self, pose: ArrayLike, *, samples: int = 3) -> tuple[NDArray, Floats]:
-        """Cast the rays of one view of the scene as it is at the first instant.
+        """Render one view of the scene at the first instant.
 
         Parameters
         ----------
@@ -185,12 +185,12 @@ class Scene:
         -------
         frame : (H, W) float32
         depth : (H, W) float64
-            Z in the axes of that view.
+            Z in the axes of the view.
 
         Raises
         ------
         ValueError
-            If the pose is no rigid motion, or some ray meets no object.
+            If the pose is not a rigid motion, or some ray hits no object.
         """
         frame, depth, _ = self.seen_with_labels(pose, samples=samples)
         return frame, depth
@@ -198,7 +198,7 @@ class Scene:
     def seen_with_labels(
         self, pose: ArrayLike, *, samples: int = 3
     ) -> tuple[NDArray, Floats, NDArray[np.int32]]:
-        """Cast the rays of one view, as `seen_from` does; return the labels, (H, W), as well."""
+        """Return frame and depth of a view as `seen_from` does, and the labels, (H, W)."""
         depth, labels = self.depth_and_labels(pose)
         return self.frame_from(pose, samples=samples), depth, labels
 
@@ -217,16 +217,16 @@ class Scene:
         )
         return depth, labels
 
-    def _views_from(self, pose: ArrayLike) -> list[View]:
+    def _views_from(self, pose: ArrayLike) -> list[ObjectView]:
         matrix = finite(pose, (4, 4), "pose")
         turn = matrix[:3, :3].T
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
             raise InputError(f"pose is {matrix.tolist()}: expected a rotation and a translation")
         rotation, translation = rigid_motion(rigid_twist(turn, -turn @ matrix[:3, 3]))
-        return [View(item, rotation, translation) for item in self.objects]
+        return [ObjectView(item, rotation, translation) for item in self.objects]
 
-    def _bands(self, views: list[View], offsets: Floats) -> Iterator[Band]:
-        """Cast a ray at each offset, (k, 2), px, from each pixel, a band of rows at a time."""
+    def _bands(self, views: list[ObjectView], offsets: Floats) -> Iterator[Band]:
+        """Cast rays from each pixel, at offsets, (k, 2), px; yield bands of rows."""
         cx, cy = self.camera.center_for(self.height, self.width)
         x = np.arange(self.width) - cx
         rows = max(1, CHUNK // (self.width * len(offsets)))
@@ -244,7 +244,7 @@ class Scene:
                 )
             yield rays, depth, labels
 
-    def _frame(self, views: list[View], samples: int) -> NDArray:
+    def _frame(self, views: list[ObjectView], samples: int) -> NDArray:
         """Render one frame, (H, W) float32."""
         bands = []
         for rays, depth, labels in self._bands(views, _sample_offsets(samples)):
@@ -255,8 +255,10 @@ class Scene:
             bands.append(grey.reshape(samples**2, -1, self.width).mean(axis=0))
         return np.concatenate(bands)
 
-    def _truth(self, before: list[View], after: list[View], band: Band) -> tuple[NDArray, ...]:
-        """Follow points of frame 0; return depth, labels, u, v, whether seen, and textured."""
+    def _truth(
+        self, before: list[ObjectView], after: list[ObjectView], band: Band
+    ) -> tuple[NDArray, ...]:
+        """Return depth, labels, u, v, visibility and texturedness of the pixels of frame 0."""
         rays, depth, labels = band
         moved = np.empty_like(rays)
         textured = np.empty(labels.shape, bool)
@@ -271,18 +273,18 @@ class Scene:
         x, y = self.camera.focal * new_rays[0] + cx, self.camera.focal * new_rays[1] + cy
         inside = in_front & (x >= 0) & (x <= self.width - 1) & (y >= 0) & (y <= self.height - 1)
         nearest, _ = _nearest(after, np.where(inside, new_rays, rays))
-        # The point itself is met at its own depth, up to rounding.
+        # The ray hits the point itself at its own depth, up to rounding.
         visible = inside & (nearest > moved[2] * (1 - 1e-6))
         return depth, labels, u, v, visible, textured
 
 
 def check_dtype(dtype: str) -> None:
-    """Raise ValueError unless it names a type of the frames."""
+    """Raise ValueError unless the name of a frame type is known."""
     if dtype not in ("uint8", "float32"):
         raise InputError(f"dtype is {dtype!r}: expected 'uint8' or 'float32'")
 
 
-def _nearest(views: list[View], rays: Floats) -> tuple[Floats, NDArray[np.int32]]:
+def _nearest(views: list[ObjectView], rays: Floats) -> tuple[Floats, NDArray[np.int32]]:
     """Return the depth and the label of the nearest object along rays."""
     nearest = np.full(rays.shape[1], np.inf)
     labels = np.zeros(rays.shape[1], np.int32)
@@ -297,10 +299,10 @@ def _nearest(views: list[View], rays: Floats) -> tuple[Floats, NDArray[np.int32]
 
 
 def _sample_offsets(samples: int) -> Floats:
-    """Return where a pixel is sampled, px from its centre, (samples², 2).
+    """Return the sample positions of a pixel, px from its centre, (samples², 2).
 
-    The square grid is slightly turned: every sample has a column and a row of its own, and edges
-    along the pixel axes get samples² + 1 levels.
+    The square grid is slightly rotated: all samples differ in column and row, so that an edge along
+    a pixel axis gets samples² + 1 levels.
     """
     column, row = (index.ravel() for index in np.mgrid[:samples, :samples])
     x = (column + (row + 0.5) / samples) / samples

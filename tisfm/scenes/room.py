@@ -1,4 +1,4 @@
-"""A ready scene indoors: bare walls, a tiled floor, a door, pictures and boxes, from inside."""
+"""A predefined indoor scene: bare walls, a tiled floor, a door, pictures and boxes."""
 
 import math
 from collections.abc import Callable
@@ -17,17 +17,26 @@ from .geometry import Box, Plane
 from .render import Scene, SyntheticPair, check_dtype
 from .texture import Texture
 
-# The camera looks to the right of the far wall and down.
-_YAW, _PITCH = math.radians(26), math.radians(8)
-_FLOOR, _CEILING = 1.5, -1.15  # m below the camera
-_AHEAD, _RIGHT, _LEFT, _BEHIND = 3.5, 2.3, -2.6, -2.5  # m from the camera to the walls
-_TILE, _JOINT = 0.33, 0.006  # m
-_TILES = 64  # a side: beyond, they repeat
-FOCAL = 0.6  # of the width
-# Without detail the finest wave has this length, px, in a picture of this width, px.
-_FINEST, _WIDTH = 4.0, 320
-_ROWS = 2  # that are rendered as if they were read at once
-_BARE = 5  # labels below are those of bare walls and of the ceiling
+# The camera looks to the right of the far wall and down, rad.
+_YAW = math.radians(26)
+_PITCH = math.radians(8)
+_FLOOR = 1.5  # m below the camera
+_CEILING = -1.15  # m below the camera
+# Walls, m from the camera.
+_AHEAD = 3.5
+_RIGHT = 2.3
+_LEFT = -2.6
+_BEHIND = -2.5
+_TILE = 0.33  # m from tile to tile
+_JOINT = 0.006  # m, width of a joint
+_TILE_PERIOD = 64  # tiles along each axis until their shades repeat
+FOCAL = 0.6
+"""Default focal length as a share of the width."""
+
+_FINEST_WAVE = 4.0  # px, the finest wave without detail, in an image of this width:
+_REFERENCE_WIDTH = 320  # px
+_SHUTTER_ROWS = 2  # rows that are rendered at one instant, with a rolling shutter
+_FIRST_TEXTURED = 5  # labels below this one are bare walls and the ceiling
 
 _AXES = (  # of the room in columns: right, down, ahead
     rigid_motion((0, 0, 0, _PITCH, 0, 0))[0] @ rigid_motion((0, 0, 0, 0, -_YAW, 0))[0]
@@ -35,19 +44,21 @@ _AXES = (  # of the room in columns: right, down, ahead
 # Axes of a wall in columns, in those of the room: along it to the right, down, into the wall.
 _FAR_WALL = np.eye(3)
 _RIGHT_WALL = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-Place = tuple[float, float, float]  # right, down, ahead, or edge lengths along a thing's axes, m
+Triple = tuple[
+    float, float, float
+]  # right, down, ahead; or edge lengths along the axes of a box; m
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Tiles(Texture):
-    """Square tiles of a little marbled paint, each somewhat brighter or darker, with dark joints.
+    """Square tiles of weakly marbled paint, of varying brightness, with dark joints.
 
     Parameters
     ----------
     side, joint : float
-        From tile to tile, and the width of the joint between two, in the scene's unit of length.
+        Distance from tile to tile, and width of a joint, in the scene's unit of length.
     spread : float
-        Deviation of a tile's grey level from the mean.
+        Standard deviation of the grey levels of the tiles.
     joint_grey : float
         Grey level of joints.
     """
@@ -58,19 +69,19 @@ class _Tiles(Texture):
     joint_grey: float
 
     def _grey(self, s: Floats, t: Floats, footprint: Floats, face: int = 0) -> NDArray:
-        random = np.random.default_rng([self.seed, face, _TILES])
-        shades = self.spread * random.uniform(-1.7, 1.7, (_TILES, _TILES))
-        column, row = (np.floor(at / self.side).astype(np.int64) % _TILES for at in (s, t))
-        # Tiles that are smaller than a pixel fade into their mean.
+        random = np.random.default_rng([self.seed, face, _TILE_PERIOD])
+        shades = self.spread * random.uniform(-1.7, 1.7, (_TILE_PERIOD, _TILE_PERIOD))
+        column, row = (np.floor(at / self.side).astype(np.int64) % _TILE_PERIOD for at in (s, t))
+        # The shades of tiles smaller than a pixel fade out.
         kept = np.clip(self.side / footprint - 1, 0, 1)
         grey = super()._grey(s, t, footprint, face) + kept * shades[row, column]
         bare = (1 - self._joint_share(s, footprint)) * (1 - self._joint_share(t, footprint))
         return np.clip(grey * bare + self.joint_grey * (1 - bare), 0, 255).astype(np.float32)
 
     def _joint_share(self, at: Floats, footprint: Floats) -> Floats:
-        """Return the share of joints in an interval of the footprint's length around points."""
+        """Return the share of joints in an interval as long as the footprint, around points."""
 
-        def joints(end: Floats) -> Floats:  # their length from 0 to there
+        def joints(end: Floats) -> Floats:  # total length of joints from 0 to `end`
             whole_tiles = np.floor(end / self.side)
             return whole_tiles * self.joint + np.minimum(end - whole_tiles * self.side, self.joint)
 
@@ -90,9 +101,9 @@ def room(
     samples: int = 3,
     dtype: str = "uint8",
 ) -> SyntheticPair:
-    """Render a room at rest, seen from inside: a tiled floor, a few things, and slanted bare walls.
+    """Render a room at rest from inside: a tiled floor, a few objects, and slanted bare walls.
 
-    Walls and ceiling show faint shading alone, and are more than half of the image. The tiles of
+    Walls and ceiling have only faint shading, and fill more than half of the image. The tiles of
     the floor look alike. There are a door with its frame and handle, two pictures and two boxes.
     Lengths are in m: the camera is 1.5 m above the floor, walls are 2 to 4 m away. At the default
     size displacements are about 7 to 24 px; they scale with the size.
@@ -117,8 +128,8 @@ def room(
     Returns
     -------
     SyntheticPair
-        Labels are 0 for the far wall, 1 for the right one, 2 for the left one, 3 for the one behind
-        the camera, 4 for the ceiling and 5 for the floor; things follow. `textured` is False on
+        Labels are 0 for the far wall, 1 for the right, 2 for the left one, 3 for the wall behind
+        the camera, 4 for the ceiling, 5 for the floor, and then the objects. `textured` is False on
         walls and ceiling.
 
     Raises
@@ -137,19 +148,19 @@ def room(
     check_dtype(dtype)
     motion = -finite(camera_motion, (6,), "camera_motion")
     camera = Camera(focal=FOCAL * width if focal is None else focal)
-    objects: list[Plane | Box] = [*_shell(motion, width, seed), *_things(motion, width, seed)]
+    objects: list[Plane | Box] = [*_walls(motion, width, seed), *_furniture(motion, width, seed)]
     scene = Scene(objects=objects, camera=camera, height=height, width=width)
     pair = scene.render(samples=samples, dtype="float32")
     random = np.random.default_rng(seed)
     frame0, frame1 = (
-        taken(frame, random, noise, blur, dtype) for frame in (pair.frame0, pair.frame1)
+        expose(frame, random, noise, blur, dtype) for frame in (pair.frame0, pair.frame1)
     )
-    return replace(pair, frame0=frame0, frame1=frame1, textured=pair.labels >= _BARE)
+    return replace(pair, frame0=frame0, frame1=frame1, textured=pair.labels >= _FIRST_TEXTURED)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Film:
-    """Frames of a scene at rest from a camera that moves, with exact truth.
+    """Frames of a scene at rest from a moving camera, with exact ground truth.
 
     Attributes
     ----------
@@ -188,24 +199,24 @@ def room_film(
     samples: int = 3,
     readout: float = 0.0,
 ) -> Film:
-    """Render the room from a path of the camera.
+    """Render the room along a path of the camera.
 
     Parameters
     ----------
     poses : array_like, shape (N, 4, 4)
-        Camera to world, in m; the identity is where `room` has frame 0.
+        Camera to world, in m; the identity is the pose of frame 0 in `room`.
     height, width, seed, focal, noise, blur, samples
-        As for `room`. Noise is another one in every frame.
+        As for `room`. The noise of the frames is independent.
     textured : bool, default False
-        Whether walls and ceiling are papered with a pattern, rather than bare.
+        Whether walls and ceiling have a wallpaper with a pattern, rather than being bare.
     readout : float, default 0
-        How long a frame is read, row after row, as for `tisfm.Camera`. Poses and depth are those of
-        the middle row; between poses, the camera moves and turns evenly.
+        Readout time of a rolling shutter, as for `tisfm.Camera`. Poses and depth are those of the
+        middle row; between poses, the camera moves with constant velocity and rotation rate.
 
     Raises
     ------
     ValueError
-        If an option is impossible, or a pose is no rigid motion or outside of the room.
+        If an option is not valid, or a pose is not a rigid motion or is outside of the room.
 
     Examples
     --------
@@ -217,7 +228,7 @@ def room_film(
     """
     path = check_film(poses, height, width, noise, blur)
     camera = Camera(focal=FOCAL * width if focal is None else focal)
-    objects = room_at_rest(width, seed, textured=textured)
+    objects = room_objects(width, seed, textured=textured)
     scene = Scene(objects=objects, camera=camera, height=height, width=width)
     random = np.random.default_rng(seed)
     check_readout(readout)
@@ -226,17 +237,17 @@ def room_film(
     for k, pose in enumerate(path):
         depth[k], _ = scene.depth_and_labels(pose)
         if readout:
-            frame = read_in_turn(lambda late: scene, path, k, readout, samples)
+            frame = render_rolling_shutter(lambda late: scene, path, k, readout, samples)
         else:
             frame = scene.frame_from(pose, samples=samples)
-        frames[k] = taken(frame, random, noise, blur, "uint8")
+        frames[k] = expose(frame, random, noise, blur, "uint8")
     return Film(frames=frames, depth=depth, poses=path, camera=camera)
 
 
 def check_film(
     poses: ArrayLike, height: int, width: int, noise: float, blur: float = 0.0
 ) -> Floats:
-    """Return the path of a film's camera, (N, 4, 4) float64; raise ValueError for bad options."""
+    """Check the options of a film; return its poses, (N, 4, 4) float64."""
     _check_picture(height, width, noise, blur)
     path = np.asarray(poses, np.float64)
     if path.ndim != 3 or path.shape[1:] != (4, 4) or len(path) == 0:
@@ -244,10 +255,10 @@ def check_film(
     return path
 
 
-def room_at_rest(width: int, seed: int, *, textured: bool) -> list[Plane | Box]:
-    """Return all there is in the room, for pictures of a width, px."""
+def room_objects(width: int, seed: int, *, textured: bool) -> list[Plane | Box]:
+    """Return the objects of the room at rest, for images of a width, px."""
     still = np.zeros(6)
-    return [*_shell(still, width, seed, textured=textured), *_things(still, width, seed)]
+    return [*_walls(still, width, seed, textured=textured), *_furniture(still, width, seed)]
 
 
 def _check_picture(height: int, width: int, noise: float, blur: float) -> None:
@@ -258,50 +269,50 @@ def _check_picture(height: int, width: int, noise: float, blur: float) -> None:
 
 
 def check_readout(readout: float) -> None:
-    """Raise ValueError unless a frame is read within the time to the next."""
+    """Raise ValueError unless the readout time is at most the time from frame to frame."""
     if not -1 <= readout <= 1:
         raise InputError(f"readout is {readout!r}: expected a number from -1 to 1")
 
 
-def read_in_turn(
+def render_rolling_shutter(
     scene_at: Callable[[float], Scene], path: Floats, number: int, readout: float, samples: int
 ) -> NDArray:
-    """Return a frame, (H, W) float32, of which every few rows are seen from where they are read.
+    """Return a frame, (H, W) float32, whose rows are rendered at their readout times.
 
-    `scene_at` returns the scene so much of an interval after the frame, or before it.
+    `scene_at` returns the scene at a delay from the frame, in frame intervals; it may be negative.
     """
     now = scene_at(0.0)
     cx, cy = now.camera.center_for(now.height, now.width)
     parts = []
-    for top in range(0, now.height, _ROWS):
-        rows = min(_ROWS, now.height - top)
-        late = readout * (top + (rows - now.height) / 2) / now.height
-        scene = scene_at(late)
+    for top in range(0, now.height, _SHUTTER_ROWS):
+        rows = min(_SHUTTER_ROWS, now.height - top)
+        delay = readout * (top + (rows - now.height) / 2) / now.height
+        scene = scene_at(delay)
         camera = replace(scene.camera, center=(cx, cy - top))
         part = replace(scene, camera=camera, height=rows)
-        parts.append(part.frame_from(_between(path, number, late), samples=samples))
+        parts.append(part.frame_from(_interpolate(path, number, delay), samples=samples))
     return np.concatenate(parts)
 
 
-def _between(path: Floats, number: int, late: float) -> Floats:
-    """Return the pose so much of an interval after a frame, or before it."""
-    other = number + (1 if late > 0 else -1)
-    if not 0 <= other < len(path):  # it went on as it came, or as it will
+def _interpolate(path: Floats, number: int, delay: float) -> Floats:
+    """Return the pose at a delay from a frame, in frame intervals; it may be negative."""
+    other = number + (1 if delay > 0 else -1)
+    if not 0 <= other < len(path):  # beyond an end of the path: extrapolate the nearest motion
         other = 2 * number - other
     if not 0 <= other < len(path):
         return path[number]
     motion = np.linalg.inv(path[number]) @ path[other]
     twist = rigid_twist(motion[:3, :3], motion[:3, 3])
-    return np.asarray(path[number] @ pose_matrix(late * (other - number) * twist))
+    return np.asarray(path[number] @ pose_matrix(delay * (other - number) * twist))
 
 
-def _shell(motion: Floats, width: int, seed: int, *, textured: bool = False) -> list[Plane]:
+def _walls(motion: Floats, width: int, seed: int, *, textured: bool = False) -> list[Plane]:
     """Return walls, ceiling and floor, in the order of their labels."""
 
-    def wall(number: int, mean: float, point: Place, normal: Place) -> Plane:
+    def wall(number: int, mean: float, point: Triple, normal: Triple) -> Plane:
         if textured:
             wavelength, detail, contrast = wavelength_at(3.0), detail_for(width), 40.0
-        else:  # waves of some metres, and hardly any shorter ones: how light falls on it
+        else:  # waves of some metres, and hardly any shorter ones: shading by light
             wavelength, detail, contrast = 0.7, 0, 11.0
         paint = Texture(
             wavelength=wavelength,
@@ -318,7 +329,7 @@ def _shell(motion: Floats, width: int, seed: int, *, textured: bool = False) -> 
         detail=detail_for(width),
         mean=118,
         contrast=7,
-        seed=seed + _BARE,
+        seed=seed + _FIRST_TEXTURED,
         side=_TILE,
         joint=_JOINT,
         spread=5.0,
@@ -337,9 +348,9 @@ def _shell(motion: Floats, width: int, seed: int, *, textured: bool = False) -> 
     ]
 
 
-def _things(motion: Floats, width: int, seed: int) -> list[Box]:
+def _furniture(motion: Floats, width: int, seed: int) -> list[Box]:
     """Return a door, pictures, skirting boards and boxes."""
-    things: list[Box] = []
+    boxes: list[Box] = []
 
     def paint(mean: float, contrast: float) -> Texture:
         return Texture(
@@ -347,11 +358,11 @@ def _things(motion: Floats, width: int, seed: int) -> list[Box]:
             detail=detail_for(width),
             mean=mean,
             contrast=contrast,
-            seed=seed + _BARE + 1 + len(things),
+            seed=seed + _FIRST_TEXTURED + 1 + len(boxes),
         )
 
-    def add(wall: Floats, center: Place, size: Place, texture: Texture) -> None:
-        things.append(
+    def add(wall: Floats, center: Triple, size: Triple, texture: Texture) -> None:
+        boxes.append(
             Box(
                 texture=texture,
                 center=_AXES @ center,
@@ -361,13 +372,13 @@ def _things(motion: Floats, width: int, seed: int) -> list[Box]:
             )
         )
 
-    def on_far(across: float, down: float, size: Place, texture: Texture) -> None:
+    def on_far(across: float, down: float, size: Triple, texture: Texture) -> None:
         add(_FAR_WALL, (across, down, _AHEAD), (size[0], size[1], 2 * size[2]), texture)
 
-    def on_right(ahead: float, down: float, size: Place, texture: Texture) -> None:
+    def on_right(ahead: float, down: float, size: Triple, texture: Texture) -> None:
         add(_RIGHT_WALL, (_RIGHT, down, ahead), (size[0], size[1], 2 * size[2]), texture)
 
-    def on_floor(across: float, ahead: float, size: Place, degrees: float) -> None:
+    def on_floor(across: float, ahead: float, size: Triple, degrees: float) -> None:
         turn, _ = rigid_motion((0, 0, 0, 0, math.radians(degrees), 0))
         add(turn, (across, _FLOOR - size[1] / 2, ahead), size, paint(128, 40))
 
@@ -389,23 +400,23 @@ def _things(motion: Floats, width: int, seed: int) -> list[Box]:
     # Boxes on the floor.
     on_floor(1.55, 2.75, (0.5, 0.42, 0.4), 18)
     on_floor(-0.35, 2.6, (0.3, 0.24, 0.34), -35)
-    return things
+    return boxes
 
 
 def wavelength_at(depth: float) -> float:
-    """Return the finest wave without detail at a depth, m; the same at every size."""
-    return _FINEST * depth / _WIDTH / FOCAL
+    """Return the length of the finest wave without detail at a depth, m, for any image size."""
+    return _FINEST_WAVE * depth / _REFERENCE_WIDTH / FOCAL
 
 
 def detail_for(width: int) -> int:
-    """Return how many octaves of shorter waves a picture of a width, px, shows."""
-    return max(0, round(math.log2(width / _WIDTH)))
+    """Return the number of octaves of shorter waves for an image of a width, px."""
+    return max(0, round(math.log2(width / _REFERENCE_WIDTH)))
 
 
-def taken(
+def expose(
     frame: NDArray, random: np.random.Generator, noise: float, blur: float, dtype: str
 ) -> NDArray:
-    """Return a frame, (H, W) float32, as a camera takes it: blurred and noisy, or as it is."""
+    """Return a frame, (H, W) float32, with blur and noise of these standard deviations."""
     if blur:
         frame = cv2.GaussianBlur(frame, (0, 0), blur, borderType=cv2.BORDER_REPLICATE)
     frame = frame + np.float32(noise) * random.standard_normal(frame.shape, np.float32)

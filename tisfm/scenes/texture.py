@@ -10,13 +10,18 @@ from numpy.typing import NDArray
 from tisfm.checks import Floats, finite, whole
 from tisfm.errors import InputError
 
-# The noise tile holds TILE / SAMPLES_PER_WAVE waves a side; octaves are turned and shifted copies.
-TILE = 512
+# The noise tile has TILE / SAMPLES_PER_WAVE waves along each side; octaves are rotated and shifted
+# copies of it. All strengths are set by hand.
+TILE = 512  # samples along each side of the tile
 SAMPLES_PER_WAVE = 16
-# Strength of the octaves from `wavelength` up; the last one holds for all beyond.
-STRENGTHS = (0.09, 0.16, 0.55, 0.85)
-# Of an octave of detail, where it frays the edges of blotches and where it is seen inside them.
-DETAIL_EDGE, DETAIL_INSIDE = 0.09, 0.045
+STRENGTHS = (
+    0.09,
+    0.16,
+    0.55,
+    0.85,
+)  # of the octaves from `wavelength` up, the last for all further
+DETAIL_EDGE = 0.09  # strength of an octave of detail at the edges of blotches
+DETAIL_INSIDE = 0.045  # strength of an octave of detail inside blotches
 
 
 @dataclass(frozen=True, kw_only=True)
