@@ -122,8 +122,8 @@ def test_files_of_labels_are_files_of_the_source(folder, masks):
         (3, TypeError, "labels is 3: expected pictures"),
         (FIRST, ValueError, r"labels is \(24, 40\): expected \(N, H, W\).*\{0: labels\}"),
         (LABELS[:4], ValueError, "labels are of 4 frames, but there are 6 frames"),
-        ({9: FIRST}, ValueError, "some of frame 9, but there is no such frame"),
-        ({"a": FIRST}, ValueError, "some of frame 'a'"),
+        ({9: FIRST}, ValueError, "entry for frame 9, which does not exist"),
+        ({"a": FIRST}, ValueError, "entry for frame 'a'"),
         ({0: "gone.png"}, FileNotFoundError, "no labels gone.png"),
         ("gone", FileNotFoundError, "there is no picture or folder of labels gone"),
     ],
@@ -136,7 +136,7 @@ def test_what_are_no_labels(labels, error, words):
 @pytest.mark.parametrize(
     ("labels", "error", "words"),
     [
-        (FIRST.astype(float), TypeError, "type float64: expected whole numbers"),
+        (FIRST.astype(float), TypeError, "type float64: expected integers"),
         (FIRST.astype(int) - 1, ValueError, "go from -1 to 6: expected 0 for"),
         (FIRST.astype(int) * 40, ValueError, "go from 0 to 280"),
         (np.dstack([FIRST] * 3), ValueError, r"\(24, 40, 3\), as colours do"),
@@ -157,7 +157,7 @@ def test_colours_are_no_labels(folder, masks):
 
 
 def test_other_numbers_of_pictures_are_said(masks):
-    with pytest.raises(ValueError, match=r"those of 5 frames.*6 frames; none of them is called"):
+    with pytest.raises(ValueError, match=r"of 5 frames.*6 frames; none of them has"):
         FrameSource(FRAMES, labels=masks)
 
 
@@ -201,7 +201,7 @@ def test_numbers_of_several_things_are_labels():
 
 
 def test_the_number_of_one_thing_may_be_either():
-    with pytest.raises(ValueError, match=r"not 0, 7: give booleans .* or labels="):
+    with pytest.raises(ValueError, match=r"number 7 at every pixel that is not 0: give booleans .* or labels="):
         are_labels([7 * (FIRST > 0)] * 6)
 
 
