@@ -6,7 +6,7 @@ from tests.rendered import room_film, shared
 from tisfm.camera import Camera
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import Box, Film, Scene, Texture, bodies_path
-from tisfm.scenes.room import FOCAL, room_objects, taken, wavelength_at
+from tisfm.scenes.room import FOCAL, expose, room_objects, wavelength_at
 
 STEP = np.array((0.12, 0.0, 0.05, 0.0, 0.012, 0.0))  # of the camera, m and rad a frame
 
@@ -41,7 +41,7 @@ def board_film(count=20, height=240, width=320, *, with_board=True):
         objects = [*room, board] if with_board else room
         scene = Scene(objects=objects, camera=camera, height=height, width=width)
         frame, far, labels = scene.seen_with_labels(pose, samples=2)
-        frames.append(taken(frame, random, 1.5, 0.0, "uint8"))
+        frames.append(expose(frame, random, 1.5, 0.0, "uint8"))
         depth.append(far)
         seen.append(labels >= len(room))
     film = Film(frames=np.stack(frames), depth=np.stack(depth), poses=path, camera=camera)
