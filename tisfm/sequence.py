@@ -1,20 +1,27 @@
 """Frames in, interpretations out, two frames in memory at a time."""
 
+import os
 import warnings
-from collections.abc import Generator, Iterable, Iterator, Sized
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from tisfm.camera import Camera, check_camera
-from tisfm.errors import InputError, InputTypeError
+from tisfm.errors import InputError
 from tisfm.focal_guess import guess_camera
 from tisfm.interpretation import Interpretation
+from tisfm.running.pair_chunks import (
+    check_sharable,
+    check_whole_levels,
+    interpret_with_workers,
+)
+from tisfm.running.pairs import FrameSelection, PairSource, with_poses
+from tisfm.running.pool import check_workers
 from tisfm.settings import Settings, check_settings
 from tisfm.sources import BadFrames, FramePair, FrameSource, Source
-from tisfm.sources.frame_reader import warn_notes
+from tisfm.sources.frame_reader import is_path, warn_notes
 from tisfm.sources.masks import Mask
 from tisfm.window import Window, WindowSize, window_of
 
@@ -33,6 +40,7 @@ def interpret_sequence(
     poses: Iterable[npt.ArrayLike] | None = None,
     mask: Mask | None = None,
     window: WindowSize = 2,
+    workers: int = 1,
 ) -> Iterator[Interpretation]:
     """Interpret every pair of consecutive frames, one at a time.
 
@@ -77,6 +85,12 @@ def interpret_sequence(
         dropped at cuts, after pairs that failed, and where frames are skipped; until then a third
         frame, grey, and a flow are in memory.
 
+    workers : int
+        Processes of this machine that share the pairs, each with its share of the cores. Results
+        do not depend on it. The source and the mask are files then, and `window` is 2. As always
+        with processes that `multiprocessing` starts by ``"spawn"``, a script calls this under
+        ``if __name__ == "__main__":``.
+
     Returns
     -------
     iterator of Interpretation
@@ -93,7 +107,8 @@ def interpret_sequence(
         At once if the source does not exist or has fewer than two frames, or if there are poses
         for a motion that is not ``"camera"``, or not as many as pairs, or though frames may be
         skipped, or if masks do not exist or are not as many as frames, or if `window` is not 2 or
-        3, or is 3 for a motion that is not ``"field"``; while iterating if a frame or its mask
+        3, or is 3 for a motion that is not ``"field"``, or if several workers cannot share the
+        source; while iterating if a frame or its mask
         cannot be read, if poses or masks end too early, or as `tisfm.interpret`, with the names of
         the frames.
 
@@ -125,80 +140,27 @@ def interpret_sequence(
             f'poses are given, but motion="{settings.motion}" leaves the motion free: leave them '
             "out"
         )
+    check_workers(workers)
     kept = window_of(window, settings)
-    return _interpret_pairs(frames, with_poses(frames, poses), camera, settings, kept)
-
-
-def with_poses(
-    pairs: FrameSource, poses: Iterable[npt.ArrayLike] | None, *, title: str = "poses"
-) -> Generator[FramePair, None, None]:
-    """Give every pair of a source its pose.
-
-    Parameters
-    ----------
-    pairs : FrameSource
-    poses : iterable of array_like, or None
-        One for every pair; None for none. They are checked when the pair is interpreted.
-    title : str
-        What errors call them.
-
-    Returns
-    -------
-    generator of FramePair
-
-    Raises
-    ------
-    TypeError, ValueError
-        At once if the poses cannot be iterated, are known not to be as many as the pairs, or if
-        frames may be skipped; while iterating if they end too early, or are left over though their
-        number is known.
-    """
-    if poses is None:
-        return iter(pairs)
-    if pairs.bad_frames == "skip":
+    if workers == 1:
+        return _interpret_pairs(frames, with_poses(frames, poses), camera, settings, kept)
+    if kept is not None:
         raise InputError(
-            f"{title} are given, one for every pair, and bad frames may be skipped: give poses, or "
-            "let bad frames raise"
+            "window is 3, which needs the result of the pair before: leave out workers"
         )
-    if isinstance(poses, np.ndarray) and poses.ndim != 3:
-        raise InputError(
-            f"{title} is {poses.shape}: expected one for every pair, (N, 4, 4) or (N, 3, 3)"
-        )
-    if not isinstance(poses, Iterable):
-        raise InputTypeError(f"{title} is {poses!r}: expected a 4×4 or 3×3 array for every pair")
-    number = len(poses) if isinstance(poses, Sized) else None
-    if pairs.count is not None and number is not None:
-        _check_poses(number, len(pairs), title)
-    return _posed(pairs, poses, number, title)
-
-
-def _posed(
-    pairs: FrameSource, poses: Iterable[npt.ArrayLike], number: int | None, title: str
-) -> Generator[FramePair, None, None]:
-    following = iter(poses)
-    done = 0
-    with closing(iter(pairs)) as plain:
-        for pair in plain:
-            try:
-                pose = next(following)
-            except StopIteration:
-                raise InputError(
-                    f"{title} ended before frames {pair.name0} and {pair.name1}, after {done}: "
-                    "expected one for every pair"
-                ) from None
-            yield replace(pair, pose=pose)
-            del pair  # or it would keep its first frame while the next one is read
-            done += 1
-    if number is not None:
-        _check_poses(number, done, title)
-
-
-def _check_poses(number: int, pairs: int, title: str) -> None:
-    if number != pairs:
-        raise InputError(
-            f"{title} are {number}, but there {'is' if pairs == 1 else 'are'} {pairs} "
-            f"pair{'s' * (pairs != 1)} of frames: expected one for each"
-        )
+    if mask is not None and not is_path(mask):
+        raise InputError("mask is no file, which several workers could read: leave out workers")
+    check_sharable(source, frames)
+    shared = PairSource(
+        source=source if is_path(source) else list(source),
+        frames=FrameSelection(
+            step=step, start=start, stop=stop, size=size, crop=crop, bad_frames=bad_frames
+        ),
+        settings=settings,
+        mask=None if mask is None else os.fspath(mask),
+        motions=None if poses is None else [np.asarray(pose) for pose in poses],
+    )
+    return _interpret_shared(shared, camera, workers)
 
 
 def _interpret_pairs(
@@ -220,6 +182,34 @@ def _interpret_pairs(
             yield result
             del result  # of which the frame may be that of the source
     _warn_of_skipped(source, told)
+
+
+def _interpret_shared(
+    source: PairSource, camera: Camera | None, workers: int
+) -> Iterator[Interpretation]:
+    """Interpret the first pair here, which decides on the camera, and the others in processes."""
+    frames, pairs = source.open()
+    with closing(pairs):
+        first = next(pairs)
+        check_whole_levels(first)
+        told = _warn_of_skipped(frames, 0)
+        camera = _camera_after(frames, first, camera, source.settings)
+        result = first.interpret(camera=camera, settings=source.settings)
+        camera, number = camera or result.camera, source.number(first) + 1
+        del first
+        yield result
+        del result
+        if number >= len(frames):  # a video may have more frames than its header says
+            for pair in pairs:
+                yield pair.interpret(camera=camera, settings=source.settings)
+            _warn_of_skipped(frames, told)
+            return
+    told_reasons = {reason for _, reason in frames.skipped[:told]}
+    for one in interpret_with_workers(source, camera=camera, workers=workers, first=number):
+        if isinstance(one, Interpretation):
+            yield one
+        elif one not in told_reasons:
+            warnings.warn(f"{one}; the frame is skipped", stacklevel=2)
 
 
 def _warn_of_skipped(source: FrameSource, told: int) -> int:

@@ -44,7 +44,7 @@ def in_this_process(monkeypatch):
         def __exit__(self, *about):
             pass
 
-        def finished(self, function, items):
+        def map_unordered(self, function, items):
             items = [item.__class__(**{**vars(item), "threads": None}) for item in items]
             return in_turn(function, items)
 

@@ -25,7 +25,7 @@ from tests.cli.command_line import (
 from tests.waiting import PATIENCE, started, wait_for
 from tisfm.camera import Camera
 from tisfm.formats import write_png
-from tisfm.running.pair_chunks import Chunk, chunks_of, interpret_chunk
+from tisfm.running.pair_chunks import Chunk, interpret_chunk, split_chunk
 from tisfm.running.pair_files import USUAL, PairFiles
 from tisfm.running.pairs import FrameSelection, PairSource, PairWork
 from tisfm.settings import Settings
@@ -238,7 +238,7 @@ def test_a_worker_stops_when_its_run_has_ended(film, place, monkeypatch):
 
 @pytest.mark.parametrize(("count", "workers"), [(1, 4), (7, 2), (1000, 3)])
 def test_chunks_are_all_that_is_left(count, workers, place):
-    parts = chunks_of(chunk(place, first=1, end=1 + count), workers)
+    parts = split_chunk(chunk(place, first=1, end=1 + count), workers)
     assert [part.first for part in parts[1:]] == [part.end for part in parts[:-1]]
     assert parts[0].first == 1 and parts[-1].first < 1 + count
     assert parts[-1].end > 10**9  # a video may have more frames than it says

@@ -19,7 +19,7 @@ from tisfm.cli import progress, reconstruct
 from tisfm.cli.command_line import COMMANDS, _command
 from tisfm.cli.options import FrameOptions
 from tisfm.cli.parsing import option_types
-from tisfm.cli.progress import Foretelling
+from tisfm.cli.progress import TimeEstimate
 
 WRONG = {
     "rnu frames -o out": ("no command rnu", "did you mean run?"),
@@ -150,15 +150,15 @@ def test_how_long_it_takes_is_foretold_once(monkeypatch):
     now, told = [100.0], []
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     monkeypatch.setattr(progress, "tell", told.append)
-    foretold = Foretelling("pairs")
+    foretold = TimeEstimate("pairs")
     for count in range(1, 40):
-        foretold.done(count, 1000)
+        foretold.update(count, 1000)
         now[0] += 1.0 if count > 1 else 30.0  # kernels are compiled first
     assert told == ["1000 pairs: about 17 min to go, 1 a second"]
-    short = Foretelling("pairs")
+    short = TimeEstimate("pairs")
     for count in range(1, 40):
-        short.done(count, 50)
-        short.done(count, None)
+        short.update(count, 50)
+        short.update(count, None)
         now[0] += 1
     assert len(told) == 1
 

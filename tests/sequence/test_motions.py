@@ -17,7 +17,7 @@ from tests.sources.made import (
 )
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.rigid import pose_matrix
-from tisfm.sequence import with_poses
+from tisfm.running.pairs import with_poses
 from tisfm.sources import FramePair, FrameSource
 
 CAMERA_MOTION = tisfm.Settings(motion="camera", warps=1, outer_iterations=1, sweeps=2)

@@ -12,7 +12,7 @@ from tests.sources.made import FRAMES, QUICK, numbered
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats import FormatError, write_png
 from tisfm.formats.image_names import increasing_times
-from tisfm.sequence import with_poses
+from tisfm.running.pairs import with_poses
 from tisfm.sources import FrameSource
 
 

@@ -19,7 +19,7 @@ from tyro.conf import Positional, arg
 from tisfm.cli.command_line import parse_command
 from tisfm.cli.console import tell
 from tisfm.cli.parsing import WrongOptionError
-from tisfm.cli.progress import Foretelling, progress_bar
+from tisfm.cli.progress import TimeEstimate, progress_bar
 from tisfm.errors import InputError
 from tisfm.folders.run_record import RECORD
 from tisfm.reconstruction.result.folder import REQUEST
@@ -163,10 +163,10 @@ def batch(
             executor.submit(processes.finished, call, Path(job.output))
             for job, call in zip(jobs, calls, strict=True)
         ]
-        foretelling = Foretelling("videos")
+        estimate = TimeEstimate("videos")
         for number, (job, end) in enumerate(zip(jobs, ends, strict=True), 1):
             code, last, notes = end.result()
-            foretelling.done(number, len(jobs))
+            estimate.update(number, len(jobs))
             failed += code != 0
             tell(f"{job.output}: {last}" if last else f"{job.output}: exit code {code}")
             for note in notes:

@@ -5,8 +5,6 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console, ConsoleOptions
@@ -16,9 +14,6 @@ from rich.table import Table
 from rich.text import Text
 
 from tisfm import runtime
-from tisfm.camera import Camera
-from tisfm.camera_file import doubt_of, read_camera
-from tisfm.focal_guess import at_size, guess_focal
 from tisfm.machine.text import printable
 from tisfm.machine.vulkan import vulkan_device
 from tisfm.runtime import Arch
@@ -88,20 +83,3 @@ def tell_device(arch: Arch | None) -> None:
         tell(runtime.software_said(device.name))
     elif device is not None:
         tell(f"vulkan runs on {device.name}")
-
-
-def stated_camera(file: Path, shape: tuple[int, int] | None) -> Camera:
-    """Return the camera in a file for frames of a shape; say so if it is not to be relied on."""
-    camera = read_camera(file, shape)
-    doubt = doubt_of(file)
-    if doubt:
-        tell(f"{file}: {doubt}")
-    return camera
-
-
-def guessed_camera(camera: Camera, first: Path | tuple[int, ...]) -> Camera:
-    """Return the camera with a focal length guessed by the first frame, or its shape; say so."""
-    guess = guess_focal(first)
-    told = f"{guess.focal:.0f} px{at_size(guess.shape)}, {guess.reason}"
-    tell(f"focal length guessed: {told}; give --focal if known")
-    return replace(camera, focal=guess.focal)

@@ -116,7 +116,7 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
             for work in WORKS
         ]
         task = progress.add_task("interpreting", total=len(parts))
-        for _, found in processes.finished(done, parts):
+        for _, found in processes.map_unordered(done, parts):
             if isinstance(found, Exception):
                 raise found
             rows |= found

@@ -28,7 +28,7 @@ from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
 from tisfm.pair import interpret
 from tisfm.rigid import pose_matrix
 from tisfm.running.pair_writer import USUAL, PairWriter
-from tisfm.running.worker import stated
+from tisfm.running.pool import as_sent
 from tisfm.scenes import SyntheticPair, static_scene, two_blocks
 from tisfm.settings import Settings
 
@@ -85,7 +85,7 @@ def done(part: Part) -> Rows | Exception:
         return {"blocks": _blocks, "camera": _camera, "objects": _objects}[part.work](part)
     except Exception as error:
         if is_user_error(error):
-            return stated(error)
+            return as_sent(error)
         raise
 
 

@@ -12,7 +12,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from tisfm.camera import Camera
 from tisfm.cli.console import print_whole, start_kernels, tell
 from tisfm.cli.options import SettingsOptions, StatedCameraOptions
-from tisfm.cli.progress import Foretelling, progress_bar
+from tisfm.cli.progress import TimeEstimate, progress_bar
 from tisfm.datasets import LAYOUTS, Layout, LoadedPair, SequenceLayout, find_pairs
 from tisfm.errors import InputError
 from tisfm.evaluation.files import EVALUATION_RECORD, EvaluationWriter
@@ -167,7 +167,7 @@ def evaluate(
         if output is None
         else EvaluationWriter(output, camera=camera, settings=settings, pairs=pairs)
     )
-    foretelling, done = Foretelling("pairs"), count(1)
+    estimate, done = TimeEstimate("pairs"), count(1)
     with progress_bar() as progress:
         task = progress.add_task("compiling", total=len(pairs))
 
@@ -177,7 +177,7 @@ def evaluate(
             if writer is not None:
                 writer.write(evaluation, result, loaded)
             progress.update(task, advance=1, description=evaluation.label)
-            foretelling.done(next(done), len(pairs))
+            estimate.update(next(done), len(pairs))
 
         evaluation = evaluate_pairs(
             pairs,

@@ -11,7 +11,7 @@ import numpy as np
 import tisfm
 from tisfm.camera import Camera
 from tisfm.cli.console import notes_as_lines, print_whole, start_kernels, tell
-from tisfm.cli.progress import STAGES, Foretelling, progress_bar
+from tisfm.cli.progress import STAGES, TimeEstimate, progress_bar
 from tisfm.datasets import (
     SEQUENCE_LAYOUTS,
     DatasetSequence,
@@ -163,7 +163,7 @@ def _evaluate(
             step=step,
             give_poses=give_poses,
             max_depth=max_depth,
-            progress=_foretelling(sequence.name),
+            progress=_estimate(sequence.name),
         )
     else:
         found, with_depth = _read(result, loaded)
@@ -182,10 +182,10 @@ def _evaluate(
     return evaluation
 
 
-def _foretelling(name: str) -> Progress:
+def _estimate(name: str) -> Progress:
     """Return what says how long a sequence takes, where that is long."""
-    foretold = {stage: Foretelling(f"frames of {name}, {text}") for stage, text in STAGES.items()}
-    return lambda stage, done, total: foretold[stage].done(done, total)
+    estimates = {stage: TimeEstimate(f"frames of {name}, {text}") for stage, text in STAGES.items()}
+    return lambda stage, done, total: estimates[stage].update(done, total)
 
 
 def _read(path: Path, loaded: LoadedSequence) -> tuple[SequenceResult, bool]:

@@ -10,10 +10,11 @@ import numpy.typing as npt
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from tisfm.camera import Camera
-from tisfm.cli.console import guessed_camera, start_kernels, stated_camera, tell
+from tisfm.cli.console import start_kernels, tell
 from tisfm.cli.options import CameraOptions
 from tisfm.folders.result_folder import InputFiles, make_result_folder
 from tisfm.pair import interpret
+from tisfm.running.sequence_run import camera_of_file, with_guessed_focal
 from tisfm.settings import PAPER_SMOOTHNESS, Settings
 from tisfm.show import depth_grey, inverse_depth_limit, panel_figure, save_figure
 from tisfm.sources import FrameSource
@@ -60,9 +61,9 @@ def figures(
     start_kernels(None, threads=threads)
     for pair in pairs:
         if isinstance(camera, Path):
-            camera = stated_camera(camera, pair.frame0.shape[:2])
+            camera = camera_of_file(camera, pair.frame0.shape[:2], tell)
         elif guess:
-            camera = guessed_camera(camera, pairs.files[0])
+            camera = with_guessed_focal(camera, pairs.files[0], tell)
         written = write_paper_figures(
             output, pair.frame0, pair.frame1, camera=camera, inputs=inputs
         )

@@ -1,5 +1,6 @@
-"""Progress of commands: bars, rates, the time that is left, and how long stages took."""
+"""Progress of commands: bars, rates, the time that is left, and the times of stages."""
 
+import shutil
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
@@ -19,55 +20,61 @@ from rich.progress import (
 from rich.text import Text
 
 from tisfm.cli.console import tell
-from tisfm.machine.text import as_duration, printable
+from tisfm.machine.text import as_duration, as_size, printable
 from tisfm.reconstruction.progress import Stage
+from tisfm.running.pair_writer import PairWriter
 
 STAGES: dict[Stage, str] = {"reading": "reading, tracking", "path": "path", "depth": "depth"}
-"""The stages of a reconstruction in words."""
-MUCH = 2e8  # bytes: work that writes more says so beforehand
-_LONG = 60.0  # s: work that takes less is not worth a line
-_WATCHED = 5.0  # s, after which its speed is known
-_FIRST = 2  # what is done first takes longer: kernels are compiled
+"""The stages of a reconstruction, as a progress bar names them."""
+MUCH = 2e8  # bytes: a command that will write more says so beforehand; set by hand
+_LONG = 60.0  # s: a shorter time that is left is not told; set by hand
+_LEAST_TIME = 5.0  # s over which the speed is measured; set by hand
+_FIRST_MEASURED = 2  # item: the first one takes longer, because kernels are compiled
+_RECENT = 20  # pairs over which the speed and the slowest stage are measured; set by hand
+_STAGE_NAMES: dict[Stage, str] = {  # in timings.csv
+    "reading": "Reading and tracking",
+    "path": "Path",
+    "depth": "Depth of every frame",
+}
+
+T = TypeVar("T")
 
 
-class Foretelling:
-    """Says how long a number of things will take, by how fast the first ones were done.
+class TimeEstimate:
+    """Tells once how long a command will take, as soon as its speed is known.
 
     Parameters
     ----------
-    what : str
-        The things, such as "pairs".
+    items : str
+        The items that are counted, such as "pairs".
     """
 
-    def __init__(self, what: str) -> None:
-        self._what = what
+    def __init__(self, items: str) -> None:
+        self._items = items
         self._since: float | None = None
         self._before = 0
         self._is_told = False
 
-    def done(self, count: int, total: int | None) -> None:
-        """Take down that so many of them are done by this command, of as many as there are to do.
-
-        How long it takes is said when that is known.
-        """
-        if self._is_told or total is None or count < _FIRST:
+    def update(self, count: int, total: int | None) -> None:
+        """Receive how many items this command has finished, of how many; None if not known."""
+        if self._is_told or total is None or count < _FIRST_MEASURED:
             return
         now = time.monotonic()
         if self._since is None:
             self._since, self._before = now, count
             return
-        spent, made = now - self._since, count - self._before
-        if spent < _WATCHED or made < 1:
+        spent, finished = now - self._since, count - self._before
+        if spent < _LEAST_TIME or finished < 1:
             return
         self._is_told = True
-        left = spent / made * (total - count)
+        left = spent / finished * (total - count)
         if left > _LONG:
-            speed = f"{made / spent:.2g} a second"
-            tell(f"{total} {self._what}: about {as_duration(left)} to go, {speed}")
+            speed = f"{finished / spent:.2g} a second"
+            tell(f"{total} {self._items}: about {as_duration(left)} to go, {speed}")
 
 
 def progress_bar() -> Progress:
-    """Return a progress bar on standard error, which a log gets nothing of."""
+    """Return a progress bar on standard error; it prints nothing unless that is a terminal."""
     console = Console(stderr=True)
     return Progress(
         _Description(),
@@ -82,52 +89,51 @@ def progress_bar() -> Progress:
 
 
 class _Description(ProgressColumn):
-    """The task of a progress bar, or its last finished item, made printable."""
+    """The description of a task, without characters that a terminal would obey."""
 
     def render(self, task: Task) -> Text:
         return Text(printable(task.description))
 
 
-RECENT = 20  # pairs: what the speed and the stage that limits are of
-
-T = TypeVar("T")
-
-
 class RunProgress:
-    """Shows on a terminal how far a run is.
+    """The progress of a run on a terminal: speed, slowest stage, number of pairs by status.
 
-    The stage that limits is the one that the main thread spends most of its time in, or waits most
-    for: frames are decoded and results are written beside it.
-
-    Parameters
-    ----------
-    total : int or None
-        Pairs, as far as that is known.
+    Frames are decoded and results are written in other threads. The slowest stage is the one that
+    the main thread spends most time in, or waits most for.
 
     Attributes
     ----------
     last : float
-        Seconds that the last stage took.
+        Time of the last stage, s.
     """
 
-    def __init__(self, total: int | None) -> None:
+    def __init__(self) -> None:
         self.last = 0.0
+        self.writer: PairWriter | None = None
+        self._total: int | None = None
         self._bar = progress_bar()
-        self._task = self._bar.add_task("", total=total)
+        self._task = self._bar.add_task("", total=None)
         self._spent: dict[str, float] = {}
-        self._steps: deque[tuple[float, int, dict[str, float]]] = deque(maxlen=RECENT)
+        self._steps: deque[tuple[float, int, dict[str, float]]] = deque(maxlen=_RECENT)
+        self._estimate = TimeEstimate("pairs")
+        self._is_announced = False
 
     def __enter__(self) -> "RunProgress":
-        self._bar.start()
-        self._steps.append((time.perf_counter(), 0, {}))
         return self
 
     def __exit__(self, *about: object) -> None:
         self._bar.stop()
 
+    def begin(self, writer: PairWriter, total: int | None) -> None:
+        """Receive the writer of the run and the number of its pairs, if that is known."""
+        self.writer, self._total = writer, total
+        self._bar.update(self._task, total=total)
+        self._bar.start()
+        self._steps.append((time.perf_counter(), 0, {}))
+
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Count the time that the block takes for a stage."""
+        """Measure the time of a block for a stage."""
         begin = time.perf_counter()
         try:
             yield
@@ -136,7 +142,7 @@ class RunProgress:
             self._spent[name] = self._spent.get(name, 0.0) + self.last
 
     def timed(self, name: str, items: Iterable[T]) -> Iterator[T]:
-        """Yield items; what it takes to get each counts for a stage."""
+        """Yield items, and measure the time that getting each takes for a stage."""
         waiting = iter(items)
         while True:
             with self.stage(name):
@@ -145,38 +151,53 @@ class RunProgress:
                 except StopIteration:
                     return
             yield item
-            del item  # or it would be held until the next one is there
+            del item  # or it would be in memory until the next one is read
 
     def finish(self, name: str, statuses: Mapping[str, int], *, count: int = 1) -> None:
-        """Show that a pair of this name is done, and how many there are of each status so far.
+        """Show the last finished pair and the number of finished pairs by status.
 
-        Other processes do several at a time, `count`; which stage limits there is not known.
+        Other processes finish several pairs at a time, `count`, in stages that are not known here.
         """
         self._steps.append((time.perf_counter(), count, dict(self._spent)))
         (begin, _, before), (end, _, after) = self._steps[0], self._steps[-1]
         speed = sum(step[1] for step in list(self._steps)[1:]) / max(end - begin, 1e-9)
         spent = {stage: after[stage] - before.get(stage, 0.0) for stage in after}
-        limit = max(spent, key=lambda stage: spent[stage], default="")
-        limits = f", {limit}" if limit and spent[limit] > 0 else ""
+        slowest = max(spent, key=lambda stage: spent[stage], default="")
+        stage = f", {slowest}" if slowest and spent[slowest] > 0 else ""
         counts = ", ".join(f"{count} {code}" for code, count in statuses.items())
-        said = f"{name}: {speed:.3g} pairs/s{limits}" + (f"; {counts}" if counts else "")
-        self._bar.update(self._task, advance=count, description=said)
+        text = f"{name}: {speed:.3g} pairs/s{stage}" + (f"; {counts}" if counts else "")
+        self._bar.update(self._task, advance=count, description=text)
+
+    def estimate(self, interpreted: int) -> None:
+        """Tell how long the run will take, from the pairs that this command interpreted."""
+        if self._total is None or self.writer is None:
+            return
+        left = self._total - sum(self.writer.statuses.values())
+        if not self._is_announced and self.writer.statuses:
+            self._is_announced = True
+            _announce(self.writer, left + 1)
+        self._estimate.update(interpreted, interpreted + left)
 
 
-NAMES: dict[Stage, str] = {
-    "reading": "Reading and tracking",
-    "path": "Path",
-    "depth": "Depth of every frame",
-}
+def _announce(writer: PairWriter, count: int) -> None:
+    """Tell how much a long run will write, and whether the disk has room for it."""
+    expected, free = writer.expected_bytes(count), shutil.disk_usage(writer.folder).free
+    if expected > free:
+        tell(
+            f"about {as_size(expected)} for {count} pairs, but {as_size(free)} are free: see "
+            "--outputs"
+        )
+    elif expected > MUCH:
+        tell(f"about {as_size(expected)} for {count} pairs in {writer.folder}; --outputs chooses")
 
 
 class StageTimes:
-    """Counts the time from what tells of one stage to what tells of the next.
+    """Measures the time of each stage of a reconstruction.
 
     Attributes
     ----------
     seconds : dict of str to float
-        Of the stages that have ended, by their names, in the order in which they began.
+        Times of the stages that have ended, s, in the order in which they began.
     """
 
     def __init__(self) -> None:
@@ -185,19 +206,19 @@ class StageTimes:
         self._since = self._begin = time.perf_counter()
 
     def enter(self, stage: Stage) -> None:
-        """Say that a stage goes on, or begins."""
+        """Begin a stage, or continue it."""
         if stage != self._stage:
-            self._count()
+            self._add()
             self._stage = stage
 
     def end(self) -> None:
-        """Say that the last stage has ended."""
-        self._count()
+        """End the last stage."""
+        self._add()
         self._stage = None
         self.seconds["In all"] = self._since - self._begin
 
-    def _count(self) -> None:
+    def _add(self) -> None:
         now = time.perf_counter()
-        name = "Start" if self._stage is None else NAMES[self._stage]
+        name = "Start" if self._stage is None else _STAGE_NAMES[self._stage]
         self.seconds[name] = self.seconds.get(name, 0.0) + now - self._since
         self._since = now

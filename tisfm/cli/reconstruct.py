@@ -19,7 +19,7 @@ from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
 from tisfm.cli.console import notes_as_lines, tell
 from tisfm.cli.options import CameraOptions, FrameOptions
-from tisfm.cli.progress import MUCH, STAGES, Foretelling, StageTimes, progress_bar
+from tisfm.cli.progress import MUCH, STAGES, StageTimes, TimeEstimate, progress_bar
 from tisfm.cli.reconstruct_runs import ChunksRun, ReconstructRun, WholeRun
 from tisfm.cli.report import report_reconstruction
 from tisfm.errors import InputError
@@ -274,7 +274,7 @@ def reconstruct(
     if not endless:
         _announce(source, output, frames, depth_of)
     stages = StageTimes()
-    foretold = {stage: Foretelling(f"frames, {text}") for stage, text in STAGES.items()}
+    estimates = {stage: TimeEstimate(f"frames, {text}") for stage, text in STAGES.items()}
     with (
         progress_bar() as bar,
         interrupted(endless) as is_interrupted,
@@ -285,7 +285,7 @@ def reconstruct(
 
         def tell_progress(stage: Stage, done: int, total: int | None) -> None:
             stages.enter(stage)
-            foretold[stage].done(done, total)
+            estimates[stage].update(done, total)
             if stage == "reading" and is_interrupted():
                 raise Enough
             bar.update(task, description=STAGES[stage], completed=done, total=total)

@@ -190,7 +190,7 @@ def _finished(workers: int, cluster: str | None) -> Iterator[Finished]:
     from tisfm.running.pool import open_pool
 
     with open_pool(workers=workers, cluster=cluster) as executor:
-        yield executor.finished
+        yield executor.map_unordered
 
 
 def _one_after_the_other(

@@ -63,6 +63,8 @@ class RunRecord:
     ----------
     statuses : Counter
         How many finished pairs have which status code.
+    seconds : dict of str to float
+        Times of the pairs that this command interpreted, s, by their names.
     """
 
     def __init__(self, folder: Path, asked: Mapping[str, Any], notes: Sequence[str] = ()) -> None:
@@ -71,7 +73,7 @@ class RunRecord:
             "format": FORMAT, **asked, **dict.fromkeys(FOUND), "notes": [], "pairs": {}
         }  # fmt: skip
         self.statuses: Counter[str] = Counter()
-        self._seconds: dict[str, float] = {}
+        self.seconds: dict[str, float] = {}
         self._next, self._is_written = -math.inf, True
         self._before: dict[str, Any] | ValueError | None = None
 
@@ -149,7 +151,7 @@ class RunRecord:
 
     def took(self, name: str, seconds: float) -> None:
         """Take down how long a pair was interpreted."""
-        self._seconds[name] = seconds
+        self.seconds[name] = seconds
 
     def times_note(self) -> str:
         """Return a note if a path cannot use the times of frames, else ""."""
@@ -173,7 +175,7 @@ class RunRecord:
             return
         begin = time.monotonic()
         text = json.dumps(self._about, indent=2, ensure_ascii=False) + "\n"
-        _write(self._folder / TIMINGS, csv_table(("pair", "seconds"), self._seconds.items()))
+        _write(self._folder / TIMINGS, csv_table(("pair", "seconds"), self.seconds.items()))
         _write(self._folder / TABLE, csv_table(_COLUMNS, rows))
         _write(self._folder / RECORD, text, durable=True)
         self._is_written = True

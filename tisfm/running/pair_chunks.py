@@ -1,55 +1,66 @@
-"""A part of a run that another process does: pairs that follow one another."""
+"""Chunks of consecutive pairs, which the processes of a pool interpret."""
 
 import atexit
 import os
+import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 from tisfm import runtime
-from tisfm.errors import is_user_error
-from tisfm.folders.result_folder import InputFiles
+from tisfm.camera import Camera
+from tisfm.errors import InputError, is_user_error
+from tisfm.folders.result_folder import InputFiles, presence_file
 from tisfm.folders.run_record import is_unchanged
+from tisfm.interpretation import Interpretation
 from tisfm.running.pair_files import Ranges, Sums
 from tisfm.running.pairs import PairSource, PairWork
-from tisfm.running.worker import check_worker, stated
+from tisfm.running.pool import as_sent, check_worker, open_pool
 from tisfm.runtime import Arch
 from tisfm.sources import FramePair, FrameSource, Listing, Source
+from tisfm.sources.frame_reader import is_path
+from tisfm.sources.webcam import webcam_number
+from tisfm.threads import usable_cores
 from tisfm.version import __version__
 
-_NO_END = 2**62
-_LONGEST = 32  # pairs: what is lost when a process is killed
-_EACH = 4  # parts for each process at least, so that none waits long for the last one
+_NO_END = 2**62  # beyond the number of any pair
+_MOST_PAIRS_WRITTEN = 32  # of a chunk: they are lost when a process is killed; set by hand
+_MOST_PAIRS_RETURNED = 4  # of a chunk: their results are in memory together; set by hand
+_CHUNKS_PER_WORKER = 4  # at least, so that no process waits long for the last chunk; set by hand
 
 
 @dataclass(frozen=True, kw_only=True)
 class Chunk:
-    """Pairs of a run, and all that is needed to interpret and write them.
+    """Consecutive pairs of a source, and all that a process needs to interpret them.
 
     Attributes
     ----------
     source : PairSource
     work : PairWork
-    first, end : int
-        Numbers of the first pair, and of the first that is not of this part any more. The last part
-        has no end: a video may have more frames than it says.
+        Without files, results are returned instead of written.
+    first : int
+        Number of the first pair.
+    end : int
+        Number after that of the last pair. It is beyond all numbers in the last chunk: a video may
+        have more frames than its header says.
     arch, threads
         As for `tisfm.runtime.start`.
     ranges : Ranges or None
-        What pictures are drawn in.
+        The ranges of values that images of depth and flow show.
     known : mapping
-        What an earlier run says of pairs that it finished, by their names.
+        Entries of the record of an earlier run for the pairs that it finished, by their names.
     listing : Listing
-        Of the files of the source, as the run sees it.
+        The files of the source that the process sees that gives the work.
     alive : Path
-        A file that is there as long as the run.
+        A file that exists as long as that process waits for the work.
     lanes : int
-        Of the vectors of the run's CPU.
+        Lanes of the vectors of the CPU of that process.
     version : str
-        Of tisfm.
+        Version of tisfm in that process.
     """
 
     source: PairSource
@@ -65,43 +76,57 @@ class Chunk:
     lanes: int = field(default_factory=runtime.cpu_lanes)
     version: str = __version__
 
-    def anywhere(self) -> "Chunk":
-        """Return it with paths that do not depend on the working folder."""
+    def with_absolute_paths(self) -> "Chunk":
+        """Return the chunk with paths that do not depend on the working folder."""
         source = self.source
-        files = replace(self.work.files, folder=self.work.files.folder.absolute())
+        work = self.work
+        if work.files is not None:
+            files = replace(work.files, folder=work.files.folder.absolute())
+            work = replace(work, files=files)
         whole = replace(
             source,
             source=_absolute(source.source),
             mask=None if source.mask is None else os.path.abspath(source.mask),
             poses=None if source.poses is None else source.poses.absolute(),
         )
-        return replace(self, source=whole, work=replace(self.work, files=files))
+        return replace(self, source=whole, work=work)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FinishedPair:
-    """What the record says of a pair, and of its files, and how long it took.
+    """A pair that a worker finished.
 
-    `about` is None if an earlier run finished it.
+    Attributes
+    ----------
+    name : str
+    about : mapping or None
+        Its entry in the record of the run; None if an earlier run finished it.
+    sums : Sums or None
+        Lengths and check sums of its files.
+    result : Interpretation or None
+        The result, if it is returned instead of written.
+    seconds : float
+        Time of the interpretation.
     """
 
     name: str
     about: Mapping[str, Any] | None = None
     sums: Sums | None = None
+    result: Interpretation | None = None
     seconds: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class FinishedChunk:
-    """What was done of a chunk.
+    """A chunk that a worker finished, or the part of it before an error.
 
     Attributes
     ----------
     pairs : list of FinishedPair
     skipped : list of (int, str)
-        Frames that the process has skipped so far, and why.
+        Numbers of the frames that the process has skipped so far, with the reasons.
     error : Exception or None
-        What ended it early.
+        The error that ended the chunk early.
     """
 
     pairs: list[FinishedPair]
@@ -109,90 +134,180 @@ class FinishedChunk:
     error: Exception | None = None
 
 
-def _absolute(source: Source) -> Source:
-    """Return a path, or several, from the root of the file system."""
-    if isinstance(source, (str, os.PathLike)):
-        return os.path.abspath(source)
-    return [os.path.abspath(path) for path in source]  # type: ignore[arg-type]
-
-
-def chunks_of(whole: Chunk, workers: int) -> list[Chunk]:
-    """Return the parts that processes take in turns, of a chunk of all that is left."""
-    bare = replace(whole.work.files, inputs=InputFiles())  # each process looks at them itself
-    whole = replace(whole, work=replace(whole.work, files=bare))
+def split_chunk(whole: Chunk, workers: int) -> list[Chunk]:
+    """Return the chunks that processes take in turns, of one chunk with all remaining pairs."""
+    most = _MOST_PAIRS_RETURNED
+    if whole.work.files is not None:
+        most = _MOST_PAIRS_WRITTEN
+        bare = replace(whole.work.files, inputs=InputFiles())  # each process lists them itself
+        whole = replace(whole, work=replace(whole.work, files=bare))
     count = whole.end - whole.first
-    length = max(1, min(_LONGEST, -(-count // (_EACH * workers))))
+    length = max(1, min(most, -(-count // (_CHUNKS_PER_WORKER * workers))))
     ends = [*range(whole.first + length, whole.end, length), _NO_END]
     begins = [whole.first, *ends[:-1]]
     return [replace(whole, first=first, end=end) for first, end in zip(begins, ends, strict=True)]
 
 
 def interpret_chunk(chunk: Chunk) -> FinishedChunk:
-    """Interpret and write the pairs of a chunk."""
-    done: list[FinishedPair] = []
-    reading: _Reading | None = None
+    """Interpret the pairs of a chunk; write or return their results."""
+    pairs: list[FinishedPair] = []
+    reader: _PairReader | None = None
     error: Exception | None = None
     try:
         here = runtime.cpu_lanes() if chunk.arch in (None, "cpu") else chunk.lanes
         check_worker(chunk.version, chunk.alive, lanes=chunk.lanes, here=here)
         runtime.start_worker(chunk.arch, threads=chunk.threads)
-        reading = _reading(chunk)
-        while (pair := reading.next_of(chunk)) is not None and chunk.alive.exists():
-            done.append(_finished(chunk, pair, reading.inputs))
+        reader = _reader_for(chunk)
+        while (pair := reader.next_of(chunk)) is not None and chunk.alive.exists():
+            pairs.append(_finish(chunk, pair, reader.inputs))
             del pair
         if not chunk.alive.exists():
-            _forget_reading()  # no other chunk of this run will come
+            _close_reader()  # no other chunk of this run will come
     except Exception as raised:
-        _forget_reading()
+        _close_reader()
         if not is_user_error(raised):
             raise
-        error = stated(raised)  # what is done is not lost
-    skipped = [] if reading is None else list(reading.skipped)
-    return FinishedChunk(pairs=done, skipped=skipped, error=error)
+        error = as_sent(raised)  # the pairs before it are not lost
+    skipped = [] if reader is None else list(reader.skipped)
+    return FinishedChunk(pairs=pairs, skipped=skipped, error=error)
 
 
-def _finished(chunk: Chunk, pair: FramePair, inputs: InputFiles) -> FinishedPair:
-    number = chunk.source.number(pair)
-    files = replace(chunk.work.files, inputs=inputs)
-    known = chunk.known.get(pair.name0)
-    if known is not None and is_unchanged(
-        files.folder, pair.name0, known, pair.digest, files.endings(number)
-    ):
-        return FinishedPair(name=pair.name0)
-    begin = perf_counter()
-    result = chunk.work.interpret(pair)
-    seconds = perf_counter() - begin
-    about, sums = files.write(
-        pair.name0, result, ranges=chunk.ranges, **chunk.work.about(pair, number)
+def interpret_with_workers(
+    source: PairSource, *, camera: Camera, workers: int, first: int
+) -> Iterator[Interpretation | str]:
+    """Let several processes of this machine interpret pairs; yield the results in their order.
+
+    Parameters
+    ----------
+    source : PairSource
+        A source of files, as `check_sharable` requires.
+    camera : Camera
+        The camera of the frames after they are cropped and shrunk.
+    workers : int
+        Number of processes.
+    first : int
+        Number of the first pair.
+
+    Yields
+    ------
+    Interpretation or str
+        The results, and the reason for each frame that is skipped before the next result.
+
+    Raises
+    ------
+    Exception
+        As `tisfm.interpret_sequence`, after the results of the pairs before the error.
+    """
+    pairs, reader = source.open()
+    reader.close()
+    whole = Chunk(
+        source=source,
+        work=PairWork(camera=camera, settings=source.settings),
+        first=first,
+        end=len(pairs),
+        arch=runtime.running_arch(),  # type: ignore[arg-type]  # it is one that it takes
+        threads=max(1, usable_cores() // workers),
+        listing=pairs.listing,
     )
-    return FinishedPair(name=pair.name0, about=about, sums=sums, seconds=seconds)
+    told: set[int] = set()
+    waiting: dict[int, FinishedChunk] = {}
+    following = 0
+    with (
+        open_pool(workers) as pool,
+        tempfile.TemporaryDirectory(prefix="tisfm-") as folder,
+        presence_file(Path(folder)) as alive,
+    ):
+        chunks = split_chunk(replace(whole, alive=alive), workers)
+        with closing(pool.map_unordered(interpret_chunk, chunks)) as finished:
+            for number, done in finished:
+                waiting[number] = done
+                while following in waiting:
+                    chunk = waiting.pop(following)
+                    following += 1
+                    for index, reason in chunk.skipped:
+                        if index not in told:
+                            told.add(index)
+                            yield reason
+                    yield from (pair.result for pair in chunk.pairs if pair.result is not None)
+                    if chunk.error is not None:
+                        raise chunk.error
 
 
-class _Reading:
-    """The pairs of a source from one on, of which a process takes some and leaves others."""
+def check_sharable(source: Source, pairs: FrameSource) -> int:
+    """Return the number of pairs of a source; raise InputError if processes cannot share them."""
+    if isinstance(source, str) and webcam_number(source) is not None:
+        raise InputError(f"{source} is no file, which several workers could read: leave them out")
+    if not is_path(source) and not (
+        isinstance(source, (list, tuple)) and all(map(is_path, source))
+    ):
+        raise InputError(
+            f"source is {type(source).__name__}, which several workers cannot read: give files, or "
+            "leave out workers"
+        )
+    try:
+        return len(pairs)
+    except TypeError:  # only reading tells
+        raise InputError(
+            f"{pairs.title} does not say how many frames it has: leave out workers"
+        ) from None
+
+
+def check_whole_levels(pair: FramePair) -> None:
+    """Raise InputError for frames with decimals: several processes would scale them differently."""
+    if pair.frame0.dtype.kind == "f":
+        raise InputError(
+            f"frame {pair.name0} has decimals: the scale of such frames depends on all frames "
+            "before, which several workers do not see; leave out workers"
+        )
+
+
+def _absolute(source: Source) -> Source:
+    """Return a path, or several, as absolute paths."""
+    if isinstance(source, (str, os.PathLike)):
+        return os.path.abspath(source)
+    return [os.path.abspath(path) for path in source]  # type: ignore[arg-type]
+
+
+def _finish(chunk: Chunk, pair: FramePair, inputs: InputFiles) -> FinishedPair:
+    """Interpret a pair, and write its files where the chunk has any."""
+    work, name, number = chunk.work, pair.name0, chunk.source.number(pair)
+    if work.files is None:
+        return FinishedPair(name=name, result=work.interpret(pair))
+    files = replace(work.files, inputs=inputs)
+    known = chunk.known.get(name)
+    endings = files.endings(number)
+    if known is not None and is_unchanged(files.folder, name, known, pair.digest, endings):
+        return FinishedPair(name=name)
+    begin = perf_counter()
+    result = work.interpret(pair)
+    seconds = perf_counter() - begin
+    about, sums = files.write(name, result, ranges=chunk.ranges, **work.about(pair, number))
+    return FinishedPair(name=name, about=about, sums=sums, seconds=seconds)
+
+
+class _PairReader:
+    """Reads the pairs of a source from one on. A process takes some of them and passes others."""
 
     def __init__(self, chunk: Chunk) -> None:
-        frames = chunk.source.frames
-        seen = FrameSource(chunk.source.source, stop=frames.stop)  # before all that depends on it
+        # The files are compared before anything that depends on them.
+        seen = FrameSource(chunk.source.source, stop=chunk.source.frames.stop)
         chunk.listing.check(seen.listing, seen.title)
-        begin = frames.start + chunk.first * frames.step
         self._whole = chunk.source
-        opened, self._pairs = replace(chunk.source, frames=replace(frames, start=begin)).open()
-        opened.allow_no_pairs()
-        self._opened = opened
+        self._opened, self._pairs = chunk.source.starting_at(chunk.first).open()
+        self._opened.allow_no_pairs()
         self._waiting: FramePair | None = None
         self.alive = chunk.alive
         self.position = chunk.first
         poses = [] if chunk.source.poses is None else [chunk.source.poses]
-        self.inputs = InputFiles([*opened.files, *poses])
+        self.inputs = InputFiles([*self._opened.files, *poses])
 
     @property
     def skipped(self) -> list[tuple[int, str]]:
-        """Frames that were skipped so far."""
+        """Numbers of the frames that were skipped so far, with the reasons."""
         return self._opened.skipped
 
     def next_of(self, chunk: Chunk) -> FramePair | None:
-        """Return the next pair of a chunk, None if there is none any more."""
+        """Return the next pair of a chunk, None after the last."""
         while True:
             pair, self._waiting = self._waiting or next(self._pairs, None), None
             if pair is None:
@@ -200,7 +315,7 @@ class _Reading:
             number = self._whole.number(pair)
             self.position = number
             if number >= chunk.end:
-                self._waiting = pair  # it is of another chunk
+                self._waiting = pair  # for a later chunk
                 return None
             if number >= chunk.first:
                 return pair
@@ -211,23 +326,23 @@ class _Reading:
         self._pairs.close()
 
 
-_of_thread = threading.local()
+_of_thread = threading.local()  # the reader that a thread keeps between two chunks
 
 
-def _reading(chunk: Chunk) -> _Reading:
-    """Return a reading that has not passed the chunk: that of the last one, where it goes on."""
-    last: _Reading | None = getattr(_of_thread, "reading", None)
+def _reader_for(chunk: Chunk) -> _PairReader:
+    """Return a reader that has not passed the chunk: the last one of this thread if possible."""
+    last: _PairReader | None = getattr(_of_thread, "reader", None)
     if last is not None and last.alive == chunk.alive and last.position <= chunk.first:
         return last
-    _forget_reading()
-    atexit.register(_forget_reading)  # or it would be closed when modules are gone
-    reading = _of_thread.reading = _Reading(chunk)
-    return reading
+    _close_reader()
+    atexit.register(_close_reader)  # at exit modules would be gone before it is closed
+    reader = _of_thread.reader = _PairReader(chunk)
+    return reader
 
 
-def _forget_reading() -> None:
-    last: _Reading | None = getattr(_of_thread, "reading", None)
-    _of_thread.reading = None
-    atexit.unregister(_forget_reading)
+def _close_reader() -> None:
+    last: _PairReader | None = getattr(_of_thread, "reader", None)
+    _of_thread.reader = None
+    atexit.unregister(_close_reader)
     if last is not None:
         last.close()

@@ -67,6 +67,7 @@ class PairWriter:
     Attributes
     ----------
     folder : Path
+    camera : Camera
     files : PairFiles
         Writes the files of a pair alone.
 
@@ -99,7 +100,7 @@ class PairWriter:
         names: Iterable[str] = (),
         notes: Sequence[str] = (),
     ) -> None:
-        self.folder = Path(folder)
+        self.folder, self.camera = Path(folder), camera
         self._inputs = inputs or InputFiles()
         chosen = checked_outputs(outputs)
         self.files = PairFiles(
@@ -214,6 +215,11 @@ class PairWriter:
     def statuses(self) -> Mapping[str, int]:
         """How many pairs have which status code so far, those of a resumed run included."""
         return {code: count for code, count in list(self._record.statuses.items()) if count}
+
+    @property
+    def seconds(self) -> list[float]:
+        """Times of the pairs that this command interpreted, s."""
+        return list(self._record.seconds.values())
 
     @property
     def times_note(self) -> str:

@@ -1,22 +1,23 @@
-"""What is done with every pair of a run, whichever process does it."""
+"""The pairs of a source, with their poses, and the interpretation of each pair of a run."""
 
-from collections.abc import Generator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Generator, Iterable, Sequence, Sized
+from contextlib import closing
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from tisfm.camera import Camera
 from tisfm.datasets.pose_files import motion_between, read_poses
-from tisfm.errors import InputError
+from tisfm.errors import InputError, InputTypeError
 from tisfm.horn_schunck import horn_schunck
 from tisfm.interpretation import Interpretation
 from tisfm.lens import undistort
 from tisfm.rigid import check_pose
 from tisfm.running.pair_files import PairFiles
-from tisfm.sequence import with_poses
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FramePair, FrameSource, Source
 from tisfm.window import Window
@@ -47,7 +48,7 @@ class FrameSelection:
 
 @dataclass(frozen=True, kw_only=True)
 class PairSource:
-    """The pairs of a run.
+    """A source of frames, and all that decides on its pairs.
 
     Attributes
     ----------
@@ -55,9 +56,11 @@ class PairSource:
     frames : FrameSelection
     settings : Settings
     mask : str or None
-        A picture, or a folder or pattern of one for every frame.
+        A picture, or a folder or pattern with a picture for every frame.
     poses : Path or None
-        A file of a pose for every frame, those that are not taken included.
+        A file with a pose for every frame of the source, selected or not.
+    motions : sequence of (4, 4) arrays, or None
+        The motion of every pair, instead of `poses`.
     """
 
     source: Source
@@ -65,41 +68,52 @@ class PairSource:
     settings: Settings
     mask: str | None = None
     poses: Path | None = None
+    motions: Sequence[np.ndarray] | None = None
 
     def open(self) -> tuple[FrameSource, Generator[FramePair, None, None]]:
         """Return the source, and its pairs with their poses."""
         pairs = self.frames.open(self.source, mask=self.mask)
-        motions = None if self.poses is None else _motions(self.poses, pairs, self.settings)
+        if self.poses is None:
+            return pairs, with_poses(pairs, self.motions)
+        motions = _motions(self.poses, pairs, self.settings)
         return pairs, with_poses(pairs, motions, title=f"the motions of {self.poses}")
 
+    def starting_at(self, number: int) -> "PairSource":
+        """Return the source without the pairs before the pair of this number."""
+        start = self.frames.start + number * self.frames.step
+        motions = None if self.motions is None else self.motions[number:]
+        return replace(self, frames=replace(self.frames, start=start), motions=motions)
+
     def number(self, pair: FramePair) -> int:
-        """Return the number of a pair in the run, by its first frame."""
+        """Return the number of a pair, which is that of its first frame among the selected."""
         return (pair.index - self.frames.start) // self.frames.step
 
 
 @dataclass(frozen=True, kw_only=True)
 class PairWork:
-    """Interprets pairs.
+    """Interprets the pairs of a run.
 
     Attributes
     ----------
     camera : Camera
-        Of the frames as they are interpreted.
+        The camera of the frames after they are cropped and shrunk.
     settings : Settings
-    files : PairFiles
+    files : PairFiles or None
+        The files of the pairs; None if results are returned instead of written.
     """
 
     camera: Camera
     settings: Settings
-    files: PairFiles = field(repr=False)
+    files: PairFiles | None = field(default=None, repr=False)
 
     def interpret(self, pair: FramePair, window: Window | None = None) -> Interpretation:
         """Interpret a pair; `window` as for `FramePair.interpret`."""
         return pair.interpret(camera=self.camera, settings=self.settings, window=window)
 
     def about(self, pair: FramePair, number: int) -> dict[str, Any]:
-        """Return what `PairFiles.write` takes beside the interpretation of a pair."""
-        compared = self.settings.motion == "field" and self.files.has_figure(number)
+        """Return the arguments of `PairFiles.write` beside the interpretation of a pair."""
+        has_figure = self.files is not None and self.files.has_figure(number)
+        compared = self.settings.motion == "field" and has_figure
         return {
             "number": number,
             "digest": pair.digest,
@@ -109,13 +123,85 @@ class PairWork:
         }
 
     def _baseline(self, pair: FramePair) -> np.ndarray:
-        """Return Horn and Schunck's flow of the frames without distortion."""
+        """Return the flow of Horn and Schunck between the undistorted frames."""
         frames = (undistort(frame, self.camera) for frame in (pair.frame0, pair.frame1))
         return horn_schunck(*frames, settings=self.settings)
 
 
+def with_poses(
+    pairs: FrameSource, poses: Iterable[npt.ArrayLike] | None, *, title: str = "poses"
+) -> Generator[FramePair, None, None]:
+    """Give every pair of a source its pose.
+
+    Parameters
+    ----------
+    pairs : FrameSource
+    poses : iterable of array_like, or None
+        One for every pair; None for none. They are checked when the pair is interpreted.
+    title : str
+        What errors call them.
+
+    Returns
+    -------
+    generator of FramePair
+
+    Raises
+    ------
+    TypeError, ValueError
+        At once if the poses cannot be iterated, are known not to be as many as the pairs, or if
+        frames may be skipped; while iterating if they end too early, or are left over though their
+        number is known.
+    """
+    if poses is None:
+        return iter(pairs)
+    if pairs.bad_frames == "skip":
+        raise InputError(
+            f"{title} are given, one for every pair, and bad frames may be skipped: give poses, or "
+            "let bad frames raise"
+        )
+    if isinstance(poses, np.ndarray) and poses.ndim != 3:
+        raise InputError(
+            f"{title} is {poses.shape}: expected one for every pair, (N, 4, 4) or (N, 3, 3)"
+        )
+    if not isinstance(poses, Iterable):
+        raise InputTypeError(f"{title} is {poses!r}: expected a 4×4 or 3×3 array for every pair")
+    number = len(poses) if isinstance(poses, Sized) else None
+    if pairs.count is not None and number is not None:
+        _check_poses(number, len(pairs), title)
+    return _posed(pairs, poses, number, title)
+
+
+def _posed(
+    pairs: FrameSource, poses: Iterable[npt.ArrayLike], number: int | None, title: str
+) -> Generator[FramePair, None, None]:
+    following = iter(poses)
+    done = 0
+    with closing(iter(pairs)) as plain:
+        for pair in plain:
+            try:
+                pose = next(following)
+            except StopIteration:
+                raise InputError(
+                    f"{title} ended before frames {pair.name0} and {pair.name1}, after {done}: "
+                    "expected one for every pair"
+                ) from None
+            yield replace(pair, pose=pose)
+            del pair  # or it would keep its first frame while the next one is read
+            done += 1
+    if number is not None:
+        _check_poses(number, done, title)
+
+
+def _check_poses(number: int, pairs: int, title: str) -> None:
+    if number != pairs:
+        raise InputError(
+            f"{title} are {number}, but there {'is' if pairs == 1 else 'are'} {pairs} "
+            f"pair{'s' * (pairs != 1)} of frames: expected one for each"
+        )
+
+
 def _motions(path: Path, pairs: FrameSource, settings: Settings) -> list[np.ndarray]:
-    """Return the motion of every pair, of a file with the pose of every frame."""
+    """Return the motion of every pair, from a file with the pose of every frame."""
     if settings.motion != "camera":
         raise InputError(
             f"the poses of {path} are given, but motion '{settings.motion}' leaves the motion "

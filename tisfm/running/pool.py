@@ -1,4 +1,8 @@
-"""Work that is done by other processes, here or on the machines of a cluster."""
+"""Pieces of work in other processes: of this machine, or of the machines of a Dask cluster.
+
+Whoever gives the work holds a file as long as it waits for the results. A worker checks this file
+(`check_worker`), and ends work for which nobody waits any more.
+"""
 
 import os
 import signal
@@ -17,72 +21,78 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager, suppress
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait as wait_for
+from pathlib import Path
 from typing import Any, TypeVar
 
-from tisfm.errors import InputError, MissingPackageError, RunError
+from tisfm.errors import InputError, MissingPackageError, OutOfMemoryError, RunError, TisfmError
+from tisfm.machine.memory import advice
+from tisfm.version import __version__
 
 T = TypeVar("T")
 R = TypeVar("R")
 
-TRIES = 3  # of what was under way when a process was killed
-_AHEAD = 2  # pieces for each process: one that it does, one that waits
+MOST_ATTEMPTS = 3  # at an item whose process was killed; set by hand
+_QUEUED_PER_WORKER = 2  # items: one that the worker computes, and one that waits for it
+_CLUSTER_TIMEOUT = 10  # s for the scheduler of a cluster to answer; set by hand
 
 
 class WorkerPool:
-    """Does pieces of work in other processes, and again those that died with one.
+    """Processes that compute items of work. An item whose process was killed is computed again.
 
     Attributes
     ----------
     workers : int
-        How many there are.
+        Number of processes.
     """
 
-    def __init__(self, workers: int, opened: Callable[[], Executor]) -> None:
+    def __init__(self, workers: int, open_executor: Callable[[], Executor]) -> None:
         self.workers = workers
         self._running: dict[Future[Any], int] = {}
-        self._open, self._executor = opened, opened()
+        self._open, self._executor = open_executor, open_executor()
 
-    def finished(self, function: Callable[[T], R], items: Sequence[T]) -> Iterator[tuple[int, R]]:
-        """Call a function with every item, and yield results as they come.
+    def map_unordered(
+        self, function: Callable[[T], R], items: Sequence[T]
+    ) -> Iterator[tuple[int, R]]:
+        """Call a function with every item, and yield each result as soon as it is there.
 
-        Items are begun in their order, and no more of them than there is work for.
+        Items begin in their order, and only so many at a time that no process waits.
 
         Parameters
         ----------
         function : callable
-            Of a module, as it is sent by its name.
+            A function of a module: it is sent by its name.
         items : sequence
 
         Yields
         ------
         number : int
-            Of the item.
+            Number of the item, from 0.
         result
 
         Raises
         ------
-        RuntimeError
+        RunError
             If processes were killed again and again.
         Exception
-            What the function raised.
+            The exception that the function raised.
         """
-        waiting, killed = list(reversed(range(len(items)))), 0
+        waiting, kills = list(reversed(range(len(items)))), 0
         running = self._running = {}
         while waiting or running:
             try:
-                while waiting and len(running) < _AHEAD * self.workers:
+                while waiting and len(running) < _QUEUED_PER_WORKER * self.workers:
                     future = self._executor.submit(function, items[waiting[-1]])
                     running[future] = waiting.pop()
                 done, _ = wait(running, return_when=FIRST_COMPLETED)
                 for future in sorted(done, key=running.__getitem__):
                     result = future.result()
-                    killed = 0
+                    kills = 0
                     yield running.pop(future), result
             except BrokenProcessPool:
-                killed += 1
-                if killed >= TRIES:
+                kills += 1
+                if kills >= MOST_ATTEMPTS:
                     raise RunError(
-                        f"a worker was killed, and {TRIES} times nothing was finished in "
+                        f"a worker was killed, and {MOST_ATTEMPTS} times nothing was finished in "
                         "between: it may lack memory; give fewer workers"
                     ) from None
                 for future in list(running):
@@ -93,10 +103,10 @@ class WorkerPool:
                 self._executor.shutdown(wait=False)
                 self._executor = self._open()
 
-    def under_way(self) -> Iterator[Any]:
-        """Wait for what is under way, and yield its results; what fails now is left out.
+    def results_of_running(self) -> Iterator[Any]:
+        """Wait for the items that are being computed, and yield their results.
 
-        What `finished` is used for has ended early then, and pieces are such that they notice.
+        This follows `map_unordered` where that was left early. Items that fail now are left out.
         """
         running, self._running = self._running, {}
         for future in sorted(running, key=running.__getitem__):
@@ -104,12 +114,12 @@ class WorkerPool:
                 yield future.result()
 
     def close(self) -> None:
-        """End the processes, once what they are doing is done."""
+        """End the processes after the items that they are computing."""
         self._executor.shutdown()
 
 
-def check_workers(workers: int, cluster: str | None) -> None:
-    """Refuse numbers of workers that there cannot be, with ValueError."""
+def check_workers(workers: int, cluster: str | None = None) -> None:
+    """Raise InputError if the number of workers is impossible, or given beside a cluster."""
     if workers < 1:
         raise InputError(f"workers is {workers}: expected a positive number of processes")
     if workers > 1 and cluster is not None:
@@ -120,42 +130,43 @@ def check_workers(workers: int, cluster: str | None) -> None:
 
 
 def open_pool(workers: int, cluster: str | None = None) -> AbstractContextManager[WorkerPool]:
-    """Return so many processes of this machine, or those of a Dask cluster.
+    """Return a pool of processes of this machine, or of a Dask cluster.
 
-    Leaving the block waits for what is under way. Processes of this machine end with this one,
-    however it ends.
+    Leaving the block waits for the items that are being computed. Processes of this machine end
+    with this process, even if this process is killed.
 
     Parameters
     ----------
     workers : int
+        Number of processes of this machine.
     cluster : str, optional
         The address of a scheduler of Dask, such as "tcp://10.0.0.1:8786".
 
     Raises
     ------
-    ImportError
-        If there is a cluster and Dask is not installed.
+    MissingPackageError
+        If a cluster is given and Dask is not installed.
     OSError
         If the cluster does not answer, or has no worker.
     """
-    return _here(workers) if cluster is None else _cluster(cluster)
+    return _local_pool(workers) if cluster is None else _cluster_pool(cluster)
 
 
 @contextmanager
-def _here(workers: int) -> Iterator[WorkerPool]:
-    made = WorkerPool(workers, lambda: _processes(workers))
+def _local_pool(workers: int) -> Iterator[WorkerPool]:
+    pool = WorkerPool(workers, lambda: _local_executor(workers))
     try:
-        yield made
+        yield pool
     finally:
-        made.close()
+        pool.close()
 
 
-def _processes(workers: int) -> Executor:
-    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_begin)
+def _local_executor(workers: int) -> Executor:
+    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_start_process)
 
 
 @contextmanager
-def _cluster(address: str) -> Iterator[WorkerPool]:
+def _cluster_pool(address: str) -> Iterator[WorkerPool]:
     try:
         from distributed import Client, KilledWorker
     except ImportError:
@@ -163,24 +174,24 @@ def _cluster(address: str) -> Iterator[WorkerPool]:
             "a cluster needs Dask, which is not installed: pip install 'tisfm[cluster]'"
         ) from None
     try:
-        client = Client(address, timeout=10, set_as_default=False)
+        client = Client(address, timeout=_CLUSTER_TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise OSError(f"the cluster {address} does not answer: {error}") from error
     with client:
         threads = sum(client.nthreads().values())
         if threads == 0:
             raise OSError(f"the cluster {address} has no worker: start some")
-        made = WorkerPool(threads, lambda: client.get_executor(pure=False))
+        pool = WorkerPool(threads, lambda: client.get_executor(pure=False))
         try:
-            yield made
+            yield pool
         except (KilledWorker, CancelledError) as error:
             raise RunError(f"the cluster {address} lost what it had to do: {error}") from error
         finally:
-            made.close()
+            pool.close()
 
 
-def _begin() -> None:
-    """Leave Ctrl-C to the process that gives the work, and end when that ends."""
+def _start_process() -> None:
+    """Leave Ctrl-C to the parent process, and end when the parent ends."""
     with suppress(ValueError):
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
@@ -192,3 +203,46 @@ def _end_with(sentinel: Any) -> None:
     wait_for([sentinel])
     sys.stdout.flush()
     os._exit(1)
+
+
+def check_worker(version: str, alive: Path, *, lanes: int, here: int) -> None:
+    """Check, in a worker, that the worker suits the process that gives the work.
+
+    Parameters
+    ----------
+    version : str
+        Version of tisfm in the process that gives the work.
+    alive : Path
+        A file that exists as long as that process waits for the work.
+    lanes : int
+        Lanes of the vectors of the CPU of that process.
+    here : int
+        Lanes of the vectors of the CPU of this worker.
+
+    Raises
+    ------
+    RunError
+        If the version or the number of lanes differs, or the file does not exist here.
+    """
+    if version != __version__:
+        raise RunError(
+            f"a worker has tisfm {__version__}, but the command was started by {version}: install "
+            "the same everywhere"
+        )
+    if not alive.exists():
+        raise RunError(
+            f"a worker does not see the folder {alive.parent} of the command: give a folder that "
+            "all machines share, by the same path"
+        )
+    if lanes != here:
+        raise RunError(
+            f"a worker's processor has vectors of {here} lanes, and that of the command {lanes}: "
+            "their results differ in the last digits; leave such machines out"
+        )
+
+
+def as_sent(error: Exception) -> Exception:
+    """Return an error of a worker as it is sent to the process that gave the work."""
+    if isinstance(error, MemoryError) and not isinstance(error, TisfmError):
+        return OutOfMemoryError(advice())
+    return error.with_traceback(None)

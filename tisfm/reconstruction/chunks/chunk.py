@@ -25,7 +25,7 @@ from tisfm.reconstruction.entry import reconstruct
 from tisfm.reconstruction.progress import DepthOf
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.request import files_below
-from tisfm.running.worker import check_worker, stated
+from tisfm.running.pool import as_sent, check_worker
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource, Listing, Source
@@ -135,7 +135,7 @@ def make_chunk(chunk: Chunk) -> Exception | None:
     except Exception as error:
         if not is_user_error(error):
             raise
-        return stated(error)
+        return as_sent(error)
     return None
 
 

@@ -35,24 +35,24 @@ def refuse(number):
 @pytest.mark.nightly
 def test_all_is_done_once():
     with open_pool(2) as two:
-        assert sorted(two.finished(square, range(7))) == [(k, k**2) for k in range(7)]
-        assert list(two.finished(square, [])) == []
+        assert sorted(two.map_unordered(square, range(7))) == [(k, k**2) for k in range(7)]
+        assert list(two.map_unordered(square, [])) == []
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="processes are not killed here")
 def test_what_died_is_done_again(tmp_path):
     items = [(k, str(tmp_path), 2) for k in range(6)]
     with open_pool(2) as two:
-        assert sorted(two.finished(square_or_die, items)) == [(k, k**2) for k in range(6)]
+        assert sorted(two.map_unordered(square_or_die, items)) == [(k, k**2) for k in range(6)]
     assert len(list(tmp_path.iterdir())) == 2
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="processes are not killed here")
 def test_what_always_dies_is_said(tmp_path):
     with open_pool(2) as two, pytest.raises(RuntimeError, match="a worker was killed, and 3 times"):
-        list(two.finished(square_or_die, [(2, str(tmp_path), 100)]))
+        list(two.map_unordered(square_or_die, [(2, str(tmp_path), 100)]))
 
 
 def test_an_error_is_raised_here():
     with open_pool(2) as two, pytest.raises(ValueError, match="one is refused"):
-        list(two.finished(refuse, range(3)))
+        list(two.map_unordered(refuse, range(3)))

@@ -1,0 +1,415 @@
+"""A run: every pair of a source is interpreted, here or by several processes, and written."""
+
+import fnmatch
+import glob
+import os
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from tisfm import runtime
+from tisfm.camera import Camera
+from tisfm.camera_file import doubt_of, read_camera
+from tisfm.errors import InputError
+from tisfm.focal_guess import at_size, guess_focal
+from tisfm.folders.result_folder import InputFiles, presence_file
+from tisfm.formats.float_maps import require_writable_flow
+from tisfm.interpretation import Interpretation
+from tisfm.running.background import Background
+from tisfm.running.pair_chunks import (
+    Chunk,
+    FinishedChunk,
+    check_sharable,
+    check_whole_levels,
+    interpret_chunk,
+    split_chunk,
+)
+from tisfm.running.pair_files import USUAL
+from tisfm.running.pair_writer import PairWriter
+from tisfm.running.pairs import FrameSelection, PairSource, PairWork
+from tisfm.running.pool import WorkerPool, check_workers, open_pool
+from tisfm.runtime import Arch
+from tisfm.settings import Settings
+from tisfm.show.stereo import DISPARITY, check_disparity, check_screen
+from tisfm.sources import FramePair, FrameSource, Source
+from tisfm.threads import usable_cores
+from tisfm.window import Window, WindowSize, window_of
+
+T = TypeVar("T")
+Tell = Callable[[str], None]
+
+
+class RunObserver(Protocol):
+    """Receives the progress of a run, such as `tisfm.cli.progress.RunProgress`."""
+
+    last: float  # s that the last stage took
+
+    def begin(self, writer: PairWriter, total: int | None) -> None:
+        """Receive the writer of the run and the number of its pairs, if that is known."""
+
+    def stage(self, name: str) -> AbstractContextManager[None]:
+        """Measure the time of a block for a stage."""
+
+    def timed(self, name: str, items: Iterable[T]) -> Iterator[T]:
+        """Yield items, and measure the time that getting each takes."""
+
+    def finish(self, name: str, statuses: Mapping[str, int], *, count: int = 1) -> None:
+        """Receive that pairs are finished, and the number of finished pairs by status."""
+
+    def estimate(self, interpreted: int) -> None:
+        """Receive how many pairs this command has interpreted so far."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SequenceRun:
+    """A run: its source, its settings, and the folder of its results.
+
+    Attributes
+    ----------
+    source : Source
+    folder : Path
+        The folder of the results.
+    camera : Camera or Path
+        A camera, or the file of one.
+    guess : bool
+        Replace the focal length of the camera by a guess from the first frame.
+    settings : Settings
+    frames : FrameSelection
+    poses : Path or None
+        A file with a pose for every frame of the source, selected or not.
+    mask : str or None
+        A picture, or a folder or pattern with a picture for every frame.
+    window : {2, 3}
+        As for `tisfm.interpret_sequence`.
+    resume : bool
+        Keep the pairs that an earlier run with the same options finished.
+    outputs : collection of str
+        The files that are written of a pair: keys of `tisfm.folders.run_record.ENDINGS`.
+    figures : int
+        One pair in so many has a figure; 0 for no figures.
+    disparity, screen : float or None
+        Of anaglyphs, as for `PairWriter`.
+    workers : int
+        Number of processes that share the pairs.
+    cluster : str or None
+        The address of a scheduler of Dask, whose workers share the pairs.
+    arch, threads
+        As for `tisfm.runtime.start`.
+    """
+
+    source: Source
+    folder: Path
+    camera: Camera | Path
+    guess: bool = False
+    settings: Settings
+    frames: FrameSelection
+    poses: Path | None = None
+    mask: str | None = None
+    window: WindowSize = 2
+    resume: bool = False
+    outputs: Collection[str] = USUAL
+    figures: int = 1
+    disparity: float | None = None
+    screen: float | None = None
+    workers: int = 1
+    cluster: str | None = None
+    arch: Arch | None = None
+    threads: int | None = None
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether several processes share the pairs."""
+        return self.workers > 1 or self.cluster is not None
+
+    def check(self) -> Window | None:
+        """Check the options that need no frame; return the window of three frames, if any.
+
+        Raises
+        ------
+        InputError
+            If options are impossible, alone or together.
+        """
+        if isinstance(self.camera, Path):
+            read_camera(self.camera)
+        check_disparity(DISPARITY if self.disparity is None else self.disparity)
+        check_screen(self.screen, None)
+        if "anaglyph" not in self.outputs and (self.disparity, self.screen) != (None, None):
+            raise InputError(
+                f"--{'disparity' if self.screen is None else 'screen'} is of anaglyphs: let "
+                "anaglyph be among the outputs, or leave it out"
+            )
+        window = window_of(self.window, self.settings)
+        if window is not None and self.resume and "npz" not in self.outputs:
+            raise InputError(
+                "resume with a window of 3 goes on from the .npz of the pair before: let npz be "
+                "among the outputs"
+            )
+        check_workers(self.workers, self.cluster)
+        if self.is_shared and window is not None:
+            raise InputError(
+                "a window of 3 goes on from pair to pair, which several workers cannot: leave out "
+                "one of them"
+            )
+        return window
+
+    def interpret(self, observer: RunObserver, tell: Tell) -> dict[int, str]:
+        """Interpret and write all pairs.
+
+        Parameters
+        ----------
+        observer : RunObserver
+        tell : callable
+            Receives each note on the source and the camera, a line of text.
+
+        Returns
+        -------
+        dict of int to str
+            Numbers of the frames that were skipped, with the reasons.
+
+        Raises
+        ------
+        OSError, TypeError, ValueError
+            As `tisfm.interpret_sequence`; if the folder cannot be written to; if results would
+            replace inputs; as `check`.
+        """
+        window = self.check()
+        source = PairSource(
+            source=self.source,
+            frames=self.frames,
+            settings=self.settings,
+            mask=self.mask,
+            poses=self.poses,
+        )
+        frames, pairs = source.open()
+        _refuse_mixing(self.source, frames.frame_files, self.folder)
+        if self.mask is not None:
+            _refuse_mixing(self.mask, frames.mask_files, self.folder, kind="masks")
+        for note in frames.notes:
+            tell(f"note: {note}")
+        total = check_sharable(self.source, frames) if self.is_shared else _total(frames)
+        first = next(pairs)  # before anything is written: all other frames have its size
+        if "flow" in self.outputs:
+            require_writable_flow(f"frame {first.name0}", *first.frame0.shape[:2])
+        if self.is_shared:
+            check_whole_levels(first)
+        full, shape = first.full, first.frame0.shape
+        following = chain([first], pairs)
+        del first  # or it would stay in memory to the end
+        runtime.start(self.arch, threads=self.threads)
+        camera = self.camera
+        if isinstance(camera, Path):
+            camera = camera_of_file(camera, full or shape[:2], tell)
+        elif self.guess:
+            camera = with_guessed_focal(camera, frames.first_file or full or shape, tell)
+        writer = self._writer(frames, camera, full or shape[:2], frames.camera_after(camera, full))
+        work = PairWork(camera=writer.camera, settings=self.settings, files=writer.files)
+        pool = open_pool(self.workers, self.cluster) if self.is_shared else nullcontext()
+        with closing(pairs), writer, pool as workers:
+            observer.begin(writer, total)
+            here = _ThisProcess(writer, work, source, observer, window)
+            done = here.interpret(following, until_ranges=self.is_shared)
+            skipped = dict(frames.skipped)
+            if workers is not None and total is not None and done < total:
+                pairs.close()
+                whole = self._chunk(source, work, frames, done, total)
+                for chunk in _finished_chunks(whole, writer, workers):
+                    here.interpreted += _add(chunk, writer, observer)
+                    observer.estimate(here.interpreted)
+                    skipped.update(chunk.skipped)
+            else:  # no pair is left, unless a video has more frames than its header says
+                here.interpret(pairs, until_ranges=False)
+                skipped.update(frames.skipped)
+        return dict(sorted(skipped.items()))
+
+    def _writer(
+        self, frames: FrameSource, camera: Camera, shape: tuple[int, int], after: Camera
+    ) -> PairWriter:
+        return PairWriter(
+            self.folder,
+            camera=after,
+            settings=self.settings,
+            source=(camera, shape),
+            window=self.window,
+            outputs=self.outputs,
+            figures=self.figures,
+            disparity=DISPARITY if self.disparity is None else self.disparity,
+            screen=self.screen,
+            start=frames.chosen.start,
+            step=frames.chosen.step,
+            resume=self.resume,
+            inputs=InputFiles([*frames.files, *([] if self.poses is None else [self.poses])]),
+            names=_names(frames, self.folder),
+            notes=frames.notes,
+        )
+
+    def _chunk(
+        self, source: PairSource, work: PairWork, frames: FrameSource, first: int, end: int
+    ) -> Chunk:
+        """Return one chunk with all pairs that are left."""
+        whole = Chunk(
+            source=source,
+            work=work,
+            first=first,
+            end=end,
+            arch=runtime.running_arch(),  # type: ignore[arg-type]  # it is one that it takes
+            threads=self.threads,
+            listing=frames.listing,
+        )
+        if self.cluster is not None:
+            return whole.with_absolute_paths()
+        if self.threads is None:
+            return replace(whole, threads=max(1, usable_cores() // self.workers))
+        return whole
+
+
+def camera_of_file(file: Path, shape: tuple[int, int] | None, tell: Tell) -> Camera:
+    """Return the camera in a file for frames of a shape; tell if its focal length is doubtful."""
+    camera = read_camera(file, shape)
+    if doubt := doubt_of(file):
+        tell(f"{file}: {doubt}")
+    return camera
+
+
+def with_guessed_focal(camera: Camera, first: Path | tuple[int, ...], tell: Tell) -> Camera:
+    """Return a camera with a focal length guessed from the first frame, or from its shape."""
+    guess = guess_focal(first)
+    value = f"{guess.focal:.0f} px{at_size(guess.shape)}, {guess.reason}"
+    tell(f"focal length guessed: {value}; give --focal if known")
+    return replace(camera, focal=guess.focal)
+
+
+@dataclass
+class _ThisProcess:
+    """Interprets the pairs of a run in this process, and writes in a second thread."""
+
+    writer: PairWriter
+    work: PairWork
+    source: PairSource
+    observer: RunObserver
+    window: Window | None
+    interpreted: int = field(default=0, init=False)
+
+    def interpret(self, pairs: Iterable[FramePair], *, until_ranges: bool) -> int:
+        """Interpret pairs; return the number of the next pair.
+
+        With `until_ranges` only the pairs up to the first that shows depth are interpreted: it
+        decides on the ranges of values that all images show.
+        """
+        writer, window, observer = self.writer, self.window, self.observer
+        before, number = None, -1  # the pair before, if it was finished by an earlier run
+        with Background() as background:
+            for pair in observer.timed("decoding", pairs):
+                name, number = pair.name0, self.source.number(pair)
+                if writer.knows(name) and writer.is_complete(name, pair.digest, number):
+                    before = None if window is None else pair
+                else:
+                    if window is not None and before is not None:
+                        result = Interpretation.load(writer.result_of(before.name0))
+                        before.keep(window, result, camera=self.work.camera)
+                        del result
+                    before = None
+                    with observer.stage("interpreting"):
+                        result = self.work.interpret(pair, window)
+                    self.interpreted += 1
+                    writer.took(name, observer.last)
+                    with observer.stage("interpreting"):
+                        about = self.work.about(pair, number)
+                    with observer.stage("writing"):
+                        background.submit(writer.write, name, result, **about)
+                    del result, about  # or they would be in memory while the next is computed
+                observer.finish(name, writer.statuses)
+                observer.estimate(self.interpreted)
+                del pair
+                if until_ranges:
+                    background.wait()
+                    if writer.ranges is not None:
+                        break
+        return number + 1
+
+
+def _finished_chunks(whole: Chunk, writer: PairWriter, pool: WorkerPool) -> Iterator[FinishedChunk]:
+    """Let other processes interpret the pairs of a chunk; yield the parts as they finish.
+
+    The error of a worker is raised after the parts that are being computed are yielded.
+    """
+    writer.begin()
+    error: BaseException | None = None
+    # The path that the workers have: of a cluster an absolute one.
+    folder = writer.folder if whole.work.files is None else whole.work.files.folder
+    with presence_file(folder) as alive:
+        parts = [
+            replace(
+                part, known=writer.known(part.first, part.end), alive=alive, ranges=writer.ranges
+            )
+            for part in split_chunk(whole, pool.workers)
+        ]
+        try:
+            for _, done in pool.map_unordered(interpret_chunk, parts):
+                yield done
+                if done.error is not None:
+                    error = done.error
+                    break
+        except KeyboardInterrupt as interrupt:
+            error = interrupt
+    if error is not None:
+        yield from pool.results_of_running()
+        raise error
+
+
+def _add(chunk: FinishedChunk, writer: PairWriter, observer: RunObserver) -> int:
+    """Record the pairs of another process; return how many of them it interpreted."""
+    interpreted = 0
+    for pair in chunk.pairs:
+        if pair.about is not None and pair.sums is not None:
+            writer.finish(pair.name, pair.about, pair.sums)
+            writer.took(pair.name, pair.seconds)
+            interpreted += 1
+    if chunk.pairs:
+        observer.finish(chunk.pairs[-1].name, writer.statuses, count=len(chunk.pairs))
+    return interpreted
+
+
+def _total(frames: FrameSource) -> int | None:
+    """Return the number of pairs, None if only reading tells."""
+    try:
+        return len(frames)
+    except TypeError:
+        return None
+
+
+def _refuse_mixing(
+    source: Source, files: Iterable[Path], folder: Path, *, kind: str = "frames"
+) -> None:
+    """Raise InputError if results would lie among the frames, and count as frames the next time."""
+    if not isinstance(source, (str, os.PathLike)) or os.path.isfile(source):
+        return
+    parents = {file.parent for file in files}
+    among = folder.exists() and any(
+        parent.exists() and parent.samefile(folder) for parent in parents
+    )
+    if among or (glob.has_magic(os.fspath(source)) and _matches(folder, Path(source).parent)):
+        raise InputError(
+            f"the results would lie among the {kind} in {folder}, and count as {kind} the "
+            "next time: give another folder with -o"
+        )
+
+
+def _matches(folder: Path, pattern: Path) -> bool:
+    """Return whether the folders of a glob pattern, such as "d?" in "d?/*.png", include one."""
+    parts, patterns = (Path(os.path.abspath(path)).parts for path in (folder, pattern))
+    return len(parts) == len(patterns) and all(map(fnmatch.fnmatch, parts, patterns))
+
+
+def _names(frames: FrameSource, folder: Path) -> list[str]:
+    """Return names of pairs whose results may lie in a folder already."""
+    if frames.names is not None:
+        return list(frames.names)
+    if not folder.is_dir():
+        return []
+    numbered = re.compile(re.escape(frames.prefix) + r"_\d{6,}", re.IGNORECASE)
+    found = (numbered.match(name) for name in os.listdir(folder))
+    return sorted({match.group() for match in found if match})
