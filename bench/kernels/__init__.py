@@ -1,7 +1,7 @@
-"""How fast each kernel is, and does it agree with the NumPy reference: ``python -m bench``.
+"""Times of each kernel and of whole pairs, and agreement with the reference: ``python -m bench``.
 
-`bench_kernels` lists the cases and `bench_stream` measures the memory's bandwidth; `operations`
-call kernels, `references` their counterparts, and `multigrid_steps`, `rigid_steps`,
-`second_order_steps` and `plane_steps` have both; `traffic` says how many bytes each moves. Imports
-tisfm, its kernels and `bench.shared`.
+`bench_kernels` lists the cases, `bench_pair` times whole pairs, and `bench_stream` measures the
+bandwidth of the memory. `operations` call kernels and `references` their counterparts in NumPy;
+`multigrid_steps`, `rigid_steps`, `second_order_steps` and `plane_steps` have both. `traffic` has
+the bytes that each kernel moves. Imports tisfm, its kernels, `bench.reference` and `bench.shared`.
 """

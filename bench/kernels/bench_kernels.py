@@ -23,30 +23,31 @@ from bench.shared.problems import ALPHA, RELAXATION, Problem, check
 from tisfm import runtime
 
 MODELS = {6: "rigid", 3: "translation"}
-# Kernels that share their names with others are called after these.
+# Module → prefix of the names of its kernels, which other modules have as well.
 PREFIXES = {"solve.second_order": "second_order_", "rigid.view_search": "views_"}
-DEPTH = 1  # unknown per pixel, along an epipolar line
+DEPTH = 1  # components of the model with inverse depth as the only unknown
 SOLVERS = ("cholesky", "closed_form")
-EDGES = ("separate", "joint")  # for each component, or for all
-SLOW, LARGEST_OF_SLOW = ("improve",), (480, 640)  # a dozen costs of planes of the reference
-LEXICOGRAPHIC_SIZE = (48, 64)  # one pixel at a time in Python: a larger image takes its time
+EDGES = ("separate", "joint")  # weights of edges for each component, or one for all
+SLOW = ("improve",)  # kernels whose reference takes minutes on large images
+LARGEST_OF_SLOW = (480, 640)  # px, height and width, for these
+LEXICOGRAPHIC_SIZE = (48, 64)  # px: a plain loop in Python is slow
 
-# Of the largest value of a component. A few roundings; more where B has condition numbers of some
-# hundreds, and where a residual is the difference of much larger numbers. `defeated` decides by
-# thresholds, and some pixels of thousands lie so near one that rounding decides.
+# Relative to the largest value of a component: a few roundings. Larger for matrices with condition
+# numbers of some hundreds, and for residuals that are differences of much larger numbers. The mask
+# of `defeated` has thresholds, where rounding decides for a few of thousands of pixels.
 TOLERANCE = 1e-6
 TOLERANCES = {
     "restrict_residual": 1e-5,
     "sweep": 1e-4,
     "sweep_unfused": 1e-4,
     "data_precision": 1e-4,
-    "share_of_data": 1e-5,  # of determinants, which are such differences
+    "share_of_data": 1e-5,  # determinants are such differences
     "update": 1e-4,
     "squared_residual": 1e-4,
     "answered": 1e-5,
-    "motion_system": 1e-5,  # of constraints where a pixel goes, in float32
+    "motion_system": 1e-5,  # constraints at a target position in float32
     "defeated": 1e-2,
-    "improve": 1e-4,  # of quantiles of costs
+    "improve": 1e-4,  # quantiles of costs
 }
 
 
@@ -54,12 +55,12 @@ TOLERANCES = {
 class Case:
     """A kernel in one of its variants.
 
-    `module` is where the kernel is: below `tisfm.kernels`, or with its whole path.
+    `module` is the module of the kernel: below `tisfm.kernels`, or with its whole path.
     """
 
     module: str
     kernel: str
-    components: int = 0  # unknowns per pixel; 0 where they do not matter
+    components: int = 0  # unknowns per pixel; 0 if the kernel has none
     scheme: str = ""
     solver: str = ""
 
@@ -79,7 +80,7 @@ class Case:
 
     @property
     def in_lanes(self) -> bool:
-        """Whether the kernel works on lane arrays, and is another for each lane count."""
+        """Whether the kernel works on lane arrays and is compiled for each lane count."""
         return self.kernel not in WITHOUT_LANES
 
     def __str__(self) -> str:
@@ -91,7 +92,7 @@ class Case:
 
     def tolerance(self, problem: Problem) -> float:
         if self.kernel in AT_PLACES:
-            # A position is off by some 2⁻²⁴ of the width, times slopes of half the range a pixel.
+            # Error of a position: some 2⁻²⁴ of the width, times slopes of half the range per pixel.
             return AT_PLACES[self.kernel] * problem.width * 2.0**-22
         if self.kernel in OF_FLOW:
             return OF_FLOW[self.kernel] * max(1.0, 1.5 * np.abs(problem.flow).max())
@@ -102,10 +103,11 @@ class Case:
         return {"kernel": self.name, "size": size, "model": self.model}
 
 
-# Whose weights are of differences of numbers as large as ∇I·u, or (the last) of such numbers
-# squared, where u is how far pixels go.
+# Tolerance of kernels whose weights are differences of numbers as large as ∇I·u, with the motion u,
+# or (`add_frame`) of their squares.
 OF_FLOW = {"constancy_constraints": TOLERANCE, "join": TOLERANCE, "add_frame": 10 * TOLERANCE}
-# Whose answers depend on where a pixel goes; costs, on derivatives that change as steeply again.
+# Factor of the tolerance of kernels whose answers depend on target positions; costs also depend on
+# derivatives there.
 AT_PLACES = {
     "warp": 1,
     "prolong": 1,
@@ -115,7 +117,7 @@ AT_PLACES = {
     "score": 4,
     "costs": 4,
 }
-# On plain images, or vectors of their own.
+# Kernels on plain images, or with vectors of their own.
 WITHOUT_LANES = (
     "splat",
     "defeated",
@@ -128,12 +130,12 @@ WITHOUT_LANES = (
     "disagreement",
     "costs",
 )
-# Of every module.
+# Module → kernels without variants.
 PLAIN = {
     "layout.images": ("image_to_lanes", "multiply"),
     "data.warp": ("warp",),
     "data.constraints": ("constancy_constraints",),
-    "data.both_neighbours": ("backward_flow", "join"),
+    "data.three_frames": ("backward_flow", "join"),
     "data.image_edges": ("image_edges",),
     "data.forward_splatting": ("splat", "defeated"),
     "solve.data_precision": ("share_of_data",),
@@ -215,11 +217,11 @@ class References(
     PlaneReferences,
     ViewReferences,
 ):
-    """What they stand beside."""
+    """All steps of the reference."""
 
 
 def reference_run(problem, case):
-    """Return the reference's call; its first answer is kept for the checks of the kernels."""
+    """Return the call of the reference; its first answer is kept for the checks of the kernels."""
     run = getattr(References(problem, case.components or 6, case.scheme), case.step)()
     if case not in problem.expected:
         problem.expected[case] = np.array(run())
@@ -244,7 +246,7 @@ def bench_numpy(problem, case, measure, full_reference):
 def bench_taichi(problem, case, lanes, measure, pytestconfig, full_reference):
     skip_minutes(problem, case, full_reference)
     if not case.in_lanes and str(lanes) != pytestconfig.getoption("lanes").split(",")[0]:
-        pytest.skip("it is the same kernel for every lane count")
+        pytest.skip("the kernel is the same for every lane count")
     components = case.components or 6
     operations = Operations(
         problem,
@@ -277,7 +279,7 @@ def bench_taichi(problem, case, lanes, measure, pytestconfig, full_reference):
 
 
 def bench_sweep_lexicographic(measure):
-    """Time the reference's plain loop, rigid model: quoted, compared with nothing."""
+    """Time the plain loop of the reference, rigid model, without a comparison."""
     problem = Problem(*LEXICOGRAPHIC_SIZE)
     arguments = (problem.tensor, problem.motion, problem.weights(6), problem.rho.copy())
     measure(

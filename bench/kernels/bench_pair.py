@@ -1,8 +1,8 @@
-"""A whole pair, coarse to fine, with the same number of iterations on both sides.
+"""Times of whole pairs, coarse to fine, with the same number of iterations on both sides.
 
-The reference starts from the pyramids, which the driver builds within its time. Both run to the
-end of their iterations: without a tolerance neither stops early. Outer iterations
-are cut to 5 and 3, which is the same work per iteration, and those of the paper are of sweeps.
+The reference starts from pyramids; the driver builds them within its time. Without a tolerance,
+neither side stops early. Outer iterations are limited to 5 and 3 with the same work per iteration,
+and those of the paper are sweeps.
 """
 
 from dataclasses import dataclass, replace
@@ -19,16 +19,15 @@ from tisfm.motion.problems import flow_problem, pyramid_of
 from tisfm.settings import Settings
 from tisfm.solver import coarse_to_fine, image_pyramid
 
-REFERENCE_SIZE = (240, 320)  # the reference takes minutes beyond
+REFERENCE_SIZE = (240, 320)  # px: the reference takes minutes for larger pairs
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Settings of a pair, and what share of its pixels must agree to how many px/frame.
+    """Settings of a pair, the share of its pixels that must agree, and their tolerance, px/frame.
 
-    Within one linearisation float32 and float64 stay together. A warp takes them apart at
-    isolated pixels, where the flow is an outlier and the image read there an accident: so it does
-    two runs of the reference whose frames differ by 1e-5 grey levels.
+    Within one linearisation, float32 and float64 agree. After a warp they differ at isolated pixels
+    with outlying flow, as do two runs of the reference whose frames differ by 1e-5 grey levels.
     """
 
     settings: Settings
@@ -37,7 +36,7 @@ class Pair:
 
 
 PAIRS = {
-    # By sweeps, as the reference has them.
+    # Iterations are sweeps, as in the reference.
     "paper": Pair(Settings.preset("paper", outer_iterations=5, cycles=0, tolerance=0.0), 1.0, 1e-4),
     "balanced": Pair(Settings.preset("balanced", outer_iterations=3, tolerance=0.0), 0.9, 1e-2),
 }
@@ -48,7 +47,7 @@ each_solver = pytest.mark.parametrize("solver", ["cholesky", "closed_form"])
 
 
 def reference_run(problem: Problem, settings: Settings):
-    """Return the reference's call, which gives ρ̂, (components, H, W)."""
+    """Return the call of the reference, which returns ρ̂, (components, H, W)."""
     size = (problem.height, problem.width)
     factor = settings.pyramid_factor
     levels = image_pyramid.level_count(*size, factor, settings.pyramid_levels)
@@ -66,7 +65,7 @@ def reference_run(problem: Problem, settings: Settings):
 
 
 def taichi_run(problem: Problem, settings: Settings):
-    """Return the driver's call, which gives the `Unknowns`."""
+    """Return the call of the driver, which returns the `Unknowns`."""
     frames = [frame.astype(np.float32) for frame in problem.frames]
     task = flow_problem(settings, problem.camera.focal)
 
@@ -80,7 +79,7 @@ def taichi_run(problem: Problem, settings: Settings):
 
 
 def expected_rho(problem: Problem, preset: str, model: str) -> np.ndarray:
-    """Return the reference's answer, found once."""
+    """Return the answer of the reference, which is computed once."""
     key = ("pair", preset, model)
     if key not in problem.expected:
         problem.expected[key] = reference_run(
@@ -120,7 +119,7 @@ def bench_pair_taichi(problem, preset, model, solver, lanes, measure, monkeypatc
     settings = replace(pair.settings, model=model, solver=solver)
     known = ("pair", preset, model) in problem.expected
     small = problem.height * problem.width <= np.prod(REFERENCE_SIZE)
-    # Where the reference did not run, the check is that of the same scene at a smaller size.
+    # If the reference did not run, the same scene is checked at a smaller size.
     judge = problem if known or small else problem_at(*REFERENCE_SIZE)
     motion = reference.motion_matrix(judge.camera, judge.height, judge.width, settings.components)
     actual, expected = (

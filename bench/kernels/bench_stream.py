@@ -1,4 +1,4 @@
-"""The memory bandwidth of the machine: what kernels that only move data are measured by."""
+"""Bandwidth of the memory, the unit of the bandwidth of kernels."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ import taichi as ti
 from tisfm import runtime
 from tisfm.kernels.layout.lanes import LaneArray, aligned_zeros, lane_kernel, on_host
 
-LENGTH = 2**26  # float32, 256 MiB an array: beyond the caches
+LENGTH = 2**26  # float32, 256 MiB per array, larger than the caches
 
 
 @lane_kernel
@@ -42,7 +42,7 @@ STREAMS = {
 @pytest.mark.parametrize("name", STREAMS)
 def bench_stream(name, arrays, measure):
     if name == "NumPy copy" and runtime.on_gpu():
-        pytest.skip("NumPy reaches no memory of a GPU")
+        pytest.skip("NumPy cannot access the memory of a GPU")
     words, move = STREAMS[name]
 
     def call():

@@ -1,4 +1,4 @@
-"""Both sides of the kernels of multigrid: between two grids, and along a direction."""
+"""Kernels and references of multigrid: between two grids, and along a direction."""
 
 import numpy as np
 
@@ -56,7 +56,7 @@ class MultigridOperations(TaichiSide):
 
 
 class MultigridReferences(NumpySide):
-    """The same in plain NumPy; that of `relayout` is a copy."""
+    """The same steps in plain NumPy; that of `relayout` is a copy."""
 
     def coarsen_system(self) -> Run:
         tensor, n = self.problem.tensor, self.n
@@ -108,13 +108,13 @@ class MultigridReferences(NumpySide):
 
     def plane(self) -> Run:
         p, n, motion, weights = self.problem, self.n, self.motion, ALPHA * self.weights()
-        before, step = p.previous[:n], p.step[:n]
+        before, last = p.previous[:n], p.step[:n]
         j11, j12, j22, *_ = p.tensor
 
         def run() -> np.ndarray:
-            directions = self.rho - before, step
-            flows = [reference.flow(motion, way) for way in directions]
-            edges = [np.concatenate(reference.differences(way)) for way in directions]
+            directions = self.rho - before, last
+            flows = [reference.flow(motion, step) for step in directions]
+            edges = [np.concatenate(reference.differences(step)) for step in directions]
             slope = _slope(p.tensor, motion, before)
             tension = weights * np.concatenate(reference.differences(before))
             sums = []
@@ -131,7 +131,7 @@ class MultigridReferences(NumpySide):
     def descend(self) -> Run:
         p, (first, second) = self.problem, STEPS
         before, step = p.previous[: self.n].copy(), p.step[: self.n].copy()
-        rho = self.rho - before  # the correction, which becomes where it leads
+        rho = self.rho - before  # the correction, then the new solution
 
         def run() -> np.ndarray:
             step[...] = first * rho + second * step
@@ -143,7 +143,7 @@ class MultigridReferences(NumpySide):
 
 
 def children(stack: np.ndarray) -> np.ndarray:
-    """Return the children of every coarse pixel, 0 where there is none, (2, 2, k, h, w)."""
+    """Return the children of every coarse pixel, 0 for a missing one, (2, 2, k, h, w)."""
     k, height, width = stack.shape
     padded = np.pad(stack, ((0, 0), (0, height % 2), (0, width % 2)))
     split = padded.reshape(k, padded.shape[1] // 2, 2, padded.shape[2] // 2, 2)
@@ -158,7 +158,7 @@ def _slope(tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray) -> np.ndarra
 
 
 def neighbours(size: int, coarse_size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the parent of every fine pixel and the parent's neighbour on that side, or itself."""
+    """Return the parent of every fine pixel, and the neighbour of the parent on that side."""
     fine = np.arange(size)
     parent = fine // 2
     return parent, np.clip(parent + 2 * (fine % 2) - 1, 0, coarse_size - 1)

@@ -1,4 +1,4 @@
-"""The Taichi side: kernels, by their wrappers, on the arrays they would meet in the driver."""
+"""Kernels from two frames to a field of motion, called by their wrappers."""
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from tisfm.solver.sampling import spline_taps
 
 
 class FieldOperations(TaichiSide):
-    """The kernels on the way from two frames to a field of motion."""
+    """The kernels, on arrays as in the driver."""
 
     def image_to_lanes(self) -> Timed:
         image = self.problem.frames[0].astype(np.float32)
@@ -129,7 +129,7 @@ class FieldOperations(TaichiSide):
         return lambda: system.sweep(rho, **options), lambda _: self.read(rho)
 
     def sweep_unfused(self) -> Timed:
-        if self.grid.lanes == 1:  # there is no other
+        if self.grid.lanes == 1:  # the sweep of the library is unfused then
             return self.sweep()
         system, rho = self.system(), self.unknowns.rho
         options = {"relaxation": RELAXATION, "solver": self.solver}

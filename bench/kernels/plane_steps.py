@@ -1,4 +1,4 @@
-"""Both sides of the kernels of planes matched by the correlation of windows."""
+"""Kernels and references of planes that are matched by correlation, in one or several frames."""
 
 from functools import cached_property
 
@@ -12,17 +12,19 @@ from tisfm.kernels.rigid.patch_match import STEEPEST, PlaneSearch, disagreement
 from tisfm.kernels.rigid.view_search import ABSENT, ViewSearch
 from tisfm.kernels.rigid.windows import LEVELS, UNSEEN
 
-NOISE, SEEN = 1.5, 1.8  # grey levels, and of its square
-BOUNDS = 0.01, 10.0  # px/frame, of what is searched
-SPREAD, TILT = 0.5, 0.02  # px/frame, and its slopes
-DRAWS = 2
-PLANE = (0.03, -0.02)  # slopes of the one plane that frame 1 has
+NOISE = 1.5  # grey levels, deviation of the noise
+SEEN = 1.8  # variance of a textured window over that of the noise, at least
+BOUNDS = 0.01, 10.0  # px/frame, of searched inverse depths
+SPREAD = 0.5  # px/frame, of drawn inverse depths
+TILT = 0.02  # px/frame per px, of drawn slopes
+DRAWS = 2  # planes that are drawn per pixel
+PLANE = (0.03, -0.02)  # slopes of the only plane of frame 1
 
 
 class Planes:
     """Planes near the true ones, and the frames as bytes.
 
-    In frame 1 there is one plane, so that it does not matter from which pixel it is read.
+    Frame 1 has one plane, so that any pixel gives the same one.
 
     Parameters
     ----------
@@ -44,15 +46,22 @@ class Planes:
         u, v = reference.displacement(self.own[0], self.camera, *self.pose)
         x, y = columns + u, rows + v
         away = [x, x + 1 - problem.width, y, y + 1 - problem.height]
-        # Whether a pixel lies well inside or outside: elsewhere rounding decides.
+        # Pixels clearly inside or outside; for others rounding decides.
         self.decided = (np.abs(np.abs(away) - 0.5) > BORDER).all(axis=0)
 
     def cost(self, planes: np.ndarray) -> np.ndarray:
-        """Return the cost of planes, (3, H, W), `UNSEEN` where there is nothing to compare."""
+        """Return the cost of planes, (3, H, W), `UNSEEN` for windows without texture."""
         cost, variance = reference.plane_cost(
             *self.levels, planes, self.camera, *self.pose, noise=NOISE**2
         )
         return np.where(variance > SEEN * NOISE**2, cost, UNSEEN)
+
+
+def search_options(p: Problem) -> dict:
+    """Return the options that searches in one and in several frames share."""
+    center = p.camera.center_for(p.height, p.width)
+    options = {"noise": NOISE, "seen": SEEN, "least": BOUNDS[0], "largest": BOUNDS[1]}
+    return {"center": center, "focal": p.camera.focal, **options}
 
 
 class PlaneOperations(TaichiSide):
@@ -88,17 +97,12 @@ class PlaneOperations(TaichiSide):
         return PlaneSearch(
             *(levels.astype(np.float32) for levels in planes.levels),
             p.motions[0],
-            center=p.camera.center_for(p.height, p.width),
-            focal=p.camera.focal,
-            noise=NOISE,
-            seen=SEEN,
-            least=BOUNDS[0],
-            largest=BOUNDS[1],
+            **search_options(p),
         )
 
 
 class PlaneReferences(NumpySide):
-    """The same by `bench.reference`."""
+    """The same steps by `bench.reference`."""
 
     @cached_property
     def planes(self) -> Planes:
@@ -131,45 +135,45 @@ class PlaneReferences(NumpySide):
 
 
 def interleaved(planes: np.ndarray) -> np.ndarray:
-    """Return planes, (3, H, W), as the kernels take them, without a cost: (H, W, 4) float32."""
+    """Return planes, (3, H, W), in the layout of the kernels without costs: (H, W, 4) float32."""
     state = np.zeros((*planes.shape[1:], 4), np.float32)
     state[..., :3] = np.moveaxis(planes, 0, -1)
     return state
 
 
 def _known(apart: np.ndarray, decided: np.ndarray) -> np.ndarray:
-    """Return a disagreement, -1 where it is infinite, of the pixels that are decided, (1, H, W)."""
+    """Return a disagreement, -1 if infinite, of the decided pixels, (1, H, W)."""
     return np.where(np.isfinite(apart), apart, -1)[None] * decided
 
 
 def summary(cost: np.ndarray) -> np.ndarray:
     """Return the quartiles of costs, (3, 1).
 
-    A pixel where rounding decides between two planes hands on another one: that moves them little.
+    Rounding may choose another of two planes for a pixel, which changes quartiles little.
     """
     return np.quantile(cost, [0.25, 0.5, 0.75])[:, None]
 
 
-BEST = 1  # frames that a cost is the mean of
+BEST = 1  # number of the best frames whose mean is the cost
 
 
 class Views:
-    """Planes near the true ones, and frame 1 as if it were seen under several motions."""
+    """Planes near the true ones, and frame 1 under several motions."""
 
     def __init__(self, problem: Problem) -> None:
         self.motions = problem.motions[:VIEWS]
         self._each = [Planes(problem, motion) for motion in self.motions]
         self.planes = self._each[0]
         self.decided = np.logical_and.reduce([planes.decided for planes in self._each])
-        # The kernel gives costs of bare windows as well, which the reference calls unseen.
+        # The kernel has costs of bare windows as well, which are unseen in the reference.
         self.seen = self.decided & (self.costs(self.planes.own)[0] < UNSEEN)
 
     def costs(self, planes: np.ndarray) -> np.ndarray:
-        """Return what planes, (3, H, W), cost under each motion, and `UNSEEN` as `Planes` does."""
+        """Return the costs of planes, (3, H, W), under each motion, as `Planes.cost`."""
         return np.array([each.cost(planes) for each in self._each])
 
     def cost(self, planes: np.ndarray) -> np.ndarray:
-        """Return what they cost in the best of the frames."""
+        """Return the cost of planes in the best frames."""
         return reference.best_mean(self.costs(planes), BEST, absent=ABSENT)
 
 
@@ -204,17 +208,12 @@ class ViewOperations(TaichiSide):
             self.views.motions,
             best=BEST,
             stride=1,
-            center=p.camera.center_for(p.height, p.width),
-            focal=p.camera.focal,
-            noise=NOISE,
-            seen=SEEN,
-            least=BOUNDS[0],
-            largest=BOUNDS[1],
+            **search_options(p),
         )
 
 
 class ViewReferences(NumpySide):
-    """The same by `bench.reference`."""
+    """The same steps by `bench.reference`."""
 
     @cached_property
     def views(self) -> Views:

@@ -1,4 +1,4 @@
-"""The NumPy side: steps of kernels by `bench.reference`, or in plain NumPy where it has none."""
+"""Steps from two frames to a field of motion, by `bench.reference` or in plain NumPy."""
 
 import numpy as np
 
@@ -20,14 +20,14 @@ from tisfm.kernels.solve.weight_update import LINE
 
 
 class FieldReferences(NumpySide):
-    """The steps on the way from two frames to a field of motion."""
+    """The steps of the kernels in `operations`."""
 
     def image_to_lanes(self) -> Run:
         image = self.problem.frames[0]
-        return lambda: np.pad(image, 4, mode="edge")[None]  # the border alone: no lanes here
+        return lambda: np.pad(image, 4, mode="edge")[None]  # a padded copy: NumPy has no lanes
 
     def lanes_to_images(self) -> Run:
-        return lambda: self.rho.copy()  # a copy alone: there are no lanes to leave
+        return lambda: self.rho.copy()  # a copy, since NumPy has no lanes
 
     def derivatives(self) -> Run:
         return lambda: np.array(reference.derivatives(*self.problem.frames, self.scheme))
@@ -175,7 +175,7 @@ class FieldReferences(NumpySide):
         return run
 
     def splat(self) -> Run:
-        # Not bench.reference.splat, which is a plain loop.
+        # bench.reference.splat is a plain loop.
         return lambda: _splatted(self.problem.flow, self.problem.residual)
 
     def defeated(self) -> Run:
@@ -198,7 +198,7 @@ class FieldReferences(NumpySide):
 
 
 def bent(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a flow, and how the way to the next frame and to the one before may bend."""
+    """Return a flow, and the difference of the motion to the next frame and from the last one."""
     return flow, 0.1 * flow[::-1]
 
 
@@ -210,9 +210,9 @@ def other_constraints(problem: Problem) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 def mask_moments(mask: np.ndarray) -> np.ndarray:
-    """Return how many pixels a mask has and the sums of their rows and columns, (3, 1).
+    """Return the number of pixels of a mask, and the sums of their rows and columns, (3, 1).
 
-    A threshold that rounding decides moves them by little.
+    A few pixels for which rounding decides change these values little.
     """
     rows, columns = np.nonzero(mask)
     return np.array([[len(rows)], [rows.sum()], [columns.sum()]], np.float64)
@@ -221,7 +221,7 @@ def mask_moments(mask: np.ndarray) -> np.ndarray:
 def _arrivals(
     flow: np.ndarray,
 ) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray, np.ndarray]]]:
-    """Return which pixels stay inside, and rows, columns and weights around their places."""
+    """Return the pixels that stay inside, and rows, columns and weights around their targets."""
     height, width = flow.shape[1:]
     x, y = flow[0] + np.arange(width), flow[1] + np.arange(height)[:, None]
     inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
@@ -241,7 +241,7 @@ def _splatted(flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """Return Σw, Σw·residual, Σw·u, Σw·v, (4, H, W), over the pixels that go to a pixel."""
     inside, corners = _arrivals(flow)
     values = np.stack([np.ones_like(residual), residual, *flow])[:, inside]
-    places = np.concatenate([row * residual.shape[1] + column for row, column, _ in corners])
+    targets = np.concatenate([row * residual.shape[1] + column for row, column, _ in corners])
     weights = np.concatenate([values * weight for *_, weight in corners], axis=1)
-    sums = [np.bincount(places, weight, minlength=residual.size) for weight in weights]
+    sums = [np.bincount(targets, weight, minlength=residual.size) for weight in weights]
     return np.stack(sums).reshape(4, *residual.shape)

@@ -1,4 +1,4 @@
-"""Both sides of the kernels that motion models of rigid motions need besides those of a field."""
+"""Kernels and references of rigid motions, beside those of a field."""
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from tisfm.kernels.rigid import (
 from tisfm.reconstruction.depth.pose_adjustment import OUTLIER_SCALE
 
 HELD = 3.0  # weight of the smoothness of depth while the motion changes
-TINY = 1e-6  # in place of a curvature of costs
+TINY = 1e-6  # least curvature of costs
 
 
 class DepthOperations(TaichiSide):
@@ -174,7 +174,7 @@ class DepthOperations(TaichiSide):
 
 
 class DepthReferences(NumpySide):
-    """The same by `bench.reference`, or in plain NumPy."""
+    """The same steps by `bench.reference`, or in plain NumPy."""
 
     def displacement(self) -> Run:
         return lambda: displaced(self.problem)
@@ -324,7 +324,7 @@ def restricted_sums(problem: Problem) -> np.ndarray:
 
 
 def squares(problem: Problem) -> np.ndarray:
-    """Return the squared residuals, (H, W), where the first motion takes the pixels."""
+    """Return the squared residuals under the first motion, (H, W)."""
     p = problem
     identity = reference.motion_matrix(p.camera, p.height, p.width, 2)
     pose = p.motions[0, :, :3], p.motions[0, :, 3]
@@ -334,12 +334,12 @@ def squares(problem: Problem) -> np.ndarray:
 
 
 def tolerated(problem: Problem) -> float:
-    """Return the squared residual that counts for a quarter, as the adjustment chooses it."""
+    """Return the squared residual with a weight of a quarter, as in the adjustment."""
     return OUTLIER_SCALE**2 * float(np.median(squares(problem)))
 
 
 def displaced(problem: Problem) -> np.ndarray:
-    """Return the flow under the motion of every pixel, and its change with D, (4, H, W)."""
+    """Return the flow under the motion of every pixel, and its derivative in D, (4, H, W)."""
     focal = problem.camera.focal
     ray = np.concatenate([-problem.motion[:, 2], np.ones((1, problem.height, problem.width))])
     poses = problem.motions[problem.labels.astype(int)].transpose(2, 3, 0, 1)

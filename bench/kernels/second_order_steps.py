@@ -1,4 +1,4 @@
-"""Both sides of the kernels of second-order smoothness: inverse depth D and its slopes."""
+"""Kernels and references of second-order smoothness: inverse depth D and its slopes."""
 
 from functools import cached_property
 
@@ -13,15 +13,15 @@ from tisfm.kernels.solve.coarsening import interpolation_columns
 from tisfm.kernels.solve.second_order import coarsening, line_search
 from tisfm.kernels.solve.second_order.system import SecondOrderSystem
 
-SPACING = 2.0  # px: that of the second level
+SPACING = 2.0  # px between the pixels of the second level
 STIFFNESS = {"alpha": 2.0, "beta": 30.0, "gamma": 0.1}
 CONTRASTS = (0.5, 0.2, 0.7)  # px/frame, and per px
 ANCHOR_SCALE = 0.4  # px/frame
-ANCHORED = 0.5  # of the pixels
+ANCHORED = 0.5  # share of the pixels with an anchor
 
 
 class Surface:
-    """An inverse depth with its slopes, where it was before, and the system made there."""
+    """An inverse depth with its slopes, the one before, and the system linearised there."""
 
     def __init__(self, problem: Problem) -> None:
         rng = np.random.default_rng(5)
@@ -43,7 +43,7 @@ class Surface:
         self.lines = problem.constraints.reshape(3, 3, *depth.shape)[:, ::2]
 
     def residual(self, rho: np.ndarray, source: np.ndarray | None = None) -> np.ndarray:
-        """Return the right-hand side less the left one, (3, H, W)."""
+        """Return the residual: right-hand side minus left-hand side, (3, H, W)."""
         return reference.second_order_residual(
             self.tensor, self.weights, rho, spacing=SPACING, source=source
         )
@@ -119,7 +119,7 @@ class SecondOrderOperations(TaichiSide):
 
 
 class SecondOrderReferences(NumpySide):
-    """The same by `bench.reference`, or in plain NumPy."""
+    """The same steps by `bench.reference`, or in plain NumPy."""
 
     @cached_property
     def surface(self) -> Surface:
@@ -198,23 +198,23 @@ class SecondOrderReferences(NumpySide):
         def run() -> np.ndarray:
             directions = surface.rho - surface.previous, surface.step
             here = surface.residual(surface.previous)
-            # Without a right-hand side, less the matrix times a direction.
-            pulls = [surface.residual(way, np.zeros_like(way)) for way in directions]
+            # Minus the matrix times a direction.
+            pulls = [surface.residual(step, np.zeros_like(step)) for step in directions]
             sums = [-(directions[i] * pulls[j]).sum() for i, j in ((0, 0), (0, 1), (1, 1))]
-            return np.array([*sums, *(-(way * here).sum() for way in directions)])[:, None]
+            return np.array([*sums, *(-(step * here).sum() for step in directions)])[:, None]
 
         return run
 
 
 def _offsets(size: int) -> np.ndarray:
-    """Return where children lie beside their parents, in fine pixels; 0 for an only child."""
+    """Return the offsets of children from their parents, fine pixels; 0 for an only child."""
     offsets = np.where(np.arange(size) % 2, 0.5, -0.5)
     offsets[-1] *= size % 2 == 0
     return offsets
 
 
 def _integrated(coarse: np.ndarray, size: int, *, slope: int) -> np.ndarray:
-    """Return D and its slopes interpolated along the axis of a slope, D as the integral of it."""
+    """Return D and its slopes, interpolated along the axis of a slope; D is its integral."""
     axis = 3 - slope
     shape = [-1 if k == axis - 1 else 1 for k in range(2)]
     parent, beside = neighbours(size, coarse.shape[axis])

@@ -1,4 +1,4 @@
-"""What both sides of a benchmark start from: arrays in lanes for Taichi, images for NumPy."""
+"""Base classes of both sides of a benchmark: arrays in lanes for Taichi, images for NumPy."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,11 +16,11 @@ Run = Callable[[], np.ndarray]
 
 
 class TaichiSide:
-    """One method per kernel, which returns the call to be timed and a reader of its answer.
+    """One method per kernel, which returns the timed call and a reader of its answer.
 
-    The reader takes what the call returned and gives images, (k, H, W), or sums, (k, …). Calls
-    that work in place go on from where the last one ended, as they do in the solver. On a device,
-    lane arrays are there before the call, and stay.
+    The reader takes the result of the call and returns images, (k, H, W), or sums, (k, …). Calls
+    in place continue from the last state, as in the solver. On a device, lane arrays are allocated
+    before the call and stay there.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class TaichiSide:
         return self.system_of(np.concatenate(sets), self.n)
 
     def system_of(self, weights: np.ndarray, components: int) -> LinearSystem:
-        """Return the linear system of so many unknowns and these weights, (2n or 2, H, W)."""
+        """Return the linear system of `components` unknowns with weights, (2n or 2, H, W)."""
         return LinearSystem(
             grid=self.grid,
             tensor=self.lay(self.problem.tensor),
@@ -59,9 +59,9 @@ class TaichiSide:
         )
 
     def lay(self, stack: np.ndarray, strip: int = 0) -> LaneData:
-        """Lay (k, H, W) into a new lane array, halo columns included, without a kernel.
+        """Copy (k, H, W) to a new lane array with halo columns, without a kernel.
 
-        `strip`: columns per lane, if not those of the grid.
+        `strip`: columns per lane, by default those of the grid.
         """
         (k, height, width), lanes = stack.shape, self.grid.lanes
         strip = strip or self.grid.strip
@@ -75,16 +75,16 @@ class TaichiSide:
         return self.grid.place(out)
 
     def lay_with_border(self, image: np.ndarray, halo: int) -> np.ndarray:
-        """Lay (H + 2·halo, W + 2·halo) into one component of a lane array, border included."""
+        """Copy (H + 2·halo, W + 2·halo) to one component of a lane array with a border."""
         grid = self.grid
         columns = np.arange(grid.strip + 2 * halo)[:, None] + grid.strip * np.arange(grid.lanes)
         table = image[:, np.minimum(columns, image.shape[1] - 1)]
         return table if grid.lanes > 1 else table[..., 0]
 
     def read(self, array: LaneData, halo: int = 0, *, width: int = 0) -> np.ndarray:
-        """Return a lane array as (k, H, W) without a kernel; or, `halo` given, with its border.
+        """Return a lane array as (k, H, W) without a kernel, with a border if `halo` is given.
 
-        `width`: of the image, if not that of the grid.
+        `width`: of the image, by default that of the grid.
         """
         array, lanes = on_host(array), self.grid.lanes
         around = halo or 1
@@ -99,18 +99,18 @@ class TaichiSide:
         return self.grid.place(aligned_zeros(halved_shape(self.grid, components)))
 
     def lay_halved(self, stack: np.ndarray) -> LaneData:
-        """Lay (k, ⌈H/2⌉, ⌈W/2⌉) into such an array."""
+        """Copy (k, ⌈H/2⌉, ⌈W/2⌉) to an array of half the density."""
         return self.lay(stack, strip=self.grid.strip // 2)
 
     def read_halved(self, array: LaneData) -> np.ndarray:
-        """Return such an array as (k, ⌈H/2⌉, ⌈W/2⌉)."""
+        """Return an array of half the density as (k, ⌈H/2⌉, ⌈W/2⌉)."""
         return self.read(array, width=coarse_grid(self.grid).width)
 
 
 class NumpySide:
-    """One method per kernel, which returns the call to be timed; the call returns the answer.
+    """One method per kernel, which returns the timed call; the call returns the answer.
 
-    Calls that work in place go on from where the last one ended, like those they stand beside.
+    Calls in place continue from the last state, as on the Taichi side.
     """
 
     def __init__(self, problem: Problem, components: int, scheme: str) -> None:

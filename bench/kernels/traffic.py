@@ -1,12 +1,12 @@
-"""How much memory a kernel has to move: the bytes behind every share of bandwidth.
+"""Bytes that each kernel has to move, for its share of the bandwidth.
 
-The rule, for kernels and for the stream alike: every array that a kernel must read or write
-counts once, 4 bytes per pixel and component, however often the kernel comes back to it. Not
-counted are halo, padding and column tables, and the reads of cache lines about to be overwritten.
-So a kernel that passes twice over its arrays stays at half the bandwidth at best.
+Every array that a kernel must read or write counts once, 4 bytes per pixel and component, however
+often the kernel accesses it; the stream follows the same rule. Halo, padding, column tables, and
+reads of cache lines that are then overwritten do not count. So a kernel that passes twice over its
+arrays has at most half the bandwidth.
 
-Only `sweep_unfused`, which shows what two passes cost, counts what each of them moves: whole cache
-lines, of which those of 16 lanes hold one color alone.
+Only `sweep_unfused`, which shows the cost of two passes, counts the bytes of each pass: whole cache
+lines, which hold one color alone with 16 lanes.
 """
 
 from dataclasses import dataclass
@@ -19,9 +19,9 @@ LINE = 64  # bytes of a cache line
 
 @dataclass(frozen=True)
 class Traffic:
-    """Words per pixel: `read[0]` + `read[1]`·n are read, and so on, for n unknowns per pixel.
+    """Words per pixel: `read[0]` + `read[1]`·n for n unknowns per pixel, and so on.
 
-    `spared` are those of them that need not be moved where a vector of lanes fills a cache line.
+    `spared` words need not be moved if a vector of lanes fills a cache line.
     """
 
     read: tuple[float, float]
@@ -29,14 +29,14 @@ class Traffic:
     spared: tuple[float, float] = (0, 0)
 
     def bytes_per_pixel(self, components: int, lanes: int) -> float:
-        """Return the bytes a pixel of a problem of n = `components` unknowns has to move."""
+        """Return the bytes per pixel of a problem with n = `components` unknowns."""
         fixed, each = (a + b for a, b in zip(self.read, self.written, strict=True))
         if lanes * BYTES >= LINE:
             fixed, each = fixed - self.spared[0], each - self.spared[1]
         return BYTES * (fixed + each * components)
 
 
-VIEWS = 2  # frames beside the first, where there are several
+VIEWS = 2  # other frames of the kernels of several frames
 TRAFFIC = {
     "image_to_lanes": Traffic(read=(1, 0), written=(1, 0)),  # image | lanes
     "lanes_to_images": Traffic(read=(0, 1), written=(0, 1)),  # ρ̂ | images

@@ -1,7 +1,7 @@
-"""A sweep that passes over memory once for each color, of what the library's does in one pass.
+"""A sweep with one pass over memory for each color, where the library needs one pass for both.
 
-It shows whether relaxing a pixel keeps up with memory where nothing is left in the caches; what
-`tisfm.kernels.solve.relaxation` gains by letting black follow red is the difference.
+It shows whether relaxation keeps up with memory without caches. The difference to
+`tisfm.kernels.solve.relaxation` is the gain of fusing both colors.
 """
 
 import taichi as ti
@@ -24,7 +24,7 @@ from tisfm.kernels.solve.relaxation import RELAXATION_BAND, relax_at
 def sweep_unfused(system: LinearSystem, rho: LaneData, *, relaxation: float, solver: str) -> None:
     """Sweep red everywhere and then black, as `LinearSystem.sweep` does.
 
-    For vectors of lanes: with one lane the library itself sweeps so.
+    For several lanes; with one lane, the sweep of the library is unfused.
     """
     grid = system.grid
     if grid.lanes == 1:
