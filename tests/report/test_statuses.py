@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tisfm.report.embedded_images import chosen
+from tisfm.report.embedded_images import choose_slides
 from tisfm.report.statuses import MEANINGS, color_of, counted, spans
 from tisfm.status import Status
 
@@ -64,7 +64,7 @@ def test_a_rare_status_is_seen_in_a_long_sequence():
 @given(st.integers(0, 2000), st.lists(st.integers(0, 1999), max_size=80), st.integers(4, 60))
 def test_chosen_frames_are_there_and_spread(count, wanted, most):
     wanted = [frame for frame in wanted if frame < count]
-    found = chosen(count, wanted, most)
+    found = choose_slides(count, wanted, most)
     assert found == sorted(set(found)) and len(found) <= most
     assert set(found) <= set(range(count))
     if count <= most:

@@ -1,4 +1,4 @@
-"""Drawings of a report, as SVG whose text has the colour of the page."""
+"""Drawings of a report: SVG whose text has the colour of the page."""
 
 import io
 import re
@@ -17,18 +17,18 @@ from tisfm.show.palette import ESTIMATE, FAINT, INK
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_MOST_POINTS = 400  # of a curve
-MOST_PIECES = 4
+_MAX_POINTS = 400  # of a curve, set by hand
+MAX_PIECES = 4  # whose paths are drawn, set by hand
 _VIEWS: dict[PathView, str] = {"above": "from above", "side": "from the side"}
 
 
 def path_drawing(poses: NDArray[np.float64], piece: NDArray[np.int32]) -> Markup:
-    """Draw the places of the camera from above and from the side, each piece in its own scale.
+    """Draw the path of the camera from above and from the side, each piece in its own scale.
 
     Parameters
     ----------
     poses : (N, 4, 4) float64
-        Camera to world, NaN without one.
+        Camera to world, NaN without a pose.
     piece : (N,) int32
         −1 without a pose.
 
@@ -38,19 +38,19 @@ def path_drawing(poses: NDArray[np.float64], piece: NDArray[np.int32]) -> Markup
         Two ``svg`` elements for each of the largest pieces; empty if no frame has a pose.
     """
     numbers, counts = np.unique(piece[piece >= 0], return_counts=True)
-    shown = numbers[np.argsort(-counts, kind="stable")][:MOST_PIECES]
+    shown = numbers[np.argsort(-counts, kind="stable")][:MAX_PIECES]
     if not len(shown):
         return Markup()
     drawings = []
     for number in shown:
-        mine = piece == number
-        said = f"piece {number}, {mine.sum()} frames, " if len(numbers) > 1 else ""
+        in_piece = piece == number
+        prefix = f"piece {number}, {in_piece.sum()} frames, " if len(numbers) > 1 else ""
         for view, name in _VIEWS.items():
             figure = _figure(4.0, 3.3)
             axes = figure.add_subplot()
-            draw_path(poses[mine], axes=axes, view=view, title=f"{said}{name}")
+            draw_path(poses[in_piece], axes=axes, view=view, title=f"{prefix}{name}")
             legend = axes.get_legend()
-            if legend is not None:  # the page says it, in its own colours
+            if legend is not None:  # the page explains the path in its text
                 legend.remove()
             drawings.append(_svg(figure))
     return Markup().join(drawings)
@@ -62,12 +62,12 @@ def curves_drawing(curves: Sequence[tuple[str, Sequence[float | None]]]) -> Mark
     Parameters
     ----------
     curves : sequence of (str, sequence of float or None)
-        What a curve shows, and its numbers; None where there is none.
+        Name of a curve and its numbers; None for a missing number.
 
     Returns
     -------
     Markup
-        An ``svg`` element for each; empty if nothing has more than one number.
+        An ``svg`` element for each curve with more than one number.
     """
     known = [
         (name, np.array([np.nan if value is None else value for value in values], np.float64))
@@ -78,7 +78,7 @@ def curves_drawing(curves: Sequence[tuple[str, Sequence[float | None]]]) -> Mark
     for name, values in known:
         figure = _figure(4.0, 2.0)
         axes = figure.add_subplot()
-        edges = np.linspace(0, len(values), min(len(values), _MOST_POINTS) + 1).astype(int)
+        edges = np.linspace(0, len(values), min(len(values), _MAX_POINTS) + 1).astype(int)
         middles = (edges[:-1] + edges[1:] - 1) / 2
         means = [_mean(values[a:b]) for a, b in pairwise(edges)]
         dot = "." if len(means) <= 60 else ""
@@ -108,9 +108,9 @@ def _figure(width: float, height: float) -> "Figure":
 
 
 def _svg(figure: "Figure") -> Markup:
-    """Return a figure as an element without a size of its own, the same whenever it is drawn.
+    """Return a figure as an element without a size, the same in every run.
 
-    Matplotlib escapes the texts in it.
+    Matplotlib escapes its texts.
     """
     from matplotlib import rc_context
 
@@ -123,7 +123,7 @@ def _svg(figure: "Figure") -> Markup:
         figure.savefig(data, format="svg", metadata=about)
     drawing = data.getvalue()
     drawing = drawing[drawing.index("<svg") :].strip()
-    drawing = drawing.replace(INK, "currentColor")  # that of the text around
+    drawing = drawing.replace(INK, "currentColor")  # the colour of the surrounding text
     drawing = re.sub(r"<metadata>.*?</metadata>", "", drawing, flags=re.DOTALL)
     head, rest = drawing.split(">", 1)
     box = re.search(r'viewBox="[^"]*"', head)

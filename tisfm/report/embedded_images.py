@@ -1,4 +1,4 @@
-"""Pictures inside a page: small, and never larger in all than a page may be."""
+"""Pictures inside a page, limited in size so that the page stays small."""
 
 import base64
 import io
@@ -9,61 +9,62 @@ from PIL import Image
 
 from tisfm.show.arrays import as_rgb, as_uint8
 
-MOST_SLIDES = 48
-LONGEST_SIDE = 560  # px
-BUDGET = 13_000_000  # bytes of all pictures; a third more as text, which stays below 20 MB
-_QUALITIES = (86, 75, 60, 40, 20)
+# Set by hand.
+MAX_SLIDES = 48
+MAX_SIDE = 560  # px
+BUDGET = 13_000_000  # bytes of all pictures; base64 adds a third, and the page stays below 20 MB
+_QUALITIES = (86, 75, 60, 40, 20)  # of JPEG, in the order of trial
 
 
 class Pictures:
-    """Makes pictures of so many bytes each at most, that all together keep the budget.
+    """Makes pictures whose bytes together stay within a budget.
 
     Parameters
     ----------
     count : int
-        How many there will be.
+        Number of pictures.
     budget : int
-        Bytes of all of them.
+        Bytes of all pictures.
     """
 
     def __init__(self, count: int, *, budget: int = BUDGET) -> None:
-        self._most = budget // max(count, 1)
+        self._max_bytes = budget // max(count, 1)
 
     def url(self, picture: NDArray[np.generic]) -> str:
-        """Return a picture, (H, W) or (H, W, 3), as the address of an image that contains it."""
+        """Return a picture, (H, W) or (H, W, 3), as a data address with a JPEG."""
         (levels,) = as_uint8(picture)
         image = Image.fromarray(np.ascontiguousarray(as_rgb(levels)))
-        side = LONGEST_SIDE
+        side = MAX_SIDE
         while True:
             small = image.copy()
             small.thumbnail((side, side), Image.Resampling.BOX)
             for quality in _QUALITIES:
                 data = io.BytesIO()
                 small.save(data, "JPEG", quality=quality, subsampling=0)
-                if data.tell() <= self._most or side <= 8:
+                if data.tell() <= self._max_bytes or side <= 8:
                     return _address("jpeg", data.getvalue())
             side //= 2
 
 
 def png_url(picture: NDArray[np.uint8]) -> str:
-    """Return a small drawing, such as a legend, as the address of an image that contains it."""
+    """Return a small drawing, such as a legend, as a data address with a PNG."""
     data = io.BytesIO()
     Image.fromarray(picture).save(data, "PNG", optimize=True)
     return _address("png", data.getvalue())
 
 
-def chosen(count: int, wanted: list[int], most: int = MOST_SLIDES) -> list[int]:
-    """Return the numbers of the frames that are shown: some that are wanted, others evenly.
+def choose_slides(count: int, wanted: list[int], most: int = MAX_SLIDES) -> list[int]:
+    """Return the numbers of the frames to show: required frames, and others evenly spread.
 
     Parameters
     ----------
     count : int
-        Frames.
+        Number of frames.
     wanted : list of int
-        Those to be shown for sure, such as the first of each status, the most wanted first; at most
-        half of `most` are.
+        Required frames, such as the first of each status, the most important first; at most half of
+        `most`.
     most : int
-        How many are shown.
+        Limit of the frames to show.
     """
     if count <= most:
         return list(range(count))

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from tisfm.reconstruction.result.calibration import describe_focal
 from tisfm.reconstruction.result.reconstruction import Reconstruction
-from tisfm.report.drawings import MOST_PIECES, path_drawing
-from tisfm.report.embedded_images import Pictures, chosen
+from tisfm.report.drawings import MAX_PIECES, path_drawing
+from tisfm.report.embedded_images import Pictures, choose_slides
 from tisfm.report.legends import depth_legend, deviation_legend, flow_legend
 from tisfm.report.page import Picture, Report, Slide, check_report, write_report
 from tisfm.report.setting_rows import nearest_preset, setting_rows
@@ -61,7 +61,7 @@ def _report(result: Reconstruction, folder: Path, source: str | None) -> Report:
     counts = counted(result.status, result.names, converged=_CONVERGED)
     begins = [int(np.argmax(result.piece == piece)) for piece in _pieces(result)]
     first = [list(map(str, result.status)).index(status.code) for status in counts]
-    numbers = chosen(len(result), [*first, *begins])
+    numbers = choose_slides(len(result), [*first, *begins])
     slides, flow_limit = _slides(result, numbers)
     whole = len(slides) == len(result)
     pieces = _pieces(result)
@@ -70,8 +70,8 @@ def _report(result: Reconstruction, folder: Path, source: str | None) -> Report:
         "Numbers are in the unit of the path"
         f"{', and each piece has its own unit' if len(pieces) > 1 else ''}."
     )
-    if len(pieces) > MOST_PIECES:
-        text += f" Shown are the {MOST_PIECES} largest of {len(pieces)} pieces."
+    if len(pieces) > MAX_PIECES:
+        text += f" Shown are the {MAX_PIECES} largest of {len(pieces)} pieces."
     return Report(
         title=source or folder.resolve().name,
         kind="A sequence, reconstructed by tisfm reconstruct",

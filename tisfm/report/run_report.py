@@ -1,4 +1,4 @@
-"""The report of a run: what its record says of every pair, and pictures of some."""
+"""The report of a run: the record of every pair, and pictures of some pairs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,11 +11,12 @@ from tisfm.errors import InputError
 from tisfm.focal_guess import at_size
 from tisfm.interpretation import Interpretation
 from tisfm.report.drawings import curves_drawing
-from tisfm.report.embedded_images import Pictures, chosen
+from tisfm.report.embedded_images import Pictures, choose_slides
 from tisfm.report.legends import confidence_legend, depth_legend, flow_legend
 from tisfm.report.page import Picture, Report, Slide, check_report, write_report
 from tisfm.report.setting_rows import nearest_preset, setting_rows
 from tisfm.report.statuses import counted, shortened, spans
+from tisfm.results.frame import mean_inverse_depth
 from tisfm.settings import Settings
 from tisfm.show import (
     confidence_to_color,
@@ -28,7 +29,7 @@ from tisfm.show import (
 from tisfm.status import Status
 
 _DEPTH, _MOTION, _CONFIDENCE = "Depth, near is bright", "Image motion", "Confidence"
-_PICTURES = 4  # pictures of a pair; one more for labels
+_PICTURES = 4  # of a pair, without labels
 
 
 def write_run_report(
@@ -42,16 +43,16 @@ def write_run_report(
     Parameters
     ----------
     folder : Path
-        What `tisfm run` wrote. Pictures are of the pairs whose ``.npz`` is there.
+        Folder of `tisfm run`. Pairs with an ``.npz`` file have pictures.
     record : mapping
-        What its ``run.json`` says.
+        Contents of its ``run.json``.
     source : str, optional
-        What it was a run of, if that is known.
+        Name of the source, if it is known.
 
     Raises
     ------
     OSError, ValueError
-        If a file cannot be read or written, or the record is not that of a run.
+        If a file cannot be read or written, or the record is no record of a run.
     """
     path = check_report(folder)
     run = _read(folder, record)
@@ -61,7 +62,7 @@ def write_run_report(
 
 @dataclass(frozen=True, kw_only=True)
 class _Pair:
-    """What the record says of a pair; of the numbers, None where it says none."""
+    """The record of a pair; None for missing numbers."""
 
     name: str
     number: int
@@ -88,7 +89,7 @@ class _Run:
 
 
 def _read(folder: Path, record: Mapping[str, Any]) -> _Run:
-    """Read a record, or raise ValueError where it is not that of a run."""
+    """Read a record; raise ValueError if it is no record of a run."""
     try:
         pairs = [
             _Pair(
@@ -101,7 +102,7 @@ def _read(folder: Path, record: Mapping[str, Any]) -> _Run:
             )
             for name, pair in record["pairs"].items()
         ]
-        source = record["source"]  # its frames, before they were cropped and shrunk
+        source = record["source"]  # frames of the source, before cropping and shrinking
         return _Run(
             pairs=pairs,
             settings=Settings(**_as_tuples(record["settings"])),
@@ -123,16 +124,18 @@ def _report(folder: Path, run: _Run, source: str | None) -> Report:
     statuses = [pair.status for pair in run.pairs]
     counts = counted(statuses, names)
     codes = [str(status) for status in statuses]
-    numbers = chosen(len(names), [codes.index(status.code) for status in counts])
+    numbers = choose_slides(len(names), [codes.index(status.code) for status in counts])
     shown = [run.pairs[k] for k in numbers if (folder / f"{names[k]}.npz").is_file()]
     slides, shape, flow_limit = _slides(folder, shown, run.flow_limit)
     if not names:
-        told = "There is no pair."
+        slides_text = "There is no pair."
     elif not slides:
-        told = "Pictures are made of NAME.npz, which this run did not write."
+        slides_text = "Pictures need NAME.npz, which this run did not write."
     else:
-        told = f"{len(slides)} of {len(names)} pairs" if len(slides) < len(names) else "All pairs"
-        told += ", each by its first frame."
+        slides_text = (
+            f"{len(slides)} of {len(names)} pairs" if len(slides) < len(names) else "All pairs"
+        )
+        slides_text += ", each with its first frame."
     legends = [
         depth_legend(_DEPTH, "in multiples of each pair's mean inverse depth"),
         flow_legend(_MOTION, _MOTION, flow_limit),
@@ -153,10 +156,10 @@ def _report(folder: Path, run: _Run, source: str | None) -> Report:
             ]
         ),
         drawing_title="Over the pairs",
-        drawing_text="Mean length of the image motion, mean confidence, and the share of the "
-        "pixels that the next frame does not show.",
+        drawing_text="Mean length of the image motion, mean confidence, and share of the pixels "
+        "that are not visible in the next frame.",
         slides=slides,
-        slides_text=told,
+        slides_text=slides_text,
         legends=legends if slides else (),
         tables=[("How the source was read", ("Note",), [(note,) for note in run.notes])],
         preset=nearest_preset(run.settings),
@@ -189,10 +192,10 @@ def _slides(
 ) -> tuple[list[Slide], tuple[int, int] | None, float]:
     """Return slides of some pairs, the shape of the frames, and the range of image motion, px."""
     levels, speeds, shape = [], [], None
-    for pair in shown:  # ranges first, so that one holds for all of them
+    for pair in shown:  # a first pass for the ranges, common to all pairs
         result = Interpretation.load(folder / f"{pair.name}.npz")
         shape = result.flow.shape[:2]
-        level = _mean_inverse_depth(result)
+        level = mean_inverse_depth(result.inverse_depth)
         if level > 0 and str(result.status) not in ("diverged", "pose_mismatch"):
             levels.append(inverse_depth_limit(result.inverse_depth) / level)
         speeds.append(usual_length(result.flow))
@@ -202,7 +205,7 @@ def _slides(
     slides = []
     for pair in shown:
         result = Interpretation.load(folder / f"{pair.name}.npz")
-        level = _mean_inverse_depth(result)
+        level = mean_inverse_depth(result.inverse_depth)
         images = [
             Picture(title="Frame", url=pictures.url(result.frame)),
             Picture(
@@ -219,7 +222,7 @@ def _slides(
         ]
         if result.labels is not None and result.labels.max() > 0:
             overlay = label_overlay(result.frame, result.labels)
-            images.append(Picture(title="What moves on its own", url=pictures.url(overlay)))
+            images.append(Picture(title="Moving objects", url=pictures.url(overlay)))
         slides.append(
             Slide(
                 name=pair.name,
@@ -233,14 +236,8 @@ def _slides(
     return slides, shape, flow_limit
 
 
-def _mean_inverse_depth(result: Interpretation) -> float:
-    """Return the unit of a pair's inverse depth, which takes its own scale out."""
-    mean = float(np.maximum(np.nan_to_num(result.inverse_depth), 0).mean(dtype=np.float64))
-    return mean if np.isfinite(mean) else 0.0
-
-
 def _as_tuples(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings as they were before JSON made lists of them."""
+    """Return settings with tuples, which JSON has turned into lists."""
     return {k: tuple(v) if isinstance(v, list) else v for k, v in settings.items()}
 
 

@@ -1,4 +1,4 @@
-"""Settings as rows, beside the preset that they come from."""
+"""Settings as rows of a table, compared with a preset."""
 
 from dataclasses import asdict, dataclass
 from typing import Any, get_args
@@ -8,7 +8,7 @@ from tisfm.settings import Preset, Settings
 
 @dataclass(frozen=True, kw_only=True)
 class SettingRow:
-    """A setting: its name, its value, and that of the preset where it differs."""
+    """A setting: name, value, and the value of the preset if it differs."""
 
     name: str
     value: str
@@ -16,7 +16,7 @@ class SettingRow:
 
 
 def nearest_preset(settings: Settings) -> str:
-    """Return the preset that fewest settings differ from."""
+    """Return the preset with the fewest different settings."""
     values = asdict(settings)
 
     def differing(name: Preset) -> int:
@@ -27,7 +27,7 @@ def nearest_preset(settings: Settings) -> str:
 
 
 def setting_rows(settings: Settings) -> list[SettingRow]:
-    """Return a row for every setting, those that differ from the nearest preset first."""
+    """Return a row for every setting; settings that differ from the nearest preset come first."""
     preset = asdict(Settings.preset(nearest_preset(settings), motion=settings.motion))  # type: ignore[arg-type]
     rows = [
         SettingRow(

@@ -1,6 +1,6 @@
-"""What statuses mean, in a line each, and how they are coloured.
+"""Meanings of statuses in a line each, and their colours.
 
-`docs/trust.md` says more of each.
+`docs/trust.md` explains them in detail.
 """
 
 from collections import Counter
@@ -12,21 +12,21 @@ from tisfm.status import UNKNOWN, Status
 
 MEANINGS = {
     "converged": "The iterations converged.",
-    "iteration_limit": "The iterations ran out before the result was exact: depth is less exact.",
-    "no_motion": "Frames are alike, or move no more than noise: there is no depth.",
-    "no_texture": "Too little is to be seen by which motion could be told: there is no depth.",
-    "little_parallax": "The camera hardly changed its place: there is no depth.",
-    "pure_rotation": "The camera only turned: there is no depth.",
-    "aperture": "The frame varies along one direction only, such as stripes do.",
-    "unrelated": "Frames show different scenes, such as at a cut, or the motion was missed.",
-    "two_motions": "Two motions explain the frames alike; depth follows from one of them.",
+    "iteration_limit": "The iterations ended before they converged: depth is less accurate.",
+    "no_motion": "The frames are equal up to noise: there is no depth.",
+    "no_texture": "The frames have too little texture to measure motion: there is no depth.",
+    "little_parallax": "The camera hardly moved: there is no depth.",
+    "pure_rotation": "The camera only rotated: there is no depth.",
+    "aperture": "The frame varies in one direction only, like stripes.",
+    "unrelated": "The frames show different scenes, as at a cut, or the motion was not result.",
+    "two_motions": "Two motions explain the frames equally well; depth follows from one of them.",
     "behind_camera": "Much of the scene would lie behind the camera: depth is wrong in part.",
-    "unexplained": "Motion and depth do not make the frames alike: depth is wrong in part.",
-    "uncertain": "There is little parallax, or depth has a large deviation: it is rough.",
+    "unexplained": "Motion and depth do not explain the frames: depth is wrong in part.",
+    "uncertain": "There is little parallax, or depth has a large deviation: depth is rough.",
     "pose_mismatch": "The given pose contradicts the images.",
-    "diverged": "The motion grew beyond all bounds: the result is of no use.",
+    "diverged": "The iterations diverged: the result is useless.",
 }
-# The colours of Okabe and Ito, which the colour-blind tell apart as well.
+# Colours of Okabe and Ito, which differ with a colour vision deficiency as well.
 _COLORS = {
     "converged": "#009e73",
     "iteration_limit": "#56b4e9",
@@ -40,20 +40,21 @@ _COLORS = {
     "unrelated": "#cc79a7",
 }
 _WRONG = "#d55e00"
-_MOST_NAMED, _LONGEST = 4, 600  # frames; characters of a message
+_MAX_NAMES = 4  # of frames with a status, set by hand
+_MAX_MESSAGE = 600  # characters, set by hand
 
 
 @dataclass(frozen=True, kw_only=True)
 class StatusCount:
-    """How many frames have a status, which, and what to do.
+    """The frames with a status, and advice.
 
     Attributes
     ----------
     code, meaning, advice : str
-        The code, what it means, and the message of the first frame that has it.
+        The code, its meaning, and the message of the first frame with it.
     count : int
     names : str
-        The first frames that have it, in words.
+        Names of the first frames with the status.
     """
 
     code: str
@@ -71,17 +72,17 @@ def color_of(code: str) -> str:
 def counted(
     statuses: Sequence[Status], names: Sequence[str], *, converged: str = MEANINGS["converged"]
 ) -> list[StatusCount]:
-    """Return what statuses there are, the most frequent first; `converged` is what that means."""
+    """Return the statuses, the most frequent first; `converged` is the meaning of that status."""
     meanings = {**MEANINGS, "converged": converged}
     counts = Counter(map(str, statuses))
-    found = []
+    result = []
     for code, count in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
         mine = [index for index, status in enumerate(statuses) if status == code]
-        shown = ", ".join(names[index] for index in mine[:_MOST_NAMED])
-        more = count - _MOST_NAMED
-        # The message of "converged" says no more than its meaning.
+        shown = ", ".join(names[index] for index in mine[:_MAX_NAMES])
+        more = count - _MAX_NAMES
+        # The message of "converged" only repeats its meaning.
         message = "" if code == "converged" else statuses[mine[0]].message
-        found.append(
+        result.append(
             StatusCount(
                 code=code,
                 meaning=meanings.get(code, UNKNOWN),
@@ -90,31 +91,31 @@ def counted(
                 names="all" if count == len(statuses) else shown + f" and {more} more" * (more > 0),
             )
         )
-    return found
+    return result
 
 
 def shortened(text: str) -> str:
-    """Return a text in one line, cut off where it is very long."""
+    """Return a text in one line, cut off if it is very long."""
     line = " ".join(text.split())
-    return line if len(line) <= _LONGEST else line[: _LONGEST - 1] + "…"
+    return line if len(line) <= _MAX_MESSAGE else line[: _MAX_MESSAGE - 1] + "…"
 
 
 def spans(codes: Sequence[str], most: int = 500) -> list[tuple[float, float, str]]:
-    """Return begin and end, as shares of the whole, of frames in a row with one status.
+    """Return begin and end, as shares of the sequence, of consecutive frames with one status.
 
-    Where there are more than `most` frames, each of so many parts has the rarest status in it.
+    More than `most` frames are divided into that many parts, each with its rarest status.
     """
     frequency = Counter(codes)
     parts = min(most, len(codes))
     edges = [len(codes) * part // parts for part in range(parts + 1)] if parts else [0]
-    told = [
+    rarest = [
         min(codes[begin:end], key=lambda code: (frequency[code], code))
         for begin, end in pairwise(edges)
     ]
-    found: list[tuple[float, float, str]] = []
-    for part, code in enumerate(told):
+    result: list[tuple[float, float, str]] = []
+    for part, code in enumerate(rarest):
         begin = part / parts
-        if found and found[-1][2] == code:
-            begin = found.pop()[0]
-        found.append((begin, (part + 1) / parts, code))
-    return found
+        if result and result[-1][2] == code:
+            begin = result.pop()[0]
+        result.append((begin, (part + 1) / parts, code))
+    return result
