@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tisfm.motion.objects import boundaries
-from tisfm.motion.objects.boundaries import sharpened
+from tisfm.motion.objects.boundaries import sharpen_labels
 from tisfm.motion.objects.label_optimisation import MinSum
 
 SIZE = (72, 95)
@@ -67,7 +67,7 @@ def test_boundaries_are_right_to_the_pixel(in_front, shift):
     true, *frames = scene(in_front=in_front)
     rough = np.roll(true, shift, axis=(1, 0))
     before = rough.copy()
-    found = sharpened(rough, flows(), anywhere(), *frames)
+    found = sharpen_labels(rough, flows(), anywhere(), *frames)
     assert found.dtype == np.int32
     np.testing.assert_array_equal(rough, before)
     # Of 1500 px and 140 along the boundary, of which every other is a mixture.
@@ -78,17 +78,17 @@ def test_boundaries_are_right_to_the_pixel(in_front, shift):
 def test_what_is_hidden_has_the_label_of_what_hides_less(in_front, monkeypatch):
     """Without hidden pixels, those in the strip have the label that happens to fit."""
     true, *frames = scene(in_front=in_front)
-    found = sharpened(true, flows(), anywhere(), *frames)
+    found = sharpen_labels(true, flows(), anywhere(), *frames)
     for name in ("LEAST_HIDDEN", "HIDDEN"):
         monkeypatch.setattr(boundaries, name, 50.0)
-    blind = sharpened(true, flows(), anywhere(), *frames)
+    blind = sharpen_labels(true, flows(), anywhere(), *frames)
     assert (found != true).sum() < (blind != true).sum()
 
 
 def test_brightness_may_change():
     true, frame0, frame1 = scene(in_front=True)
     rough = np.roll(true, (2, 1), axis=(1, 0))
-    found = sharpened(rough, flows(), anywhere(), frame0, 1.1 * frame1 + 8)
+    found = sharpen_labels(rough, flows(), anywhere(), frame0, 1.1 * frame1 + 8)
     assert overlap(found == 1, true == 1) > 0.97
 
 
@@ -97,15 +97,15 @@ def test_a_label_stays_within_its_reach():
     smaller = cv2.erode(true.astype(np.uint8), np.ones((5, 5), np.uint8)).astype(np.int32)
     reach = anywhere()
     reach[1] = smaller == 1
-    found = sharpened(smaller, flows(), reach, *frames)
+    found = sharpen_labels(smaller, flows(), reach, *frames)
     assert not found[smaller == 0].any()
-    assert overlap(sharpened(smaller, flows(), anywhere(), *frames) == 1, true == 1) > 0.975
+    assert overlap(sharpen_labels(smaller, flows(), anywhere(), *frames) == 1, true == 1) > 0.975
 
 
 def test_one_label_has_no_boundary():
     labels = np.zeros(SIZE, np.int32)
     frame = moved(textured(0), (0, 0))
-    assert sharpened(labels, flows()[:1], anywhere()[:1], frame, frame) is labels
+    assert sharpen_labels(labels, flows()[:1], anywhere()[:1], frame, frame) is labels
 
 
 # --- Min-sum -----------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Which rigid motions a flow field may hold: candidates for ``motion="objects"``."""
+"""Candidate rigid motions of objects in a flow field, for ``motion="objects"``."""
 
 import cv2
 import numpy as np
@@ -8,14 +8,18 @@ from tisfm.kernels.model.constants import NEAREST
 from tisfm.motion.egomotion import TooFewPixelsError, camera_motion, triangulate
 from tisfm.motion.objects.label_optimisation import Potts
 
-PIXELS = 40_000  # of the flow that is looked at: labels are made sharp later
-TOLERATED_ERROR, FLOOR = 3.0, 0.02  # of the background's residual, and px: what flow may be off by
-UNEXPLAINED = 3.0  # the cost of a pixel that no motion explains, in squares of that
-SMALLEST = 0.002  # of the pixels: what is smaller is no object
-EXPLAINED = 0.3  # of a candidate's pixels, at least, by its own motion
-CLEARLY = 0.6  # of the median distance under a common motion, at most, under one of its own
-FASTEST_SPIN = 0.2  # rad/frame, beside the background
-LEAST_WEIGHT = 0.02  # of a pixel, where labels are assigned
+# All of these were set by hand.
+PIXELS = 40_000  # of the reduced flow that is searched; boundaries are refined later
+TOLERATED_RESIDUALS = 3.0  # residuals of the background that a flow may be off,
+TOLERATED_PX = 0.02  # plus as many px
+UNEXPLAINED = 3.0  # tolerated errors: root of the cost of a pixel that no motion explains
+SMALLEST_OBJECT = 0.002  # share of the pixels
+LEAST_EXPLAINED = 0.3  # share of a candidate's pixels that its motion explains
+# Median distance of a part under its own motion over that under the common motion, at most, if the
+# part gets its own motion.
+LARGEST_RATIO = 0.6
+FASTEST_SPIN = 0.2  # rad/frame, relative to the background
+LEAST_WEIGHT = 0.02  # of a pixel while labels are assigned
 
 
 def motion_candidates(
@@ -28,11 +32,11 @@ def motion_candidates(
     *,
     most: int,
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Find motions one after another in what those before do not explain.
+    """Find motions one after another, each in the pixels that the previous ones do not explain.
 
-    The distance of a pixel's flow from what a motion allows, the half line of depths before the
-    camera, is its cost; a further label stands for pixels that no motion explains. The largest
-    connected part of that label gives the next motion.
+    The cost of a pixel is the distance of its flow from the half line of flows that a motion allows
+    at depths in front of the camera. A further label stands for pixels that no motion explains; its
+    largest connected part gives the next motion.
 
     Parameters
     ----------
@@ -47,7 +51,7 @@ def motion_candidates(
     residual : float
         Its residual, px.
     most : int
-        How many motions there may be.
+        Largest number of motions.
 
     Returns
     -------
@@ -61,13 +65,13 @@ def motion_candidates(
     ratio = size[0] / width
     small_flow = cv2.resize(flow, size, interpolation=cv2.INTER_AREA) * np.float32(ratio)
     small_trust = cv2.resize(trust, size, interpolation=cv2.INTER_AREA)
-    # The rounding of the size shifts a pixel by a fraction of one; motions hardly feel it.
+    # The rounding of the size shifts a pixel by a fraction of one; motions hardly change.
     search = _Search(
         small_flow,
         small_trust,
         camera.scaled(ratio, height, width),
         cv2.resize(frame, size, interpolation=cv2.INTER_AREA),
-        TOLERATED_ERROR * residual * ratio + FLOOR,
+        TOLERATED_RESIDUALS * residual * ratio + TOLERATED_PX,
         np.array(background, np.float64),
     )
     motions, labels = search.run(most)
@@ -105,7 +109,7 @@ class _Search:
             if len(motions) == most or part.sum() < self.smallest:
                 break
             motion = self._fit(part)
-            found = None if motion is None else self._refitted_with(motions, motion, part)
+            found = None if motion is None else self._refit_with(motions, motion, part)
             if found is None:
                 tried |= part
             else:
@@ -114,10 +118,10 @@ class _Search:
         return motions, self._labels(motions)
 
     def _split(self, motions: list[np.ndarray], most: int) -> list[np.ndarray]:
-        """Give separate parts of a label motions of their own where those fit clearly better.
+        """Give separate parts of a label their own motions if these fit clearly better.
 
-        One motion, its depths free, often explains two things that move alike only roughly. It
-        is that of the largest part rather than of the others: so the others are asked.
+        One motion with free depths often explains two objects that move only roughly alike. It is
+        mostly that of the largest part, so own motions are tried for the other parts.
         """
         labels = self._labels(motions)
         added: list[np.ndarray] = []
@@ -133,19 +137,19 @@ class _Search:
                 if found is None or len(motions) + len(added) == most:
                     continue
                 apart = self._distance(found)
-                if np.median(apart[part]) < CLEARLY * np.median(together[part]):
+                if np.median(apart[part]) < LARGEST_RATIO * np.median(together[part]):
                     added.append(found)
                     left &= ~part
             rest = self._fit(left)
             motions[label] = joint if rest is None else rest
         return motions + added
 
-    def _refitted_with(
+    def _refit_with(
         self, motions: list[np.ndarray], motion: np.ndarray, part: np.ndarray
     ) -> list[np.ndarray] | None:
-        """Return motions and one more, fitted to the pixels they have; None if it explains few."""
+        """Return all motions and one more, refitted to their pixels; None if it explains few."""
         explained = (self._distance(motion) < self._tolerated * UNEXPLAINED) & part
-        if explained.sum() < max(EXPLAINED * part.sum(), self.smallest):
+        if explained.sum() < max(LEAST_EXPLAINED * part.sum(), self.smallest):
             return None
         motions = [*motions, motion]
         labels = self._labels(motions)
@@ -164,7 +168,7 @@ class _Search:
             found = camera_motion(self._flow, self._trust * mine, self._camera)
         except TooFewPixelsError:
             return None
-        # Nothing seen from frame to frame spins faster: such a fit is one of noise.
+        # No object spins faster between frames: such a motion fits noise.
         spin = np.linalg.norm(cv2.Rodrigues(found.rotation @ self._background[:, :3].T)[0])
         if spin > FASTEST_SPIN:
             return None
@@ -178,7 +182,7 @@ class _Search:
         return self._potts.assign(stacked.astype(np.float32), self._weight)
 
     def _distance(self, motion: np.ndarray) -> np.ndarray:
-        """Return how far the flow is from where points before the camera can go, px."""
+        """Return the distance of the flow from targets of points in front of the camera, px."""
         height, width = self._trust.shape
         focal = self._camera.focal
         cx, cy = self._camera.center_for(height, width)
@@ -198,12 +202,12 @@ class _Search:
 
 
 def smallest_object(pixels: int) -> int:
-    """Return the fewest pixels that an object may have, of an image of so many."""
-    return max(64, round(SMALLEST * pixels))
+    """Return the fewest pixels of an object, in an image of so many pixels."""
+    return max(64, round(SMALLEST_OBJECT * pixels))
 
 
 def _parts(mask: np.ndarray, smallest: int) -> list[np.ndarray]:
-    """Return the connected parts of a mask that are not too small."""
+    """Return the connected parts of a mask with at least `smallest` pixels."""
     count, parts = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
     each = (parts == index for index in range(1, count))
     return [part for part in each if part.sum() >= smallest]

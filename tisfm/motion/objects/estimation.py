@@ -9,7 +9,7 @@ from tisfm.motion.camera import only_turned
 from tisfm.motion.estimate import Estimate
 from tisfm.motion.first_motion import STILL, FirstMotion, first_motion
 from tisfm.motion.objects.background import with_carried_background
-from tisfm.motion.objects.boundaries import sharpened
+from tisfm.motion.objects.boundaries import sharpen_labels
 from tisfm.motion.objects.candidates import motion_candidates, smallest_object
 from tisfm.motion.objects.contacts import aligned
 from tisfm.motion.objects.layers import Layering, Layers, without_specks
@@ -158,7 +158,7 @@ def _to_the_pixel(
         smallest = smallest_object(labels.size)
         frames = (grey0, grey1) if k == 0 else (pyramid.frames0[k], pyramid.frames1[k])
         labels = without_specks(labels, smallest)
-        labels = without_specks(sharpened(labels, flows, reach, *frames), smallest)
+        labels = without_specks(sharpen_labels(labels, flows, reach, *frames), smallest)
     return labels, flows
 
 
