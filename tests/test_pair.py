@@ -138,7 +138,7 @@ def test_iteration_limit_is_a_status_with_advice(blocks):
     assert "outer_iterations" in result.status.message
 
 
-def test_runaway_flow_has_diverged():
+def test_runaway_flow_has_diverged_status():
     """Frames of noise without relation, and next to nothing that holds the flow together."""
     rng = np.random.default_rng(0)
     frames = rng.integers(0, 256, (2, 120, 160), dtype=np.uint8)
@@ -150,15 +150,15 @@ def test_runaway_flow_has_diverged():
 
 def status_of(flow, **options):
     """Return the status of an otherwise converged interpretation with this flow, (2, H, W)."""
-    from tisfm.pair import diverged
+    from tisfm.motion.frame_agreement import diverged_status
     from tisfm.visibility.occlusion import leaves_image
 
     flow = flow.astype(np.float32)
-    return diverged(flow, leaves_image(flow), **options) or "converged"
+    return diverged_status(flow, leaves_image(flow), **options) or "converged"
 
 
 @pytest.mark.parametrize(("move", "code"), [(15, "converged"), (19, "diverged")])
-def test_flow_that_takes_most_pixels_out_of_the_image_has_diverged(move, code):
+def test_flow_that_takes_most_pixels_out_of_the_image_has_diverged_status(move, code):
     """Towards the corner: 15 px leave 56 % of the pixels, 19 px leave 47 %."""
     status = status_of(np.full((2, 60, 60), move))
     assert status == code
@@ -169,15 +169,15 @@ def test_flow_that_takes_most_pixels_out_of_the_image_has_diverged(move, code):
 @pytest.mark.parametrize(("move", "code"), [(19, "converged"), (32, "converged"), (35, "diverged")])
 def test_matched_points_vouch_for_a_large_motion(move, code):
     """Towards the corner: 32 px leave 22 % of the pixels, 35 px leave 17 %."""
-    assert status_of(np.full((2, 60, 60), move), vouched=True) == code
+    assert status_of(np.full((2, 60, 60), move), confirmed=True) == code
 
 
 def test_what_leaves_the_image_may_go_far_where_points_are_matched():
     flow = np.zeros((2, 60, 60))
     flow[0, :, 50:] = 200
-    assert status_of(flow) == "diverged" and status_of(flow, vouched=True) == "converged"
+    assert status_of(flow) == "diverged" and status_of(flow, confirmed=True) == "converged"
     flow[0, 30, 20] = np.nan
-    assert status_of(flow, vouched=True) == "diverged"
+    assert status_of(flow, confirmed=True) == "diverged"
 
 
 @pytest.mark.parametrize(("length", "code"), [(29, "converged"), (31, "diverged"), (np.nan, None)])

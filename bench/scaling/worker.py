@@ -24,7 +24,7 @@ PEER = "OpenCV DIS medium"
 
 # Module, function and name of each stage of a pair. Its time excludes other stages that it calls.
 STAGES = (
-    ("tisfm.pair", "grey_pair", "grey levels"),
+    ("tisfm.prepared_pair", "grey_pair", "grey levels"),
     ("tisfm.solver.image_pyramid", "ImagePyramid.__init__", "pyramids and splines"),
     ("tisfm.solver.coarse_to_fine", "unknowns_on", "start of a level"),
     ("tisfm.solver.coarse_to_fine", "data_term_on", "start of a level"),

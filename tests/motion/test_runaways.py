@@ -9,12 +9,12 @@ import tisfm
 from tests.draws import nightly_except
 from tests.rendered import two_blocks
 from tisfm.formats import read_image
+from tisfm.motion.frame_agreement import diverged_status
 from tisfm.motion.objects import unstable_depth
 from tisfm.motion.objects.unstable_depth import FEW, stable_depth
 from tisfm.motion.problems import pyramid_of
 from tisfm.motion.rigid_depth import rigid_depth
 from tisfm.motion.rigid_estimate import with_depth
-from tisfm.pair import diverged
 from tisfm.rigid import pose_matrix, rigid_motion
 from tisfm.settings import Settings
 from tisfm.visibility.confidence import confidence
@@ -67,7 +67,7 @@ def error(estimate, scene, mask):
 
 
 def check(estimate):
-    assert diverged(estimate.flow, leaves_image(estimate.flow)) is None
+    assert diverged_status(estimate.flow, leaves_image(estimate.flow)) is None
 
 
 def test_what_stays_is_left_alone(scene, refined):
@@ -154,7 +154,7 @@ def test_a_pair_that_runs_away_does(scene, refined):
 
     refined(change)
     estimate, _, _ = estimated(scene)
-    assert diverged(estimate.flow, leaves_image(estimate.flow)) == "diverged"
+    assert diverged_status(estimate.flow, leaves_image(estimate.flow)) == "diverged"
 
 
 @pytest.mark.parametrize("known", [True, False])

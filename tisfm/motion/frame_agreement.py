@@ -45,6 +45,12 @@ STRIPES_EXCEPTED = 0.01
 STRIPES_ALONG = 0.25
 FAINT = 0.01  # share of the mean variation: windows with less do not count
 BORDER = 4  # px that are repeated where a frame is resampled, which bends stripes
+LONGEST_FLOW = 0.5  # of the longer side: at most 0.12 on benchmarks, 0.7 and more if flow diverges
+MOST_LEAVING = 0.5  # share of the pixels whose flow leaves the image: at most 0.08 on benchmarks
+# The same if matched points, a pose or the images confirm the motion: near objects cross the whole
+# image, and after a turn by 20° two thirds of the pixels had left it.
+LONGEST_CONFIRMED_FLOW = 1.0
+MOST_LEAVING_CONFIRMED = 0.8
 
 
 def unrelated(
@@ -303,3 +309,43 @@ def aperture_status(frame: np.ndarray) -> Status | None:
         "the frames vary along one direction only, so motion along their stripes cannot be seen "
         "(the aperture problem): take frames that show corners, or give the pose",
     )
+
+
+def diverged_status(
+    flow: np.ndarray, leaves: np.ndarray, *, confirmed: bool = False
+) -> Status | None:
+    """Return the status of a flow that is too long for any pair of frames, None for others.
+
+    Parameters
+    ----------
+    flow : (2, H, W) float32
+        (u, v), px/frame.
+    leaves : (H, W) bool
+        Where the flow leaves the image.
+    confirmed : bool
+        Whether matched points, a pose or the images confirm a large motion
+        (`confirms_large_motion`): pixels that leave the image may
+        then go far.
+    """
+    furthest, most = LONGEST_FLOW, MOST_LEAVING
+    if confirmed:
+        furthest, most = LONGEST_CONFIRMED_FLOW, MOST_LEAVING_CONFIRMED
+        flow = np.where(leaves & np.isfinite(flow), 0, flow)
+    # A point that moves by half the image is rarely visible twice; NaN fails the comparisons, too.
+    limit = furthest * max(flow.shape[1:])
+    within = max(flow.max(), -flow.min()) <= limit / np.sqrt(2)
+    if not within and not np.sqrt(np.einsum("khw,khw->hw", flow, flow).max()) <= limit:
+        return Status(
+            "diverged",
+            f"image motion grew beyond {100 * furthest:g}% of the image's longer side: bring the "
+            "frames to the 8-bit scale, give data_contrast a value, raise smoothness or contrast, "
+            "take frames closer in time, and check the camera's focal length and centre",
+        )
+    leaving = float(leaves.mean())
+    if leaving > most:
+        return Status(
+            "diverged",
+            f"{100 * leaving:.0f}% of the pixels leave the image, so little is left to compare: "
+            "take frames closer in time, check that they are of one scene, or raise smoothness",
+        )
+    return None

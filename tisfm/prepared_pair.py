@@ -1,0 +1,154 @@
+"""A pair of frames prepared for interpretation: grey levels, masks, lens and rolling shutter."""
+
+import os
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from tisfm import runtime
+from tisfm.camera import Camera, check_camera
+from tisfm.checks import unmasked_mask
+from tisfm.errors import InputError, InputTypeError
+from tisfm.focal_guess import guess_camera
+from tisfm.frames import eight_bit, grey_pair
+from tisfm.lens import Undistortion
+from tisfm.rigid import KnownPose
+from tisfm.settings import Settings
+from tisfm.solver.pixel_masks import filled
+from tisfm.status import Status
+
+if TYPE_CHECKING:
+    from tisfm.solver.image_pyramid import ImagePyramid
+
+LARGEST_GREY = 1e15  # grey levels: squares of derivatives have to fit into float32
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreparedPair:
+    """Two frames on the 8-bit scale, without distortion and without rolling shutter.
+
+    Attributes
+    ----------
+    pyramid : ImagePyramid
+        Of both frames.
+    camera : Camera
+        A pinhole.
+    lens : Undistortion or None
+        The distortion that was undone.
+    frame : (H, W) or (H, W, 3) uint8
+        Frame 0 as a picture.
+    overflow : Status or None
+        The status of frames that are too bright for float32.
+    greys : tuple of (H, W) float32
+        Both frames, for motion ``"objects"`` alone.
+    """
+
+    pyramid: "ImagePyramid"
+    camera: Camera
+    lens: Undistortion | None
+    frame: np.ndarray
+    overflow: Status | None
+    greys: tuple[np.ndarray, ...]
+
+
+def prepare_pair(
+    frame0: npt.ArrayLike,
+    frame1: npt.ArrayLike,
+    *,
+    camera: Camera | None,
+    settings: Settings,
+    ignored: tuple[np.ndarray | None, np.ndarray | None] | None,
+    stretch: bool,
+    known: KnownPose | None = None,
+) -> PreparedPair:
+    """Return a pair ready for interpretation; the arguments are those of `interpret_pair`."""
+    grey0, grey1 = grey_pair(frame0, frame1, stretch=stretch)
+    frame = eight_bit(frame0, frame1, stretch=stretch)
+    counted = _counting_pixels(ignored, grey0.shape)
+    if counted is not None:
+        grey0, grey1 = filled(grey0, ~counted[0]), filled(grey1, ~counted[1])
+    if camera is None and settings.motion != "field":
+        camera = guess_camera(grey0.shape)
+    camera = check_camera(camera)
+
+    runtime.start()  # before Taichi is imported, which looks for a cache folder as well
+    from tisfm.motion.problems import pyramid_of
+    from tisfm.motion.rolling_shutter import global_shutter_pair
+
+    runtime.lane_grid(*grey0.shape)  # refuses frames that are too large
+    lens = None if camera.is_pinhole else Undistortion(camera, *grey0.shape)
+    if lens is not None:
+        grey0, grey1, frame = map(lens.apply, (grey0, grey1, frame))
+        if counted is not None:
+            first, second = (lens.nearest((~c).astype(np.float32)) > 0 for c in counted)
+            counted = ~first, ~second
+        camera = camera.pinhole()
+    overflow = overflow_status(grey0, grey1)
+    if settings.motion == "camera" and camera.readout and overflow is None:
+        seen = counted
+        if lens is not None:
+            both = (np.ones_like(lens.valid),) * 2 if counted is None else counted
+            seen = both[0] & lens.valid, both[1] & lens.valid
+        unrolled = global_shutter_pair(grey0, grey1, frame, seen, camera, settings, known)
+        if unrolled is not None:
+            grey0, grey1, frame = unrolled.grey0, unrolled.grey1, unrolled.frame
+            counted, lens = unrolled.counted, None
+            camera = replace(camera, readout=0.0)
+    return PreparedPair(
+        pyramid=pyramid_of(grey0, grey1, camera, settings, counted),
+        camera=camera,
+        lens=lens,
+        frame=frame,
+        overflow=overflow,
+        greys=(grey0, grey1) if settings.motion == "objects" else (),
+    )
+
+
+def ignored_pixels(mask: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pixels of both frames that a mask excludes, (H, W) bool."""
+    if isinstance(mask, (str, os.PathLike)):
+        raise InputTypeError(
+            f"mask is the path {os.fspath(mask)!r}: expected an array; read the file, for "
+            "instance by tisfm.formats.read_image"
+        )
+    counted = unmasked_mask(mask, "mask")
+    both = np.stack([counted, counted]) if counted.ndim == 2 else counted
+    if both.shape != (2, *shape):
+        height, width = shape
+        raise InputError(
+            f"mask is {counted.shape}: expected ({height}, {width}), the size of the frames, or "
+            f"(2, {height}, {width}) with one for each of them"
+        )
+    return ~both[0], ~both[1]
+
+
+def _counting_pixels(
+    ignored: tuple[np.ndarray | None, np.ndarray | None] | None, shape: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the pixels of both frames that count, (H, W) bool; None where all do."""
+    if ignored is None or not any(part is not None and part.any() for part in ignored):
+        return None
+    counted0, counted1 = (np.ones(shape, bool) if part is None else ~part for part in ignored)
+    for name, counted in (("frame0", counted0), ("frame1", counted1)):
+        if not counted.any():
+            raise InputError(
+                f"mask is black at all pixels of {name}, so no pixel is left: black pixels "
+                "are ignored, white ones count"
+            )
+    return counted0, counted1
+
+
+def overflow_status(grey0: np.ndarray, grey1: np.ndarray) -> Status | None:
+    """Return the status of frames that are too bright for float32, None for others."""
+    largest = max(
+        abs(float(value)) for grey in (grey0, grey1) for value in (grey.min(), grey.max())
+    )
+    if largest <= LARGEST_GREY:
+        return None
+    return Status(
+        "diverged",
+        f"grey levels of up to {largest:.0e} are beyond what single precision can square: bring "
+        "the frames to the 8-bit scale",
+    )
