@@ -202,7 +202,9 @@ def check_pose(pose: ArrayLike | None) -> KnownPose | None:
     # Measured poses are rounded: the nearest rotation.
     left, _, right = np.linalg.svd(rotation)
     rotation = left @ right
-    turn = math.degrees(math.acos(min(max((np.trace(rotation) - 1) / 2, -1), 1)))
+    from scipy.spatial.transform import Rotation  # slow to import
+
+    turn = math.degrees(Rotation.from_matrix(rotation).magnitude())
     if turn >= _TURN:
         raise InputError(
             f"pose turns by {turn:.0f}°: expected less than {_TURN:g}° between two frames of one "

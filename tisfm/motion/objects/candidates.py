@@ -2,6 +2,7 @@
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tisfm.camera import Camera
 from tisfm.kernels.model.constants import NEAREST
@@ -169,7 +170,7 @@ class _Search:
         except TooFewPixelsError:
             return None
         # No object spins faster between frames: such a motion fits noise.
-        spin = np.linalg.norm(cv2.Rodrigues(found.rotation @ self._background[:, :3].T)[0])
+        spin = Rotation.from_matrix(found.rotation @ self._background[:, :3].T).magnitude()
         if spin > FASTEST_SPIN:
             return None
         return np.column_stack([found.rotation, found.translation])
