@@ -110,7 +110,8 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
         return {"path, %": path_error(result.poses, film.poses), "depth error": depth}
 
     def sequence(name: str) -> Figures:
-        entry = next(e for e in data_entries(data)[0] if data and e.name == name)
+        assert data is not None  # real sequences are inputs only with a folder
+        entry = next(e for e in data_entries(data)[0] if e.name == name)
         loaded = entry.load()
         result = tisfm.reconstruct(loaded.frames, camera=loaded.camera, settings=fast)
         found = compare_sequence(

@@ -152,10 +152,10 @@ def measure(triple: Triple, settings: tisfm.Settings, repetitions: int) -> dict[
 
     window = Window()
     first.interpret(camera=triple.camera, settings=settings, window=window)
-    kept = window.earlier
+    kept = window.previous
 
     def of_window() -> tuple[tisfm.Interpretation, float]:
-        window.earlier = kept
+        window.previous = kept
         start = time.perf_counter()
         result = last.interpret(camera=triple.camera, settings=settings, window=window)
         return result, time.perf_counter() - start

@@ -185,7 +185,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     return {"conditions": conditions, "scores": scores, "statue": statue, "missing": missing}
 
 
-def groups(scores: list[Score]) -> dict[str, list[Score]]:
+def groups(scores: list[Any]) -> dict[str, list[Any]]:
     """Return group → its scores."""
     return {
         group: [score for score in scores if score.group == group]
