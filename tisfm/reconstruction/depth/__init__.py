@@ -1,5 +1,5 @@
 """Depth of every frame whose pose is known, and poses adjusted together with depth.
 
 May import: `camera`, `errors`, `kernels`, `motion`, `rigid`, `runtime`, `settings`, `solver`,
-`reconstruction.mapping` and `reconstruction.tracks`.
+`reconstruction.geometry`, `reconstruction.mapping` and `reconstruction.tracks`.
 """

@@ -21,6 +21,7 @@ from tisfm.kernels.rigid.shared_depth import add_frame, answered, squared_residu
 from tisfm.motion.matched_planes import noise_deviation
 from tisfm.motion.problems import depth_problem
 from tisfm.motion.window_statistics import window_variance
+from tisfm.reconstruction.geometry.rays import cross_matrices
 from tisfm.rigid import rigid_motion, rigid_twist
 from tisfm.settings import Settings
 from tisfm.solver.data_term import Constancy, DataTerm
@@ -271,7 +272,9 @@ def _system(
         )  # fmt: skip
         turn, shift = relative[:, :3], relative[:, 3]
         to_members[block, 6 * (j + 1) : 6 * (j + 2)] = np.eye(6)
-        to_members[block, :6] = -np.block([[turn, _cross(shift) @ turn], [np.zeros((3, 3)), turn]])
+        to_members[block, :6] = -np.block(
+            [[turn, cross_matrices(shift[None])[0] @ turn], [np.zeros((3, 3)), turn]]
+        )
     # Steps are in the unit of the poses.
     for j in range(count + 1):
         to_members[:, 6 * j : 6 * j + 3] /= unit
@@ -347,9 +350,3 @@ def _six(numbers: Sequence[int]) -> np.ndarray:
 
 def _shrunk(frame: np.ndarray, level: int) -> np.ndarray:
     return gaussian_pyramid(smooth(frame, PRESMOOTHING), 0.5, level + 1)[level]
-
-
-def _cross(vector: np.ndarray) -> np.ndarray:
-    """Return [v]×."""
-    x, y, z = vector
-    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

@@ -1,4 +1,4 @@
 """Geometry that several stages share: similarity transforms, their robust fits and their graph.
 
-May import: nothing of `tisfm`.
+May import: `camera`.
 """

@@ -11,6 +11,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
+from tisfm.reconstruction.geometry.rays import cross_matrices
 from tisfm.reconstruction.geometry.sim3 import sim3_from_vector, sim3_scale, transform_points
 
 # Values without a stated source were set by hand.
@@ -211,24 +212,10 @@ def _misfit(edge: Edge, place: dict[int, np.ndarray]) -> tuple[np.ndarray, np.nd
         ]
     )
     slope = np.eye(7)
-    slope[4:, 0], slope[4:, 1:4] = centre, -_cross(centre[None])[0]
+    slope[4:, 0], slope[4:, 1:4] = centre, -cross_matrices(centre[None])[0]
     jacobian = np.zeros((len(points), 3, 7))
-    jacobian[:, :, 0], jacobian[:, :, 1:4] = points - centre, -_cross(points - centre)
+    jacobian[:, :, 0], jacobian[:, :, 1:4] = points - centre, -cross_matrices(points - centre)
     jacobian[:, :, 4:] = np.eye(3)
     jacobian /= (unit * edge.distances)[:, None, None]
     weight = np.einsum("nij,nik->jk", jacobian, jacobian) / len(points)
     return off, slope, weight
-
-
-def _cross(vectors: np.ndarray) -> np.ndarray:
-    """Return [v]× of vectors, (N, 3, 3)."""
-    x, y, z = vectors.T
-    nothing = np.zeros_like(x)
-    return np.stack(
-        [
-            np.stack([nothing, -z, y], axis=1),
-            np.stack([z, nothing, -x], axis=1),
-            np.stack([-y, x, nothing], axis=1),
-        ],
-        axis=1,
-    )

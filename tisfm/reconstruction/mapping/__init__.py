@@ -1,4 +1,5 @@
 """Camera poses and sparse points of views, found and adjusted by pycolmap.
 
-May import: `camera`, `reconstruction.result` and `reconstruction.tracks`.
+May import: `camera`, `reconstruction.geometry`, `reconstruction.result` and
+`reconstruction.tracks`.
 """

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from tisfm.reconstruction.geometry.rays import unit_vectors
 from tisfm.reconstruction.mapping.database import PIXEL_CENTRE
 from tisfm.reconstruction.tracks.views import View
 
@@ -106,7 +107,7 @@ def places_in(shape: tuple[int, int]) -> np.ndarray:
 def camera_rays(points: np.ndarray, camera: Any) -> np.ndarray:
     """Return the directions of points in a view, (N, 3), of unit length."""
     rays = np.column_stack([camera.cam_from_img(points + PIXEL_CENTRE), np.ones(len(points))])
-    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    return unit_vectors(rays)
 
 
 def _off(pose0: np.ndarray, pose1: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.reconstruction.geometry.rays import pinhole_rays, unit_vectors
 from tisfm.reconstruction.mapping.colmap import pycolmap
 from tisfm.reconstruction.mapping.incremental import MIN_SHARED
 from tisfm.reconstruction.result.calibration import Calibrate
@@ -84,11 +85,9 @@ class Directions(Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]):
         shape: tuple[int, int],
     ) -> None:
         self._pairs, self._rays = pairs, list[np.ndarray]()
-        center = np.array(camera.center_for(*shape))
         for view in views:
-            x = (np.vstack([view.seen.points, view.detected]) - center) / camera.focal
-            ray = np.column_stack([x, np.ones(len(x))])
-            self._rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True))
+            points = np.vstack([view.seen.points, view.detected])
+            self._rays.append(unit_vectors(pinhole_rays(points, camera, shape)))
 
     def __getitem__(self, numbers: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
         first, second = numbers[0] - 1, numbers[1] - 1

@@ -1,5 +1,5 @@
 """The readout time of a rolling shutter, and tracks as a global shutter would show them.
 
 May import: `camera`, `shutter`, `reconstruction.calibration`, `reconstruction.frames`,
-`reconstruction.mapping` and `reconstruction.tracks`.
+`reconstruction.geometry`, `reconstruction.mapping` and `reconstruction.tracks`.
 """

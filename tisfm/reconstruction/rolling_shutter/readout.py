@@ -12,6 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from tisfm.camera import Camera
+from tisfm.reconstruction.geometry.rays import nearest_point_equations, unit_vectors
 from tisfm.reconstruction.tracks.views import View
 from tisfm.shutter import transported
 
@@ -318,13 +319,9 @@ class _Problem:
             spin = self._rates[view, 3:] * (-self.readout * self._late)[:, None]
             local = local + np.cross(spin, local)
         ray = np.einsum("nji,nj->ni", self._turns[view], local)
-        ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+        ray = unit_vectors(ray)
         centre = -np.einsum("nji,nj->ni", self._turns, self._shifts)[view]
-        across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
-        count = int(point.max()) + 1
-        matrix, vector = np.zeros((count, 3, 3)), np.zeros((count, 3))
-        np.add.at(matrix, point, across)
-        np.add.at(vector, point, np.einsum("nkl,nl->nk", across, centre))
+        matrix, vector = nearest_point_equations(point, ray, centre, int(point.max()) + 1)
         matrix += 1e-9 * np.eye(3)
         return np.asarray(np.linalg.solve(matrix, vector[..., None])[..., 0])
 

@@ -1,4 +1,5 @@
 """Tracks along the image motion, views, matches between views, and triangulated tracks.
 
-May import: `camera`, `errors`, `motion`, `settings` and `reconstruction.frames`.
+May import: `camera`, `errors`, `motion`, `settings`, `reconstruction.frames` and
+`reconstruction.geometry`.
 """

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.reconstruction.geometry.rays import nearest_point_equations, pinhole_rays, unit_vectors
 from tisfm.reconstruction.tracks.tracker import Observations
 
 # Values without a stated source were set by hand.
@@ -150,10 +151,9 @@ def _triangulated(
     tracks, centres, rays, places, frames = [], [], [], [], []
     for frame, one in seen.items():
         points, pose = one.points, poses[frame]
-        ray = np.column_stack([(points - (cx, cy)) / camera.focal, np.ones(len(points))])
-        ray = ray @ pose[:3, :3].T
+        ray = pinhole_rays(points, camera, shape) @ pose[:3, :3].T
         tracks.append(one.tracks)
-        rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True))
+        rays.append(unit_vectors(ray))
         centres.append(np.broadcast_to(pose[:3, 3], ray.shape))
         places.append(points)
         frames.append(np.full(len(points), frame))
@@ -162,12 +162,7 @@ def _triangulated(
     numbers, index = np.unique(np.concatenate(tracks), return_inverse=True)
     ray, centre, place, frame_of = map(np.concatenate, (rays, centres, places, frames))
     count = np.bincount(index)
-    across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
-    matrix, vector = np.zeros((len(numbers), 3, 3)), np.zeros((len(numbers), 3))
-    mean = np.zeros((len(numbers), 3))
-    np.add.at(matrix, index, across)
-    np.add.at(vector, index, np.einsum("nkl,nl->nk", across, centre))
-    np.add.at(mean, index, ray)
+    matrix, vector = nearest_point_equations(index, ray, centre, len(numbers))
     # Where rays are parallel, the least eigenvalue vanishes: count · sin² of their spread.
     least = np.linalg.eigvalsh(matrix)[:, 0]
     good = (count >= MIN_FRAMES) & (least > count * np.sin(np.radians(MIN_ANGLE) / 2) ** 2)

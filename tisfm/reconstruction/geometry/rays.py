@@ -1,0 +1,62 @@
+"""Rays of image points, the points that are nearest to several rays, and cross-product matrices."""
+
+import numpy as np
+
+from tisfm.camera import Camera
+
+
+def pinhole_rays(points: np.ndarray, camera: Camera, shape: tuple[int, int]) -> np.ndarray:
+    """Return the rays of image points of a pinhole, (N, 3) with z = 1.
+
+    Parameters
+    ----------
+    points : (N, 2) float64
+        (x, y), px.
+    camera : Camera
+        A pinhole.
+    shape : (int, int)
+        Height and width of the frames, px.
+    """
+    return np.column_stack(
+        [(points - np.array(camera.center_for(*shape))) / camera.focal, np.ones(len(points))]
+    )
+
+
+def unit_vectors(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors, (N, 3), divided by their lengths."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+def nearest_point_equations(
+    index: np.ndarray, rays: np.ndarray, centres: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the normal equations of the points that are nearest to their rays.
+
+    Parameters
+    ----------
+    index : (N,) int array
+        The point of each ray.
+    rays, centres : (N, 3) float64
+        Unit directions and the camera positions that they start at, in the world.
+    count : int
+        Number of points P.
+
+    Returns
+    -------
+    matrix : (P, 3, 3) float64
+        Where the rays of a point are parallel, its smallest eigenvalue is 0.
+    vector : (P, 3) float64
+    """
+    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    matrix, vector = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    np.add.at(matrix, index, across)
+    np.add.at(vector, index, np.einsum("nkl,nl->nk", across, centres))
+    return matrix, vector
+
+
+def cross_matrices(vectors: np.ndarray) -> np.ndarray:
+    """Return [v]× of vectors, (N, 3, 3), so that [v]× w is v × w."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    rows = [(zero, -z, y), (z, zero, -x), (-y, x, zero)]
+    return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
