@@ -1,7 +1,7 @@
 """Similarities in space, (4, 4) matrices (s R, t; 0, 1), and how points lead to them."""
 
-import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 # Values without a stated source were set by hand.
 
@@ -41,7 +41,7 @@ def mean_pose(poses: np.ndarray, weights: np.ndarray) -> np.ndarray:
 def sim3_from_vector(scale: float, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """Return the similarity of the logarithm of a scale, a rotation vector and a translation."""
     similarity = np.eye(4)
-    similarity[:3, :3] = np.exp(scale) * cv2.Rodrigues(turn)[0]
+    similarity[:3, :3] = np.exp(scale) * Rotation.from_rotvec(turn).as_matrix()
     similarity[:3, 3] = shift
     return similarity
 

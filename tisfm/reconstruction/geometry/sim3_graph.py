@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tisfm.reconstruction.geometry.rays import cross_matrices
 from tisfm.reconstruction.geometry.sim3 import sim3_from_vector, sim3_scale, transform_points
@@ -207,7 +207,7 @@ def _misfit(edge: Edge, place: dict[int, np.ndarray]) -> tuple[np.ndarray, np.nd
     off = np.concatenate(
         [
             [np.log(scale)],
-            cv2.Rodrigues(left[:3, :3] / scale)[0].ravel(),
+            Rotation.from_matrix(left[:3, :3] / scale).as_rotvec(),
             transform_points(left, centre[None])[0] - centre,
         ]
     )
