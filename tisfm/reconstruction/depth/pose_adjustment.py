@@ -1,8 +1,9 @@
-"""Poses adjusted to the images directly, jointly with the depth of keyframes.
+"""Dense bundle adjustment: poses of frames and depth of keyframes are fitted to the images.
 
-A keyframe and the frames around it form a star. Every pixel of the keyframe has one inverse depth,
-and says by the motion tensors of all frames of the star how these have to move: six unknowns a
-frame, its depth eliminated. Frames are in several stars, which carries one scale through them.
+A keyframe and the frames around it form a keyframe window. Every pixel of the keyframe has one
+inverse depth. The motion tensors of all frames of the window give normal equations with six
+unknowns a frame, in which this depth is eliminated. Frames belong to several windows, which share
+one scale for this reason.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -64,7 +65,7 @@ Frames = Callable[[int], np.ndarray]
 
 @dataclass(kw_only=True)
 class KeyframeWindow:
-    """A keyframe, its depth, and the frames that are compared with it.
+    """A keyframe, its depth, and the frames that it is compared with.
 
     Attributes
     ----------
@@ -92,19 +93,23 @@ def make_keyframe_window(
     deviation: np.ndarray,
     counted: np.ndarray | None = None,
 ) -> KeyframeWindow:
-    """Return a star of a keyframe, (H, W) float32, with depth of any deviation.
+    """Return the window of a keyframe.
 
     Parameters
     ----------
     key : int
     members : sequence of int
-    frame, inverse_depth, deviation : (H, W) float32
+    frame : (H, W) float32
+        Grey levels of the keyframe.
+    inverse_depth, deviation : (H, W) float32
+        Its inverse depth and the standard deviation; pixels with a large one have a small weight.
     counted : (H, W) bool, optional
+        Pixels that are used; by default all.
     """
     level = 0
     while frame.size >> 2 * level > MAX_PIXELS:
         level += 1
-    small = _shrunk(frame, level)
+    small = _shrink(frame, level)
     height, width = small.shape
     stride = 2**level
     half = stride // 2
@@ -132,7 +137,7 @@ def make_keyframe_window(
 
 def adjust_poses(
     poses: Mapping[int, np.ndarray],
-    stars: Sequence[KeyframeWindow],
+    windows: Sequence[KeyframeWindow],
     frames: Frames,
     camera: Camera,
     settings: Settings,
@@ -140,13 +145,13 @@ def adjust_poses(
     held: Collection[int] = (),
     rounds: int = ROUNDS,
 ) -> dict[int, np.ndarray]:
-    """Return poses that meet the images better; depth of the stars is moved with them, in place.
+    """Return poses that fit the images better. The depth of the windows is changed in place.
 
     Parameters
     ----------
     poses : mapping of int to (4, 4) array
         Camera to world.
-    stars : sequence of KeyframeWindow
+    windows : sequence of KeyframeWindow
     frames : callable
         Returns a frame by its number, (H, W) float32.
     camera : Camera
@@ -158,14 +163,16 @@ def adjust_poses(
         Of Gauss–Newton.
     """
     found = {frame: np.array(pose, np.float64) for frame, pose in poses.items()}
-    stars = [star for star in stars if any(f in found and f != star.key for f in star.members)]
-    if not stars:
+    windows = [
+        window for window in windows if any(f in found and f != window.key for f in window.members)
+    ]
+    if not windows:
         return found
-    seen = _Views(frames, camera, settings)
+    seen = _FrameCache(frames, camera, settings)
     for number in range(rounds):
-        systems = [_system(star, found, seen, move_depth=number > 0) for star in stars]
+        systems = [_linearise(window, found, seen, move_depth=number > 0) for window in windows]
         moved = {frame: _twist_between(found[frame], pose) for frame, pose in poses.items()}
-        steps = _solved(systems, sorted(found), moved, held or (min(found),))
+        steps = _solve(systems, sorted(found), moved, held or (min(found),))
         for frame, step in steps.items():
             turn, shift = rigid_motion(step)
             back = np.eye(4)
@@ -174,8 +181,8 @@ def adjust_poses(
     return found
 
 
-class _Views:
-    """Frames as stars compare them, those that were asked for last kept at hand."""
+class _FrameCache:
+    """Shrunk frames and their spline taps; the frames used last stay in memory."""
 
     def __init__(self, frames: Frames, camera: Camera, settings: Settings) -> None:
         self._frames, self._camera, self._settings = frames, camera, settings
@@ -185,11 +192,11 @@ class _Views:
         """Return a frame, (h, w) float32, and its spline's taps."""
         key = number, level
         if key in self._held:
-            self._held[key] = self._held.pop(key)  # it is the last to go now
+            self._held[key] = self._held.pop(key)  # the last one to be removed
             return self._held[key]
         while len(self._held) >= CACHED_FRAMES:
             self._held.pop(next(iter(self._held)))
-        small = _shrunk(self._frames(number), level)
+        small = _shrink(self._frames(number), level)
         self._held[key] = small, spline_taps(small)
         return self._held[key]
 
@@ -200,18 +207,18 @@ class _Views:
         return self._camera.scaled(0.5**level, *self._frames(number).shape)
 
     def constancy(self, focal: float) -> Constancy:
-        """Return what is taken to be the same in frames of this focal length, px."""
+        """Return the constancy assumption for frames of a focal length, px."""
         return depth_problem(self._settings, focal).constancy
 
 
 @dataclass(frozen=True, kw_only=True)
-class _System:
-    """Normal equations of a star: of all its frames, by their own small motions.
+class _NormalEquations:
+    """Normal equations of a window, for small motions of its frames.
 
     Attributes
     ----------
     frames : list of int
-        The keyframe, and the members.
+        The keyframe, then the members.
     matrix, vector : (6 M + 6, 6 M + 6) and (6 M + 6,) float64
     """
 
@@ -220,24 +227,24 @@ class _System:
     vector: np.ndarray
 
 
-def _system(
-    star: KeyframeWindow, poses: Mapping[int, np.ndarray], views: _Views, *, move_depth: bool
-) -> _System:
-    """Linearise the images of a star about its poses and depth.
+def _linearise(
+    window: KeyframeWindow, poses: Mapping[int, np.ndarray], views: _FrameCache, *, move_depth: bool
+) -> _NormalEquations:
+    """Linearise the images of a window about its poses and depth.
 
-    With `move_depth`, its depth is moved in place, to where these poses have it: after that, not
-    before, since the equations eliminate it.
+    With `move_depth`, the depth is changed in place to fit these poses. This comes last, since the
+    equations eliminate the depth from before.
     """
-    key, _ = views.shrunk(star.key, star.level)
-    camera = views.camera(star.key, star.level)
-    members = [frame for frame in star.members if frame in poses and frame != star.key]
-    unit = 1 / float(np.median(star.inverse_depth))
+    key, _ = views.shrunk(window.key, window.level)
+    camera = views.camera(window.key, window.level)
+    members = [frame for frame in window.members if frame in poses and frame != window.key]
+    unit = 1 / float(np.median(window.inverse_depth))
     grid = runtime.lane_grid(*key.shape)
     unknowns = Unknowns(grid, camera, 1)
     weight, labels = grid.allocate(1), grid.allocate(1)
-    depth = np.ascontiguousarray(star.inverse_depth * np.float32(camera.focal * unit))
+    depth = np.ascontiguousarray(window.inverse_depth * np.float32(camera.focal * unit))
     image_to_lanes(grid, depth, unknowns.rho)
-    image_to_lanes(grid, star.weight, weight)
+    image_to_lanes(grid, window.weight, weight)
     flow, direction = grid.allocate(2, zeros=False), grid.allocate(2, zeros=False)
     tensor, residual = grid.allocate(6), grid.allocate(1, zeros=False)
     off = np.empty((1, *key.shape), np.float32)
@@ -246,10 +253,10 @@ def _system(
     matrix, vector = np.zeros((6 * count, 6 * count)), np.zeros(6 * count)
     to_members = np.zeros((6 * count, 6 * (count + 1)))
     for j, frame in enumerate(members):
-        relative = (np.linalg.inv(poses[frame]) @ poses[star.key])[:3]
+        relative = (np.linalg.inv(poses[frame]) @ poses[window.key])[:3]
         relative[:, 3] /= unit
         data = DataTerm(
-            grid, key, *views.shrunk(frame, star.level), views.constancy(camera.focal),
+            grid, key, *views.shrunk(frame, window.level), views.constancy(camera.focal),
             mean_step(key),
         )  # fmt: skip
         motions = np.ascontiguousarray(relative[None], np.float32)
@@ -263,7 +270,7 @@ def _system(
             squared_residual.bind(grid, tensor, flow, residual),
         )()  # fmt: skip
         lanes_to_images(grid, residual, off)
-        counting = off[0, star.weight > 0]
+        counting = off[0, window.weight > 0]
         usual = float(np.median(counting[counting > 0])) if (counting > 0).any() else 1.0
         block = slice(6 * j, 6 * j + 6)
         matrix[block, block], vector[block] = add_frame(
@@ -283,70 +290,73 @@ def _system(
     matrix -= answer
     vector -= pull
     if move_depth:
-        _move_depth(star, grid, sums, held, camera.focal * unit)
-    return _System(
-        frames=[star.key, *members],
+        _move_depth(window, grid, sums, held, camera.focal * unit)
+    return _NormalEquations(
+        frames=[window.key, *members],
         matrix=to_members.T @ matrix @ to_members,
         vector=to_members.T @ vector,
     )
 
 
 def _move_depth(
-    star: KeyframeWindow, grid: LaneGrid, sums: LaneData, held: float, scale: float
+    window: KeyframeWindow, grid: LaneGrid, sums: LaneData, held: float, scale: float
 ) -> None:
-    """Move the depth of a star, D over `scale`, by (aᵀJa + held) δD = −aᵀe, which are `sums`."""
+    """Change the depth of a window, D / `scale`, by (aᵀJa + held) δD = −aᵀe.
+
+    `sums` has aᵀJa and aᵀe.
+    """
     images = np.empty((2, grid.height, grid.width), np.float32)
     lanes_to_images(grid, sums, images)
     # Single pixels are noisy: a neighbourhood moves together.
     curvature, pull = (cv2.blur(values, (DEPTH_WINDOW, DEPTH_WINDOW)) for values in images)
-    depth = star.inverse_depth
+    depth = window.inverse_depth
     change = -pull / (curvature + np.float32(held)) / np.float32(scale)
-    star.inverse_depth = depth + np.clip(change, -MAX_DEPTH_STEP * depth, MAX_DEPTH_STEP * depth)
+    window.inverse_depth = depth + np.clip(change, -MAX_DEPTH_STEP * depth, MAX_DEPTH_STEP * depth)
 
 
 def _twist_between(pose: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return how far a camera has moved from another pose, (6,), as steps count it."""
+    """Return the twist, (6,), from a pose to another, in the parameters of the steps."""
     relative = np.linalg.inv(pose) @ other
     return rigid_twist(relative[:3, :3], relative[:3, 3])
 
 
-def _solved(
-    systems: Sequence[_System],
+def _solve(
+    systems: Sequence[_NormalEquations],
     frames: Sequence[int],
     moved: Mapping[int, np.ndarray],
     held: Collection[int],
 ) -> dict[int, np.ndarray]:
-    """Return the step of every frame, that of those which are held being 0.
+    """Return the step of every frame; it is 0 for fixed frames.
 
-    Stars say little of how far frames are from others far away: there, what frames had `moved`
-    from holds them.
+    Windows hardly constrain the motion between distant frames. There, a weak prior pulls each frame
+    back by `moved`, its motion from the pose before the adjustment.
     """
     steps: dict[int, np.ndarray] = {}
     for begin in range(0, len(frames), MAX_FRAMES):
-        lot = frames[begin : begin + MAX_FRAMES]
-        number = {frame: k for k, frame in enumerate(lot)}
-        matrix, vector = np.zeros((6 * len(lot),) * 2), np.zeros(6 * len(lot))
+        batch = frames[begin : begin + MAX_FRAMES]
+        number = {frame: k for k, frame in enumerate(batch)}
+        matrix, vector = np.zeros((6 * len(batch),) * 2), np.zeros(6 * len(batch))
         for system in systems:
             own = [k for k, frame in enumerate(system.frames) if frame in number]
-            rows = _six(own)
-            there = _six([number[system.frames[k]] for k in own])
+            rows = _pose_rows(own)
+            there = _pose_rows([number[system.frames[k]] for k in own])
             matrix[np.ix_(there, there)] += system.matrix[np.ix_(rows, rows)]
             vector[there] += system.vector[rows]
         diagonal = np.diag(matrix).copy()
         prior = np.where(diagonal > 0, POSE_DAMPING * diagonal, 1.0)
         matrix += np.diag(prior)
-        vector += prior * np.concatenate([moved[frame] for frame in lot])
-        free = _six([number[frame] for frame in lot if frame not in held])
-        step = np.zeros(6 * len(lot))
+        vector += prior * np.concatenate([moved[frame] for frame in batch])
+        free = _pose_rows([number[frame] for frame in batch if frame not in held])
+        step = np.zeros(6 * len(batch))
         step[free] = -np.linalg.solve(matrix[np.ix_(free, free)], vector[free])
         steps.update({frame: step[6 * k : 6 * k + 6] for frame, k in number.items()})
     return steps
 
 
-def _six(numbers: Sequence[int]) -> np.ndarray:
+def _pose_rows(numbers: Sequence[int]) -> np.ndarray:
     """Return the six indices of each frame, one frame after the other."""
     return (6 * np.array(numbers, np.intp)[:, None] + np.arange(6)).ravel()
 
 
-def _shrunk(frame: np.ndarray, level: int) -> np.ndarray:
+def _shrink(frame: np.ndarray, level: int) -> np.ndarray:
     return gaussian_pyramid(smooth(frame, PRESMOOTHING), 0.5, level + 1)[level]

@@ -1,4 +1,4 @@
-"""What is kept of every frame, on disk: memory does not grow with it."""
+"""A cache on disk for arrays of every frame, so that memory does not grow with a sequence."""
 
 import contextlib
 import errno

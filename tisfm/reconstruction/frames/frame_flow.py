@@ -13,8 +13,10 @@ from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import coarse_to_fine
 from tisfm.solver.image_pyramid import ImagePyramid
 
-FLOW_PIXELS = 2**16  # at least, of the level that the image motion is found on
-TRACKING_SETTINGS = Settings.preset("fast")  # of the image motion that tracks follow
+# Pixels, at least, of the shrunk frames that the image motion is found on. Set by hand.
+FLOW_PIXELS = 2**16
+# Settings of the image motion that tracks follow.
+TRACKING_SETTINGS = Settings.preset("fast")
 
 
 def find_flow(
@@ -26,23 +28,23 @@ def find_flow(
     *,
     fast_things: bool = False,
 ) -> np.ndarray:
-    """Return the image motion from one of two `shrink_for_flow` frames to the other.
+    """Return the image motion between two frames of `shrink_for_flow`.
 
     Parameters
     ----------
     small0, small1 : (h, w) float32
     share : float
-        Px of theirs to a px of the frames.
+        Their scale, as of `flow_scale`.
     camera : Camera
         A pinhole, of the frames.
     settings : Settings
     fast_things : bool
-        Whether things that move far for their size are looked for.
+        Whether objects that move far for their size are searched for.
 
     Returns
     -------
     (h, w, 2) float32
-        Px of the smaller frames; of what leaves them for good, no more than their sides together.
+        px of the shrunk frames; limited to the sum of their sides.
     """
     scaled = Camera(focal=camera.focal * share)
     pyramid = ImagePyramid(
@@ -78,7 +80,7 @@ def flow_scale(small: np.ndarray, grey: np.ndarray) -> float:
 
 
 class FlowCache:
-    """Finds the image motion to frames, and keeps it with 11 significant bits.
+    """Image motion to each frame from the previous one, found once and kept with 11 bits.
 
     Parameters
     ----------

@@ -11,9 +11,12 @@ from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.frames.frame_flow import find_flow, flow_scale, shrink_for_flow
 from tisfm.settings import Settings
 
-# There and back, a point ends no further from where it was: px, and a share of the way.
-RETURN, RETURN_SHARE = 0.5, 0.05
-HELD = 20  # steps in memory at a time: as many as a frame is led over, and some more
+# px from the start after the direction there and back. Set by hand.
+MAX_RETURN_ERROR = 0.5
+# The same as a share of the length of the motion, which is added. Set by hand.
+MAX_RETURN_SHARE = 0.05
+# Flow pairs in memory: more than the longest chain needs.
+CACHED_PAIRS = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,28 +34,28 @@ class FlowPair:
 
     @classmethod
     def of_arrays(cls, forward: np.ndarray, backward: np.ndarray) -> "FlowPair":
-        """Return what has these arrays."""
+        """Return the object with these arrays."""
         return cls(forward=forward.astype(np.float32), backward=backward.astype(np.float32))
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """Return what it is made of, with 11 significant bits."""
+        """Return its arrays, with 11 significant bits."""
         return self.forward.astype(np.float16), self.backward.astype(np.float16)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChainedFlow:
-    """Where the image motion leads from a frame to another.
+    """Image motion from a frame to another, chained from frame to frame.
 
     Attributes
     ----------
     frame : int
-        The other one.
+        The other frame.
     steps : int
-        Frames from one to the other.
+        Number of frames from one to the other.
     places : (H, W, 2) float32
-        (x, y) in the other frame, of every pixel.
+        Position (x, y) of every pixel in the other frame, px.
     found : (H, W) bool
-        Whether the way back leads to where it began, at every step.
+        Whether forward and backward motion agree at every step.
     """
 
     frame: int
@@ -62,7 +65,7 @@ class ChainedFlow:
 
 
 class ImageMotion:
-    """Image motion of a sequence, frame by frame, in frames that are made smaller where large.
+    """Image motion of a sequence, frame by frame; large frames are shrunk.
 
     Parameters
     ----------
@@ -74,14 +77,14 @@ class ImageMotion:
     Attributes
     ----------
     share : float
-        Px of its frames to a px of the sequence's.
+        Scale of the shrunk frames, in their px per px of the sequence.
     """
 
     def __init__(self, camera: Camera, settings: Settings) -> None:
         self._camera, self._settings = camera, settings
         self._greys = DiskCache(lambda grey: (grey,), lambda grey: grey)
         self._steps = DiskCache(FlowPair.arrays, FlowPair.of_arrays)
-        self._held: dict[int, tuple[FlowPair, np.ndarray, np.ndarray]] = {}
+        self._cached: dict[int, tuple[FlowPair, np.ndarray, np.ndarray]] = {}
         self._shape = (0, 0)  # of the sequence's frames
         self.share = 1.0
 
@@ -106,7 +109,7 @@ class ImageMotion:
         return self._greys[frame]
 
     def camera(self, of_frames: Camera | None = None) -> Camera:
-        """Return the camera of its frames; that of the sequence's may be known better by now."""
+        """Return the camera of the shrunk frames, for a camera of the frames of the sequence."""
         return (of_frames or self._camera).scaled(self.share, *self._shape)
 
     def forward(self, frame: int) -> np.ndarray:
@@ -118,43 +121,43 @@ class ImageMotion:
         return self._step(frame - 1)[0].backward
 
     def chained_flows(self, frame: int, furthest: int) -> Iterator[ChainedFlow]:
-        """Yield where every pixel is led, up to so many frames later, then before."""
+        """Yield the chains to later frames, up to `furthest` frames away, then to earlier ones."""
         start = pixel_grid(self.grey(frame).shape)
-        for way in (1, -1):
+        for direction in (1, -1):
             places, found, at = start, np.ones(start.shape[:2], bool), frame
             for steps in range(1, furthest + 1):
-                if not 0 <= at + way < len(self):
+                if not 0 <= at + direction < len(self):
                     break
-                step, returns, comes = self._step(min(at, at + way))
-                motion, fits = (step.forward, returns) if way > 0 else (step.backward, comes)
+                step, returns, comes = self._step(min(at, at + direction))
+                motion, fits = (step.forward, returns) if direction > 0 else (step.backward, comes)
                 moved = sample_image(motion, places)
                 found = found & (sample_image(fits, places) > 0.99)
-                places, at = places + moved, at + way
+                places, at = places + moved, at + direction
                 yield ChainedFlow(frame=at, steps=steps, places=places, found=found)
 
     def _step(self, frame: int) -> tuple[FlowPair, np.ndarray, np.ndarray]:
-        """Return the motion from a frame to the next, and where it leads back, both ways."""
-        if frame not in self._held:
-            while len(self._held) >= HELD:
-                self._held.pop(next(iter(self._held)))
+        """Return the flow pair from a frame to the next, and masks of consistency of both."""
+        if frame not in self._cached:
+            while len(self._cached) >= CACHED_PAIRS:
+                self._cached.pop(next(iter(self._cached)))
             step = self._steps[frame]
-            self._held[frame] = (
+            self._cached[frame] = (
                 step,
                 returns_to_start(step.forward, step.backward),
                 returns_to_start(step.backward, step.forward),
             )
-        return self._held[frame]
+        return self._cached[frame]
 
     def _flow(self, small0: np.ndarray, small1: np.ndarray) -> np.ndarray:
         return find_flow(small0, small1, self.share, self._camera, self._settings, fast_things=True)
 
 
 def returns_to_start(there: np.ndarray, back: np.ndarray) -> np.ndarray:
-    """Return where the way there and back ends where it began, (H, W) float32: 1, or else 0."""
+    """Return 1 where motion there and back ends at its start, else 0, (H, W) float32."""
     height, width = there.shape[:2]
     places = pixel_grid((height, width)) + there
     missed = vector_lengths(there + sample_image(back, places))
-    fits = missed < RETURN + RETURN_SHARE * vector_lengths(there)
+    fits = missed < MAX_RETURN_ERROR + MAX_RETURN_SHARE * vector_lengths(there)
     x, y = cv2.split(places)
     inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
     return np.float32(fits & inside)
@@ -172,7 +175,7 @@ def pixel_grid(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def sample_image(image: np.ndarray, places: np.ndarray, *, nearest: bool = False) -> np.ndarray:
-    """Return an image, (H, W[, C]), at places, (h, w, 2) px, bilinearly or of nearest pixels."""
+    """Return an image, (H, W[, C]), at positions, (h, w, 2) px, bilinear or of nearest pixels."""
     x, y = cv2.split(np.ascontiguousarray(places, np.float32))
     how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
     return cv2.remap(image, x, y, how, borderMode=cv2.BORDER_REPLICATE)

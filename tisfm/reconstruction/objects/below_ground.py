@@ -15,8 +15,8 @@ from tisfm.camera import Camera
 from tisfm.motion.objects.candidates import smallest_object
 from tisfm.reconstruction.frames.image_motion import ChainedFlow, ImageMotion, sample_image
 from tisfm.reconstruction.objects.motion_evidence import (
-    CLEAR,
-    MOVING,
+    MOVING_EVIDENCE,
+    REFUTING_DIFFERENCE,
     Evidence,
     StaticMotion,
     grey_difference,
@@ -143,7 +143,7 @@ class BelowGround:
         if not found.any():
             return None
         weight = np.float32(found * self._clear(frame, depth))
-        return Evidence(moving=MOVING * weight, weight=weight)
+        return Evidence(moving=MOVING_EVIDENCE * weight, weight=weight)
 
     def _ground(self, depth: StaticDepth) -> np.ndarray | None:
         """Return the plane of the ground, (3,), whose product with rays is its inverse depth."""
@@ -229,7 +229,7 @@ class BelowGround:
             at_rest, other = self._at_rest(frame, furthest[-1]), self._motion.grey(furthest[-1])
             missed = grey_difference(other, at_rest.places(depth), grey)
             on_ground = grey_difference(other, at_rest.places(ground), grey)
-            clear = np.maximum(clear, (on_ground - missed) / (CLEAR + missed))
+            clear = np.maximum(clear, (on_ground - missed) / (REFUTING_DIFFERENCE + missed))
         return np.clip(clear, 0, 1)
 
     def _at_rest(self, frame: int, other: int) -> StaticMotion:

@@ -1,4 +1,4 @@
-"""Labels of what moves, with identities that last from frame to frame and through occlusion."""
+"""Labels of moving objects, whose ids persist from frame to frame and through occlusion."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -21,52 +21,83 @@ from tisfm.reconstruction.objects.motion_evidence import Evidence
 from tisfm.reconstruction.objects.moving_regions import find_moving_regions
 from tisfm.reconstruction.objects.smooth_motion import MIN_PIXELS, SmoothMotions, Terms
 
-CARRIED = 0.1  # of a part's pixels: so many that a label is carried to are the same thing
-HIDDEN = 15  # frames that a thing may be hidden
-ALIKE = 0.6  # of 1: the overlap of histograms of the same thing, at least
-# Of its size: how far it may be from where its motion leads, and the more of that each frame.
-NEAR, FARTHER = 1.5, 0.1
-REAPPEARED = 0.2  # of a thing that was hidden has to be seen, for it to be known again
-BINS = 16  # of grey levels
-GROWING = 0.1  # of a thing's size: how far it may reach beyond where it was
-HALF, LITTLE = 0.5, 0.15  # of a thing is seen: less shows an affine motion, or a velocity, at most
-OTHERWISE = 4.0  # deviations: what moves otherwise than a thing is another one
-CLEARLY = 0.5  # of what a motion of others misses: a motion of its own misses less
-FURTHEST, TOLERATED = 1e3, 0.5  # px; and of the least distance, what another one may be off by
-MOST, OTHER_THAN_CARRIED = 16.0, 2.0  # of costs: of a motion, and of another label than before
-SEEN, UNSEEN = 0.5, 0.02  # what pixels weigh: those of a part whose motion is known, and others
-MOST_THINGS = 254  # 255 is for what is ignored, where labels are given
-LASTING = 4  # frames, at least, of a thing
-# Of the frames with a thing: where it touches a larger one in as many, it is a part of that, if
-# they go together; or where it does in fewer, but in most that show both, and they go roughly
-# together.
-TOGETHER, TOUCHING, HARDLY_APART = 0.7, 0.3, 0.6
-GOING_TOGETHER, ROUGHLY = 0.3, 0.9  # of the faster one's motion: how far that of parts may differ
+# Values without a stated source were set by hand.
+# Share of a region's pixels with the propagated label of an object: the region shows that object.
+MIN_PROPAGATED = 0.1
+# Frames that an object may be occluded and keep its id.
+MAX_OCCLUSION = 15
+# Overlap of grey-level histograms of the same object, 0 to 1.
+MIN_HISTOGRAM_OVERLAP = 0.6
+# Distance from the predicted position after occlusion, in sizes of the object.
+MAX_DISTANCE = 1.5
+# Growth of this distance with each occluded frame, as a share.
+DISTANCE_GROWTH = 0.1
+# Visible share of an object that was occluded, for it to be recognised.
+MIN_REAPPEARED = 0.2
+# Bins of a grey-level histogram.
+BINS = 16
+# Reach of an object beyond its predicted mask, in sizes of the object.
+REACH_SHARE = 0.1
+# Visible share of an object that is needed for a quadratic motion.
+MIN_QUADRATIC = 0.5
+# Visible share of an object that is needed for an affine motion; with less, one velocity is fitted.
+MIN_AFFINE = 0.15
+# Standard deviations: pixels that differ by more from the motion of an object are another object.
+MAX_MOTION_DEVIATIONS = 4.0
+# Error of the own motion of such pixels, as a share of the error of the known motions.
+MAX_OWN_ERROR = 0.5
+# px: errors of a motion are limited to this.
+MAX_ERROR = 1e3
+# Share of the smallest error of a pixel: tolerance between motions where none fits.
+ERROR_TOLERANCE = 0.5
+# Cost of a motion, in squared ratios of its error to the usual one.
+MAX_COST = 16.0
+# Cost of another label than the propagated one, in the same unit.
+CHANGE_COST = 2.0
+# Data weight of pixels of a region with known motion, of 1.
+KNOWN_WEIGHT = 0.5
+# Data weight of all other pixels.
+UNKNOWN_WEIGHT = 0.02
+# Labels: 255 marks ignored pixels where labels are given.
+MAX_OBJECTS = 254
+# Frames that show an object.
+MIN_FRAMES = 4
+# A smaller object is a part of a larger one if it touches it in this share of its frames, and
+# their motions differ by less than MAX_SAME_MOTION,
+MIN_TOUCHING = 0.7
+# or if it touches it in this share of its frames,
+MIN_TOUCHING_LOOSE = 0.3
+# and in this share of the frames that show both, and their motions differ by less than
+# MAX_SIMILAR_MOTION.
+MIN_TOUCHING_OF_BOTH = 0.6
+# Difference of two motions, as a share of the faster one.
+MAX_SAME_MOTION = 0.3
+MAX_SIMILAR_MOTION = 0.9
 
 
 @dataclass(kw_only=True)
-class _Thing:
-    """What is known of a thing so far.
+class _Object:
+    """The state of an object.
 
     Attributes
     ----------
     id : int
     seen : int
-        The frame in which it was labelled last.
+        The last frame in which it was labelled.
     whole : (H, W) bool
-        Where it was then, with what others hid of it.
+        Its mask in that frame, with its occluded regions.
     velocity : (2,) float64
-        Its mean motion then, px/frame.
+        Its mean motion in that frame, px/frame.
     look : (BINS,) float64
-        The shares of its grey levels.
+        Its grey-level histogram; the sum is 1.
     core : int
-        Frames with as much evidence as a thing has to have.
+        Number of frames in which its region has a core (`find_moving_regions`).
     pixels : int
-        Of all frames.
+        Its labelled pixels in all frames.
     motions : dict of int to (2,) float64
-        Mean motion beside that of what is around it, by frame.
+        By frame: its mean motion minus that of its surroundings, px/frame.
     places : dict of int to (3,) float64
-        Its centre, (x, y), and size, the root of its area, px, by frame.
+        By frame: its centre, (x, y), and its size, the root of its area, px.
     """
 
     id: int
@@ -80,163 +111,171 @@ class _Thing:
     places: dict[int, np.ndarray] = field(default_factory=dict)
 
     def center(self) -> np.ndarray:
-        """Return the centre of where it was last, with what others hid of it, (x, y) px."""
+        """Return the centre of its last mask, (x, y) px."""
         return _center(self.whole)
 
 
-class Identities:
-    """Labels frames one after the other.
+class ObjectTracker:
+    """Labels moving objects, frame by frame.
 
     Parameters
     ----------
     motion : ImageMotion
     evidence : sequence of Evidence
-        Of every frame, together with those around it.
+        Of every frame, accumulated over the frames around it.
     """
 
     def __init__(self, motion: ImageMotion, evidence: Sequence[Evidence]) -> None:
         self._motion, self._evidence = motion, evidence
-        self._things: dict[int, _Thing] = {}
+        self._objects: dict[int, _Object] = {}
         self._touching: dict[tuple[int, int], int] = {}
 
     def labels(self) -> Iterator[np.ndarray]:
         """Yield the labels of every frame, (H, W) uint8, in the size of the image motion's.
 
-        They are 0 for what is at rest, and else from 1 on, in the order in which things appear.
+        Static pixels have 0. Objects are numbered from 1 in the order in which they appear.
         """
         found: DiskCache[np.ndarray] = DiskCache(lambda labels: (labels,), lambda labels: labels)
         before = None
         for frame in range(len(self._motion)):
-            before = self._labelled(frame, before)
+            before = self._label_frame(frame, before)
             found.append(before)
-        table = self._lasting()
+        table = self._final_labels()
         for labels in found:
             yield table[labels]
 
-    def _labelled(self, frame: int, before: np.ndarray | None) -> np.ndarray:
-        """Return the labels of a frame, (H, W) int32, after those of the frame before."""
+    def _label_frame(self, frame: int, before: np.ndarray | None) -> np.ndarray:
+        """Return the labels of a frame, (H, W) int32, given those of the previous one."""
         grey = self._motion.grey(frame)
         labels = np.zeros(grey.shape, np.int32)
-        carried = np.zeros_like(labels) if before is None else self._carried(frame, before)
-        sure = [number for number, thing in self._things.items() if thing.core >= LASTING]
-        parts = list(find_moving_regions(grey, self._evidence[frame], np.isin(carried, sure)))
-        moves = SmoothMotions(self._motion, frame)
-        for part, _ in parts:
-            counts = np.bincount(carried[part], minlength=1)
+        carried = np.zeros_like(labels) if before is None else self._propagate(frame, before)
+        sure = [number for number, obj in self._objects.items() if obj.core >= MIN_FRAMES]
+        regions = list(find_moving_regions(grey, self._evidence[frame], np.isin(carried, sure)))
+        motions_of = SmoothMotions(self._motion, frame)
+        for region, _ in regions:
+            counts = np.bincount(carried[region], minlength=1)
             counts[0] = 0
-            enough = min(CARRIED * part.sum(), self._smallest(part) / 2)
+            enough = min(MIN_PROPAGATED * region.sum(), self._smallest(region) / 2)
             known = [int(k) for k in np.flatnonzero(counts) if counts[k] >= enough]
             if not known:
-                known = [self._again(frame, part, labels, carried) or self._begun(frame)]
-                labels[part] = known[0]
+                known = [
+                    self._reappeared(frame, region, labels, carried) or self._new_object(frame)
+                ]
+                labels[region] = known[0]
             else:
-                labels[part] = nearest_known(carried, part & np.isin(carried, known))[part]
-            self._by_motion(frame, part, known, labels, carried, moves)
+                labels[region] = nearest_known(carried, region & np.isin(carried, known))[region]
+            self._assign_by_motion(frame, region, known, labels, carried, motions_of)
         labels = refine_boundaries(labels, self._motion, frame)
-        self._note(frame, labels, parts, moves)
+        self._update(frame, labels, regions, motions_of)
         return labels
 
-    def _by_motion(
+    def _assign_by_motion(
         self,
         frame: int,
-        part: np.ndarray,
+        region: np.ndarray,
         known: list[int],
         labels: np.ndarray,
         carried: np.ndarray,
-        moves: SmoothMotions,
+        motions_of: SmoothMotions,
     ) -> None:
-        """Let motions decide which of several things a pixel of a part belongs to.
+        """Assign each pixel of a region to the object whose motion it follows.
 
-        What moves otherwise than all of them is a thing that was hidden, or another one.
+        Pixels that follow none of them are an object that was occluded, or a new one.
         """
-        far: dict[int, np.ndarray] = {}  # px
-        unlike = np.full(part.shape, np.inf, np.float32)  # deviations of what is nearest
+        far: dict[int, np.ndarray] = {}  # error of each motion, px
+        unlike = np.full(region.shape, np.inf, np.float32)  # smallest error, in standard deviations
         usual = np.inf
         for number in known:
-            thing = self._things[number]
-            followed = thing.seen == frame - 1
-            mine = part & (carried == number)
-            mine = mine if mine.sum() >= MIN_PIXELS else part & (labels == number)
-            share = mine.sum() / max(1, thing.whole.sum()) if followed else 1.0
-            terms: Terms = 6 if share >= HALF else 3 if share >= LITTLE else 1
-            velocity = thing.velocity if followed else None
-            far[number], deviation = moves.beside(mine, velocity, terms=terms)
+            obj = self._objects[number]
+            followed = obj.seen == frame - 1
+            mine = region & (carried == number)
+            mine = mine if mine.sum() >= MIN_PIXELS else region & (labels == number)
+            share = mine.sum() / max(1, obj.whole.sum()) if followed else 1.0
+            terms: Terms = 6 if share >= MIN_QUADRATIC else 3 if share >= MIN_AFFINE else 1
+            velocity = obj.velocity if followed else None
+            far[number], deviation = motions_of.beside(mine, velocity, terms=terms)
             usual = min(usual, deviation)
             unlike = np.minimum(unlike, far[number] / deviation)
             if followed:
-                far[number][~self._reach(thing)] = np.inf
-        rest = np.uint8(part & (unlike > OTHERWISE))
+                far[number][~self._predicted_mask(obj)] = np.inf
+        rest = np.uint8(region & (unlike > MAX_MOTION_DEVIATIONS))
         opened = cv2.morphologyEx(rest, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
         count, numbered, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
         for k in range(1, count):
             piece = numbered == k
-            if statistics[k, cv2.CC_STAT_AREA] < self._smallest(part):
+            if statistics[k, cv2.CC_STAT_AREA] < self._smallest(region):
                 continue
-            own, _ = moves.beside(piece)
+            own, _ = motions_of.beside(piece)
             nearest = np.min([one[piece] for one in far.values()], axis=0)
-            if np.median(own[piece]) > CLEARLY * np.median(nearest):
+            if np.median(own[piece]) > MAX_OWN_ERROR * np.median(nearest):
                 continue
             there, gone = np.where(piece, 0, labels), np.where(piece, 0, carried)
-            number = self._again(frame, piece, there, gone) or self._begun(frame)
+            number = self._reappeared(frame, piece, there, gone) or self._new_object(frame)
             labels[piece], far[number] = number, own
         if len(far) < 2:
             return
-        top, left, height, width = _box(part)
+        top, left, height, width = _box(region)
         window = np.s_[top : top + height, left : left + width]
-        distance = np.stack([np.minimum(one[window], FURTHEST) for one in far.values()])
+        distance = np.stack([np.minimum(one[window], MAX_ERROR) for one in far.values()])
         nearest = distance.min(axis=0)
-        tolerated = usual**2 + (TOLERATED * nearest) ** 2  # where none fits, it takes a clear win
-        costs = np.minimum((distance**2 - nearest**2) / tolerated, MOST)
+        tolerated = (
+            usual**2 + (ERROR_TOLERANCE * nearest) ** 2
+        )  # where no motion fits, only a clear difference counts
+        costs = np.minimum((distance**2 - nearest**2) / tolerated, MAX_COST)
         numbers = np.array(list(far))
-        costs += OTHER_THAN_CARRIED * (labels[window] != numbers[:, None, None])
-        weight = np.where(moves.known[window] & part[window], SEEN, UNSEEN).astype(np.float32)
+        costs += CHANGE_COST * (labels[window] != numbers[:, None, None])
+        weight = np.where(
+            motions_of.known[window] & region[window], KNOWN_WEIGHT, UNKNOWN_WEIGHT
+        ).astype(np.float32)
         grey = np.ascontiguousarray(self._motion.grey(frame)[window])
         best = numbers[Potts(grey).assign(costs.astype(np.float32), weight)]
-        labels[window][part[window]] = best[part[window]]
+        labels[window][region[window]] = best[region[window]]
 
     @staticmethod
-    def _reach(thing: _Thing, *, grown: bool = True) -> np.ndarray:
-        """Return where a thing is in the frame after it was seen, or may be, (H, W) bool."""
-        x, y = thing.velocity
+    def _predicted_mask(obj: _Object, *, grown: bool = True) -> np.ndarray:
+        """Return the mask of an object predicted for the next frame, enlarged if `grown`."""
+        x, y = obj.velocity
         shifted = cv2.warpAffine(
-            np.uint8(thing.whole), np.array([[1, 0, x], [0, 1, y]]), thing.whole.shape[::-1]
+            np.uint8(obj.whole), np.array([[1, 0, x], [0, 1, y]]), obj.whole.shape[::-1]
         )
         if not grown:
             return shifted > 0
-        side = 1 + 2 * round(GROWING * thing.whole.sum() ** 0.5 + 1)
+        side = 1 + 2 * round(REACH_SHARE * obj.whole.sum() ** 0.5 + 1)
         return cv2.dilate(shifted, np.ones((side, side), np.uint8)) > 0
 
-    def _again(self, frame: int, part: np.ndarray, labels: np.ndarray, carried: np.ndarray) -> int:
-        """Return the thing that a part is which was hidden; 0 if it is none."""
+    def _reappeared(
+        self, frame: int, region: np.ndarray, labels: np.ndarray, carried: np.ndarray
+    ) -> int:
+        """Return the id of the occluded object that a region shows again; 0 for none."""
         there = set(np.unique(labels)) | set(np.unique(carried))
-        place = np.array([*_center(part), part.sum() ** 0.5])
-        look = self._look(frame, part)
+        place = np.array([*_center(region), region.sum() ** 0.5])
+        look = self._histogram(frame, region)
         best, found = 0.0, 0
-        for thing in self._things.values():
-            away = frame - thing.seen
-            hidden = thing.id not in there and 0 < away <= HIDDEN + 1
-            if not hidden or part.sum() <= REAPPEARED * thing.whole.sum():
+        for obj in self._objects.values():
+            away = frame - obj.seen
+            hidden = obj.id not in there and 0 < away <= MAX_OCCLUSION + 1
+            if not hidden or region.sum() <= MIN_REAPPEARED * obj.whole.sum():
                 continue
-            alike = self._alike(thing, place, look, away)
+            alike = self._likeness(obj, place, look, away)
             if alike > best:
-                best, found = alike, thing.id
+                best, found = alike, obj.id
         return found
 
     @staticmethod
-    def _alike(thing: _Thing, place: np.ndarray, look: np.ndarray, away: int) -> float:
-        """Return how far something is what a thing was so many frames ago; 0 if it is not."""
-        if not thing.whole.any():
+    def _likeness(obj: _Object, place: np.ndarray, look: np.ndarray, away: int) -> float:
+        """Return how alike a region and an object of `away` frames ago are; 0 for not at all."""
+        if not obj.whole.any():
             return 0.0
-        size = max(place[2], thing.whole.sum() ** 0.5)
-        expected = thing.center() + away * thing.velocity
-        far = float(np.linalg.norm(place[:2] - expected) / (size * (1 + FARTHER * away)))
-        alike = float(np.sqrt(look * thing.look).sum())
-        return alike / (1 + far) if far < NEAR and alike > ALIKE else 0.0
+        size = max(place[2], obj.whole.sum() ** 0.5)
+        expected = obj.center() + away * obj.velocity
+        far = float(np.linalg.norm(place[:2] - expected) / (size * (1 + DISTANCE_GROWTH * away)))
+        alike = float(np.sqrt(look * obj.look).sum())
+        return alike / (1 + far) if far < MAX_DISTANCE and alike > MIN_HISTOGRAM_OVERLAP else 0.0
 
-    def _begun(self, frame: int) -> int:
-        number = 1 + max(self._things, default=0)
+    def _new_object(self, frame: int) -> int:
+        number = 1 + max(self._objects, default=0)
         nowhere = np.zeros(self._motion.grey(frame).shape, bool)
-        self._things[number] = _Thing(
+        self._objects[number] = _Object(
             id=number,
             seen=frame,
             whole=nowhere,
@@ -245,36 +284,36 @@ class Identities:
         )
         return number
 
-    def _note(
+    def _update(
         self,
         frame: int,
         labels: np.ndarray,
-        parts: Sequence[tuple[np.ndarray, bool]],
-        moves: SmoothMotions,
+        regions: Sequence[tuple[np.ndarray, bool]],
+        motions_of: SmoothMotions,
     ) -> None:
-        """Note where things are, and which of them touch."""
-        flow = moves.flow
+        """Update the state of the objects of a frame, and count which of them touch."""
+        flow = motions_of.flow
         for number in np.unique(labels[labels > 0]):
-            thing, mask = self._things[number], labels == number
+            obj, mask = self._objects[number], labels == number
             beside = cv2.dilate(np.uint8(mask), np.ones((5, 5), np.uint8)) > 0
             is_whole = not (beside & (labels > 0) & ~mask).any()
-            kept = self._reach(thing, grown=False) if thing.seen == frame - 1 else mask
-            known_well = is_whole or mask.sum() >= HALF * kept.sum()
-            thing.whole = mask if is_whole else kept | mask if known_well else kept
-            thing.seen = frame
-            thing.pixels += int(mask.sum())
+            kept = self._predicted_mask(obj, grown=False) if obj.seen == frame - 1 else mask
+            known_well = is_whole or mask.sum() >= MIN_QUADRATIC * kept.sum()
+            obj.whole = mask if is_whole else kept | mask if known_well else kept
+            obj.seen = frame
+            obj.pixels += int(mask.sum())
             moved = np.median(flow[mask], axis=0).astype(np.float64)
             if known_well:
-                thing.velocity, thing.look = moved, self._look(frame, mask)
+                obj.velocity, obj.look = moved, self._histogram(frame, mask)
             around = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
             around &= labels == 0
             rest = np.median(flow[around], axis=0) if around.any() else np.zeros(2)
-            thing.motions[frame] = moved - rest
-            thing.places[frame] = np.array([*_center(mask), mask.sum() ** 0.5])
+            obj.motions[frame] = moved - rest
+            obj.places[frame] = np.array([*_center(mask), mask.sum() ** 0.5])
         moving = cv2.connectedComponents((labels > 0).astype(np.uint8), connectivity=4)[1]
-        for part, core in parts:
-            for number in np.unique(labels[part & (labels > 0)]):
-                self._things[int(number)].core += core
+        for region, core in regions:
+            for number in np.unique(labels[region & (labels > 0)]):
+                self._objects[int(number)].core += core
         for joined in range(1, moving.max() + 1):
             inside = [int(number) for number in np.unique(labels[moving == joined])]
             for i, first in enumerate(inside):
@@ -282,76 +321,76 @@ class Identities:
                     pair = first, second
                     self._touching[pair] = self._touching.get(pair, 0) + 1
 
-    def _lasting(self) -> np.ndarray:
-        """Return the final labels by the first ones, (K,) uint8."""
-        count = 1 + max(self._things, default=0)
-        whole = np.arange(count)  # what a thing is a part of
-        by_size = sorted(self._things, key=lambda k: self._things[k].pixels)
-        for place, part in enumerate(by_size):
-            larger = [k for k in by_size[place + 1 :] if self._belongs(part, k)]
+    def _final_labels(self) -> np.ndarray:
+        """Return the final label of each object, (K,) uint8; 0 for an object that is dropped."""
+        count = 1 + max(self._objects, default=0)
+        whole = np.arange(count)  # the object that each object is a region of
+        by_size = sorted(self._objects, key=lambda k: self._objects[k].pixels)
+        for place, region in enumerate(by_size):
+            larger = [k for k in by_size[place + 1 :] if self._is_part_of(region, k)]
             if larger:
-                whole[part] = larger[-1]  # the largest
-        for part in reversed(by_size):  # the larger come first
-            whole[part] = whole[whole[part]]
-        for late in sorted(self._things):  # whole things that are seen again
-            if whole[late] == late and (earlier := self._seen_before(late, whole)):
+                whole[region] = larger[-1]  # the largest
+        for region in reversed(by_size):  # larger objects first
+            whole[region] = whole[whole[region]]
+        for late in sorted(self._objects):  # objects that reappear
+            if whole[late] == late and (earlier := self._same_before(late, whole)):
                 whole[whole == late] = whole[earlier]
         table, number = np.zeros(count, np.uint8), 0
-        for thing in sorted(self._things):
-            if whole[thing] != thing:
+        for obj in sorted(self._objects):
+            if whole[obj] != obj:
                 continue
-            same = np.flatnonzero(whole == thing)
-            frames = {frame for k in same for frame in self._things[int(k)].motions}
-            lasting = min(LASTING, len(self._motion))
-            core = sum(self._things[int(k)].core for k in same)
-            if len(frames) >= lasting and core >= lasting - 1 and number < MOST_THINGS:
+            same = np.flatnonzero(whole == obj)
+            frames = {frame for k in same for frame in self._objects[int(k)].motions}
+            lasting = min(MIN_FRAMES, len(self._motion))
+            core = sum(self._objects[int(k)].core for k in same)
+            if len(frames) >= lasting and core >= lasting - 1 and number < MAX_OBJECTS:
                 number += 1
                 table[same] = number
         return table
 
-    def _seen_before(self, late: int, whole: np.ndarray) -> int:
-        """Return the thing that was hidden before another began, and looks like it; 0 if none."""
-        thing = self._things[late]
-        frames = [f for k in np.flatnonzero(whole == late) for f in self._things[int(k)].motions]
-        if not frames:  # its outline left nothing of it
+    def _same_before(self, late: int, whole: np.ndarray) -> int:
+        """Return the object that was occluded before a later one appeared and looks alike, or 0."""
+        obj = self._objects[late]
+        frames = [f for k in np.flatnonzero(whole == late) for f in self._objects[int(k)].motions]
+        if not frames:  # the refined boundary left no pixel of it
             return 0
         first = min(frames)
         best, found = 0.0, 0
-        for other in self._things.values():
+        for other in self._objects.values():
             away = first - other.seen
-            if not 0 < away <= HIDDEN + 1 or first not in thing.places:
+            if not 0 < away <= MAX_OCCLUSION + 1 or first not in obj.places:
                 continue
-            alike = self._alike(other, thing.places[first], thing.look, away)
+            alike = self._likeness(other, obj.places[first], obj.look, away)
             if alike > best:
                 best, found = alike, other.id
         return found
 
-    def _belongs(self, part: int, other: int) -> bool:
-        """Return whether two things were hardly apart, and so are parts of one."""
-        touching = self._times(self._touching, part, other)
-        mine, others = self._things[part].motions, self._things[other].motions
+    def _is_part_of(self, region: int, other: int) -> bool:
+        """Return whether an object is a region of another one: they touch and move alike."""
+        touching = self._times(self._touching, region, other)
+        mine, others = self._objects[region].motions, self._objects[other].motions
         both = len(mine.keys() & others.keys())
-        if touching < max(1, TOUCHING * len(mine)) or not both:
+        if touching < max(1, MIN_TOUCHING_LOOSE * len(mine)) or not both:
             return False
-        differing = self._differing(part, other)
-        if touching >= TOGETHER * len(mine) and differing < GOING_TOGETHER:
+        differing = self._motion_difference(region, other)
+        if touching >= MIN_TOUCHING * len(mine) and differing < MAX_SAME_MOTION:
             return True
-        return touching >= HARDLY_APART * both and differing < ROUGHLY
+        return touching >= MIN_TOUCHING_OF_BOTH * both and differing < MAX_SIMILAR_MOTION
 
     @staticmethod
     def _times(counts: dict[tuple[int, int], int], first: int, second: int) -> int:
         return counts.get((min(first, second), max(first, second)), 0)
 
-    def _differing(self, first: int, second: int) -> float:
-        """Return how far the motions of two things differ, as a share of the faster one's."""
-        one, two = self._things[first].motions, self._things[second].motions
+    def _motion_difference(self, first: int, second: int) -> float:
+        """Return the difference of the motions of two objects, as a share of the faster one."""
+        one, two = self._objects[first].motions, self._objects[second].motions
         frames = sorted(one.keys() & two.keys())
         apart = np.linalg.norm([one[f] - two[f] for f in frames], axis=1)
         fast = np.maximum(*(np.linalg.norm([m[f] for f in frames], axis=1) for m in (one, two)))
         return float(np.median(apart) / max(np.median(fast), 1e-9))
 
-    def _carried(self, frame: int, before: np.ndarray) -> np.ndarray:
-        """Return the labels of the frame before where the image motion carries them, or else 0."""
+    def _propagate(self, frame: int, before: np.ndarray) -> np.ndarray:
+        """Return the labels of the previous frame, propagated by the image motion; 0 for none."""
         backward = self._motion.backward(frame)
         carried = sample_image(
             before.astype(np.float32), pixel_grid(before.shape) + backward, nearest=True
@@ -359,7 +398,7 @@ class Identities:
         returns = returns_to_start(backward, self._motion.forward(frame - 1)) > 0
         return np.where(returns, carried.astype(np.int32), 0)
 
-    def _look(self, frame: int, mask: np.ndarray) -> np.ndarray:
+    def _histogram(self, frame: int, mask: np.ndarray) -> np.ndarray:
         grey = self._motion.grey(frame)[mask]
         shares, _ = np.histogram(grey, BINS, (0, 256))
         return shares / max(1, shares.sum())
@@ -375,6 +414,6 @@ def _center(mask: np.ndarray) -> np.ndarray:
 
 
 def _box(mask: np.ndarray) -> tuple[int, int, int, int]:
-    """Return the top, left, height and width of what is around a mask."""
+    """Return the top, left, height and width of the bounding box of a mask."""
     left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
     return top, left, height, width

@@ -1,7 +1,9 @@
-"""How far the image motion is from anything that the camera's motion explains, over several frames.
+"""Evidence over several frames that a pixel moves on its own.
 
-At two frames a thing that moves along epipolar lines looks like another depth. Over several its
-depth would have to change, or the lines turn. So what tells it is summed up along the image motion.
+The image motion of a static point fits the motion of the camera with some depth. In two frames, an
+object that moves along epipolar lines looks like static points at another depth. Over several
+frames its depth would have to change, or the lines rotate. For this reason evidence is accumulated
+along the image motion.
 """
 
 from collections.abc import Sequence
@@ -15,33 +17,47 @@ from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.frames.image_motion import ImageMotion, pixel_grid, sample_image
 
-AWAY = (1, 3)  # frames, before and after, that a frame is compared with
-# Deviation of the image motion: that of the fit, and of as much as this share of the longer side.
-LEAST_DEVIATION = 1.5e-4
-NEUTRAL = 3.0  # deviations: what is as far from the camera's motion says nothing
-AT_REST, MOVING = -1.0, 3.0  # the most that a frame may say
-DOUBT = 0.3  # frames: as much speaks for a pixel at rest before anything is seen
-LASTING = 0.8  # of what a frame says is left for the next
-WINDOW = 5  # px, over which images are compared
-# Grey levels, beside those that are missed anyway: a place that misses as many more is wrong. And
-# what the image motion says anyway.
-CLEAR, LEAST_SHOWN = 4.0, 0.05
-# Depths at rest that are tried: up to this many times what is usual, every so many px, at least and
-# at most so many.
-BEYOND, TRIED_EVERY, TRIED = 3.0, 2.0, (8, 32)
-NEAREST = 0.05  # of the unit of depth: nothing is nearer
+# Values without a stated source were set by hand.
+# Distances, in frames, of the frames that a frame is compared with, before and after.
+FRAME_STEPS = (1, 3)
+# Share of the longer side: standard deviation of the image motion that is added to that of the fit.
+MIN_DEVIATION = 1.5e-4
+# Standard deviations from the motion of the camera at which evidence is neutral.
+NEUTRAL_DEVIATIONS = 3.0
+# Evidence of one frame for a static pixel, at most.
+STATIC_EVIDENCE = -1.0
+# Evidence of one frame for a moving pixel, at most.
+MOVING_EVIDENCE = 3.0
+# Weight, in frames, of the prior that a pixel is static.
+STATIC_PRIOR = 0.3
+# Share of the evidence of a frame that is passed on to the next one.
+PASSED_SHARE = 0.8
+# px: side of the window that images are compared in.
+COMPARE_WINDOW = 5
+# Grey levels of additional difference that refute a static position.
+REFUTING_DIFFERENCE = 4.0
+# Weight of evidence that no difference in grey levels supports, of 1.
+MIN_SUPPORT = 0.05
+# Largest static inverse depth that is tried, as a multiple of the largest usual one.
+TRIED_DEPTH_FACTOR = 3.0
+# px between two static positions that are tried.
+TRIED_STEP = 2.0
+# Smallest and largest number of static positions that are tried.
+TRIED_COUNTS = (8, 32)
+# Smallest depth, in the unit of depth.
+MIN_DEPTH = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
 class Evidence:
-    """What frames say of whether a pixel follows the camera's motion.
+    """Evidence of several frames on whether pixels move on their own.
 
     Attributes
     ----------
     moving : (H, W) float32
-        Sum of what frames say: positive if it moves on its own.
+        Sum over frames: positive for a pixel that moves on its own, negative for a static one.
     weight : (H, W) float32
-        How many frames say something, at most 1 each.
+        Number of frames with evidence; each counts 1 at most.
     """
 
     moving: np.ndarray
@@ -49,22 +65,24 @@ class Evidence:
 
     @classmethod
     def of_arrays(cls, moving: np.ndarray, weight: np.ndarray) -> "Evidence":
-        """Return what has these arrays."""
+        """Return the object with these arrays."""
         return cls(moving=moving.astype(np.float32), weight=weight.astype(np.float32))
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """Return what it is made of, with 11 significant bits."""
+        """Return its arrays, with 11 significant bits."""
         return self.moving.astype(np.float16), self.weight.astype(np.float16)
 
     def mean(self) -> np.ndarray:
-        """Return what a frame says on average, (H, W) float32: where none does, it is at rest."""
-        return (self.moving + np.float32(DOUBT * AT_REST)) / (self.weight + np.float32(DOUBT))
+        """Return the mean evidence, (H, W) float32; pixels without evidence are static."""
+        return (self.moving + np.float32(STATIC_PRIOR * STATIC_EVIDENCE)) / (
+            self.weight + np.float32(STATIC_PRIOR)
+        )
 
     def judged_by(self, many: "Evidence") -> "Evidence":
-        """Return this, of two frames at a time, with what many frames say together.
+        """Return this evidence of frame pairs together with that of many frames.
 
-        What looks at rest at two frames may be something that moves along epipolar lines. So it
-        counts as far as many frames bear it out.
+        A pixel that looks static in two frames may move along epipolar lines. Evidence for a static
+        pixel counts only where many frames support it.
         """
         confirms_large_motion = (self.moving > 0) | (many.moving < 0)
         return Evidence(
@@ -73,14 +91,14 @@ class Evidence:
         )
 
     def at_rest_in(self, place: np.ndarray) -> "Evidence":
-        """Return this where a place, (H, W) bool, is at rest."""
+        """Return the evidence with the pixels of a mask, (H, W) bool, set to static."""
         return Evidence(
-            moving=np.where(place, np.float32(AT_REST), self.moving),
+            moving=np.where(place, np.float32(STATIC_EVIDENCE), self.moving),
             weight=np.where(place, np.float32(1), self.weight),
         )
 
     def overruled_by(self, other: "Evidence") -> "Evidence":
-        """Return this with what says that something moves which looks at rest anyway."""
+        """Return the evidence with another one that finds objects which look static here."""
         counts = (self.moving > 0) | (other.weight == 0)
         return Evidence(
             moving=counts * self.moving + other.moving,
@@ -89,10 +107,11 @@ class Evidence:
 
 
 def evidence_of(motion: ImageMotion, frame: int) -> Evidence:
-    """Return what a frame's motion to others says.
+    """Return the evidence of the image motion from a frame to others.
 
-    One rigid motion is fitted to all of the image motion from the frame to another, where the way
-    back agrees. Distances from where points at rest may go are compared with that of the others.
+    One rigid motion is fitted to the image motion between two frames, where it is consistent.
+    The evidence is the distance from the nearest position of a static point, compared with the
+    usual distance.
 
     Parameters
     ----------
@@ -102,32 +121,32 @@ def evidence_of(motion: ImageMotion, frame: int) -> Evidence:
     shape, camera = motion.grey(frame).shape, motion.camera()
     total, weight = (np.zeros(shape, np.float32) for _ in range(2))
     start, grey = pixel_grid(shape), motion.grey(frame)
-    for led in motion.chained_flows(frame, max(AWAY)):
-        if led.steps not in AWAY:
+    for led in motion.chained_flows(frame, max(FRAME_STEPS)):
+        if led.steps not in FRAME_STEPS:
             continue
         flow = led.places - start
         try:
             fitted = camera_motion(flow, np.float32(led.found), camera)
         except TooFewPixelsError:
             continue
-        usual = fitted.residual + LEAST_DEVIATION * max(shape) * led.steps**0.5
+        usual = fitted.residual + MIN_DEVIATION * max(shape) * led.steps**0.5
         at_rest = StaticMotion(fitted.rotation, fitted.translation, camera, shape)
         inverse_depth = at_rest.nearest(led.places)
         far = np.linalg.norm(at_rest.places(inverse_depth) - led.places, axis=-1) / usual
-        says = np.clip((far / NEUTRAL) ** 2 - 1, AT_REST, MOVING)
+        says = np.clip((far / NEUTRAL_DEVIATIONS) ** 2 - 1, STATIC_EVIDENCE, MOVING_EVIDENCE)
         resting = inverse_depth[led.found & (says < 0)]
         view = motion.grey(led.frame), led.places, led.found, at_rest
-        clear = shown(grey, [view], inverse_depth, resting)
+        clear = support_of_motion(grey, [view], inverse_depth, resting)
         seen = np.where(says > 0, clear, 1)
         seen *= led.found
         total += seen * says
         weight += seen
-    comparisons = 2 * len(AWAY)
+    comparisons = 2 * len(FRAME_STEPS)
     return Evidence(moving=total / comparisons, weight=weight / comparisons)
 
 
 def accumulate_evidence(motion: ImageMotion, evidence: Sequence[Evidence]) -> Sequence[Evidence]:
-    """Return what frames say together with those before and after, along the image motion."""
+    """Return the evidence of every frame, accumulated along the image motion in both directions."""
     before, after = _one_way(motion, evidence, 1), _one_way(motion, evidence, -1)
     found = DiskCache(Evidence.arrays, Evidence.of_arrays)
     for frame, own in enumerate(evidence):
@@ -142,16 +161,16 @@ def accumulate_evidence(motion: ImageMotion, evidence: Sequence[Evidence]) -> Se
 
 
 def _one_way(motion: ImageMotion, evidence: Sequence[Evidence], way: int) -> DiskCache[Evidence]:
-    """Return what frames say together with those before, or, way −1, with those after.
+    """Return the evidence accumulated from earlier frames, or, with way −1, from later ones.
 
-    In the order in which they were taken, or the opposite one.
+    The result is in this order of frames.
     """
     found, last = DiskCache(Evidence.arrays, Evidence.of_arrays), None
     for frame in range(len(evidence))[::way]:
         own = evidence[frame]
         if last is not None:
             led = next(led for led in motion.chained_flows(frame, 1) if led.frame == frame - way)
-            kept = np.float32(LASTING) * led.found
+            kept = np.float32(PASSED_SHARE) * led.found
             own = Evidence(
                 moving=own.moving + kept * sample_image(last.moving, led.places),
                 weight=own.weight + kept * sample_image(last.weight, led.places),
@@ -162,7 +181,7 @@ def _one_way(motion: ImageMotion, evidence: Sequence[Evidence], way: int) -> Dis
 
 
 class StaticMotion:
-    """Where points at rest go, under one motion of the camera, by their inverse depth.
+    """Positions of static points in another frame, by their inverse depth, under one camera motion.
 
     Parameters
     ----------
@@ -188,24 +207,24 @@ class StaticMotion:
         self._translation = translation.astype(np.float32)
 
     def places(self, inverse_depth: np.ndarray | float) -> np.ndarray:
-        """Return the places, (H, W, 2) float32, of points of inverse depths, in the unit of t."""
+        """Return positions, (H, W, 2) float32, of points of an inverse depth, 1/unit of t."""
         moved = [
             turned + np.float32(inverse_depth) * part
             for turned, part in zip(cv2.split(self._turned), self._translation, strict=True)
         ]
-        scale = self._focal / np.maximum(moved[2], np.float32(NEAREST))
+        scale = self._focal / np.maximum(moved[2], np.float32(MIN_DEPTH))
         x, y = self._center
         return cv2.merge([moved[0] * scale + x, moved[1] * scale + y])
 
     def inverse_depth(self, inverse_depth: np.ndarray) -> np.ndarray:
-        """Return the inverse depth in the other frame, (H, W) float32, of points of one in this."""
+        """Return the inverse depth in the other frame, (H, W) float32."""
         ahead = self._turned[..., 2] + inverse_depth * self._translation[2]
-        return inverse_depth / np.maximum(ahead, np.float32(NEAREST))
+        return inverse_depth / np.maximum(ahead, np.float32(MIN_DEPTH))
 
     def slope_and_missed(
         self, inverse_depth: np.ndarray, places: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return how places change with inverse depth, and what is missing to others, px.
+        """Return the derivative of positions by inverse depth, and the error of the positions, px.
 
         (H, W, 2) float32 each.
         """
@@ -213,7 +232,7 @@ class StaticMotion:
             turned + inverse_depth * part
             for turned, part in zip(cv2.split(self._turned), self._translation, strict=True)
         )
-        scale = self._focal / np.maximum(ahead, np.float32(NEAREST))
+        scale = self._focal / np.maximum(ahead, np.float32(MIN_DEPTH))
         along_x, along_y, along = self._translation
         at_x, at_y = x * scale, y * scale
         slope = [
@@ -224,12 +243,12 @@ class StaticMotion:
         return cv2.merge(slope), missed
 
     def nearest(self, places: np.ndarray) -> np.ndarray:
-        """Return the inverse depth, (H, W) float32, of what comes nearest to places."""
+        """Return the inverse depth, (H, W) float32, whose position is nearest to given ones."""
         target = (places - self._center) / self._focal
         along, ahead = self._translation[:2], self._translation[2]
         turned, inverse_depth = self._turned, np.zeros(target.shape[:2], np.float32)
-        for _ in range(2):  # the second one weighs as the first has found
-            depth = np.maximum(turned[..., 2] + inverse_depth * ahead, np.float32(NEAREST))
+        for _ in range(2):  # the second round has the weights of the first result
+            depth = np.maximum(turned[..., 2] + inverse_depth * ahead, np.float32(MIN_DEPTH))
             missed = (target * turned[..., 2:] - turned[..., :2]) / depth[..., None]
             slope = (target * ahead - along) / depth[..., None]
             steep = np.maximum((slope * slope).sum(axis=-1), np.float32(1e-12))
@@ -237,39 +256,40 @@ class StaticMotion:
         return inverse_depth
 
 
-def shown(
+def support_of_motion(
     grey: np.ndarray,
     views: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, StaticMotion]],
     nearest: np.ndarray,
     usual: np.ndarray,
 ) -> np.ndarray:
-    """Return how far the images show that a pixel goes where it is led, and not where it rests.
+    """Return how far the images support the image motion against every static position.
 
-    Where frames are bare, any place looks alike, and the image motion may be anything; where it is
-    wrong, some depth at rest looks as well or better. Of several frames one depth has to do so.
+    In a bare area all positions look alike, and the image motion is arbitrary. Where the image
+    motion is wrong, some static depth fits the images as well or better. One depth has to fit all
+    given frames.
 
     Parameters
     ----------
     grey : (H, W) float32
     views : sequence of (other, places, found, StaticMotion)
-        Another frame, (H, W) float32; where the image motion leads in it, (H, W, 2) float32; and
-        where it does, (H, W) bool.
+        Another frame, (H, W) float32; the position of each pixel in it, (H, W, 2) float32; where
+        this position is known, (H, W) bool; and the motion of static points.
     nearest : (H, W) float32
-        The inverse depth at rest that comes nearest to that.
+        The inverse depth whose static position is nearest to these positions.
     usual : (N,) float32
-        Inverse depths of points at rest.
+        Inverse depths of static points.
 
     Returns
     -------
     (H, W) float32
-        From `LEAST_SHOWN` to 1.
+        From `MIN_SUPPORT` to 1.
     """
-    furthest = float(np.quantile(usual, 0.99)) * BEYOND if len(usual) else 0.0
+    furthest = float(np.quantile(usual, 0.99)) * TRIED_DEPTH_FACTOR if len(usual) else 0.0
     reach = [
         np.median(np.linalg.norm(at_rest.places(furthest) - at_rest.places(0.0), axis=-1))
         for *_, at_rest in views
     ]
-    count = int(np.clip(max(reach) / TRIED_EVERY, *TRIED))
+    count = int(np.clip(max(reach) / TRIED_STEP, *TRIED_COUNTS))
     missed = _missed(grey, [(other, led, found) for other, led, found, _ in views])
     least = np.full(grey.shape, np.inf, np.float32)
     tried: list[np.ndarray | float] = [nearest, *map(float, np.linspace(0, furthest, count))]
@@ -278,13 +298,13 @@ def shown(
             (other, at_rest.places(inverse_depth), found) for other, _, found, at_rest in views
         ]
         least = np.minimum(least, _missed(grey, at_rest_places))
-    return np.clip((least - missed) / (CLEAR + missed), LEAST_SHOWN, 1)
+    return np.clip((least - missed) / (REFUTING_DIFFERENCE + missed), MIN_SUPPORT, 1)
 
 
 def _missed(
     grey: np.ndarray, views: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]
 ) -> np.ndarray:
-    """Return by how many grey levels places in other frames differ, (H, W) float32, on average."""
+    """Return the mean difference of pixels and positions in other frames, grey levels, (H, W)."""
     total, count = np.zeros(grey.shape, np.float32), np.zeros(grey.shape, np.float32)
     for other, places, found in views:
         total += found * grey_difference(other, places, grey)
@@ -293,8 +313,8 @@ def _missed(
 
 
 def grey_difference(other: np.ndarray, places: np.ndarray, grey: np.ndarray) -> np.ndarray:
-    """Return by how many grey levels another frame at places differs from a frame, (H, W) float32.
+    """Return the difference of a frame and another one at positions, grey levels, (H, W) float32.
 
-    On average over windows.
+    It is averaged over windows.
     """
-    return cv2.blur(np.abs(sample_image(other, places) - grey), (WINDOW, WINDOW))
+    return cv2.blur(np.abs(sample_image(other, places) - grey), (COMPARE_WINDOW, COMPARE_WINDOW))

@@ -7,7 +7,7 @@ import numpy as np
 
 from tisfm.motion.objects.candidates import smallest_object
 from tisfm.motion.objects.label_optimisation import Potts
-from tisfm.reconstruction.objects.motion_evidence import DOUBT, Evidence
+from tisfm.reconstruction.objects.motion_evidence import STATIC_PRIOR, Evidence
 
 # Values without a stated source were set by hand.
 
@@ -50,7 +50,7 @@ def find_moving_regions(
         [2 * np.clip(mean - REGION_EVIDENCE, 0, 3), 4 * np.clip(REGION_EVIDENCE - mean, 0, 1)]
     )
     weight = MAX_DATA_WEIGHT * np.clip(
-        (evidence.weight + DOUBT) / FULL_WEIGHT_FRAMES, MIN_DATA_SHARE, 1
+        (evidence.weight + STATIC_PRIOR) / FULL_WEIGHT_FRAMES, MIN_DATA_SHARE, 1
     )
     moving = Potts(grey).assign(costs.astype(np.float32), weight.astype(np.float32)) == 1
     count, parts, statistics, _ = cv2.connectedComponentsWithStats(

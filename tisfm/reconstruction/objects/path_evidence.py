@@ -11,13 +11,13 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.reconstruction.frames.image_motion import ChainedFlow, ImageMotion
 from tisfm.reconstruction.objects.motion_evidence import (
-    AT_REST,
-    LEAST_DEVIATION,
-    MOVING,
-    NEUTRAL,
+    MIN_DEVIATION,
+    MOVING_EVIDENCE,
+    NEUTRAL_DEVIATIONS,
+    STATIC_EVIDENCE,
     Evidence,
     StaticMotion,
-    shown,
+    support_of_motion,
 )
 
 # Values without a stated source were set by hand.
@@ -74,14 +74,14 @@ def path_evidence(
     usual = 1.48 * float(np.median(far[resting]))
     if usual > MAX_USUAL_ERROR * max(shape):
         return None
-    usual += LEAST_DEVIATION / 2 * max(shape)  # many frames are surer than one
-    says = np.clip((far / (usual * NEUTRAL)) ** 2 - 1, AT_REST, MOVING)
+    usual += MIN_DEVIATION / 2 * max(shape)  # many frames are surer than one
+    says = np.clip((far / (usual * NEUTRAL_DEVIATIONS)) ** 2 - 1, STATIC_EVIDENCE, MOVING_EVIDENCE)
     near = inverse_depth[resting & (says < 0)]
     last = {led.frame > frame: (led, at_rest) for led, at_rest in views}  # of each side
     compared = [
         (motion.grey(led.frame), led.places, led.found, at_rest) for led, at_rest in last.values()
     ]
-    clear = shown(motion.grey(frame), compared, inverse_depth, near)
+    clear = support_of_motion(motion.grey(frame), compared, inverse_depth, near)
     weight = np.where(says > 0, clear, 1) * np.minimum(seen / len(views) * 2, 1) * (seen >= 2)
     found = Evidence(moving=np.float32(says * weight), weight=np.float32(weight))
     return found, inverse_depth

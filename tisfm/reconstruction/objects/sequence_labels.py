@@ -10,9 +10,9 @@ from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
 from tisfm.reconstruction.frames.image_motion import ImageMotion
 from tisfm.reconstruction.objects.below_ground import BelowGround, StaticDepth
-from tisfm.reconstruction.objects.identities import MOST_THINGS, Identities
+from tisfm.reconstruction.objects.identities import MAX_OBJECTS, ObjectTracker
 from tisfm.reconstruction.objects.motion_evidence import (
-    AT_REST,
+    STATIC_EVIDENCE,
     Evidence,
     accumulate_evidence,
     evidence_of,
@@ -20,7 +20,10 @@ from tisfm.reconstruction.objects.motion_evidence import (
 from tisfm.reconstruction.objects.moving_regions import REGION_EVIDENCE
 from tisfm.reconstruction.objects.path_evidence import path_evidence
 
-KNOWN, HALF = 0.3, AT_REST / 2  # frames that say something, and what they say of what is at rest
+KNOWN, HALF = (
+    0.3,
+    STATIC_EVIDENCE / 2,
+)  # frames that say something, and what they say of what is at rest
 
 
 class SequenceLabels:
@@ -63,7 +66,7 @@ class SequenceLabels:
             for frame in range(len(self._motion)):
                 self._evidence.append(evidence_of(self._motion, frame))
         self._together = accumulate_evidence(self._motion, self._evidence)
-        labels = Identities(self._motion, self._together).labels()
+        labels = ObjectTracker(self._motion, self._together).labels()
         for labelled in labels if ground is None else self._with_ground(labels, ground):
             yield enlarge_labels(labelled, self._motion.share, self._shape)
 
@@ -107,9 +110,9 @@ class SequenceLabels:
         if not is_any:
             yield from known
             return
-        more = Identities(self._motion, accumulate_evidence(self._motion, evidence)).labels()
+        more = ObjectTracker(self._motion, accumulate_evidence(self._motion, evidence)).labels()
         for labelled, others in zip(known, more, strict=True):
-            is_new = (labelled == 0) & (others > 0) & (others <= MOST_THINGS - count)
+            is_new = (labelled == 0) & (others > 0) & (others <= MAX_OBJECTS - count)
             yield np.where(is_new, others + np.uint8(count), labelled)
 
 

@@ -1,6 +1,6 @@
 """The camera path of a sequence, which is found from its frames or given.
 
-May import: `camera`, `checks`, `errors`, `status`, `shutter`, `trajectory`,
+May import: `camera`, `checks`, `errors`, `shutter`, `status`, `trajectory`,
 `reconstruction.calibration`, `reconstruction.frames`, `reconstruction.mapping`,
 `reconstruction.result`, `reconstruction.rolling_shutter`, `reconstruction.submaps` and
 `reconstruction.tracks`.

@@ -1,7 +1,7 @@
 """Sequences without end: frames are read, and given out with their pose and depth.
 
-May import: `camera`, `errors`, `focal_guess`, `status`, `runtime`, `settings`, `shutter`,
-`sources`, `trajectory`, `reconstruction`, `reconstruction.calibration`, `reconstruction.depth`,
+May import: `camera`, `errors`, `focal_guess`, `runtime`, `settings`, `shutter`, `sources`,
+`status`, `trajectory`, `reconstruction`, `reconstruction.calibration`, `reconstruction.depth`,
 `reconstruction.frames`, `reconstruction.mapping`, `reconstruction.path`, `reconstruction.result`,
 `reconstruction.rolling_shutter` and `reconstruction.tracks`.
 """

@@ -1,4 +1,4 @@
-"""Points carried from frame to frame along the image motion, and placed by what they look like."""
+"""Point tracks: points follow the image motion, and are refined by their appearance."""
 
 from dataclasses import dataclass
 
@@ -41,14 +41,14 @@ MAX_SEARCH = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class Observations:
-    """Where tracks are in a frame.
+    """Positions of tracks in a frame.
 
     Attributes
     ----------
     points : (N, 2) float64
         (x, y), px from the upper left pixel's centre.
     tracks : (N,) int64
-        The number of the track of each, ascending.
+        Track numbers, ascending.
     """
 
     points: np.ndarray
@@ -56,15 +56,15 @@ class Observations:
 
     @classmethod
     def of_arrays(cls, points: np.ndarray, tracks: np.ndarray) -> "Observations":
-        """Return what has these arrays."""
+        """Return the object with these arrays."""
         return cls(points=points, tracks=tracks)
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """Return what it is made of."""
+        """Return its arrays."""
         return self.points, self.tracks
 
     def shared(self, other: "Observations") -> tuple[np.ndarray, np.ndarray]:
-        """Return the indices, here and in another frame, of the tracks that are in both."""
+        """Return the indices, here and in another frame, of the tracks of both."""
         _, here, there = np.intersect1d(
             self.tracks, other.tracks, assume_unique=True, return_indices=True
         )
@@ -72,7 +72,7 @@ class Observations:
 
 
 class Tracker:
-    """Carries points from each frame to the next.
+    """Tracks points from each frame to the next.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class Tracker:
     settings : Settings
         Of the image motion.
     cells : int
-        Along the longer side: a point is begun in every cell that has none.
+        Cells along the longer side: a track begins in every cell without one.
     """
 
     def __init__(self, camera: Camera, settings: Settings, cells: int = CELLS) -> None:
@@ -97,15 +97,15 @@ class Tracker:
         ignored: np.ndarray | None = None,
         flow: np.ndarray | None = None,
     ) -> Observations:
-        """Take the next frame, (H, W) uint8, and return where tracks are in it.
+        """Return the tracks in the next frame.
 
         Parameters
         ----------
         grey : (H, W) uint8
         ignored : (H, W) bool, optional
-            Pixels that no track may lie on.
+            Pixels without tracks.
         flow : (h, w, 2) float32, optional
-            Image motion from the frame before, px of its own size, which is that of
+            Image motion from the previous frame, px of its own size, which is that of
             `shrink_for_flow`. By default it is found.
         """
         small = shrink_for_flow(grey)
