@@ -30,7 +30,7 @@ def test_it_says_what_became_of_the_frames(tmp_path):
         "it shows too little: film on",
         "piece 0, 3 frames, from above",
         "piece 1, 2 frames, from the side",
-        "unit of the path, and each piece has one of its own.",
+        "unit of the path, and each piece has its own unit.",
         "cut off",
         "Settings of the preset fast",
     ):

@@ -132,18 +132,18 @@ def mask_table(name: str, scores: LabelScores) -> Table:
     table.add_column("object", overflow="fold")
     for heading in ("label", "IoU", "frames", "followed", "switches"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for thing in scores.objects:
+    for one in scores.objects:
         table.add_row(
-            Text(str(thing.object_id)),
-            _NOTHING if thing.label is None else str(thing.label),
-            f"{thing.iou:.3f}",
-            str(thing.frames),
-            f"{thing.followed} of {thing.present}",
-            str(thing.switches),
+            Text(str(one.object_id)),
+            _NOTHING if one.label is None else str(one.label),
+            f"{one.iou:.3f}",
+            str(one.frames),
+            f"{one.followed} of {one.present}",
+            str(one.switches),
         )
     if len(scores.objects) > 1:
         present, followed = (
-            sum(getattr(thing, key) for thing in scores.objects) for key in ("present", "followed")
+            sum(getattr(one, key) for one in scores.objects) for key in ("present", "followed")
         )
         row = (f"{scores.iou:.3f}", "", f"{followed} of {present}", str(scores.switches))
         table.add_row("all", "", *row)
@@ -207,19 +207,19 @@ def compare_object_paths(
         )
     try:
         record = read_json(truth / OBJECTS)
-        things = {thing.id: thing for thing in map(MovingObject.of_json, record["objects"])}
+        true_objects = {one.id: one for one in map(MovingObject.of_json, record["objects"])}
     except FormatError:
         raise
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
         raise FormatError(f"{truth / OBJECTS} is damaged or of another kind: {error}") from error
-    own = {thing.id: thing for thing in found.objects}
+    objects = {one.id: one for one in found.objects}
     errors = {}
     for number, label in labels.items():
-        if number not in things or label not in own:
+        if number not in true_objects or label not in objects:
             continue
         both = object_path_errors(
-            _by_frame(own[label], len(found)),
-            _by_frame(things[number], len(found), step),
+            _by_frame(objects[label], len(found)),
+            _by_frame(true_objects[number], len(found), step),
             found.poses,
             cameras,
         )
@@ -245,10 +245,10 @@ def object_path_table(name: str, errors: Mapping[int, ObjectPathErrors]) -> Tabl
     return table
 
 
-def _by_frame(thing: MovingObject, count: int, step: int = 1) -> np.ndarray:
+def _by_frame(one: MovingObject, count: int, step: int = 1) -> np.ndarray:
     """Return the poses of an object in every n-th frame, (N, 4, 4); NaN for no pose."""
     poses = np.full((count, 4, 4), np.nan)
-    for frame, pose in zip(thing.frames, thing.poses, strict=True):
+    for frame, pose in zip(one.frames, one.poses, strict=True):
         if frame % step == 0 and frame // step < count:
             poses[frame // step] = pose
     return poses
