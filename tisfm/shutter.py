@@ -1,8 +1,8 @@
-"""A shutter that reads row after row, as those of phones do: what it moves, and how to undo it.
+"""Rolling shutters, which read a frame row by row as those of phones do, and how to undo them.
 
-A camera that moves meanwhile sees every row from another place. The pose of a frame is that of its
-middle row. Row y is read `readout` · (y − middle) / H intervals later, where an interval is the
-time from a frame of the source to the next.
+A moving camera sees every row from another position. The pose of a frame is that of its middle row.
+Row y is read `readout` · (y − middle) / H intervals later, where an interval is the time from one
+frame of the source to the next.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,29 +16,30 @@ from tisfm.camera import Camera
 from tisfm.resampling import Resampling
 from tisfm.rigid import rigid_twist
 
-BEHIND = 1e-6  # Z of points that a frame sees
-LONGEST = 2.0  # times the usual time between frames: over a longer one, nobody knows how it moved
-NODES = 33  # along the longer side, between which the way of pixels is interpolated
-STEPS = 4  # of the search for the row that a pixel was read in
+# All of these were set by hand.
+BEHIND = 1e-6  # least Z of a visible point
+LONGEST = 2.0  # median times between frames: a longer gap says nothing about the motion in it
+NODES = 33  # along the longer side: pixels between which displacements are interpolated
+STEPS = 4  # iterations that find the row in which a pixel was read
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rolling:
-    """How frames moved while they were read.
+    """The camera's motion while frames were read.
 
     Attributes
     ----------
     camera : Camera
-        The pinhole that rates were found with.
+        The pinhole camera with which the rates were estimated.
     readout : float
-        The share of the interval that passes from the first row to the last; negative where the
-        last is read first, 0 where all are read at once.
+        Readout time from the first row to the last, intervals; negative if the last row is read
+        first, 0 if all rows are read at once.
     deviation : float
-        Its standard deviation; 0 where it was given.
+        Standard deviation of the readout; 0 if the readout was given.
     rates : dict of int to (6,) float64
-        By frame: the twist (T, ω) of what is before the camera, by interval.
+        By frame: the twist (T, ω) of the scene relative to the camera, per interval.
     inverse_depth : dict of int to float
-        By frame: the usual one of what it shows, 1/unit of the rates.
+        By frame: the median inverse depth, 1/unit of the rates.
     """
 
     camera: Camera
@@ -49,14 +50,14 @@ class Rolling:
 
 
 def instants_of(indices: Sequence[int], times: Sequence[float | None]) -> np.ndarray:
-    """Return when frames were taken, (N,), in intervals between frames of the source.
+    """Return the times of frames, (N,), in intervals between frames of the source.
 
     Parameters
     ----------
     indices : sequence of int
-        Their numbers in the source, which grow.
+        Numbers of the frames in the source, increasing.
     times : sequence of float or None
-        s; where some are not known, or do not grow, frames are taken to be evenly spaced.
+        s; if some are unknown or do not increase, frames are assumed to be evenly spaced.
     """
     number = np.array(indices, np.float64)
     known = np.array([time for time in times if time is not None])
@@ -68,28 +69,28 @@ def instants_of(indices: Sequence[int], times: Sequence[float | None]) -> np.nda
 def rates_of(
     poses: Mapping[int, np.ndarray], instants: Mapping[int, float] | Sequence[float] | np.ndarray
 ) -> dict[int, np.ndarray]:
-    """Return the twist of what is before the camera at every frame, (6,) float64, by interval.
+    """Return the twist of the scene relative to the camera at every frame, (6,), per interval.
 
     Parameters
     ----------
     poses : mapping of int to (4, 4) array
         Camera to world, by frame.
     instants : sequence of float, or mapping
-        When each frame was taken, in intervals.
+        Time of each frame, in intervals.
     """
     frames = sorted(poses)
     times = {frame: instants[after] - instants[frame] for frame, after in pairwise(frames)}
     longest = LONGEST * float(np.median(list(times.values()))) if times else 0.0
-    ways = {
+    twists = {
         frame: _twist(poses[frame], poses[after]) / times[frame]
         for frame, after in pairwise(frames)
     }
     rates = {}
     for number, frame in enumerate(frames):
-        near = [k for k in frames[max(0, number - 1) : number + 1] if k in ways]
+        near = [k for k in frames[max(0, number - 1) : number + 1] if k in twists]
         short = [k for k in near if times[k] <= longest] or near
         if short:
-            rates[frame] = np.mean([ways[k] for k in short], axis=0)
+            rates[frame] = np.mean([twists[k] for k in short], axis=0)
     return rates
 
 
@@ -101,9 +102,9 @@ def at_middle(
     camera: Camera,
     shape: tuple[int, int],
 ) -> np.ndarray:
-    """Return where points of a frame would be if all rows were read with the middle one, (N, 2).
+    """Return points of a frame as if all rows were read with the middle one, (N, 2) px.
 
-    Points that would be behind the camera stay where they are.
+    Points that would be behind the camera stay unchanged.
 
     Parameters
     ----------
@@ -112,7 +113,7 @@ def at_middle(
     depth : (N,) array
         Z of each, positive.
     rate : (6,) array
-        Of the frame, as in `Rolling`.
+        Rate of the frame, as in `Rolling`.
     readout : float
     camera : Camera
         A pinhole.
@@ -121,8 +122,8 @@ def at_middle(
     """
     center = np.array(camera.center_for(*shape))
     ray = np.column_stack([(points - center) / camera.focal, np.ones(len(points))])
-    late = _late(points[:, 1], readout, shape)
-    moved = transported(ray * np.asarray(depth)[:, None], rate, -late)
+    delay = _delay(points[:, 1], readout, shape)
+    moved = transported(ray * np.asarray(depth)[:, None], rate, -delay)
     ahead = moved[:, 2] > BEHIND
     found = np.array(points, np.float64)
     found[ahead] = moved[ahead, :2] / moved[ahead, 2:] * camera.focal + center
@@ -130,7 +131,7 @@ def at_middle(
 
 
 def transported(points: np.ndarray, rate: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Return points, (N, 3), moved by a twist (T, ω) that acts for so long, (N,), each."""
+    """Return points, (N, 3), moved by a twist (T, ω) for the given times, (N,)."""
     velocity, spin = rate[:3], rate[3:]
     angle = max(float(np.linalg.norm(spin)), 1e-12)
     axis = spin / angle
@@ -149,7 +150,7 @@ def transported(points: np.ndarray, rate: np.ndarray, time: np.ndarray) -> np.nd
 
 
 class UnrolledPixels(Resampling):
-    """The map from a frame to what it would be if all rows were read with the middle one.
+    """The map from a frame to the frame whose rows were all read with the middle one.
 
     Parameters
     ----------
@@ -157,10 +158,10 @@ class UnrolledPixels(Resampling):
         A pinhole.
     readout : float
     rate : (6,) array
-        Of the frame, as in `Rolling`.
+        Rate of the frame, as in `Rolling`.
     inverse_depth : float or (h, w) array
-        Of all that the frame shows, or, as that would be with the middle row, at `nodes_of` it;
-        1/unit of the rate. What is not before the camera is taken to be far.
+        Inverse depth of the whole frame, or at its `nodes_of` as the middle row sees them, 1/unit
+        of the rate. Values that are not positive count as far.
     shape : (int, int)
         Height and width, px.
     """
@@ -181,8 +182,8 @@ class UnrolledPixels(Resampling):
         ray = np.column_stack([(wanted - center) / camera.focal, np.ones(len(wanted))])
         there = wanted
         for _ in range(STEPS):
-            late = _late(there[:, 1], readout, shape)
-            moved = transported(ray * depth[:, None], rate, late)
+            delay = _delay(there[:, 1], readout, shape)
+            moved = transported(ray * depth[:, None], rate, delay)
             there = moved[:, :2] / np.maximum(moved[:, 2:], BEHIND) * camera.focal + center
         nodes = (there - wanted).reshape(grid.shape).astype(np.float32)
         rows, columns = grid.shape[:2]
@@ -195,14 +196,14 @@ class UnrolledPixels(Resampling):
 class UnrolledFrame(UnrolledPixels):
     """`UnrolledPixels` of a frame of a sequence.
 
-    All that the frame shows is taken to be of one depth: what is nearer or farther is moved by the
-    turn of the camera, and by its way as if it were there.
+    The whole frame is assumed to have one depth: nearer and farther points are corrected for the
+    rotation of the camera, and for its translation as if they had that depth.
 
     Parameters
     ----------
     rolling : Rolling
     frame : int
-        One that has a rate.
+        A frame with a rate.
     shape : (int, int)
         Height and width, px.
     """
@@ -213,7 +214,7 @@ class UnrolledFrame(UnrolledPixels):
 
 
 def nodes_of(shape: tuple[int, ...]) -> np.ndarray:
-    """Return the pixels, (h, w, 2) as (x, y), between which the way of others is interpolated."""
+    """Return the pixels, (h, w, 2) as (x, y), between which displacements are interpolated."""
     height, width = shape
     spacing = max(shape) / (NODES - 1)
     columns, rows = (max(2, round(side / spacing) + 1) for side in (width, height))
@@ -221,8 +222,8 @@ def nodes_of(shape: tuple[int, ...]) -> np.ndarray:
     return np.stack([x, y], axis=-1)
 
 
-def _late(y: np.ndarray, readout: float, shape: tuple[int, ...]) -> np.ndarray:
-    """Return how much later than the middle row rows are read, intervals."""
+def _delay(y: np.ndarray, readout: float, shape: tuple[int, ...]) -> np.ndarray:
+    """Return the time from the readout of the middle row to that of rows, intervals."""
     return readout * (y - (shape[0] - 1) / 2) / shape[0]
 
 

@@ -154,5 +154,5 @@ class NoTrial:
     def __init__(self, names, *, limit=0):
         self._names = names
 
-    def go_on(self):
+    def poll(self):
         return {name: {"error": "not tried"} for name in self._names}

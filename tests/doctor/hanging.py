@@ -27,11 +27,11 @@ def hasty_trial(folder):
         def __init__(self, names, *, limit=0.0):
             super().__init__(names, limit=limit)
 
-        def go_on(self):
+        def poll(self):
             hangs = isinstance(self._process, subprocess.Popen) and (
                 Path(folder, f"hanging{self._process.pid}").exists()
             )
             self._limit = 0.0 if hangs else PATIENCE
-            return super().go_on()
+            return super().poll()
 
     return HastyTrial

@@ -1,8 +1,8 @@
-"""What is wrong with an installation or a machine, told in words.
+"""``tisfm doctor``: faults of an installation or a machine, in words.
 
-Nothing of it needs a library that may be broken: what is tried out is tried in other processes,
-which may crash or hang.
+The doctor itself imports no library that may be broken: other processes, which may crash or hang,
+try libraries and kernels.
 
-Here: what is looked at, the processes that try things out, and the text.
+Here: the examination, the processes of its trials, and the table that it prints.
 May import: `tisfm.machine`, of the top level `threads`, and, in those processes alone, `runtime`.
 """

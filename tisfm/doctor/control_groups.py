@@ -14,12 +14,12 @@ _OCTAL = re.compile(r"\\([0-7]{3})")  # how spaces are written in the list of mo
 
 @dataclass(frozen=True, kw_only=True)
 class GroupLimits:
-    """What the groups allow; None where they set no limit.
+    """Limits that the groups set; None where they set none.
 
     Attributes
     ----------
     cores : float or None
-        The time of how many cores.
+        Number of cores whose time the process may use.
     memory : float or None
         Bytes.
     """
@@ -29,9 +29,9 @@ class GroupLimits:
 
 
 def group_limits(process: Path = _SELF) -> GroupLimits:
-    """Return the limits of a process, as far as its folder in ``/proc`` says which groups it has.
+    """Return the limits of a process, whose groups its folder in ``/proc`` lists.
 
-    Where a machine has no control groups, or nobody can read them, there is no limit.
+    Without control groups, or if they cannot be read, there is no limit.
     """
     cores: list[float | None] = []
     memory: list[float | None] = []
@@ -83,7 +83,7 @@ def _mounts(process: Path) -> Iterator[tuple[str, Path, set[str] | None]]:
 
 
 def _within(group: str, root: str) -> PurePosixPath:
-    """Return where a group lies in a mount; the mount itself where only that can be seen."""
+    """Return the path of a group in a mount; the mount itself if only that is visible."""
     path, top = PurePosixPath(group), PurePosixPath(root)
     if ".." in path.parts or not path.is_relative_to(top):
         return PurePosixPath()
@@ -91,7 +91,7 @@ def _within(group: str, root: str) -> PurePosixPath:
 
 
 def _share(path: Path) -> float | None:
-    """Return the time of how many cores ``cpu.max`` gives, None where it sets no limit."""
+    """Return the number of cores of ``cpu.max``, None if it sets no limit."""
     words = " ".join(_lines(path)).split()
     try:
         quota, period = map(float, words)

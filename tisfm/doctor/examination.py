@@ -1,4 +1,4 @@
-"""The examination: all that is looked at, in the order in which it is told."""
+"""The examination: all findings, in the order in which they are printed."""
 
 import sys
 from collections.abc import Callable, Iterable
@@ -9,12 +9,12 @@ from tisfm.doctor.finding import Finding, as_json, as_text, is_well
 from tisfm.doctor.trials import Trial, TrialResults, results, run_trial
 from tisfm.machine.text import printable
 
-_KERNEL_LIMIT = 45.0  # s: a slow machine compiles
-_GPU_LIMIT = 20.0  # s: a driver that does not answer is not waited for
+_KERNEL_LIMIT = 45.0  # s, enough for a slow machine to compile; set by hand
+_GPU_LIMIT = 20.0  # s, after which a GPU driver counts as hanging; set by hand
 
 
 def examine() -> list[Finding]:
-    """Look at everything; return what was found. It raises nothing."""
+    """Return the findings of all examinations; it raises nothing."""
     base, extras, unread = packages.requirements()
     modules = [packages.module_of(name) for name in base if name != "taichi"]
     optional = [packages.module_of(name) for found in extras.values() for name in found]
@@ -27,8 +27,8 @@ def examine() -> list[Finding]:
     for arch in tried["archs"].get("archs", []):
         if not (arch == "vulkan" and software):
             started |= run_trial([f"kernel:{arch}"], limit=_GPU_LIMIT)
-    # Importing Taichi takes longest: it is done no third time. A kernel that ran has imported it;
-    # where none did, another library may be why.
+    # The import of Taichi takes longest, so it is not tried a third time: a kernel that ran has
+    # imported it. If no kernel ran, another library may be the reason.
     about_archs = {} if "error" not in tried["kernel:default"] else tried["archs"]
     tried["taichi"] = {key: value for key, value in about_archs.items() if key == "error"}
     looks: list[Callable[[], Finding | Iterable[Finding]]] = [
@@ -51,7 +51,7 @@ def examine() -> list[Finding]:
         try:
             seen = look()
             found += [seen] if isinstance(seen, Finding) else list(seen)
-        except Exception as error:  # a look that fails is told as well
+        except Exception as error:  # a failed examination is a finding, too
             text = " ".join(str(error).split())
             found.append(
                 Finding(name="doctor", verdict="warning", text=f"{type(error).__name__}: {text}")
@@ -60,7 +60,7 @@ def examine() -> list[Finding]:
 
 
 def doctor(*, json: bool = False) -> int:
-    """Print what is found; return the exit code, 1 if something is broken."""
+    """Print the findings; return the exit code, 1 if something is broken."""
     findings = examine()
     text = as_json(findings) if json else as_text(findings)
     text = "\n".join(map(printable, text.split("\n")))

@@ -18,18 +18,18 @@ _WIDTH = 100
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What was found of one thing.
+    """The result of one examination.
 
     Attributes
     ----------
     name : str
-        The thing.
+        What was examined, such as "Cores".
     verdict : {"ok", "warning", "wrong", "absent"}
-        "absent" is what is optional, and not there.
+        "absent" is an optional part that is not installed.
     text : str
-        What was found.
+        The result in words.
     advice : str
-        What to do; empty where nothing is to be done.
+        What to do; empty if there is nothing to do.
     """
 
     name: str

@@ -14,11 +14,12 @@ from tisfm.machine.memory import limit
 from tisfm.threads import usable_cores
 
 RAISE_LIMIT = "raise the limit of the address space (ulimit -v) first"
-_LEAST_ADDRESSES, _LEAST_MEMORY = 3.0e9, 2.0e9  # bytes: of a pair of 1920 × 1080 px
+_LEAST_ADDRESSES = 3.0e9  # bytes of address space for a pair of 1920 × 1080 px; measured
+_LEAST_MEMORY = 2.0e9  # bytes of memory for a pair of 1920 × 1080 px; measured
 
 
 def about_cores() -> Finding:
-    """Tell how many cores this process may use, and what limits it."""
+    """Return the finding about the cores that this process may use."""
     there = os.cpu_count() or 1
     usable, reasons = usable_cores(), []
     if usable < there:
@@ -39,7 +40,7 @@ def about_cores() -> Finding:
 
 
 def about_memory() -> Finding:
-    """Tell how much memory there is, and how much of it is free."""
+    """Return the finding about memory."""
     total, free = _memory()
     group = group_limits().memory
     if total is None:
@@ -61,13 +62,13 @@ def about_memory() -> Finding:
 
 
 def is_limited() -> bool:
-    """Return whether the limit of the address space may be why libraries fail."""
+    """Return whether libraries may fail because the address space is limited."""
     bound = limit()
     return bound is not None and bound < _LEAST_ADDRESSES
 
 
 def about_addresses() -> Finding:
-    """Tell whether the address space is limited too much."""
+    """Return the finding about the limit of the address space."""
     bound = limit()
     if bound is None:
         return Finding(name="Address space", verdict="ok", text="not limited (ulimit -v)")
@@ -83,7 +84,7 @@ def about_addresses() -> Finding:
 
 
 def about_cache() -> Iterator[Finding]:
-    """Tell where Taichi keeps compiled kernels, whether it can, and of a lock that was left."""
+    """Yield findings about the folder of compiled kernels and a lock left there."""
     folder = cache_folder()
     if folder is None:
         yield Finding(name="Kernel cache", verdict="ok", text="where Taichi keeps it on Windows")
@@ -121,7 +122,7 @@ def about_cache() -> Iterator[Finding]:
 
 
 def about_folder(folder: Path) -> Finding:
-    """Tell whether results can be written to the working folder."""
+    """Return the finding about the working folder."""
     name = "Working folder"
     if _is_writable(folder, make=False):
         return Finding(name=name, verdict="ok", text=f"{folder} can be written to")
@@ -134,7 +135,7 @@ def about_folder(folder: Path) -> Finding:
 
 
 def about_temporary() -> Finding:
-    """Tell whether there is a folder for temporary files."""
+    """Return the finding about the folder for temporary files."""
     try:
         return Finding(
             name="Temporary files", verdict="ok", text=f"{tempfile.gettempdir()} can be written to"
@@ -149,7 +150,7 @@ def about_temporary() -> Finding:
 
 
 def about_kernel(tried: TrialResults) -> Iterator[Finding]:
-    """Tell whether Taichi compiles and runs a kernel, with how many threads, how wide."""
+    """Yield findings about a kernel that Taichi compiled and ran."""
     about = tried["kernel:default"]
     if "error" in about:
         yield Finding(
@@ -173,7 +174,7 @@ def about_kernel(tried: TrialResults) -> Iterator[Finding]:
 
 
 def about_gpus(tried: TrialResults, started: TrialResults) -> Finding:
-    """Tell on which GPU archs kernels can run; none is needed."""
+    """Return the finding about GPUs, none of which is needed."""
     about = tried["archs"]
     if "error" in about:
         return Finding(
@@ -232,7 +233,7 @@ def _is_writable(folder: Path, *, make: bool = True) -> bool:
 
 
 def _memory() -> tuple[float | None, float | None]:
-    """Return all memory and what is free of it, bytes, as far as the system says."""
+    """Return the total and the free memory, bytes; None where the system does not say."""
     known = {}
     try:
         for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():

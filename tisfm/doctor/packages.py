@@ -1,4 +1,4 @@
-"""Python, tisfm, and the packages that it asks for: what is installed, and can be imported."""
+"""Findings about Python, tisfm, and the packages that it requires."""
 
 import platform
 import sys
@@ -9,7 +9,7 @@ from tisfm.doctor.finding import Finding
 from tisfm.doctor.machine import RAISE_LIMIT, is_limited
 from tisfm.doctor.trials import TrialResults
 
-# Distributions whose modules are called otherwise.
+# Distributions whose modules have another name.
 _MODULES = {
     "opencv-python-headless": "cv2",
     "pillow": "PIL",
@@ -34,9 +34,9 @@ _USES = {
 
 
 def requirements() -> tuple[dict[str, str], dict[str, dict[str, str]], str]:
-    """Return what tisfm asks for, what each extra does, and why nobody knows where that is so.
+    """Return the required packages, those of each extra, and why they cannot be read, if so.
 
-    Packages are versions by distributions. They are empty where tisfm is not installed, or its
+    Packages are version specifiers by distribution. They are empty if tisfm is not installed or its
     metadata cannot be read.
     """
     base: dict[str, str] = {}
@@ -66,7 +66,7 @@ def module_of(distribution: str) -> str:
 
 
 def about_python() -> Finding:
-    """Tell the version of Python and of tisfm, and where they lie."""
+    """Return the finding about the version and the folder of Python."""
     version = platform.python_version()
     text = f"{version}, {platform.system()} {platform.machine()}, {sys.executable}"
     if not (3, 10) <= sys.version_info[:2] < (3, 14):
@@ -80,9 +80,9 @@ def about_python() -> Finding:
 
 
 def about_tisfm(tried: TrialResults, unread: str = "") -> Iterator[Finding]:
-    """Tell the version of tisfm, and whether it can be imported.
+    """Yield findings about the version of tisfm and its import.
 
-    `unread` is why nobody knows what it asks for.
+    `unread` says why its requirements cannot be read; empty if they can.
     """
     try:
         version = metadata.version("tisfm")
@@ -117,7 +117,7 @@ def about_tisfm(tried: TrialResults, unread: str = "") -> Iterator[Finding]:
 
 
 def about_base(base: Mapping[str, str], tried: TrialResults) -> Iterator[Finding]:
-    """Tell of each package that tisfm cannot do without."""
+    """Yield a finding about each required package."""
     for name, versions in base.items():
         yield _about(
             name, versions, tried, missing="wrong", command=f"pip install '{name}{versions}'"
@@ -125,7 +125,7 @@ def about_base(base: Mapping[str, str], tried: TrialResults) -> Iterator[Finding
 
 
 def about_extras(extras: Mapping[str, Mapping[str, str]], tried: TrialResults) -> Iterator[Finding]:
-    """Tell of each package that some of tisfm needs."""
+    """Yield a finding about each optional package."""
     for extra, packages in extras.items():
         command = f"pip install 'tisfm[{extra}]'"
         use = _USES.get(extra, extra)
@@ -138,7 +138,7 @@ def about_extras(extras: Mapping[str, Mapping[str, str]], tried: TrialResults) -
 
 
 def about_opencv() -> Finding:
-    """Tell of builds of OpenCV that overwrite one another's files."""
+    """Return the finding about builds of OpenCV that overwrite each other's files."""
     found = {name: version for name in _OPENCV if (version := _version(name)) is not None}
     listed = ", ".join(f"{name} {version}" for name, version in found.items())
     if len(found) > 1:
@@ -201,5 +201,5 @@ def _suits(version: str, versions: str) -> bool:
         from packaging.specifiers import SpecifierSet
 
         return SpecifierSet(versions).contains(version, prereleases=True)
-    except Exception:  # nobody can tell
+    except Exception:  # unknown: no complaint
         return True

@@ -1,7 +1,7 @@
-"""Tries things out, in a process of its own: this file is run, and imported by nobody.
+"""A program that tries items in a process of its own; no module imports this file.
 
-Its words are what to try. It prints a line of JSON before and after each: where it crashes or
-hangs, the last line says at what.
+Its arguments are the items. It prints a line of JSON before and after each item, so that the last
+line names the item at which it crashed or hung.
 """
 
 import json
@@ -84,9 +84,9 @@ def try_software_vulkan(name: str) -> None:
 
 
 def main(names: list[str]) -> None:
-    """Try each of the names, in order; an error of one stops no other."""
+    """Try the items in order; an error of one does not stop the others."""
     if sys.path[:1] == [""]:
-        del sys.path[0]  # no module of the working folder is one of Python's
+        del sys.path[0]  # modules of the working folder must not replace those of Python
     for name in names:
         tell(name, begun=True)
         try:

@@ -1,7 +1,6 @@
-"""What a process finds on its machine, and does not always suit the libraries that we use.
+"""Properties of the machine that the libraries we use do not handle by themselves.
 
-Here: limits of the address space, the cache of kernels that others may have left half-written,
-memory that is freed, the device that Vulkan offers, what a process that works for another checks
-first, and times and sizes in words.
-May import: of the top level `version`.
+Here: limits of the address space, freed memory, Taichi's cache of compiled kernels, the device that
+Vulkan offers, and text for terminals.
+May import: nothing of `tisfm`.
 """

@@ -1,7 +1,7 @@
 """The folder in which Taichi keeps compiled kernels.
 
-Taichi's lock on that folder is a file, which lasts when a process is killed that has just made
-it. From then on Taichi would neither read nor write there, and every process would compile anew.
+Taichi locks that folder by a file. If a process is killed while it holds the lock, the file stays:
+Taichi would neither read nor write there any more, and every process would compile all kernels.
 """
 
 import atexit
@@ -14,13 +14,15 @@ from typing import Any
 
 LOCK, _LIST = "ticache.lock", "ticache.tcb"
 STALE = 120.0  # s; it is held while the list of kernels is read or written, for less than one
-_TURN, _PATIENCE, _PAUSE = "tisfm.turn", 5.0, 0.02  # a file; s
+_TURN_FILE = "tisfm.turn"  # locked by the process that writes kernels
+_LONGEST_WAIT = 5.0  # s, for that lock; set by hand
+_PAUSE = 0.02  # s, between attempts to lock it; set by hand
 
 
 def cache_options() -> dict[str, Any]:
-    """Return options for ``ti.init`` that survive a cache folder which cannot be written.
+    """Return options for ``ti.init`` under which Taichi survives a read-only cache folder.
 
-    What a process that was killed has left there is removed.
+    The lock of a killed process is removed.
     """
     if "HOME" not in os.environ and "XDG_CACHE_HOME" not in os.environ and os.name != "nt":
         os.environ["HOME"] = os.path.expanduser("~")  # from the user database
@@ -40,19 +42,19 @@ def cache_options() -> dict[str, Any]:
 
 
 def _take_turn(folder: Path) -> None:
-    """Wait until no other process is writing kernels, as they do when they end.
+    """Wait until no other process writes kernels, which each does when it ends.
 
-    Taichi does not wait for its lock for long: of workers that end together, all but one would
-    complain, and not keep what they have compiled. The file stays locked until this process is
-    gone, after Taichi has written.
+    Taichi itself waits only briefly for its lock: of workers that end together, all but one would
+    complain and lose their kernels. The file stays locked until this process has ended, after
+    Taichi has written.
     """
     try:
         import fcntl
     except ImportError:  # Windows
         return
     with contextlib.suppress(OSError):  # the folder is gone, or has no locks
-        file = os.open(folder / _TURN, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-        end = time.monotonic() + _PATIENCE
+        file = os.open(folder / _TURN_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        end = time.monotonic() + _LONGEST_WAIT
         while time.monotonic() < end:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -63,7 +65,7 @@ def _take_turn(folder: Path) -> None:
 
 
 def cache_folder() -> Path | None:
-    """Return where Taichi keeps compiled kernels; None on Windows, where it finds a place."""
+    """Return the folder of compiled kernels; None on Windows, where Taichi chooses it."""
     if os.name == "nt":
         return None
     home = os.environ.get("HOME") or os.path.expanduser("~")
@@ -72,10 +74,10 @@ def cache_folder() -> Path | None:
 
 
 def remove_stale_lock(folder: Path) -> None:
-    """Remove a lock whose owner must be dead, and the kernels that may be cut off.
+    """Remove the lock of a dead process, and kernels that it may have written incompletely.
 
-    Under its lock, Taichi writes kernels and then the list of all. It never writes a kernel again
-    whose file is there or which is listed; a list that is cut off it makes anew.
+    Under its lock, Taichi writes kernels and then the list of all. It never rewrites a kernel that
+    exists or is listed; it makes an incomplete list anew.
 
     Parameters
     ----------

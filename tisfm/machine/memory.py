@@ -43,14 +43,14 @@ def limit() -> int | None:
 
 
 def require(amount: float, purpose: str) -> None:
-    """Check that the limit leaves as much as something takes.
+    """Check that the limit leaves enough address space.
 
     Parameters
     ----------
     amount : float
-        What it reserves, bytes.
+        Address space that is reserved, bytes.
     purpose : str
-        What takes it.
+        The purpose, for the message.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def require(amount: float, purpose: str) -> None:
         return
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-    except OSError:  # not Linux: other systems hardly hold anyone to that limit
+    except OSError:  # not Linux: other systems hardly enforce that limit
         return
     left = bound - pages * os.sysconf("SC_PAGE_SIZE")
     if left < amount:
@@ -90,7 +90,7 @@ def import_libraries() -> None:
 
 
 def require_for_taichi(threads: int) -> None:
-    """Check that the limit leaves as much as Taichi reserves before it looks at a frame.
+    """Check that the limit leaves the address space that Taichi reserves when it starts.
 
     Measured with version 1.7.4: 1 GiB at once, the libraries, and of each thread, four that
     compile included, its stack and its arena.
@@ -115,7 +115,7 @@ def ran_out(error: BaseException | None) -> bool:
 
 
 def advice() -> str:
-    """Return what to say where memory does not suffice, and nobody said more."""
+    """Return the message for memory that does not suffice, if there is no better one."""
     bound = limit()
     raised = "" if bound is None else f", or raise the limit of {_gb(bound)} (ulimit -v)"
     return f"not enough memory: give smaller frames{raised}"
@@ -132,9 +132,9 @@ _ARRAY = 32 << 20  # the largest that is not mapped on its own, bytes: the most 
 
 
 def keep_freed_memory() -> None:
-    """Have memory that is freed stay with the process, as it does where nothing is set.
+    """Keep freed memory in the process, as glibc does by default.
 
-    It does so where a threshold was set for small objects alone, and the C library has it (glibc).
+    This changes thresholds of glibc only if the environment sets a small one.
     """
     try:
         asked = int(os.environ["MALLOC_TRIM_THRESHOLD_"])

@@ -1,4 +1,4 @@
-"""A pair of frames from a camera that reads row after row, as if it read all rows at once."""
+"""A pair of frames from a rolling shutter, resampled as if from a global one."""
 
 from dataclasses import dataclass
 
@@ -13,15 +13,15 @@ from tisfm.rigid import KnownPose, rigid_motion, rigid_twist
 from tisfm.settings import Settings
 from tisfm.shutter import UnrolledPixels, nodes_of
 
-ROUNDS = 2  # of motion and frames, each from the other
-STEPS = 4  # of the search for where a pixel of frame 1 was in frame 0
-# Motions that frames are unrolled by; of others, nothing is known.
+ROUNDS = 2  # estimates of the motion, each from the frames of the one before; set by hand
+STEPS = 4  # iterations that find the pixel of frame 0 for a pixel of frame 1; set by hand
+# Statuses of motions that frames are corrected by.
 KNOWN = ("converged", "iteration_limit", "uncertain", "pure_rotation", "little_parallax")
 
 
 @dataclass(frozen=True, kw_only=True)
 class GlobalShutterPair:
-    """Two frames whose rows were all read with the middle one.
+    """Two frames as if all rows had been read with the middle one.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class GlobalShutterPair:
     frame : (H, W) or (H, W, 3) uint8
         Frame 0 as a picture.
     counted : tuple of two (H, W) bool, or None
-        Pixels that count: those that are ignored, or that the frames do not show, do not.
+        Pixels that count: they are visible and not ignored.
     """
 
     grey0: np.ndarray
@@ -49,23 +49,23 @@ def global_shutter_pair(
 ) -> GlobalShutterPair | None:
     """Return a pair as if all rows of each frame had been read with its middle one.
 
-    The camera is taken to move evenly from before frame 0 until after frame 1. Its motion, and
-    depth, are found from the frames as they are, and again from those that are made with them.
+    The camera is assumed to move evenly from before frame 0 until after frame 1. Motion and depth
+    are estimated from the given frames, and again from the frames corrected by them.
 
     Parameters
     ----------
     grey0, grey1, frame, counted
-        As in `GlobalShutterPair`, but as they were read.
+        As in `GlobalShutterPair`, but before the correction.
     camera : Camera
         A pinhole; its readout is a share of the time from frame 0 to frame 1.
     settings : Settings
     pose : KnownPose or None
-        What is known of the motion from one middle row to the other.
+        The known motion from one middle row to the other.
 
     Returns
     -------
     GlobalShutterPair or None
-        None where no motion is found.
+        None if no motion is found.
     """
     found: GlobalShutterPair | None = None
     for _ in range(ROUNDS):
@@ -93,7 +93,7 @@ def global_shutter_pair(
 def _maps(
     estimate: Estimate, camera: Camera, pose: KnownPose | None
 ) -> tuple[UnrolledPixels, UnrolledPixels] | None:
-    """Return what leads to both frames as they were read; None where no motion is known."""
+    """Return the maps to both given frames; None if no motion is known."""
     shape = estimate.inverse_depth.shape
     if estimate.status not in KNOWN or estimate.motions is None:
         return None
@@ -111,7 +111,7 @@ def _maps(
 
 
 def _smooth(inverse_depth: np.ndarray) -> np.ndarray:
-    """Return inverse depth as it is between nodes, (H, W) float32: edges would tear frames."""
+    """Return inverse depth smoothed to the spacing of nodes, (H, W): edges would tear frames."""
     x = nodes_of(inverse_depth.shape)[0, :, 0]
     return cv2.GaussianBlur(inverse_depth, (0, 0), float(x[1] - x[0]))
 
@@ -131,8 +131,8 @@ def _in_next(inverse_depth: np.ndarray, rate: np.ndarray, camera: Camera) -> np.
     return np.asarray(known / z)
 
 
-def _at(image: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return an image, (H, W) float32, at places, (h, w, 2) px; beyond, it repeats."""
-    x, y = np.moveaxis(places.astype(np.float32), -1, 0)
+def _at(image: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Return an image, (H, W) float32, at positions, (h, w, 2) px; its border repeats."""
+    x, y = np.moveaxis(positions.astype(np.float32), -1, 0)
     found = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(found, np.float64)
