@@ -1,7 +1,7 @@
-"""What is used of Taichi beyond its documented interface: all of it is here.
+"""All uses of Taichi beyond its documented interface; docs/process.md lists them.
 
-The release that it was written for is pinned in pyproject.toml. Another one needs this module
-looked through, and the tests of `tests/kernels/test_launch.py`.
+pyproject.toml pins the release that this module was written for. Another release needs a review of
+this module, and the tests `tests/kernels/test_launch.py` and `tests/test_process.py`.
 """
 
 from typing import Any
@@ -29,10 +29,10 @@ _places: dict[tuple, str] = {}
 
 
 def _place_described_once(context: Any, node: Any) -> str:
-    """Return the lines of source that a node stands in, as Taichi shows them in its errors.
+    """Return the source lines of a node, as Taichi shows them in its errors.
 
-    They are laid out for every node that is compiled, which takes half of the time that Taichi's
-    front end takes: nodes of unrolled loops, many times.
+    Taichi formats them for every node that it compiles, and for the nodes of unrolled loops many
+    times: that took half of the time of its front end.
     """
     place = node.lineno, node.col_offset, node.end_lineno, node.end_col_offset, type(node)
     key = context.file, context.lineno_offset, context.indent, context.func.func.__name__, *place

@@ -1,11 +1,11 @@
-"""PatchMatch for motions that are free: at every pixel the shift by which frame 1 looks most alike.
+"""PatchMatch for free motions: the displacement of best correlation at every pixel.
 
-A hypothesis is a displacement (u, v) of the whole window, and costs 1 − c, c being the correlation
-of `tisfm.kernels.rigid.windows`. Good ones are handed on from pixel to pixel, and others are
+A hypothesis is a displacement (u, v) of the whole window. Its cost is 1 − c, with the correlation c
+of `tisfm.kernels.rigid.windows`. Good hypotheses propagate from pixel to pixel, and random ones are
 drawn around them.
 
-The state is an (H, W, 4) array: u and v in px/frame, the cost, `UNSEEN` where the window shows no
-more than noise, and whether the pixel is sought for at all, 1 or 0.
+The state is an (H, W, 4) array: u and v in px/frame, the cost, `UNSEEN` where the window shows only
+noise, and 1 or 0, whether the pixel is searched.
 
 References
 ----------
@@ -33,7 +33,7 @@ from tisfm.kernels.rigid.windows import (
     with_margin,
 )
 
-ALIKE = 0.05  # px: displacements that differ by less are taken for the same
+ALIKE = 0.05  # px: displacements that differ by less count as equal; set by hand
 
 _State = ti.types.vector(4, ti.f32)
 
@@ -67,7 +67,7 @@ class FlowSearch:
         ----------
         state : (H, W, 4) float32
         seen : float
-            Times the variance of the noise: what a window has to vary by to be compared.
+            Least variance of a window that is compared, over the variance of the noise.
         """
         self._check(state)
         sought = _sought(state)
@@ -79,22 +79,22 @@ class FlowSearch:
     ) -> None:
         """Replace displacements by better ones, in place: red pixels, and then black ones.
 
-        Each compares what it has with those of its neighbours 1 and `reach` px away in four
-        directions, and with `draws` drawn around it, each from half the range of the one before,
-        and from all of it again once that is the least. No cost rises, and what is not sought for
-        stays as it is.
+        Each pixel compares its displacement with those of its neighbours 1 and `reach` px away in
+        four directions, and with `draws` random ones around it. The range of a draw is half that of
+        the one before; after the smallest range, the largest one follows again. No cost rises, and
+        pixels that are not searched stay unchanged.
 
         Parameters
         ----------
         state : (H, W, 4) float32
-            Of `score`.
+            State with costs, from `score`.
         reach : int
-            px, odd, so that red pixels look at black ones alone.
+            px, odd, so that the neighbours of red pixels are black.
         draws : int
         spans : (float, float)
             How far the first and the last of these may be in u and in v, px/frame.
         seed : int
-            Of the random numbers.
+            Seed of the random numbers.
         """
         self._check(state)
         if reach % 2 != 1:
@@ -111,21 +111,21 @@ class FlowSearch:
 
 
 def carry(guide: np.ndarray, distance: np.ndarray, state: np.ndarray, *, edge: float) -> None:
-    """Carry displacements along rows and columns, there and back, to where the way is shorter.
+    """Propagate displacements along rows and columns, in both directions, if the path is shorter.
 
-    A step from pixel to pixel is as long as 1 + |ΔI| / edge. Repeated, it gives every pixel the
-    displacement of the pixel of distance 0 that is nearest by way of steps.
+    A step from pixel to pixel has the length 1 + |ΔI| / edge. Repeated, this gives every pixel the
+    displacement of the pixel of distance 0 that is nearest along such steps.
 
     Parameters
     ----------
     guide : (H, W) float32
         Grey levels I.
     distance : (H, W) float32
-        From where a pixel's displacement comes; in place.
+        Length of the path from the origin of a pixel's displacement; in place.
     state : (H, W, 4) float32
         u and v first, px/frame; in place.
     edge : float
-        Step of grey levels that is as long as a pixel; above 0.
+        Step of grey levels that adds the length of a pixel; above 0.
     """
     check_array(guide, guide.shape, "guide", aligned=False)
     check_array(distance, guide.shape, "distance", aligned=False)
@@ -137,7 +137,7 @@ def carry(guide: np.ndarray, distance: np.ndarray, state: np.ndarray, *, edge: f
 
 
 def _sought(state: np.ndarray) -> np.ndarray:
-    """Return the pixels that are sought for, (N,) int32, counted along rows."""
+    """Return the indices of searched pixels, (N,) int32, counted along rows."""
     return np.flatnonzero(state[..., 3] > 0).astype(np.int32)
 
 

@@ -1,10 +1,10 @@
 """Inverse depth of one view as another view sees it.
 
-Pixels are taken to the other view, each to the four around the place it goes to, of which the
-nearest surface stays. That says which surface a pixel may show, in steps of a pixel. The exact
-value is then looked up: the pixel is taken back to the first view along its ray, and that view's
-inverse depth there taken forth again. Where the first view shows another surface there, more than
-not, the pixel is beside an edge: what comes nearest to its centre is looked up instead.
+Each pixel is projected into the other view and splatted to the four pixels around; the nearest
+surface wins. This determines the surface of a pixel, on the grid of pixels. The exact value is then
+looked up: the pixel is projected back to the first view along its ray, and the inverse depth there
+is projected forth again. If more than half of the weight there belongs to another surface, the
+pixel lies beside an edge, and the surface nearest to its centre is looked up instead.
 """
 
 import numpy as np
@@ -13,10 +13,12 @@ import taichi as ti
 from tisfm.kernels.layout.lanes import check_array
 from tisfm.kernels.layout.launch import Kernel
 
-ALIKE = 0.05  # of the inverse depth: what differs by more is another surface
-LOOKS = 2  # times that a pixel is taken back and forth
-MOST, LEAST = 0.5, 1e-3  # of the weights of the four pixels around: those of the surface
-NEAREST = 1e-12  # of what is divided by
+# All of these were set by hand.
+ALIKE = 0.05  # relative difference of inverse depth between pixels of one surface, at most
+LOOKS = 2  # projections back and forth of each pixel
+MOST = 0.5  # share of the weights of the four pixels that the surface needs to be looked up,
+LEAST = 1e-3  # and to be used at all
+NEAREST = 1e-12  # least Z, which is a divisor
 
 
 def rendered(
@@ -29,22 +31,22 @@ def rendered(
     center: tuple[float, float],
     focal: float,
 ) -> None:
-    """Show the inverse depth of a view, and its deviation, in another view.
+    """Render the inverse depth of a view, and its deviation, in another view.
 
     Parameters
     ----------
     inverse_depth : (H, W) float32
-        1/Z; 0 where there is none.
+        1/Z; 0 where unknown.
     deviation : (H, W) float32
         Its standard deviation; finite.
     motion : (3, 4) array
         R and t from the first view's axes to the other's.
     out, out_deviation : (H, W) float32
-        Of the other view; 0 where no pixel is seen.
+        Those of the other view; 0 where no pixel arrives.
     center : (float, float)
-        Principal point, px, of both.
+        Principal point of both views, px.
     focal : float
-        px, of both.
+        Focal length of both views, px.
 
     Raises
     ------
@@ -53,7 +55,7 @@ def rendered(
 
     Notes
     -----
-    Values must be finite: under fast arithmetic, comparisons with NaN prove nothing.
+    Values must be finite: under fast arithmetic, comparisons with NaN give wrong answers.
     """
     shape = inverse_depth.shape
     for name, array in (
