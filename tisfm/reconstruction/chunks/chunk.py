@@ -1,4 +1,4 @@
-"""A chunk: what it is made of, and how it is made, in whichever process."""
+"""A chunk of a sequence, and its reconstruction in any process."""
 
 import hashlib
 import json
@@ -35,7 +35,7 @@ from tisfm.version import __version__
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chunk:
-    """A chunk, as a process is told of it.
+    """A chunk, as it is passed to a process.
 
     Attributes
     ----------
@@ -89,12 +89,12 @@ class Chunk:
 
     @property
     def account(self) -> Path:
-        """The file that says that it is complete, beside its folder."""
+        """The file beside its folder that marks it as complete."""
         return self.folder.with_name(f"{self.folder.name}.json")
 
     @property
     def digest(self) -> str:
-        """Of what its result depends on."""
+        """A digest of everything that the result depends on."""
         camera = self.camera
         about = [
             self.asked,
@@ -106,7 +106,7 @@ class Chunk:
         return hashlib.sha256(json.dumps(about).encode()).hexdigest()[:32]
 
     def is_complete(self) -> bool:
-        """Return whether it was made, of this, and its files are as they were then."""
+        """Return whether it is complete, of the same request, and its files are unchanged."""
         try:
             about = read_json(self.account)
             return bool(
@@ -124,7 +124,7 @@ class Chunk:
 
 
 def make_chunk(chunk: Chunk) -> Exception | None:
-    """Make a chunk, unless it is complete; return an error that its user is to be told."""
+    """Reconstruct a chunk unless it is complete; return an error of the user's input."""
     try:
         here = runtime.cpu_lanes() if chunk.arch in (None, "cpu") else chunk.lanes
         check_worker(chunk.version, chunk.alive, lanes=chunk.lanes, here=here)
@@ -141,7 +141,7 @@ def make_chunk(chunk: Chunk) -> Exception | None:
 
 @contextmanager
 def _alone(chunk: Chunk) -> Iterator[None]:
-    """Wait until no other process makes a chunk, as one may that has lost who gave it the work."""
+    """Wait until no other process makes the chunk: an orphaned worker may still do so."""
     file = chunk.folder.with_name(f"{chunk.folder.name}.lock")
     remove_link(file)
     lock = FileLock(file)
@@ -184,6 +184,6 @@ def _make(chunk: Chunk) -> None:
 
 
 def _go_on(chunk: Chunk) -> None:
-    """End a chunk that nobody waits for any more."""
+    """Stop a chunk whose parent process has ended."""
     if not chunk.alive.exists():
         raise RunError(f"what {chunk.folder} was made for has ended")

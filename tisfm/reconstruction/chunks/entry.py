@@ -1,4 +1,4 @@
-"""A sequence in chunks, from the source to the folder; begun anew, or gone on with."""
+"""A sequence in chunks, from the source to the folder, started anew or resumed."""
 
 import os
 import warnings
@@ -59,7 +59,7 @@ from tisfm.trajectory.times import times_note
 
 
 class ChunkedRun:
-    """A reconstruction in chunks of frames, and what it is asked for.
+    """A reconstruction in chunks of frames, and its request.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ class ChunkedRun:
     def result(
         self, finished: Finished, *, resume: bool = False, progress: Progress | None = None
     ) -> Reconstruction:
-        """Make the chunks, and of them the whole; chunks stay until `finish`.
+        """Reconstruct the chunks and join them; chunks stay until `finish`.
 
         Parameters
         ----------
@@ -257,7 +257,7 @@ class ChunkedRun:
                 )
 
     def finish(self) -> None:
-        """Say that the result in the folder is complete, and remove the chunks."""
+        """Mark the result in the folder as complete, and remove the chunks."""
         with locked_folder(self.folder):
             write_request(self.folder, self.asked)
             try_to_remove(self.folder / CHUNKS)
@@ -304,7 +304,7 @@ def reconstruct_in_chunks(
 
 
 def _absolute(source: Source) -> str | list[str]:
-    """Return a source of files as other processes find it."""
+    """Return a source of files with absolute paths, for other processes."""
     if isinstance(source, (str, os.PathLike)):
         name = os.fspath(source)
         if webcam_number(name) is not None and not os.path.exists(name):
@@ -323,7 +323,7 @@ def _absolute(source: Source) -> str | list[str]:
 
 
 def _taken(source: FrameSource) -> tuple[range, list[float | None]]:
-    """Return the numbers of the frames that are taken, and their times, as far as these are known.
+    """Return the numbers of the selected frames, and their times, None for an unknown one.
 
     Only reading tells how many a video has.
     """

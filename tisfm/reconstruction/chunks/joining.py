@@ -1,4 +1,4 @@
-"""The folder of a whole, made of those of its chunks."""
+"""The folder of a whole sequence, joined from those of its chunks."""
 
 import shutil
 from collections.abc import Mapping, Sequence
@@ -25,7 +25,7 @@ def write_whole(
     missing: Mapping[int, Status],
     notes: Sequence[str],
 ) -> Reconstruction:
-    """Write the whole; the parts stay as they are.
+    """Write the whole sequence; the chunks stay unchanged.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def _statuses(
     places: Sequence[ChunkPlacement],
     missing: Mapping[int, Status],
 ) -> list[Status]:
-    """Return the status of each frame; the first of a piece says so, but for the first piece."""
+    """Return the status of each frame; the first frame of a later piece has a note of it."""
     found, begun = [], {-1, 0}
     for frame, (one, place) in enumerate(zip(results, places, strict=True)):
         status = missing.get(frame, remove_piece_note(one.status[place.number]))
@@ -96,7 +96,7 @@ def _picture(folder: Path, number: int) -> Path:
 
 
 def _take_depth(source: Path, target: Path, scale: float) -> None:
-    """Copy the depth of a frame, if it has any, in another scale: not a bit is lost."""
+    """Copy the depth of a frame, if it has any, with another scale factor; the values stay."""
     if not source.exists():
         return
     if scale == 1:

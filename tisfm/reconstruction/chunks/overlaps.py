@@ -1,7 +1,7 @@
-"""How two chunks lie to one another, by the frames that both have.
+"""The similarity between two chunks, from the frames that both have.
 
-The rotation is that between the poses of these frames. The scale is that between their depth, pixel
-by pixel, and between the camera's places, each as sure as it agrees with itself.
+The rotation is that between the poses of these frames. The scale comes from their depth, pixel by
+pixel, and from the camera positions. The scatter of each estimate gives its weight.
 """
 
 from collections.abc import Iterator, Sequence
@@ -40,7 +40,7 @@ Shared = Sequence[tuple[int, int]]
 
 @dataclass(frozen=True, kw_only=True)
 class ChunkOverlap:
-    """How a piece of one chunk lies to a piece of the next.
+    """The similarity between a piece of one chunk and a piece of the next.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class ChunkOverlap:
 def overlap_sim3(
     first: Reconstruction, second: Reconstruction, shared: Shared
 ) -> np.ndarray | None:
-    """Return the similarity from one piece's coordinates to another's; None if nothing tells it.
+    """Return the similarity from one piece's coordinates to another's; None if it is unknown.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def mean_rotation(poses: np.ndarray, others: np.ndarray) -> np.ndarray:
 def scale_from_positions(
     poses: np.ndarray, others: np.ndarray, turn: np.ndarray
 ) -> tuple[float, float] | None:
-    """Return the logarithm of the scale that places of the camera show, and its deviation."""
+    """Return the logarithm of the scale from camera positions, and its standard deviation."""
     if len(poses) < MIN_POSITIONS:
         return None
     here = poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
@@ -119,7 +119,7 @@ def scale_from_positions(
 def scale_from_depth(
     first: Reconstruction, second: Reconstruction, shared: Shared
 ) -> tuple[float, float] | None:
-    """Return the logarithm of the scale that depth shows, and its deviation."""
+    """Return the logarithm of the scale from depth, and its standard deviation."""
     lots = [_ratios(first, second, shared, at) for at in _with_depth(first, second, shared)]
     lots = [lot for lot in lots if len(lot)]
     if not lots:
@@ -138,7 +138,7 @@ def scale_from_depth(
 def _with_depth(
     first: Reconstruction, second: Reconstruction, shared: Shared
 ) -> Iterator[tuple[int, int]]:
-    """Give some of the frames that the first has depth of, each with the nearest of the second's.
+    """Yield some frames with depth in the first chunk, each with the nearest one in the second.
 
     Both are numbers of `shared`.
     """
@@ -155,7 +155,7 @@ def _with_depth(
 def _ratios(
     first: Reconstruction, second: Reconstruction, shared: Shared, at: tuple[int, int]
 ) -> np.ndarray:
-    """Return the depth of some pixels of a frame as the first has it, over that of the second.
+    """Return the depth ratios, first to second chunk, of some pixels of a frame.
 
     The first's may be of another frame, whose points are brought into this one.
     """
@@ -181,7 +181,7 @@ def _ratios(
 
 
 def _sure_depth(result: Reconstruction, frame: int) -> np.ndarray:
-    """Return the depth of a frame, (H, W) float64, NaN where it is not sure."""
+    """Return the depth of a frame, (H, W) float64; NaN where it is uncertain."""
     inverse = result.inverse_depth(frame).astype(np.float64)
     with np.errstate(invalid="ignore"):
         sure = (inverse > 0) & (result.inverse_depth_std(frame) < MAX_DEPTH_DEVIATION * inverse)

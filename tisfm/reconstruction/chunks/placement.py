@@ -1,4 +1,4 @@
-"""Chunks in one world: which chunk a frame is taken from, and where its pieces lie."""
+"""Placement of chunks in one world: the chunk of each frame, and the similarity of its pieces."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 @dataclass(frozen=True, kw_only=True)
 class ChunkResult:
-    """What came of a chunk.
+    """The result of a chunk.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class ChunkResult:
 
 @dataclass(frozen=True, kw_only=True)
 class ChunkPlacement:
-    """Where a frame of the whole is from, and where it lies.
+    """The chunk of a frame of the whole, and its similarity to the world.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class ChunkPlacement:
 
 
 def place_chunks(parts: Sequence[ChunkResult], *, are_given: bool) -> list[ChunkPlacement]:
-    """Return where the frames of the whole lie, in order.
+    """Return the placement of every frame of the whole, in order.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def place_chunks(parts: Sequence[ChunkResult], *, are_given: bool) -> list[Chunk
 
 
 def _owners(parts: Sequence[ChunkResult]) -> dict[int, int]:
-    """Return which part a frame is taken from, by its number in the source, in order."""
+    """Return the chunk of each frame, by its number in the source, in order."""
     owners: dict[int, int] = {}
     cuts = [_cut(before, after) for before, after in pairwise(parts)]
     for k, part in enumerate(parts):
@@ -139,7 +139,7 @@ def _owners(parts: Sequence[ChunkResult]) -> dict[int, int]:
 
 
 def _cut(before: ChunkResult, after: ChunkResult) -> int:
-    """Return the first frame that is taken from the later of two parts.
+    """Return the first frame of the later of two chunks.
 
     It is the keyframe of that nearest to the middle of the frames that both have, if there is one
     in the middle half, or else the middle.
@@ -159,7 +159,7 @@ def _cut(before: ChunkResult, after: ChunkResult) -> int:
 def _worlds(
     parts: Sequence[ChunkResult], nodes: Sequence[tuple[int, int]]
 ) -> list[dict[int, np.ndarray]]:
-    """Return the pieces of parts, by their numbers, that lie in one world, and where."""
+    """Return, for each world, the pieces in it and their similarities, by their numbers."""
     number = {node: n for n, node in enumerate(nodes)}
     joints = []
     for k, (before, after) in enumerate(pairwise(parts)):
@@ -190,7 +190,7 @@ def _unit(
     of_node: dict[tuple[int, int], int],
     world: int,
 ) -> float:
-    """Return the scale of the piece of a part that has the first keyframe of a world.
+    """Return the scale of the piece with the first keyframe of a world.
 
     Its unit is that of the whole.
     """

@@ -1,4 +1,4 @@
-"""The camera that all chunks share: found on one of them, before the others are made."""
+"""The camera that all chunks share, found on one of them before the others are made."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from tisfm.reconstruction.chunks.chunk import Chunk, make_chunk
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 Finished = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[tuple[int, Any]]]
-"""Calls a function with each item, wherever; gives the number of an item and what was returned."""
+"""Calls a function with each item, in any process; yields the number and result of each item."""
 
 # Chunks that are searched for the focal length. Set by hand.
 MAX_TRIED_CHUNKS = 8
@@ -37,14 +37,14 @@ class SharedCamera:
 
 
 def is_sought(chunk: Chunk, camera: Camera | None) -> bool:
-    """Return whether anything of a camera, or of that in a file, is to be found from frames."""
+    """Return whether a part of the camera has to be found from frames."""
     if chunk.poses is not None:
         return False
     return chunk.calibrate != "nothing" or camera is None or camera.readout is None
 
 
 def shared_camera(chunks: Sequence[Chunk], finished: Finished, folder: Path) -> SharedCamera:
-    """Find the camera: on the first chunk, or on others where that does not show it.
+    """Find the camera on the first chunk, or on others if that does not show it.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def shared_camera(chunks: Sequence[Chunk], finished: Finished, folder: Path) -> 
 
 
 def _relative_deviation(result: Reconstruction) -> float:
-    """Return the deviation of the focal length as a share of it; infinite where it is a guess."""
+    """Return the relative standard deviation of the focal length; infinite for a guess."""
     about = result.calibration
     return about.focal_std / about.focal if about.focal else np.inf
 
@@ -93,7 +93,7 @@ def _made(chunks: Sequence[Chunk], finished: Finished) -> Iterator[tuple[int, Re
 
 
 def made(chunks: Sequence[Chunk], finished: Finished) -> Iterator[int]:
-    """Make those chunks that are not complete; give their numbers, as they are.
+    """Make the incomplete chunks; yield their numbers as they become complete.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Which frames a chunk has."""
+"""The frames of each chunk."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -35,24 +35,24 @@ class Span:
     count: int
 
     def of(self, taken: range) -> slice:
-        """Return which of the frames that are taken these are."""
+        """Return the slice of the selected frames."""
         begin = taken.index(self.start)
         return slice(begin, begin + self.count)
 
 
 def check_chunk(chunk: int) -> None:
-    """Raise ValueError if chunks are not to have enough frames."""
+    """Raise InputError if chunks have too few frames."""
     if not is_integer(chunk) or chunk < MIN_CHUNK:
         raise InputError(f"chunk is {chunk!r}: expected a number of frames, at least {MIN_CHUNK}")
 
 
 def overlap_of(chunk: int) -> int:
-    """Return how many frames chunks of so many frames share."""
+    """Return the number of frames that chunks of a length share."""
     return min(MAX_OVERLAP, chunk // MIN_OVERLAP_DIVISOR)
 
 
 def spans_of(taken: range, stop: int | None, chunk: int) -> list[Span]:
-    """Return the frames of each chunk, as even as can be.
+    """Return the frames of each chunk; their lengths are as equal as possible.
 
     Parameters
     ----------

@@ -1,8 +1,9 @@
-"""What seems to lie below the ground: things that go ahead of a vehicle, and as fast or slower.
+"""Evidence from the ground: moving objects whose apparent depth lies below the ground.
 
-What moves along the same lines as the camera looks at rest, only further away, over however many
-frames. But it stands on the ground: where its depth lies below that, and where it hides what would
-hide it if that were its depth, it moves on its own.
+An object that drives ahead of a vehicle moves along the same lines as the camera. In any number of
+frames it looks like a static object that is farther away. But it stands on the ground. If its
+apparent depth lies below the ground, and it hides points that would hide it at this depth, then it
+moves on its own.
 """
 
 from collections.abc import Iterator, Sequence
@@ -60,13 +61,13 @@ MIN_HIDDEN = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class StaticDepth:
-    """Depth of a frame under the camera's path, as far as it is at rest.
+    """Depth of the static pixels of a frame, under the camera path.
 
     Attributes
     ----------
     inverse_depth : (H, W) float32
     at_rest : (H, W) bool
-        Where that is known to hold.
+        Pixels that are known to be static.
     """
 
     inverse_depth: np.ndarray
@@ -74,21 +75,21 @@ class StaticDepth:
 
     @classmethod
     def unknown(cls, shape: tuple[int, ...]) -> "StaticDepth":
-        """Return that of which nothing is known."""
+        """Return a depth without static pixels."""
         return cls(inverse_depth=np.zeros(shape, np.float32), at_rest=np.zeros(shape, bool))
 
     @classmethod
     def of_arrays(cls, inverse_depth: np.ndarray, at_rest: np.ndarray) -> "StaticDepth":
-        """Return what has these arrays."""
+        """Return the object with these arrays."""
         return cls(inverse_depth=inverse_depth.astype(np.float32), at_rest=at_rest)
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """Return what it is made of; the unit of depth may be anything."""
+        """Return its arrays; the unit of depth is arbitrary, so all bits are kept."""
         return self.inverse_depth, self.at_rest
 
 
 class BelowGround:
-    """Finds what seems to lie below the ground.
+    """Finds objects whose apparent depth lies below the ground.
 
     Parameters
     ----------
@@ -116,13 +117,13 @@ class BelowGround:
         ]
 
     def evidence(self, frame: int, moving: np.ndarray) -> Evidence | None:
-        """Return what a frame's pixels show that seem to lie below the ground; None if none do.
+        """Return the evidence of pixels whose apparent depth lies below the ground; None for none.
 
         Parameters
         ----------
         frame : int
         moving : (H, W) bool
-            What is known to move.
+            Pixels that are known to move.
         """
         ground = self._steady_ground(frame)
         if ground is None:
@@ -146,7 +147,7 @@ class BelowGround:
         return Evidence(moving=MOVING_EVIDENCE * weight, weight=weight)
 
     def _ground(self, depth: StaticDepth) -> np.ndarray | None:
-        """Return the plane of the ground, (3,), whose product with rays is its inverse depth."""
+        """Return the ground plane, (3,): its product with a ray is the inverse depth."""
         below_middle = depth.at_rest & (self._rays[..., 1] > 0)
         rays, inverse_depth = self._rays[below_middle], depth.inverse_depth[below_middle]
         if len(rays) < MIN_GROUND * depth.at_rest.size:
@@ -214,7 +215,7 @@ class BelowGround:
         return found
 
     def _clear(self, frame: int, ground: np.ndarray) -> np.ndarray:
-        """Return how far images show that pixels are not on the ground, (H, W) from 0 to 1."""
+        """Return how far the images refute that pixels lie on the ground, (H, W), 0 to 1."""
         grey, depth = self._motion.grey(frame), self._depths[frame].inverse_depth
         clear = np.zeros(depth.shape, np.float32)
         for way in (-1, 1):

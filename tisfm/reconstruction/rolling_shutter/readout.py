@@ -1,4 +1,4 @@
-"""How long a camera takes to read a frame, found from what views have in common.
+"""Estimate of the readout time of a rolling shutter, from tracks and matches of views.
 
 Poses of views, points, the readout and the focal length are adjusted together. Where the camera's
 motion changes, poses cannot explain the effect of a readout. Where it is even, poses and the focal
@@ -44,7 +44,7 @@ MAX_RESIDUAL = 100.0
 
 @dataclass(frozen=True, kw_only=True)
 class ReadoutEstimate:
-    """A readout, and its standard deviation; both are shares of an interval."""
+    """A readout time and its standard deviation, both in intervals between frames."""
 
     readout: float
     deviation: float
@@ -52,14 +52,14 @@ class ReadoutEstimate:
 
 @dataclass(frozen=True, kw_only=True)
 class _Seen:
-    """Points that views see: the number of the view and of the point, (N,), and the place, px."""
+    """Observations: numbers of the view and of the point, (N,), and the position, (N, 2) px."""
 
     view: np.ndarray
     point: np.ndarray
     place: np.ndarray
 
     def of(self, kept: np.ndarray) -> "_Seen":
-        """Return some of them, points numbered anew."""
+        """Return a subset, with points renumbered."""
         _, point = np.unique(self.point[kept], return_inverse=True)
         return _Seen(view=self.view[kept], point=point, place=self.place[kept])
 
@@ -124,7 +124,7 @@ def estimate_readout(
 def _turning(
     numbers: list[int], views: Sequence[View], rates: Mapping[int, np.ndarray]
 ) -> list[int]:
-    """Return as many views in a row as are taken, those at which the camera turns most."""
+    """Return at most MAX_VIEWS consecutive views: those in which the camera rotates most."""
     if len(numbers) <= MAX_VIEWS:
         return numbers
     turns = np.cumsum([0.0, *(np.linalg.norm(rates[views[k].frame][3:]) for k in numbers)])
@@ -135,7 +135,7 @@ def _turning(
 def _seen_by(
     views: Sequence[View], matches: Mapping[tuple[int, int], np.ndarray], numbers: Sequence[int]
 ) -> _Seen:
-    """Return tracks and matched points that enough of the views see."""
+    """Return the observations of tracks and matched points that enough views see."""
     order = {number: k for k, number in enumerate(numbers)}
     begins = np.cumsum([0, *(len(views[number].detected) for number in numbers)])
     pairs = [
@@ -168,7 +168,7 @@ def _seen_by(
 
 
 class _Problem:
-    """Poses of views, points, and the readout, as they are so far.
+    """Adjustment of poses, points, readout time and focal length.
 
     Parameters
     ----------
@@ -202,18 +202,18 @@ class _Problem:
         self._points = self._nearest_to_rays()
 
     def step(self, outlying: float) -> None:
-        """Take a step of Gauss–Newton."""
+        """Make one Gauss–Newton step."""
         step, moves, _ = self._solved(*self._linearised(outlying), DAMPING)
         self._move(step[:-2].reshape(-1, 6), moves)
         self.readout += float(step[-2])
         self._focal *= float(np.exp(step[-1]))
 
     def deviation(self, outlying: float) -> float:
-        """Return the deviation of the readout, if residuals were independent."""
+        """Return the standard deviation of the readout time for independent residuals."""
         return self._solved(*self._linearised(outlying), MIN_DAMPING)[2]
 
     def _linearised(self, outlying: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return derivatives by views, by points, and by readout and log focal; and residuals.
+        """Return the derivatives by poses, by points, and by readout and log focal; and residuals.
 
         All are weighted.
         """
@@ -247,7 +247,7 @@ class _Problem:
         off: np.ndarray,
         damping: float,
     ) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return the step of views, readout and log focal length, that of points, and a deviation.
+        """Return the step of poses, readout and log focal, the step of points, and a deviation.
 
         The deviation is that of the readout. Points are eliminated (Schur complement).
         """
@@ -282,10 +282,11 @@ class _Problem:
         return step, moves, float(deviation)
 
     def _gauge(self, diagonal: np.ndarray) -> np.ndarray:
-        """Return the term that fixes the first view, and the distance of the farthest view from it.
+        """Return the gauge term, which fixes the first view and the distance of the farthest one.
 
-        Poses and points may move, turn and grow together without a change of the images. The rates
-        keep their unit: without this term, any readout would suit a camera that does not turn.
+        A common motion, rotation and scaling of poses and points does not change the images. The
+        rates keep their unit: without this term, any readout time would fit a camera that does not
+        rotate.
         """
         held = np.zeros((7, len(diagonal)))
         held[np.arange(6), np.arange(6)] = np.sqrt(diagonal[:6].max())

@@ -1,4 +1,4 @@
-"""The way of a camera that reads row after row: readout and path, found in turn."""
+"""The path of a rolling-shutter camera: readout time and path are estimated in turn."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -30,43 +30,42 @@ KNOWN_ROUNDS = 2
 # change that is expected to come again, at most.
 MAX_HIDDEN_SHARE = 0.6
 
-Near = Callable[[Sequence[View], Sequence[Observations], Sequence[Piece]], PathSolution]
+Resolve = Callable[[Sequence[View], Sequence[Observations], Sequence[Piece]], PathSolution]
 
 
 def find_unrolled_path(
-    way: PathSolution,
-    near: Near,
+    solution: PathSolution,
+    resolve: Resolve,
     matches: Mapping[tuple[int, int], np.ndarray],
     instants: np.ndarray,
     readout: float | None,
     shape: tuple[int, int],
 ) -> tuple[PathSolution, Rolling | None]:
-    """Return the way of middle rows, and how frames moved while they were read.
+    """Return the path of the middle rows, and the motion of frames while their rows were read.
 
-    If all rows seem to be read at once, it is the way as it was, and None.
+    If no readout time is significant, the given path and None are returned.
 
     Parameters
     ----------
-    way : PathSolution
-        Found as if all rows were read at once.
-    near : callable
-        Returns the way through other views and tracks, which are what a pinhole sees, near those
-        of pieces.
+    solution : PathSolution
+        Found for a global shutter.
+    resolve : callable
+        Returns the path of corrected views and tracks of a pinhole, starting from given pieces.
     matches : mapping of (int, int) to (N, 2) int array
         For pairs of indices of views: indices of their detected points that are the same.
     instants : (N,) array
         When each frame was taken, in intervals between frames of the source.
     readout : float or None
-        If it is known.
+        The readout time, if it is known.
     shape : (int, int)
         Height and width of the frames, px.
     """
-    camera = way.camera.pinhole()
+    camera = solution.camera.pinhole()
     views = DiskCache(View.arrays, View.of_arrays)
-    for view in way.views:
-        detected = undistort_points(view.detected, way.camera, shape)
-        views.append(View(frame=view.frame, seen=way.seen[view.frame], detected=detected))
-    found, rolling = way, None
+    for view in solution.views:
+        detected = undistort_points(view.detected, solution.camera, shape)
+        views.append(View(frame=view.frame, seen=solution.seen[view.frame], detected=detected))
+    found, rolling = solution, None
     value, deviation, change = readout or 0.0, 0.0, 0.0
     for number in range(MAX_ROUNDS if readout is None else KNOWN_ROUNDS):
         if readout is None:
@@ -79,35 +78,37 @@ def find_unrolled_path(
             hidden = min(max(change / before, 0.0), MAX_HIDDEN_SHARE) if before else 0.0
             value, last = _taken(value + change / (1 - hidden)), value
             deviation = float(f"{estimate.deviation:.3g}")
-            if number and value == last:  # it is as much as it can be
+            if number and value == last:  # it is at its limit
                 break
-        unrolling = TrackUnroller(way.seen, found.pieces, instants, value, deviation, camera, shape)
+        unrolling = TrackUnroller(
+            solution.seen, found.pieces, instants, value, deviation, camera, shape
+        )
         rolling = unrolling.rolling
         corrected = DiskCache(View.arrays, View.of_arrays)
         for view in views:
             corrected.append(unrolling.view(view))
-        found = near(corrected, unrolling.all_tracks(), found.pieces)
+        found = resolve(corrected, unrolling.all_tracks(), found.pieces)
         if not found.pieces:
-            return way, None
+            return solution, None
     return found, rolling
 
 
 def _is_seen(estimate: ReadoutEstimate) -> bool:
-    """Return whether a readout differs from 0, and is none that no camera has.
+    """Return whether a readout time differs significantly from 0 and is possible for a camera.
 
-    Of a deviation by which none that a camera has would differ from 0, nothing is believed.
+    With a large standard deviation no possible value would be significant: then it is False.
     """
     least = MIN_SIGNIFICANCE * estimate.deviation
     return least < MAX_READOUT and least < abs(estimate.readout) < MAX_READOUT + least
 
 
 def _taken(readout: float) -> float:
-    """Return a readout as it is taken: whole thousandths, so that no rounding gets further."""
+    """Return a readout time in whole thousandths, so that rounding errors do not spread."""
     return round(min(max(readout, -MAX_READOUT), MAX_READOUT), 3)
 
 
 def _estimate(
-    way: PathSolution,
+    solution: PathSolution,
     views: Sequence[View],
     matches: Mapping[tuple[int, int], np.ndarray],
     instants: np.ndarray,
@@ -116,9 +117,9 @@ def _estimate(
     *,
     begun: float,
 ) -> ReadoutEstimate | None:
-    """Return the readout that the largest piece shows."""
-    if not way.pieces:
+    """Return the readout time that is estimated from the largest piece."""
+    if not solution.pieces:
         return None
-    largest = max(way.pieces, key=lambda piece: len(piece.views))
+    largest = max(solution.pieces, key=lambda piece: len(piece.views))
     rates = rates_of(largest.poses, instants)
     return estimate_readout(views, matches, largest.poses, rates, camera, shape, begun=begun)

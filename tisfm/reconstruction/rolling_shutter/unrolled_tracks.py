@@ -1,4 +1,4 @@
-"""Tracks and views as they would be if a camera read all rows at once."""
+"""Tracks and views corrected for the readout time, as a global shutter would see them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -19,7 +19,7 @@ DEPTH_NEIGHBOURS = 3
 
 
 class TrackUnroller:
-    """Undoes what a readout does to the points of frames.
+    """Corrects the points of frames for a readout time.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class TrackUnroller:
         )
 
     def tracks(self, frame: int) -> Observations:
-        """Return the tracks of a frame; those that would lie outside of it are left out."""
+        """Return the corrected tracks of a frame, without those that leave the frame."""
         seen = self._seen[frame]
         if frame not in self._depths:
             return seen
@@ -82,14 +82,14 @@ class TrackUnroller:
         return Observations(points=points[inside], tracks=seen.tracks[inside])
 
     def all_tracks(self) -> DiskCache[Observations]:
-        """Return the tracks of every frame."""
+        """Return the corrected tracks of every frame."""
         found = DiskCache(Observations.arrays, Observations.of_arrays)
         for frame in range(len(self._seen)):
             found.append(self.tracks(frame))
         return found
 
     def view(self, view: View) -> View:
-        """Return a view; of its detected points, all are there."""
+        """Return a corrected view, with all its detected points."""
         frame = view.frame
         if frame not in self._depths or not len(view.detected):
             return replace(view, seen=self.tracks(frame))
@@ -112,7 +112,7 @@ class TrackUnroller:
 def _depths(
     seen: Observations, points: Mapping[int, np.ndarray], pose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return Z of every track of a frame, (N,), and which are known and before the camera, (N,)."""
+    """Return the depth of every track of a frame, (N,), and whether it is known and positive."""
     known, world = points_of_tracks(seen, points)
     depth = np.zeros(len(seen.tracks))
     depth[known] = (world - pose[:3, 3]) @ pose[:3, 2]

@@ -1,4 +1,4 @@
-"""The camera's path through a sequence without end: old poses stay, new ones continue them."""
+"""The camera path of an endless sequence: old poses are fixed, new poses continue them."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -34,16 +34,16 @@ MIN_FIXED_VIEWS = 6
 
 @dataclass(frozen=True, kw_only=True)
 class SlidingSolution:
-    """Poses of the frames that are remembered.
+    """The path of the recent frames.
 
     Attributes
     ----------
     pieces : dict of int to Piece
-        By their numbers, which they keep.
+        By their numbers, which never change.
     held : dict of int to (4, 4) float64
-        Poses that stay as they are, by frame.
+        Fixed poses, by frame.
     lost : dict of int to Status
-        Frames that have not been settled, and have no pose.
+        Unsettled frames without a pose.
     rolling : Rolling or None
         How frames that have not been settled moved while they were read, if rows are not read at
         once: poses and points are those of middle rows then.
@@ -56,7 +56,7 @@ class SlidingSolution:
 
 
 class RecentObservations(Sequence[Observations]):
-    """Tracks in every frame of a sequence, of which early ones are forgotten."""
+    """Tracks of the recent frames of a sequence; tracks of early frames are dropped."""
 
     def __init__(self) -> None:
         self._seen: dict[int, Observations] = {}
@@ -68,15 +68,15 @@ class RecentObservations(Sequence[Observations]):
         self._count += 1
 
     def frames(self) -> list[int]:
-        """Return the frames that are remembered."""
+        """Return the frames that are kept."""
         return list(self._seen)
 
     def forget(self, frame: int) -> None:
-        """Forget a frame."""
+        """Drop a frame."""
         del self._seen[frame]
 
     def changed(self, others: Mapping[int, Observations]) -> "RecentObservations":
-        """Return the same with other tracks in some frames."""
+        """Return a copy with other tracks in some frames."""
         changed = RecentObservations()
         changed._seen = {frame: others.get(frame, seen) for frame, seen in self._seen.items()}
         changed._count = self._count
@@ -93,7 +93,7 @@ class RecentObservations(Sequence[Observations]):
 
 
 class SlidingPath:
-    """Takes the frames of a sequence one after the other, and finds where the camera was.
+    """Finds the camera path of a sequence, frame by frame.
 
     Poses that have been settled stay. The path of later frames is grown from the last views whose
     poses are settled, and so in their axes and of their scale.
@@ -179,25 +179,25 @@ class SlidingPath:
         self._last = grey, ignored
 
     def found(self, *, at_end: bool = False) -> SlidingSolution:
-        """Return the path of the frames that are remembered; at the end, no more will come."""
+        """Return the path of the recent frames; `at_end`, no later frame follows."""
         views, (grey, ignored) = self._views, self._last
         self._shape = grey.shape
         last, different = len(self.seen) - 1, len(views.chosen)
         if at_end and (not views.chosen or views.chosen[-1].frame != last):
             views.add(last, grey, self.seen[last], ignored)
         views.close_loops(self._shape)
-        stretch = self._through(different)
-        if self.readout is None and stretch.pieces:
-            self._find_readout(stretch)
+        solved = self._through(different)
+        if self.readout is None and solved.pieces:
+            self._find_readout(solved)
         if not self.readout:
-            return stretch
+            return solved
         for _ in range(KNOWN_ROUNDS):
-            rolling = self._unroll(stretch)
-            stretch = replace(self._through(different), rolling=rolling)
-        return stretch
+            rolling = self._unroll(solved)
+            solved = replace(self._through(different), rolling=rolling)
+        return solved
 
     def _through(self, different: int) -> SlidingSolution:
-        """Return the path through views and tracks as they are known."""
+        """Return the path for the current views and tracks."""
         views = self._views
         settled = {frame for poses in self._held.values() for frame in poses}
         left = [k for k, view in enumerate(views.chosen) if view.frame not in settled]
@@ -241,7 +241,7 @@ class SlidingPath:
         )
 
     def settle(self, last: int, pieces: Mapping[int, Piece]) -> None:
-        """Let the poses of frames up to the last one stay as they are in these pieces."""
+        """Fix the poses of frames up to the last one, as they are in these pieces."""
         self.settled = last
         for number, piece in pieces.items():
             if min(piece.poses) > last:
@@ -259,7 +259,7 @@ class SlidingPath:
         return set(self._held)
 
     def forget(self, before: int, *, kept: set[int]) -> list[int]:
-        """Forget frames before this one, unless they are kept; return those that were forgotten."""
+        """Drop the frames before a frame, except `kept`; return the dropped frames."""
         views = self._views
         frames = [view.frame for view in views.chosen]
         settled = sum(frame <= self.settled for frame in frames)
@@ -291,8 +291,8 @@ class SlidingPath:
         chosen = [self._views.chosen[number] for number in numbers]
         return [self._unrolled.get(view.frame, view) for view in chosen], matches
 
-    def _find_readout(self, stretch: SlidingSolution) -> None:
-        """Find the readout with the first path; what that does not show is taken for 0."""
+    def _find_readout(self, solved: SlidingSolution) -> None:
+        """Estimate the readout time with the first path; an insignificant one counts as 0."""
         views, camera, shape = list(self._views.chosen), self.camera.pinhole(), self._shape
         matches = self._views.matches
         tracks = DiskCache(
@@ -317,11 +317,11 @@ class SlidingPath:
                 camera,
                 shape,
             )
-            return replace(way, pieces=pieces, unplaced=unplaced, views=views, seen=seen)
+            return replace(solution, pieces=pieces, unplaced=unplaced, views=views, seen=seen)
 
-        way = PathSolution(
-            pieces=list(stretch.pieces.values()),
-            unplaced=list(stretch.lost),
+        solution = PathSolution(
+            pieces=list(solved.pieces.values()),
+            unplaced=list(solved.lost),
             views=views,
             seen=tracks,
             camera=camera,
@@ -331,18 +331,18 @@ class SlidingPath:
         instants = np.zeros(len(self._read))
         for frame, instant in self._instants().items():
             instants[frame] = instant
-        _, rolling = find_unrolled_path(way, near, matches, instants, None, shape)
+        _, rolling = find_unrolled_path(solution, near, matches, instants, None, shape)
         self.readout = 0.0 if rolling is None else rolling.readout
         self.readout_deviation = 0.0 if rolling is None else rolling.deviation
 
-    def _unroll(self, stretch: SlidingSolution) -> Rolling:
-        """Undo the readout in views and tracks that are not settled, by a path through them."""
+    def _unroll(self, solved: SlidingSolution) -> Rolling:
+        """Correct views and tracks that are not settled for the readout time, along a path."""
         views = self._views.chosen
         read = {view.frame: view.seen for view in views}
         read |= {frame: self._read[frame] for frame in self._read.frames()}
         unrolling = TrackUnroller(
             read,
-            list(stretch.pieces.values()),
+            list(solved.pieces.values()),
             self._instants(),
             self.readout or 0.0,
             self.readout_deviation,
@@ -361,6 +361,6 @@ class SlidingPath:
         )
 
     def _instants(self) -> dict[int, float]:
-        """Return when the frames that are remembered were taken, in intervals."""
+        """Return when the recent frames were taken, in intervals between frames."""
         numbers, times = zip(*self._taken.values(), strict=True)
         return dict(zip(self._taken, map(float, instants_of(numbers, times)), strict=True))

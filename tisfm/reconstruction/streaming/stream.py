@@ -1,4 +1,4 @@
-"""A stream of frames: read, given poses and depth, given out, forgotten."""
+"""The engine of a stream: read a frame, track, solve, find depth, yield, drop."""
 
 import warnings
 from collections.abc import Iterator
@@ -43,7 +43,7 @@ LOOKAHEAD_DIVISOR = 3
 
 
 class Stream:
-    """Frames in, frames with poses and depth out.
+    """Reads frames, and yields them with poses and depth.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Stream:
         self._have_times_fault = False
 
     def frames(self) -> Iterator[StreamedFrame]:
-        """Yield every frame, in order; an error of the source after the frames before it."""
+        """Yield every frame in order; an error of the source follows the frames before it."""
         fault: Exception | None = None
         count = 0
         with (
@@ -136,7 +136,7 @@ class Stream:
         self._about[number] = frame.index, frame.name, frame.time
 
     def _look_at_time(self, number: int, frame: SourceFrame) -> None:
-        """Note the first frame whose time is not after that of the frame before."""
+        """Note the first frame whose time is not later than that of the previous frame."""
         if self._have_times_fault or number - 1 not in self._about:
             return
         before = self._about[number - 1]
@@ -146,15 +146,15 @@ class Stream:
             self._notes.append(f"{fault}: use the numbers of frames instead of times")
 
     def _given(self, last: int, *, at_end: bool = False) -> Iterator[StreamedFrame]:
-        """Yield the frames up to one, and forget what later ones do not need."""
+        """Yield the frames up to a frame, and drop the data that later frames do not need."""
         path, first = self._path, self._path.settled + 1
-        stretch = path.found(at_end=at_end)
+        solved = path.found(at_end=at_end)
         self._take_camera()
         if self._path.readout:
-            self._frames.unroll_again(stretch.rolling)
+            self._frames.unroll_again(solved.rolling)
         pieces = {
-            number: self._final(number, piece, stretch, first)
-            for number, piece in stretch.pieces.items()
+            number: self._final(number, piece, solved, first)
+            for number, piece in solved.pieces.items()
             if any(first <= frame <= last for frame in piece.poses)
         }
         path.settle(last, pieces)
@@ -166,7 +166,7 @@ class Stream:
         for frame in range(first, last + 1):
             number = placed.get(frame, -1)
             if number < 0:
-                yield self._frame(frame, None, -1, stretch.lost[frame], None, False)
+                yield self._frame(frame, None, -1, solved.lost[frame], None, False)
                 continue
             depth, key = depths[number].of(frame), depths[number].key
             if key is not None and key[0] <= frame:  # it may be that of a frame of the next lot
@@ -180,7 +180,7 @@ class Stream:
         self._forget()
 
     def _take_camera(self) -> None:
-        """Take the camera of the path, and warn once if it is not to be relied on."""
+        """Use the camera of the path, and warn once if it is unreliable."""
         path = self._path
         self._frames.camera = replace(path.camera, readout=0.0) if path.readout else path.camera
         is_found = path.readout and path.readout_deviation  # a given readout has deviation 0
@@ -196,9 +196,9 @@ class Stream:
             warnings.warn(found.message, GuessedFocalWarning, stacklevel=5)
         self._calibration = found
 
-    def _final(self, number: int, piece: Piece, stretch: SlidingSolution, first: int) -> Piece:
-        """Return a piece with its final poses, in its own axes and unit."""
-        piece = self._adjusted(number, piece, stretch)
+    def _final(self, number: int, piece: Piece, solved: SlidingSolution, first: int) -> Piece:
+        """Return a piece with its final poses, in the axes of its first frame and its own unit."""
+        piece = self._adjusted(number, piece, solved)
         if number in self._begun:
             return piece
         begin = min(frame for frame in piece.poses if frame >= first)
@@ -210,8 +210,8 @@ class Stream:
             unit = float(np.median([*track_depths(seen, piece.points, piece.poses[begin])[1], 1.0]))
         return _moved(piece, piece.poses[begin], unit)
 
-    def _adjusted(self, number: int, piece: Piece, stretch: SlidingSolution) -> Piece:
-        """Return the piece with its new poses adjusted to the images, if it is to be accurate."""
+    def _adjusted(self, number: int, piece: Piece, solved: SlidingSolution) -> Piece:
+        """Return a piece; its new poses are adjusted to the images if the settings are accurate."""
         if self._effort != "accurate":
             return piece
         here = self._remembered(piece)
@@ -219,14 +219,14 @@ class Stream:
             since = self._keys[number][0]
             here = replace(here, poses={f: pose for f, pose in here.poses.items() if f >= since})
         windows = self._depths(number, here, -1).keyframe_windows()
-        held = {frame: stretch.held[frame] for frame in here.poses if frame in stretch.held}
+        held = {frame: solved.held[frame] for frame in here.poses if frame in solved.held}
         poses = adjust_poses(
             here.poses, windows, self._frames.grey, self._frames.camera, self._settings, held=held
         )
         return replace(piece, poses={**piece.poses, **poses, **held})
 
     def _depths(self, number: int, piece: Piece, after: int) -> PieceDepths:
-        """Return what finds the depth of the frames of a piece after one of them."""
+        """Return the depth iterator of the frames of a piece after a frame."""
         depths = PieceDepths(
             self._frames,
             self._remembered(piece),
@@ -241,7 +241,7 @@ class Stream:
         return depths
 
     def _remembered(self, piece: Piece) -> Piece:
-        """Return the piece of those frames alone that are still there."""
+        """Return a piece without its dropped frames."""
         there = set(self._path.seen.frames())
         return replace(
             piece, poses={frame: pose for frame, pose in piece.poses.items() if frame in there}
@@ -279,7 +279,7 @@ class Stream:
         )
 
     def _forget(self) -> None:
-        """Forget what the path and depth of later frames do not need."""
+        """Drop the data that the path and depth of later frames do not need."""
         self._frames.settle(self._path.settled)
         kept = {key for key, _ in self._keys.values()}
         for frame in self._path.forget(self._path.settled + 1 - MAX_FRAME_DISTANCE, kept=kept):
@@ -294,7 +294,7 @@ class Stream:
 
 
 class _InOrder:
-    """Depth of the frames of a piece in their order; a keyframe's is known before it is its turn.
+    """Depth of the frames of a piece in order; that of a keyframe is found before its turn.
 
     Attributes
     ----------
@@ -308,7 +308,7 @@ class _InOrder:
         self._next: FrameDepth | None = next(self._found, None)
 
     def of(self, frame: int) -> FrameDepth | None:
-        """Return the depth of a frame, None if it has none; frames are asked for in order."""
+        """Return the depth of a frame, or None. Frames have to be requested in order."""
         while self._next is not None and self._next.frame < frame:
             self._next = next(self._found, None)
         return self._next if self._next is not None and self._next.frame == frame else None
@@ -330,7 +330,7 @@ class _InOrder:
 
 
 def _moved(piece: Piece, origin: np.ndarray, unit: float) -> Piece:
-    """Return the piece in the axes of a camera, (4, 4) camera to world, and another unit."""
+    """Return a piece in the axes of a pose, (4, 4) camera to world, and in another unit."""
     poses = {}
     for frame, pose in piece.poses.items():
         poses[frame] = np.linalg.solve(origin, pose)

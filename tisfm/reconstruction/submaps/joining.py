@@ -1,8 +1,8 @@
-"""The path of a long sequence, found in parts, so that memory is bounded.
+"""The path of a long sequence from overlapping submaps, so that memory is bounded.
 
-Parts overlap. Each is grown by itself, then all are brought together: a part's views in groups,
-each moved by a similarity, so that what parts have in common coincides, at joints and where places
-are seen again. Scale may drift along a part, and is brought back with the rest.
+Each submap is mapped by itself. The views of a submap are divided into groups. A graph of
+similarities then moves each group, so that shared points coincide: points of neighbouring groups,
+of consecutive submaps, and of loops. This corrects the drift of scale along a submap as well.
 """
 
 from collections.abc import Iterator, Sequence
@@ -52,7 +52,7 @@ MIN_POINT_ERROR = 0.002
 
 
 def submap_spans(count: int) -> list[tuple[int, int]]:
-    """Return the first view of each part, and the one after its last."""
+    """Return the first view of each submap, and the one after its last."""
     if count <= MAX_VIEWS:
         return [(0, count)]
     parts = -(-(count - OVERLAP_VIEWS) // (MAX_VIEWS - OVERLAP_VIEWS))
@@ -69,9 +69,9 @@ def focal_from_submaps(
     *,
     limit: float,
 ) -> FocalEstimate | None:
-    """Return the focal length of the first part that shows it, or else of that which does best.
+    """Return the focal length of the first submap that shows it, or else the most certain one.
 
-    Arguments are as for `find_models_and_focal`. None is returned if no part leads to a path.
+    Arguments are as for `find_models_and_focal`. None is returned if no submap has a path.
     """
     best = None
     for begin, end in submap_spans(len(views)):

@@ -1,4 +1,4 @@
-"""Parts of a long sequence, each grown by itself, and what of it is kept to join them."""
+"""Submaps of a long sequence, and the points of each that are kept to join them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,24 +17,24 @@ Matches = Mapping[tuple[int, int], np.ndarray]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Submap:
-    """Views of a part that are in one coordinate system.
+    """Views of a span in one coordinate system.
 
     Attributes
     ----------
     span : (int, int)
-        The first view of the part, and the one after its last.
+        The first view of the span, and the one after its last.
     poses : dict of int to (4, 4) float64
         Camera to world, by view, in order.
     groups : list of list of int
-        The views, some that follow one another at a time.
+        The views, divided into consecutive groups.
     points : (P, 3) float64
-        Those that poses were adjusted for.
+        The points that were adjusted with the poses.
     shows : (G, P) bool
-        Which of them views of each group show.
+        The points that the views of each group show.
     tracks : TrackPoints
-        Points of tracks in views that other parts have as well.
+        Points of the tracks in views that other spans share.
     detected : dict of int to ((N,) int64, (N, 3) float64)
-        By view: points that are matched with views of other parts, and where they are.
+        By view: numbers and positions of detected points that match views of other spans.
     """
 
     span: tuple[int, int]
@@ -54,12 +54,12 @@ class Submap:
         return np.array([self.poses[view] for view in views])
 
     def distances(self, group: int, points: np.ndarray) -> np.ndarray:
-        """Return how far points, (N, 3), are from the middle of a group's views, (N,)."""
+        """Return the distances of points, (N, 3), from the mean position of a group, (N,)."""
         middle = self.posed(self.groups[group])[:, :3, 3].mean(axis=0)
         return np.asarray(np.linalg.norm(points - middle, axis=1))
 
     def detected_at(self, view: int, numbers: np.ndarray) -> np.ndarray:
-        """Return where detected points of a view are, (N, 3), NaN where that is not known."""
+        """Return the positions of detected points of a view, (N, 3); NaN for unknown ones."""
         known, positions = self.detected[view]
         there = np.full((len(numbers), 3), np.nan)
         if len(known):
@@ -70,7 +70,7 @@ class Submap:
 
 
 class SubmapBuilder:
-    """Grows parts of a sequence, one at a time.
+    """Maps the spans of a sequence, one at a time.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ class SubmapBuilder:
         self._elsewhere = _matched_elsewhere(matches, spans)
 
     def parts(self) -> list[Submap]:
-        """Return all parts; one that falls apart is several."""
+        """Return all submaps. The views of one span may give several."""
         found = [self._grown(list(range(*span))) for span in self._spans]
         # Where a part has no beginning of its own, it continues the one before, or after.
         count = len(found)
@@ -112,7 +112,7 @@ class SubmapBuilder:
     def _continued(
         self, span: tuple[int, int], own: Sequence[Submap], others: Sequence[Submap]
     ) -> list[Submap]:
-        """Return what views of a part that are left are in, grown from those of another part."""
+        """Return submaps of the remaining views of a span, continued from a neighbour submap."""
         left = set(range(*span)).difference(*(part.poses for part in own))
         if len(left) < MIN_VIEWS:
             return []
@@ -128,7 +128,7 @@ class SubmapBuilder:
     def _grown(
         self, numbers: Sequence[int], known: Mapping[int, np.ndarray] | None = None
     ) -> list[Submap]:
-        """Return what some views are in, by themselves, or grown from poses that are known."""
+        """Return submaps of some views, mapped by themselves or continued from known poses."""
         views, place = (
             [self._views[k] for k in numbers],
             {view: k for k, view in enumerate(numbers)},
@@ -178,7 +178,7 @@ class SubmapBuilder:
 
 
 def _matched_elsewhere(matches: Matches, spans: Sequence[tuple[int, int]]) -> dict[int, np.ndarray]:
-    """Return, by view, the detected points that are matched with views that no part has with it."""
+    """Return, by view, the detected points that match views outside every common span."""
     found: dict[int, list[np.ndarray]] = {}
     for (earlier, later), both in matches.items():
         if not any(begin <= earlier and later < end for begin, end in spans):
@@ -201,7 +201,7 @@ def _shown(whole: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _by_group(shown: np.ndarray, ends: Sequence[int], count: int) -> np.ndarray:
-    """Return which points views of each group, up to its last one, show, (G, P)."""
+    """Return which points the views of each group show, (G, P); `ends` has its last view."""
     shows = np.zeros((len(ends), count), bool)
     shows[np.searchsorted(ends, shown[:, 1]), shown[:, 0]] = True
     return shows
@@ -214,7 +214,7 @@ def _detected(
     numbers: Sequence[int],
     wanted: Mapping[int, np.ndarray],
 ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Return, by view, which of the wanted points are known, and where they are."""
+    """Return, by view, the numbers and positions of those wanted points that are known."""
     found = {}
     for k in np.unique(shown[:, 1]).tolist():
         view = numbers[k]
