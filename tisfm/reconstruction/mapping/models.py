@@ -65,14 +65,14 @@ class Model:
 
 @dataclass(frozen=True, kw_only=True)
 class ViewGraph:
-    """What views have in common, as models are grown from it.
+    """Views, their tracks and their matches, from which models are grown.
 
     Attributes
     ----------
     views : list of View
-        With those of their tracks that last.
+        With their longest tracks.
     pairs : dict of (int, int) to (N, 2) int32
-        For pairs of indices of views, indices of points that are the same.
+        For pairs of indices of views: indices of matching points.
     shape : (int, int)
         Height and width of the frames, px.
     focal_known : bool
@@ -93,13 +93,13 @@ class ViewGraph:
         *,
         focal_known: bool = True,
     ) -> "ViewGraph":
-        """Return what views have in common; arguments are those of `find_models`."""
+        """Return the graph of views; arguments are those of `find_models`."""
         kept = choose_long_tracks([view.seen for view in views], max(shape))
         few = [replace(view, seen=seen) for view, seen in zip(views, kept, strict=True)]
         return cls(views=few, pairs=pairs_of(few, matches), shape=shape, focal_known=focal_known)
 
     def part(self, first: int, last: int) -> "ViewGraph":
-        """Return what the views from one up to another, that one left out, have in common."""
+        """Return the graph of the views from `first` to before `last`."""
         inside = range(first, last)
         pairs = {
             (one - first, other - first): both
@@ -111,10 +111,10 @@ class ViewGraph:
     def grow_models(self, camera: Camera, calibrate: Calibrate = "nothing") -> list[Any]:
         """Return pycolmap's reconstructions, the largest first.
 
-        Each has the focal length of the camera, or one of its own if that is to be found, and maybe
-        a radial coefficient. What moves on its own, but has more points than the rest, may have
-        been taken for the world: where they leave much of the frames unexplained, others are grown
-        from that alone, and those count that explain more.
+        Each has the focal length of the camera, or its own estimate, and maybe a radial
+        coefficient. A moving object with more points than the static scene may have been taken for
+        the scene. So if much of the area of the frames is unexplained, other models are grown from
+        the unexplained matches, and replace the first ones if they explain more.
         """
         found = self._grown(self.pairs, camera, calibrate)
         cover = Coverage(self.views, self.pairs, self.shape)
@@ -160,7 +160,7 @@ class ViewGraph:
         return sum(map(len, self.pairs.values()))
 
     def continue_model(self, camera: Camera, known: Mapping[int, np.ndarray]) -> Any:
-        """Return pycolmap's reconstruction, grown from poses that are known, by frame, and stay."""
+        """Return pycolmap's reconstruction, grown from fixed known poses, by frame."""
         matrices = {
             number: np.linalg.inv(known[view.frame])[:3]
             for number, view in enumerate(self.views, start=1)
@@ -178,7 +178,7 @@ class ViewGraph:
         return [_with_others(model, views, camera, self.shape) for model in models]
 
     def model(self, reconstruction: Any) -> Model:
-        """Return the model of one, with the points of the tracks that it was adjusted for."""
+        """Return the model of a reconstruction, with the points of its adjusted tracks."""
         score = MatchScore(self.views, self.pairs, self.shape).score(reconstruction)
         return replace(_model(reconstruction, self.views), score=score)
 
@@ -229,7 +229,7 @@ def continue_model(
     shape: tuple[int, int],
     known: Mapping[int, np.ndarray],
 ) -> Model:
-    """Find poses of further views, and points, where those of some views are known and stay.
+    """Find poses of further views, and points; the known poses of some views are fixed.
 
     Parameters
     ----------
@@ -241,7 +241,7 @@ def continue_model(
     Returns
     -------
     Model
-        In the axes and the unit of the known poses; these are in it as they are.
+        In the axes and the unit of the known poses, which it contains unchanged.
     """
     shared = ViewGraph.of(views, matches, shape)
     model = _model(shared.continue_model(camera, known), shared.views)
@@ -256,7 +256,7 @@ def readjust_models(
     shape: tuple[int, int],
     known: Sequence[Mapping[int, np.ndarray]],
 ) -> list[Model]:
-    """Find poses of views and points of tracks, beginning with poses that are nearly right.
+    """Find poses of views and points of tracks, starting from approximate poses.
 
     Parameters
     ----------
@@ -268,7 +268,7 @@ def readjust_models(
     Returns
     -------
     list of Model
-        One for each; views that are in none may be added to any, the first before others.
+        One for each. Views without a model may be added to any of them, the first models first.
     """
     shared = ViewGraph.of(views, matches, shape)
     number = {view.frame: k for k, view in enumerate(views, start=1)}

@@ -85,7 +85,7 @@ class _Object:
     seen : int
         The last frame in which it was labelled.
     whole : (H, W) bool
-        Its mask in that frame, with its occluded regions.
+        Its mask in that frame, with its occluded parts.
     velocity : (2,) float64
         Its mean motion in that frame, px/frame.
     look : (BINS,) float64
@@ -324,7 +324,7 @@ class ObjectTracker:
     def _final_labels(self) -> np.ndarray:
         """Return the final label of each object, (K,) uint8; 0 for an object that is dropped."""
         count = 1 + max(self._objects, default=0)
-        whole = np.arange(count)  # the object that each object is a region of
+        whole = np.arange(count)  # the object that each object is a part of
         by_size = sorted(self._objects, key=lambda k: self._objects[k].pixels)
         for place, region in enumerate(by_size):
             larger = [k for k in by_size[place + 1 :] if self._is_part_of(region, k)]
@@ -366,7 +366,7 @@ class ObjectTracker:
         return found
 
     def _is_part_of(self, region: int, other: int) -> bool:
-        """Return whether an object is a region of another one: they touch and move alike."""
+        """Return whether an object is a part of another one: they touch and move alike."""
         touching = self._times(self._touching, region, other)
         mine, others = self._objects[region].motions, self._objects[other].motions
         both = len(mine.keys() & others.keys())

@@ -1,4 +1,4 @@
-"""The things of a sequence: each with its path, and its depth in that of the frames."""
+"""The moving objects of a sequence: the path of each, and its depth in that of the frames."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -26,23 +26,23 @@ def objects_with_depth(
     with_depth: bool = True,
     sizes: Mapping[int, float] | None = None,
 ) -> tuple[MovingObject, ...]:
-    """Return the things that move on their own; their depth is written into that of frames.
+    """Return the moving objects. Their depth is written into that of the frames.
 
     Parameters
     ----------
     frames : PreparedFrames
         With labels.
     folder : Path
-        Where depth lies.
+        The folder of the depth files.
     poses : (N, 4, 4) array
         Camera to world; NaN for a frame without one.
     piece : (N,) int array
-        That a frame belongs to; −1 for none. Things are placed in the largest.
+        The piece of each frame; −1 for none. Objects are placed in the largest piece.
     settings : Settings
     with_depth : bool
-        Or the paths alone.
+        Whether depth is found as well as paths.
     sizes : mapping of int to float, optional
-        Lengths of things by their ids, in the unit of the poses, where they are known.
+        Known lengths of objects by their ids, in the unit of the poses.
     """
 
     def at_rest(frame: int) -> np.ndarray:
@@ -52,32 +52,32 @@ def objects_with_depth(
     largest = int(np.bincount(known).argmax()) if len(known) else 0
     world = np.where((piece == largest)[:, None, None], poses, np.nan)
     found = []
-    for thing in seen_objects(len(poses), frames.labels):
-        own = find_object_path(thing, frames, frames.labels, settings, with_depth=with_depth)
-        if isinstance(own, str):
-            found.append(replace(thing, message=own))
+    for obj in seen_objects(len(poses), frames.labels):
+        found_path = find_object_path(obj, frames, frames.labels, settings, with_depth=with_depth)
+        if isinstance(found_path, str):
+            found.append(replace(obj, message=found_path))
             continue
         in_world = {
             number: pose
-            for number, pose in own.piece.poses.items()
-            if np.isfinite(world[own.frames[number]]).all()
+            for number, pose in found_path.piece.poses.items()
+            if np.isfinite(world[found_path.frames[number]]).all()
         }
         if not in_world:
-            found.append(replace(thing, message=NO_PATH))
+            found.append(replace(obj, message=NO_PATH))
             continue
-        own = replace(
-            own,
-            piece=replace(own.piece, poses=in_world),
-            depths=[depth for depth in own.depths if depth.frame in in_world],
+        found_path = replace(
+            found_path,
+            piece=replace(found_path.piece, poses=in_world),
+            depths=[depth for depth in found_path.depths if depth.frame in in_world],
         )
-        size = (sizes or {}).get(thing.id)
-        scale, scale_from = find_object_scale(own, thing.id, at_rest, frames.labels, size)
-        found.append(placed(thing, own, world, scale, scale_from))
-        for depth in own.depths:
-            frame = own.frames[depth.frame]
+        size = (sizes or {}).get(obj.id)
+        scale, scale_from = find_object_scale(found_path, obj.id, at_rest, frames.labels, size)
+        found.append(place_object(obj, found_path, world, scale, scale_from))
+        for depth in found_path.depths:
+            frame = found_path.frames[depth.frame]
             if not depth_path(folder, frame).exists():
                 continue
-            mine = (frames.labels(frame) == thing.id) & np.isfinite(depth.inverse_depth)
+            mine = (frames.labels(frame) == obj.id) & np.isfinite(depth.inverse_depth)
             inverse_depth, deviation = read_depth(folder, frame, frames.shape)
             inverse_depth[mine] = depth.inverse_depth[mine] / scale
             deviation[mine] = depth.deviation[mine] / scale
@@ -85,29 +85,33 @@ def objects_with_depth(
     return tuple(found)
 
 
-def placed(
-    thing: MovingObject, own: ObjectPath, poses: np.ndarray, scale: float, scale_from: ScaleFrom
+def place_object(
+    obj: MovingObject,
+    found_path: ObjectPath,
+    poses: np.ndarray,
+    scale: float,
+    scale_from: ScaleFrom,
 ) -> MovingObject:
-    """Return a thing with its path in the world.
+    """Return an object with its path in the world.
 
     Parameters
     ----------
-    thing : MovingObject
-    own : ObjectPath
+    obj : MovingObject
+    found_path : ObjectPath
     poses : (N, 4, 4) array
         Of the camera, camera to world.
     scale : float
-        What its own unit is in the world's.
+        Its found_path unit, in the unit of the world.
     scale_from : {"size", "contact", "around", "none"}
     """
-    points = own.points()
+    points = found_path.points()
     moved = np.eye(4)
     moved[:3, 3] = -np.median(points, axis=0)
-    at = {frame: k for k, frame in enumerate(thing.frames)}
-    found = thing.poses.copy()
-    for number, pose in own.piece.poses.items():
-        frame = own.frames[number]
-        own_to_camera = np.linalg.inv(moved @ pose)  # of the object, in its own unit
+    at = {frame: k for k, frame in enumerate(obj.frames)}
+    found = obj.poses.copy()
+    for number, pose in found_path.piece.poses.items():
+        frame = found_path.frames[number]
+        own_to_camera = np.linalg.inv(moved @ pose)  # of the object, in its found_path unit
         own_to_camera[:3, 3] *= scale
         found[at[frame]] = poses[frame] @ own_to_camera
-    return replace(thing, poses=found, extent=scale * reach(points), scale_from=scale_from)
+    return replace(obj, poses=found, extent=scale * reach(points), scale_from=scale_from)

@@ -38,7 +38,7 @@ BOX_ALIGNMENT = 16
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectPath:
-    """A thing's path and depth in a unit and axes of its own.
+    """Path and depth of an object, in its own unit and axes.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class ObjectPath:
 
 
 class _FramesOf:
-    """The frames of a sequence that show a thing, of which it alone counts.
+    """The frames that show an object; only pixels of the object count.
 
     Parameters
     ----------
@@ -88,13 +88,13 @@ class _FramesOf:
         return self._frames.grey(self._numbers[number])
 
     def flow(self, number: int) -> np.ndarray | None:
-        """Return the image motion from the frame before; None if it is not known."""
+        """Return the image motion from the previous frame; None if it is unknown."""
         frame = self._numbers[number]
         follows = number > 0 and self._numbers[number - 1] == frame - 1
         return self._frames.flow(frame) if follows else None
 
     def counted(self, number: int) -> np.ndarray:
-        """Return where the thing is, (H, W) bool."""
+        """Return the mask of the object, (H, W) bool."""
         return self._labelled(self._numbers[number]) == self._number
 
 
@@ -106,7 +106,7 @@ def find_object_path(
     *,
     with_depth: bool = True,
 ) -> ObjectPath | str:
-    """Return the path and depth of a thing, or why it has none.
+    """Return the path and depth of an object, or the reason why it has none.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def find_object_path(
             cells=max(CELLS, round(cells)),
             focal_known=False,
         )
-    except ValueError:  # what it shows is in no order
+    except ValueError:  # its views are out of order
         return "what it shows from frame to frame does not fit together"
     if not path.pieces:
         return "it does not turn or come nearer enough, or is not rigid: its motion shows no depth"
@@ -152,7 +152,7 @@ def find_object_path(
 def find_object_depths(
     own: Frames, piece: Piece, seen: Sequence[Observations], settings: Settings
 ) -> list[FrameDepth]:
-    """Return the depth of frames within the box of what counts in any of them.
+    """Return the depth of frames within the common bounding box of their counted pixels.
 
     Elsewhere there is none.
 
@@ -174,7 +174,7 @@ def find_object_depths(
 
 
 def _box_of(own: Frames, frames: Iterable[int]) -> tuple[slice, slice]:
-    """Return the rows and columns of what counts in any of some frames, and around it."""
+    """Return the rows and columns of this box of some frames, with a margin."""
     counts = np.zeros(own.shape, bool)
     for frame in frames:
         counted = own.counted(frame)
@@ -191,7 +191,7 @@ def _box_of(own: Frames, frames: Iterable[int]) -> tuple[slice, slice]:
 
 
 class _PartOf:
-    """A part of frames, with the camera of that.
+    """Cut-out frames with their camera.
 
     Parameters
     ----------
@@ -209,16 +209,16 @@ class _PartOf:
         self.camera = replace(frames.camera, center=(cx - columns.start, cy - rows.start))
 
     def grey(self, number: int) -> np.ndarray:
-        """Return the part of a frame, (h, w) float32."""
+        """Return the cut-out of a frame, (h, w) float32."""
         return np.ascontiguousarray(self._frames.grey(number)[self._box])
 
     def counted(self, number: int) -> np.ndarray | None:
-        """Return where it counts, (h, w) bool; None where all of it does."""
+        """Return the counted pixels, (h, w) bool; None for all."""
         counted = self._frames.counted(number)
         return None if counted is None else np.ascontiguousarray(counted[self._box])
 
     def within_the_whole(self, depth: FrameDepth) -> FrameDepth:
-        """Return depth of this part as one of whole frames."""
+        """Return depth of the cut-out as that of a whole frame."""
         inverse_depth, deviation = (
             np.full(self._frames.shape, value, np.float32) for value in (np.nan, np.inf)
         )

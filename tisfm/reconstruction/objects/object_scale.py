@@ -76,7 +76,7 @@ def find_object_scale(
 
 
 def reach(points: np.ndarray) -> np.ndarray:
-    """Return how far points, (N, 3), reach along each axis, (3,), without those at both ends."""
+    """Return the extent of points, (N, 3), along each axis, (3,), without the outermost ones."""
     low, high = np.quantile(points, [TRIMMED_SHARE, 1 - TRIMMED_SHARE], axis=0)
     return np.asarray(high - low)
 

@@ -1,4 +1,4 @@
-"""Labels of what moves on its own, for every frame of a sequence."""
+"""Labels of moving objects for every frame of a sequence."""
 
 from collections.abc import Iterator, Sequence
 
@@ -27,7 +27,7 @@ KNOWN, HALF = (
 
 
 class SequenceLabels:
-    """Takes the frames of a sequence one after the other, and finds what moves on its own in them.
+    """Finds the moving objects of a sequence, frame by frame.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class SequenceLabels:
     def found(
         self, poses: Sequence[np.ndarray | None] | None = None, camera: Camera | None = None
     ) -> Iterator[np.ndarray]:
-        """Yield the labels of every frame, (H, W) uint8: 0 at rest, and else the thing's number.
+        """Yield the labels of every frame, (H, W) uint8: 0 for static pixels, or an object id.
 
         Parameters
         ----------
@@ -71,7 +71,7 @@ class SequenceLabels:
             yield enlarge_labels(labelled, self._motion.share, self._shape)
 
     def _add_path(self, poses: Sequence[np.ndarray | None], camera: Camera) -> BelowGround:
-        """Let the path say what it can, and return what may lie below the ground under it."""
+        """Add the evidence of the camera path, and return the search below the ground."""
         small = self._motion.camera(camera)
         both = DiskCache(Evidence.arrays, Evidence.of_arrays)
         depths = DiskCache(StaticDepth.arrays, StaticDepth.of_arrays)
@@ -92,7 +92,7 @@ class SequenceLabels:
     def _with_ground(
         self, labels: Iterator[np.ndarray], ground: BelowGround
     ) -> Iterator[np.ndarray]:
-        """Yield labels of every frame with what seems to lie below the ground beside them.
+        """Yield the labels of every frame, with objects below the ground added.
 
         Those are things of their own: nothing shows where they end on the ground, which may lead to
         what moves otherwise.
@@ -117,7 +117,7 @@ class SequenceLabels:
 
 
 def enlarge_labels(labels: np.ndarray, share: float, shape: Sequence[int]) -> np.ndarray:
-    """Return labels, (h, w), of frames that are made smaller, as those of the frames, (H, W) uint8.
+    """Return labels of shrunk frames, (h, w), in the size of the frames, (H, W) uint8.
 
     Parameters
     ----------

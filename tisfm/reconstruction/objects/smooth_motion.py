@@ -1,4 +1,4 @@
-"""How a part of a frame moves: smooth motions fitted to the image motion on both sides of it."""
+"""Smooth motions of regions, fitted to the image motion to the next and the previous frame."""
 
 from typing import Literal
 
@@ -21,7 +21,7 @@ Terms = Literal[1, 3, 6]
 
 
 class SmoothMotions:
-    """How the pixels of a frame move to the frames after and before.
+    """The image motion of a frame to the next and the previous frame.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class SmoothMotions:
         *,
         terms: Terms = 6,
     ) -> tuple[np.ndarray, float]:
-        """Return how far pixels move otherwise than what is in a mask, (H, W) px, 0 if not known.
+        """Return the difference from the smooth motion of a mask, (H, W) px; 0 if unknown.
 
         And the deviation of what is in the mask from its smooth motion, px.
 

@@ -1,4 +1,4 @@
-"""Where the focal length of a sequence is from, and how far to trust it."""
+"""The origin and the uncertainty of the camera of a result."""
 
 import math
 import os
@@ -11,7 +11,7 @@ from tisfm.focal_guess import at_size
 from tisfm.formats import FormatError
 
 Calibrate = Literal["nothing", "focal", "radial"]
-"""What of the camera is found: nothing, the focal length, or it and one radial coefficient."""
+"""The part of the camera that is found: nothing, the focal length, or a radial coefficient too."""
 Origin = Literal["given", "estimated", "guessed"]
 
 
@@ -89,7 +89,7 @@ def describe_focal(focal: float, deviation: float, shape: tuple[int, int] | None
 
 
 def as_json(calibration: Calibration) -> dict[str, Any]:
-    """Return it as JSON has it, where nothing is infinite."""
+    """Return the calibration as JSON, which has no infinite numbers."""
     about = asdict(calibration)
     if math.isinf(calibration.focal_std):
         about["focal_std"] = None
@@ -97,7 +97,7 @@ def as_json(calibration: Calibration) -> dict[str, Any]:
 
 
 def from_json(about: dict[str, Any]) -> Calibration:
-    """Return what `as_json` made."""
+    """Return the calibration that `as_json` wrote."""
     deviation = math.inf if about["focal_std"] is None else float(about["focal_std"])
     known = {field.name for field in fields(Calibration)}  # later versions may say more
     kinds: dict[str, Any] = {"origin": str, "seen": bool, "message": str, "shape": _shape}

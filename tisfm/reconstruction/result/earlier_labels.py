@@ -1,4 +1,4 @@
-"""Labels that are those of an earlier result."""
+"""Labels that are taken from an earlier result."""
 
 import glob
 import os
@@ -38,7 +38,7 @@ class ResultLabels:
     camera: Camera | None
 
     def check(self, stated: Camera | None, calibrate: str) -> None:
-        """Raise ValueError unless frames are made as those were that the labels are of."""
+        """Raise InputError unless frames are prepared like those of the labels."""
         if self.camera is None or (
             stated is not None and calibrate == "nothing" and _is_same(self.camera, stated)
         ):
@@ -90,5 +90,5 @@ def _is_same(one: Camera, other: Camera) -> bool:
 
 
 def _padded(distortion: Sequence[float]) -> tuple[float, ...]:
-    """Return all coefficients that there may be; those that are not given are zero."""
+    """Return all distortion coefficients; missing ones are zero."""
     return (*distortion, *(0.0,) * (MOST_COEFFICIENTS - len(distortion)))

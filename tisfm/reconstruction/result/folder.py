@@ -1,7 +1,7 @@
-"""The folder that a reconstruction lies in.
+"""The folder of a reconstruction.
 
-``reconstruction.json`` is written last: a folder without it is not complete. Until then another
-file says whose folder it is. ``docs/formats.md`` describes the files.
+``reconstruction.json`` is written last: a folder without it is incomplete. Until then another
+file marks the folder as ours. ``docs/formats.md`` describes the files.
 """
 
 import json
@@ -103,13 +103,13 @@ def read_depth(folder: Path, number: int, shape: tuple[int, int]) -> tuple[np.nd
 
 
 def write_labels(folder: Path, number: int, labels: np.ndarray) -> None:
-    """Write which thing each pixel of a frame belongs to, (H, W) uint8."""
+    """Write the object id of each pixel of a frame, (H, W) uint8."""
     make_subfolder(folder / MASKS)
     write_label_png(mask_path(folder, number), labels)
 
 
 def read_labels(folder: Path, number: int, shape: tuple[int, int]) -> np.ndarray:
-    """Return which thing each pixel of a frame belongs to, (H, W) uint8: 0 if there are none."""
+    """Return the object id of each pixel of a frame, (H, W) uint8; 0 without labels."""
     path = mask_path(folder, number)
     if not (folder / MASKS).is_dir():
         return np.zeros(shape, np.uint8)
@@ -125,14 +125,14 @@ def mask_path(folder: Path, number: int) -> Path:
 
 
 def write_objects(folder: Path, objects: Sequence[MovingObject]) -> None:
-    """Write what is known of things that move on their own, as JSON."""
+    """Write the moving objects as JSON."""
     about = {"format": OBJECTS_FORMAT, "objects": [thing.as_json() for thing in objects]}
     with atomic_write(folder / OBJECTS) as file:
         file.write(json.dumps(about, allow_nan=False).encode())
 
 
 def _read_objects(folder: Path, settings: Settings, count: int) -> tuple[MovingObject, ...]:
-    """Return what `write_objects` wrote of so many frames; nothing if nothing was to be found."""
+    """Return the moving objects of a folder; none if they were not searched for."""
     path = folder / OBJECTS
     if settings.motion != "objects":
         return ()
@@ -177,7 +177,7 @@ def read_picture(folder: Path, number: int) -> np.ndarray:
 
 
 def write_record(folder: Path, result: Any) -> None:
-    """Write the path and, last, the account of a reconstruction."""
+    """Write the path and, last, the record of a reconstruction."""
     times = np.array([np.nan if time is None else time for time in result.times])
     path = {
         "poses": result.poses,
@@ -282,7 +282,7 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def _shape(given: Any) -> tuple[int, int]:
-    """Return height and width of frames, ValueError if they are none."""
+    """Return height and width of frames; ValueError for other values."""
     height, width = map(int, given)
     if height < 1 or width < 1 or height * width > LARGEST_PICTURE:
         raise InputError(f"its frames are {height} × {width} px")

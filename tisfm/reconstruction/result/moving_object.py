@@ -1,4 +1,4 @@
-"""A thing that moves on its own in a sequence, as a result has it."""
+"""A moving object of a result."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -14,7 +14,7 @@ ScaleFrom = Literal["size", "contact", "around", "none"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MovingObject:
-    """A thing that moves on its own: where it is seen, and, if that was found, its path.
+    """A moving object: the frames that show it, and its path, if that was found.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class MovingObject:
     message: str = ""
 
     def rescaled(self, factor: float, rescaled: np.ndarray) -> "MovingObject":
-        """Return the same where the unit of the poses of some frames, (N,) bool, is changed."""
+        """Return the object with another unit in some frames, (N,) bool."""
         mine = rescaled[list(self.frames)]
         poses = self.poses.copy()
         poses[mine, :3, 3] *= factor
@@ -66,7 +66,7 @@ class MovingObject:
         return replace(self, poses=poses, extent=extent)
 
     def as_json(self) -> dict[str, Any]:
-        """Return what ``objects.json`` says of it; None stands for what is not known."""
+        """Return its entry in ``objects.json``; None stands for an unknown value."""
         return {
             "id": self.id,
             "frames": list(self.frames),
@@ -79,7 +79,7 @@ class MovingObject:
 
     @classmethod
     def of_json(cls, about: dict[str, Any]) -> "MovingObject":
-        """Return what `as_json` told of.
+        """Return the object that `as_json` wrote.
 
         Raises
         ------
@@ -104,7 +104,7 @@ class MovingObject:
 
 
 def seen_objects(count: int, labelled: Callable[[int], np.ndarray]) -> list[MovingObject]:
-    """Return the things of so many frames, whose labels, (H, W), are asked for, without paths."""
+    """Return the objects in the labels, (H, W), of frames, without paths."""
     frames: dict[int, list[int]] = {}
     boxes: dict[int, list[tuple[int, ...]]] = {}
     for frame in range(count):

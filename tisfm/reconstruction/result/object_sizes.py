@@ -1,4 +1,4 @@
-"""Lengths of things that move, where they are known."""
+"""Known lengths of moving objects."""
 
 from collections.abc import Collection, Mapping
 from numbers import Real
@@ -34,7 +34,7 @@ def checked_object_sizes(sizes: Mapping[int, float] | None) -> dict[int, float]:
 
 
 def refuse_unknown(sizes: Collection[int], things: Collection[int]) -> None:
-    """Raise ValueError if the size of a thing is given whose id is none of those there are."""
+    """Raise InputError if the size of an unknown object is given."""
     unknown = sorted(set(sizes) - set(things))
     if unknown:
         ids = ", ".join(map(str, sorted(things))) or "none"

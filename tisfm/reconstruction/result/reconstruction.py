@@ -1,4 +1,4 @@
-"""A whole sequence, reconstructed: one camera path, and the depth of every frame."""
+"""The result of a whole sequence: one camera path, and the depth of every frame."""
 
 import os
 from collections.abc import Iterable, Sequence
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reconstruction:
-    """Poses and depth of the frames of a sequence; depth lies on disk and is read when asked for.
+    """Poses and depth of the frames of a sequence; depth lies on disk and is read on demand.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class Reconstruction:
         return depth
 
     def labels(self, frame: int) -> np.ndarray:
-        """Return which thing each pixel of a frame belongs to, (H, W) uint8.
+        """Return the object id of each pixel of a frame, (H, W) uint8.
 
         0 is what is at rest; other numbers are the ids of `objects`. They are of the frame without
         distortion, as `picture` returns it.
@@ -335,7 +335,7 @@ class Reconstruction:
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str]) -> "Reconstruction":
-        """Open what `save` or ``tisfm reconstruct`` wrote; depth is read when it is asked for.
+        """Open what `save` or ``tisfm reconstruct`` wrote; depth is read on demand.
 
         Raises
         ------
@@ -386,7 +386,7 @@ class Reconstruction:
 
 
 class _Views(Sequence["DepthView"]):
-    """Frames as fusion takes them, read when they are asked for."""
+    """Frames for fusion, read on demand."""
 
     def __init__(self, result: Reconstruction, frames: list[int]) -> None:
         self._result, self._frames = result, frames

@@ -1,4 +1,4 @@
-"""A folder that a reconstruction is written to, and the earlier one in it, which may come back."""
+"""The output folder of a reconstruction; an earlier one in it comes back if the new one fails."""
 
 import os
 from collections.abc import Iterator
@@ -70,7 +70,7 @@ def renewed_folder(folder: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def renewed(path: Path) -> Iterator[None]:
-    """Do what `renewed_folder` does with a folder that is there and locked."""
+    """Renew a folder that exists and is locked."""
     try:
         _begin(path)
         yield
@@ -100,7 +100,7 @@ def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
 
 
 def _begin(path: Path) -> None:
-    """Put an earlier result aside, remove one that is not complete, and make what is needed."""
+    """Put an earlier result aside, remove an incomplete one, and make the inner folders."""
     refuse_others(path)
     for name in (*_FOLDERS, BEGUN):  # runs make no links: these would lead elsewhere
         remove_link(path / name)
@@ -121,7 +121,7 @@ def _begin(path: Path) -> None:
 
 
 def refuse_others(path: Path) -> None:
-    """Raise FileExistsError if a folder holds anything that is not of a reconstruction."""
+    """Raise FileExistsError if a folder holds other files than those of a reconstruction."""
     known = {*PARTS, *OTHERS, CACHE, BEGUN}
     if not is_report(path / REPORT):  # somebody else's page would be lost
         known.discard(REPORT)
@@ -137,7 +137,7 @@ def refuse_others(path: Path) -> None:
 
 
 def _put_back(path: Path) -> None:
-    """Let the earlier result be what it was, if there was one."""
+    """Restore the earlier result, if there was one."""
     if (path / LEAVING).exists():  # nothing of another one is there yet
         (path / LEAVING).rename(path / RESTORING)
     elif (path / EARLIER).exists():
@@ -150,14 +150,14 @@ def _put_back(path: Path) -> None:
 
 
 def _move(source: Path, target: Path) -> None:
-    """Move what there is of a result, what says that it is complete last."""
+    """Move the files of a result; its record is the last."""
     for name in (*(name for name in (*PARTS, *OTHERS) if name != RECORD), RECORD):
         if os.path.lexists(source / name):
             (source / name).replace(target / name)
 
 
 def _remove(path: Path) -> None:
-    """Remove the parts of a result, but for what says whose folder it is."""
+    """Remove the files of a result, except the file that marks the folder as ours."""
     remove(path / RECORD)  # first: without it the result is not complete
     for name in {*PARTS, *OTHERS, CACHE} - {RECORD}:
         remove(path / name)

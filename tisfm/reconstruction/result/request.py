@@ -1,4 +1,4 @@
-"""What a reconstruction was asked for, kept with its result, so that it is not made twice."""
+"""The request of a reconstruction, kept with its result so that it is not made twice."""
 
 import hashlib
 import json
@@ -42,7 +42,7 @@ def make_request(
     others: Mapping[str, Any],
     files: Mapping[str, str | None] | None = None,
 ) -> Request:
-    """Return all that a result depends on, as JSON has it.
+    """Return everything that a result depends on, as JSON.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def make_request(
 
 
 def digest_of(asked: Request) -> str:
-    """Return a short digest of it."""
+    """Return a short digest of a request."""
     return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:32]
 
 
@@ -88,7 +88,7 @@ def _digest(poses: Trajectory) -> str:
 
 
 def _files(path: str) -> Sequence[Path]:
-    """Return the files that a path stands for: it, those in it, or those of its pattern."""
+    """Return the files of a path: a file, a folder or a pattern."""
     if Path(path).is_dir():
         return [file for file in sorted(Path(path).rglob("*")) if file.is_file()]
     if Path(path).exists():
@@ -114,14 +114,14 @@ def files_below(folder: Path) -> dict[str, list[int]]:
 
 
 def write_request(folder: Path, asked: Request) -> None:
-    """Write what was asked for, and which files it led to: the result is complete."""
+    """Write the request and the checksums of the result's files: the result is complete."""
     about = {"asked": asked, "files": files_below(folder)}
     with atomic_write(folder / REQUEST, durable=True) as file:
         file.write((json.dumps(about, indent=1) + "\n").encode())
 
 
 def read_request(folder: Path) -> Request | None:
-    """Return what `write_request` wrote, with ``asked`` and ``files``; None if there is nothing."""
+    """Return the content of the request file, with ``asked`` and ``files``; None without one."""
     try:
         about = read_json(folder / REQUEST)
     except (FormatError, OSError):
@@ -133,7 +133,7 @@ def read_request(folder: Path) -> Request | None:
 
 
 def is_done(folder: Path, asked: Request) -> bool:
-    """Return whether a folder holds the complete result of what is asked for.
+    """Return whether a folder holds the complete result of a request.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def is_done(folder: Path, asked: Request) -> bool:
 
 
 def refuse_differing(folder: Path, before: Request, asked: Request) -> None:
-    """Raise ValueError, with what differs, unless the same is asked for as before."""
+    """Raise InputError with the differences if a request differs from the earlier one."""
     differences = summarise_differences(compare_records(before, asked))
     if differences:
         raise InputError(

@@ -1,4 +1,4 @@
-"""A folder that lasts as long as what refers to it."""
+"""A folder that is deleted with the last reference to it."""
 
 import shutil
 import tempfile

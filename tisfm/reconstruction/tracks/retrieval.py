@@ -1,4 +1,4 @@
-"""Views that seem to show the same place, however long apart they were taken."""
+"""Image retrieval: views that may show the same scene, however long apart they were taken."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ BLOCK_VIEWS = 512
 
 @dataclass(frozen=True, kw_only=True)
 class ImageDescriptors:
-    """What a view looks like, in little memory.
+    """Descriptors of a view, in 8 bits each.
 
     Attributes
     ----------
@@ -47,16 +47,16 @@ class ImageDescriptors:
 
     @classmethod
     def of(cls, found: Described) -> "ImageDescriptors":
-        """Return the look of a view with these points."""
+        """Return the descriptors of a view with these points."""
         return cls(points=found.points, levels=np.rint(found.roots * MAX_LEVEL).astype(np.uint8))
 
     @classmethod
     def of_arrays(cls, points: np.ndarray, levels: np.ndarray) -> "ImageDescriptors":
-        """Return the look that has these arrays."""
+        """Return the object with these arrays."""
         return cls(points=points, levels=levels)
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """Return what it is made of."""
+        """Return its arrays."""
         return self.points, self.levels
 
     def described(self) -> Described:
@@ -65,7 +65,7 @@ class ImageDescriptors:
 
 
 def find_similar_views(looks: Sequence[ImageDescriptors], *, apart: int) -> list[tuple[int, int]]:
-    """Return pairs of views that may show the same place, the earlier first, in order.
+    """Return pairs of views that may show the same scene, the earlier view first, in order.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def find_similar_views(looks: Sequence[ImageDescriptors], *, apart: int) -> list
 
 
 def _most_alike(alike: np.ndarray, seen: Sequence[int], last: int) -> list[int]:
-    """Return which of the views seen, up to the last one, a view is most alike, in order."""
+    """Return the earlier views, up to the last one, that a view is most alike, in order."""
     chosen: list[int] = []
     for column in np.argsort(-alike, kind="stable").tolist():
         if len(chosen) == CANDIDATES:
@@ -118,7 +118,7 @@ def _most_alike(alike: np.ndarray, seen: Sequence[int], last: int) -> list[int]:
 
 
 def _codebook(looks: Sequence[ImageDescriptors], seen: Sequence[int]) -> np.ndarray:
-    """Return the centres of clusters of descriptors, (WORDS, 128) float32."""
+    """Return the centres of clusters of descriptors, (CODEBOOK_SIZE, 128) float32."""
     each = max(1, CODEBOOK_SAMPLE // len(seen))
     # Some of each view, evenly: seeds of a random choice are not needed.
     some = []
@@ -142,7 +142,7 @@ def _words(levels: np.ndarray, centres: np.ndarray) -> np.ndarray:
 
 
 def _code(levels: np.ndarray, centres: np.ndarray) -> np.ndarray:
-    """Return the code of a view, (WORDS · 128,) float32, of unit length."""
+    """Return the code of a view, (CODEBOOK_SIZE · 128,) float32, of unit length."""
     values = levels.astype(np.float32)
     word = _words(values, centres)
     sums = np.zeros_like(centres)

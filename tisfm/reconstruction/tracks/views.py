@@ -1,4 +1,4 @@
-"""Views: the frames that a path is built from, and which of their points are the same."""
+"""Views: the frames that a path is built from, and the matches of their points."""
 
 from dataclasses import dataclass
 
@@ -43,7 +43,7 @@ RANSAC_TRIALS = 500
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """What a frame shows.
+    """Tracks and detected points of a frame.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class View:
     seen : Observations
         Tracks.
     detected : (M, 2) float64
-        Points that are matched by what they look like, px.
+        Points that are matched by appearance, px.
     """
 
     frame: int
@@ -60,28 +60,28 @@ class View:
 
     @classmethod
     def of_arrays(cls, frame: np.ndarray, *arrays: np.ndarray) -> "View":
-        """Return the view that has these arrays."""
+        """Return the view with these arrays."""
         points, tracks, detected = arrays
         return cls(
             frame=int(frame.item()), seen=Observations.of_arrays(points, tracks), detected=detected
         )
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """Return what it is made of."""
+        """Return its arrays."""
         return np.array(self.frame), *self.seen.arrays(), self.detected
 
 
 class ViewSelection:
-    """Chooses views among the frames of a sequence, and matches them.
+    """Selects views among the frames of a sequence, and matches them.
 
     Parameters
     ----------
     camera : Camera
         A pinhole, of the frames.
     focal_known : bool
-        Whether matches have to fit its focal length, or any.
+        Whether matches have to fit its focal length, or may fit any.
     on_disk : bool
-        Whether views lie on disk: then they cannot be forgotten.
+        Whether views lie on disk: then they cannot be dropped.
 
     Attributes
     ----------
@@ -104,11 +104,11 @@ class ViewSelection:
         self._compared: set[tuple[int, int]] = set()
 
     def use(self, camera: Camera) -> None:
-        """Let matches from now on fit a camera whose focal length is known."""
+        """Use a camera with a known focal length for later matches."""
         self._camera, self._focal_known = camera, True
 
     def needs(self, seen: Observations, longer_side: int, share: float = MIN_MOTION) -> bool:
-        """Return whether a frame shows enough that is new to become a view."""
+        """Return whether a frame differs enough from the last view to become a view."""
         if not self.chosen:
             return len(seen.tracks) > 0
         before = self.chosen[-1].seen
@@ -123,7 +123,7 @@ class ViewSelection:
     def add(
         self, frame: int, grey: np.ndarray, seen: Observations, ignored: np.ndarray | None
     ) -> None:
-        """Make a view of a frame, (H, W) uint8, without its ignored pixels, (H, W) bool."""
+        """Add a frame, (H, W) uint8, as a view, without its ignored pixels, (H, W) bool."""
         found = _described(grey, ignored)
         number = len(self.chosen)
         self.chosen.append(View(frame=frame, seen=seen, detected=found.points))
@@ -134,13 +134,13 @@ class ViewSelection:
             self._matchable.append(number)
 
     def close_loops(self, shape: tuple[int, int]) -> None:
-        """Match views that show the same place again; shape is that of frames."""
+        """Match views that show the same scene again (loops); `shape` is that of the frames."""
         for pair in find_similar_views(self._looks, apart=MATCHED_VIEWS + 1):
             if pair not in self._compared:
                 self._match(*pair, shape, fewest=MIN_LOOP_MATCHES, share=MIN_LOOP_SHARE)
 
     def forget(self, count: int) -> None:
-        """Forget the first views."""
+        """Drop the first views."""
         if isinstance(self.chosen, DiskCache) or isinstance(self._looks, DiskCache):
             raise InputTypeError("views lie on disk: they cannot be forgotten")
         del self.chosen[:count], self._looks[:count]
@@ -153,7 +153,7 @@ class ViewSelection:
         self._compared = {(i - count, k - count) for i, k in self._compared if i >= count}
 
     def out_of_order(self) -> bool:
-        """Return whether most views show nothing of the view before, but what others show."""
+        """Return whether most views match other views, but not the previous one."""
         count = len(self.chosen)
         if count < MIN_ORDERED_VIEWS:
             return False
@@ -188,7 +188,7 @@ class ViewSelection:
     def _fitting(
         self, before: np.ndarray, after: np.ndarray, shape: tuple[int, ...]
     ) -> np.ndarray | None:
-        """Return which points one motion explains, (N, 1), None if there is no motion."""
+        """Return the inliers of one motion, (N, 1); None if there is no motion."""
         height, width = shape
         threshold = EPIPOLAR_TOLERANCE * max(height, width) / 640
         try:
@@ -214,7 +214,7 @@ class ViewSelection:
 
 
 def _described(grey: np.ndarray, ignored: np.ndarray | None) -> Described:
-    """Return points of a frame and what they look like, found on the level of the flow."""
+    """Return points of a frame and their descriptors, found on the shrunk frame."""
     small = shrink_for_flow(grey)
     found = described(small, per_cell=POINTS_PER_CELL)
     points = (found.points + 0.5) / flow_scale(small, grey) - 0.5
