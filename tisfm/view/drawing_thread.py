@@ -117,7 +117,8 @@ class DrawingThread:
         with contextlib.suppress(Empty):
             while True:
                 self._jobs.get_nowait()()
-        self._is_stale |= self._page.advance()
+        if self._page.advance():  # other threads set the flag too: it is never read and set back
+            self._is_stale = True
         now = time.monotonic()
         if self._is_stale:
             self._is_stale, self._is_coarse, self._changed_at = False, True, now

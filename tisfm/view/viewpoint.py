@@ -50,13 +50,13 @@ def overview(
         across = np.array((1.0, 0.0, 0.0))
     right = across / np.linalg.norm(across)
     axes = np.stack([right, np.cross(forward, right), forward], axis=1)
-    points = np.concatenate([_sample(np.asarray(points, float)), np.asarray(whole, float)]) @ axes
-    middle = float(np.median(points[:, 2]))
+    local = np.concatenate([_sample(np.asarray(points, float)), np.asarray(whole, float)]) @ axes
+    middle = float(np.median(local[:, 2]))
     most = np.tan(FOV / 2) * _FILLED * np.array((aspect, 1.0))
     distance_behind = _MIN_DISTANCE * middle
     for _ in range(_MAX_STEPS):
         beside, half = zip(
-            *(_centred(points, axis, -distance_behind) for axis in (0, 1)), strict=True
+            *(_centred(local, axis, -distance_behind) for axis in (0, 1)), strict=True
         )
         if (np.array(half) <= most).all():
             break
