@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from tisfm.kernels.rigid.merging import merged
-from tisfm.reconstruction.depth.window_depth import FURTHEST, FURTHEST_SHARE, second_order
+from tisfm.reconstruction.depth.window_depth import FAR_SHARE, MAX_DEPTH_FACTOR, second_order
 from tisfm.solver.sampling import enlarged, reduced
 from tisfm.solver.second_order import fill
 
@@ -119,7 +119,7 @@ def fill_holes(
         level += 1
     side = 2**level
     height, width = (-(-length // side) for length in frame.shape)
-    least = np.float32(np.quantile(inverse_depth[known], FURTHEST_SHARE) / FURTHEST)
+    least = np.float32(np.quantile(inverse_depth[known], FAR_SHARE) / MAX_DEPTH_FACTOR)
     scale = np.float32(FILL_MEDIAN / np.median(inverse_depth[known]))
     images = np.stack([known, np.where(known, scale * inverse_depth, 0), frame])
     share, target, small = reduced(images.astype(np.float32), side, height, width)

@@ -26,7 +26,7 @@ from tisfm.motion.problems import depth_problem
 from tisfm.motion.textureless_depth import SECOND_ORDER, texture_weight
 from tisfm.reconstruction.depth.match_deviation import match_weights
 from tisfm.reconstruction.depth.window_planes import (
-    COST,
+    MAX_COST,
     Window,
     WindowPlanes,
     costs_of,
@@ -47,26 +47,45 @@ from tisfm.solver.unknowns import Unknowns
 # Of the cells of a keyframe, at most: 160×120, 320×240 and 640×480 of as many pixels.
 Effort = Literal["fast", "balanced", "accurate"]
 CELLS: dict[Effort, int] = {"fast": 2**15, "balanced": 2**17, "accurate": 2**19}
-FEWEST = 0.01  # of the cells: with fewer believed, nothing is carried
-# Weight of the constraints of a frame, where they count in full, against that of a matched cell;
-# and what is left of that cell's own weight there, since both come from the same images.
-DATA, LEFT = 8.0, 0.1
-# Where slopes turn, px per px, and how much edges of the image tell. Slopes turn sooner than for
-# pairs, since what is matched is surer: or those of a floor are smoothed into those of the walls.
-TURN, IMAGE_EDGES = 0.0009, 10.0
-TEXTURE = 1000.0  # times the variance of the noise: of a window whose constraints count half
-WARPS, ITERATIONS = 3, 1
-FURTHEST = 2.0  # times as far as what was matched: nothing is carried beyond
-FURTHEST_SHARE = 0.01  # of the matched cells: those that are further are not counted
-# Of the standard deviation of D, cells: the least; a share of what constraints nearby are off by,
-# and of the most that counts of it; and a share of D for every pixel that it is carried: slopes of
-# surfaces go with D, and with the pixels of the frame, not of its cells.
-SUREST, OFF, MOST_OFF, CARRYING = 0.005, 0.07, 2.5, np.float32(0.002)
-# And a share of how far matches nearby lie from D: less the closer that is to their own scatter.
-MOVED, SCATTER = 0.8, np.float32(0.2)
-# Of the pixels of rendered rooms 60 to 76 % then lie within one, of TartanAir 57 %, and of a
-# HoloLens, whose poses are not exact, 28 %; `segment_depth` compares keyframes.
-AROUND = (15, 15)  # cells: the window that these are averaged in
+# Values without a stated source were set by hand.
+
+# Share of the cells with a reliable match: with fewer, no depth is propagated.
+MIN_MATCHED_SHARE = 0.01
+# Weight of the constraints of a frame at full strength, against that of a matched cell.
+DATA_WEIGHT = 8.0
+# Share of the weight of a matched cell that is left there, since both come from the same images.
+MATCH_SHARE_LEFT = 0.1
+# px per px: difference of slopes at which smoothness yields. It is smaller than for pairs, since
+# matches are more certain: otherwise the slope of a floor is smoothed into that of the walls.
+SLOPE_SCALE = 0.0009
+# Weight of image edges in the smoothness.
+IMAGE_EDGES = 10.0
+# Variance of a window, in variances of the noise: its constraints have half the weight.
+HALF_WEIGHT_TEXTURE = 1000.0
+# Warps, and iterations of each.
+WARPS = 3
+ITERATIONS = 1
+# Largest propagated depth, as a multiple of the largest matched depth.
+MAX_DEPTH_FACTOR = 2.0
+# Share of the matched cells, the farthest ones, that do not count for this limit.
+FAR_SHARE = 0.01
+# Standard deviation of D: the least, in cells.
+MIN_DEVIATION = 0.005
+# The share of the residuals of nearby constraints that is added to it,
+RESIDUAL_SHARE = 0.07
+# and the largest residual that counts, in cells.
+MAX_RESIDUAL = 2.5
+# The share of D that is added for every pixel of propagation: slopes of surfaces scale with D, and
+# with the pixels of the frame, not of its cells.
+DEVIATION_PER_PIXEL = np.float32(0.002)
+# The share of the difference between nearby matches and D that is added,
+DIFFERENCE_SHARE = 0.8
+# reduced where this difference is near the scatter of these matches. With these values, of the
+# pixels of rendered rooms 60 to 76 % lie within one standard deviation, of TartanAir 57 %, and of a
+# HoloLens, whose poses are inexact, 28 %; `segment_depth` compares keyframes.
+SCATTER_SHARE = np.float32(0.2)
+# Cells: window that these differences are averaged in.
+AVERAGING_WINDOW = (15, 15)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,13 +173,13 @@ def window_depth(
     planes = window_planes(window)
     anchors = match_weights(window, planes)
     planes = replace(planes, believed=anchors[0] > 0)
-    if planes.believed.sum() < max(1, FEWEST * window.counted.sum()):
+    if planes.believed.sum() < max(1, MIN_MATCHED_SHARE * window.counted.sum()):
         return None
     state = _Data(window, settings, anchors)
     for _ in range(WARPS):
         state.step()
     depth = state.depth()
-    least = np.quantile(planes.inverse_depth[planes.believed], FURTHEST_SHARE) / FURTHEST
+    least = np.quantile(planes.inverse_depth[planes.believed], FAR_SHARE) / MAX_DEPTH_FACTOR
     depth = np.maximum(depth, np.float32(least))
     deviation = _deviation(planes, depth, state.residual())
     side, scale = 2**window.level, window.unit * window.camera_of(window.level).focal
@@ -180,7 +199,7 @@ def second_order(level: int) -> SecondOrderSettings:
         SECOND_ORDER,
         alpha=SECOND_ORDER.alpha / side,
         beta=SECOND_ORDER.beta / side**3,
-        turn=TURN,
+        turn=SLOPE_SCALE,
         image_edges=IMAGE_EDGES,
     )
 
@@ -203,8 +222,8 @@ class _Data:
         depth, slopes = fill(anchors[1], anchors[0], frame, smoothness, iterations=1)
         self._grid = grid = runtime.lane_grid(*frame.shape)
         unknowns = Unknowns(grid, camera, 1)
-        textured = texture_weight(frame, half=TEXTURE) * window.counted
-        held = np.stack([anchors[0] * (1 - (1 - LEFT) * textured), anchors[1]])
+        textured = texture_weight(frame, half=HALF_WEIGHT_TEXTURE) * window.counted
+        held = np.stack([anchors[0] * (1 - (1 - MATCH_SHARE_LEFT) * textured), anchors[1]])
         constraint = grid.allocate(3)
         self._sums = sums = grid.allocate(3)
         self._minimiser = minimiser = SecondOrderMinimiser(
@@ -221,13 +240,13 @@ class _Data:
         flow, direction = grid.allocate(2, zeros=False), grid.allocate(2, zeros=False)
         tensor = grid.allocate(6)
         constancy = depth_problem(settings, camera.focal).constancy
-        seen = np.maximum(1 - costs_of(window, depth, slopes) / np.float32(COST), 0) * textured
+        seen = np.maximum(1 - costs_of(window, depth, slopes) / np.float32(MAX_COST), 0) * textured
         self._linearise: list[Callable[[], None]] = []
         for j, motion in enumerate(window.motions):
             other = window.of_cells(1 + j)
             data = DataTerm(grid, frame, other, spline_taps(other), constancy, mean_step(frame))
             weight = grid.allocate(1)
-            image_to_lanes(grid, np.float32(DATA) * seen[j], weight)
+            image_to_lanes(grid, np.float32(DATA_WEIGHT) * seen[j], weight)
             self._linearise.append(
                 in_turn(
                     displacement.bind(
@@ -274,14 +293,20 @@ def _deviation(
     """Return the standard deviation of D, (h, w) float32, cells."""
     far = cv2.distanceTransform((~planes.believed).astype(np.uint8), cv2.DIST_L2, 5)
     far *= 2**planes.level
-    precision, square = (cv2.blur(image, AROUND) for image in residual)
-    square = np.minimum(square / np.maximum(precision, LEAST_DIVISOR), MOST_OFF**2)
+    precision, square = (cv2.blur(image, AVERAGING_WINDOW) for image in residual)
+    square = np.minimum(square / np.maximum(precision, LEAST_DIVISOR), MAX_RESIDUAL**2)
     believed = planes.believed.astype(np.float32)
-    moved = cv2.blur(believed * np.abs(depth - planes.inverse_depth), AROUND)
-    moved = moved / np.maximum(cv2.blur(believed, AROUND), np.float32(1 / math.prod(AROUND)))
-    moved = np.float32(MOVED) * moved**2 / (moved + SCATTER)
+    moved = cv2.blur(believed * np.abs(depth - planes.inverse_depth), AVERAGING_WINDOW)
+    moved = moved / np.maximum(
+        cv2.blur(believed, AVERAGING_WINDOW), np.float32(1 / math.prod(AVERAGING_WINDOW))
+    )
+    moved = np.float32(DIFFERENCE_SHARE) * moved**2 / (moved + SCATTER_SHARE)
     deviation: np.ndarray = np.sqrt(
-        SUREST**2 + OFF**2 * square + moved**2 + (CARRYING * far * depth) ** 2, dtype=np.float32
+        MIN_DEVIATION**2
+        + RESIDUAL_SHARE**2 * square
+        + moved**2
+        + (DEVIATION_PER_PIXEL * far * depth) ** 2,
+        dtype=np.float32,
     )
     return deviation
 

@@ -22,17 +22,33 @@ from tisfm.motion.matched_planes import (
 )
 from tisfm.solver.image_pyramid import gaussian_pyramid, smooth
 
-PRESMOOTHING = 0.6  # px
-COARSER = 2  # levels that are searched besides that of the cells
-ROUNDS = (3, 2, 1)  # of improvement: of the coarsest level, of the next, and of all others
-MOST_SIDE = 2  # px of the finest level: larger cells are searched on their own level before
-DRAWS = 2  # of planes that are nearly a cell's own
-SPREAD, TILT = (4.0, 1.0), 0.05  # of those: of D, px, on the coarsest grid and others; of slopes
-SMALLEST = 8  # px: the shorter side of the coarsest level
-SHRINKING = 0.6  # of both, with every round
-COST = 0.25  # what is believed costs less,
-ISLAND, SIXTEENTHS = 200, 16  # and belongs to so many px that lie within 1 px of each other
-# Of noise by which masked pixels of other frames are replaced: it correlates with nothing.
+# Values without a stated source were set by hand.
+
+# px: standard deviation of the Gaussian that smooths images first.
+PRESMOOTHING = 0.6
+# Levels that are searched besides that of the cells.
+COARSER_LEVELS = 2
+# Rounds of improvement: on the coarsest level, on the next one, and on all others.
+SEARCH_ROUNDS = (3, 2, 1)
+# px of the finest level: larger cells are searched on their own level first.
+MAX_CELL_SIDE = 2
+# Random planes near a cell's own plane in each round.
+RANDOM_DRAWS = 2
+# px: spread of D of these planes, on the coarsest grid and on others.
+DRAW_SPREAD = (4.0, 1.0)
+# Spread of their slopes, px per px.
+DRAW_TILT = 0.05
+# px: shorter side of the coarsest level.
+MIN_COARSE_SIDE = 8
+# Factor of both spreads in every round.
+DRAW_SHRINKAGE = 0.6
+# Cost of a reliable match, at most.
+MAX_COST = 0.25
+# px: size of the connected region, whose values differ by at most 1 px, of a reliable match.
+MIN_REGION = 200
+# Values of D are compared in fractions of a px of this number.
+REGION_UNITS = 16
+# Seed of the noise that replaces masked pixels of other frames: it correlates with nothing.
 MASKED_SEED = 7
 
 
@@ -128,7 +144,7 @@ class Window:
         while height * width >> 2 * self.level > cells or self.level < self.finest:
             self.level += 1
         smallest = int(np.log2(max(1, min(key.shape))))
-        levels = min(self.level + COARSER + 1, smallest + 1)
+        levels = min(self.level + COARSER_LEVELS + 1, smallest + 1)
         self.finest, self.level = min(self.finest, levels - 1), min(self.level, levels - 1)
         self.frames = [
             gaussian_pyramid(smooth(frame, PRESMOOTHING), 0.5, levels) for frame in (key, *others)
@@ -168,11 +184,11 @@ class Window:
         their windows are of a level that is much coarser than the finest.
         """
         side = 2 ** (self.level - self.finest)
-        last = self.level + 1 if side <= MOST_SIDE else self.level
+        last = self.level + 1 if side <= MAX_CELL_SIDE else self.level
         coarser = [
             (level, self._search(level, 1), 1)
-            for level in range(self.level + COARSER, last - 1, -1)
-            if min(self.frames[0][level].shape) >= SMALLEST
+            for level in range(self.level + COARSER_LEVELS, last - 1, -1)
+            if min(self.frames[0][level].shape) >= MIN_COARSE_SIDE
         ]
         return [*coarser, (self.finest, self.last_search, side)]
 
@@ -250,23 +266,23 @@ def window_planes(window: Window) -> WindowPlanes:
             planes[..., :3] *= np.float32(2.0 ** (level - finer))
         level, side = finer, stride * 2**finer
         search.score(planes)
-        for repeat in range(ROUNDS[min(turn, len(ROUNDS) - 1)]):
-            narrower = SHRINKING**repeat
+        for repeat in range(SEARCH_ROUNDS[min(turn, len(SEARCH_ROUNDS) - 1)]):
+            narrower = DRAW_SHRINKAGE**repeat
             search.improve(
                 planes,
-                draws=DRAWS,
-                spread=(SPREAD[1] if turn else SPREAD[0]) * narrower,
-                tilt=stride * TILT * narrower,
-                seed=turn * max(ROUNDS) + repeat,
+                draws=RANDOM_DRAWS,
+                spread=(DRAW_SPREAD[1] if turn else DRAW_SPREAD[0]) * narrower,
+                tilt=stride * DRAW_TILT * narrower,
+                seed=turn * max(SEARCH_ROUNDS) + repeat,
             )
     planes[..., :3] *= np.float32(0.5 ** (window.level - level))
     depth = np.ascontiguousarray(planes[..., 0])
-    believed = (planes[..., 3] < COST) & (depth > 0) & window.counted
+    believed = (planes[..., 3] < MAX_COST) & (depth > 0) & window.counted
     return WindowPlanes(
         level=window.level,
         inverse_depth=depth,
         slopes=np.ascontiguousarray(np.moveaxis(planes[..., 1:3], -1, 0)),
-        believed=_without_islands(depth, believed, max(1, ISLAND >> 2 * window.level)),
+        believed=_without_islands(depth, believed, max(1, MIN_REGION >> 2 * window.level)),
     )
 
 
@@ -338,7 +354,7 @@ def _share_of_cells(mask: np.ndarray, side: int) -> np.ndarray:
 
 def _without_islands(depth: np.ndarray, believed: np.ndarray, island: int) -> np.ndarray:
     """Return which cells lie among so many that are connected and differ by 1 px at most."""
-    fixed = np.where(believed, SIXTEENTHS * depth + 1, 0).clip(0, np.iinfo(np.int16).max)
+    fixed = np.where(believed, REGION_UNITS * depth + 1, 0).clip(0, np.iinfo(np.int16).max)
     fixed = fixed.astype(np.int16)
-    cv2.filterSpeckles(fixed, 0, island, SIXTEENTHS)
+    cv2.filterSpeckles(fixed, 0, island, REGION_UNITS)
     return fixed > 0
