@@ -51,7 +51,7 @@ def quick_workers(request, monkeypatch):
     """Workers: this process in the short command, processes of their own in the nightly one."""
     if request.param == "here":
         runtime.start()  # with all threads, before a piece starts it with its share
-        monkeypatch.setattr(pool, "_processes", lambda workers: InThisProcess())
+        monkeypatch.setattr(pool, "_local_executor", lambda workers: InThisProcess())
 
 
 @pytest.fixture

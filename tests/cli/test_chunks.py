@@ -12,7 +12,7 @@ from tests.cli.conftest import InThisProcess
 from tests.reconstruction.chunked.filmed import COUNT, contents, film, in_turn, write_frames
 from tests.waiting import PATIENCE, started, wait_for
 from tisfm import Reconstruction
-from tisfm.cli import reconstruct_runs
+from tisfm.reconstruction.chunks import runs
 from tisfm.running import pool
 from tisfm.trajectory import read_kitti
 
@@ -78,7 +78,7 @@ def test_nothing_is_left_to_do(tisfm_run, frames, place, monkeypatch):
     run = command(*CHUNKS[:4], "--scale", "0", "20", "2.5", "--ply")
     assert tisfm_run(*run, "--resume")[0] == 0  # there is nothing to go on with
     before = contents(place / "out")
-    monkeypatch.setattr(reconstruct_runs.tisfm, "reconstruct", None)
+    monkeypatch.setattr(runs, "reconstruct", None)
     code, _, err = tisfm_run(*run, "--resume")
     assert (code, err) == (0, "out is complete: nothing is left to do. Results in out.\n")
     assert contents(place / "out") == before
@@ -185,7 +185,7 @@ def test_an_interrupted_command_goes_on_with_resume(
 ):
     arguments = command(*CHUNKS, "--workers", "2")
     with monkeypatch.context() as patch:
-        patch.setattr(pool, "_processes", lambda workers: InterruptedAtTheThird())
+        patch.setattr(pool, "_local_executor", lambda workers: InterruptedAtTheThird())
         assert tisfm_run(*arguments)[0] == 130
     assert Path("out/.tisfm-chunks/000.json").exists()
     assert not Path("out/reconstruction.json").exists()

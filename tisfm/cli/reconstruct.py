@@ -17,10 +17,9 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
-from tisfm.cli.console import notes_as_lines, tell
+from tisfm.cli.console import notes_as_lines, tell, tell_device
 from tisfm.cli.options import CameraOptions, FrameOptions
 from tisfm.cli.progress import MUCH, STAGES, StageTimes, TimeEstimate, progress_bar
-from tisfm.cli.reconstruct_runs import ChunksRun, ReconstructRun, WholeRun
 from tisfm.cli.report import report_reconstruction
 from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
@@ -30,6 +29,7 @@ from tisfm.formats import atomic_write
 from tisfm.formats.csv_table import csv_table
 from tisfm.fusion.mesh import check_scikit_image
 from tisfm.machine.text import as_size
+from tisfm.reconstruction.chunks.runs import ChunksRun, ReconstructRun, WholeRun
 from tisfm.reconstruction.chunks.spans import CHUNK
 from tisfm.reconstruction.progress import DepthOf, Enough, Stage
 from tisfm.reconstruction.result.calibration import Calibrate
@@ -37,7 +37,7 @@ from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.report import check_report
 from tisfm.running.pairs import FrameSelection
 from tisfm.running.pool import check_workers
-from tisfm.runtime import Arch
+from tisfm.runtime import Arch, SoftwareVulkanWarning
 from tisfm.settings import Preset, Settings
 from tisfm.sources import Source
 from tisfm.sources.webcam import webcam_number
@@ -273,6 +273,7 @@ def reconstruct(
         tell("Ctrl-C ends the recording; a second one ends the command.")
     if not endless:
         _announce(source, output, frames, depth_of)
+    tell_device(arch)
     stages = StageTimes()
     estimates = {stage: TimeEstimate(f"frames, {text}") for stage, text in STAGES.items()}
     with (
@@ -280,7 +281,8 @@ def reconstruct(
         interrupted(endless) as is_interrupted,
         notes_as_lines(),
     ):
-        warnings.simplefilter("ignore", GuessedFocalWarning)  # a line says so at the end
+        warnings.simplefilter("ignore", GuessedFocalWarning)  # a line at the end tells it
+        warnings.simplefilter("ignore", SoftwareVulkanWarning)  # tell_device printed it
         task = bar.add_task("", total=None)
 
         def tell_progress(stage: Stage, done: int, total: int | None) -> None:

@@ -1,4 +1,4 @@
-"""How `tisfm reconstruct` makes its result: in this process, or in chunks by several."""
+"""Reconstructions that are resumed: whole in this process, or in chunks by several processes."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -6,12 +6,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol
 
-import tisfm
-from tisfm.cli.console import start_kernels, tell_device
+from tisfm import runtime
 from tisfm.errors import InputError
 from tisfm.folders.result_folder import locked_folder
 from tisfm.reconstruction.chunks.entry import ChunkedRun
 from tisfm.reconstruction.chunks.shared_camera import Finished
+from tisfm.reconstruction.entry import reconstruct
 from tisfm.reconstruction.progress import Progress
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.result.renewal import CHUNKS
@@ -31,30 +31,30 @@ from tisfm.threads import usable_cores
 
 
 class ReconstructRun(Protocol):
-    """Makes a result, once; knows whether it was made before."""
+    """A reconstruction that is computed once, and knows whether its folder is complete."""
 
     def is_done(self) -> bool:
-        """Return whether the folder holds the complete result; ValueError if that of another."""
+        """Return whether the folder is complete; InputError if it holds another reconstruction."""
 
     def result(self, *, resume: bool, progress: Progress) -> Reconstruction:
-        """Make the result."""
+        """Compute the result."""
 
     def finish(self) -> None:
-        """Say that all that was asked for is there."""
+        """Record that the folder is complete."""
 
 
 class WholeRun:
-    """A reconstruction at once, in this process.
+    """A reconstruction of the whole sequence in this process.
 
     Parameters
     ----------
     source : Source
     folder : Path
     options : mapping
-        Of `tisfm.reconstruct`, those that say which frames are taken apart.
+        Arguments of `tisfm.reconstruct`, without those in `frames`.
     frames : FrameSelection
     others : mapping
-        What else is asked for, as JSON has it.
+        Further options of the command, as JSON has them.
     arch, threads
         As for `tisfm.runtime.start`.
     """
@@ -73,11 +73,11 @@ class WholeRun:
         self._source, self._folder = source, folder
         self._options, self._frames = options, frames
         self._arch, self._threads = arch, threads
-        self._asked: Request | None = None
+        self._request: Request | None = None
         if not (isinstance(source, str) and webcam_number(source) is not None):
-            self._asked = self._asked_for(others)
+            self._request = self._request_of(others)
 
-    def _asked_for(self, others: Mapping[str, Any]) -> Request:
+    def _request_of(self, others: Mapping[str, Any]) -> Request:
         plain = {k: self._options[k] for k in ("calibrate", "depth_of")}
         sizes = self._options["object_sizes"] or {}
         cut = {k: v for k, v in asdict(self._frames).items() if k not in ("start", "stop", "step")}
@@ -95,20 +95,20 @@ class WholeRun:
         )  # fmt: skip
 
     def is_done(self) -> bool:
-        """Return whether the folder holds the complete result; ValueError if that of another."""
-        if self._asked is None:
+        """Return whether the folder is complete; InputError if it holds another reconstruction."""
+        if self._request is None:
             raise InputError(
                 f"resume is given, but {self._source} shows other frames now: leave it out"
             )
         chunks = read_request(self._folder / CHUNKS)
         if chunks is not None:
-            refuse_differing(self._folder, chunks["asked"], self._asked)
-        return is_done(self._folder, self._asked)
+            refuse_differing(self._folder, chunks["asked"], self._request)
+        return is_done(self._folder, self._request)
 
     def result(self, *, resume: bool, progress: Progress) -> Reconstruction:
-        """Make the result, from the beginning."""
-        start_kernels(self._arch, threads=self._threads)
-        return tisfm.reconstruct(
+        """Compute the result from the beginning."""
+        runtime.start(self._arch, threads=self._threads)
+        return reconstruct(
             self._source,
             folder=self._folder,
             progress=progress,
@@ -117,10 +117,10 @@ class WholeRun:
         )
 
     def finish(self) -> None:
-        """Say that all that was asked for is there."""
-        if self._asked is not None:
+        """Record that the folder is complete."""
+        if self._request is not None:
             with locked_folder(self._folder):
-                write_request(self._folder, self._asked)
+                write_request(self._folder, self._request)
 
 
 class ChunksRun:
@@ -131,11 +131,11 @@ class ChunksRun:
     source, folder, options, frames, others, arch, threads
         As for `WholeRun`.
     chunk : int
-        Frames of a chunk, at most.
+        Most frames of a chunk.
     workers : int
-        Processes at a time.
+        Number of processes.
     cluster : str or None
-        Address of a Dask cluster, whose processes are taken instead.
+        The address of a scheduler of Dask, whose workers compute instead.
     """
 
     def __init__(
@@ -165,36 +165,34 @@ class ChunksRun:
             threads=threads,
             others=others,
         )
-        self._workers, self._cluster, self._arch = workers, cluster, arch
+        self._workers, self._cluster = workers, cluster
 
     def is_done(self) -> bool:
-        """Return whether the folder holds the complete result; ValueError if that of another."""
+        """Return whether the folder is complete; InputError if it holds another reconstruction."""
         return self._run.is_done()
 
     def result(self, *, resume: bool, progress: Progress) -> Reconstruction:
-        """Make the chunks that are not there, and of all the whole."""
-        tell_device(self._arch)
-        with _finished(self._workers, self._cluster) as finished:
-            return self._run.result(finished, resume=resume, progress=progress)
+        """Compute the chunks that are missing, and join all chunks."""
+        with _map_of(self._workers, self._cluster) as map_unordered:
+            return self._run.result(map_unordered, resume=resume, progress=progress)
 
     def finish(self) -> None:
-        """Say that all that was asked for is there; chunks are removed."""
+        """Record that the folder is complete, and remove the chunks."""
         self._run.finish()
 
 
 @contextmanager
-def _finished(workers: int, cluster: str | None) -> Iterator[Finished]:
+def _map_of(workers: int, cluster: str | None) -> Iterator[Finished]:
+    """Give the function that calls another one with every item, here or in other processes."""
     if workers == 1 and cluster is None:
-        yield _one_after_the_other
+        yield _map_here
         return
     from tisfm.running.pool import open_pool
 
-    with open_pool(workers=workers, cluster=cluster) as executor:
-        yield executor.map_unordered
+    with open_pool(workers=workers, cluster=cluster) as pool:
+        yield pool.map_unordered
 
 
-def _one_after_the_other(
-    function: Callable[[Any], Any], items: Sequence[Any]
-) -> Iterator[tuple[int, Any]]:
+def _map_here(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
     for number, item in enumerate(items):
         yield number, function(item)
