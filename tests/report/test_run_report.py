@@ -30,7 +30,7 @@ def test_a_run_has_a_report(tisfm_run, frames, place):  # noqa: F811
     assert code == 0 and out == ""
     assert err.splitlines()[-1] == f"Open {os.path.join('out', REPORT)} in a browser."
     page = read(place / "out")
-    for words in ("3 of 3", "40 × 24 px", "fast", "but for 1, which stand first", "smoothness 55",
+    for words in ("3 of 3", "40 × 24 px", "fast", "except for 1, listed first", "smoothness 55",
                   "f0", "f1", "f2"):  # fmt: skip
         assert words in page.text, words
     assert len(page.all("div", _class="slide")) == 3
