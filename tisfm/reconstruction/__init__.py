@@ -1,6 +1,6 @@
-"""Whole sequences: one camera path, and depth of every frame in one scale.
+"""Whole sequences: one camera path, and the depth of every frame in the scale of the path.
 
-Here: tracks along the image motion, the path that they and matched points show, depth of
-keyframes and of the frames between them, and the folder that a result lies in.
-May import: all of `tisfm` but `tisfm.cli` and `tisfm.evaluation`.
+Contents: tracks along the image motion, the camera path from tracks and matched points, depth of
+keyframes and of the frames between them, and the folder of a result.
+May import: all of `tisfm` except `tisfm.cli` and `tisfm.evaluation`.
 """

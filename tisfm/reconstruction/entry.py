@@ -1,4 +1,4 @@
-"""`tisfm.reconstruct`: what it takes, checked, before anything heavy is imported."""
+"""`tisfm.reconstruct`: checks its arguments before it imports slow modules."""
 
 import os
 import shutil
@@ -52,9 +52,9 @@ def reconstruct(
     folder: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Reconstruct a sequence: one path of the camera, and the depth of every frame in its scale.
+    """Reconstruct a sequence: the camera path, and the depth of every frame in its scale.
 
-    Frames have to come in order, as those of a video do.
+    Frames have to be in the order in which they were taken.
 
     Parameters
     ----------
@@ -62,66 +62,66 @@ def reconstruct(
         A video, a folder of images, a glob pattern, a list of image files, or any iterable of
         (H, W) or (H, W, 3) frames; or ``"webcam"``, ``"webcam:1"``, … for a camera, with `stop`.
     camera : Camera or path, optional
-        Of the frames as they come, or its file, as ``camera.json`` in the folder of another
-        reconstruction, which may be of larger or smaller frames: what it says of the focal length
-        is kept then, as `Reconstruction.calibration`. Distortion is removed, and what the rows of a
-        rolling shutter move, which are read one after the other: the result belongs to frames as
-        their middle rows saw them. If its readout is None, it is found, and taken for 0 if the
-        motion does not show it. Where poses are given, a readout is undone that the camera states;
-        they are those of middle rows.
+        The camera of the source's frames, or its file, such as ``camera.json`` in the folder of
+        another reconstruction. The frames of that reconstruction may be larger or smaller; its
+        statement on the focal length becomes `Reconstruction.calibration`. The distortion of the
+        lens and the effect of a rolling shutter are removed: the result belongs to frames as their
+        middle rows saw them. If the readout is None, it is estimated; it is 0 if the motion does
+        not show it. If poses are given, they are the poses of middle rows, and only a readout that
+        the camera states is corrected.
     calibrate : {"nothing", "focal", "radial"}, optional
-        What of the camera is found from the frames: by default nothing, if a camera is given; or
-        else the focal length, with the principal point in the centre. ``"radial"`` finds one
-        coefficient of the lens as well, k1, and removes its distortion. With a camera and
-        ``"focal"`` or ``"radial"``, its focal length is a guess, and distortion that it has moves
-        pixels as it does with that guess. `Reconstruction.calibration` says how far to trust what
-        is found. Where poses are given, and no camera, the focal length is guessed from the first
-        image file or the size of the frames.
+        The part of the camera that is estimated from the frames. The default is ``"nothing"`` if a
+        camera is given, else ``"focal"``: the focal length, with the principal point in the centre.
+        ``"radial"`` also finds one coefficient of the lens, k1, and removes its distortion. If a
+        camera is given with ``"focal"`` or ``"radial"``, its focal length is a guess; its
+        distortion moves pixels as far as with that guess. `Reconstruction.calibration` tells how
+        reliable the estimate is. If poses are given without a camera, the focal length is guessed
+        from the first image file or the size of the frames.
     settings : Settings, optional
-        By default the preset ``"balanced"`` with ``motion="camera"``: what moves on its own takes
-        part in nothing, as far as it does not fit the rest. With ``motion="objects"`` it is found
-        first, labelled in every frame, and left out of path and depth; each thing gets a path and
-        a depth of its own, as far as its motion shows them. A readout is undone then
-        if the camera states it, but not found. ``motion="field"``, the default of `Settings`, is
-        possible for pairs only: ``"camera"`` replaces it, also in `Reconstruction.settings`.
+        By default the preset ``"balanced"`` with ``motion="camera"``: moving objects are outliers,
+        and ignored where their motion does not fit the static scene. With ``motion="objects"``,
+        moving objects are found first, labelled in every frame, and left out of the camera path and
+        the depth. Each object gets a path and a depth of its own, as far as its motion shows them.
+        In this mode a readout is corrected if the camera states it, but not estimated.
+        ``motion="field"``, the default of `Settings`, is possible for pairs only: ``"camera"``
+        replaces it, also in `Reconstruction.settings`.
     poses : (N, 4, 4) array_like or Trajectory, optional
-        Known poses, camera to world, of the frames that are taken; NaN for one without. Depth
-        alone is found then, in their unit. Where a trajectory and all frames have times, each frame
-        gets the pose nearest in time, within half the time from a frame to the next.
+        Known poses, camera to world, of the selected frames; NaN for a frame without a pose. Only
+        depth is found then, in the unit of the poses. If a trajectory and all frames have times,
+        each frame gets the pose nearest in time, at most half a frame interval away.
     mask : optional
-        Pixels that count, as for `tisfm.sources.FrameSource`: black, zero or False are ignored.
-        With ``motion="objects"``, masks of every frame that hold the numbers of several things are
-        `labels` instead: pictures with a palette of colours, or arrays of integers in which there
-        are several numbers from 1 to 254.
+        Pixels that are used, as for `tisfm.sources.FrameSource`: black, zero or False pixels are
+        ignored. With ``motion="objects"``, masks that hold the numbers of several objects count as
+        `labels`: pictures with a palette of colours, or arrays of integers with several numbers
+        from 1 to 254.
     labels : optional
-        With ``motion="objects"``, what moves on its own, if that is known: 0 is at rest, 1 to 254
-        is the thing with this id, and 255 is ignored. Nothing is searched for then. A folder or
-        pattern of pictures, whose values or indices of a palette count, which belong to the frames
-        that they are called like, or else to all in order; the folder of a reconstruction; an
-        (N, H, W) array of integers; a list with None for frames without; or a mapping from numbers
-        or names of frames of the source, as ``{0: labels}``. They have the size of frames before
-        these are cropped and shrunk, or after. To frames without labels, those of the nearest frame
-        that has some are carried along the image motion.
+        With ``motion="objects"``, known moving objects: 0 is static, 1 to 254 is the id of an
+        object, and 255 is ignored. Moving objects are not searched for then. One of: a folder or
+        pattern of pictures, with labels as values or palette indices, which belong to frames by
+        their names, or else in order; the folder of a reconstruction; an (N, H, W) array of
+        integers; a list with None for frames without labels; or a mapping from numbers or names of
+        frames of the source, such as ``{0: labels}``. Labels have the size of the frames before or
+        after crop and reduction. A frame without labels gets the labels of the nearest labelled
+        frame, carried along the image motion.
     object_sizes : mapping of int to float, optional
-        With ``motion="objects"``, how long things are, by their ids: the longest side of the
-        smallest box around each, in the unit of the poses. It sets the scale of their path and
-        depth, and `MovingObject.scale_from` is ``"size"``. Where poses are given, that is their
-        unit; or else one in which the median depth of the first keyframe is 1.
+        With ``motion="objects"``, the lengths of objects, by their ids: the longest side of the
+        smallest box around each, in the unit of the poses. A length sets the scale of the path and
+        the depth of the object, and `MovingObject.scale_from` is ``"size"``. Without given poses,
+        the unit is the median depth of the first keyframe.
     depth_of : {"all", "keyframes", "none"}
-        The frames that depth is found of: every frame; keyframes alone, which takes less time and
-        room; or none, for the path alone, whose unit is then the median depth of tracks in the
-        first frame of a piece.
+        The frames whose depth is found: every frame; only keyframes, which takes less time and disk
+        space; or none. With none, only the path is found, and its unit is the median depth of
+        tracks in the first frame of a piece.
     step, start, stop, size, crop
-        Which frames are taken and what part of them, as for `tisfm.interpret_sequence`.
+        The selected frames and the used part of each, as for `tisfm.interpret_sequence`.
     bad_frames : {"raise", "skip"}
-        What becomes of frames that are damaged: an error, or they are left out, and
-        `Reconstruction.skipped` says which.
+        Damaged frames raise an error, or are left out and listed in `Reconstruction.skipped`.
     folder : path, optional
-        Where the result is to lie; by default in a temporary folder, which is deleted with the
-        result: `Reconstruction.save` keeps it.
+        Folder for the result; by default a temporary folder, which is deleted with the result.
+        `Reconstruction.save` keeps the result.
     progress : callable, optional
         Called as ``progress(stage, done, total)`` with the stage ``"reading"``, ``"path"`` or
-        ``"depth"``, and frames; the total is None where it is not known.
+        ``"depth"``, and numbers of frames; the total is None if it is not known.
 
     Returns
     -------
@@ -138,10 +138,11 @@ def reconstruct(
     ------
     FileNotFoundError, FileExistsError, OSError, TypeError, ValueError
         If the source does not exist, has fewer than two frames, or a frame cannot be read; if a
-        file is no camera, or one of frames of another shape; if poses are not (N, 4, 4), rigid, and
-        as many as frames, or none is near to a frame in time; if labels or sizes are given without
-        ``motion="objects"``; if labels are not numbers from 0 to 255 of the size of the frames, or
-        masks may be labels or not; if sizes are not positive, or of what does not move.
+        camera file is invalid, or belongs to frames of another shape; if poses are not rigid,
+        (N, 4, 4), and as many as frames, or no pose is near a frame in time; if labels or sizes are
+        given without ``motion="objects"``; if labels are not numbers from 0 to 255 or have another
+        size than the frames, or masks may be labels or not; if a size is not positive, or no moving
+        object has its id.
 
     Examples
     --------
@@ -156,7 +157,7 @@ def reconstruct(
     ((7, 4, 4), (180, 240))
     >>> result.save("room")
 
-    The path is that of the film, but for its unit:
+    The path equals the path of the film, except for the unit:
 
     >>> from tisfm.metrics import absolute_errors
     >>> absolute_errors(result.poses, film.poses).similarity < 0.05  # m, of 0.78
@@ -220,7 +221,7 @@ def reconstruct(
 
     try:
         with renewed_folder(folder) as path:
-            path = path.absolute()  # or depth would be lost with another working folder
+            path = path.absolute()  # so that depth is found after a change of the working folder
             try:
                 job = Job(
                     source=frames,
@@ -240,13 +241,13 @@ def reconstruct(
                 shutil.rmtree(path / CACHE, ignore_errors=True)
     except BaseException:
         if temporary is not None:
-            temporary.remove()  # what was raised may be kept for long, and this with it
+            temporary.remove()  # now: an error that is kept would keep the folder
         raise
     return result if temporary is None else replace(result, _temporary=temporary)
 
 
 def refuse_inside(files: Iterable[Path], folder: Path) -> None:
-    """Refuse a folder that holds what is to be read: what lies there may be replaced."""
+    """Refuse an output folder that holds an input file: the file might be overwritten."""
     place = folder.resolve()
     for file in files:
         if place in file.resolve().parents:
@@ -256,7 +257,7 @@ def refuse_inside(files: Iterable[Path], folder: Path) -> None:
 def _mask_and_labels(
     mask: Mask | None, labels: LabelSource | None, settings: Settings
 ) -> tuple[Mask | None, LabelSource | None]:
-    """Return what counts, and which things there are, where they are given as either."""
+    """Return the mask and the labels; a mask that holds labels of objects becomes the labels."""
     if settings.motion != "objects":
         if labels is not None:
             raise InputError(
@@ -280,7 +281,7 @@ def _mask_and_labels(
 def checked_camera(
     camera: Camera | str | os.PathLike[str] | None,
 ) -> tuple[Camera | Path | None, Camera | None]:
-    """Return a camera or the path of its file, and the camera in either."""
+    """Return the camera or the path of its file, and the camera itself."""
     if isinstance(camera, (str, os.PathLike)):
         return Path(camera), read_camera(camera)
     checked = None if camera is None else check_camera(camera)
@@ -288,7 +289,7 @@ def checked_camera(
 
 
 def checked_calibrate(calibrate: Calibrate | None, *, is_known: bool) -> Calibrate:
-    """Return what is found from the frames: by default the focal length, unless it is known."""
+    """Return the part of the camera to estimate: by default the focal length if it is unknown."""
     if calibrate is None:
         return "nothing" if is_known else "focal"
     if calibrate not in get_args(Calibrate):
@@ -299,7 +300,7 @@ def checked_calibrate(calibrate: Calibrate | None, *, is_known: bool) -> Calibra
 def checked_settings(
     settings: Settings | None, motions: Collection[str] = ("camera", "objects")
 ) -> Settings:
-    """Return settings for sequences; by default the preset balanced.
+    """Return settings for sequences; by default the preset ``"balanced"``.
 
     ``motion="field"`` is possible for pairs only: ``"camera"`` replaces it.
     """
@@ -319,7 +320,7 @@ def checked_settings(
 
 
 def checked_poses(poses: npt.ArrayLike | Trajectory) -> Trajectory:
-    """Return poses that are given, each rigid or NaN."""
+    """Return given poses, each rigid or NaN."""
     if isinstance(poses, Trajectory):
         return poses
     refuse_masked(poses, "poses")

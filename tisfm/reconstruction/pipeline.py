@@ -1,8 +1,8 @@
 """The pipeline of a whole sequence: read → track → solve → depth → write.
 
-Each stage is a function that takes the frozen values of the stages before it and returns its own:
+Each stage is a function that takes the frozen results of earlier stages and returns its own result:
 `read_frames` (which tracks each frame while the next one is read), `solve_path`, `find_depth` and
-`write_result`. What is too large for memory lies in the folder: prepared frames and depth.
+`write_result`. Prepared frames and depth are too large for memory: they lie in the folder.
 """
 
 import warnings
@@ -56,20 +56,20 @@ def _no_progress(stage: str, done: int, total: int | None) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """A sequence to reconstruct, and how.
+    """A sequence to reconstruct, with the checked arguments of `tisfm.reconstruct`.
 
     Attributes
     ----------
     source : FrameSource
     camera : Camera, Path or None
-        Of the frames of the source, or its file; None for a guess.
+        Camera of the frames of the source, or its file; None for a guess.
     calibrate : {"nothing", "focal", "radial"}
         The part of the camera that is found from the frames.
     settings : Settings
     poses : Trajectory or None
         Given poses.
     folder : Path
-        Prepared for writing.
+        Folder of the result, ready to be written to.
     progress : callable
         As for `tisfm.reconstruct`.
     depth_of : {"all", "keyframes", "none"}
@@ -77,7 +77,7 @@ class Job:
     object_sizes : mapping of int to float
         Known lengths of moving objects, by their ids.
     labels_stay : bool
-        Whether given labels are of frames without distortion and readout already.
+        Whether given labels already belong to frames without distortion and readout effect.
     """
 
     source: FrameSource
@@ -99,20 +99,20 @@ class Job:
 
 @dataclass(frozen=True, kw_only=True)
 class ReadFrames:
-    """The frames of a sequence once they are read.
+    """The frames of a sequence after the reading stage.
 
     Attributes
     ----------
     names : tuple of str
     times : tuple of float or None
-        When frames were taken, s.
+        Times of the frames, s.
     instants : (N,) array
-        The same, in intervals between frames of the source.
+        Times of the frames, in intervals between frames of the source.
     camera : SourceCamera
     frames : PreparedFrames
-        The later stages correct them for a lens and a shutter that are found, and label them.
+        Later stages correct them for the estimated lens and readout, and label them.
     tracks : SequenceTracks or None
-        None with moving objects: there, static points are tracked once labels are known.
+        None with moving objects: then static points are tracked later, with known labels.
     labels : SequenceLabels or None
         The search for moving objects; None if there are none, or labels are given.
     labelled : tuple of int
@@ -133,7 +133,7 @@ class ReadFrames:
 
 @dataclass(frozen=True, kw_only=True)
 class SolvedPath:
-    """The camera path, and the camera of full frames that was found with it."""
+    """The camera path, and the camera of full frames that was estimated with it."""
 
     path: CameraPath
     camera: Camera
@@ -141,7 +141,7 @@ class SolvedPath:
 
 @dataclass(frozen=True, kw_only=True)
 class FoundDepth:
-    """Poses in the unit of depth, once depth is written.
+    """Poses in the unit of depth, after depth was written.
 
     Attributes
     ----------
@@ -229,7 +229,7 @@ def read_frames(job: Job) -> ReadFrames:
 
 
 def solve_path(job: Job, read: ReadFrames) -> SolvedPath:
-    """Find the camera path, or take the given one; frames are corrected for what it shows.
+    """Find or take the camera path; correct frames for the estimated lens and readout.
 
     With moving objects, every frame is labelled as well.
     """
@@ -295,7 +295,7 @@ def find_depth(job: Job, read: ReadFrames, path: CameraPath) -> FoundDepth:
 def write_result(
     job: Job, read: ReadFrames, solved: SolvedPath, calibration: Calibration, depth: FoundDepth
 ) -> Reconstruction:
-    """Write the camera, moving objects with their depth, and the record, which is the last."""
+    """Write the camera, moving objects with their depth, and at last the record."""
     about = as_json(calibration)
     del about["shape"]  # the file has width and height
     write_camera(job.folder / CAMERA, solved.camera, read.camera.shape, about=about)
@@ -339,7 +339,7 @@ def _tracker(job: Job, camera: Camera, calibrate: Calibrate) -> SequenceTracker:
 
 
 def _path(job: Job, read: ReadFrames, tracks: SequenceTracks, calibrate: Calibrate) -> CameraPath:
-    """Return the path of tracks, found or given."""
+    """Return the path that tracks show, or the given path with points of tracks."""
     camera = read.frames.camera
     if job.poses is not None:
         return given_path(tracks, job.poses, camera, read.times, read.instants)
@@ -387,7 +387,7 @@ def _calibration(job: Job, read: ReadFrames, solved: SolvedPath) -> Calibration:
 def _adjust_poses(
     job: Job, frames: PreparedFrames, piece: Piece, seen: Sequence[Observations]
 ) -> Piece:
-    """Return a piece with poses adjusted to the images, if the settings are accurate."""
+    """Return a piece; its poses are adjusted to the images if the settings ask for accuracy."""
     from tisfm.reconstruction.depth.pose_adjustment import adjust_poses
     from tisfm.reconstruction.depth.segment_depth import PieceDepths, depth_effort
 
@@ -431,7 +431,7 @@ def _piece_depth(
 
 
 def median_track_depth(piece: Piece, seen: Sequence[Observations]) -> float:
-    """Return the median depth of tracks in the first frame of a piece that shows any; 1 if none."""
+    """Return the median depth of tracks in the first frame with tracks of a piece; 1 if none."""
     for frame, pose in piece.poses.items():
         _, depths = track_depths(seen[frame], piece.points, pose)
         if len(depths):
@@ -440,13 +440,13 @@ def median_track_depth(piece: Piece, seen: Sequence[Observations]) -> float:
 
 
 def add_piece_note(status: Status) -> Status:
-    """Return the status of a frame that begins another piece than the first."""
+    """Return the status of the first frame of a later piece, with a note on the new piece."""
     message = f"{status.message}; {NEW_PIECE}" if status.message else NEW_PIECE
     return Status(str(status), message)
 
 
 def remove_piece_note(status: Status) -> Status:
-    """Return what the status of a frame was before `add_piece_note` said that a piece begins."""
+    """Return a status without the note of `add_piece_note`."""
     return Status(str(status), status.message.removesuffix(NEW_PIECE).removesuffix("; "))
 
 
@@ -458,7 +458,7 @@ def _count(source: FrameSource) -> int | None:
 
 
 def _distinct(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the names, numbered if two are alike."""
+    """Return the names, with a number before each if two names are equal."""
     listed = list(names)
     if len(set(listed)) == len(listed):
         return tuple(listed)

@@ -1,14 +1,14 @@
-"""How far a reconstruction is, and is to go."""
+"""Reports of the progress of a reconstruction."""
 
 from collections.abc import Callable
 from typing import Literal
 
 Stage = Literal["reading", "path", "depth"]
 DepthOf = Literal["all", "keyframes", "none"]
-"""The frames that depth is found of."""
+"""The frames whose depth is found."""
 Progress = Callable[[Stage, int, int | None], None]
-"""Called with the stage, the frames that are done, and how many there are, None if not known."""
+"""Called with the stage, the number of finished frames, and the number of all frames, or None."""
 
 
 class Enough(Exception):  # noqa: N818  (it is no error)
-    """Raised by what is told of the progress, while frames are read: no more are wanted."""
+    """Raised by a progress callback while frames are read: reading ends with this frame."""

@@ -1,8 +1,8 @@
 """Estimate of the readout time of a rolling shutter, from tracks and matches of views.
 
 Poses of views, points, the readout and the focal length are adjusted together. Where the camera's
-motion changes, poses cannot explain the effect of a readout. Where it is even, poses and the focal
-length may explain the same effect, and the deviation of the readout is large.
+motion changes, poses cannot explain the effect of a readout. Where the motion is uniform, poses and
+the focal length may explain the same effect, and the deviation of the readout is large.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,13 +18,13 @@ from tisfm.shutter import transported
 
 # Values without a stated source were set by hand.
 
-# Views that show a point.
+# The smallest number of views that show a point.
 MIN_VIEWS = 3
-# Consecutive views that are used: those in which the camera rotates most.
+# The largest number of views in use: consecutive ones, in which the camera rotates most.
 MAX_VIEWS = 60
-# Observations of points that most views show.
+# Observations in use: points that most views show are taken first, until this number.
 MAX_OBSERVATIONS = 8000
-# px: residuals beyond this have a decreasing weight; the first value is for the first steps.
+# px: larger residuals have a decreasing weight; the first value is for the first steps.
 OUTLIER_PIXELS = (3.0, 1.0)
 # Gauss–Newton steps with each of these values.
 STEPS_PER_SCALE = 4
@@ -33,10 +33,10 @@ DAMPING = 1e-4
 # Damping of the system that gives the standard deviation, as a share of the diagonal. A larger one
 # would act as a prior, and hide that the focal length or poses explain the same effect.
 MIN_DAMPING = 1e-10
-# Depth, in the usual depth: nearer points are not visible.
+# Depth, in the unit of the poses: nearer points are not visible.
 MIN_DEPTH = 1e-6
-# Standard deviation, as a multiple of that of independent residuals: the errors of films with a
-# global shutter are this much larger.
+# The standard deviation is this multiple of its value for independent residuals: errors of films
+# with a global shutter are this much larger.
 DEPENDENCE = 5.5
 # px: observations with a larger residual are ignored.
 MAX_RESIDUAL = 100.0
@@ -52,7 +52,7 @@ class ReadoutEstimate:
 
 @dataclass(frozen=True, kw_only=True)
 class _Seen:
-    """Observations: numbers of the view and of the point, (N,), and the position, (N, 2) px."""
+    """Observations: numbers of the view and of the point, (N,), and positions, (N, 2) px."""
 
     view: np.ndarray
     point: np.ndarray
@@ -79,24 +79,24 @@ def estimate_readout(
     Parameters
     ----------
     views : sequence of View
-        As they are in the frames.
+        Views with points as the frames show them, not corrected for the readout.
     matches : mapping of (int, int) to (N, 2) int array
-        For pairs of indices of views: indices of their detected points that are the same.
+        For pairs of indices of views: indices of their detected points that match.
     poses : mapping of int to (4, 4) array
-        Camera to world, by frame, as they are known so far.
+        Current poses, camera to world, by frame.
     rates : mapping of int to (6,) array
-        By frame, as `tisfm.shutter.rates_of` returns them.
+        Motion per interval, by frame, as `tisfm.shutter.rates_of` returns it.
     camera : Camera
         A pinhole.
     shape : (int, int)
         Height and width of the frames, px.
     begun : float
-        The readout to begin with.
+        Readout that the estimation starts from.
 
     Returns
     -------
     ReadoutEstimate or None
-        None where views have too little in common.
+        None if views share too few points.
     """
     numbers = [k for k, view in enumerate(views) if view.frame in rates]
     if len(numbers) < MIN_VIEWS:
@@ -135,7 +135,7 @@ def _turning(
 def _seen_by(
     views: Sequence[View], matches: Mapping[tuple[int, int], np.ndarray], numbers: Sequence[int]
 ) -> _Seen:
-    """Return the observations of tracks and matched points that enough views see."""
+    """Return the observations of the tracks and matched points that most views see."""
     order = {number: k for k, number in enumerate(numbers)}
     begins = np.cumsum([0, *(len(views[number].detected) for number in numbers)])
     pairs = [
@@ -157,7 +157,7 @@ def _seen_by(
     if not len(view):
         return _Seen(view=view, point=point, place=place)
     whole = _Seen(view=view, point=np.unique(point, return_inverse=True)[1], place=place)
-    # What a view shows twice is no point.
+    # A point that one view shows twice is a wrong match.
     twice = np.unique(whole.point * len(numbers) + whole.view, return_counts=True)
     wrong = np.unique(twice[0][twice[1] > 1] // len(numbers))
     often = np.bincount(whole.point)
@@ -168,7 +168,7 @@ def _seen_by(
 
 
 class _Problem:
-    """Adjustment of poses, points, readout time and focal length.
+    """Joint adjustment of poses, points, readout time and focal length.
 
     Parameters
     ----------
@@ -213,9 +213,9 @@ class _Problem:
         return self._solved(*self._linearised(outlying), MIN_DAMPING)[2]
 
     def _linearised(self, outlying: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the derivatives by poses, by points, and by readout and log focal; and residuals.
+        """Return weighted derivatives by poses, points, and readout and log focal; and residuals.
 
-        All are weighted.
+        The residuals are weighted too.
         """
         view = self._seen.view
         local = self._in_views()
@@ -247,9 +247,10 @@ class _Problem:
         off: np.ndarray,
         damping: float,
     ) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return the step of poses, readout and log focal, the step of points, and a deviation.
+        """Return the step of poses, readout and log focal, the step of points, and the deviation.
 
-        The deviation is that of the readout. Points are eliminated (Schur complement).
+        The deviation is the standard deviation of the readout. Points are eliminated (Schur
+        complement).
         """
         view, point = self._seen.view, self._seen.point
         views, points = len(self._turns), len(self._points)
@@ -282,11 +283,11 @@ class _Problem:
         return step, moves, float(deviation)
 
     def _gauge(self, diagonal: np.ndarray) -> np.ndarray:
-        """Return the gauge term, which fixes the first view and the distance of the farthest one.
+        """Return the gauge term, which fixes the first view and its distance to the farthest view.
 
         A common motion, rotation and scaling of poses and points does not change the images. The
-        rates keep their unit: without this term, any readout time would fit a camera that does not
-        rotate.
+        rates have a fixed unit: without this term, any readout time would fit a camera that does
+        not rotate.
         """
         held = np.zeros((7, len(diagonal)))
         held[np.arange(6), np.arange(6)] = np.sqrt(diagonal[:6].max())
@@ -313,10 +314,10 @@ class _Problem:
         return np.asarray(np.einsum("nij,nj->ni", self._turns[view], world) + self._shifts[view])
 
     def _nearest_to_rays(self) -> np.ndarray:
-        """Return the points that are nearest to all rays that see them, (P, 3)."""
+        """Return the points nearest to the rays of their observations, (P, 3)."""
         view, point = self._seen.view, self._seen.point
         local = np.column_stack([self._places / self._focal, np.ones(len(view))])
-        if self.readout:  # as the middle row would have it, but for the way of the camera
+        if self.readout:  # rays of the middle row, without the camera's translation
             spin = self._rates[view, 3:] * (-self.readout * self._late)[:, None]
             local = local + np.cross(spin, local)
         ray = np.einsum("nji,nj->ni", self._turns[view], local)
@@ -328,7 +329,7 @@ class _Problem:
 
 
 def _blocks(values: np.ndarray, number: np.ndarray, count: int) -> sparse.csr_matrix:
-    """Return the (2 N, k·count) matrix of blocks, (N, 2, k), in the columns of their numbers."""
+    """Return the (2 N, k·count) sparse matrix of blocks, (N, 2, k), in columns of their numbers."""
     rows, _, wide = values.shape
     columns = (wide * number)[:, None, None] + np.broadcast_to(np.arange(wide), values.shape)
     begins = np.arange(0, 2 * rows * wide + 1, wide)

@@ -16,18 +16,18 @@ from tisfm.shutter import Rolling, rates_of
 
 # Values without a stated source were set by hand.
 
-# Standard deviations from 0: a readout time that is nearer to 0 is dropped.
+# Standard deviations: a readout time nearer to 0 is dropped.
 MIN_SIGNIFICANCE = 4.0
-# Intervals between frames: a frame is read before the next one begins.
+# Intervals between frames: the readout of a frame ends before the next frame begins.
 MAX_READOUT = 1.0
-# Rounds of path and readout time.
+# Largest number of rounds; each estimates the readout time, then the path.
 MAX_ROUNDS = 4
 # Intervals: with a smaller change, the rounds end.
 MIN_CHANGE = 0.02
-# Rounds of a path whose readout time is known.
+# Number of rounds if the readout time is known.
 KNOWN_ROUNDS = 2
-# A path that was found with too small a readout time hides a part of the rest: the share of each
-# change that is expected to come again, at most.
+# A path found with too small a readout time hides a part of the remaining readout, so the next
+# round finds a further change. Upper bound of the ratio of one change to the previous change.
 MAX_HIDDEN_SHARE = 0.6
 
 Resolve = Callable[[Sequence[View], Sequence[Observations], Sequence[Piece]], PathSolution]
@@ -48,13 +48,13 @@ def find_unrolled_path(
     Parameters
     ----------
     solution : PathSolution
-        Found for a global shutter.
+        The path that was found for a global shutter.
     resolve : callable
-        Returns the path of corrected views and tracks of a pinhole, starting from given pieces.
+        Returns the path for corrected views and tracks of a pinhole, starting from given pieces.
     matches : mapping of (int, int) to (N, 2) int array
-        For pairs of indices of views: indices of their detected points that are the same.
+        For pairs of indices of views: indices of their detected points that match.
     instants : (N,) array
-        When each frame was taken, in intervals between frames of the source.
+        Time of each frame, in intervals between frames of the source.
     readout : float or None
         The readout time, if it is known.
     shape : (int, int)
@@ -78,7 +78,7 @@ def find_unrolled_path(
             hidden = min(max(change / before, 0.0), MAX_HIDDEN_SHARE) if before else 0.0
             value, last = _taken(value + change / (1 - hidden)), value
             deviation = float(f"{estimate.deviation:.3g}")
-            if number and value == last:  # it is at its limit
+            if number and value == last:  # the value is at its limit
                 break
         unrolling = TrackUnroller(
             solution.seen, found.pieces, instants, value, deviation, camera, shape
@@ -96,7 +96,7 @@ def find_unrolled_path(
 def _is_seen(estimate: ReadoutEstimate) -> bool:
     """Return whether a readout time differs significantly from 0 and is possible for a camera.
 
-    With a large standard deviation no possible value would be significant: then it is False.
+    With a large standard deviation no possible value is significant: then the result is False.
     """
     least = MIN_SIGNIFICANCE * estimate.deviation
     return least < MAX_READOUT and least < abs(estimate.readout) < MAX_READOUT + least
@@ -117,7 +117,7 @@ def _estimate(
     *,
     begun: float,
 ) -> ReadoutEstimate | None:
-    """Return the readout time that is estimated from the largest piece."""
+    """Estimate the readout time from the largest piece."""
     if not solution.pieces:
         return None
     largest = max(solution.pieces, key=lambda piece: len(piece.views))

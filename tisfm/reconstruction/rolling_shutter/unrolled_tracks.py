@@ -14,21 +14,21 @@ from tisfm.reconstruction.tracks.triangulation import points_of_tracks
 from tisfm.reconstruction.tracks.views import View
 from tisfm.shutter import Rolling, at_middle, rates_of
 
-# Tracks around a detected point: their median depth is used for the point. Set by hand.
+# Number of tracks around a detected point: the point gets their median depth. Set by hand.
 DEPTH_NEIGHBOURS = 3
 
 
 class TrackUnroller:
-    """Corrects the points of frames for a readout time.
+    """Moves the points of frames to the positions that a global shutter would see.
 
     Parameters
     ----------
     seen : sequence of Observations, or mapping
         Tracks of every frame, as the camera sees them.
     pieces : sequence of Piece
-        A frame is in one of them at most.
+        Each frame is in at most one piece.
     instants : (N,) array, or mapping
-        When each frame was taken, in intervals.
+        Time of each frame, in intervals between frames of the source.
     readout, deviation : float
         As in `Rolling`.
     camera : Camera
@@ -70,7 +70,7 @@ class TrackUnroller:
         )
 
     def tracks(self, frame: int) -> Observations:
-        """Return the corrected tracks of a frame, without those that leave the frame."""
+        """Return the corrected tracks of a frame; tracks that leave the frame are dropped."""
         seen = self._seen[frame]
         if frame not in self._depths:
             return seen
@@ -112,7 +112,7 @@ class TrackUnroller:
 def _depths(
     seen: Observations, points: Mapping[int, np.ndarray], pose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the depth of every track of a frame, (N,), and whether it is known and positive."""
+    """Return the depth of each track of a frame, (N,), and whether it is known and positive."""
     known, world = points_of_tracks(seen, points)
     depth = np.zeros(len(seen.tracks))
     depth[known] = (world - pose[:3, 3]) @ pose[:3, 2]

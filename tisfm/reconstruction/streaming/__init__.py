@@ -1,4 +1,4 @@
-"""Sequences without end: frames are read, and given out with their pose and depth.
+"""Endless sequences: frames are read, and yielded with their pose and depth.
 
 May import: `camera`, `errors`, `focal_guess`, `runtime`, `settings`, `shutter`, `sources`,
 `status`, `trajectory`, `reconstruction`, `reconstruction.calibration`, `reconstruction.depth`,

@@ -1,4 +1,4 @@
-"""`tisfm.reconstruct_stream`: sequences without end, frame by frame."""
+"""`tisfm.reconstruct_stream`: endless sequences, frame by frame."""
 
 import os
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ from tisfm.sources.masks import Mask
 
 # Frames between reading and yielding a frame, by default. Set by hand.
 DEFAULT_DELAY = 60
-# Frames: the shortest delay that can be asked for. Set by hand.
+# Frames: the shortest possible delay. Set by hand.
 MIN_DELAY = 6
 
 
@@ -35,32 +35,32 @@ def reconstruct_stream(
     crop: tuple[int, int, int, int] | None = None,
     bad_frames: BadFrames = "raise",
 ) -> Iterator[StreamedFrame]:
-    """Reconstruct a sequence as it comes, which need not end.
+    """Reconstruct a sequence while it is read; it may be endless.
 
-    Frames are given out in order, each once; what was said of a frame stays. Memory and disk hold
-    the last frames only. The path is that of `tisfm.reconstruct` while it looks at the first
-    frames; later ones continue it in the same axes and scale. A place that is seen again much
-    later is not recognised: errors grow along the path.
+    Frames are yielded in order, each once, with final values. Memory and disk hold only the recent
+    frames. The path begins like the path of `tisfm.reconstruct` for the first frames; later frames
+    continue it in the same axes and scale. There are no loop closures for scenes that were seen
+    long ago: errors grow along the path.
 
     Parameters
     ----------
     source, camera, calibrate, settings, mask, step, start, stop, size, crop
-        As for `tisfm.reconstruct`, but for ``motion="objects"``; or ``"webcam"``, ``"webcam:1"``, …
-        for a camera, whose frames are dropped while others are worked on. An unknown focal length
-        and an unknown readout are found with the first path; if it does not show them, they are
-        the guess and 0. Later frames do not change them, since earlier results are final. The
-        readout is found after the focal length, and undone from the first frame on.
+        As for `tisfm.reconstruct`, without ``motion="objects"``. The source may be ``"webcam"``,
+        ``"webcam:1"``, … for a camera: its frames are dropped while others are processed. An
+        unknown focal length and an unknown readout are estimated with the first path; if that path
+        does not show them, the guess and 0 are used. Later frames do not change them, since earlier
+        results are final. The readout is estimated after the focal length, and corrected from the
+        first frame on.
     delay : int
-        A frame is given out before more than so many later frames are read, 6 at least. The more,
-        the better: a path needs views from places that are apart.
+        The largest number of later frames that are read before a frame is yielded, at least 6. A
+        longer delay gives better results: a path needs views from different camera positions.
     bad_frames : {"raise", "skip"}
-        What becomes of frames that are damaged: an error, or they are left out, with a warning
-        each.
+        Damaged frames raise an error, or are left out with a warning each.
 
     Returns
     -------
     iterator of StreamedFrame
-        Close it, or use it up, to delete its temporary folder.
+        Close it, or read it to its end, to delete its temporary folder.
 
     Warns
     -----
@@ -72,9 +72,9 @@ def reconstruct_stream(
     Raises
     ------
     FileNotFoundError, OSError, TypeError, ValueError
-        At once if the source does not exist, is known to have fewer than two frames, or if settings
-        ask for ``motion="objects"``; while iterating if it ends after one frame, or if a frame
-        cannot be read: after the frames before it.
+        At once if the source does not exist or is known to have fewer than two frames, or if the
+        settings have ``motion="objects"``. While iterating, after the earlier frames, if the source
+        ends after one frame or a frame cannot be read.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The camera path of an endless sequence: old poses are fixed, new poses continue them."""
+"""The camera path of an endless sequence: old poses are final, and new poses continue them."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -39,14 +39,14 @@ class SlidingSolution:
     Attributes
     ----------
     pieces : dict of int to Piece
-        By their numbers, which never change.
+        Pieces by their numbers, which never change.
     held : dict of int to (4, 4) float64
         Fixed poses, by frame.
     lost : dict of int to Status
-        Unsettled frames without a pose.
+        Frames without a pose, of those that are not final yet.
     rolling : Rolling or None
-        How frames that have not been settled moved while they were read, if rows are not read at
-        once: poses and points are those of middle rows then.
+        With a rolling shutter: the motion of frames that are not final yet while their rows were
+        read. Poses and points are those of middle rows then.
     """
 
     pieces: dict[int, Piece]
@@ -93,38 +93,41 @@ class RecentObservations(Sequence[Observations]):
 
 
 class SlidingPath:
-    """Finds the camera path of a sequence, frame by frame.
+    """Finds the camera path of an endless sequence, frame by frame.
 
-    Poses that have been settled stay. The path of later frames is grown from the last views whose
-    poses are settled, and so in their axes and of their scale.
+    Settled poses are final. The path of later frames starts from the last views with settled poses:
+    so it has the same axes and scale.
 
     Parameters
     ----------
     camera : Camera
-        A pinhole, of the frames.
+        Pinhole camera of the frames.
     focal_known : bool
-        Or its focal length is a guess: it is found with the first path, and stays.
+        Whether the focal length is known. Otherwise it is a guess: it is estimated with the first
+        path, and then fixed.
     readout : float or None
-        Of the shutter, as in `tisfm.Camera`; None if it is found with the first path, and stays.
+        Readout time, as in `tisfm.Camera`; None if it is estimated with the first path, and then
+        fixed.
     limit : float
-        Of the focal length: with a larger deviation, the guess stays.
+        Share of the focal length: if the standard deviation of the estimate is larger, the guess is
+        used.
     is_guess : bool
-        Whether the focal length is a guess though it is not to be found. Then a path does not begin
-        before a single plane.
+        Whether the focal length is a guess that is not estimated. Then a path does not begin where
+        all points lie in one plane.
 
     Attributes
     ----------
     camera : Camera
     focal : FocalEstimate or None
-        If it was to be found, and was.
+        The estimate, if the focal length was to be estimated and a path was found.
     readout : float or None
-        As it is known; 0 once the first path shows none.
+        The current value; 0 after a first path that does not show the readout.
     readout_deviation : float
-        Its standard deviation; 0 where it was given.
+        Standard deviation of the readout; 0 if the readout was given.
     seen : RecentObservations
-        Tracks in every frame, those of middle rows where a readout is undone.
+        Tracks in the recent frames, as a global shutter would see them.
     settled : int
-        Frames up to this one have their final poses, or none for ever; −1 before there are any.
+        The last frame with a final result, with or without a pose; −1 before the first.
     """
 
     def __init__(
@@ -142,7 +145,7 @@ class SlidingPath:
         self._focal_known, self._limit = focal_known, limit
         self._focal_stated = focal_known and not is_guess
         self.seen = RecentObservations()
-        self._read = RecentObservations()  # tracks as rows were read
+        self._read = RecentObservations()  # tracks not corrected for the readout
         self._unrolled: dict[int, View] = {}
         self._taken: dict[int, tuple[int, float | None]] = {}  # index and time, by frame
         self.settled = -1
@@ -150,7 +153,7 @@ class SlidingPath:
         self._views = ViewSelection(camera, focal_known=focal_known)
         self._last: tuple[np.ndarray, np.ndarray | None]
         self._shape = (0, 0)
-        self._held: dict[int, dict[int, np.ndarray]] = {}  # poses that stay, by piece and frame
+        self._held: dict[int, dict[int, np.ndarray]] = {}  # fixed poses, by piece and frame
         self._pieces = 0
 
     def add(
@@ -160,15 +163,16 @@ class SlidingPath:
         *,
         taken: tuple[int, float | None] | None = None,
     ) -> None:
-        """Take the next frame.
+        """Track and keep the next frame.
 
         Parameters
         ----------
         grey : (H, W) uint8
         ignored : (H, W) bool, optional
-            Which of its pixels to ignore.
+            Pixels to ignore.
         taken : (int, float or None), optional
-            Its number in the source, and when it was taken, s; by default the next number.
+            Number of the frame in the source, and its time, s; by default the next number and no
+            time.
         """
         seen = self._tracker.track(grey, ignored)
         if self._views.needs(seen, max(grey.shape)):
@@ -179,7 +183,7 @@ class SlidingPath:
         self._last = grey, ignored
 
     def found(self, *, at_end: bool = False) -> SlidingSolution:
-        """Return the path of the recent frames; `at_end`, no later frame follows."""
+        """Return the path of the recent frames; with `at_end`, no later frame follows."""
         views, (grey, ignored) = self._views, self._last
         self._shape = grey.shape
         last, different = len(self.seen) - 1, len(views.chosen)
@@ -218,7 +222,7 @@ class SlidingPath:
             models, self.focal = find_models_and_focal(
                 *among, self.camera, self._shape, "focal", limit=self._limit
             )
-            if self.focal is not None:  # from now on it is known
+            if self.focal is not None:  # from now on it is fixed
                 self.camera, self._focal_known = self.focal.taken(self.camera), True
                 views.use(self.camera)
         for model in sorted(models, key=lambda one: min(one.poses)):
@@ -241,7 +245,7 @@ class SlidingPath:
         )
 
     def settle(self, last: int, pieces: Mapping[int, Piece]) -> None:
-        """Fix the poses of frames up to the last one, as they are in these pieces."""
+        """Fix the poses of the frames up to `last` at their values in these pieces."""
         self.settled = last
         for number, piece in pieces.items():
             if min(piece.poses) > last:
@@ -297,7 +301,7 @@ class SlidingPath:
         matches = self._views.matches
         tracks = DiskCache(
             Observations.arrays, Observations.of_arrays
-        )  # of all frames, forgotten ones without any
+        )  # of all frames; dropped frames have no tracks
         there, none = (
             set(self._read.frames()),
             Observations.of_arrays(np.empty((0, 2)), np.empty(0, np.int64)),
@@ -336,7 +340,7 @@ class SlidingPath:
         self.readout_deviation = 0.0 if rolling is None else rolling.deviation
 
     def _unroll(self, solved: SlidingSolution) -> Rolling:
-        """Correct views and tracks that are not settled for the readout time, along a path."""
+        """Correct unsettled views and tracks for the readout time, with the motion along a path."""
         views = self._views.chosen
         read = {view.frame: view.seen for view in views}
         read |= {frame: self._read[frame] for frame in self._read.frames()}
@@ -361,6 +365,6 @@ class SlidingPath:
         )
 
     def _instants(self) -> dict[int, float]:
-        """Return when the recent frames were taken, in intervals between frames."""
+        """Return the times of the recent frames, in intervals between frames of the source."""
         numbers, times = zip(*self._taken.values(), strict=True)
         return dict(zip(self._taken, map(float, instants_of(numbers, times)), strict=True))

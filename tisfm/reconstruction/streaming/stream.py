@@ -1,4 +1,4 @@
-"""The engine of a stream: read a frame, track, solve, find depth, yield, drop."""
+"""A stream: reads and tracks frames, solves the path, finds depth, yields and drops frames."""
 
 import warnings
 from collections.abc import Iterator
@@ -38,23 +38,24 @@ from tisfm.sources.frame_reader import warn_notes
 from tisfm.status import Status
 from tisfm.trajectory.times import time_fault
 
-# The delay divided by this number: frames that the path uses, and that are yielded later.
+# The delay divided by this number: frames at the end that the path uses already, and that are
+# yielded with later ones.
 LOOKAHEAD_DIVISOR = 3
 
 
 class Stream:
-    """Reads frames, and yields them with poses and depth.
+    """Reads frames, and yields each with its pose and depth.
 
     Parameters
     ----------
     source : FrameSource
     camera : Camera, Path or None
-        Of the frames as they come, or its file; None for a guess.
+        Camera of the source's frames, or its file; None for a guess.
     calibrate : {"nothing", "focal"}
-        What of it is found from the frames, with the first path.
+        The part of the camera that is estimated with the first path.
     settings : Settings
     delay : int
-        Frames that are read, at most, before the one before them is given out.
+        The largest number of later frames that are read before a frame is yielded.
     """
 
     def __init__(
@@ -72,11 +73,11 @@ class Stream:
         self._folder = Path()
         self._frames: PreparedFrames
         self._path: SlidingPath
-        self._about: dict[int, tuple[int, str, float | None]] = {}  # index, name and time
-        self._keys: dict[int, tuple[int, WindowDepth]] = {}  # the last of each piece
-        self._begun: set[int] = set()  # pieces
+        self._about: dict[int, tuple[int, str, float | None]] = {}  # index, name and time, by frame
+        self._keys: dict[int, tuple[int, WindowDepth]] = {}  # last keyframe of each piece
+        self._begun: set[int] = set()  # pieces with yielded frames
         self._told = 0
-        self._notes: list[str] = list(source.notes)  # not yet given as warnings
+        self._notes: list[str] = list(source.notes)  # that have no warning yet
         self._have_times_fault = False
 
     def frames(self) -> Iterator[StreamedFrame]:
@@ -101,7 +102,7 @@ class Stream:
                     self._warn_of_skipped()
                     warn_notes(self._notes, stacklevel=4)
                     self._notes.clear()
-                del frame  # or it would be held while others are worked on
+                del frame  # so that its memory is free while frames are yielded
                 count += 1
                 if len(self._about) > self._delay:
                     yield from self._given(count - 1 - self._delay // LOOKAHEAD_DIVISOR)
@@ -169,7 +170,7 @@ class Stream:
                 yield self._frame(frame, None, -1, solved.lost[frame], None, False)
                 continue
             depth, key = depths[number].of(frame), depths[number].key
-            if key is not None and key[0] <= frame:  # it may be that of a frame of the next lot
+            if key is not None and key[0] <= frame:  # a later keyframe may belong to the next call
                 self._keys[number] = key
             status = Status("converged") if depth is not None else NO_PARALLAX
             if number not in self._begun and number > 0:
@@ -180,7 +181,7 @@ class Stream:
         self._forget()
 
     def _take_camera(self) -> None:
-        """Use the camera of the path, and warn once if it is unreliable."""
+        """Use the camera of the path, and warn once if its focal length is unreliable."""
         path = self._path
         self._frames.camera = replace(path.camera, readout=0.0) if path.readout else path.camera
         is_found = path.readout and path.readout_deviation  # a given readout has deviation 0
@@ -211,7 +212,7 @@ class Stream:
         return _moved(piece, piece.poses[begin], unit)
 
     def _adjusted(self, number: int, piece: Piece, solved: SlidingSolution) -> Piece:
-        """Return a piece; its new poses are adjusted to the images if the settings are accurate."""
+        """Return a piece; new poses are adjusted to the images if the settings ask for accuracy."""
         if self._effort != "accurate":
             return piece
         here = self._remembered(piece)
@@ -236,7 +237,8 @@ class Stream:
             before=self._keys.get(number),
             after=after,
         )
-        # The first keyframe, which the unit is of, is to be one that is given out, if any is.
+        # The first keyframe defines the unit: if possible it is a frame that is still to be
+        # yielded.
         depths.keyframes = [key for key in depths.keyframes if key > after] or depths.keyframes
         return depths
 
@@ -294,12 +296,12 @@ class Stream:
 
 
 class _InOrder:
-    """Depth of the frames of a piece in order; that of a keyframe is found before its turn.
+    """Depth of the frames of a piece in order of frames; keyframes come earlier from `PieceDepths`.
 
     Attributes
     ----------
     key : (int, WindowDepth) or None
-        The last keyframe so far, and its depth.
+        The last keyframe that was reached, and its depth.
     """
 
     def __init__(self, depths: PieceDepths) -> None:

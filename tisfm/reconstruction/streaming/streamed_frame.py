@@ -1,4 +1,4 @@
-"""A frame of a sequence without end."""
+"""A frame of an endless sequence, with its pose and depth."""
 
 from dataclasses import dataclass, field
 
@@ -11,34 +11,36 @@ from tisfm.status import Status
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StreamedFrame:
-    """A frame of a stream: where the camera was, and the depth it shows.
+    """A frame of a stream, with its camera pose and depth.
 
     Attributes
     ----------
     index : int
-        Its number in the source, from 0; frames that are left out count.
+        Number of the frame in the source, from 0; frames that are left out count.
     name : str
     time : float or None
-        Seconds.
+        Time of the frame, s.
     pose : (4, 4) float64
-        Camera to world: X right, Y down, Z forward. The first frame of a piece is the identity.
-        NaN for a frame without one.
+        Camera to world: X right, Y down, Z forward. The first frame of a piece is the identity. NaN
+        for a frame without a pose.
     piece : int
-        Which piece it belongs to; each has a scale of its own, in which the median depth of its
-        first keyframe is 1. −1 for a frame without a pose.
+        Number of the piece that the frame belongs to; −1 for a frame without a pose. Each piece has
+        a scale of its own, in which the median depth of its first keyframe is 1.
     status : Status
-        ``"converged"`` if it has a pose and depth; with a message.
+        ``"converged"`` if the frame has a pose and depth; with a message.
     keyframe : bool
-        Whether its depth was found from several others, rather than rendered from keyframes.
+        Whether its depth was found by matching with several other frames. Otherwise the depth was
+        rendered from keyframes.
     inverse_depth, inverse_depth_std : (H, W) float32
-        1/unit of the poses, and its standard deviation; NaN and infinity where there is none. The
-        deviation is infinite as well where pixels are masked: depth there is carried from around.
+        Inverse depth, 1/unit of the poses, and its standard deviation; NaN and infinity where depth
+        is unknown. The deviation is infinite at masked pixels too: their depth comes from the
+        pixels around them.
     picture : (H, W) or (H, W, 3) uint8
         The frame without distortion, RGB.
     camera : Camera
-        Its pinhole.
+        The pinhole camera of the frame.
     calibration : Calibration
-        Where its focal length is from, as for `Reconstruction`.
+        Origin of its focal length, as for `Reconstruction`.
 
     Examples
     --------
@@ -68,7 +70,7 @@ class StreamedFrame:
 
     @property
     def depth(self) -> np.ndarray:
-        """Depth, (H, W) float32, in the unit of the poses; NaN for none."""
+        """Depth, (H, W) float32, in the unit of the poses; NaN where it is unknown."""
         depth = np.full_like(self.inverse_depth, np.nan)
         np.divide(1, self.inverse_depth, out=depth, where=self.inverse_depth > 0)
         return depth
