@@ -12,7 +12,7 @@ Departures from the paper, beyond that scaling:
 - robust weights of the data, gradient constancy, normalised constraints, image-driven edges and
   a stiffness of each component, all as `tisfm.Settings` describes them, none in the paper;
 - a warp: frame 1 is brought to frame 0 by the current flow before derivatives are taken;
-- occlusion, which the paper does not look for.
+- occlusion, which the paper does not estimate.
 
 Errata of the paper: the third line of eq. 18 must read s3, not s1; eq. 9 minimises b·a² + ψ(b);
 the field b under eq. 8 lists b_τ2 twice, the third is b_τ3; the text on Fig. 6 says that panel (a)

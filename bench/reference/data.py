@@ -10,7 +10,7 @@ from tisfm.camera import Camera
 def motion_matrix(camera: Camera, height: int, width: int, components: int) -> np.ndarray:
     """Return G, (2, components, H, W): eq. 2 in scaled unknowns.
 
-    6 components are rigid motion, 3 translation, 2 the image motion itself, 1 the motion along a
+    6 components are rigid motion, 3 translation, 2 the flow itself, 1 the displacement along a
     known line.
     """
     cx, cy = camera.center_for(height, width)
@@ -36,9 +36,9 @@ def brightness_tensor(
     flow0: np.ndarray,
     mask: np.ndarray,
 ) -> np.ndarray:
-    """Return J11, J12, J22, j1, j2, J_tt, (6, H, W): eq. 3 squared, in the whole flow.
+    """Return J11, J12, J22, j1, j2, J_tt, (6, H, W): eq. 3 squared in the total flow.
 
-    `flow0`, (2, H, W), is the flow that the gradients' frame 1 was warped by.
+    `flow0`, (2, H, W), is the flow that warped frame 1 of the gradients.
     """
     ix, iy, it = gradients
     c = it - ix * flow0[0] - iy * flow0[1]
@@ -54,11 +54,11 @@ def constancy_constraints(
     gradient: float,
     normalization: float | None,
 ) -> list[np.ndarray]:
-    """Return (p, q, c) of the constraints p u + q v + c = 0 of each term whose weight is not 0.
+    """Return (p, q, c) of the constraints p u + q v + c = 0 of each term with a positive weight.
 
-    Brightness has one, (1, 3, H, W), its gradient two, (2, 3, H, W). `gradients` have a halo of
-    2 px; `flow0`, (2, H, W), is the flow that their frame 1 was warped by. Normalised, each
-    constraint squared is divided by |∇I|² + ζ².
+    Brightness has one constraint, (1, 3, H, W), its gradient two, (2, 3, H, W). `gradients` have a
+    halo of 2 px; `flow0`, (2, H, W), is the flow that warped their frame 1. With normalisation,
+    each squared constraint is divided by |∇I|² + ζ².
     """
 
     def constraint(weight: float, ix: np.ndarray, iy: np.ndarray, it: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from bench.reference.smoothness import Smoothness, smoothness_energy
 def energy(
     tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray, alpha: float, smoothness: Smoothness
 ) -> float:
-    """Return the energy (eq. 6, 20) of a quadratic data term: that term plus α times smoothness."""
+    """Return the energy (eq. 6, 20): the quadratic data term plus α times the smoothness."""
     return data_energy(tensor, motion, rho) + alpha * smoothness_energy(rho, smoothness)
 
 
@@ -21,7 +21,7 @@ def half_quadratic_energy(
     alpha: float,
     smoothness: Smoothness,
 ) -> float:
-    """Return its half-quadratic form (eq. 8, 21): per edge g[bΔ² + δ²(b + 1/b − 2)]."""
+    """Return the half-quadratic form (eq. 8, 21) of `energy`: per edge g[bΔ² + δ²(b + 1/b − 2)]."""
     n, height, width = rho.shape
     edges = smoothness.open(height, width)
     scale = smoothness.stiffnesses(n) * edges

@@ -1,4 +1,4 @@
-"""Rigid motions: every pixel moves along a line, by its inverse depth."""
+"""Rigid motions: every pixel moves along a line, by an amount that its inverse depth gives."""
 
 import numpy as np
 
@@ -24,9 +24,9 @@ def displacement(
 def along(
     terms: list[np.ndarray], flow: np.ndarray, direction: np.ndarray, inverse_depth: np.ndarray
 ) -> list[np.ndarray]:
-    """Return each tensor as one of a flow (D, 0), for (u, v) = flow + (D − D₀)·direction.
+    """Restrict each tensor to a line: return tensors of D for (u, v) = flow + (D − D₀)·direction.
 
-    D₀ is `inverse_depth`, where `flow` was taken.
+    They have the form of tensors of a flow (D, 0). D₀ is `inverse_depth`, that of `flow`.
     """
     fixed = flow - inverse_depth * direction
     restricted = []
@@ -52,8 +52,8 @@ def motion_system(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the normal equations of a small change (δt, δω) of the motion, D eliminated.
 
-    With (u, v) = flow + B (δt, δω) + a δD, the energy of a pixel is that of its tensor and
-    `hold`·δD²; it is minimised over δD before pixels are summed.
+    With (u, v) = flow + B (δt, δω) + a δD, the energy of a pixel is its data term plus `hold`·δD².
+    It is minimised over δD before the sum over pixels.
 
     Parameters
     ----------
@@ -62,6 +62,7 @@ def motion_system(
     inverse_depth : (H, W)
         D = f·d.
     hold : (H, W)
+        Weight that keeps D.
 
     Returns
     -------
@@ -82,7 +83,7 @@ def frame_equations(
     rotation: np.ndarray,
     translation: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return what a frame says of its motion, and of the depth that it shares with others.
+    """Return the normal equations of a frame's motion and of the depth that frames share.
 
     Parameters
     ----------

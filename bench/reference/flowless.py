@@ -32,7 +32,7 @@ def minimise_over_flowless(
 ) -> None:
     """Add to ρ̂ the multiple of each field that minimises the energy; `rho` is modified in place.
 
-    The data terms do not depend on them: only α Σ b Δρ̂² does, with `weights` b, (2n, H, W).
+    Only α Σ b Δρ̂² depends on these multiples, the data terms do not. `weights` are b, (2n, H, W).
     """
     fields = flowless_fields(motion)
     b = alpha * weights.reshape(2, *rho.shape)

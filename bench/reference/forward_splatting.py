@@ -1,12 +1,12 @@
-"""Which pixels go to the same place of frame 1: what `tisfm.visibility.occlusion` rests on."""
+"""Pixels that the flow moves to one position: the reference of `tisfm.visibility.occlusion`."""
 
 import numpy as np
 
 
 def splat(flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Return Σw, Σw·residual, Σw·u, Σw·v, (4, H, W), over the pixels that go to a pixel.
+    """Return Σw, Σw·residual, Σw·u, Σw·v, (4, H, W), at every pixel of frame 1.
 
-    w are the bilinear weights of the four pixels around the place x + flow.
+    w are the bilinear weights of the pixels of frame 0 whose target x + flow lies within 1 px.
     """
     _, height, width = flow.shape
     found = np.zeros((4, height, width))
@@ -20,7 +20,7 @@ def splat(flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
 
 
 def defeated(flow: np.ndarray, residual: np.ndarray, *, density: float, apart: float) -> np.ndarray:
-    """Return where a pixel shares its place with others, which move otherwise and fit better."""
+    """Return hidden pixels: pixels of another flow and smaller residual have the same target."""
     _, height, width = flow.shape
     sums = splat(flow, residual)
     found = np.zeros((height, width), bool)
@@ -37,7 +37,7 @@ def defeated(flow: np.ndarray, residual: np.ndarray, *, density: float, apart: f
 
 
 def _bilinear(x: float, y: float, height: int, width: int) -> list[tuple[int, int, float]]:
-    """Return row, column and weight of the four pixels around a place."""
+    """Return row, column and weight of the four pixels around a position."""
     left, top = int(x), int(y)
     right, below = min(left + 1, width - 1), min(top + 1, height - 1)
     across, down = x - left, y - top

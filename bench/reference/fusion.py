@@ -1,18 +1,18 @@
-"""Depth maps compared and taken into a field of distances: what `tisfm.fusion` rests on."""
+"""Comparison and volumetric fusion of depth maps: the reference of `tisfm.fusion`."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-STEP = 0.05  # of inverse depth between neighbours: beyond, they are not of one surface
-NEAREST = 0.05  # least depth in another view over the depth in this one
-SUPPORT = 3  # of the eight pixels around one: fewer alike, and it is a mistake
-BESIDE = 2.0  # truncations: farther from the pixel's own depth it is not interpolated
+STEP = 0.05  # relative step of inverse depth between neighbours on one surface, at most
+NEAREST = 0.05  # least depth in another view, as a share of the depth in this view
+SUPPORT = 3  # of the eight neighbours: a pixel with fewer neighbours of similar depth is an error
+BESIDE = 2.0  # truncations: largest distance from the depth of the nearest pixel for interpolation
 
 
 def inverse_depth_at(image: Floats, x: float, y: float) -> float:
-    """Return the inverse depth at a place inside, interpolated where it is of one surface."""
+    """Return inverse depth at a position, interpolated if its four pixels show one surface."""
     own = float(image[_nearest(x, y)])
     left, top = int(np.floor(x)), int(np.floor(y))
     across, down = x - left, y - top
@@ -34,7 +34,7 @@ def compare(
     projection: Floats,
     tolerance: float,
 ) -> tuple[Floats, Floats]:
-    """Return what another view adds to the sums, (H, W, 4), and to the colours, (H, W, 3)."""
+    """Return the contributions of another view to the sums, (H, W, 4), and colours, (H, W, 3)."""
     sums = np.zeros((*inverse_depth.shape, 4))
     colors = np.zeros((*inverse_depth.shape, 3))
     for (y, x), d in np.ndenumerate(inverse_depth):
@@ -67,7 +67,7 @@ def mark_shown(
     projection: Floats,
     tolerance: float,
 ) -> np.ndarray:
-    """Return which pixels show one of the points, (H, W) bool."""
+    """Return the pixels that show one of the points, (H, W) bool."""
     height, width = inverse_depth.shape
     shown = np.zeros((height, width), bool)
     for point, relative in zip(points, relative_deviation, strict=True):
@@ -92,7 +92,7 @@ def blocks_near(
     truncation: float,
     places: int,
 ) -> set[tuple[int, int, int]]:
-    """Return where the blocks of 8³ voxels lie that a depth map comes near to, in blocks."""
+    """Return the positions, in blocks, of the blocks of 8³ voxels near the surface of a view."""
     found = set()
     for y in range(0, inverse_depth.shape[0], stride):
         for x in range(0, inverse_depth.shape[1], stride):
@@ -118,16 +118,16 @@ def integrate(
     truncation: float,
     spread: float,
 ) -> tuple[Floats, Floats, np.ndarray]:
-    """Return what a view says of the voxels of some blocks, (B, 512).
+    """Return the signed distances and weights that a view gives to the voxels of some blocks.
 
     Returns
     -------
     distance : (B, 512) float64
-        In truncations, at most 1.
+        Signed distance to the surface, in truncations, at most 1.
     weight : (B, 512) float64
-        0 where the view says nothing.
+        0 for voxels that the view does not see.
     near : (B, 512) bool
-        Where the view shows the surface within the truncation.
+        Voxels within the truncation of the surface.
     """
     distance, weight = np.zeros((len(corners), 512)), np.zeros((len(corners), 512))
     near = np.zeros((len(corners), 512), bool)
@@ -150,7 +150,7 @@ def integrate(
 def add_colors(
     points: Floats, inverse_depth: Floats, colors: Floats, *, projection: Floats, near: float
 ) -> Floats:
-    """Return what a view adds to the colours of points, and to their weights, (N, 4)."""
+    """Return the contributions of a view to the colours of points and their weights, (N, 4)."""
     sums = np.zeros((len(points), 4))
     for n, point in enumerate(points):
         u, v, z = projection @ np.append(point, 1)
@@ -167,5 +167,5 @@ def _inside(x: float, y: float, image: np.ndarray) -> bool:
 
 
 def _nearest(x: float, y: float) -> tuple[int, int]:
-    """Return row and column of the pixel that a place lies on."""
+    """Return row and column of the pixel at a position."""
     return int(np.floor(y + 0.5)), int(np.floor(x + 0.5))

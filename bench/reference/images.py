@@ -1,4 +1,4 @@
-"""Derivatives of frames, and frame 1 brought to frame 0."""
+"""Derivatives of frames, and the warp of frame 1 to frame 0."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ import numpy as np
 def derivatives(
     frame0: np.ndarray, frame1: np.ndarray, scheme: str, halo: int = 0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (I_x, I_y, I_t), each (H + 2·halo, W + 2·halo); images repeat beyond their border.
+    """Return (I_x, I_y, I_t), each (H + 2·halo, W + 2·halo); border pixels are repeated outside.
 
     ``"cube"``: Horn and Schunck's 2×2×2 cube. ``"five_tap"``: (1, −8, 0, 8, −1)/12 on the mean of
     both frames, and their difference.
@@ -33,7 +33,7 @@ def derivatives(
 def spline_coefficients(image: np.ndarray) -> np.ndarray:
     """Return the coefficients of the cubic B-spline through all pixels, (H, W).
 
-    By solving (c[i−1] + 4 c[i] + c[i+1])/6 = I[i] along columns and rows, with c mirrored at the
+    Solves (c[i−1] + 4 c[i] + c[i+1])/6 = I[i] along columns and rows, with c mirrored at the
     centres of the border pixels.
     """
     coefficients = np.asarray(image, np.float64)
@@ -49,7 +49,7 @@ def spline_coefficients(image: np.ndarray) -> np.ndarray:
 
 
 def warp(image: np.ndarray, flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sample an image at x + flow by its cubic B-spline; beyond its border it repeats.
+    """Sample an image at x + flow by its cubic B-spline; the border pixel is repeated outside.
 
     Parameters
     ----------

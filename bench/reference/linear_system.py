@@ -83,7 +83,7 @@ def sweep_red_black(
     alpha: float,
     relaxation: float = 1.0,
 ) -> None:
-    """Gauss–Seidel over the red pixels at once, then the black; `rho` is modified in place.
+    """Gauss–Seidel over all red pixels at once, then all black pixels; `rho` is modified in place.
 
     Red pixels have an even sum of row and column.
     """

@@ -1,4 +1,4 @@
-"""PatchMatch: what planes cost, how better ones are found, and whether two frames agree."""
+"""PatchMatch: costs of planes, the search for better planes, and the consistency of two frames."""
 
 from collections.abc import Callable
 
@@ -7,9 +7,9 @@ import numpy as np
 from tisfm.camera import Camera
 
 RADIUS, SIMILAR = 5, 20.0  # px; grey levels
-UNSEEN, NONE = 4.0, -1e30  # a cost and a D that no plane has
-NOWHERE = 1.0  # the cost of a plane that takes the pixel out of the frame
-ALIKE = 0.03  # px: planes that differ by less are not compared
+UNSEEN, NONE = 4.0, -1e30  # cost of a pixel that is not compared; D of a missing plane
+NOWHERE = 1.0  # cost of a plane that moves the pixel out of the frame
+ALIKE = 0.03  # px: a plane closer than this to the current one is not tried
 DISTANCES = (1, 3, 5, 7, 13, 21)  # px, to neighbours
 _EAST, _SOUTH = np.eye(3)[:2, :, None, None]
 
@@ -23,7 +23,7 @@ def window_cost(
     *,
     noise: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return 1 − c at every pixel, c the weighted correlation of its window with a homography's.
+    """Return 1 − c at every pixel: c is the weighted correlation of its window and the warped one.
 
     The window has every second pixel of 11×11, without corners; beyond both images their borders
     repeat. A pixel that differs from the centre by n·`SIMILAR` levels weighs
@@ -34,16 +34,16 @@ def window_cost(
     levels0, levels1 : (H, W)
         Grey levels.
     place : (3, H, W)
-        Where each pixel goes in frame 1: column and row, px, homogeneous.
+        Position of each pixel in frame 1: column and row, px, homogeneous.
     east, south : (3, H, W), or (3, 1, 1)
-        What the pixel next to it, in its window, adds to that.
+        Change of `place` from a pixel of the window to its eastern and southern neighbour.
     noise : float
-        Variance that is added to those of both windows.
+        Added to the variance of both windows.
 
     Returns
     -------
     cost, variance : (H, W)
-        1 − c, or 1 where the pixel leaves frame 1, and the variance of the window of frame 0.
+        1 − c, or 1 if the pixel leaves frame 1; and the variance of the window of frame 0.
     """
     height, width = levels0.shape
     padded = np.pad(levels0, RADIUS, "edge")
@@ -100,9 +100,9 @@ def plane_cost(
 
 
 def best_mean(costs: np.ndarray, best: int, *, absent: float) -> np.ndarray:
-    """Return the mean of the least of several frames' costs, (M, …), so many of them.
+    """Return the mean of the `best` lowest costs of several frames, (M, …).
 
-    Frames that do not show a hypothesis cost 1, or `absent` each if others do and these are fewer.
+    A frame that does not show a hypothesis has cost 1; if another frame does, its cost is `absent`.
     """
     shown = costs != NOWHERE
     some = np.where(shown.any(axis=0), absent, NOWHERE)
@@ -123,25 +123,25 @@ def improved_planes(
     bounds: tuple[float, float],
     seed: int,
 ) -> np.ndarray:
-    """Return the planes after those of one color took better ones.
+    """Return the planes after an update of the pixels of one colour.
 
-    Each compares its own with the cheapest of its neighbours on four sides, one that is drawn from
-    all, and `draws` drawn nearby, each from half the range of the one before.
+    Each compares its plane with the cheapest of its neighbours on each of four sides, with a random
+    plane, and with `draws` random changes of the best plane, whose range halves each time.
 
     Parameters
     ----------
     state : (4, H, W)
-        D, px/frame, its slopes, and the cost; `UNSEEN` where there is nothing to compare.
+        D, px/frame, its slopes, and the cost; a pixel with the cost `UNSEEN` does not change.
     cost : callable
         Takes planes (3, H, W), returns their cost (H, W).
     color : int
         0 for red, 1 for black.
     spread, tilt : float
-        How far what is drawn nearby may be, in D and in its slopes.
+        Range of the first random change of D and of the slopes.
     steepest : float
-        Slopes of what is drawn from all, over D.
+        Range of the slopes of a random plane, as a share of D.
     bounds : (float, float)
-        Of D.
+        Range of D.
     seed : int
 
     Returns
@@ -175,7 +175,7 @@ def improved_planes(
 
 
 def _neighbours(state: np.ndarray, down: int, across: int) -> np.ndarray:
-    """Return the cheapest plane on one side of every pixel, as it is there; D is `NONE` without."""
+    """Return the cheapest plane on one side, extended to each pixel; D is `NONE` without any."""
     _, height, width = state.shape
     rows, columns = np.indices((height, width))
     best = np.zeros_like(state)
@@ -190,7 +190,7 @@ def _neighbours(state: np.ndarray, down: int, across: int) -> np.ndarray:
 
 
 def _hash(value: np.ndarray) -> np.ndarray:
-    """Return a well-mixed number for each, uint32 (Jarzynski, Olano, JCGT 2020: PCG)."""
+    """Return a hash of each value, uint32 (Jarzynski, Olano, JCGT 2020: PCG)."""
     state = value * np.uint32(747796405) + np.uint32(2891336453)
     word = ((state >> ((state >> np.uint32(28)) + np.uint32(4))) ^ state) * np.uint32(277803737)
     mixed: np.ndarray = (word >> np.uint32(22)) ^ word
@@ -204,7 +204,7 @@ def plane_disagreement(
     rotation: np.ndarray,
     translation: np.ndarray,
 ) -> np.ndarray:
-    """Return how far D of frame 0 is, in frame 1, from what the nearest pixel's plane says there.
+    """Return |D of frame 0, seen from frame 1 − D of the plane of the nearest pixel of frame 1|.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ def plane_disagreement(
     Returns
     -------
     (H, W)
-        px/frame; infinite where the pixel leaves the image, or nothing is known there.
+        px/frame; infinite if the pixel leaves the image, or D of frame 1 is unknown there.
     """
     height, width = planes0.shape[1:]
     cx, cy = camera.center_for(height, width)
@@ -232,7 +232,7 @@ def plane_disagreement(
 
 
 def _inside(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return which places, (H, W), are in an image of that size."""
+    """Return the positions, (H, W), that are inside an image of this size."""
     height, width = u.shape
     inside: np.ndarray = (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
     return inside

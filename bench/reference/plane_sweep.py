@@ -16,7 +16,7 @@ def matching_cost(
 ) -> np.ndarray:
     """Return min(1, |ΔI|) + min(1, |ΔI_x| + |ΔI_y|) of every hypothesis, (H, W, N).
 
-    It is 1 where a hypothesis takes the pixel out of the image.
+    It is 1 if the hypothesis moves the pixel out of the image.
 
     Parameters
     ----------
@@ -53,10 +53,10 @@ def aggregate(
     ----------
     cost : (H, W, N)
     guide : (H, W)
-        Where its grey level changes by `edge`, a jump costs half.
+        Grey levels; where they change by `edge`, the penalty of a jump is half.
     """
     total = np.zeros_like(cost)
-    # Four views of the image, in each of which the path runs down.
+    # Four turns of the image: in each, the path runs down.
     for turn in range(4):
         path = np.rot90(cost, turn).copy()
         grey = np.rot90(guide, turn)

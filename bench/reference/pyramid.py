@@ -1,4 +1,4 @@
-"""Coarse to fine: every level starts from the one before."""
+"""Coarse to fine: every level starts from the solution of the next coarser level."""
 
 import numpy as np
 
@@ -34,7 +34,7 @@ def coarse_to_fine(
 ) -> np.ndarray:
     """Return ρ̂, (n, H, W), of the finest of the given levels, the finest first.
 
-    `camera` is that of the finest level; of the settings, the pyramid is the one given.
+    `camera` is that of the finest level; `settings` does not determine the pyramid.
     """
     n, factor = settings.components, settings.pyramid_factor
     height, width = pyramid0[0].shape

@@ -4,7 +4,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 
-ALIKE = 0.05  # of the inverse depth: what differs by more is another surface
+ALIKE = 0.05  # relative difference of inverse depth between pixels of one surface, at most
 
 
 def rendered(
@@ -14,12 +14,12 @@ def rendered(
     translation: np.ndarray,
     camera: Camera,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the inverse depth that another view shows, and its deviation; 0 where none.
+    """Return the inverse depth of another view, and its deviation; 0 if unknown.
 
     Parameters
     ----------
     inverse_depth, deviation : (H, W)
-        Of the first view; 0 where there is none.
+        Of the first view; inverse depth 0 is unknown.
     rotation, translation : (3, 3) and (3,)
         From the first view's axes to the other's.
     camera : Camera
@@ -74,7 +74,10 @@ def _looked_up(
     camera: Camera,
     least: float,
 ) -> tuple[float, float]:
-    """Return what the first view says of a ray of the other, which meets it at `value`."""
+    """Return inverse depth and deviation on a ray of the other view, near `value`.
+
+    They come from the pixels of the first view that show the same surface.
+    """
     height, width = inverse_depth.shape
     centre = np.array(camera.center_for(height, width))
     source = rotation.T @ (ray - value * translation)

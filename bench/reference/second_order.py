@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.reference.smoothness import aubert
 
-# The pixels at the near and at the far end of eastern edges, and of southern ones.
+# Slices of the two pixels of every edge, west and east, north and south.
 _ENDS = ((np.s_[..., :-1], np.s_[..., 1:]), (np.s_[..., :-1, :], np.s_[..., 1:, :]))
 
 
@@ -37,7 +37,7 @@ class SecondOrder:
     edges: np.ndarray | None = None
 
     def open(self, height: int, width: int) -> np.ndarray:
-        """Return g, 0 across the border: (2, H, W)."""
+        """Return g, 0 at edges across the border: (2, H, W)."""
         edges = np.ones((2, height, width)) if self.edges is None else self.edges.copy()
         edges[0, :, -1] = edges[1, -1] = 0
         return edges
@@ -111,7 +111,7 @@ def line_tensor(
 ) -> tuple[float, np.ndarray]:
     """Return the energy, and (A, B, C), (3, H, W), of constraints p D + c = 0.
 
-    `terms` are (k, 2, H, W): p and c of the k constraints of each term, with the scales of
+    `terms` are (k, 2, H, W): p and c of the k constraints of each term. `scales` are those of
     `bench.reference.robust_tensor`.
     """
     energy, total = 0.0, np.zeros((3, *depth.shape))
@@ -129,7 +129,7 @@ def line_tensor(
 def second_order_system(
     tensor: np.ndarray, weights: np.ndarray, spacing: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the matrix and the right-hand side of all pixels, for ρ in the order of its array.
+    """Return matrix and right-hand side of all pixels; the unknowns have the order of the array ρ.
 
     `tensor` is (A, B, C), `weights` those of `second_order_weights`.
     """
@@ -161,9 +161,9 @@ def second_order_residual(
     spacing: float,
     source: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the right-hand side of the system less its left one, (3, H, W), without its matrix.
+    """Return the right-hand side minus the left-hand side of the system, (3, H, W), matrix-free.
 
-    `source`, (3, H, W), is the right-hand side in place of (−B, 0, 0).
+    `source`, (3, H, W), replaces the right-hand side (−B, 0, 0).
     """
     residual = np.zeros_like(rho) if source is None else source.astype(rho.dtype)
     if source is None:
@@ -183,7 +183,7 @@ def second_order_residual(
 
 
 def second_order_matrices(tensor: np.ndarray, weights: np.ndarray, spacing: float) -> np.ndarray:
-    """Return the 3×3 matrix of every pixel, its neighbours fixed: (3, 3, H, W)."""
+    """Return the 3×3 matrix of every pixel with its neighbours fixed: (3, 3, H, W)."""
     matrices = np.zeros((3, 3, *tensor.shape[1:]))
     matrices[0, 0] = tensor[0]
     for side, ends in enumerate(_ENDS):
@@ -211,7 +211,7 @@ def second_order_sweep(
 ) -> None:
     """Gauss–Seidel over red pixels, then black; `rho` is modified in place.
 
-    `source`, (3, H, W), is the right-hand side in place of (−B, 0, 0).
+    `source`, (3, H, W), replaces the right-hand side (−B, 0, 0).
     """
     matrices = np.moveaxis(second_order_matrices(tensor, weights, spacing), (0, 1), (2, 3))
     rows, columns = np.indices(rho.shape[1:])
@@ -256,7 +256,7 @@ def minimise_second_order(
             tensor = form + anchor_tensor(rho[0], anchors[0], anchors[1], anchor_scale)
             weights = second_order_weights(rho, smoothness)
             matrix, right = second_order_system(tensor, weights, smoothness.spacing)
-            # A slope across an image 1 px wide costs nothing: it is held, hardly, to 0.
+            # A slope across an image 1 px wide has no cost: a tiny weight keeps it at 0.
             held = 1e-12 * matrix.diagonal().max() * np.eye(len(matrix))
             solution = np.linalg.solve(matrix + held, right)
             rho[...] = solution.reshape(rho.shape)

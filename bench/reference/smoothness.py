@@ -1,4 +1,4 @@
-"""The smoothness term: which differences of neighbours count, and how much."""
+"""The smoothness term: weights of the differences between neighbours."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ def differences(rho: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, kw_only=True)
 class Smoothness:
-    """Which differences count as edges, and how much.
+    """Parameters of the smoothness term.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Smoothness:
     stiffness : (n,) array or None
         s_k; None for 1.
     joint : bool
-        Whether an edge is one for all components.
+        Whether all components of ρ̂ share one weight per edge.
     edges : (2, H, W) array or None
         g of the eastern and southern edges; None for 1.
     """
@@ -41,7 +41,7 @@ class Smoothness:
     edges: np.ndarray | None = None
 
     def squares(self, rho: np.ndarray) -> np.ndarray:
-        """Return s_kΔ², or, joint, their sum over k for every k: (2, n, H, W)."""
+        """Return s_kΔ²; if joint, their sum over k for every k: (2, n, H, W)."""
         squares = np.stack(differences(rho)) ** 2 * self.stiffnesses(len(rho))
         if self.joint:
             squares = np.broadcast_to(squares.sum(axis=1, keepdims=True), squares.shape)
@@ -53,7 +53,7 @@ class Smoothness:
         return values[:, None, None]
 
     def open(self, height: int, width: int) -> np.ndarray:
-        """Return g, 0 across the border: (2, 1, H, W)."""
+        """Return g, 0 at edges across the border: (2, 1, H, W)."""
         edges = np.ones((2, height, width)) if self.edges is None else self.edges.copy()
         edges[0, :, -1] = edges[1, -1] = 0
         return edges[:, None]
@@ -84,7 +84,7 @@ def edge_weights(rho: np.ndarray, smoothness: Smoothness) -> np.ndarray:
 
 
 def smoothness_energy(rho: np.ndarray, smoothness: Smoothness) -> float:
-    """Return Σ_edges g Σ_k Φ_δ(√s_k Δρ̂_k), or, joint, g Φ_δ of the vector's length."""
+    """Return Σ_edges g Σ_k Φ_δ(√s_k Δρ̂_k); if joint, Σ_edges g Φ_δ of the length of the vector."""
     penalty = aubert(np.sqrt(smoothness.squares(rho)), smoothness.contrast)
     if smoothness.joint:
         penalty = penalty[:, :1]

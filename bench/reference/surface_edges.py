@@ -1,4 +1,4 @@
-"""Which of two surfaces a pixel beside their edge shows, by which of them looks like it."""
+"""Depth edges moved to image edges: a pixel takes the surface whose grey levels it has."""
 
 import numpy as np
 
@@ -19,9 +19,9 @@ def by_look(
     ----------
     inverse_depth, deviation, frame : (H, W)
     middle : (H, W)
-        Between the two surfaces nearby; 0 where there is one alone.
+        Inverse depth between the two surfaces nearby; 0 if there is only one surface.
     similar : float
-        Levels: a pixel that differs by so much weighs 1/e.
+        Grey levels: a pixel that differs by this much from the centre weighs 1/e.
     """
     depth, spread = inverse_depth.copy(), deviation.copy()
     rows, columns = np.indices(frame.shape)

@@ -1,4 +1,4 @@
-"""Interpretations under one rigid motion, and how far they are from the truth."""
+"""Interpretations with one rigid motion, and their errors."""
 
 import tisfm
 from tisfm.metrics import pose_errors

@@ -1,4 +1,4 @@
-"""motion="objects" where the background is partly bare: its depth is carried around things."""
+"""motion="objects" with a partly bare background: depth is interpolated around the objects."""
 
 from dataclasses import replace
 
@@ -21,12 +21,12 @@ from tisfm.rigid import rigid_motion
 BALANCED = tisfm.Settings.preset("balanced", motion="objects")
 SIZE = (240, 320)
 THING = (slice(110, 180), slice(120, 210))  # in frame 0
-MOVED = (-6, 5)  # px/frame: to the right, down
+MOVED = (-6, 5)  # px/frame: left and down
 CAMERA_MOTION = (0.18, 0.0, 0.12, 0.003, 0.01, 0.006)
 
 
 def pasted(frame, thing, move, rng):
-    """Return a frame with a noisy thing before it."""
+    """Return a frame with an object, with noise, in front."""
     rows, columns = (slice(s.start + by, s.stop + by) for s, by in zip(THING, move, strict=True))
     frame = frame.astype(np.float32)
     frame[rows, columns] = thing + 1.5 * rng.standard_normal(thing.shape)
@@ -34,7 +34,7 @@ def pasted(frame, thing, move, rng):
 
 
 def with_thing(move):
-    """Return a bare room with a textured thing before it, which moves by itself."""
+    """Return a bare room with a textured object in front, which moves on its own."""
     bare = room(*SIZE, seed=5, camera_motion=CAMERA_MOTION)
     rng = np.random.default_rng(0)
     texture = cv2.GaussianBlur(rng.standard_normal((70, 90)), (0, 0), 1.5)
@@ -66,12 +66,13 @@ def carried(scene):
 @pytest.fixture(scope="module")
 def uncarried(scene):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(background, "MOST_TEXTURELESS", 2.0)  # never
+        # No share is above 2: depth is never interpolated.
+        patch.setattr(background, "MOST_TEXTURELESS", 2.0)
         return interpreted(scene)
 
 
 def background_error(result, scene):
-    """Return the mean of |s·Z − true|/true over the background, s the median of their ratio."""
+    """Return the mean |s·Z − true|/true of the background; s is the median of the ratio true/Z."""
     mine = (result.labels == 0) & (scene.labels == 0)
     depth, true = 1 / np.maximum(result.inverse_depth[mine], 1e-9), scene.depth[mine]
     return np.mean(np.abs(depth * np.median(true / depth) - true) / true)
@@ -98,7 +99,7 @@ def test_the_thing_keeps_its_label_and_depth(carried, uncarried, scene):
 
 @pytest.mark.parametrize("preset", ["fast", "balanced"])
 def test_deviation_and_confidence_tell_what_was_carried(scene, carried, preset):
-    """Of `fast`, depth is carried on a coarser level than that of the labels."""
+    """With `fast`, depth is interpolated on a coarser level than that of the labels."""
     settings = tisfm.Settings.preset(preset, motion="objects")
     result = carried if preset == "balanced" else interpreted(scene, settings)
     mine = (result.labels == 0) & (scene.labels == 0) & ~result.occlusion
@@ -127,7 +128,7 @@ def test_textured_scenes_go_another_way(monkeypatch):
 
 
 def solved(scene, labels):
-    """Return what carrying is given: pyramid, settings, solution, labels and motion."""
+    """Return the input of the interpolation: pyramid, settings, solution, labels and motion."""
     frames = (frame.astype(np.float32) for frame in (scene.frame0, scene.frame1))
     pyramid = pyramid_of(*frames, scene.camera, BALANCED)
     motion = np.column_stack(rigid_motion(scene.motions[0]))
@@ -136,7 +137,7 @@ def solved(scene, labels):
 
 
 def test_a_thing_has_no_say_in_the_background():
-    """This one moves along the background's epipolar lines, and looks like one that is near."""
+    """The object moves along the background's epipolar lines, and so looks like a near point."""
     scene = with_thing((-20, 0))
     labels = scene.labels
     thing, near, close = (
@@ -182,7 +183,7 @@ def test_with_too_little_parallax_nothing_is_carried(scene):
     [("tartanair", 2), pytest.param("hololens", 8, marks=pytest.mark.nightly)],
 )
 def test_bare_walls_at_rest_have_no_label_of_their_own(shared_data, folder, first):
-    """There, noise fits one motion and another; edges fit the background's where it is carried."""
+    """Noise in bare windows fits two motions; their edges fit the interpolated background."""
     focal, _, *center = np.loadtxt(shared_data / folder / "camera.txt", skiprows=1)
     files = sorted((shared_data / folder / "images").iterdir())
     result = tisfm.interpret(
@@ -196,7 +197,7 @@ def test_bare_walls_at_rest_have_no_label_of_their_own(shared_data, folder, firs
 
 
 def test_what_bare_windows_gain_counts_little(scene):
-    """A label is borne out by windows that show more than noise."""
+    """Only windows with more than noise support a label."""
     frames = (frame.astype(np.float32) for frame in (scene.frame0, scene.frame1))
     pyramid = pyramid_of(*frames, scene.camera, BALANCED)
     layering = Layering(pyramid, BALANCED, pyramid.frames0[0])

@@ -1,4 +1,4 @@
-"""Boundaries between labels, right to the pixel."""
+"""Boundaries between labels, accurate to the pixel."""
 
 import itertools
 
@@ -22,7 +22,7 @@ def textured(seed):
 
 
 def moved(image, flow):
-    """Return what of an image lies in the frame after it moved by (u, v)."""
+    """Return the image shifted by (u, v), cropped to the frame."""
     shift = np.float32([[1, 0, flow[0] - 10], [0, 1, flow[1] - 10]])
     return cv2.warpAffine(image, shift, SIZE[::-1], flags=cv2.INTER_CUBIC)
 
@@ -33,9 +33,9 @@ def disc():
 
 
 def scene(*, in_front):
-    """Return the true labels and both frames of a disc that is before or behind what is around it.
+    """Return the true labels and both frames of a disc in front of its surroundings, or behind.
 
-    One that is behind is seen through a hole, which moves with what is around it.
+    A disc behind is seen through a hole that moves with the surroundings.
     """
     shape, outer, inner = disc(), textured(1), textured(2)
     frames = []
@@ -70,13 +70,13 @@ def test_boundaries_are_right_to_the_pixel(in_front, shift):
     found = sharpen_labels(rough, flows(), anywhere(), *frames)
     assert found.dtype == np.int32
     np.testing.assert_array_equal(rough, before)
-    # Of 1500 px and 140 along the boundary, of which every other is a mixture.
+    # The disc has 1500 px, 140 of them at the boundary; half of these mix both surfaces.
     assert overlap(found == 1, true == 1) > 0.975 > overlap(rough == 1, true == 1) + 0.05
 
 
 @pytest.mark.parametrize("in_front", [True, False])
 def test_what_is_hidden_has_the_label_of_what_hides_less(in_front, monkeypatch):
-    """Without hidden pixels, those in the strip have the label that happens to fit."""
+    """With a high cost of hidden pixels, the hidden strip gets a label that fits by chance."""
     true, *frames = scene(in_front=in_front)
     found = sharpen_labels(true, flows(), anywhere(), *frames)
     for name in ("LEAST_HIDDEN", "HIDDEN"):
@@ -133,7 +133,7 @@ def energy_of(found, costs, labels, free, frame, *, length, image_edges):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_min_sum_finds_the_least_energy(seed):
-    """Of a chain of pixels it is exact; of a block it is as good as one change of a pixel."""
+    """The energy is exact for a chain of pixels, and a local minimum for a block."""
     rng = np.random.default_rng(seed)
     frame = rng.uniform(0, 255, (6, 9)).astype(np.float32)
     labels = rng.integers(0, 3, frame.shape).astype(np.int32)
@@ -157,7 +157,7 @@ def test_min_sum_finds_the_least_energy(seed):
 
 
 def test_boundaries_cost_their_length_and_lie_on_edges():
-    """Costs that say nothing leave the shortest boundary, or that along the edge."""
+    """With equal costs, the boundary is the shortest one, or follows the image edge."""
     labels = np.zeros((20, 20), np.int32)
     labels[:, 10:] = 1
     free = np.zeros(labels.shape, bool)

@@ -47,7 +47,7 @@ def test_rho_is_the_field_of_the_flow(result, scene):
     height, width = scene.depth.shape
     expected = flow_of(motion_matrix(scene.camera, height, width, 6), result.rho.astype(float))
     np.testing.assert_allclose(np.moveaxis(result.flow, -1, 0), expected, atol=2e-5)
-    # And, but for what a finite motion adds, it is the twist's.
+    # Except for the finite motion, it is the field of the twist.
     first_order = result.motions[0][:3, None, None] * result.inverse_depth
     assert np.abs(result.tau - first_order).max() * scene.camera.focal < 0.6
     np.testing.assert_allclose(result.tau[2], first_order[2], atol=1e-7)
@@ -70,7 +70,7 @@ def test_about_two_thirds_lie_within_one_deviation(result, scene):
     scale = np.median(truth[visible]) / np.median(result.inverse_depth[visible])
     off = np.abs(result.inverse_depth - truth / scale)[visible]
     assert 0.55 < (off < result.inverse_depth_std[visible]).mean() < 0.85
-    # It is not one number for all: what it calls the surest half is better than the rest.
+    # Deviations differ between pixels: the half with the smaller ones has smaller errors.
     sure = result.inverse_depth_std < np.median(result.inverse_depth_std)
     assert off[sure[visible]].mean() < 0.7 * off[~sure[visible]].mean()
 
@@ -96,7 +96,7 @@ def test_noise_widens_the_deviation(small):
     ],
 )
 def test_every_preset_and_model(preset, model):
-    scene = static_scene("sideways", *SIZE, seed=2)  # by no more than a pixel, for one scale
+    scene = static_scene("sideways", *SIZE, seed=2)  # at most a pixel of motion, for a single scale
     found = interpreted(scene, tisfm.Settings.preset(preset, motion="camera", model=model))
     limit = 0.03 if preset != "paper" else 0.15
     assert depth_errors(found.depth, scene.depth, mask=scene.visible).abs_rel < limit
@@ -118,7 +118,7 @@ def test_colour_and_sixteen_bits(small):
 
 
 def test_the_background_of_moving_blocks():
-    """Most of the image is static: its motion is found although two blocks have their own."""
+    """Most of the image is static, so its motion is found although two blocks move."""
     pair = two_blocks(240, 320, seed=1)
     result = interpreted(pair)
     assert errors(result, pair).direction < 1.5

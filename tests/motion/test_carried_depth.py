@@ -1,4 +1,4 @@
-"""Depth carried across bare surfaces."""
+"""Depth interpolated across surfaces without texture."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def interpreted(scene, settings=BALANCED, **options):
 
 
 def relative_errors(result, scene):
-    """Return |s·Z − true|/true of every pixel, s the median of their ratio."""
+    """Return |s·Z − true|/true of every pixel; s is the median of the ratio true/Z."""
     depth = 1 / np.maximum(result.inverse_depth, 1e-9)
     scaled = depth * np.median(scene.depth / depth)
     return np.abs(scaled - scene.depth) / scene.depth
@@ -53,7 +53,7 @@ def test_a_bare_room_without_a_pose(bare_room):
 
 
 def test_a_bare_room_in_twelve_bits_of_sixteen(bare_room):
-    """What counts as noise goes with the range of the grey levels."""
+    """The threshold of noise is in proportion to the range of the grey levels."""
     twelve = [frame.astype(np.uint16) * 16 for frame in (bare_room.frame0, bare_room.frame1)]
     pose = pose_matrix(bare_room.motions[0])
     narrow = tisfm.interpret(*twelve, camera=bare_room.camera, settings=BALANCED, pose=pose)
@@ -65,7 +65,7 @@ def test_a_bare_room_in_twelve_bits_of_sixteen(bare_room):
 
 
 def test_motion_of_what_is_hardly_bare_is_refined_with_depth(monkeypatch):
-    """Jointly where less than 15 % is bare, and from a finer flow field where more is."""
+    """Up to 15 % without texture, jointly with depth; above, from a finer flow field."""
     import tisfm.motion.camera
 
     still = np.zeros((3, 6))
@@ -75,7 +75,7 @@ def test_motion_of_what_is_hardly_bare_is_refined_with_depth(monkeypatch):
         monkeypatch.setattr(tisfm.motion.camera, "textureless_share", lambda *_: bare)
         return interpreted(scene).motions
 
-    joint = motions(0.0)  # nothing is carried
+    joint = motions(0.0)  # depth is not interpolated
     np.testing.assert_array_equal(motions(0.1), joint)
     assert np.abs(motions(0.2) - joint).max() > 1e-6
 
@@ -83,7 +83,8 @@ def test_motion_of_what_is_hardly_bare_is_refined_with_depth(monkeypatch):
 def test_first_order_smoothness_does_not_carry_it(bare_room, monkeypatch):
     import tisfm.motion.camera
 
-    monkeypatch.setattr(tisfm.motion.camera, "MOST_TEXTURELESS", 2.0)  # never
+    # No share is above 2: depth is never interpolated.
+    monkeypatch.setattr(tisfm.motion.camera, "MOST_TEXTURELESS", 2.0)
     pose = pose_matrix(bare_room.motions[0])
     result = interpreted(bare_room, pose=pose)
     assert relative_errors(result, bare_room).mean() > 0.045
@@ -157,4 +158,4 @@ def test_bare_share():
     noisy = 90 + rng.normal(0, 3, (120, 160)).astype(np.float32)
     assert textureless_share(noisy) > 0.95
     assert textureless_share(np.full((1, 1), 7, np.float32)) == 1
-    assert 0 <= textureless_share(1e30 * frame) <= 1  # and no warning
+    assert 0 <= textureless_share(1e30 * frame) <= 1  # and raises no warning

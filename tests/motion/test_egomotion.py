@@ -1,4 +1,4 @@
-"""The camera's motion from flow: exact on exact flow, and little moved by what moves on its own."""
+"""The motion of the camera from flow: exact from exact flow, and robust to moving objects."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def scene(request):
 def test_exact_flow_gives_the_exact_motion(scene):
     rotation, translation = rigid_motion(scene.motions[0])
     motion = camera_motion(scene.flow, np.ones(SIZE), scene.camera)
-    assert angle(motion.translation, translation) < 1e-3  # its sign included
+    assert angle(motion.translation, translation) < 1e-3  # including the sign
     assert turn(motion.rotation, rotation) < 1e-3
     assert np.linalg.norm(motion.translation) == pytest.approx(1)
     assert motion.inliers == 1
@@ -62,7 +62,7 @@ def test_noise_and_gross_errors_of_the_flow(scene):
     motion = camera_motion(flow, np.ones(SIZE), scene.camera)
     assert angle(motion.translation, translation) < 2
     assert turn(motion.rotation, rotation) < 0.05
-    assert 0.03 < motion.residual < 0.08  # of the noise, across the epipolar lines
+    assert 0.03 < motion.residual < 0.08  # of the order of the noise across the epipolar lines
 
 
 def test_blocks_that_move_on_their_own_hardly_matter():
@@ -120,7 +120,8 @@ def test_nothing_trusted_is_an_error():
 def test_normal_equations_are_made_regular_along_the_scale():
     direction = np.array([0.6, 0.0, 0.8])
     slope = np.random.default_rng(0).normal(size=(6, 40))
-    slope[:3] -= np.outer(direction, direction @ slope[:3])  # nothing depends on the length of t
+    # No equation depends on the length of t.
+    slope[:3] -= np.outer(direction, direction @ slope[:3])
     normal = slope @ slope.T
     along = np.concatenate([direction, np.zeros(3)])
     held = hold_scale(normal, direction)

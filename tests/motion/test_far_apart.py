@@ -1,4 +1,4 @@
-"""Frames far apart: where a flow field fails, matched points give the motion to start from."""
+"""Distant frames: where a flow field fails, matched points give the initial motion."""
 
 import cv2
 import numpy as np
@@ -15,7 +15,7 @@ from tisfm.motion.first_motion import first_motion
 from tisfm.scenes import Plane, Scene, Texture
 
 SIZE = (240, 320)
-TURNED = (0.5, 0, 0.2, 0.03, 0.19, 0)  # by 11°, with displacements of 30 to 90 px
+TURNED = (0.5, 0, 0.2, 0.03, 0.19, 0)  # a turn of 11°: flow of 30 to 90 px
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def test_a_turn_between_frames_is_found(far, monkeypatch):
     assert depth_errors(result.depth, far.depth, mask=seen).abs_rel < 0.08
     off = np.linalg.norm(result.flow - far.flow, axis=-1)
     assert np.median(off[seen]) < 0.5
-    # The flow field alone misses it.
+    # Without matched points, the flow field fails.
     without_matches(monkeypatch)
     alone = interpreted(far)
     assert alone.status not in ("converged", "iteration_limit") or errors(alone, far).rotation > 2
@@ -113,7 +113,7 @@ def test_a_room_far_apart():
 
 
 def test_a_large_turn_found_by_points_is_a_rotation():
-    """As far as the flow of a turn goes, it has not run away."""
+    """The flow of a large turn must not count as diverged."""
     height, width, focal = 240, 320, 300.0
     rng = np.random.default_rng(0)
     wide = cv2.GaussianBlur(rng.normal(size=(2 * height, 3 * width)), (0, 0), 2)

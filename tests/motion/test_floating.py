@@ -1,4 +1,4 @@
-"""What floats cannot be at rest: things that move along the background's epipolar lines."""
+"""Floating parts cannot be at rest: objects that move along the background's epipolar lines."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ SMALLEST = 64
 
 
 def ground(height=90, width=121):
-    """A floor of inverse depth 1 at the horizon, 3 at the lower border, and a wall above."""
+    """Return a floor, of inverse depth 1 at the horizon and 3 at the lower border, and a wall."""
     rows = np.arange(height, dtype=np.float32)[:, None]
     return np.maximum(1, 1 + 2 * (rows - height // 3) / (height - 1 - height // 3)) * np.ones(
         (1, width), np.float32
@@ -38,7 +38,7 @@ def test_without_domes_is_the_best_path_to_the_border():
     rng = np.random.default_rng(0)
     image = rng.random((13, 17)).astype(np.float32)
     expected = np.pad(image, 1, constant_values=np.inf)
-    # Bellman's recursion: the best neighbour, but no more than the pixel itself.
+    # Bellman's recursion: the value of the best neighbour, limited by the value of the pixel.
     best = np.where(np.isinf(expected), np.inf, -np.inf)
     for _ in range(image.size):
         around = [np.roll(best, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)]
@@ -102,7 +102,7 @@ def test_parts_are_found_in_large_maps_too():
 
 
 def test_a_block_moving_along_epipolar_lines_gets_a_label():
-    """The camera moves to the right; the block to the left looks nearer, and a bump fits it."""
+    """The camera moves right; a bump explains the block on the left, which looks nearer."""
     scene = two_blocks(240, 320, seed=1, block_motions=[[-0.02, 0, 0, 0, 0, 0], np.zeros(6)])
     result = interpreted(scene)
     assert len(result.motions) == 2
@@ -113,7 +113,7 @@ def test_a_block_moving_along_epipolar_lines_gets_a_label():
 
 
 def test_a_block_that_looks_further_away_is_taken_for_one_at_rest():
-    """The limit: a thing seen through a window looks like that, too."""
+    """A limit of the method: objects seen through a window look the same."""
     scene = two_blocks(120, 160, seed=1, block_motions=[[0.015, 0, 0, 0, 0, 0], np.zeros(6)])
     assert len(interpreted(scene).motions) == 1
 

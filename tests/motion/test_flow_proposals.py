@@ -1,4 +1,4 @@
-"""Motions that coarse to fine loses: large ones, and small things that move far."""
+"""Motions that coarse-to-fine solution loses: large motions, and fast small objects."""
 
 import hashlib
 
@@ -28,7 +28,7 @@ def texture(height, width, seed):
 
 
 def seen(surface, matrix, height, width):
-    """Return the part of a surface that pixels show where a 2×3 matrix takes them, as bytes."""
+    """Return a surface sampled at the pixels of a frame, moved by a 2×3 matrix, uint8."""
     matrix = np.add(matrix, [[0, 0, MARGIN], [0, 0, MARGIN]])
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     frame = cv2.warpAffine(surface, matrix, (width, height), flags=flags)
@@ -36,7 +36,7 @@ def seen(surface, matrix, height, width):
 
 
 def moved(matrix, height=240, width=400, seed=0):
-    """Return two frames of a surface that an affine motion moves, its flow, and what stays seen."""
+    """Return two frames of a surface under an affine motion, its flow, and the pixels that stay."""
     surface = texture(height + 2 * MARGIN, width + 2 * MARGIN, seed)
     matrix = np.array(matrix, float)
     rows, columns = np.mgrid[:height, :width]
@@ -49,7 +49,7 @@ def moved(matrix, height=240, width=400, seed=0):
 
 
 def with_thing(background, move, size=30, seed=5):
-    """Return frames with a square thing that moves by whole px, its flow, and where it is."""
+    """Return frames with a square object that moves by whole px, the flow, and its mask."""
     frame0, frame1, flow, _ = background
     frame0, frame1, flow = frame0.copy(), frame1.copy(), flow.copy()
     height, width = frame0.shape
@@ -73,7 +73,7 @@ def without_proposals(monkeypatch, *frames, **options):
         return tisfm.interpret(*frames, **options)
 
 
-AFAR = [[1.02, 0.1, 76], [0.01, 1.03, 10]]  # by 76 to 108 px
+AFAR = [[1.02, 0.1, 76], [0.01, 1.03, 10]]  # flow of 76 to 108 px
 
 
 @pytest.mark.parametrize("preset", ["fast", "balanced", "accurate"])
@@ -83,7 +83,7 @@ def test_a_background_that_moves_by_100_px_is_found(preset):
     result = tisfm.interpret(frame0, frame1, settings=tisfm.Settings.preset(preset))
     off = error(result, flow)
     assert off[stays].mean() < 1
-    assert off.mean() < 5  # what leaves the image goes with what stays
+    assert off.mean() < 5  # pixels that leave the image get the flow of those that stay
 
 
 def test_what_leaves_the_image_with_a_right_flow_keeps_it(monkeypatch):
@@ -116,7 +116,7 @@ def test_without_proposals_both_are_lost(monkeypatch):
 
 
 def bare(height=240, width=400, grey=110):
-    """Return two frames of a wall without texture, at rest, its flow, and where it is seen."""
+    """Return two frames of a wall without texture, at rest, its flow, and a mask of all pixels."""
     frame = np.full((height, width), grey, np.uint8)
     return frame, frame, np.zeros((height, width, 2)), np.ones((height, width), bool)
 
@@ -133,14 +133,14 @@ def test_a_thing_that_moves_by_about_its_size_is_found(monkeypatch, background, 
     assert np.median(error(lost, flow)[thing]) > 5
     off = error(tisfm.interpret(frame0, frame1), flow)
     assert np.median(off[thing]) < 0.5
-    assert off[thing].mean() < 4  # wrong at the outline
+    assert off[thing].mean() < 4  # the outline is inaccurate
     if background == "textured":
         assert off[~thing].mean() < 0.6
 
 
 def test_a_hot_pixel_makes_no_thing(monkeypatch):
     frame0, frame1, flow, _ = moved([[1, 0, 1.5], [0, 1, -0.5]])
-    for frame in (frame0, frame1):  # the sensor's, so that it stays where it is
+    for frame in (frame0, frame1):  # a defect of the sensor, which does not move
         frame[100, 150] = 255
         frame[60, 300] = 0
     amended = tisfm.interpret(frame0, frame1)
@@ -167,7 +167,7 @@ def test_a_half_bare_frame_is_left_alone(monkeypatch):
 
 @pytest.mark.parametrize("scene", ["thing", "background"])
 def test_any_type_of_frames_gives_the_same_flow(scene):
-    """Full range, 12 bits in 16, and [0, 1]."""
+    """Uint16 with the full range, uint16 with 12 bits, and float in [0, 1]."""
     if scene == "thing":
         frame0, frame1, flow, judged = with_thing(moved([[1, 0, 3], [0, 1, -1.5]]), (60, 0))
     else:
@@ -187,7 +187,7 @@ def test_any_type_of_frames_gives_the_same_flow(scene):
 
 @pytest.mark.parametrize("kind", ["stripes", "bare", "too far", "texture"])
 def test_areas_that_may_be_mistaken_do_not_move(kind):
-    """Stripes and bare parts look alike far away. In a whole image, much looks alike by chance."""
+    """Stripes and bare areas match far away, and so does anything by chance in a whole image."""
     from tisfm.motion.flow_proposals import _distinctive
     from tisfm.motion.matched_windows import Windows
 
@@ -239,9 +239,9 @@ def test_images_confirm_a_shift_by_half_the_image_only_where_they_agree(kind):
     flow[0] = -160
     if kind == "unrelated":
         frame1 = texture(240, 320, 1).astype(np.float32)
-    elif kind == "repeating":  # two and a half times
+    elif kind == "repeating":  # the shift is two and a half periods
         frame0 = frame1 = np.tile(surface[:, :64], 5)
-    elif kind == "periods":  # four times
+    elif kind == "periods":  # the shift is four periods
         frame0 = frame1 = np.tile(surface[:, :40], 8)
     elif kind == "folded":
         flow[0, :, ::16] -= 24
@@ -252,7 +252,7 @@ def test_images_confirm_a_shift_by_half_the_image_only_where_they_agree(kind):
 
 
 def test_a_false_shift_of_a_texture_that_repeats_is_diverged():
-    """It moves by 18 px, and flow finds 18 px and four periods."""
+    """The true shift is 18 px; the flow is 18 px and four periods."""
     surface = np.clip(np.rint(np.tile(texture(240, 480, 0)[:, :40], 9)), 0, 255).astype(np.uint8)
     result = tisfm.interpret(surface[:, :320], surface[:, 18:338])
     assert np.median(result.flow[..., 0]) < -160
@@ -276,7 +276,7 @@ def test_same_bits_with_one_thread_and_with_all():
 @pytest.mark.parametrize(("size", "other"), [((97, 151), (48, 76)), ((75, 113), (53, 79))])
 @pytest.mark.parametrize("back", [False, True])
 def test_a_flow_on_another_level_is_as_long_along_both_axes(size, other, back):
-    """Levels are scaled by their factor exactly, however their sizes are rounded."""
+    """Flow scales by the exact factor of the levels, although their sizes are rounded."""
     from tisfm.motion.matched_windows import resized
 
     ratio = other[1] / size[1] + 0.003
@@ -381,7 +381,7 @@ def test_outlines_are_those_of_the_images():
     unknowns.set_images(rho)
     FastObjects(rough, problem).set_apart(WindowSearch(pyramid, 0).windows(0), unknowns)
     off = np.linalg.norm(np.moveaxis(unknowns.flow(), 0, -1) - flow, axis=-1)
-    assert (off > 1).sum() < 30  # of an outline of 80 px
+    assert (off > 1).sum() < 30  # the outline has 80 px
     east, south = unknowns.to_images(unknowns.edges)
     told = unknowns.flow()[0] > 20
     across = told[:, 1:] != told[:, :-1]

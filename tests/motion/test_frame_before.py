@@ -1,4 +1,4 @@
-"""Three frames at a time: where the one before is of use, and where it is not."""
+"""Windows of three frames: the previous frame improves a steady motion, and harms no other."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ def triple(make, *, speed=SPEED, speed_before=None, **options):
 
 
 def both(frames, pair, settings):
-    """Return the last interpretation of three frames in a window, and that of the pair alone."""
+    """Return the last interpretation of a window of three frames, and that of the pair alone."""
     options = {"camera": pair.camera, "settings": settings}
     *_, last = tisfm.interpret_sequence(frames, window=3, **options)
     return last, tisfm.interpret(*frames[1:], **options)
@@ -41,7 +41,7 @@ def test_what_is_hidden_next_is_seen_before(make, preset):
     errors = [endpoint_error_map(result.flow, pair.flow) for result in (last, alone)]
     assert errors[0][hidden].mean() < 0.75 * errors[1][hidden].mean()
     assert errors[0][~hidden].mean() < errors[1][~hidden].mean()
-    # What is hidden in frame 1 is still said to be.
+    # Pixels that are hidden in frame 1 still count as hidden.
     assert last.occlusion[hidden].mean() > 0.7
     assert not last.confidence[last.occlusion].any()
     assert last.status == "converged"
@@ -60,7 +60,7 @@ def test_frames_of_another_scene_before_change_nothing():
     other = np.random.default_rng(0).integers(0, 255, frames[0].shape, dtype=np.uint8)
     last, alone = both([other, *frames[1:]], pair, FAST)
     np.testing.assert_array_equal(last.rho, alone.rho)
-    # And a cut after the pair: its own statuses tell.
+    # With a cut after the pair, the status of the last pair says so.
     last, alone = both([*frames[:2], other], pair, FAST)
     assert last.status == alone.status == "unrelated"
     np.testing.assert_array_equal(last.rho, alone.rho)
@@ -96,7 +96,7 @@ def test_every_preset_takes_three_frames_and_keeps_them(preset):
 
 
 def test_a_bend_is_fitted_on_every_surface():
-    """Two planes side by side, each with a bend of its own, one of them hidden in part."""
+    """Two planes side by side have different bends; one plane is partly hidden."""
     from tisfm.motion.previous_frame import fitted_bend
 
     shape = (96, 128)
@@ -108,7 +108,7 @@ def test_a_bend_is_fitted_on_every_surface():
     seen = np.ones(shape, bool)
     seen[30:60, 50:64] = False
     flow = (bend - back).astype(np.float32)
-    flow[:, ~seen] = 100  # of what is hidden, nothing counts
+    flow[:, ~seen] = 100  # hidden pixels must not count
     found, off, steady = fitted_bend(flow, back, seen)
     np.testing.assert_allclose(found, bend, atol=0.03)
     assert off[seen].max() < 0.01 and steady.all()
@@ -122,7 +122,7 @@ def test_a_bend_that_changes_everywhere_is_none():
     assert fitted_bend(flow, back, seen) is None
     assert fitted_bend(flow, -flow, ~seen) is None
     assert fitted_bend(flow, -flow, seen) is not None
-    assert fitted_bend(flow, flow, seen) is None  # there and back: no steady motion
+    assert fitted_bend(flow, flow, seen) is None  # forth and back: not a steady motion
 
 
 def test_a_flow_is_turned_round_where_it_arrives():
@@ -132,9 +132,9 @@ def test_a_flow_is_turned_round_where_it_arrives():
     flow = np.zeros((2, 40, 60), np.float32)
     flow[:, 10:20, 10:30] = np.array([7.0, 2.0])[:, None, None]
     hidden = np.zeros(frame.shape, bool)
-    hidden[12:22, 30:37] = True  # where it arrives, the rest of its columns overlap itself
+    hidden[12:22, 30:37] = True  # other columns of the block arrive on pixels of the block itself
     back, seen = PreviousPair(frame0=frame, frame1=frame, flow=flow, hidden=hidden).turned()
     np.testing.assert_array_equal(back[:, 12:22, 30:37], -flow[:, 10:20, 23:30])
     assert seen[12:22, 30:37].all()
-    assert not seen[10:12, 10:30].any()  # what the block leaves
+    assert not seen[10:12, 10:30].any()  # the block leaves these pixels
     assert not back[:, ~seen].any()

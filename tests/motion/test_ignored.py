@@ -1,4 +1,4 @@
-"""Masks: what covers a scene has no say in its motion and depth."""
+"""Masks: masked pixels do not affect motion and depth."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ FIELD = tisfm.Settings()
 
 
 def covered(scene, seed=0):
-    """A scene with a logo and a bonnet of noise that stay where they are, and its mask."""
+    """Return a scene with a logo and a bonnet of noise at fixed positions, and the mask of both."""
     height, width = scene.depth.shape
     rows, columns = np.mgrid[:height, :width]
     mask = rows < (0.82 + 0.06 * np.cos(6 * columns / width)) * height
@@ -60,7 +60,7 @@ def test_what_is_beside_is_as_good_as_without_a_cover(render, settings, error, k
     clean = error(interpreted(scene, settings), scene, seen)
     assert error(result, scene, seen) < kept * clean
     assert error(interpreted(spoilt, settings), scene, seen) > harm * clean
-    # And not a bit of it comes from what the cover shows.
+    # No bit of the result depends on the masked pixels.
     assert same(result, interpreted(scene, settings, mask=mask))
 
 
@@ -93,12 +93,12 @@ def test_ignored_pixels_are_not_trusted(settings):
     first = interpreted(scene, settings, mask=np.stack([mask, np.ones_like(mask)]))
     assert first.occlusion[~mask].all() and not first.confidence[~mask].any()
     assert np.isfinite(first.flow).all() and (first.confidence[mask] > 0).mean() > 0.8
-    # Smoothness carries what is around to where there are no data.
+    # Without data, smoothness continues the surroundings into the mask.
     inner = np.s_[50:70, 70:100]
     assert np.abs(first.flow - scene.flow)[inner].mean() < 0.25 * np.abs(scene.flow).mean()
     if settings.motion == "camera":
         assert np.isinf(first.inverse_depth_std[~mask]).all()
-    # Of frame 1, it is where pixels go.
+    # The mask of frame 1 hides the pixels that move to masked positions.
     second = interpreted(scene, settings, mask=np.stack([np.ones_like(mask), mask]))
     columns = np.arange(160) + np.rint(second.flow[..., 0]).astype(int)
     rows = np.arange(120)[:, None] + np.rint(second.flow[..., 1]).astype(int)
@@ -114,7 +114,7 @@ def test_distortion_bends_masks_as_well():
     mask[:30] = False
     lens = tisfm.interpret(scene.frame0, scene.frame1, camera=camera, settings=CAMERA, mask=mask)
     rows = np.array([np.flatnonzero(~column)[0] for column in lens.occlusion.T[20:-20]])
-    assert rows.max() > rows.min() > 10  # a bent edge
+    assert rows.max() > rows.min() > 10  # undistortion bends the edge of the mask
 
 
 @pytest.mark.parametrize("settings", [FIELD, CAMERA, OBJECTS], ids=lambda s: s.motion)

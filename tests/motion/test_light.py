@@ -1,4 +1,4 @@
-"""Doubts about frames of which one is brighter."""
+"""Statuses that doubt a result, for two frames of different brightness."""
 
 from types import SimpleNamespace
 
@@ -23,7 +23,7 @@ def test_a_doubt_says_that_one_frame_is_darker():
     assert doubt in DOUBTS and "Frame 0 is 1.4" in doubt.message
     assert "or take brightness=0 and depth_brightness=0" in doubt.message
     assert "bright" not in found(shot.frames[1], "camera").message
-    assert "bright" not in found(dark, "field").message  # it is hardly disturbed
+    assert "bright" not in found(dark, "field").message  # brightness hardly disturbs this
     for frame1, told in ((dark[::-1, ::-1], True), (shot.frames[1][::-1, ::-1], False)):
         doubt = found(frame1, "field")
         assert doubt in DOUBTS and ("times as bright" in doubt.message) == told

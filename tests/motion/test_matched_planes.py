@@ -1,4 +1,4 @@
-"""Which inverse depth is believed: planes matched both ways round."""
+"""Inverse depth of matched planes that both directions of matching confirm."""
 
 import cv2
 import numpy as np
@@ -13,7 +13,7 @@ SETTINGS = tisfm.Settings()
 
 
 def scaled_motion(scene):
-    """Return the true motion as D in px/frame wants it, and the true D."""
+    """Return the true motion, scaled for D in px/frame, and the true D."""
     from tisfm.motion.rigid_depth import scaled_translations
 
     labels = np.zeros(scene.depth.shape, np.int32)
@@ -53,7 +53,7 @@ def test_bare_surfaces_and_noise_are_not_believed():
     rng = np.random.default_rng(0)
     frames = [frame.astype(np.float32) for frame in (scene.frame0, scene.frame1)]
     for frame in frames:
-        frame[:, 160:] = 90  # bare
+        frame[:, 160:] = 90  # without texture
         frame += rng.normal(0, 2, frame.shape)
     planes = matched(*frames, scene.camera, motion)
     assert planes.believed[:, 180:].mean() < 0.005
@@ -84,12 +84,14 @@ def test_no_island_is_left():
     believed = np.zeros((60, 60), bool)
     believed[:30, :30] = True  # large
     believed[40:45, 40:45] = True  # small
-    depth[10:15, 10:15] = 8  # another surface within the large one, and small
+    depth[10:15, 10:15] = 8  # another surface inside the large one, and small
     kept = without_islands(depth, believed)
     assert kept.sum() == 30 * 30 - 5 * 5
     assert ISLAND > 25 and not kept[40:].any() and not kept[10:15, 10:15].any()
     ramp = np.broadcast_to(np.linspace(1, 50, 60, dtype=np.float32), (60, 60))
-    assert without_islands(ramp.copy(), np.ones((60, 60), bool)).all()  # slanted, yet one
+    assert without_islands(
+        ramp.copy(), np.ones((60, 60), bool)
+    ).all()  # a slanted plane is one surface
 
 
 @pytest.mark.parametrize("deviation", [1.0, 4.0])
@@ -98,17 +100,18 @@ def test_noise_deviation(deviation):
 
     rng = np.random.default_rng(1)
     rows, columns = np.mgrid[:240, :320]
-    frame = 100 + 0.2 * columns + 0.1 * rows  # shading is no noise
-    frame[100:150, 100:200] += 60 * rng.random((50, 100))  # nor is texture
+    frame = 100 + 0.2 * columns + 0.1 * rows  # shading must not count as noise
+    frame[100:150, 100:200] += 60 * rng.random((50, 100))  # texture must not count as noise
     noisy = (frame + rng.normal(0, deviation, frame.shape)).astype(np.float32)
     assert noise_deviation(noisy) == pytest.approx(deviation, rel=0.15)
     assert noise_deviation(noisy[:5, :9]) == pytest.approx(deviation, rel=0.6)
     assert noise_deviation(frame.astype(np.float32)) == LEAST_NOISE
-    narrow = (frame / 16).astype(np.float32)  # 12 bits of 16
+    narrow = (frame / 16).astype(np.float32)  # 12 bits in a range of 16
     assert noise_deviation(narrow) < 0.12 < LEAST_NOISE
     assert noise_deviation(np.full((240, 320), 110, np.float32)) > 0
     striped = noisy.copy()
-    striped[:, 16::32] += 30 * rng.normal(size=striped[:, 16::32].shape)  # in every second block
+    # Texture in every second block.
+    striped[:, 16::32] += 30 * rng.normal(size=striped[:, 16::32].shape)
     assert noise_deviation(striped, every=2) != noise_deviation(striped)
     texture = rng.uniform(0, 255, frame.shape).astype(np.float32)
     assert noise_deviation(texture) == MOST_NOISE

@@ -1,4 +1,4 @@
-"""What shows no depth: rotations, rest, noise, and frames without relation."""
+"""Pairs without depth: rotations, rest, noise, and unrelated frames."""
 
 import cv2
 import numpy as np
@@ -13,7 +13,7 @@ from tisfm.rigid import pose_matrix, rigid_motion
 
 
 def turned(frame, camera, spin):
-    """The frame after the camera's rotation alone, exact but for interpolation."""
+    """Return the frame after a rotation of the camera, exact except for interpolation."""
     height, width = frame.shape
     cx, cy = camera.center_for(height, width)
     matrix = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1]])
@@ -46,7 +46,7 @@ def test_pure_rotation_is_said(noise):
     assert no_depth(result)
     np.testing.assert_array_equal(result.motions[0][:3], 0)
     np.testing.assert_allclose(result.motions[0][3:], spin, atol=1e-4)
-    # The flow is still that of the rotation.
+    # The flow is that of the rotation.
     assert np.abs(result.flow).max() > 1
     assert result.confidence.max() > 0.5
 
@@ -67,7 +67,7 @@ def test_noise_alone_is_no_motion(small):
 
 
 def of_noisy_frames(translation):
-    """The result of a rotation of pixels and a translation to the side, under noise; the scene."""
+    """Return the result of a rotation and a sideways translation, with noise; and the scene."""
     rng = np.random.default_rng(1)
     scene = moved_scene(np.array([-translation, 0, 0, 0.004, -0.008, 0.003]))
     frames = [
@@ -78,7 +78,7 @@ def of_noisy_frames(translation):
 
 
 def test_too_little_parallax_is_said():
-    """A translation of hundredths of a pixel."""
+    """The translation moves points by hundredths of a pixel."""
     result, scene = of_noisy_frames(0.008)
     assert result.status in ("little_parallax", "pure_rotation") and no_depth(result)
     assert "too little parallax" in result.status.message
@@ -87,7 +87,7 @@ def test_too_little_parallax_is_said():
 
 @pytest.mark.parametrize("translation", [0.012, 0.02])
 def test_rough_depth_is_said_to_be_uncertain(translation):
-    """It is far better than the same depth everywhere, all the same."""
+    """It is still far better than a constant depth."""
     result, scene = of_noisy_frames(translation)
     assert result.status == "uncertain"
     assert "there is little parallax, so depth is rough" in result.status.message
@@ -151,7 +151,7 @@ def test_unrelated_scenes_have_no_depth(pose, small):
 
 @pytest.mark.parametrize(("scale", "offset"), [(1 / 255, 0), (0.02, 200), (100, 0)])
 def test_frames_of_any_scale_are_related(scale, offset, small):
-    """What is found in common depends neither on the scale of the brightness nor on its level."""
+    """The check depends neither on the scale of the brightness nor on an offset."""
     frames = [np.float32(scale) * f + np.float32(offset) for f in (small.frame0, small.frame1)]
     flow, trust = small.flow.astype(np.float32), small.visible.astype(np.float32)
     assert unrelated(*frames, flow, trust) is None
@@ -159,7 +159,7 @@ def test_frames_of_any_scale_are_related(scale, offset, small):
 
 
 def test_the_deviation_is_never_zero(small):
-    """Black around what is seen: nothing is violated there, and nothing known."""
+    """Black surroundings violate no constraint, but determine nothing."""
     frames = [np.zeros(SIZE, np.uint8) for _ in range(2)]
     for frame, whole in zip(frames, (small.frame0, small.frame1), strict=True):
         frame[40:80, 40:120] = whole[40:80, 40:120]

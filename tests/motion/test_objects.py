@@ -1,4 +1,4 @@
-"""motion="objects": motions, labels and depth of things that move on their own."""
+"""motion="objects": motions, labels and depth of moving objects."""
 
 import dataclasses
 from pathlib import Path
@@ -25,7 +25,7 @@ def interpreted(scene, settings=OBJECTS):
 
 
 def things(scene):
-    """Wall and floor are one thing, each block another."""
+    """Return the true objects: wall and floor are one, each block is another."""
     return np.maximum(scene.labels - 1, 0)
 
 
@@ -35,7 +35,7 @@ def overlap(found, true):
 
 
 def partners(result, scene):
-    """The label of the result for each thing of the scene, by overlap."""
+    """Return the label of the result for each true object, by overlap."""
     true = things(scene)
     return [
         max(range(len(result.motions)), key=lambda k: overlap(result.labels == k, true == thing))
@@ -67,7 +67,7 @@ def fast(small):
 
 
 def check(result, scene, *, least_overlap=0.97, most_error=0.03):
-    """Every thing has a label of its own and no other does, and depth is right within each."""
+    """Check that labels and true objects match one to one, and that depth in each is right."""
     true, mine = things(scene), partners(result, scene)
     assert len(set(mine)) == len(mine) == len(result.motions)
     for thing, label in enumerate(mine):
@@ -91,7 +91,7 @@ def test_the_background_comes_first(result, blocks):
 
 @pytest.mark.parametrize(("seed", "settings"), [(7, OBJECTS), (8, OBJECTS), (9, FAST)])
 def test_three_moving_blocks(seed, settings):
-    """In these, one motion explains two of them at first, or parts of the third."""
+    """In these scenes, the first motion explains two blocks, or parts of the third."""
     scene = three_blocks(240, 320, seed=seed)
     check(interpreted(scene, settings), scene)
 
@@ -100,7 +100,8 @@ def test_motions_are_those_of_the_things(result, blocks):
     true = [blocks.motions[label] for label in (0, 2, 3)]
     for twist, label, limit in zip(true, partners(result, blocks), (1, 6, 12), strict=True):
         found = pose_errors(pose_matrix(result.motions[label]), pose_matrix(twist))
-        assert found.direction < limit  # a block of 1 px of parallax shows less than the room
+        # A block with 1 px of parallax determines less than the room.
+        assert found.direction < limit
 
 
 def test_rho_is_the_field_of_the_flow(result, blocks):
@@ -112,7 +113,7 @@ def test_rho_is_the_field_of_the_flow(result, blocks):
 
 
 def test_one_motion_cannot_explain_it(blocks):
-    """What the labels are for."""
+    """One motion has large errors of depth on the blocks."""
     camera = interpreted(blocks, tisfm.Settings(motion="camera"))
     on_blocks = (things(blocks) > 0) & blocks.visible
     assert depth_errors(camera.depth, blocks.depth, mask=on_blocks).abs_rel > 0.1
@@ -127,7 +128,7 @@ def test_a_static_scene_is_one_thing(kind):
 
 
 def test_a_camera_at_rest():
-    """The background shows no depth, and is none; the blocks do."""
+    """The background has no parallax and gets no depth; the blocks get depth."""
     scene = two_blocks(240, 320, seed=3, camera_motion=np.zeros(6))
     result = interpreted(scene)
     true, mine = things(scene), partners(result, scene)
@@ -203,7 +204,7 @@ def test_objects_on_a_floor_take_its_scale(result, blocks):
     together = interpreted(blocks, dataclasses.replace(OBJECTS, align_scales=True))
     assert depth_errors(together.depth, blocks.depth, mask=blocks.visible).abs_rel < 0.25 * apart
     np.testing.assert_array_equal(together.labels, result.labels)
-    # What moves a pixel stays: T and depth change together.
+    # Flow stays the same: T and depth change together.
     expected = together.motions[:, :3].T[:, together.labels] * together.inverse_depth
     before = result.motions[:, :3].T[:, result.labels] * result.inverse_depth
     np.testing.assert_allclose(expected, before, rtol=1e-4, atol=1e-9)
@@ -229,7 +230,7 @@ def estimate_of(inverse_depth, labels):
 
 
 def standing(*, floor_below=True):
-    """A box of inverse depth 4 on a floor of 2 at its foot."""
+    """Return a box of inverse depth 4 on a floor of inverse depth 2."""
     labels = np.zeros((40, 40), np.int32)
     labels[10:30, 10:30] = 1
     inverse_depth = np.where(labels == 1, 4.0, 2.0)
@@ -257,7 +258,7 @@ def test_without_contact_scales_stay():
     assert result.motions[1, 1] == 1
 
 
-# --- The parts --------------------------------------------------------------------------------
+# --- Parts of the method ----------------------------------------------------------------------
 
 
 def test_potts_labels_are_smooth_and_cut_at_edges():
@@ -273,7 +274,7 @@ def test_potts_labels_are_smooth_and_cut_at_edges():
     labels = Potts(frame).assign(costs.astype(np.float32), weight)
     assert labels.dtype == np.int32
     assert overlap(labels == 1, true) > 0.98
-    # Where pixels have no say, neighbours decide, up to the edge of the image.
+    # Where the weight of a pixel is low, its neighbours decide, up to the image edge.
     weight[:, 50:70] = 1e-3
     assert overlap(Potts(frame).assign(costs.astype(np.float32), weight) == 1, true) > 0.95
     one = Potts(frame).assign(costs[:1].astype(np.float32), weight)
@@ -332,7 +333,7 @@ def test_specks_are_given_to_their_surroundings():
     clean = labels.copy()
     labels[5:8, 5:8], labels[20:22, 30:33], labels[10, 10] = 1, 0, 2
     found = without_specks(labels, 20)
-    clean[10, 10] = 2  # the largest part of a label stays, so that none is lost
+    clean[10, 10] = 2  # the largest part of a label stays, so that no label is lost
     np.testing.assert_array_equal(found, clean)
     np.testing.assert_array_equal(without_specks(clean, 1), clean)
 
@@ -373,7 +374,7 @@ def test_candidates_of_an_exact_flow(small):
 
 
 def test_parts_of_a_label_get_motions_of_their_own():
-    """A motion found in two blocks is that of neither."""
+    """A motion fitted to two blocks fits neither, so it is split."""
     from tisfm.motion.objects.candidates import _Search
 
     scene = three_blocks(*SIZE)
@@ -384,7 +385,7 @@ def test_parts_of_a_label_get_motions_of_their_own():
         np.ones(SIZE, np.float32),
         scene.camera,
         scene.frame0.astype(np.float32),
-        100.0,  # px: any motion is tolerated
+        100.0,  # px: no motion is an outlier
         background,
     )
     search._labels = lambda motions, **options: np.minimum(true, 1)
@@ -397,7 +398,7 @@ def test_parts_of_a_label_get_motions_of_their_own():
 
 
 def test_surfaces_are_continued_beyond_their_support(small):
-    """What tells layers apart: there, the depth is that of the neighbourhood, not of the data."""
+    """Outside the support, depth continues the neighbourhood, so residuals separate layers."""
     from tisfm.frames import grey_pair
     from tisfm.motion.problems import pyramid_of
     from tisfm.motion.rigid_depth import motion_residual, rigid_depth
@@ -418,7 +419,7 @@ def test_surfaces_are_continued_beyond_their_support(small):
 
 
 def test_the_least_effort_is_that_of_the_documentation(monkeypatch):
-    """Fewer warps, iterations and sweeps have no effect."""
+    """Fewer warps, iterations and sweeps than documented have no effect."""
     from tisfm.motion.objects import estimation
 
     class Begun(Exception):

@@ -1,4 +1,4 @@
-"""motion="objects" where the camera turns by so much that a flow field alone fails."""
+"""motion="objects" with camera turns so large that a flow field alone fails."""
 
 import numpy as np
 import pytest
@@ -19,14 +19,14 @@ AT_REST = np.zeros((2, 6))
 
 
 def turning(turn, *, sideways=0.3, **options):
-    """Return two blocks before a camera that turns by so many degrees."""
+    """Return two blocks and a camera that turns by `turn` degrees."""
     camera_motion = (sideways, 0, 0, 0, np.deg2rad(turn), 0)
     return two_blocks(*SIZE, camera_motion=camera_motion, **options)
 
 
 @pytest.fixture(scope="module")
 def scene():
-    """Return two blocks before a background that moves by 89 px."""
+    """Return two blocks in front of a background that moves by 89 px."""
     return turning(11.5)
 
 
@@ -55,7 +55,7 @@ def test_a_background_that_moves_far(turn):
 @pytest.mark.parametrize("blocks", [AT_REST, None], ids=["at rest", "moving"])
 @pytest.mark.parametrize("turn", [15, 30])
 def test_a_camera_that_only_turned_far_sees_no_depth(turn, blocks):
-    """What frame 1 does not see of frame 0 tells nothing of the camera's motion."""
+    """Pixels that leave the image do not affect the motion of the camera."""
     scene = turning(turn, sideways=0, block_motions=blocks)
     result = interpreted(scene)
     assert result.status == "pure_rotation"

@@ -1,4 +1,4 @@
-"""motion="objects" where the background shows little parallax, or none, and things move."""
+"""motion="objects" with moving objects in front of a background with little or no parallax."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ SIZE = (240, 320)
 
 
 def moving(sideways, turn):
-    """Return two blocks that move before a camera that turns by so many degrees."""
+    """Return two moving blocks; the camera moves sideways and turns by `turn` degrees."""
     camera_motion = (sideways, 0, 0, 0, np.deg2rad(turn), 0)
     return two_blocks(*SIZE, camera_motion=camera_motion)
 
@@ -37,13 +37,13 @@ def check_depth_is_of_things_alone(result, scene):
 
 @pytest.mark.parametrize("turn", [0.5, 11.5])
 def test_without_parallax(turn):
-    """The motion of a thing explains the background as well, at infinity."""
+    """At infinite depth, the motion of an object explains the background as well."""
     scene = moving(0, turn)
     check_depth_is_of_things_alone(interpreted(scene), scene)
 
 
 def test_with_little_parallax():
-    """Alone, the background would have rough depth, and the status would say so."""
+    """Without the objects, the background gets rough depth and the status "uncertain"."""
     scene = moving(0.003, 0.3)
     frames = (np.asarray(frame, np.float32) for frame in (scene.frame0, scene.frame1))
     start = first_motion(pyramid_of(*frames, scene.camera, SETTINGS), SETTINGS)

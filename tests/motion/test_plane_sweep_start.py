@@ -1,4 +1,4 @@
-"""Where depth starts: the triangulated flow, and the plane sweep of large parallax."""
+"""Initial depth: triangulated flow, and a plane sweep for large parallax."""
 
 import subprocess
 import sys
@@ -20,7 +20,7 @@ each_size = pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}
 
 
 def in_vectors(cost, lanes, filler):
-    """Return (H, W, N) as a kernel takes it, and the plain view of it."""
+    """Return costs (H, W, N) in the layout of a kernel, and a plain view of them."""
     from tisfm.kernels.layout.lanes import aligned_zeros
 
     height, width, count = cost.shape
@@ -43,12 +43,12 @@ def test_aggregate(size, lanes, count):
     rng = np.random.default_rng(0)
     cost, guide = rng.uniform(0, 2, (*size, count)), rng.uniform(0, 5, size)
     laid, _ = in_vectors(cost, lanes, FORBIDDEN)
-    out, plain = in_vectors(np.ones_like(cost), lanes, 1.0)  # overwritten
+    out, plain = in_vectors(np.ones_like(cost), lanes, 1.0)  # the kernel overwrites it
     options = {"step": 0.3, "jump": 2.0, "edge": 1.5}
     aggregate(laid, guide.astype(np.float32), out, **options)
     expected = reference.aggregate(cost, guide, **options)
     np.testing.assert_allclose(plain[..., :count], expected, rtol=1e-5, atol=1e-5)
-    assert (plain[..., count:] > expected.max()).all()  # what is no hypothesis never wins
+    assert (plain[..., count:] > expected.max()).all()  # padding of the vectors never wins
 
 
 @each_size
@@ -58,7 +58,7 @@ def test_cheapest(size, count):
     from tisfm.kernels.rigid.semi_global import cheapest
 
     rng = np.random.default_rng(2)
-    cost = aligned_zeros((*size, 7))  # what is no hypothesis costs least here
+    cost = aligned_zeros((*size, 7))  # padding would have the lowest cost
     place = rng.uniform(-0.5, count - 0.5, size)
     cost[..., :count] = 3 + 2 * (np.arange(count) - place[..., None]) ** 2
     out = np.empty(size, np.float32)
@@ -103,7 +103,7 @@ def test_matching_cost(size, lanes):
     expected = reference.matching_cost(*features, hypotheses, camera, rotation, translation)
     away = np.abs(hypotheses - guess[..., None])
     expected += weight[..., None] * np.minimum(1, away / 2)
-    # At the very border rounding decides whether a pixel is inside.
+    # At the image border, rounding decides whether a pixel is inside.
     differs = np.abs(plain - expected) > 2e-4
     assert differs.mean() <= 0.01
 
@@ -139,7 +139,7 @@ def test_the_exact_flow_gives_the_exact_depth(kind):
     rotation, translation = rigid_motion(scene.motions[0])
     depth = triangulated(scene.flow, np.column_stack([rotation, translation]), scene.camera)
     error = np.abs(depth * scene.depth / scene.camera.focal - 1)
-    assert np.median(error) < 1e-3  # surroundings and a median touch edges only
+    assert np.median(error) < 1e-3  # the surroundings and a median only matter at edges
     assert np.quantile(error, 0.9) < 0.02
 
 
@@ -162,7 +162,7 @@ def test_near_the_epipole_depth_is_that_of_the_surroundings():
 
 @pytest.fixture(scope="module")
 def poles():
-    """A wall, a block before it, and as near as that poles that are narrower than they move."""
+    """Return a wall, a block, and poles as near as the block and narrower than their motion."""
     paint = [Texture(wavelength=0.1 * scale, seed=k) for k, scale in enumerate((3, 1, 1, 1))]
     camera = tisfm.Camera(focal=400.0)
     still = np.array([-0.5, 0, 0, 0, 0, 0])

@@ -1,4 +1,4 @@
-"""A pose that is known, and one that contradicts the images."""
+"""A known pose, and a pose that contradicts the images."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def test_known_pose_gives_metric_depth(small):
     found = pose_errors(pose_matrix(result.motions[0]), pose)
     assert found.direction < 1e-4 and found.rotation < 1e-4
     assert np.linalg.norm(result.motions[0][:3]) == pytest.approx(1)
-    # Depth in other units, the motion the same.
+    # in another unit, depth scales and the motion stays
     pose[:3, 3] *= 1000
     again = interpreted(small, pose=pose)
     np.testing.assert_allclose(again.depth, 1000 * result.depth, rtol=1e-4)
@@ -153,7 +153,7 @@ def test_things_that_move_are_no_reason_to_doubt_a_pose():
 
 
 def test_a_pose_of_noise_without_parallax_puts_all_far_away(posed):
-    """What moves by no more than noise is not known to be near: 0, within its deviation."""
+    """Points that move less than the noise get inverse depth 0, within the deviation."""
     scene, _ = posed
     rng = np.random.default_rng(1)
     frames = (scene.frame0 + rng.normal(scale=3, size=(2, 180, 240))).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Pairs from a camera that reads row after row."""
+"""Pairs from a camera with a rolling shutter."""
 
 from dataclasses import replace
 from functools import cache
@@ -50,7 +50,7 @@ def test_depth_and_motion_are_those_of_middle_rows(motion):
         off(interpreted(film(motion), 0.0), film(motion)),
         strict=True,
     )
-    assert depth[1] < 1.05 * depth[0] and depth[2] > 1.12 * depth[0]  # undone, and ignored
+    assert depth[1] < 1.05 * depth[0] and depth[2] > 1.12 * depth[0]  # rows: undone, and ignored
     assert turn[1] < 0.7 * turn[2]
 
 
@@ -87,7 +87,7 @@ def test_a_pose_is_that_of_middle_rows():
         undone, ignored = (interpreted(of, r, pose=known) for r in (READOUT, None))
         errors.append((off(undone, of)[0], off(ignored, of)[0]))
         assert undone.camera.readout == 0
-        if known is pose:  # depth is in its unit
+        if known is pose:  # depth is in the unit of the pose
             ratio = undone.depth / of.depth[0]
             assert np.nanmedian(ratio) == pytest.approx(1, abs=0.01)
     assert all(one < 0.8 * other for one, other in errors)
@@ -107,7 +107,8 @@ def test_what_frames_do_not_show_is_occluded():
     result = interpreted(film("nodding"), READOUT, settings, mask=_left_out())
     assert (result.confidence[result.occlusion] == 0).all()
     assert np.isinf(result.inverse_depth_std[result.occlusion]).all()
-    assert result.occlusion[50:60, 50:60].all()  # what was ignored is, where it is now
+    # Masked pixels are occluded at their new positions.
+    assert result.occlusion[50:60, 50:60].all()
 
 
 def _left_out():
@@ -142,7 +143,7 @@ def test_depth_of_the_next_frame_is_that_of_the_points_that_it_shows():
     plane = np.full(shape, 0.25, np.float32)
     ahead = _in_next(plane, np.array((0.0, 0.0, -0.8, 0.0, 0.0, 0.0)), camera)
     np.testing.assert_allclose(ahead, 1 / (4 - 0.8), rtol=1e-6)
-    # A slanted plane n·P = 1 whose inverse depth is n·(x̂, ŷ, 1); moved, it is another one.
+    # Inverse depth of the plane n·P = 1 is n·(x̂, ŷ, 1). After a motion it is another plane.
     normal, twist = np.array((0.05, -0.03, 0.25)), np.array((0.2, 0.1, 0.3, 0.02, -0.03, 0.04))
     rows, columns = np.indices(shape)
     pixels = np.stack([columns, rows], axis=-1)
@@ -155,7 +156,7 @@ def test_depth_of_the_next_frame_is_that_of_the_points_that_it_shows():
     turned = rotation @ normal
     expected = rays(nodes) @ turned / (1 + turned @ translation)
     found = _in_next((rays(pixels) @ normal).astype(np.float32), twist, camera)
-    inside = np.s_[5:-5, 5:-5]  # of what frame 0 shows
+    inside = np.s_[5:-5, 5:-5]  # pixels that frame 0 shows
     np.testing.assert_allclose(found[inside], expected[inside], rtol=2e-3)
 
 

@@ -1,4 +1,4 @@
-"""What runs away of motion="objects" is brought back, and the pair does not diverge."""
+"""motion="objects" repairs labels and pixels whose solution diverges, so the pair converges."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ def scene():
 
 @pytest.fixture
 def refined(monkeypatch):
-    """Let what refines motions do something to its solution; returned are the calls."""
+    """Change the solution of the refined motions, and record the calls of `rigid_depth`."""
     calls = []
 
     def install(change):
@@ -48,7 +48,7 @@ def refined(monkeypatch):
 
 
 def estimated(scene):
-    """Return the estimate by true labels and motions, and what it starts from."""
+    """Return the estimate from true labels, motions and flow; and these labels and motions."""
     labels = np.maximum(scene.labels - 1, 0).astype(np.int32)
     motions = np.stack([np.column_stack(rigid_motion(scene.motions[label])) for label in (0, 2, 3)])
     frames = (np.asarray(frame, np.float32) for frame in (scene.frame0, scene.frame1))
@@ -88,13 +88,13 @@ def test_a_label_that_runs_away_keeps_motion_and_depth(scene, refined):
     estimate, labels, motions = estimated(scene)
     own = [pose_matrix(twist)[:3, :3] for twist in estimate.motions]
     np.testing.assert_allclose(own[2], motions[2, :, :3], atol=1e-9)
-    assert (own[1] != motions[1, :, :3]).any()  # that of the others is the refined one
+    assert (own[1] != motions[1, :, :3]).any()  # the other labels have the refined motions
     check(estimate)
     assert error(estimate, scene, labels == 2) < 0.2
 
 
 def test_the_images_say_of_a_label_what_it_came_to_be(scene, refined):
-    """Motion and depth that ran away met no data; those of the layer do."""
+    """Precision comes from the layer of the label, not from the solution that diverged."""
 
     def change(solution):
         motions, precision = solution.motions.copy(), solution.precision.copy()
@@ -115,7 +115,7 @@ def test_the_images_say_of_a_label_what_it_came_to_be(scene, refined):
         ]
         for each in (estimate, usual)
     )
-    # Its depth is that of true flow, not of the images.
+    # The depth of this label comes from the true flow, not from the images.
     np.testing.assert_allclose(trust.mean(), own.mean(), rtol=0.1)
     assert np.median(estimate.inverse_depth_std[mine]) < 2 * np.median(
         usual.inverse_depth_std[mine]
@@ -144,7 +144,7 @@ def test_pixels_that_run_away_take_the_depth_of_their_neighbours(scene, refined,
 
 
 def test_a_pair_that_runs_away_does(scene, refined):
-    """What is more than a few pixels of the largest label is not hidden."""
+    """More outliers than the share `FEW` in the largest label are not repaired."""
     rows = round(2 * FEW * SIZE[0])
 
     def change(solution):
@@ -159,7 +159,7 @@ def test_a_pair_that_runs_away_does(scene, refined):
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_label_of_which_nothing_stays(scene, monkeypatch, known):
-    """It has the depth of its layer, or none where that ran away as well."""
+    """All its pixels diverge: it takes the depth of its layer, or none if that diverged as well."""
 
     def rigid(pyramid, settings, motions, labels, *, refine="motion"):
         solution = rigid_depth(pyramid, settings, motions, labels, refine=refine)
@@ -195,7 +195,7 @@ def test_a_label_of_which_nothing_stays(scene, monkeypatch, known):
 
 @pytest.mark.parametrize("first", nightly_except(14, of=[2, 14]))
 def test_who_walks_past_does_not_run_away(shared_data, first):
-    """The flow of the man, or of a part of him, once came to be 46 and 130 px."""
+    """In an earlier version, the flow of the man, or of a part of him, reached 46 and 130 px."""
     files = sorted((shared_data / "statue").iterdir())
     result = tisfm.interpret(
         read_image(files[first]),

@@ -1,4 +1,4 @@
-"""Motions from matched points: the model that explains them, planes, noise and wrong matches."""
+"""Motions from matched points: the simplest model that explains them, with noise and outliers."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ PLANE = np.array([0.15, -0.1, 0.2])  # 1/Z = n · x̂
 
 
 def made(kind, *, count=300, noise=0.2, wrong=0.0, twist=TWIST):
-    """Matches of points at random depths, of a plane, or of a camera that turns."""
+    """Return matches of points at random depths, of a plane, or of a turning camera."""
     rng = np.random.default_rng(3)
     before = rng.uniform(0, np.array(SHAPE[::-1]) - 1, (count, 2))
     center = np.array(CAMERA.center_for(*SHAPE))
@@ -47,7 +47,7 @@ def test_the_simplest_model_that_explains_the_matches(kind, wrong):
         assert turn(motions[0].rotation_alone, rotation) < 0.1
         assert motions[0].parallax < 1
         return
-    # A plane leaves a second motion; of one that is right the other is not to be told.
+    # A plane allows two motions; if one is right, the images cannot exclude the other.
     right = [m for m in motions if np.degrees(angle(m.translation, translation)) < 2]
     assert len(right) == 1 and turn(right[0].rotation, rotation) < 0.3
     if kind == "depth":
@@ -61,7 +61,7 @@ def test_exact_matches_give_the_exact_motion():
     matches, rotation, translation = made("depth", noise=0)
     motions, _ = sparse_motions(matches, CAMERA, SHAPE)
     assert len(motions) == 1
-    assert np.degrees(angle(motions[0].translation, translation)) < 1e-3  # its sign included
+    assert np.degrees(angle(motions[0].translation, translation)) < 1e-3  # including the sign
     assert turn(motions[0].rotation, rotation) < 1e-3
     assert motions[0].inliers == 300
 
@@ -131,7 +131,7 @@ def test_brightness_of_any_scale_gives_the_same_matches(far, scale, offset):
     other = sparse_matches(*(np.float32(scale) * frame + np.float32(offset) for frame in frames))
     common = {tuple(pair) for pair in np.hstack([usual.before, usual.after])}
     again = {tuple(pair) for pair in np.hstack([other.before, other.after])}
-    assert len(common & again) > 0.95 * len(common)  # rounding moves a few grey levels
+    assert len(common & again) > 0.95 * len(common)  # rounding changes a few grey levels
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 40), (7, 9), (60, 80)])

@@ -1,4 +1,4 @@
-"""Statuses that say what is wrong, and are silent where nothing is."""
+"""Statuses name the problem of a pair, and there is none for a good pair."""
 
 from types import SimpleNamespace
 
@@ -31,7 +31,7 @@ def status(frame0, frame1, preset, motion, **options):
     return tisfm.interpret(frame0, frame1, camera=camera, settings=settings, **options).status
 
 
-# Nothing in common.
+# Unrelated frames.
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def test_a_flow_that_folds_the_image_relates_nothing(scene):
     frames = [frame.astype(np.float32) for frame in (scene.frame0, scene.frame0)]
     trust = np.ones(SIZE, np.float32)
     folding = np.zeros((*SIZE, 2), np.float32)
-    folding[:, ::4, 0] = 1.5  # every fourth pixel beyond its neighbour
+    folding[:, ::4, 0] = 1.5  # every fourth pixel moves past its neighbour
     assert "folds" in unrelated(*frames, folding, trust).message
     assert unrelated(*frames, folding, trust, free=False) is None
     folding[:, 40:] = 0
@@ -135,7 +135,7 @@ def test_blurred_noise_has_no_direction(side):
 
 
 def judged(scene, *, inverse_depth=None, flow=None, matched=False, deviation=1e-3):
-    """The status of an estimate made by hand, from the truth where nothing else is said."""
+    """Return the status of an estimate made by hand; arguments that are None have true values."""
     grey = grey_pair(scene.frame0, scene.frame1)
     pyramid = pyramid_of(*grey, scene.camera, CAMERA)
     truth = scene.flow.astype(np.float32)
@@ -166,9 +166,9 @@ def test_a_scene_that_lies_partly_behind_the_camera(scene, factor, code):
     [(0.05, 1e-3, None), (0.5, 0.2, None), (0.5, 0.1, "behind_camera")],
 )
 def test_noise_around_zero_lies_not_behind_the_camera(scene, distance, deviation, code):
-    """Neither what is within three deviations, nor what is next to nothing beside the rest.
+    """Points count as behind only beyond three deviations, and beyond a share of inverse depth.
 
-    Both are shares of the usual inverse depth.
+    `distance` and `deviation` are shares of the median inverse depth.
     """
     inverse_depth = 1 / scene.depth
     usual = float(np.median(inverse_depth))
@@ -180,7 +180,8 @@ def test_noise_around_zero_lies_not_behind_the_camera(scene, distance, deviation
 @pytest.mark.parametrize(("factor", "code"), [(0.7, None), (1.5, "unexplained")])
 def test_a_part_where_depth_leads_astray(scene, factor, code, matched):
     flow = scene.flow.astype(np.float32)
-    rows = max(1, round(factor * UNEXPLAINED * SIZE[0]) - CONFIDENCE_WINDOW)  # seen that far away
+    # Windows see the wrong rows from this distance.
+    rows = max(1, round(factor * UNEXPLAINED * SIZE[0]) - CONFIDENCE_WINDOW)
     flow[40 : 40 + rows] += (0, 9)
     assert judged(scene, flow=flow, matched=matched) == code
 
@@ -195,7 +196,7 @@ def test_a_part_whose_deviation_is_large(scene, factor, code):
 
 
 def test_what_is_far_is_not_uncertain(scene):
-    """A large share of next to nothing is little."""
+    """At great distance, inverse depth is small, so a large relative deviation is allowed."""
     inverse_depth = 1 / scene.depth
     usual = float(np.median(inverse_depth))
     inverse_depth[:60] = 0.01 * usual
@@ -208,7 +209,7 @@ def test_the_truth_explains_the_frames(scene):
 
 
 def test_a_pose_that_puts_the_scene_behind_the_camera(monkeypatch):
-    """Were the pose not doubted for its own sake."""
+    """The check of the pose itself is off, because it would come first."""
     pair = two_blocks(240, 320)
     monkeypatch.setattr(first_motion_module, "pose_status", lambda *_, **__: None)
     pose = pose_matrix(pair.motions[0])
@@ -216,7 +217,7 @@ def test_a_pose_that_puts_the_scene_behind_the_camera(monkeypatch):
     assert interpreted(pair, FAST, pose=np.linalg.inv(pose)).status == "behind_camera"
 
 
-# Frames far apart whose pose is given.
+# Distant frames with a given pose.
 
 
 def test_a_pose_of_frames_far_apart_gives_depth():
@@ -278,7 +279,7 @@ FRONTAL, SLANTED = (0, 0, -1), (0.6, 0.1, -1)
     "motion", [(-0.15, 0, 0, 0, 0, 0), (-0.5, 0, 0, 0, 0.02, 0), (-1.2, 0.2, 0, 0, 0.1, 0.02)]
 )
 def test_a_wall_shows_parallax(normal, motion, noise):
-    """Of 9 to 73 px."""
+    """The flow is 9 to 73 px."""
     result = plane(normal, motion, noise)
     assert result.status == "converged"
     assert (result.inverse_depth > 0).all()

@@ -1,4 +1,4 @@
-"""Frames that show little: a textured patch on a uniform ground, and no error from within."""
+"""Frames with little texture, a small patch on a uniform ground, raise no internal error."""
 
 import cv2
 import numpy as np
@@ -9,7 +9,7 @@ from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
 
 
 def thin_pair(seed):
-    """Return two uint8 frames, uniform but for a patch of 10 to 40 px that moves."""
+    """Return two uint8 frames: uniform, with a moving patch of 10 to 40 px."""
     rng = np.random.default_rng(seed)
     height, width = rng.integers((96, 120), (150, 190))
     side = rng.integers(10, 41)
@@ -23,8 +23,8 @@ def thin_pair(seed):
     return np.rint(frame).astype(np.uint8), np.rint(moved).astype(np.uint8)
 
 
-# Of the patches that once left fewer samples than an essential matrix needs, or samples that do
-# not determine one.
+# In earlier versions, these patches left fewer samples than an essential matrix needs, or samples
+# that do not determine an essential matrix.
 SEEDS = ((31, "camera"), (72, "camera"), (8, "objects"), (17, "objects"), (46, "objects"))
 
 
@@ -41,15 +41,15 @@ def test_a_textured_patch_is_interpreted_or_said_to_be_too_little(seed, motion):
         "little_parallax",
         "pure_rotation",
         "no_motion",
-        "no_texture",  # too few pixels are trusted, on some processors
-        "two_motions",  # what rolls in at the edges fits the patch no worse, on others
+        "no_texture",  # on some processors, too few pixels are confident
+        "two_motions",  # on others, texture that enters at the borders fits as well as the patch
     )
     for array in (result.flow, result.inverse_depth, result.confidence):
         assert np.isfinite(array).all()
 
 
 def patch_flow(side, *, moves=True):
-    """Return a flow that is doubtful but for a patch of side × side px, and its confidence."""
+    """Return a flow with confidence only in a patch of side × side px, and the confidence."""
     rng = np.random.default_rng(0)
     confidence = np.full((120, 160), 0.05, np.float32)
     confidence[40 : 40 + side, 60 : 60 + side] = 0.9
@@ -76,7 +76,7 @@ def test_where_opencv_finds_no_essential_matrix_there_is_no_start_from_there(mon
 
     monkeypatch.setattr(cv2, "findEssentialMat", fails)
     found = camera_motion(flow, confidence, tisfm.Camera(focal=200.0))
-    assert found.residual <= 1.1 * expected.residual  # from the axes
+    assert found.residual <= 1.1 * expected.residual  # by the start along the axes
 
 
 def test_fewer_than_eight_confident_pixels_are_too_few():

@@ -1,4 +1,4 @@
-"""A flow field between frames that show nothing in common: its status says so, others' do not."""
+"""A flow field between unrelated frames has a status that says so; related frames have none."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def status(frame0, frame1, preset):
 
 @pytest.mark.parametrize("preset", [*PRESETS, "accurate"])
 def test_other_scenes_and_mirrored_frames(scene, preset):
-    """The flow of "paper" bends far enough to make a half of them alike, but folds the image."""
+    """The flow of "paper" deforms until half of the frames look alike, but it folds the image."""
     other = static_scene("sideways", *SIZE, seed=9).frame1
     for frame1 in (other, scene.frame0[:, ::-1], scene.frame0[::-1]):
         found = status(scene.frame0, frame1, preset)

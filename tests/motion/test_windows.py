@@ -19,7 +19,7 @@ def test_variance_is_that_of_every_window(shape, size, level):
     expected = windows.var(axis=(2, 3))
     found = window_variance(image, size)
     assert found.dtype == np.float32 and (found >= 0).all()
-    # Roundings of the squares, about 10, of what is left without the mean.
+    # About 10 roundings of the squares, relative to the rest after the mean is subtracted.
     np.testing.assert_allclose(found, expected, atol=1e-5)
     if level == 0:
         means = windows.mean(axis=(2, 3)).astype(np.float32)

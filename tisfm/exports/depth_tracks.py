@@ -31,7 +31,7 @@ class DepthTracks:
     ----------
     frames : PieceFrames
     cells : int
-        Along the longer side: each cell without a point gets a new one.
+        Number of cells along the longer side; a new point begins in each cell without a point.
     """
 
     def __init__(self, frames: PieceFrames, cells: int) -> None:

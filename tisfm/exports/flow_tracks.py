@@ -45,7 +45,7 @@ def tracks_along_flow(
     ----------
     frames : PieceFrames
     cells : int
-        Along the longer side: each cell without a point gets a new one.
+        Number of cells along the longer side; a new point begins in each cell without a point.
     progress : callable
         Called with the number of finished frames and of all frames.
     """

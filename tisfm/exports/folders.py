@@ -54,7 +54,7 @@ def renewed_export(folder: str | PathLike[str], about: dict[str, Any]) -> Iterat
             yield new
     except BaseException:
         if is_new:
-            with suppress(OSError):  # something else is in it by now
+            with suppress(OSError):  # the folder has other files by now
                 path.rmdir()
         raise
 

@@ -22,7 +22,7 @@ def name_of(frame: int) -> str:
 
 
 def check_images(images: str) -> None:
-    """Raise ValueError unless a choice of `Images` is given."""
+    """Raise ValueError unless `images` is a choice of `Images`."""
     if images not in get_args(Images):
         raise InputError(f"images is {images!r}: expected 'copy', 'link' or 'none'")
 

@@ -24,7 +24,7 @@ MAX_STD = 0.15  # px, of a match, estimated from the difference of the patches
 BRIGHTNESS_WINDOW = 31  # px, over which both frames are given the same mean brightness
 SURFACE_WINDOW = 9  # px around a point that belongs to one surface
 MAX_DEPTH_STEP = 0.15  # relative difference of inverse depth in that window
-MIN_DEPTH = 1e-6  # Z of a visible point, in depths of the point in the first frame
+MIN_DEPTH = 1e-6  # least Z of a visible point, as a share of its depth in the first frame
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,8 +103,8 @@ def are_reliable(
 ) -> np.ndarray:
     """Return which matches look alike and are well localised in both directions, (N,) bool.
 
-    The difference of the patches counts as noise. Along the direction of least gradient, noise
-    moves a match by its standard deviation over the gradient: far along an edge, even if the
+    The difference of the patches counts as noise. Noise moves a match by its standard deviation
+    over the gradient. Along an edge the gradient is small: a match may be far off although the
     patches look alike.
 
     Parameters

@@ -124,7 +124,7 @@ def save_points(points: PointCloud, path: str | os.PathLike[str]) -> None:
     Raises
     ------
     ValueError
-        If the suffix is another, or a GLB file would be empty.
+        If the suffix is neither ``.ply`` nor ``.glb``, or a GLB file would be empty.
     OSError
         If the file cannot be written.
     """

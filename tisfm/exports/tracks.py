@@ -17,7 +17,7 @@ CELLS = 80  # along the longer side: each cell without a point gets a new group;
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tracks:
-    """Points of group piece, and their observations in frames.
+    """Points of one piece, and their observations in frames.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Tracks:
     colors : (P, 3) uint8
         Red, green, blue.
     points : (O,) int32
-        Point of every observation. Observations of group point are neighbours.
+        Point of every observation. Observations of the same point are adjacent.
     frames : (O,) int32
         Frame of every observation.
     image_points : (O, 2) float64
@@ -57,7 +57,7 @@ def measured_tracks(
 
     A point begins in a keyframe, at a corner of known depth. Depth and poses predict its position
     in other frames, where it is measured in the images. A point is kept if three frames or more
-    agree on group point in space, within 1.5 px in each frame. Moving objects and masked pixels
+    agree on one point in space, within 1.5 px in each frame. Moving objects and masked pixels
     have no points. Without any depth, points are tracked from frame to frame along the image
     motion, by the tracker of the reconstruction.
 

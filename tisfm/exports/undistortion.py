@@ -27,8 +27,8 @@ def write_undistortion(
 ) -> list[Path]:
     """Write ST maps: ``undistort.exr`` and ``redistort.exr``, or TIFF.
 
-    A pixel of ``undistort`` is the position in the frame of a pixel of the undistorted picture. A
-    pixel of ``redistort`` is the position in the undistorted picture of a pixel of the frame. Red
+    ``undistort`` has, at a pixel of the undistorted picture, its position in the frame.
+    ``redistort`` has, at a pixel of the frame, its position in the undistorted picture. Red
     is the column, from 0 at the left edge to 1 at the right edge; green is the row, from 0 at the
     bottom edge to 1 at the top: the centre of the upper left pixel of W × H is (0.5 / W, 1 − 0.5 /
     H). Blue is 1 for a position inside the picture. Otherwise it is 0, and red and green are −1.

@@ -14,7 +14,7 @@ SAMPLED_PIXELS = 20_000  # about, of each frame
 
 
 def some_of(frames: Sequence[int], count: int = SAMPLED_FRAMES) -> list[int]:
-    """Return at most so many of the frames, evenly spread."""
+    """Return at most `count` of the frames, evenly spread."""
     if len(frames) <= count:
         return list(frames)
     return [frames[k] for k in np.linspace(0, len(frames) - 1, count).round().astype(int)]

@@ -45,8 +45,8 @@ class ResultFrame:
         (τ, ω)·f of the model in which every pixel has its own motion.
     stored_flow : (H, W, 2) float32 or None
         Image motion to the next frame, px, if the result stores it.
-    motions : dict of int to ((6,) twist, (4, 4) pose)
-        By label, the motion before the camera to the next frame, in the unit of depth; empty if
+        By label, the motion relative to the camera until the next frame, in the unit of depth;
+        empty if unknown.
         unknown.
     """
 
@@ -118,7 +118,7 @@ class ResultFrame:
         return flow
 
     def flow_of_motion(self, pose: NDArray[np.float64], pixels: NDArray[np.bool_]) -> Floats:
-        """Return the image motion that a motion of the scene before the camera causes.
+        """Return the image motion of a motion of the scene relative to the camera.
 
         Parameters
         ----------

@@ -119,7 +119,7 @@ def fuse_keyframes(result: Reconstruction, kind: FusedKind, number: int) -> Fuse
 
 
 def thinned(scene: FusedScene, *, points: int = MAX_POINTS, faces: int = MAX_FACES) -> FusedScene:
-    """Return at most so many points, or a coarser surface with at most so many faces."""
+    """Return at most `points` points, or a coarser surface with at most `faces` faces."""
     if scene.faces is None:
         if len(scene.positions) <= points:
             return scene

@@ -21,8 +21,8 @@ from tisfm.results.result_frames import Change, as_rgb
 from tisfm.rigid import pose_matrix
 from tisfm.status import Status
 
-# Least relative difference of a translation from length 1 that shows that poses were given: without
-# given poses all translations have length 1. A bound on rounding, set by hand.
+# Without given poses all translations have length 1. A relative difference from 1 above this shows
+# that poses were given. A bound on rounding, set by hand.
 _GIVEN_LENGTH = 1e-6
 
 
@@ -53,7 +53,7 @@ class PairFrames:
     Examples
     --------
     >>> from tisfm.exports import PairFrames
-    >>> frames = PairFrames("results")  # what ``tisfm run`` wrote
+    >>> frames = PairFrames("results")  # a folder of ``tisfm run``
     >>> len(frames), frames.flow(0).shape
     (2, (48, 64, 2))
     """
@@ -166,7 +166,7 @@ class PairFrames:
         return self.result(number).flow
 
     def masks(self, number: int) -> dict[str, NDArray[np.bool_]]:
-        """Return the mask of pixels visible in the next frame, and of each of several motions."""
+        """Return the mask of pixels visible in the next frame, and a mask of each motion."""
         result = self.result(number)
         masks: dict[str, NDArray[np.bool_]] = {"visible": ~result.occlusion}
         if result.labels is not None and result.settings.motion == "objects":

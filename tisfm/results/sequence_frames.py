@@ -153,7 +153,7 @@ class SequenceFrames:
         self.quantities += ("object",) if result.settings.motion == "objects" else ()
 
     def _motions(self, number: int) -> dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]]:
-        """Return the motions before the camera to the next frame: static scene 0, and objects.
+        """Return motions relative to the camera until the next frame, by label; 0 is the scene.
 
         It is empty if the two frames are of different pieces.
         """

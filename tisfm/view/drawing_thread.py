@@ -49,7 +49,7 @@ class DrawingThread:
     ----------
     page : Drawn
     patience : float
-        For so long, s, only the first coarse picture is drawn, unless a browser comes.
+        Time, s, in which only the first coarse picture is drawn, unless a browser connects.
     """
 
     def __init__(self, page: Drawn, *, patience: float) -> None:
@@ -71,19 +71,19 @@ class DrawingThread:
         self._thread.join(timeout=10)
 
     def put(self, job: Callable[[], None], *, redraw: bool = False) -> None:
-        """Have a function called by the thread, and the frame drawn anew after it."""
+        """Let the thread call a function; with `redraw`, it draws the frame again afterwards."""
         self._jobs.put(job)
         if redraw:
             self._is_stale = True
         self._wake.set()
 
     def redraw(self) -> None:
-        """Have the frame drawn anew."""
+        """Let the thread draw the frame again."""
         self._is_stale = True
         self._wake.set()
 
     def wake(self) -> None:
-        """Have the thread look at once whether there is anything to do."""
+        """Let the thread check at once for work."""
         self._wake.set()
 
     def is_idle(self) -> bool:
@@ -104,7 +104,7 @@ class DrawingThread:
                 traceback.print_exc()
 
     def _await_browser(self) -> None:
-        """Leave the processor to a browser until it shows the first picture, or asks for more."""
+        """Wait, so that a browser has the processor until its first picture, or a request comes."""
         end = time.monotonic() + self._patience
         while time.monotonic() < end and not self._page.has_browser():
             if self._wake.wait(_BROWSER_CHECK):
@@ -117,7 +117,7 @@ class DrawingThread:
         with contextlib.suppress(Empty):
             while True:
                 self._jobs.get_nowait()()
-        if self._page.advance():  # other threads set the flag too: it is never read and set back
+        if self._page.advance():  # other threads set the flag as well: only set it to True
             self._is_stale = True
         now = time.monotonic()
         if self._is_stale:

@@ -119,7 +119,7 @@ def _passing(frame: ResultFrame, points: PointFilter) -> NDArray[np.bool_]:
 
 
 def _step(count: int, most: int) -> int:
-    """Return the distance of rows and columns that leaves at most so many of `count` pixels."""
+    """Return the distance of rows and columns that leaves at most `most` of `count` pixels."""
     return max(1, int(np.ceil(np.sqrt(count / max(most, 1)))))
 
 

@@ -24,7 +24,7 @@ class FusedLayer:
     scene : ViewerScene
     result : ResultFrames
     do : callable
-        Has a function called by the drawing thread.
+        Lets the drawing thread call a function.
     """
 
     def __init__(

@@ -55,7 +55,7 @@ class ViewerPage:
     max_bytes : int
         Limit of the frames in memory.
     patience : float
-        For so long, s, only the first coarse picture is drawn, unless a browser comes.
+        Time, s, in which only the first coarse picture is drawn, unless a browser connects.
     server : ViserServer, optional
         A running server to take over, in place of one at `host` and `port`.
 
@@ -115,7 +115,7 @@ class ViewerPage:
         stop_server(self.server)
 
     def point_filter(self, most: int | None = None) -> PointFilter:
-        """Return the filter that the controls choose, with at most so many points."""
+        """Return the filter that the controls choose, with at most `most` points."""
         controls = self.controls
         deviation = controls.max_deviation.value
         limit = 1000 * int(controls.most.value)
@@ -337,7 +337,7 @@ class ViewerPage:
         self.marks.frame = self.browsers.frame = self.frame
 
     def _points_of(self, frame: ResultFrame, most: int | None) -> FrameCloud:
-        """Return the points of a frame that the controls choose, at most so many."""
+        """Return the points of a frame that the controls choose, at most `most`."""
         pose = self.scene.pose_of(frame.number)
         quantity = self.controls.color.value
         return frame_cloud(frame, quantity, self.ranges, self.point_filter(most), pose)

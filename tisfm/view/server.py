@@ -28,7 +28,7 @@ def start_server(host: str, port: int) -> "ViserServer":
     OSError
         If this computer does not have the address.
     ValueError
-        If the port is none.
+        If the number is not a valid port.
     """
     try:
         import viser

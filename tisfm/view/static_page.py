@@ -57,7 +57,7 @@ def static_page(
     points : PointFilter
         Which points of a frame are shown.
     most_frames : int
-        Frames are left out evenly, down to this number.
+        Limit of the frames; a longer result is sampled evenly.
     frames_per_second : float
     size : float
         Of points, over their distance.
