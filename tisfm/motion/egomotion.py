@@ -1,4 +1,4 @@
-"""The camera's motion from a flow field: where ``motion="camera"`` starts."""
+"""The camera's motion from a flow field: the start of ``motion="camera"``."""
 
 from dataclasses import dataclass
 
@@ -23,16 +23,16 @@ from tisfm.motion.epipolar_fit import (
     rotation_alone,
 )
 
-SAMPLES = 5000  # pixels that take part: more hardly help, and all of them are neighbours
-THRESHOLDS = (0.05, 0.2, 0.8)  # px from the epipolar line, of inliers of essential matrices
-DRAWS = 2000  # of five correspondences each, at most
-FEW = 1000  # of the samples, by which the best of several starts is found
-STARTING, ITERATIONS = 6, 30  # at most, for each start and for the best of them
-FEWEST_SAMPLES = 8  # that are confident: essential matrices are drawn from 5, and more decide
+SAMPLES = 5000  # pixels that are fitted, about: neighbours are alike, so more hardly help
+THRESHOLDS = (0.05, 0.2, 0.8)  # px: inliers of essential matrices, from the epipolar line
+DRAWS = 2000  # most random samples of five correspondences
+FEW = 1000  # samples that the best of several starts is chosen by
+STARTING, ITERATIONS = 6, 30  # most iterations for each start, and for the best start
+FEWEST_SAMPLES = 8  # confident samples: five give an essential matrix, and the others verify it
 
 
 class TooFewPixelsError(InputError):
-    """Too few pixels of a flow field are trusted to fit a motion to them."""
+    """A flow field has too few trusted pixels to fit a motion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,15 +44,15 @@ class CameraMotion:
     rotation : (3, 3) float64
         R.
     translation : (3,) float64
-        t, of length 1: its true length cannot be known.
+        t, of length 1, because its true length cannot be known.
     rotation_alone : (3, 3) float64
-        The rotation that fits best without translation; `rotation` where that was known.
+        The rotation that fits best without translation; `rotation` if that was given.
     residual : float
         Robust standard deviation of the distances from epipolar lines, px.
     parallax : float
-        Median length of what rotation alone leaves of the flow, px: what depth is seen by.
+        Median length of the flow that `rotation_alone` leaves, px: it shows depth.
     inliers : float
-        Share of pixels within three such deviations.
+        Share of pixels within three robust deviations of their epipolar line.
 
     Examples
     --------
@@ -86,27 +86,27 @@ def camera_motion(
     rotation: np.ndarray | None = None,
     near: np.ndarray | None = None,
 ) -> CameraMotion:
-    """Fit one rigid motion to a flow field in which other things may move as well.
+    """Fit one rigid motion to a flow field, which may contain moving objects as well.
 
-    The robust distances from epipolar lines are minimised, weighted by confidence, over rotation
-    and direction of translation, from several starts: essential matrices by random sampling
-    (USAC), of whose two rotations the smaller is taken, because frames are close in time, and
-    translation along each axis. The best is kept, in the direction that puts the scene before the
-    camera.
+    The robust distances from epipolar lines, weighted by confidence, are minimised over rotation
+    and direction of translation. The starts are essential matrices by random sampling (USAC) and
+    translations along each axis. The smaller of the two rotations of an essential matrix is taken,
+    because frames are close in time. The best result is kept, with the sign of t that puts the
+    scene before the camera.
 
     Parameters
     ----------
     flow : (H, W, 2) float32
         px/frame.
     confidence : (H, W) float32
-        In [0, 1]; pixels of confidence 0 take no part.
+        In [0, 1]; pixels of confidence 0 are left out.
     camera : Camera
-        Without distortion: that of the result which the flow is from.
+        Without distortion: the camera of the result that has the flow.
     rotation : (3, 3) array, optional
-        R, where it is known: only the direction of translation is fitted then.
+        R, if known: then only the direction of translation is fitted.
     near : (3, 3) array, optional
-        A rotation that R is likely to be near to, for parts of an image that alone show too
-        little to tell rotation from translation.
+        A rotation that is likely near R, for parts of an image that are too small to tell rotation
+        from translation.
 
     Returns
     -------
@@ -149,12 +149,12 @@ def camera_motion(
 def refined_motion(
     flow: np.ndarray, confidence: np.ndarray, camera: Camera, start: Pose
 ) -> CameraMotion:
-    """Do what `camera_motion` does, from one start, ‖t‖ = 1, that is near to the motion sought."""
+    """Fit a motion as `camera_motion` does, from a single start with ‖t‖ = 1."""
     return _fitted(correspondences(flow, confidence, camera), start, Free(unknowns=6, near=None))
 
 
 def _fitted(rays: Rays, start: Pose, free: Free) -> CameraMotion:
-    """Return the motion that a robust fit to rays comes to."""
+    """Return the motion of a robust fit to rays."""
     turn, translation, scale = refine(rays, start, free, iterations=ITERATIONS)
     nearest = nearest_points(rays, turn, translation)
     distance = np.abs(nearest.distance)
@@ -178,17 +178,17 @@ def distance_from_rays(
     rotation: np.ndarray,
     translation: np.ndarray,
 ) -> float:
-    """Return how far a flow is from where a known motion can take points.
+    """Return the distance of a flow from the points that a known motion allows.
 
-    Where the nearest point of the epipolar line lies behind the camera, that is the distance from
-    its end, the point at infinity.
+    If the nearest point of the epipolar line lies behind the camera, the distance from the line's
+    end, the point at infinity, counts.
 
     Parameters
     ----------
     flow : (H, W, 2) float32
         px/frame.
     confidence : (H, W) float32
-        In [0, 1], the weight of a pixel.
+        Weight of each pixel, in [0, 1].
     camera : Camera
     rotation, translation : (3, 3) and (3,)
         R and t ≠ 0, of any length.
@@ -213,7 +213,7 @@ def distance_from_rays(
 def triangulate(
     before: np.ndarray, after: np.ndarray, rotation: np.ndarray, translation: np.ndarray
 ) -> np.ndarray:
-    """Return the inverse depth, in units of 1/‖t‖, that takes a point nearest to its target.
+    """Return the inverse depth, in units of 1/‖t‖, that moves a point nearest to its match.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def triangulate(
 
 
 def correspondences(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -> Rays:
-    """Return the rays of a regular sample of a flow."""
+    """Return the rays of regularly spaced pixels of a flow."""
     height, width = confidence.shape
     stride = max(1, round((np.count_nonzero(confidence) / SAMPLES) ** 0.5))
     rows, columns = np.mgrid[stride // 2 : height : stride, stride // 2 : width : stride]
@@ -255,12 +255,12 @@ def correspondences(flow: np.ndarray, confidence: np.ndarray, camera: Camera) ->
 
 
 def _best_start(rays: Rays, rotation: np.ndarray | None, free: Free) -> Pose:
-    """Return the motion of several starts, each refined a little, that costs a part of them least.
+    """Return the motion of least cost after refining several starts on a part of the rays.
 
-    The rotation of all is `rotation` if that is known.
+    If `rotation` is given, all starts have this rotation.
     """
     few = rays.every(max(1, rays.trust.size // FEW))
-    if few.confident.sum() < FEWEST_SAMPLES:  # they lie in a small part of the image
+    if few.confident.sum() < FEWEST_SAMPLES:  # the confident rays lie in a small part of the image
         few = rays
     starts = _starts(few) if rotation is None else _turned_starts(few, np.asarray(rotation, float))
     candidates = [refine(few, start, free, iterations=STARTING) for start in starts]
@@ -269,17 +269,18 @@ def _best_start(rays: Rays, rotation: np.ndarray | None, free: Free) -> Pose:
 
 
 def _starts(rays: Rays) -> list[Pose]:
-    """Return poses to start from: essential matrices by random sampling, and the three axes.
+    """Return initial poses: essential matrices by random sampling, and the three axes.
 
-    Small motions leave room for wrong ones that meet most of the flow within the threshold.
+    For small motions, an essential matrix may be wrong and still fit most of the flow.
     """
     axes: list[Pose] = [(np.eye(3), axis) for axis in np.eye(3)]
     return axes + essential_poses(rays.where(rays.confident), THRESHOLDS, draws=DRAWS)
 
 
 def _turned_starts(rays: Rays, rotation: np.ndarray) -> list[Pose]:
-    """Return translations to start from where the rotation is known: axes, and a linear fit."""
+    """Return initial poses for a known rotation: translations along axes, and a linear fit."""
     after = np.vstack([rays.after, np.ones(rays.trust.size)])
-    normal = np.cross(rotation @ rays.before, after, axis=0) * rays.trust  # of epipolar planes
+    # Normals of epipolar planes.
+    normal = np.cross(rotation @ rays.before, after, axis=0) * rays.trust
     axes, _, _ = np.linalg.svd(normal, full_matrices=False)
     return [(rotation, axis) for axis in (*np.eye(3), axes[:, -1])]

@@ -1,4 +1,4 @@
-"""Rigid motions of corresponding rays: robust distances from epipolar lines, and their minimum."""
+"""Rigid motions from corresponding rays, by robust distances from epipolar lines."""
 
 from dataclasses import dataclass
 
@@ -8,22 +8,23 @@ import numpy as np
 from tisfm.kernels.model.constants import NEAREST
 from tisfm.visibility.confidence import median
 
-CONFIDENT = 0.1  # least confidence of those that the essential matrix is drawn from
-SETTLED = 1e-6  # rad, and of ‖t‖ = 1: a step that is as good as none
-SMALLEST_SCALE = 0.01  # px: no flow is better than that
-SPIN = 0.001  # rad/frame: how objects turn relative to the background, as a deviation
-CORRELATED = 50  # pixels that share an error: they lie within a patch of 7 × 7
-MAD_TO_DEVIATION = 1.4826  # of a normal distribution: its deviation over its median distance
-LEAST_STIFFNESS, LEAST_TRACE = 1e-9, 1e-30  # of normal equations, the former of their trace
-# In place of what may be 0 and divides: lengths and squares of normalised vectors, and the typical
-# displacement of flow that is a rotation.
+CONFIDENT = 0.1  # least confidence of rays that essential matrices are drawn from
+SETTLED = 1e-6  # rad, and of ‖t‖ = 1: length of a step that ends the iterations
+SMALLEST_SCALE = 0.01  # px: accuracy of the best flow
+SPIN = 0.001  # rad/frame: standard deviation of an object's rotation relative to the background
+CORRELATED = 50  # neighbouring pixels that share an error, a patch of about 7 × 7
+MAD_TO_DEVIATION = 1.4826  # standard deviation of a normal distribution over its median distance
+# Least stiffness of normal equations as a share of their trace, and least trace.
+LEAST_STIFFNESS, LEAST_TRACE = 1e-9, 1e-30
+# Least divisors: lengths and squares of normalised vectors, and the median displacement that a
+# rotation leaves.
 LEAST_LENGTH, LEAST_SQUARE, LEAST_DISPLACEMENT = 1e-9, 1e-18, 1e-12
 Pose = tuple[np.ndarray, np.ndarray]  # R and t
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rays:
-    """Corresponding rays, a coordinate in each row.
+    """Corresponding rays of two frames, a coordinate in each row.
 
     Attributes
     ----------
@@ -32,8 +33,9 @@ class Rays:
     after : (2, N) float64
         (x̂, ŷ) in frame 1.
     trust : (N,) float64
+        Weight of each ray.
     focal : float
-        px.
+        Focal length, px.
     """
 
     before: np.ndarray
@@ -43,18 +45,18 @@ class Rays:
 
     @property
     def confident(self) -> np.ndarray:
-        """Which of them essential matrices are drawn from, (N,) bool."""
+        """Rays that essential matrices are drawn from, (N,) bool."""
         return self.trust > CONFIDENT
 
     def where(self, chosen: np.ndarray) -> "Rays":
-        """Return some of them, by a mask, (N,) bool."""
+        """Return the rays of a mask, (N,) bool."""
         before, after, trust = (
             array[..., chosen] for array in (self.before, self.after, self.trust)
         )
         return Rays(before=before, after=after, trust=trust, focal=self.focal)
 
     def every(self, stride: int) -> "Rays":
-        """Return one of `stride` of them, at even distances."""
+        """Return every `stride`-th ray."""
         before, after, trust = (
             np.ascontiguousarray(array[..., ::stride])
             for array in (self.before, self.after, self.trust)
@@ -64,18 +66,18 @@ class Rays:
 
 @dataclass(frozen=True, kw_only=True)
 class Nearest:
-    """The points of epipolar lines that are nearest to rays of frame 1, (N,) each.
+    """The points of epipolar lines that are nearest to the rays of frame 1, (N,) each.
 
     Attributes
     ----------
     inverse_depth
-        By which they are where they are.
+        Inverse depth d in frame 0 of the point.
     x, y, nearness
-        Where that is, normalised, and 1 over the depth that they have there.
+        Normalised coordinates of the point R x̂ + d t, and 1 over its third component.
     normal_x, normal_y
-        Its normal, of length 1.
+        Normal of the line, of length 1.
     distance
-        From the line, px, signed.
+        Signed distance of the ray from the line, px.
     """
 
     inverse_depth: np.ndarray
@@ -89,17 +91,17 @@ class Nearest:
 
 @dataclass(frozen=True, kw_only=True)
 class Free:
-    """What of a motion is free: the first unknowns of (t, ω), and a rotation it lies near to."""
+    """How many of the unknowns (t, ω) are free, from the first on, and a likely rotation."""
 
     unknowns: int
     near: np.ndarray | None
 
 
 def spin_prior(rotation: np.ndarray, near: np.ndarray, noise: float) -> tuple[float, np.ndarray]:
-    """Return stiffness and offset, rad, of the prior that draws a rotation to another.
+    """Return stiffness and offset, rad, of a prior that pulls a rotation to the rotation `near`.
 
-    It is a normal distribution of `SPIN` rad, weighed against data whose errors of `noise` px are
-    common to `CORRELATED` of the pixels.
+    The prior is a normal distribution of deviation `SPIN` rad. The data weigh against it as if
+    `CORRELATED` pixels each shared an error of `noise` px.
     """
     offset = cv2.Rodrigues(near @ rotation.T)[0][:, 0]
     return CORRELATED * (noise / SPIN) ** 2, offset
@@ -108,13 +110,13 @@ def spin_prior(rotation: np.ndarray, near: np.ndarray, noise: float) -> tuple[fl
 def hold_scale(normal: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Return the normal equations of a step in (t, ω), made regular.
 
-    Along t the scale changes, which nothing tells: it is held.
+    A step along t changes the scale, which the data do not determine, so it is held.
 
     Parameters
     ----------
     normal : (6, 6)
     direction : (3,)
-        Of t, of length 1.
+        Direction of t, of length 1.
     """
     along = np.concatenate([direction, np.zeros(3)])
     held = np.outer(along, along) + LEAST_STIFFNESS * np.eye(6)
@@ -122,7 +124,7 @@ def hold_scale(normal: np.ndarray, direction: np.ndarray) -> np.ndarray:
 
 
 def inverse_depth_of(turned: np.ndarray, after: np.ndarray, translation: np.ndarray) -> np.ndarray:
-    """Return the same of coordinates in rows, (3, N) of R x̂ and (2, N)."""
+    """Return the inverse depth, (N,), that moves R x̂, (3, N), nearest to the rays (2, N)."""
     # With p = R x̂ + d t, x̂₁ p₃ = p₁ and ŷ₁ p₃ = p₂ are linear in d.
     along_x = translation[0] - after[0] * translation[2]
     along_y = translation[1] - after[1] * translation[2]
@@ -132,17 +134,17 @@ def inverse_depth_of(turned: np.ndarray, after: np.ndarray, translation: np.ndar
 
 
 def essential_poses(rays: Rays, thresholds: tuple[float, ...], *, draws: int) -> list[Pose]:
-    """Return the poses of essential matrices by random sampling, of which none may be right.
+    """Return the poses of essential matrices by random sampling; all of them may be wrong.
 
-    Of the two rotations of a matrix the smaller is taken, because frames are close in time.
+    The smaller of the two rotations of a matrix is taken, because frames are close in time.
 
     Parameters
     ----------
     rays : Rays
     thresholds : tuple of float
-        Distances from the epipolar line within which rays count, px, one for each matrix.
+        px: largest distance of an inlier from the epipolar line, for each matrix.
     draws : int
-        Samples of five that are drawn for a matrix, at most.
+        Most samples of five rays for a matrix.
 
     References
     ----------
@@ -157,7 +159,7 @@ def essential_poses(rays: Rays, thresholds: tuple[float, ...], *, draws: int) ->
             essential, _ = cv2.findEssentialMat(
                 before, after, identity, identity, none, none, parameters
             )
-        except cv2.error:  # of samples that do not determine one: there is no start from there
+        except cv2.error:  # the samples determine no matrix
             continue
         if essential is None or essential.shape[0] < 3 or not np.isfinite(essential).all():
             continue
@@ -168,7 +170,7 @@ def essential_poses(rays: Rays, thresholds: tuple[float, ...], *, draws: int) ->
 
 
 def sampling(threshold: float, draws: int) -> cv2.UsacParams:
-    """Return how OpenCV draws samples: the same every time."""
+    """Return settings of OpenCV's random sampling, with a fixed seed."""
     parameters = cv2.UsacParams()
     parameters.confidence = 0.9999
     parameters.maxIterations = draws
@@ -186,7 +188,7 @@ def refine(
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Minimise the robust distances from epipolar lines; return pose and scale of distances, px.
 
-    It ends with a step shorter than `settled`, rad, and of ‖t‖ = 1.
+    A step shorter than `settled` (rad, and of ‖t‖ = 1) ends the iterations.
     """
     unknowns = free.unknowns
     rotation, translation = start
@@ -209,7 +211,7 @@ def refine(
             pull[3:] += stiffness * offset
         step = np.zeros(6)
         step[:unknowns] = np.linalg.solve(normal[:unknowns, :unknowns], pull[:unknowns])
-        # SciPy's Rotation rounds otherwise: motions of objects changed by 2e-4 in one of 24 checks.
+        # SciPy's Rotation rounds differently: in one of 24 checks, object motions changed by 2e-4.
         turn = cv2.Rodrigues(step[3:])[0]
         rotation = turn @ rotation
         translation = turn @ translation + step[:3]
@@ -227,7 +229,7 @@ def cost(rays: Rays, pose: Pose, scale: float) -> float:
 
 
 def nearest_points(rays: Rays, rotation: np.ndarray, translation: np.ndarray) -> Nearest:
-    """Return the points of the epipolar lines of a pose."""
+    """Return the points of the epipolar lines of a pose that are nearest to the rays."""
     turned = rotation @ rays.before
     inverse_depth = inverse_depth_of(turned, rays.after, translation)
     nearness = 1 / np.maximum(turned[2] + inverse_depth * translation[2], NEAREST)
@@ -249,13 +251,13 @@ def nearest_points(rays: Rays, rotation: np.ndarray, translation: np.ndarray) ->
 
 
 def _slope(nearest: Nearest, focal: float) -> np.ndarray:
-    """Return how the distances fall with translation and rotation, (6, N), px."""
+    """Return the negative derivatives of distances by translation and rotation, (6, N), px."""
     x, y = nearest.x, nearest.y
     a, b = focal * nearest.normal_x, focal * nearest.normal_y
     across = a * x + b * y
     lever = nearest.inverse_depth * nearest.nearness
     slope = np.empty((6, x.size))
-    # Of a point P: δP = δT + δω × P, divided by its depth and projected.
+    # A point P moves by δP = δT + δω × P, divided by its depth and projected.
     np.multiply(lever, a, out=slope[0])
     np.multiply(lever, b, out=slope[1])
     np.multiply(-lever, across, out=slope[2])
@@ -268,7 +270,7 @@ def _slope(nearest: Nearest, focal: float) -> np.ndarray:
 
 
 def rotation_alone(rays: Rays) -> np.ndarray:
-    """Return the rotation, (3, 3), that leaves least of the displacements."""
+    """Return the rotation, (3, 3), that fits the displacements best without translation."""
     rotation = np.eye(3)
     for _ in range(10):
         left = beyond(rays, rotation)
@@ -281,7 +283,7 @@ def rotation_alone(rays: Rays) -> np.ndarray:
         pull = horizontal @ (weight * left[0]) + vertical @ (weight * left[1])
         try:
             step = np.linalg.solve(normal, pull)
-        except np.linalg.LinAlgError:  # of rays that are all but parallel
+        except np.linalg.LinAlgError:  # the rays are nearly parallel
             break
         rotation = cv2.Rodrigues(step)[0] @ rotation
         if np.linalg.norm(step) < SETTLED:
@@ -290,7 +292,7 @@ def rotation_alone(rays: Rays) -> np.ndarray:
 
 
 def beyond(rays: Rays, rotation: np.ndarray) -> np.ndarray:
-    """Return what a rotation leaves of the displacements, (2, N), normalised."""
+    """Return the displacements that a rotation leaves, (2, N), normalised."""
     turned = rotation @ rays.before
     return rays.after - turned[:2] / turned[2]
 
@@ -301,7 +303,7 @@ def length(vectors: np.ndarray) -> np.ndarray:
 
 
 def robust_deviation(distances: np.ndarray, weights: np.ndarray) -> float:
-    """Return the standard deviation that normally distributed distances (N,), unsigned, have."""
+    """Return a standard deviation from the weighted median of absolute distances, (N,)."""
     return MAD_TO_DEVIATION * _weighted_median(distances, weights)
 
 

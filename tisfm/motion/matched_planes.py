@@ -1,4 +1,4 @@
-"""Inverse depth that can be believed: planes matched both ways round, and what agrees."""
+"""Reliable inverse depth: planes matched forward and backward, kept where both agree."""
 
 from dataclasses import dataclass
 
@@ -11,35 +11,37 @@ from tisfm.kernels.rigid.windows import LEVELS, UNSEEN
 from tisfm.motion.epipolar_fit import MAD_TO_DEVIATION
 from tisfm.solver.image_pyramid import ImagePyramid
 
-MOST = 2**19  # pixels of the finest level that is searched: a coarser one serves larger frames
-FEWEST = 2**14  # pixels of the coarsest, at least
-ROUNDS = (3, 2, 1)  # of improvement: on the coarsest level, on the next, and on all others
-DRAWS = 2  # of planes that are nearly a pixel's own
-SPREAD, TILT = (4.0, 1.0), 0.05  # of those: of D, px, on the coarsest level and others; of slopes
-SHRINKING = 0.6  # of both, with every round
-LARGEST = 0.35  # of the longer side: the largest D that is looked for
-# px: the least. What matches best behind the camera is not believed; were it not looked for there,
-# it would be found at infinity.
+MOST = 2**19  # most pixels of the finest searched level: larger frames use a coarser level
+FEWEST = 2**14  # fewest pixels of the coarsest searched level
+ROUNDS = (3, 2, 1)  # rounds of improvement: on the coarsest level, on the next, on all others
+DRAWS = 2  # planes drawn near a pixel's own plane, in each round
+SPREAD, TILT = (4.0, 1.0), 0.05  # their spread: of D, px, on the coarsest and other levels; slopes
+SHRINKING = 0.6  # factor of both spreads after every round
+LARGEST = 0.35  # of the longer side: largest D of the search
+# px: smallest D of the search. A pixel that matches best behind the camera is not believed. Without
+# negative D, it would match at infinity.
 LEAST = -5.0
-# Grey levels: what rounding, compression and interpolation leave of noise at least, but of frames
-# of a narrow range no more than this share of it; and what is texture rather than noise.
+# Grey levels: least noise, from rounding, compression and interpolation, but at most this share of
+# the range of grey levels; and largest noise, because a larger deviation is texture.
 LEAST_NOISE, LEAST_SHARE, MOST_NOISE = 0.7, 1 / 150, 15.0
-# Percentiles of the grey levels, of frames of more pixels of every 16th, and how much beyond, of
-# their distance, is told apart.
+# Percentiles of grey levels that define a frame's range; pixels above which every 16th pixel is
+# sampled for them; and margin on both sides, as a share of the range.
 RANGE, DENSE, SPARE = (0.1, 99.9), 2**16, 0.05
-QUIETEST = 0.7  # levels of 255: the least noise of coarser levels
-# Of the variance of the noise: windows that vary by less correlate with nothing, or cost too much
-# to be believed.
+QUIETEST = 0.7  # levels of 255: least noise of coarser levels
+# Variances of the noise: windows that vary by less have no correlation, or cost too much to be
+# believed.
 SEEN = 1.8
-QUIET, BLOCK = 0.2, 16  # the noise is that of the quietest fifth of the blocks, px
-COST = 0.35  # what is believed costs less,
-AGREEMENT = 0.6  # px: is found the other way round as near,
-ISLAND, SIXTEENTHS = 200, 16  # and belongs to as many pixels that lie within 1 px of each other
+QUIET, BLOCK = 0.2, 16  # noise is measured in the quietest fifth of blocks of this side, px
+# A pixel is believed if it costs less, if both directions differ by less (px), and if it belongs to
+# so many connected pixels whose D differs by at most 1 px (in sixteenths, 16).
+COST = 0.35
+AGREEMENT = 0.6
+ISLAND, SIXTEENTHS = 200, 16
 
 
 @dataclass(frozen=True, kw_only=True)
 class MatchedPlanes:
-    """A plane at every pixel of a level, and which are believed.
+    """A plane at every pixel of a level, and which pixels are believed.
 
     Attributes
     ----------
@@ -47,7 +49,7 @@ class MatchedPlanes:
     inverse_depth : (h, w) float32
         D, px/frame of the level.
     cost : (h, w) float32
-        One minus the correlation of its window.
+        One minus the correlation of the pixel's window.
     believed : (h, w) bool
     """
 
@@ -58,13 +60,13 @@ class MatchedPlanes:
 
 
 def matched_planes(pyramid: ImagePyramid, motion: np.ndarray) -> MatchedPlanes:
-    """Match planes of frame 0 in frame 1 and of frame 1 in frame 0, and compare them.
+    """Match planes of frame 0 in frame 1 and of frame 1 in frame 0, and compare the results.
 
     Parameters
     ----------
     pyramid : ImagePyramid
     motion : (3, 4) array
-        R and t, as `tisfm.motion.rigid_depth.scaled_translations` has them.
+        R and t, as from `tisfm.motion.rigid_depth.scaled_translations`.
     """
     levels = _levels(pyramid)
     finest = levels[-1]
@@ -102,16 +104,16 @@ def matched_planes(pyramid: ImagePyramid, motion: np.ndarray) -> MatchedPlanes:
 
 @dataclass(frozen=True, kw_only=True)
 class _Search:
-    """What searches of both directions share.
+    """A search from coarse to fine; both directions use the same search.
 
     Attributes
     ----------
     cameras : list of Camera
-        Of each level, the coarsest first.
+        Camera of each level, the coarsest first.
     scales : list of float
-        Sampling densities, over that of the last.
+        Sampling density of each level over that of the last level.
     noise : float
-        Of the last level, levels.
+        Standard deviation of the noise of the last level, levels of 255.
     """
 
     cameras: list[Camera]
@@ -160,7 +162,7 @@ class _Search:
 
 
 def _levels(pyramid: ImagePyramid) -> list[int]:
-    """Return the levels that are searched, each about half as dense as the next, coarsest first."""
+    """Return the searched levels, coarsest first, each about half as dense as the next."""
     large = [k for k in range(pyramid.last, pyramid.levels) if pyramid.frames0[k].size <= MOST]
     finest = min(large, default=pyramid.levels - 1)
     step = max(1, round(np.log(0.5) / np.log(pyramid.factor)))
@@ -170,7 +172,7 @@ def _levels(pyramid: ImagePyramid) -> list[int]:
 
 
 def _drawn(shape: tuple[int, ...], camera: Camera, largest: float, seed: int) -> np.ndarray:
-    """Return planes (h, w, 4) float32 drawn at random."""
+    """Return random planes (h, w, 4) float32."""
     random = np.random.default_rng(seed).random((*shape, 4), np.float32)
     random[..., 0] *= largest
     random[..., 1:3] = (2 * random[..., 1:3] - 1) * random[..., :1] * (STEEPEST / camera.focal)
@@ -178,7 +180,7 @@ def _drawn(shape: tuple[int, ...], camera: Camera, largest: float, seed: int) ->
 
 
 def without_islands(depth: np.ndarray, believed: np.ndarray) -> np.ndarray:
-    """Return which of some pixels lie among `ISLAND` that are connected and differ by 1 px at most.
+    """Return believed pixels in connected regions of `ISLAND` pixels or more, with steps of ≤ 1 px.
 
     Parameters
     ----------
@@ -193,7 +195,7 @@ def without_islands(depth: np.ndarray, believed: np.ndarray) -> np.ndarray:
 
 
 def grey_scale(frame0: np.ndarray, frame1: np.ndarray) -> tuple[np.float32, np.float32]:
-    """Return (low, gain) such that gain · (frame − low) of all but stray pixels is in [0, 255].
+    """Return (low, gain) that bring gain · (frame − low) of all but 0.2% of the pixels to [0, 255].
 
     Parameters
     ----------
@@ -211,9 +213,9 @@ def noise_deviation(
 ) -> float:
     """Return the standard deviation of the noise of a frame, (H, W) float32, in its grey levels.
 
-    That of what a mask leaves which smooth images do not pass, in the quietest blocks; within
-    bounds. Every so many blocks across and down take part, and those alone whose pixels all
-    count, if there are such: `counted`, (H, W) bool.
+    A mask removes smooth image content; the deviation of the rest in the quietest blocks is taken,
+    within bounds. Only every `every`-th block across and down takes part. If there are blocks all
+    of whose pixels count (`counted`, (H, W) bool), only these take part.
 
     References
     ----------
@@ -236,11 +238,11 @@ def noise_deviation(
 
 
 def _blocks(image: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Return as many whole blocks down and across, (height, BLOCK, width, BLOCK)."""
+    """Return `height` × `width` blocks of an image, (height, BLOCK, width, BLOCK)."""
     return image[: height * BLOCK, : width * BLOCK].reshape(height, BLOCK, width, BLOCK)
 
 
 def _sampled(frame: np.ndarray) -> np.ndarray:
-    """Return the grey levels of a frame, of a large one those of every 16th pixel."""
+    """Return the grey levels of a frame, or of every 16th pixel of a large frame."""
     step = 4 if frame.size > DENSE else 1
     return frame[::step, ::step].ravel()

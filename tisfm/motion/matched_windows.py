@@ -1,4 +1,4 @@
-"""Displacements found by comparing windows of two frames, from coarse to fine, either way round."""
+"""Displacements by matching windows of two frames from coarse to fine, forward and backward."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,23 +14,23 @@ from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.sampling import goes_to
 
 FEWEST = 2**12  # pixels of the coarsest level, at least
-SEEN = 1.8  # times the variance of the noise: windows that vary by less are not compared
-ROUNDS = (6, 3, 2)  # of improvement: where all is searched far and wide, and on levels after that
-# The first of these far and wide. Draws in each: if few pixels are sought, as many as keep to a
-# number in all.
+SEEN = 1.8  # variances of the noise: windows that vary by less are not compared
+ROUNDS = (6, 3, 2)  # rounds of improvement on the first, the second and all later levels
+# Rounds on the first level that draw wide displacements. Draws of each pixel in such a round, least
+# and most: in between, all draws of a round add up to `TRIED`.
 WIDE, DRAWS, MOST_DRAWS, TRIED = 5, 5, 64, 2**14
-NEAR_DRAWS = 3  # and nearby
-REACH = 5  # px: how far away the further neighbours are
-LARGEST = 0.35  # of the longer side: how far is far and wide,
-LEAST = 4.0  # px: and how near
-NEARBY, SHRINKING = 4.0, 0.6  # px: and nearby; less with every round
+NEAR_DRAWS = 3  # draws of each pixel in all other rounds, near its displacement
+REACH = 5  # px: distance of the farther neighbours whose displacements are tried
+LARGEST = 0.35  # of the longer side: largest span of wide draws
+LEAST = 4.0  # px: smallest span of wide draws
+NEARBY, SHRINKING = 4.0, 0.6  # px: span of near draws; factor of the span for each later round
 
 Known = tuple[np.ndarray, float]  # a flow, and the scale of its level
 
 
 @dataclass(frozen=True, kw_only=True)
 class Windows:
-    """What is compared on one level.
+    """Grey levels of both frames on one level, whose windows are compared.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Windows:
     scale : float
         Sampling density relative to the finest level of the pyramid.
     counted0, counted1 : (h, w) bool or None
-        Pixels of both frames that count; None for all. Others have nothing to be compared.
+        Pixels of both frames that count; None for all. Other pixels are not compared.
     """
 
     levels0: np.ndarray
@@ -58,7 +58,7 @@ class Windows:
         return height, width
 
     def turned(self) -> "Windows":
-        """Return the same with the frames exchanged."""
+        """Return these windows with the frames exchanged."""
         return replace(
             self,
             levels0=self.levels1,
@@ -68,7 +68,7 @@ class Windows:
         )
 
     def part(self, part: tuple[slice, slice]) -> "Windows":
-        """Return the same of some rows and columns."""
+        """Return these windows of some rows and columns."""
         counted0, counted1 = (
             None if counted is None else counted[part] for counted in (self.counted0, self.counted1)
         )
@@ -95,9 +95,9 @@ class Windows:
         flow : (h, w, 2) float32
             px/frame.
         sought : (h, w) bool, optional
-            By default every pixel.
+            Pixels that are searched, by default all.
         seen : float
-            Times the variance of the noise: what a window has to vary by.
+            Least variance of a window, in variances of the noise.
         """
         state = np.zeros((*self.shape, 4), np.float32)
         state[..., :2] = flow
@@ -107,25 +107,25 @@ class Windows:
         return state
 
     def ignore(self, state: np.ndarray) -> None:
-        """Take back the costs of a state (h, w, 4) where pixels or what they go to do not count."""
+        """Set the cost to `UNSEEN` where a pixel or its target does not count; state (h, w, 4)."""
         if self.counted0 is not None and self.counted1 is not None:
             there = goes_to(np.moveaxis(state[..., :2], -1, 0))
             state[~(self.counted0 & self.counted1[there]), 2] = UNSEEN
 
 
 class WindowSearch:
-    """A search on several levels, each about twice as dense as the one before.
+    """A search on several levels, each about twice as dense as the previous level.
 
     Parameters
     ----------
     pyramid : ImagePyramid
     finest : int
-        Level to end on.
+        Level of the result.
 
     Attributes
     ----------
     levels : list of int
-        The coarsest first.
+        Levels of the pyramid, the coarsest first.
     """
 
     def __init__(self, pyramid: ImagePyramid, finest: int) -> None:
@@ -134,8 +134,8 @@ class WindowSearch:
         step = max(1, round(np.log(0.5) / np.log(pyramid.factor)))
         levels = range(finest, pyramid.levels, step)
         self.levels = [k for k in levels if pyramid.frames0[k].size >= FEWEST][::-1] or [finest]
-        # Of the finest: beyond it there is less noise, and more detail that looks like noise. Over
-        # the range of grey levels, however few of those of their type the frames use.
+        # Noise is measured on the finest level: coarser levels have less noise, and more detail
+        # that looks like noise. The gain scales to the frames' own range, however small.
         frames = pyramid.frames0[finest], pyramid.frames1[finest]
         gain = grey_scale(*frames)[1]
         every = 2 if frames[0].size > DENSE else 1
@@ -147,7 +147,7 @@ class WindowSearch:
         self._noise = noise / (gain * pyramid.scales[finest])
 
     def windows(self, level: int) -> Windows:
-        """Return what is compared on a level; those finer than the last are not kept."""
+        """Return the windows of a level; levels finer than the last are not cached."""
         if level in self._windows:
             return self._windows[level]
         frames = self._pyramid.frames0[level], self._pyramid.frames1[level]
@@ -176,18 +176,19 @@ class WindowSearch:
         sought: np.ndarray | None = None,
         tried: int = TRIED,
     ) -> np.ndarray:
-        """Return the state (h, w, 4) of the last of some levels, frame 0 being sought in frame 1.
+        """Match frame 0 in frame 1; return the state (h, w, 4) on the last of the levels.
 
         Parameters
         ----------
         levels : list of int
         known : sequence of ((…, …, 2) float32, float)
-            Flows, each in px/frame of a level, and the scale of that level. The best of them is
-            kept where nothing is better. By default it starts at random.
+            Initial flows, each in px/frame of a level, with the scale of that level. The best of
+            them starts the search at every pixel. By default, displacements are random.
         sought : array of bool, optional
-            Where, on any level; by default everywhere.
+            Pixels that are searched, on any level; by default all.
         tried : int
-            Draws in each round on the first level, in all, if few pixels are sought.
+            Draws of all pixels together in each round on the first level, if few pixels are
+            sought.
         """
         return _searched([self.windows(k) for k in levels], known, sought, tried, seed=0)
 
@@ -199,13 +200,13 @@ class WindowSearch:
         sought: np.ndarray | None = None,
         tried: int = TRIED,
     ) -> np.ndarray:
-        """Return the same with frame 1 being sought in frame 0."""
+        """Match frame 1 in frame 0; parameters and result as for `forward`."""
         turned = [self.windows(k).turned() for k in levels]
         return _searched(turned, known, sought, tried, seed=1)
 
 
 def resized(flow: np.ndarray, shape: tuple[int, int], ratio: float) -> np.ndarray:
-    """Return a flow (h, w, 2) on another level: means over its pixels, or the nearest.
+    """Return a flow (h, w, 2) on another level: means on a coarser level, else nearest values.
 
     Parameters
     ----------
@@ -214,7 +215,8 @@ def resized(flow: np.ndarray, shape: tuple[int, int], ratio: float) -> np.ndarra
     shape : (int, int)
         Height and width of the other level, px.
     ratio : float
-        Its sampling density over that of the flow. Sizes are rounded, so theirs may differ.
+        Sampling density of the other level over that of the flow. The ratio of the rounded sizes
+        may differ.
     """
     how = cv2.INTER_AREA if ratio < 1 else cv2.INTER_NEAREST
     return np.float32(ratio) * np.asarray(cv2.resize(flow, shape[::-1], interpolation=how))
@@ -259,7 +261,7 @@ def _searched(
 
 
 def _best(states: list[np.ndarray]) -> np.ndarray:
-    """Return at every pixel the one that costs least."""
+    """Return the state of least cost at every pixel."""
     best = states[0]
     for state in states[1:]:
         best = np.where((state[..., 2] < best[..., 2])[..., None], state, best)
@@ -267,7 +269,7 @@ def _best(states: list[np.ndarray]) -> np.ndarray:
 
 
 def masked(sought: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return a mask of another level, in the pixels of which there is any of it."""
+    """Return a mask on another level: a pixel is set if any part of it is in the mask."""
     if sought.shape == shape:
         return sought
     mask = cv2.resize(sought.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA)
@@ -275,6 +277,6 @@ def masked(sought: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 
 
 def _drawn(windows: Windows, seed: int) -> np.ndarray:
-    """Return a flow (h, w, 2) float32 drawn at random, px/frame."""
+    """Return a random flow (h, w, 2) float32, px/frame."""
     random = np.random.default_rng(seed).random((*windows.shape, 2), np.float32)
     return (2 * random - 1) * np.float32(LARGEST * max(windows.shape))

@@ -1,4 +1,4 @@
-"""Inverse depth to start from, of one rigid motion: triangulated, or found by a plane sweep."""
+"""Initial inverse depth for one rigid motion: triangulated, or found by a plane sweep."""
 
 from functools import cached_property
 
@@ -14,46 +14,47 @@ from tisfm.runtime import lanes
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.smoothness import mean_step
 
-PULL = 0.05  # weight of a pixel's surroundings where its epipolar line is as well seen as theirs
+PULL = 0.05  # weight of the surroundings in triangulation, for equal parallax
 AROUND, MEDIAN = 7, 5  # px: windows of means and medians
-# px of parallax between near and far from which a plane sweep finds what coarse to fine cannot:
-# things that are smaller than they move.
+# px: difference of parallax between near and far from which a plane sweep is needed. Coarse to
+# fine loses objects that are smaller than their displacement.
 RANGE = 20.0
-COARSE = 2**15  # pixels of the level on which the range of depths is found
-LONGEST = 0.2  # of the longer side: the largest parallax that is looked for there
-COMMON = (1, 99)  # percentiles: what is nearer or further is rare
-REACH = 0.3  # share by which the hypotheses reach beyond that range, at both ends
-# Of costs, pixels times hypotheses: the sweep is of a level that needs no more. Where there is
-# none, as in frames that are long and narrow, the largest parallax is not looked for.
+COARSE = 2**15  # most pixels of the level on which the range of depths is found
+LONGEST = 0.2  # of the longer side: largest parallax in that search
+COMMON = (1, 99)  # percentiles of depth that bound the range
+REACH = 0.3  # share by which the hypotheses extend beyond that range, at both ends
+# Most costs (pixels times hypotheses) of a sweep: they decide the level. If every level has more,
+# as for long and narrow frames, the largest parallaxes are left out.
 ENTRIES = 2**25
-# Costs, in steps of brightness between neighbours as the mean of frame 0: brightness that differs
-# by more than so many, and its derivatives by more than a quarter of that, are no worse.
+# Largest difference of brightness that counts, in mean steps between neighbours in frame 0. For
+# derivatives of brightness it is a quarter of that.
 COST = 2.4
-# And what it costs to be more than `NEAR` px/frame from a guess that nobody trusts, and how much
-# more from one that is certain. Where nothing is to be compared, it has to do.
+# Cost of a depth more than `NEAR` px/frame from the guess, if the guess has no trust, and the
+# extra cost for full trust. Where there is no texture, this cost alone decides.
 NEAR, DOUBTED, TRUSTED = 4.0, np.float32(0.05), np.float32(0.3)
-STEP, JUMP = 0.3, 5.0  # of a change of depth along a path
-EDGE = 1.2  # steps between neighbours at which a jump costs half
-FAINTEST_STEP = 0.01  # grey levels: the least mean step
-HIDDEN = 0.02  # what the cost of a pixel that is not seen in frame 1 counts for
-BEHIND = 1.5  # px: how far behind another surface a pixel is hidden by it
+STEP, JUMP = 0.3, 5.0  # costs of a change between neighbours: by one hypothesis, by more
+EDGE = 1.2  # mean steps: difference between neighbours at which a jump costs half
+FAINTEST_STEP = 0.01  # grey levels: smallest mean step
+HIDDEN = 0.02  # weight of the cost of a pixel that is not visible in frame 1
+BEHIND = 1.5  # px of D: a pixel so far behind another surface is hidden by it
 
 
 class PlaneSweep:
-    """A plane sweep, on any level of a pyramid, led by the depth of a flow field.
+    """A plane sweep on any level of a pyramid, guided by the depth of a flow field.
 
     Parameters
     ----------
     pyramid : ImagePyramid
     motion : (3, 4) array
-        R and t, as `tisfm.motion.rigid_depth.scaled_translations` has them.
+        R and t, as from `tisfm.motion.rigid_depth.scaled_translations`.
     level : int
+        Level of the flow field.
     flow : (h, w, 2) float32
-        A flow field of this level, px/frame of it.
+        Flow field, px/frame of its level.
     trust : (h, w) float32
-        Its confidence.
+        Confidence of the flow.
     is_known : bool
-        Whether the motion was given: all that there is to find is then found as finely as it can.
+        Whether the motion was given: the sweep then runs on the finest possible level.
     """
 
     def __init__(
@@ -73,7 +74,7 @@ class PlaneSweep:
 
     @cached_property
     def range(self) -> tuple[float, float]:
-        """The least and the largest D that are not rare, px/frame of the finest level."""
+        """Smallest and largest common D (percentiles `COMMON`), px/frame of the finest level."""
         frames = self._pyramid.frames0
         coarse = next(
             (k for k, frame in enumerate(frames) if frame.size <= COARSE), len(frames) - 1
@@ -85,18 +86,18 @@ class PlaneSweep:
         return low, high
 
     def start(self) -> tuple[int, np.ndarray]:
-        """Return a level of the pyramid, and the inverse depth to start from there.
+        """Return a level of the pyramid and the initial inverse depth on it.
 
-        That is the flow field's, triangulated, where little parallax leaves it near the truth, and
-        elsewhere that of a sweep, which the field only supports. Unless the motion is known, no
-        sweep is finer than the last level of the pyramid.
+        With little parallax, this is the triangulated flow field, which is near the truth. With
+        much parallax, it is the result of a sweep that uses the flow field as a guess. Unless the
+        motion is known, no sweep is finer than the last level of the pyramid.
 
         Returns
         -------
         level : int
-            That of the flow, or a finer one.
+            Level of the flow, or a finer level.
         inverse_depth : (H, W) float32
-            D, px/frame of that level.
+            D, px/frame of the level.
         """
         if not self.needed:
             return self._level, self._guess
@@ -105,13 +106,13 @@ class PlaneSweep:
 
     @property
     def needed(self) -> bool:
-        """Whether parallax is so large that coarse to fine does not find all of it."""
+        """Whether parallax is too large for an estimate from coarse to fine."""
         low, high = self.range
         return high - low >= RANGE
 
     @property
     def finest(self) -> int:
-        """The finest level on which a sweep would not be too large: depth may be refined on it."""
+        """Finest level on which a sweep has at most `ENTRIES` costs: depth may be refined on it."""
         low, high = self._sought
         frames, scales = self._pyramid.frames0, self._pyramid.scales
         levels = range(self._level)
@@ -121,12 +122,12 @@ class PlaneSweep:
 
     @property
     def _sought(self) -> tuple[float, float]:
-        """The least and the largest D that are looked for, px of the finest level."""
+        """Smallest and largest D of the sweep, px of the finest level."""
         low, high = self.range
         return max((1 - REACH) * low, 0), (1 + REACH) * high
 
     def _run(self, level: int, low: float, high: float) -> np.ndarray:
-        """Return D of a level, (h, w) float32, sought between bounds in px of the finest."""
+        """Return D of a level, (h, w) float32, swept between bounds in px of the finest level."""
         pyramid = self._pyramid
         frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
         scale, width_height = pyramid.scales[level], frame0.shape[::-1]
@@ -148,9 +149,9 @@ class PlaneSweep:
 
 
 def triangulated(flow: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return the inverse depth whose epipolar point is nearest to a flow, at every pixel.
+    """Return the inverse depth of every pixel whose epipolar point is nearest to a flow.
 
-    Near the epipole, where depth moves pixels by little, it is that of the surroundings.
+    Near the epipole, where depth hardly moves a pixel, the surroundings decide.
 
     Parameters
     ----------
@@ -159,7 +160,7 @@ def triangulated(flow: np.ndarray, motion: np.ndarray, camera: Camera) -> np.nda
     motion : (3, 4) array
         R and t.
     camera : Camera
-        Of the flow's level.
+        Camera of the flow's level.
 
     Returns
     -------
@@ -167,7 +168,7 @@ def triangulated(flow: np.ndarray, motion: np.ndarray, camera: Camera) -> np.nda
         D = f·d, px/frame.
     """
     height, width = flow.shape[:2]
-    flow = np.nan_to_num(flow.astype(np.float32), nan=0, posinf=0, neginf=0)  # where it diverged
+    flow = np.nan_to_num(flow.astype(np.float32), nan=0, posinf=0, neginf=0)  # flow may diverge
     x, y = _rays(height, width, camera)
     rotation, translation = motion[:, :3].astype(np.float32), motion[:, 3].astype(np.float32)
     p1, p2, p3 = (row[0] * x + row[1] * y + row[2] for row in rotation)
@@ -194,7 +195,7 @@ def swept(
     *,
     counted: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:
-    """Return the best of some inverse depths at every pixel, along paths that seldom jump.
+    """Return the best inverse depth of every pixel among hypotheses, by semi-global matching.
 
     Parameters
     ----------
@@ -203,18 +204,19 @@ def swept(
     motion : (3, 4) array
         R and t.
     camera : Camera
-        Of the frames' level.
+        Camera of the frames' level.
     hypotheses : (N,) array
         D, px/frame, evenly spaced and positive; at least 2.
     guess, trust : (H, W) float32
-        Inverse depth that is likely, and how likely, in [0, 1].
+        Likely inverse depth, and its trust in [0, 1].
     counted : tuple of two (H, W) bool, optional
-        Pixels of each frame that count, by default all. Others count as little as what is hidden.
+        Pixels of each frame that count, by default all. Other pixels weigh as little as hidden
+        pixels.
 
     Returns
     -------
     (H, W) float32
-        D, finer than the hypotheses are apart.
+        D, interpolated between the hypotheses.
 
     References
     ----------
@@ -247,7 +249,7 @@ def swept(
     depth = _cheapest(cost, frame0 / np.float32(unit), hypotheses)
     hidden = _hidden(depth, motion, camera, None if counted is None else counted[1])
     if counted is not None:
-        hidden &= counted[0]  # others are taken back already
+        hidden &= counted[0]  # the others have been weighted already
     cost[hidden] *= HIDDEN
     depth = _cheapest(cost, frame0 / np.float32(unit), hypotheses)
     return cv2.medianBlur(depth, MEDIAN)
@@ -266,9 +268,9 @@ def _cheapest(cost: np.ndarray, guide: np.ndarray, hypotheses: np.ndarray) -> np
 def _hidden(
     depth: np.ndarray, motion: np.ndarray, camera: Camera, counted1: np.ndarray | None
 ) -> np.ndarray:
-    """Return which pixels leave the image or lie behind others in frame 1, (H, W) bool.
+    """Return the pixels that leave the image or lie behind others in frame 1, (H, W) bool.
 
-    Or go to where it does not count, if `counted1`, (H, W) bool, says so.
+    Pixels that move to a pixel outside `counted1`, (H, W) bool, are included.
     """
     height, width = depth.shape
     x, y = _rays(height, width, camera)
@@ -284,7 +286,7 @@ def _hidden(
     after = depth * nearness  # D of frame 1
     nearest: np.ndarray = np.full(depth.shape, -np.inf, np.float32)
     np.maximum.at(nearest, (rows, columns), after[inside])
-    # Rounding leaves gaps in a surface that is stretched.
+    # Rounding leaves gaps in a stretched surface.
     around = cv2.dilate(nearest, np.ones((3, 3), np.uint8))
     hidden: np.ndarray = ~inside
     hidden[inside] = around[rows, columns] > after[inside] + BEHIND
@@ -294,7 +296,7 @@ def _hidden(
 
 
 def _features(frame: np.ndarray, unit: float) -> np.ndarray:
-    """Return brightness and four times its derivatives, as multiples of what costs most."""
+    """Return brightness and four times its derivatives, as multiples of the largest cost."""
     features = aligned_zeros((*frame.shape, 4))
     largest = COST * unit
     features[..., 0] = frame / np.float32(largest)

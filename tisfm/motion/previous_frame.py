@@ -1,9 +1,9 @@
-"""Three frames at a time: the frame before adds to what a pair says of its first frame.
+"""Three frames: the previous frame adds data for the first frame of a pair.
 
-The motion of a surface changes little from one frame to the next. So the flow to the frame before
-is that to the next one turned round, and what the two differ by, the bend, is much the same all
-over a surface: it is fitted where a surface is seen in all three frames, and serves where it is
-hidden in the next one.
+The motion of a surface changes little from frame to frame. So the flow to the previous frame is
+about the negative flow to the next frame. The sum of the two flows, the bend, is similar all over
+a surface. The bend is fitted where a surface is visible in all three frames, and predicts the flow
+where the surface is hidden in the next frame.
 """
 
 from dataclasses import dataclass
@@ -24,35 +24,36 @@ from tisfm.solver.unknowns import Unknowns
 from tisfm.threads import start_beside
 from tisfm.visibility.occlusion import occlusion, residual_of
 
-HALF_HIDDEN = 0.5  # of a pixel of a coarser level
-ARRIVING = 0.5  # pixels of the frame before, at least, that go to a pixel seen there
-GRID = 4  # px: of as many columns and rows, one is fitted
+HALF_HIDDEN = 0.5  # hidden share above which a pixel of a coarser level is hidden
+ARRIVING = 0.5  # pixels of the previous frame that have to move to a pixel visible in it, at least
+GRID = 4  # px: spacing of the rows and columns that the bend is fitted to
 REACH = 64  # px: half the side of the window that the bend is fitted in
-STEADY = 0.05  # px²: variances of the flow below it say nothing of how the bend changes with it
-OFF = 0.1  # px: where the bend is off by more, it is that of another surface
-ERODED = 3  # px: the side of the window in which all is seen, around what is fitted
-NEAR = 2  # pixels of the grid: half the side of the window in which a bend is judged
-DOUBTED, DOUBTED_HIDDEN = 0.3, 1.0  # px: deviations from the bend that halve the trust in it
-# Of the way back, and px: the most of a bend that a steady motion has.
+STEADY = 0.05  # px²: added to variances of the flow: smaller ones hardly determine the bend's slope
+OFF = 0.1  # px: deviation from the bend that halves a pixel's weight; it shows another surface
+ERODED = 3  # px: side of the window around a fitted pixel that has to be visible in all frames
+NEAR = 2  # pixels of the grid: half the side of the window that averages deviations from the bend
+# px: deviations from the bend that halve the trust in it, for visible and for hidden pixels.
+DOUBTED, DOUBTED_HIDDEN = 0.3, 1.0
+# Largest bend of a steady motion: a share of the backward flow, plus px.
 MOST_BENT, MOST_BENT_AT_REST = 0.5, 1.0
-BORNE_OUT = 0.8  # of the residual: what the flow of the pair before has less than
-KEPT = 0.5  # of the pixels seen in three frames: as many have to keep to the bend
+BORNE_OUT = 0.8  # ratio of residuals below which the predicted flow replaces a visible pixel's flow
+KEPT = 0.5  # share of the pixels visible in three frames that have to fit the bend
 LEAST_COUNT = 1e-4
 LEAST_DETERMINANT = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
 class PreviousPair:
-    """The pair before, on the level that its flow ended on.
+    """The previous pair, on the last level of its flow.
 
     Attributes
     ----------
     frame0, frame1 : (h, w) float32
-        Its frames, smoothed. The second is the first of the pair that follows.
+        Smoothed frames of the previous pair. The second is the first frame of the current pair.
     flow : (2, h, w) float32
         px/frame of the level.
     hidden : (h, w) bool
-        Where its first frame is not visible in the second.
+        Pixels of its first frame that are not visible in the second.
     """
 
     frame0: np.ndarray
@@ -62,13 +63,13 @@ class PreviousPair:
 
     @classmethod
     def of(cls, pyramid: ImagePyramid, flow: np.ndarray, hidden: np.ndarray) -> "PreviousPair":
-        """Return what the next pair takes from one.
+        """Return the data that the next pair needs from a pair.
 
         Parameters
         ----------
         pyramid : ImagePyramid
         flow : (2, H, W) float32
-            Of the finest level, px/frame.
+            px/frame of the finest level.
         hidden : (H, W) bool
         """
         frame0, frame1 = pyramid.frames0[pyramid.last], pyramid.frames1[pyramid.last]
@@ -85,9 +86,9 @@ class PreviousPair:
         Returns
         -------
         flow : (2, h, w) float32
-            px/frame; 0 where it is not known.
+            px/frame; 0 where unknown.
         seen : (h, w) bool
-            Where a pixel of the second frame is seen in the first.
+            Pixels of the second frame that are visible in the first.
         """
         flow = np.where(self.hidden, np.float32(FAR), self.flow)
         sums = aligned_empty((*self.hidden.shape, 4))
@@ -99,21 +100,22 @@ class PreviousPair:
 
 
 class PreviousFrame:
-    """`MoreData` of the frame before a pair.
+    """Data of the previous frame for a pair (`tisfm.solver.coarse_to_fine.MoreData`).
 
     Parameters
     ----------
     pyramid : ImagePyramid
-        Of the pair.
+        Pyramid of the current pair.
     previous : PreviousPair
     settings : Settings
 
     Attributes
     ----------
     used : bool
-        Whether the frame before was of use.
+        Whether the previous frame was used.
     residual : (h, w) float32 or None
-        Of a flow near the last one, on the last level, if it was.
+        Residual of a flow near the final flow, on the last level; None if the motion was not
+        steady.
     """
 
     def __init__(self, pyramid: ImagePyramid, previous: PreviousPair, settings: Settings) -> None:
@@ -121,11 +123,12 @@ class PreviousFrame:
         self.used = False
         self.residual: np.ndarray | None = None
         frame = previous.frame0
-        ahead = runtime.threads() > 1 and frame.size >= BESIDE  # kernels of coarse levels take one
+        # A second thread is free meanwhile: kernels of coarse levels use one.
+        ahead = runtime.threads() > 1 and frame.size >= BESIDE
         self._taps = start_beside(spline_taps, frame) if ahead else partial(spline_taps, frame)
 
     def joined(self, unknowns: Unknowns, data_term: DataTerm) -> ThreeFrameData | None:
-        """Return the data of all three frames; None where the motion is not steady."""
+        """Return the data of all three frames, or None if the motion is not steady."""
         flow = unknowns.flow()
         if not (flow.min() >= -FAR and flow.max() <= FAR):
             return None
@@ -138,11 +141,11 @@ class PreviousFrame:
         bend, off, steady = fit
         turned = bend - back - flow
         known = seen & steady
-        # What is seen starts from there as well, where frame 1 bears it out.
+        # A visible pixel takes the predicted flow if this flow fits frame 1 better.
         there = self._residual(flow + turned * known)
         better = known & (hidden | (there < BORNE_OUT * here))
         self.residual = np.where(better, there, here)
-        # What now moves as it should no longer hides anything in a wrong place.
+        # With corrected flow, occluders hide other pixels.
         hidden |= self._hidden(flow + turned * better, self.residual)
         taken = hidden & known
         unknowns.move(turned * (better | taken))
@@ -159,13 +162,13 @@ class PreviousFrame:
         )
 
     def _residual(self, flow: np.ndarray) -> np.ndarray:
-        """Return how badly a flow of the last level fits the next frame."""
+        """Return the residual of a flow of the last level in the next frame."""
         pyramid, level = self._pyramid, self._pyramid.last
         frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
         return residual_of(frame0, frame1, flow, self._settings, taps1=pyramid.taps1(level))
 
     def _hidden(self, flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
-        """Return which pixels of the last level a flow hides in the next frame."""
+        """Return the pixels of the last level that a flow hides in the next frame."""
         pyramid, level = self._pyramid, self._pyramid.last
         frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
         return occlusion(frame0, frame1, flow, self._settings, residual=residual)
@@ -174,9 +177,9 @@ class PreviousFrame:
 def previous_frame(
     pyramid: ImagePyramid, settings: Settings, previous: PreviousPair | None
 ) -> PreviousFrame | None:
-    """Return what the pair before adds to a pair, None where it does not end where this begins.
+    """Return the data of the previous frame, or None if the previous pair does not fit.
 
-    Its second frame has to be the first of the pair, grey level by grey level.
+    The second frame of the previous pair has to equal the first frame of the pair at every pixel.
     """
     if previous is None or not np.array_equal(previous.frame1, pyramid.frames0[pyramid.last]):
         return None
@@ -186,30 +189,30 @@ def previous_frame(
 def fitted_bend(
     flow: np.ndarray, back: np.ndarray, seen: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return the sum of the flows forward and backward, as an affine function of the backward one.
+    """Return the sum of forward and backward flow as an affine function of the backward flow.
 
-    The function is fitted in windows, twice: the second time with less weight of what is off.
-    That of a steady 3D motion depends on the depth, as flow does, so two surfaces in one window
-    have a bend each.
+    The function is fitted in windows twice, the second time with less weight for outliers. The
+    bend of a steady 3D motion depends on depth, as the flow does, so two surfaces in one window
+    have different bends.
 
     Parameters
     ----------
     flow, back : (2, h, w) float32
-        px/frame, to the next frame and to the one before.
+        px/frame, to the next frame and to the previous frame.
     seen : (h, w) bool
-        Where both are seen.
+        Pixels that are visible in both frames.
 
     Returns
     -------
     bend : (2, h, w) float32
         px/frame.
     off : (h, w) float32
-        The squared deviation from it around every pixel, and how much more it is than that of a
-        steady motion, px².
+        Squared deviation from the bend around every pixel, plus the squared excess of the bend
+        over that of a steady motion, px².
     steady : (h, w) bool
-        Where it is not more than that of a steady motion.
+        Where the bend is small enough for a steady motion.
     None
-        If most of what is seen keeps to no bend.
+        If less than `KEPT` of the visible pixels fit the bend.
     """
     h, w = seen.shape
     first = min(GRID, h, w) // 2
@@ -244,9 +247,10 @@ def fitted_bend(
 def _affine(
     x0: np.ndarray, x1: np.ndarray, values: list[np.ndarray], weight: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Return (a0, a1, c) of a0·x0 + a1·x1 + c nearest to each of the values around every pixel.
+    """Return (a0, a1, c) of the fit a0·x0 + a1·x1 + c to each of the values at every pixel.
 
-    As a guided filter does: fitted in every window, and the fits of all that hold a pixel averaged.
+    As in a guided filter, there is a fit in every window, and a pixel takes the mean of the fits
+    of all windows that contain it.
 
     References
     ----------
@@ -283,7 +287,7 @@ def _squared(
     values: list[np.ndarray],
     coefficients: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
 ) -> np.ndarray:
-    """Return by how much fits are off, squared and summed over the components."""
+    """Return the squared deviations of values from their fits, summed over the components."""
     total = np.zeros_like(x0)
     for y, (a0, a1, constant) in zip(values, coefficients, strict=True):
         total += (y - a0 * x0 - a1 * x1 - constant) ** 2
@@ -293,7 +297,7 @@ def _squared(
 def _too_bent(
     x0: np.ndarray, x1: np.ndarray, coefficients: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
 ) -> np.ndarray:
-    """Return by how much fits are beyond what a steady motion has, squared."""
+    """Return the squared excess of fitted bends over the largest bend of a steady motion."""
     zero = np.zeros_like(x0)
     bent = np.sqrt(_squared(x0, x1, [zero, zero], coefficients))
     most = MOST_BENT * np.sqrt(x0 * x0 + x1 * x1) + np.float32(MOST_BENT_AT_REST)

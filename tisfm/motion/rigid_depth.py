@@ -1,4 +1,4 @@
-"""Inverse depth under known rigid motions, coarse to fine, and the motions refined by it."""
+"""Inverse depth under known rigid motions, coarse to fine, with refinement of the motions."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -15,12 +15,12 @@ from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.unknowns import Unknowns
 from tisfm.visibility.confidence import ROUNDING, median
 
-WARPS = 3  # linearisations on the last level for one of the field's
-DEVIATION_WINDOW = 15  # px, over which curvature and residual are averaged for it
-# Of the deviation: 68% of the visible pixels of rendered scenes, with noise of 0 to 5 grey levels,
-# then lie within one. Neither errors of the motion nor of the model are in it.
+WARPS = 3  # linearisations on the last level for each of `settings.warps`
+DEVIATION_WINDOW = 15  # px: side of the window that averages curvature and residual
+# Factor of the deviation. With it, 68% of the visible pixels of rendered scenes, with noise of 0 to
+# 5 grey levels, lie within one deviation. Errors of the motion or the model are not included.
 CALIBRATION = 0.75
-SUREST = np.float32(0.001)  # px: the least deviation
+SUREST = np.float32(0.001)  # px: smallest deviation
 
 
 Refinement = Literal["none", "translation", "motion"]
@@ -28,24 +28,24 @@ Refinement = Literal["none", "translation", "motion"]
 
 @dataclass(frozen=True, kw_only=True)
 class RigidSolution:
-    """What coarse to fine leaves.
+    """Motions and inverse depth, estimated from coarse to fine.
 
     Attributes
     ----------
     motions : (K, 3, 4) float64
-        R and t of each motion; t of a length such that D is in px/frame, as an average.
+        R and t of each motion. The length of t makes D px/frame on average.
     inverse_depth : (H, W) float32
         D = f·d, signed.
     precision : (7, h, w) float32
-        Of `tisfm.kernels.solve.data_precision`, on the level that it ended on.
+        As in `tisfm.kernels.solve.data_precision`, on the last level.
     level : int
-        Which that is.
+        The last level.
     density : float
-        Its sampling density over the finest's.
+        Sampling density of the last level over that of the finest level.
     history : list of (level, warp, Iteration)
     converged : bool
     adjustable : bool
-        Whether the settings say how many iterations there are.
+        Whether the settings determine the number of iterations.
     """
 
     motions: np.ndarray
@@ -60,16 +60,16 @@ class RigidSolution:
     def deviation(self) -> np.ndarray:
         """Return the standard deviation of D, (H, W) float32.
 
-        That of a linear problem with constant coefficients, where data of precision A at every
-        pixel are smoothed with the weight κ = α b: (1/4πκ) ln(1 + 4πκ/A), which is 1/A where
-        nothing is smoothed. A is the mean curvature of the data in a window, κ a quarter of what a
-        pixel's edges weigh, and the unit is the residual there.
+        The variance is that of a linear problem with constant coefficients: data of precision A at
+        every pixel, smoothed with the weight κ = α b, give (1/4πκ) ln(1 + 4πκ/A). Without
+        smoothing, this is 1/A. A is the mean curvature of the data in a window, κ a quarter of the
+        weights of a pixel's edges, and the unit is the mean residual in the window.
         """
         window, known = (DEVIATION_WINDOW, DEVIATION_WINDOW), self.precision
         precision = cv2.blur(known[0], window)
         precision += LEAST_DIVISOR
         residual = cv2.blur(known[3], window)
-        # Where nothing is seen, nothing is violated either.
+        # Without texture the residual is small, too, so it is at least the median one.
         seen = known[0] > ROUNDING * known[0].max()
         usual = median(known[3][seen]) if seen.any() else 0.0
         np.maximum(residual, usual, out=residual)
@@ -103,10 +103,10 @@ def rigid_depth(
     """Estimate the inverse depth of every pixel, from coarse to fine.
 
     The data are those of a flow field, weighted as `settings.depth_brightness`,
-    `settings.gradient` and `settings.depth_normalization` say and seen along epipolar lines only;
-    displacements are exact. The unknown is in px/frame, whatever the motion, because translations
-    are given a length by which D moves a pixel, on average, by D px/frame. An edge between two
-    labels carries no smoothness.
+    `settings.gradient` and `settings.depth_normalization` say, and restricted to epipolar lines.
+    Displacements are exact. The unknown D is in px/frame for every motion, because translations
+    are scaled such that D moves a pixel by D px/frame on average. There is no smoothness across
+    edges between labels.
 
     Parameters
     ----------
@@ -115,18 +115,18 @@ def rigid_depth(
     motions : (K, 3, 4) array
         R and t of each motion.
     labels : (H, W) int array
-        Which motion a pixel has.
+        Index of each pixel's motion.
     last : int
-        The level to end on, unless `start` begins on a finer one.
+        The last level, unless `start` begins on a finer level.
     refine : {"none", "translation", "motion"}
-        What of the motions is refined on the finer levels, jointly with depth.
+        Part of the motions that is refined on the finer levels, jointly with depth.
     support : (H, W) bool array, optional
-        Where the data count, by default everywhere; elsewhere depth is continued smoothly.
+        Pixels whose data count, by default all. Depth is continued smoothly to other pixels.
     start : (int, (h, w) float32), optional
-        The level to start on and D there, for motions of the length that `scaled_translations`
-        gives them; by default the coarsest level, and zero.
+        The first level and D on it, for translations scaled by `scaled_translations`; by default
+        the coarsest level, and zero.
     warps : int, optional
-        Linearisations on the last level, by default `WARPS` for one of the field's.
+        Linearisations on the last level, by default `settings.warps * WARPS`.
     """
     motions = scaled_translations(motions, labels, pyramid.cameras[0])
     history: Records = []
@@ -170,14 +170,14 @@ def rigid_depth(
 def motion_residual(
     pyramid: ImagePyramid, settings: Settings, motion: np.ndarray, inverse_depth: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return how badly one motion and depth meet the images, and their flow.
+    """Return the residual of one motion and its depth in the images, and their flow.
 
     Parameters
     ----------
     pyramid : ImagePyramid
     settings : Settings
     motion : (3, 4) array
-        R and t, of the length that `inverse_depth` is for.
+        R and t; the length of t fits `inverse_depth`.
     inverse_depth : (H, W) float32
         D.
 
@@ -203,16 +203,16 @@ def motion_precision(
     labels: np.ndarray,
     inverse_depth: np.ndarray,
 ) -> np.ndarray:
-    """Return what data and neighbours say of given motions and depth, (7, H, W) float32.
+    """Return the precision of data and neighbours for given motions and depth, (7, H, W) float32.
 
-    It is what `rigid_depth` says of its own, as `RigidSolution.precision`.
+    For its own solution, `rigid_depth` returns the same as `RigidSolution.precision`.
 
     Parameters
     ----------
     pyramid : ImagePyramid
     settings : Settings
     motions : (K, 3, 4) array
-        R and t of each, of the length that `inverse_depth` is for.
+        R and t of each motion; the lengths of t fit `inverse_depth`.
     labels : (H, W) int array
     inverse_depth : (H, W) float32
         D.
@@ -229,10 +229,10 @@ def motion_precision(
 
 
 def scaled_translations(motions: np.ndarray, labels: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return the motions with translations of a length that makes |∂(u, v)/∂D| 1 on average.
+    """Return the motions with translations scaled such that |∂(u, v)/∂D| is 1 on average.
 
-    That is the root mean square of |(t₁ − x̂ t₃, t₂ − ŷ t₃)| over the pixels of each label. A
-    translation of zero stays.
+    Each translation is divided by the root mean square of |(t₁ − x̂ t₃, t₂ − ŷ t₃)| over the
+    pixels of its label. A translation of zero stays zero.
     """
     height, width = labels.shape
     cx, cy = camera.center_for(height, width)

@@ -1,4 +1,4 @@
-"""One level of the pyramid under known rigid motions: depth, data, and a step of the motions."""
+"""One level of the pyramid under known rigid motions: depth, data, and a step for the motions."""
 
 import cv2
 import numpy as np
@@ -20,16 +20,16 @@ from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.unknowns import Unknowns
 from tisfm.visibility.confidence import median
 
-REFINED = 0.45  # of the finest level's sampling density: coarser levels do not refine motions
-HELD = 1e-4  # times α: how little neighbours hold a pixel's depth while the motion changes
-MEDIAN = 5  # px, a window for depth after each linearisation
-QUIET = 0.15  # px: median residual beyond which smoothness grows in proportion
-OUTLYING = 1.5  # median residuals: what is further off hardly counts for the motion
-SAMPLES = 20_000  # pixels, about, that medians and means over the image are taken of
+REFINED = 0.45  # of the finest level's sampling density: only denser levels refine motions
+HELD = 1e-4  # times α: weak smoothness, so a pixel's depth adapts while the motion changes
+MEDIAN = 5  # px: window of the median of depth after each linearisation
+QUIET = 0.15  # px: median residual above which smoothness grows in proportion
+OUTLYING = 1.5  # median residuals: a pixel with more hardly counts for the motion
+SAMPLES = 20_000  # pixels, about, that are sampled for medians and means over the image
 
 
 class RigidLevel:
-    """One level of the pyramid: depth, labels and data."""
+    """Depth, labels and data on one level of the pyramid."""
 
     def __init__(
         self,
@@ -62,7 +62,7 @@ class RigidLevel:
         if support is not None:
             counted = cv2.resize(support.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         elif labels.any() and pyramid.scales[level] >= REFINED:
-            # Stencils that reach over a boundary see two motions.
+            # Stencils across a boundary mix two motions, so their pixels do not count.
             counted = (~_mixed(resized)).astype(np.float32)
         data_term = data_term_on(pyramid, level, problem, unknowns)
         self._constraints, self._scales = data_term.constraints, data_term.scales
@@ -93,17 +93,17 @@ class RigidLevel:
         ]
         if counted is not None:
             weight = grid.allocate(1)
-            image_to_lanes(grid, np.sqrt(counted), weight)  # of what is squared
+            image_to_lanes(grid, np.sqrt(counted), weight)  # constraints are squared later
             steps.append(multiply.bind(grid, weight, restricted))
         self._linearise = in_turn(*steps)
 
     def linearise(self, motions: np.ndarray) -> None:
-        """Find the data about the current depth, and restrict them to epipolar lines."""
+        """Linearise the data at the current depth, and restrict them to epipolar lines."""
         self._motions[...] = motions
         self._linearise()
 
     def despeckle(self) -> None:
-        """Replace depth by its median over a small window: single pixels go their own way."""
+        """Replace depth by its median in a small window, which removes single wrong pixels."""
         depth = self.unknowns.images()[0]
         alone = len(self._motions) == 1
         medians = (
@@ -112,9 +112,10 @@ class RigidLevel:
         image_to_lanes(self.unknowns.grid, medians, self.unknowns.rho)
 
     def noise(self, motions: np.ndarray) -> np.ndarray:
-        """Return the median residual of each motion's pixels, (K,); 0 for one that shows none.
+        """Return the median residual of each motion's pixels, (K,).
 
-        Of a sample of rows, and with the weights that the last iteration solved for.
+        It is 0 without pixels or without translation. A sample of rows and the weights of the last
+        iteration are used.
         """
         depth = on_host(self.unknowns.rho)[0, self._rows, 1:-1]
         tensor = on_host(self.minimiser.system.tensor)[:, self._rows, 1:-1]
@@ -127,7 +128,7 @@ class RigidLevel:
         return noise
 
     def refined(self, motions: np.ndarray, unknowns: int, noise: np.ndarray) -> np.ndarray:
-        """Return the motions after a step of Gauss–Newton on the last linearisation."""
+        """Return the motions after a Gauss–Newton step on the last linearisation."""
         system = self.minimiser.system
         motions = motions.copy()
         current = motions.astype(np.float32)
@@ -144,7 +145,7 @@ class RigidLevel:
                 held=HELD * system.alpha,
                 tolerated=(OUTLYING * float(noise[label])) ** 2 + LEAST_DIVISOR,
             )
-            if label > 0:  # objects hardly spin relative to the background
+            if label > 0:  # objects hardly rotate relative to the background
                 stiffness, offset = spin_prior(motion[:, :3], motions[0, :, :3], noise[label])
                 matrix[3:, 3:] += stiffness * np.eye(3)
                 vector[3:] -= stiffness * offset
@@ -153,7 +154,7 @@ class RigidLevel:
 
 
 def median_within(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Return the median of a window around every pixel, of the pixels of its own label only.
+    """Return the median in a window around every pixel, over pixels of the same label only.
 
     Parameters
     ----------
@@ -178,7 +179,7 @@ def median_within(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
 
 
 def _mixed(labels: np.ndarray) -> np.ndarray:
-    """Return where a window around a pixel holds more than one label, (H, W) bool."""
+    """Return the pixels whose window holds more than one label, (H, W) bool."""
     window = np.ones((MEDIAN, MEDIAN), np.uint8)
     return cv2.erode(labels, window) != cv2.dilate(labels, window)
 
@@ -186,7 +187,7 @@ def _mixed(labels: np.ndarray) -> np.ndarray:
 def _stepped(
     motion: np.ndarray, matrix: np.ndarray, vector: np.ndarray, unknowns: int
 ) -> np.ndarray:
-    """Return a motion after the step that its normal equations ask for, ‖t‖ kept."""
+    """Return a motion after the step that solves its normal equations; ‖t‖ stays."""
     translation = motion[:, 3]
     length = np.linalg.norm(translation)
     if not (length > 0 and np.isfinite(matrix).all() and np.isfinite(vector).all()):
@@ -200,7 +201,7 @@ def _stepped(
 
 
 def _inside(unknowns: Unknowns, counted: np.ndarray | None) -> np.ndarray:
-    """Return 1 on the pixels of the image that count, else 0, as a lane array; not placed."""
+    """Return 1 on the pixels of the image that count, else 0, as a lane array on the host."""
     inside = unknowns.grid.inside()
     if counted is None:
         return inside
@@ -210,7 +211,7 @@ def _inside(unknowns: Unknowns, counted: np.ndarray | None) -> np.ndarray:
 
 
 def _within(unknowns: Unknowns, labels: np.ndarray) -> LaneData:
-    """Return a lane array that is 1 for the edges between pixels of one label, else 0."""
+    """Return a lane array that is 1 for edges between pixels of the same label, else 0."""
     grid = unknowns.grid
     same = np.zeros((2, *labels.shape), np.float32)
     same[0, :, :-1] = labels[:, 1:] == labels[:, :-1]

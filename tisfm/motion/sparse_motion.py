@@ -1,4 +1,4 @@
-"""The camera's motion from matched points: for frames so far apart that a flow field fails."""
+"""The camera's motion from matched points, for frames too far apart for a flow field."""
 
 import math
 from dataclasses import dataclass, replace
@@ -24,24 +24,26 @@ from tisfm.motion.epipolar_fit import (
 )
 from tisfm.motion.sparse_matches import Matches
 
-THRESHOLDS = (0.5, 1.0, 2.0, 4.0)  # px from the epipolar line, or from where a homography leads
-DRAWS = 10_000  # at most: half of the matches may be wrong
-# px: matches within take part in the refinement, one time after the other. Near ones alone miss
-# the least cost from a poor start; far ones lead away from a good one.
+THRESHOLDS = (0.5, 1.0, 2.0, 4.0)  # px: inliers, from the epipolar line or the homography's point
+DRAWS = 10_000  # most random samples for a threshold: half of the matches may be wrong
+# px: largest distances of the matches in each round of refinement, for two refinements of a start.
+# From a poor start, near matches alone miss the least cost. From a good start, far matches lead
+# away.
 REACHES = ((16.0, 6.0, 3.0), (3.0, 3.0))
-# rad, and of ‖t‖ = 1: a step that is as good as none. Farther matches only lead to the nearer.
+# Length of a step, rad and of ‖t‖ = 1, that ends the last round and the rounds before it. Those
+# rounds only prepare the last.
 SETTLED, NEARLY_SETTLED = 1e-5, 1e-3
-ALIKE = 1e-3  # in every entry of R and t: motions that differ by less need no refinement each
-EXPLAINED = 3.0  # px
-ITERATIONS = 30
-FEWEST = 12  # matches within reach: five fit any motion, and wrong ones add a few by chance
-SMALLEST_RESIDUAL = 0.3  # px: points are found no better than that
-# Of the robust cost: motions that cost less than so many times the least may be right as well.
+ALIKE = 1e-3  # largest difference of an entry of R or t between two motions that count as the same
+EXPLAINED = 3.0  # px: largest distance of an inlier
+ITERATIONS = 30  # most iterations of a round
+FEWEST = 12  # matches within reach: five fit any motion, and wrong matches add a few by chance
+SMALLEST_RESIDUAL = 0.3  # px: accuracy of a detected point
+# Ratio of robust costs: motions of up to so many times the least cost may be right as well.
 TIED = 1.3
-SAME = 0.2  # rad, between directions of translation: motions that differ by less are one
-SPREAD_CELLS = 8  # a side of the image
-# Of the criterion: a match has four coordinates, and no more than this is held against it, as a
-# variance, for each of those that a model predicts.
+SAME = 0.2  # rad: smallest angle between the translations of two different motions
+SPREAD_CELLS = 8  # cells along each side of the image
+# The information criterion: coordinates of a match, and the largest squared error of a match, in
+# variances for each coordinate that the model predicts.
 COORDINATES, WORST = 4, 2.0
 
 Model = Literal["rotation", "plane", "depth"]
@@ -51,7 +53,7 @@ _AnyMotion = TypeVar("_AnyMotion", Pose, _Motion)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SparseMotion:
-    """A rigid motion that matches show, P₁ = R P₀ + t.
+    """A rigid motion fitted to matches, P₁ = R P₀ + t.
 
     Attributes
     ----------
@@ -60,20 +62,20 @@ class SparseMotion:
     rotation_alone : (3, 3) float64
         The rotation that fits best without translation.
     model : {"rotation", "plane", "depth"}
-        What explains the matches with the least freedom: a rotation, the homography of a plane, or
-        points at depths of their own. The same for all motions of a pair.
+        The simplest model that explains the matches: a rotation, the homography of a plane, or a
+        depth for every point. All motions of a pair have the same model.
     residual : float
         Robust standard deviation of the distances from epipolar lines, px.
     parallax : float
-        Median length of what rotation alone leaves of the displacements, px.
+        Median length of the displacements that `rotation_alone` leaves, px.
     inliers : int
-        Matches that it explains.
+        Number of matches that the motion explains.
     spread : float
-        Share of the image, in cells, that holds one of them.
+        Share of the image's cells that hold an inlier.
     cost : float
-        Robust cost of all matches, at a scale that is common to all motions of the pair.
+        Robust cost of all matches, with one scale for all motions of the pair.
     rays : Rays
-        The matches that it explains.
+        The inliers.
     """
 
     rotation: np.ndarray
@@ -88,18 +90,18 @@ class SparseMotion:
     rays: Rays
 
     def scaled(self, factor: float) -> "SparseMotion":
-        """Return the same with lengths, px, of another level."""
+        """Return the motion with its lengths, px, multiplied for another level."""
         return replace(self, residual=factor * self.residual, parallax=factor * self.parallax)
 
 
 def sparse_motions(
     matches: Matches, camera: Camera, shape: tuple[int, int]
 ) -> tuple[list[SparseMotion], "Judge | None"]:
-    """Return the motions that may have moved points so, the likeliest first.
+    """Return the motions that explain the matches, the likeliest first.
 
     Robust distances from epipolar lines are minimised from several starts: essential matrices by
-    random sampling, and the solutions of homographies, which tell the motion of a camera before
-    one plane, where essential matrices are not determined. Two motions may remain there.
+    random sampling, and decompositions of homographies. If the matches lie on one plane, they
+    determine no essential matrix, and the homography gives the motion. Two motions may then remain.
 
     Parameters
     ----------
@@ -112,9 +114,9 @@ def sparse_motions(
     Returns
     -------
     motions : list of SparseMotion
-        Empty where too few matches agree on any.
+        Empty if too few matches agree on a motion.
     judge : Judge or None
-        What others are to be compared by; None where there is no motion.
+        The cost of other motions on the same scale; None if no motion was found.
 
     References
     ----------
@@ -151,12 +153,12 @@ def sparse_motions(
 def posed_motion(
     matches: Matches, camera: Camera, shape: tuple[int, int], pose: Pose
 ) -> SparseMotion | None:
-    """Return a motion that is known as matches show it, None where too few agree with it.
+    """Return a known motion with its inliers, or None if too few matches agree with it.
 
     Parameters
     ----------
     matches, camera, shape
-        As of `sparse_motions`.
+        As in `sparse_motions`.
     pose : (rotation, translation)
         ‖t‖ = 1.
     """
@@ -172,9 +174,9 @@ def posed_motion(
 
 
 def posed_residual(rays: Rays, pose: Pose) -> float:
-    """Return the robust deviation of rays from where a motion can take points, px."""
+    """Return the robust deviation of rays from the points that a motion allows, px."""
     nearest = nearest_points(rays, *pose)
-    # What would lie behind the camera comes no nearer than the point at infinity.
+    # If the nearest point lies behind the camera, the point at infinity is the nearest allowed one.
     distance = np.where(
         nearest.inverse_depth > 0,
         np.abs(nearest.distance),
@@ -185,21 +187,21 @@ def posed_residual(rays: Rays, pose: Pose) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Judge:
-    """Matches as evidence for any motion.
+    """The robust cost of any motion over all matches.
 
     Attributes
     ----------
     rays : Rays
-        All of them.
+        All matches.
     scale : float
-        Of their distances from epipolar lines, px.
+        Scale of their distances from epipolar lines, px.
     """
 
     rays: Rays
     scale: float
 
     def cost(self, pose: Pose) -> float:
-        """Return the robust cost of a motion; that of matches which it leaves unexplained is 1."""
+        """Return the robust cost of a motion. A match that it does not explain costs 1."""
         return cost(self.rays, pose, self.scale)
 
 
@@ -219,14 +221,14 @@ def _rays(matches: Matches, camera: Camera, shape: tuple[int, int]) -> Rays:
 
 def _homographies(rays: Rays) -> list[np.ndarray]:
     """Return homographies of normalised coordinates by random sampling, (3, 3) each."""
-    # OpenCV finds none of small coordinates: it is given px.
+    # OpenCV finds no homography for small coordinates, so it gets px.
     before, after = (rays.focal * points[:2].T for points in (rays.before, rays.after))
     to_px = np.diag([rays.focal, rays.focal, 1.0])
     found = []
     for threshold in THRESHOLDS:
         try:
             matrix, _ = cv2.findHomography(before, after, sampling(threshold, DRAWS))
-        except cv2.error:  # of samples that do not determine one
+        except cv2.error:  # the samples determine no homography
             continue
         if matrix is not None and matrix.shape == (3, 3) and np.isfinite(matrix).all():
             found.append(np.linalg.solve(to_px, matrix @ to_px))
@@ -234,7 +236,7 @@ def _homographies(rays: Rays) -> list[np.ndarray]:
 
 
 def of_plane(homography: np.ndarray, rays: Rays, *, share: float = 0.5) -> list[Pose]:
-    """Return the motions that may be behind a homography: of a plane that the camera sees.
+    """Return the motions that may have caused a homography: their plane lies before the camera.
 
     Parameters
     ----------
@@ -242,7 +244,7 @@ def of_plane(homography: np.ndarray, rays: Rays, *, share: float = 0.5) -> list[
         Of normalised coordinates.
     rays : Rays
     share : float
-        Of them, at least, which meet the plane before the camera.
+        Least share of the rays that meet the plane before the camera.
     """
     _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, np.eye(3))
     poses: list[Pose] = []
@@ -254,7 +256,7 @@ def of_plane(homography: np.ndarray, rays: Rays, *, share: float = 0.5) -> list[
 
 
 def _polished(rays: Rays, starts: list[Pose], reaches: tuple[float, ...]) -> list[_Motion]:
-    """Return motions refined by the matches near them, and their residuals: each found once."""
+    """Return motions refined by the matches near them, and their residuals, without duplicates."""
     free = Free(unknowns=6, near=None)
     poses: list[Pose] = starts
     found: list[_Motion] = []
@@ -275,7 +277,7 @@ def _polished(rays: Rays, starts: list[Pose], reaches: tuple[float, ...]) -> lis
 
 
 def _distinct(motions: list[_AnyMotion]) -> list[_AnyMotion]:
-    """Return motions without those that differ by less than `ALIKE` from one before."""
+    """Return the motions without duplicates: at most `ALIKE` from an earlier motion."""
     kept: list[_AnyMotion] = []
     for motion in motions:
         if all(
@@ -334,7 +336,7 @@ def _spread(rays: Rays, camera: Camera, shape: tuple[int, int]) -> float:
 def _model(rays: Rays, pose: Pose, homographies: list[np.ndarray], scale: float) -> Model:
     """Return the model of least geometric robust information criterion (GRIC; Torr 1998).
 
-    Errors are distances in frame 1 from what a model predicts: along two coordinates, or one.
+    Errors are distances in frame 1 from a predicted point (rotation, plane) or line (depth).
     """
     distance = nearest_points(rays, *pose).distance
     found: dict[Model, float] = {
@@ -353,12 +355,12 @@ def _model(rays: Rays, pose: Pose, homographies: list[np.ndarray], scale: float)
 
 
 def _beyond_homography(rays: Rays, matrix: np.ndarray) -> np.ndarray:
-    """Return how far matches are from where a homography leads, squared, (N,) px²."""
+    """Return the squared distances of matches from the points of a homography, (N,) px²."""
     return rays.focal**2 * np.square(beyond(rays, matrix)).sum(axis=0)
 
 
 def _criterion(square: np.ndarray, scale: float, *, dimension: int, parameters: int) -> float:
-    """Return GRIC: errors, and what a model's freedom costs."""
+    """Return GRIC: the errors plus the penalties for dimension and parameters of the model."""
     worst = WORST * (COORDINATES - dimension)
     fit = float(np.minimum(square / scale**2, worst).sum())
     count = square.size

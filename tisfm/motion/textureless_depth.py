@@ -1,9 +1,9 @@
-"""Inverse depth of a view that is partly bare: matched where it shows, and carried across planes.
+"""Inverse depth of a partly textureless view: matched at texture, and carried across planes.
 
-Bare surfaces say nothing of their depth, whatever is made of their noise. What is known is found
-by matching planes both ways round (`tisfm.motion.matched_planes`); second-order smoothness carries
-it to the rest (`tisfm.solver.second_order`), and the constraints of the images move it once more,
-as far as windows vary by more than noise.
+Textureless surfaces show only noise, which tells nothing about their depth. Planes are matched
+forward and backward (`tisfm.motion.matched_planes`). Second-order smoothness carries the matched
+depth to the other pixels (`tisfm.solver.second_order`). Then the constraints of the images refine
+depth where windows vary by more than noise.
 """
 
 from dataclasses import dataclass, replace
@@ -31,33 +31,33 @@ from tisfm.solver.second_order import (
 from tisfm.solver.smoothness import image_edges_in_lanes
 
 SECOND_ORDER = SecondOrderSettings(alpha=48.0, beta=196608.0, bend=0.1, turn=0.003, image_edges=5.0)
-FEWEST = 0.02  # of the pixels: with fewer believed, nothing is carried
-# Windows of the finest level that are compared with noise. Frames are bare if this share of them
-# shows no more.
+FEWEST = 0.02  # of the pixels: least share of believed matches that is carried
+# px: side of the windows whose variance is compared with noise. Frames count as textureless if
+# at least this share of the windows shows only noise.
 WINDOW, MOST_TEXTURELESS = 11, 0.04
-SHOWN = 1.8  # times the variance of the noise: what a window varies by that shows more
-DATA = 0.5  # weight of the constraints against that of a matched pixel
-TEXTURE = 100.0  # times the variance of the noise: of a window whose constraints weigh half
-WARPS, ITERATIONS = 3, 2
-FURTHEST = 2.0  # times as far as what was matched: nothing is carried beyond
-FURTHEST_SHARE = 0.01  # of the matched pixels: those that are further are not counted
-# Standard deviations of D, px: of a matched pixel, and for every px that it is carried. With how
-# far the images moved matched pixels around, 76% of the pixels of TartanAir then lie within one;
-# and of a HoloLens, whose poses are not exact, 52%.
+SHOWN = 1.8  # variances of the noise: a window that varies by more shows texture
+DATA = 0.5  # weight of the constraints relative to a matched pixel
+TEXTURE = 100.0  # variances of the noise: window variance at which constraints weigh half
+WARPS, ITERATIONS = 3, 2  # linearisations, and iterations of each
+FURTHEST = 2.0  # largest carried depth over the largest matched depth
+FURTHEST_SHARE = 0.01  # of the matched pixels: farthest ones left out of the largest matched depth
+# Standard deviations of D, px: of a matched pixel, and for every px that it is carried. The
+# mean change of matched pixels nearby by the refinement is added. Then 76% of the pixels of
+# TartanAir lie within one deviation, and 52% of a HoloLens, whose poses are not exact.
 MATCHING, CARRYING = 0.1, 0.05
-AROUND = 31  # px: the window that this is averaged in
-FAINTEST = 0.01  # of the precision of a matched pixel: less counts for none
-SPREAD = 0.2  # px²: the variance of what is carried, for the share that data have in it
+AROUND = 31  # px: side of the window of that mean
+FAINTEST = 0.01  # of the precision of a matched pixel: a smaller precision counts as 0
+SPREAD = 0.2  # px²: variance of carried depth, for the share of the data in a pixel's depth
 
 
 @dataclass(frozen=True, kw_only=True)
 class TexturelessSolution(RigidSolution):
-    """The same, with a deviation of its own.
+    """A rigid solution whose depth was partly carried, with its own deviation.
 
     Attributes
     ----------
     carried_deviation : (H, W) float32
-        Of D.
+        Standard deviation of D.
     """
 
     carried_deviation: np.ndarray
@@ -68,9 +68,9 @@ class TexturelessSolution(RigidSolution):
 
 
 def textureless_share(frame: np.ndarray, counted: np.ndarray | None = None) -> float:
-    """Return which share of the windows of a frame, (H, W) float32, shows no more than noise.
+    """Return the share of a frame's windows, (H, W) float32, that show only noise.
 
-    Of those around pixels that count, if `counted`, (H, W) bool, says so.
+    Only windows around the pixels of `counted`, (H, W) bool, take part, by default all.
     """
     noise = noise_deviation(frame, counted=counted)
     bare = window_variance(frame, WINDOW) <= SHOWN * noise**2
@@ -93,14 +93,14 @@ def textureless_depth(
     pyramid : ImagePyramid
     settings : Settings
     motion : (3, 4) array
-        R and t, as `tisfm.motion.rigid_depth.scaled_translations` has them.
+        R and t, as from `tisfm.motion.rigid_depth.scaled_translations`.
     support : (H, W) bool array, optional
-        Where matches and constraints count, by default everywhere; elsewhere depth is carried.
+        Pixels whose matches and constraints count, by default all. Depth is carried to the others.
 
     Returns
     -------
     TexturelessSolution or None
-        None if too little could be matched to carry from, or no level is small enough.
+        None if too few pixels could be matched, or if no level is small enough.
     """
     if pyramid.frames0[-1].size > MOST:
         return None
@@ -137,7 +137,7 @@ def textureless_depth(
 
 
 class _Level:
-    """The level that planes were matched on: depth, its slopes, and data."""
+    """Depth, its slopes and the data on the level of the matched planes."""
 
     def __init__(
         self,
@@ -169,7 +169,7 @@ class _Level:
         labels, weight = grid.allocate(1), grid.allocate(1)
         flow, direction = grid.allocate(2, zeros=False), grid.allocate(2, zeros=False)
         textured = texture_weight(frame, counted=pyramid.counted0(level))
-        share = np.float32(DATA**0.5) * textured * counted  # of what is squared
+        share = np.float32(DATA**0.5) * textured * counted  # factor of a constraint before squaring
         image_to_lanes(grid, share, weight)
         motions = np.ascontiguousarray(motion[None], np.float32)
         inverse_depth = minimiser.rho[:1]
@@ -191,23 +191,23 @@ class _Level:
         )
 
     def step(self, tolerance: float) -> tuple[list[Iteration], bool]:
-        """Linearise once, and minimise."""
+        """Linearise once and minimise."""
         self._linearise()
         self._minimiser.update()
         return self._minimiser.minimise(ITERATIONS, tolerance=tolerance)
 
     def bound(self, planes: MatchedPlanes) -> None:
-        """Take D over, bounded from below."""
+        """Set the unknowns to the minimiser's D, bounded from below."""
         least = np.quantile(planes.inverse_depth[planes.believed], FURTHEST_SHARE) / FURTHEST
         self.unknowns.set_images(np.maximum(self._minimiser.images()[:1], np.float32(least)))
 
     def precision(self) -> np.ndarray:
-        """Return what data say and what is carried, as `tisfm.kernels.solve.data_precision`."""
+        """Return the precision of data and carried depth (`tisfm.kernels.solve.data_precision`)."""
         tensor = np.empty((3, self._grid.height, self._grid.width), np.float32)
         lanes_to_images(self._grid, self._minimiser.system.tensor, tensor)
         depth = self._minimiser.images()[0]
         precision = np.zeros((7, *depth.shape), np.float32)
-        # What bare windows leave of constraints is no datum, nor usual for the residuals of data.
+        # Constraints of textureless windows are noise: they are neither data nor usual residuals.
         precision[0] = np.where(tensor[0] > FAINTEST, tensor[0], 0)
         residual = (tensor[0] * depth + 2 * tensor[1]) * depth + tensor[2]
         precision[3] = np.maximum(residual, 0)
@@ -218,8 +218,9 @@ class _Level:
 def _deviation(planes: MatchedPlanes, depth: np.ndarray, pyramid: ImagePyramid) -> np.ndarray:
     """Return the standard deviation of D, (H, W) float32, px/frame of the finest level.
 
-    Of that which was found, `depth`, (h, w) float32, D of the level of the planes: matching, how
-    far depth was carried, and by how much images and neighbours disagree with matches nearby.
+    It adds up the error of matching, the error for every px that depth was carried, and the change
+    of matched pixels nearby by the refinement. `depth`, (h, w) float32, is the refined D on the
+    level of the planes.
     """
     believed = planes.believed.astype(np.float32)
     far = cv2.distanceTransform((~planes.believed).astype(np.uint8), cv2.DIST_L2, 5)
@@ -234,10 +235,10 @@ def _deviation(planes: MatchedPlanes, depth: np.ndarray, pyramid: ImagePyramid) 
 def texture_weight(
     frame: np.ndarray, *, half: float = TEXTURE, counted: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return how much more than noise a window shows, (H, W) float32, from 0 to 1.
+    """Return the weight of the texture in each window against noise, (H, W) float32, from 0 to 1.
 
-    A window that varies by `half` times the variance of the noise has ½. Pixels that count,
-    (H, W) bool, tell the noise; by default all do.
+    A window whose variance is `half` variances of the noise has ½. The noise is measured on the
+    pixels of `counted`, (H, W) bool, by default all.
     """
     noise = noise_deviation(frame, counted=counted)
     variance = window_variance(frame, WINDOW)

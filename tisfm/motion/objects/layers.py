@@ -1,7 +1,7 @@
-"""Layers: which of several rigid motions a pixel has, by the images themselves.
+"""Layers: the images decide which of several rigid motions each pixel has.
 
-A layer's surface is fitted where it is labelled and continued smoothly beyond. There, images tell
-it from its neighbours: the surface that fits is the one a pixel lies on.
+A layer's surface is fitted to the pixels with its label and continued smoothly beyond them. There,
+a pixel takes the label of the surface that fits the images best.
 """
 
 from dataclasses import dataclass, replace
@@ -30,39 +30,39 @@ from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.visibility.confidence import QUIET, QUIET_GREY
 from tisfm.visibility.occlusion import leaves_image, occlusion_in
 
-LAYER_WINDOW = 5  # px, over which residuals are averaged; and by which layers are shrunk to be sure
-COST_UNIT = 3.0  # of the median residual: a unit of cost
-TRUNCATED = 16.0  # units: more is no worse
-UNREACHED = 2 * TRUNCATED  # units, of a layer where its motion may not be
-MARGIN = 0.02  # of the longer side: how far beyond what floats its motion may be
-HIDDEN, SEEN = 0.01, 0.5  # what occluded and other pixels weigh
-CHANGED = 0.03  # of a surface's pixels: if fewer are others, it need not be fitted anew
-GAIN = 0.3  # units, of as many pixels as the smallest object has, that a motion has to be worth
-PIXEL_GAIN = 0.2  # units, of each of its pixels: what spreads over a background is worth less
+LAYER_WINDOW = 5  # px: side of the windows that average residuals and erode masks of layers
+COST_UNIT = 3.0  # median residuals in a unit of cost
+TRUNCATED = 16.0  # units: largest cost of a pixel
+UNREACHED = 2 * TRUNCATED  # units: cost of a layer outside its reach
+MARGIN = 0.02  # of the longer side: how far the reach of a floating part extends beyond it
+HIDDEN, SEEN = 0.01, 0.5  # weights of occluded and of visible pixels
+CHANGED = 0.03  # of a surface's pixels: with fewer changes it is not fitted anew
+GAIN = 0.3  # units for each pixel of the smallest object: least gain of a needed motion
+PIXEL_GAIN = 0.2  # units for each pixel of the layer: a motion spread over a background gains less
 
 
 @dataclass(frozen=True, kw_only=True)
 class Layers:
-    """A labelling of the image.
+    """Rigid motions and a label for every pixel.
 
     Attributes
     ----------
     motions : list of (3, 4) array
     labels : (H, W) int32
     hidden : (H, W) bool
-        What is not visible in frame 1.
+        Pixels of frame 0 that are not visible in frame 1.
     costs : (K, H, W) float32
-        Of each layer, in units.
+        Cost of each layer, in units.
     unit : float
-        Of the squared residual: px² where constraints are normalised, squared grey levels where
-        not.
+        Squared residual of a unit of cost: px² if constraints are normalised, else squared grey
+        levels.
     flows : (K, 2, H, W) float32
-        Of each layer's surface, everywhere.
+        Flow of each layer's surface, at every pixel.
     reach : (K, H, W) bool
-        Where a motion may be.
+        Pixels that may have the motion.
     floats : (H, W) int32
-        Parts of the first motion's pixels that cannot be at rest under it (`floating_parts`),
-        numbered from 1.
+        Parts of the background (label 0) that would float if they were at rest
+        (`floating_parts`), numbered from 1.
     """
 
     motions: list[np.ndarray]
@@ -77,7 +77,7 @@ class Layers:
 
 @dataclass(frozen=True, kw_only=True)
 class _Surface:
-    """A surface fitted where it is labelled, its residual averaged over windows, and its flow."""
+    """A surface fitted on its support, its residual averaged over windows, and its flow."""
 
     support: np.ndarray
     solution: RigidSolution
@@ -86,7 +86,7 @@ class _Surface:
 
 
 class Layering:
-    """Labels of a pair of frames, and what they are worth.
+    """Fits layers to a pair of frames and removes layers that are not needed.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class Layering:
     grey0 : (H, W) float32
         Grey levels of frame 0.
     density : float
-        Of the finest level, over that of the frames as they came.
+        Sampling density of the finest level over that of the original frames.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class Layering:
         density: float = 1.0,
     ) -> None:
         self._pyramid = pyramid
-        # Surfaces need not be exact to tell layers apart.
+        # Rough surfaces suffice to tell layers apart.
         self._settings = replace(settings, warps=1, coarse_warps=min(2, settings.coarse_warps))
         self._potts = Potts(grey0, density=density)
         self._quiet = QUIET if settings.depth_normalization is not None else QUIET_GREY
@@ -118,7 +118,7 @@ class Layering:
         if bare:
             self._weight = texture_weight(grey0, counted=pyramid.counted0(0))
         self._bare = bare
-        self._surfaces: dict[bytes, list[_Surface]] = {}  # of every motion, in turn
+        self._surfaces: dict[bytes, list[_Surface]] = {}  # for every motion, oldest first
 
     def fitted(
         self,
@@ -129,7 +129,7 @@ class Layering:
         reach: np.ndarray | None = None,
         rounds: int = 2,
     ) -> Layers:
-        """Return the layers after fitting surfaces and labels to each other in turns.
+        """Return the layers after fitting surfaces and labels alternately.
 
         Parameters
         ----------
@@ -137,9 +137,9 @@ class Layering:
         labels : (H, W) int32
         hidden : (H, W) bool
         reach : (K, H, W) bool, optional
-            Where a motion may be, by default everywhere.
+            Pixels that may have each motion, by default all.
         rounds : int
-            Of one motion alone, the first is all there is to do.
+            Number of alternations; a single motion needs one only.
         """
         if reach is None:
             reach = np.ones((len(motions), *labels.shape), bool)
@@ -157,7 +157,7 @@ class Layering:
             usual = float(np.median(own if counted is None else own[counted]))
             unit = COST_UNIT * max(usual, self._quiet**2)
             costs = np.minimum(stacked / unit, TRUNCATED)
-            # Where a layer leaves the image, the others have to decide.
+            # Where a layer's flow leaves the image, it takes the least cost of the other layers.
             gone = np.stack([leaves_image(flow) for flow in flows])
             known = np.where(gone, np.inf, costs).min(axis=0).clip(None, TRUNCATED)
             costs = np.where(gone, known, costs).astype(np.float32)
@@ -178,11 +178,11 @@ class Layering:
         )
 
     def with_floating(self, layers: Layers, *, most: int) -> Layers:
-        """Return layers and more of them, up to so many, for what floats before the background.
+        """Return the layers plus one for each part that floats before the background.
 
-        It moves along the background's epipolar lines: its motion may be the same to start with,
-        only the surfaces are apart. As that motion would explain much of the background, too, it
-        may be nowhere else.
+        There are `most` layers at most. A floating part moves along the background's epipolar
+        lines, so its layer starts with the background's motion and a surface of its own. That
+        motion also explains the background, so the layer is confined to the part and a margin.
         """
         parts = range(1, 1 + min(most - len(layers.motions), int(layers.floats.max())))
         if not parts:
@@ -199,12 +199,12 @@ class Layering:
         return self.pruned(self.fitted(motions, labels, layers.hidden, reach=np.stack(reach)))
 
     def pruned(self, layers: Layers) -> Layers:
-        """Return the layers without those whose motion the others can do as well without.
+        """Return the layers that are needed.
 
-        Those that are too small go first. Then every layer but the first is taken away in turn,
-        and the one that is missed least goes, until all that are left are needed. The least goes
-        first because a thing may have lost its pixels to a motion that is not needed itself. What
-        was needed once stays so: fewer others are left to do its work.
+        Layers that are too small are removed first. Then every other layer but the first is
+        removed on trial, and the layer with the least gain is dropped, until all are needed. The
+        least gain goes first because an object may have lost its pixels to a needless motion. A
+        layer that was needed once stays needed, because fewer layers are left to replace it.
         """
         needed = {0}
         while len(needed) < len(layers.motions):
@@ -227,7 +227,7 @@ class Layering:
         return layers
 
     def _without(self, layers: Layers, label: int) -> Layers:
-        """Return the layers without one of them, the others fitted anew."""
+        """Return the layers without one layer, the others fitted anew."""
         rest = [k for k in range(len(layers.motions)) if k != label]
         weight = np.where(layers.hidden, HIDDEN, SEEN).astype(np.float32)
         return self.fitted(
@@ -239,12 +239,12 @@ class Layering:
         )
 
     def _worth(self, layers: Layers, label: int, without: Layers) -> float:
-        """Return what a layer spares on its own pixels, 1 or more if it is needed.
+        """Return the gain of a layer on its own pixels, 1 or more if the layer is needed.
 
-        For one added because it floats, the background is not fitted anew where it would have to
-        float: it is continued from around. Where frames are partly bare, what windows spare counts
-        as far as they show more than noise, and the background may have the depth that is matched
-        and carried across.
+        For a layer that was added as a floating part, the background's surface there is the one
+        continued from around the part. If frames are partly textureless, gains are weighted by
+        texture, and the background may also have the depth that is matched and carried
+        (`textureless_depth`).
         """
         mine = (layers.labels == label) & ~layers.hidden & ~without.hidden
         own, rival = _own_cost(layers), _own_cost(without)
@@ -257,12 +257,12 @@ class Layering:
         return self._spared(np.minimum(rival, self._carried_cost(without)) - own, mine)
 
     def _spared(self, gain: np.ndarray, mine: np.ndarray) -> float:
-        """Return what some pixels gain, 1 or more if it is as much as a layer has to be worth."""
+        """Return the gain of the pixels `mine` over the least gain of a needed layer."""
         total = float((self._weight * gain)[mine].sum())
         return total / max(GAIN * self.smallest, PIXEL_GAIN * int(mine.sum()))
 
     def _carried_cost(self, layers: Layers) -> np.ndarray:
-        """Return what the background costs, (H, W), with depth carried; inf where it is not."""
+        """Return the background's cost with carried depth, (H, W); inf where there is none."""
         pyramid = self._pyramid
         mine = layers.labels == 0
         everywhere = np.zeros(mine.shape, np.int32)
@@ -280,8 +280,8 @@ class Layering:
     def refitted(self, layers: Layers, flow: np.ndarray, trust: np.ndarray) -> list[np.ndarray]:
         """Return the motions fitted to a flow field within their layers, (3, 4) each.
 
-        What floats before the background has no say in its motion.
-        A motion without translation, and one whose layer has too few pixels to trust, stays.
+        Floating parts do not count for the background's motion. A motion stays if it has no
+        translation or if its layer has too few trusted pixels.
         """
         motions = []
         for label, motion in enumerate(layers.motions):
@@ -300,9 +300,9 @@ class Layering:
         return motions
 
     def _surface(self, motion: np.ndarray, support: np.ndarray) -> "_Surface":
-        """Return the surface of a motion that is seen on its support.
+        """Return the surface of a motion fitted on a support.
 
-        One that was fitted on nearly the same pixels serves again.
+        A surface that was fitted on nearly the same pixels is reused.
         """
         known = self._surfaces.setdefault(motion.tobytes(), [])
         most = CHANGED * np.count_nonzero(support)
@@ -316,7 +316,7 @@ class Layering:
         return known[-1]
 
     def _continued(self, motion: np.ndarray, support: np.ndarray) -> RigidSolution:
-        """Return a surface fitted on its support, and continued everywhere."""
+        """Return a surface fitted on its support and continued to all pixels."""
         return rigid_depth(
             self._pyramid,
             self._settings,
@@ -327,7 +327,7 @@ class Layering:
         )
 
     def _residual(self, surface: RigidSolution) -> tuple[np.ndarray, np.ndarray]:
-        """Return residual and flow of a surface, on its support and beyond."""
+        """Return residual and flow of a surface at all pixels."""
         return motion_residual(
             self._pyramid,
             self._settings,
@@ -344,9 +344,9 @@ class Layering:
 
 
 def without_specks(labels: np.ndarray, smallest: int) -> np.ndarray:
-    """Return the labels with small connected parts given to what is nearest.
+    """Return the labels, where small connected parts take the nearest other label.
 
-    A label of which nothing would be left stays.
+    If all parts of a label are small, its largest part stays.
 
     Parameters
     ----------
@@ -367,7 +367,7 @@ def without_specks(labels: np.ndarray, smallest: int) -> np.ndarray:
 
 
 def nearest_known(values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return for every pixel the value, (H, W), of the nearest one where it is known."""
+    """Return the value of the nearest known pixel for every pixel, (H, W)."""
     _, nearest = cv2.distanceTransformWithLabels(
         (~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
@@ -377,7 +377,7 @@ def nearest_known(values: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def _core(mask: np.ndarray) -> np.ndarray:
-    """Return a mask without its rim, or all of it where little else would be left."""
+    """Return a mask without its rim, or the whole mask if less than 64 pixels would be left."""
     core = cv2.erode(mask.astype(np.uint8), np.ones((LAYER_WINDOW, LAYER_WINDOW), np.uint8)) > 0
     return core if core.sum() >= 64 else mask
 
