@@ -1,8 +1,8 @@
-"""The focal length of a sequence whose camera is not known, found together with its path.
+"""The focal length of an unknown camera, estimated together with the camera path.
 
-It is sought from several beginnings, since an adjustment ends in the valley that it begins in: the
-one that explains most of what views have in common counts. How far to trust it is told by parts of
-that, each adjusted from elsewhere: where the motion does not show the focal length, they disagree.
+The adjustment starts from several focal lengths, since it ends in the nearest local minimum. The
+result that explains most matches of views counts. Its uncertainty comes from parts of the model,
+each adjusted from another focal length: if the motion does not show the focal length, they differ.
 """
 
 import copy
@@ -27,11 +27,11 @@ from tisfm.reconstruction.tracks.views import View
 
 # Focal lengths that an adjustment starts from, as multiples of the guess.
 START_FACTORS = (1.0, 0.42, 2.4)
-# Mean score per match, 0 to 1: a model with a higher score is not bent.
+# Mean score per match, 0 to 1: a model with at least this score is not bent.
 MIN_STRAIGHT_SCORE = 0.5
-# Views in each of the two windows that starts are compared on.
+# Views in each of the two windows on which start values are compared.
 WINDOW_VIEWS = 16
-# Observations that are divided among the parts of the uncertainty estimate.
+# Observations that the uncertainty estimate uses, in all its parts together.
 MAX_PART_OBSERVATIONS = 6000
 # Steps of the final adjustment.
 MAX_STEPS = 150
@@ -41,12 +41,13 @@ STEP_TOLERANCE = 1e-6
 PART_COUNT = 6
 # The focal length of a part starts at this multiple of the estimate, or at its inverse.
 PART_START_FACTOR = 1.2
-# Share of the way back to the estimate: a part that returns less shows no focal length.
+# Share of the change from start value to estimate: a part that changes less does not show the focal
+# length.
 MIN_RETURN = 0.1
 # Standard deviation of the estimate per spread of the parts, both of the logarithm.
 SPREAD_TO_DEVIATION = 0.7
-# Share of the focal length by which a distorting lens changes the estimate: with a larger change,
-# which exceeds the spread of the parts too, the lens seems to distort.
+# Change of the logarithm of the focal length if distortion is estimated too: if the change is
+# larger than this and than the spread of the parts, the lens seems to distort.
 MIN_BEND = 0.03
 
 
@@ -59,25 +60,26 @@ def find_models_and_focal(
     *,
     limit: float = MAX_USEFUL_DEVIATION,
 ) -> tuple[list[Model], FocalEstimate | None]:
-    """Find poses of views and points of tracks, and the focal length with which they fit best.
+    """Find poses of views, points of tracks, and the focal length that fits them best.
 
     Parameters
     ----------
     views, matches, shape
         As for `tisfm.reconstruction.mapping.models.find_models`.
     camera : Camera
-        A pinhole, whose centre is known and whose focal length is a guess.
+        A pinhole with a known centre; its focal length is a guess.
     calibrate : {"focal", "radial"}
-        Whether a radial coefficient is sought as well.
+        ``"radial"`` estimates a radial coefficient too.
     limit : float
-        Of the focal length: with a larger deviation, what is found is no better than the guess.
+        Share of the focal length: an estimate with a larger standard deviation is no better than
+        the guess.
 
     Returns
     -------
     models : list of Model
-        With that focal length, or with the guess if it is as good.
+        Models with the estimated focal length, or with the guess if the guess is as good.
     found : FocalEstimate or None
-        None if no path is found with any, or if few views show parallax with the one that is found.
+        None if no focal length leads to a path, or if few views show parallax with the estimate.
     """
     shared = ViewGraph.of(views, matches, shape, focal_known=False)
     begun = _best_start(shared, camera, calibrate)
@@ -92,8 +94,9 @@ def find_models_and_focal(
     if not estimate.radial and not shared.shows_parallax(estimate.taken(camera)):
         return [], None
     if not estimate.is_seen and not estimate.radial:
-        # What a wrong focal length has made of a turn may look like a path: from the one that was
-        # found it is not begun. But what comes of the same focal length may be bent as well.
+        # A rotation seen with a wrong focal length may look like a path. Such a path does not
+        # appear again if models start with the estimated focal length: then there is no path. New
+        # models may be bent too: they count only with a good score.
         again = find_models(views, matches, estimate.taken(camera), shape, focal_known=False)
         explained = shared.score(found) * shared.matches()
         if not again or sum(model.score for model in again) >= MIN_STRAIGHT_SCORE * explained:
@@ -111,7 +114,7 @@ def find_models_and_focal(
 def undistort_observations(
     seen: Observations, lens: Camera, shape: tuple[int, int]
 ) -> Observations:
-    """Return where a pinhole would see the tracks; those that it would not are left out."""
+    """Return where a pinhole would see the tracks; tracks outside the frame are left out."""
     if lens.is_pinhole or not len(seen.points):
         return seen
     height, width = shape
@@ -133,7 +136,7 @@ def undistort_points(points: np.ndarray, lens: Camera, shape: tuple[int, int]) -
 def _estimate(
     whole: Any, camera: Camera, shape: tuple[int, int], calibrate: Calibrate
 ) -> FocalEstimate:
-    """Return the focal length of a reconstruction, and what its parts say of it."""
+    """Return the focal length of a reconstruction, with its uncertainty from the parts."""
     focal, radial = _found(whole)
     if not _is_possible(focal):
         return _unknown(camera)
@@ -145,7 +148,7 @@ def _estimate(
     focals = np.array([one for one, _ in parts])
     if not all(map(_is_possible, focals)):
         return _unknown(camera)
-    # Where the focal length may be anything, an adjustment leaves it where it was.
+    # If the data do not determine the focal length, the adjustment leaves the start value.
     stayed = np.abs(np.log(focals / starts)) < MIN_RETURN * math.log(PART_START_FACTOR)
     if stayed.sum() > len(parts) / 2:
         return _unknown(camera)
@@ -166,12 +169,12 @@ def _unknown(guess: Camera) -> FocalEstimate:
 
 
 def _is_possible(focal: float) -> bool:
-    """Return whether a camera may have it: an adjustment is free to end anywhere."""
+    """Return whether a camera may have this focal length: an adjustment has no bounds."""
     return SHORTEST <= focal <= LONGEST
 
 
 def _bend(whole: Any) -> float:
-    """Return by how much the focal length changes, as a logarithm, if the lens may distort."""
+    """Return the change of the log focal length when distortion is estimated too."""
     bent = copy.deepcopy(whole)
     camera = next(iter(bent.cameras.values()))
     params = [*camera.params, 0.0]
@@ -185,7 +188,8 @@ def _bend(whole: Any) -> float:
 def _grown(shared: ViewGraph, camera: Camera, begun: float, calibrate: Calibrate) -> list[Any]:
     """Return reconstructions from a focal length, or from another if they explain too little.
 
-    Windows may be explained by what is bent, as where the camera follows something that moves.
+    The start value may come from windows whose models are bent, for example where the camera
+    follows a moving object.
     """
     best = shared.grow_models(replace(camera, focal=begun), calibrate)
     if best and shared.score(best) >= MIN_STRAIGHT_SCORE:
@@ -202,7 +206,7 @@ def _grown(shared: ViewGraph, camera: Camera, begun: float, calibrate: Calibrate
 
 
 def _best_start(shared: ViewGraph, camera: Camera, calibrate: Calibrate) -> float | None:
-    """Return the focal length, px, that explains the matches of views in windows best."""
+    """Return the focal length, px, that explains the matches in windows of views best."""
     best, most = None, 0.0
     for times in START_FACTORS:
         explained, found = 0.0, []
@@ -225,9 +229,9 @@ def _windows(shared: ViewGraph) -> list[ViewGraph]:
 
 
 def _parts(whole: Any, camera: Camera, shape: tuple[int, int]) -> list[tuple[set[int], set[int]]]:
-    """Return views and points of parts: halves of the time, and of the image.
+    """Return views and points of each part: halves of the time, and halves of the image.
 
-    Of the points, those that most views see, as many as are enough.
+    Points that most views see come first, until there are MAX_PART_OBSERVATIONS observations.
     """
     views = sorted(whole.reg_image_ids())
     lengths = {number: point.track.length() for number, point in whole.points3D.items()}
@@ -247,7 +251,7 @@ def _parts(whole: Any, camera: Camera, shape: tuple[int, int]) -> list[tuple[set
 
 
 def _places(whole: Any, point: Any) -> np.ndarray:
-    """Return where a point is seen, (N, 2), px."""
+    """Return the observed positions of a point, (N, 2), px."""
     images = whole.images
     return np.array(
         [images[one.image_id].points2D[one.point2D_idx].xy for one in point.track.elements]
@@ -257,7 +261,7 @@ def _places(whole: Any, point: Any) -> np.ndarray:
 def _of_part(
     whole: Any, part: tuple[set[int], set[int]], begun: float, calibrate: Calibrate
 ) -> tuple[float, float]:
-    """Return what some views and points lead to from another focal length, px, and k1."""
+    """Return the focal length, px, and k1 of a part, adjusted from another focal length."""
     views, points = part
     less = copy.deepcopy(whole)
     for number in sorted(set(less.reg_image_ids()) - views):
@@ -271,7 +275,7 @@ def _of_part(
 
 
 def _adjust(whole: Any, calibrate: Calibrate) -> None:
-    """Adjust poses and points, and what is sought of the camera with them, to the end."""
+    """Adjust poses, points and the unknown part of the camera until convergence."""
     options = pycolmap().BundleAdjustmentOptions()
     options.refine_focal_length = calibrate != "nothing"
     options.refine_extra_params = calibrate == "radial"
@@ -285,7 +289,7 @@ def _adjust(whole: Any, calibrate: Calibrate) -> None:
 
 
 def _found(whole: Any) -> tuple[float, float]:
-    """Return the focal length, px, and k1, 0 where it is not sought."""
+    """Return the focal length, px, and k1, which is 0 if it is not estimated."""
     focal, _, _, *radial = next(iter(whole.cameras.values())).params
     return float(focal), float(radial[0]) if radial else 0.0
 

@@ -1,6 +1,6 @@
-"""The camera of a source: stated, guessed or estimated, before and after crop and reduction.
+"""The camera of a source: given, guessed or estimated, before and after crop and reduction.
 
-Whole sequences and streams set up their camera here, and report its calibration from here.
+Whole sequences and streams set up their camera here, and get their calibration report here.
 """
 
 import math
@@ -38,18 +38,18 @@ class SourceCamera:
     Attributes
     ----------
     full : Camera
-        Of the frames of the source, before they are cropped and reduced.
+        Camera of the frames of the source, before crop and reduction.
     shape : (int, int)
         Height and width of these frames, px.
     used : Camera
-        Of the frames after crop and reduction.
+        Camera of the frames after crop and reduction.
     rows : float
         Share of the rows of a frame that are left after the crop: the readout time of the used
         frame is this share of that of the full frame.
     guess : FocalGuess or None
         The guess of the focal length; None if a camera was given.
     stated : Calibration
-        The calibration that is known of a given camera.
+        Known calibration of a given camera.
     """
 
     full: Camera
@@ -63,7 +63,7 @@ class SourceCamera:
     def of_first_frame(
         cls, source: FrameSource, given: Camera | Path | None, frame: SourceFrame
     ) -> "SourceCamera":
-        """Return the camera that is given, in a file, or guessed by the first frame."""
+        """Return the given camera, the camera of a file, or a guess from the first frame."""
         height, width = frame.full or frame.image.shape[:2]
         guess, stated = None, GIVEN
         if isinstance(given, Path):
@@ -86,7 +86,7 @@ class SourceCamera:
 
     @property
     def is_focal_stated(self) -> bool:
-        """Whether the focal length is given, and not itself a guess or a poor estimate."""
+        """Whether the focal length is given, and the given value is reliable."""
         return self.guess is None and self.stated.seen
 
     @property
@@ -115,7 +115,8 @@ class SourceCamera:
         found, used, sought, focal
             As `found`, `camera`, `sought` and `focal` of `make_calibration`.
         readout : (float, float), optional
-            The readout time that was found for used frames, and its standard deviation, intervals.
+            Estimated readout time of used frames, and its standard deviation, in intervals between
+            frames.
         """
         calibration = make_calibration(
             found,
@@ -145,24 +146,24 @@ def make_calibration(
     shape: tuple[int, int],
     stated: Calibration = GIVEN,
 ) -> Calibration:
-    """Return where the focal length of a camera is from, in px of the frames of the source.
+    """Return the origin and uncertainty of a focal length, in px of the frames of the source.
 
     Parameters
     ----------
     found : FocalEstimate or None
-        From the sequence, in px of its frames as they are used, cropped and shrunk.
+        Estimate from the sequence, px of the used frames (after crop and reduction).
     guess : FocalGuess or None
-        From the first file or the size of frames; None if a camera was given.
+        Guess from the first file or the size of frames; None if a camera was given.
     camera : Camera
-        Of the frames as they are used.
+        Camera of the used frames.
     sought : bool
-        Whether it was to be found from the sequence.
+        Whether the focal length was to be estimated from the sequence.
     focal : float
-        That of `camera`, px of the frames of the source.
+        Focal length of `camera`, px of the frames of the source.
     shape : (int, int)
         Height and width of the frames of the source, px.
     stated : Calibration
-        What is known of a camera that was given.
+        Known calibration of a given camera.
     """
     if not sought and guess is None:
         return replace(stated, focal=focal, shape=shape)

@@ -15,16 +15,16 @@ _FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
 class DiskCache(Sequence[T], Generic[T]):
-    """A sequence whose items lie in a temporary file, and are read when they are asked for.
+    """A sequence of items in a temporary file; each access reads its item from the file.
 
-    The file is in the folder that `tempfile.gettempdir` names, and deleted with the shelf.
+    The file lies in the folder of `tempfile.gettempdir`, and is deleted with this object.
 
     Parameters
     ----------
     arrays_of : callable
-        Returns the arrays that an item is made of.
+        Returns the arrays of an item.
     made_of : callable
-        Returns the item that is made of such arrays.
+        Returns the item for such arrays.
     """
 
     def __init__(
@@ -36,7 +36,7 @@ class DiskCache(Sequence[T], Generic[T]):
         self._file = tempfile.TemporaryFile(prefix="tisfm-")  # noqa: SIM115
         weakref.finalize(self, _close, self._file)
         self._end = 0
-        # Of each item: where it begins in the file, and what each of its arrays is.
+        # For each item: its offset in the file, bytes, and the dtype and shape of each array.
         self._items: list[tuple[int, tuple[tuple[str, tuple[int, ...]], ...]]] = []
 
     def append(self, item: T) -> None:
@@ -73,7 +73,7 @@ class DiskCache(Sequence[T], Generic[T]):
         arrays = []
         for kind, shape in what:
             size = np.dtype(kind).itemsize * math.prod(shape)
-            content = bytearray(self._file.read(size))  # that arrays may be written to
+            content = bytearray(self._file.read(size))  # a bytearray makes the arrays writable
             arrays.append(np.frombuffer(content, kind).reshape(shape))
         return self._made_of(*arrays)
 

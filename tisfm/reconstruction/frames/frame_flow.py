@@ -1,4 +1,4 @@
-"""Image motion between two frames, found at a reduced size and kept for several stages."""
+"""Image motion between two frames, computed at a reduced size and cached for several stages."""
 
 from collections.abc import Callable
 
@@ -13,7 +13,7 @@ from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import coarse_to_fine
 from tisfm.solver.image_pyramid import ImagePyramid
 
-# Pixels, at least, of the shrunk frames that the image motion is found on. Set by hand.
+# Smallest number of pixels of the shrunk frames for image motion. Set by hand.
 FLOW_PIXELS = 2**16
 # Settings of the image motion that tracks follow.
 TRACKING_SETTINGS = Settings.preset("fast")
@@ -34,17 +34,17 @@ def find_flow(
     ----------
     small0, small1 : (h, w) float32
     share : float
-        Their scale, as of `flow_scale`.
+        Scale of the shrunk frames, from `flow_scale`.
     camera : Camera
         A pinhole, of the frames.
     settings : Settings
     fast_things : bool
-        Whether objects that move far for their size are searched for.
+        Whether to search for objects that move far in relation to their size.
 
     Returns
     -------
     (h, w, 2) float32
-        px of the shrunk frames; limited to the sum of their sides.
+        Motion, px of the shrunk frames; limited to the sum of their sides.
     """
     scaled = Camera(focal=camera.focal * share)
     pyramid = ImagePyramid(
@@ -58,13 +58,13 @@ def find_flow(
     amendment = proposals(pyramid, problem) if fast_things else None
     solution = coarse_to_fine(pyramid, problem, amendment=amendment)
     flow, limit = solution.unknowns.flow(), float(sum(small0.shape))
-    if not (flow.min() >= -limit and flow.max() <= limit):  # it diverged, to NaN perhaps
+    if not (flow.min() >= -limit and flow.max() <= limit):  # it diverged, perhaps to NaN
         flow = np.nan_to_num(flow, nan=limit).clip(-limit, limit)
     return cv2.merge(list(flow))
 
 
 def shrink_for_flow(grey: np.ndarray) -> np.ndarray:
-    """Return the frame as float32, halved as often as `FLOW_PIXELS` allows."""
+    """Return a frame as float32, halved until a further step leaves fewer than `FLOW_PIXELS`."""
     small: np.ndarray = grey.astype(np.float32)
     while small.size >= 4 * FLOW_PIXELS:
         height, width = small.shape
@@ -80,7 +80,7 @@ def flow_scale(small: np.ndarray, grey: np.ndarray) -> float:
 
 
 class FlowCache:
-    """Image motion to each frame from the previous one, found once and kept with 11 bits.
+    """Image motion from the previous frame to each frame, computed once, stored with 11 bits.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Image motion between neighbouring frames of a sequence, both ways, and chains of it."""
+"""Image motion between neighbouring frames, forward and backward, and chains over more frames."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,11 +11,11 @@ from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.frames.frame_flow import find_flow, flow_scale, shrink_for_flow
 from tisfm.settings import Settings
 
-# px from the start after the direction there and back. Set by hand.
+# px: largest distance from the start after forward and backward motion. Set by hand.
 MAX_RETURN_ERROR = 0.5
-# The same as a share of the length of the motion, which is added. Set by hand.
+# This share of the length of the motion is added to that distance. Set by hand.
 MAX_RETURN_SHARE = 0.05
-# Flow pairs in memory: more than the longest chain needs.
+# Flow pairs in memory: more than the longest chain has steps.
 CACHED_PAIRS = 20
 
 
@@ -34,11 +34,11 @@ class FlowPair:
 
     @classmethod
     def of_arrays(cls, forward: np.ndarray, backward: np.ndarray) -> "FlowPair":
-        """Return the object with these arrays."""
+        """Return the flow pair with these arrays."""
         return cls(forward=forward.astype(np.float32), backward=backward.astype(np.float32))
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """Return its arrays, with 11 significant bits."""
+        """Return the arrays, with 11 significant bits."""
         return self.forward.astype(np.float16), self.backward.astype(np.float16)
 
 
@@ -51,11 +51,11 @@ class ChainedFlow:
     frame : int
         The other frame.
     steps : int
-        Number of frames from one to the other.
+        Number of frame intervals between the two frames.
     places : (H, W, 2) float32
         Position (x, y) of every pixel in the other frame, px.
     found : (H, W) bool
-        Whether forward and backward motion agree at every step.
+        Whether forward and backward motion agree at every step of the chain.
     """
 
     frame: int
@@ -77,7 +77,7 @@ class ImageMotion:
     Attributes
     ----------
     share : float
-        Scale of the shrunk frames, in their px per px of the sequence.
+        Scale of the shrunk frames, their px per px of the sequence's frames.
     """
 
     def __init__(self, camera: Camera, settings: Settings) -> None:
@@ -89,7 +89,7 @@ class ImageMotion:
         self.share = 1.0
 
     def add(self, grey: np.ndarray) -> None:
-        """Take the next frame, (H, W) uint8."""
+        """Add the next frame, (H, W) uint8."""
         self._shape = grey.shape
         small = shrink_for_flow(grey)
         self.share = flow_scale(small, grey)
@@ -105,11 +105,11 @@ class ImageMotion:
         return len(self._greys)
 
     def grey(self, frame: int) -> np.ndarray:
-        """Return a frame, (H, W) float32."""
+        """Return a shrunk frame, (H, W) float32."""
         return self._greys[frame]
 
     def camera(self, of_frames: Camera | None = None) -> Camera:
-        """Return the camera of the shrunk frames, for a camera of the frames of the sequence."""
+        """Return the camera of the shrunk frames, from a camera of the sequence's frames."""
         return (of_frames or self._camera).scaled(self.share, *self._shape)
 
     def forward(self, frame: int) -> np.ndarray:
@@ -117,11 +117,11 @@ class ImageMotion:
         return self._step(frame)[0].forward
 
     def backward(self, frame: int) -> np.ndarray:
-        """Return the motion from a frame to the one before, (H, W, 2) float32."""
+        """Return the motion from a frame to the previous one, (H, W, 2) float32."""
         return self._step(frame - 1)[0].backward
 
     def chained_flows(self, frame: int, furthest: int) -> Iterator[ChainedFlow]:
-        """Yield the chains to later frames, up to `furthest` frames away, then to earlier ones."""
+        """Yield chains to later frames, at most `furthest` frames away, then to earlier frames."""
         start = pixel_grid(self.grey(frame).shape)
         for direction in (1, -1):
             places, found, at = start, np.ones(start.shape[:2], bool), frame
@@ -136,7 +136,7 @@ class ImageMotion:
                 yield ChainedFlow(frame=at, steps=steps, places=places, found=found)
 
     def _step(self, frame: int) -> tuple[FlowPair, np.ndarray, np.ndarray]:
-        """Return the flow pair from a frame to the next, and masks of consistency of both."""
+        """Return the flow pair from a frame to the next, and the consistency mask of each."""
         if frame not in self._cached:
             while len(self._cached) >= CACHED_PAIRS:
                 self._cached.pop(next(iter(self._cached)))
@@ -153,7 +153,7 @@ class ImageMotion:
 
 
 def returns_to_start(there: np.ndarray, back: np.ndarray) -> np.ndarray:
-    """Return 1 where motion there and back ends at its start, else 0, (H, W) float32."""
+    """Return 1 where motion there and back ends near its start, else 0, (H, W) float32."""
     height, width = there.shape[:2]
     places = pixel_grid((height, width)) + there
     missed = vector_lengths(there + sample_image(back, places))
@@ -165,7 +165,7 @@ def returns_to_start(there: np.ndarray, back: np.ndarray) -> np.ndarray:
 
 def vector_lengths(vectors: np.ndarray) -> np.ndarray:
     """Return the lengths, (H, W) float32, of vectors, (H, W, 2) float32."""
-    return cv2.magnitude(*cv2.split(vectors))  # many times as fast as `np.linalg.norm`
+    return cv2.magnitude(*cv2.split(vectors))  # many times faster than `np.linalg.norm`
 
 
 def pixel_grid(shape: tuple[int, ...]) -> np.ndarray:
@@ -175,7 +175,7 @@ def pixel_grid(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def sample_image(image: np.ndarray, places: np.ndarray, *, nearest: bool = False) -> np.ndarray:
-    """Return an image, (H, W[, C]), at positions, (h, w, 2) px, bilinear or of nearest pixels."""
+    """Sample an image, (H, W[, C]), at positions, (h, w, 2) px, bilinearly or at nearest pixels."""
     x, y = cv2.split(np.ascontiguousarray(places, np.float32))
     how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
     return cv2.remap(image, x, y, how, borderMode=cv2.BORDER_REPLICATE)

@@ -1,4 +1,4 @@
-"""Frames as they are worked on: without distortion, in grey levels, kept on disk between passes."""
+"""Frames prepared for all stages: grey levels without distortion, stored on disk."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,30 +23,30 @@ from tisfm.sources.frame_reader import SourceFrame
 if TYPE_CHECKING:
     from tisfm.reconstruction.frames.frame_flow import FlowCache
 
-QUALITY = 95  # of the JPEG pictures that colours are taken from
+QUALITY = 95  # of the JPEG pictures, from which colours are read
 HELD = 24  # frames in memory at a time
 
 
 class PreparedFrames:
-    """The frames of a sequence, read once, and from then on taken from a folder.
+    """The frames of a sequence: read from the source once, and later from a folder.
 
     Parameters
     ----------
     camera : Camera
-        Of the frames as they come.
+        Camera of the source's frames.
     cache : Path
-        Folder for grey levels, which may be deleted afterwards.
+        Folder for grey levels; it may be deleted after the reconstruction.
     pictures : Path
         Folder for pictures, (H, W[, 3]) with 8 bits.
     labels_stay : bool, default False
-        Whether labels are of prepared frames already.
+        Whether labels already belong to prepared frames.
 
     Attributes
     ----------
     camera : Camera
         The pinhole of the prepared frames.
     shape : (int, int)
-        Height and width, px; (0, 0) before there is a frame.
+        Height and width, px; (0, 0) before the first frame.
     count : int
     """
 
@@ -61,12 +61,12 @@ class PreparedFrames:
         self._taken, self._cache, self._pictures = camera, cache, pictures
         self._held: dict[int, np.ndarray] = {}
         self._masked: set[int] = set()
-        self._labelled: set[int] = set()  # frames that show a thing
-        self._as_read: set[int] = set()  # frames of which what was read is kept as well
+        self._labelled: set[int] = set()  # frames that show a moving object
+        self._as_read: set[int] = set()  # frames whose uncorrected files are kept too
         self._flow: FlowCache | None = None
 
     def add(self, frame: SourceFrame) -> tuple[np.ndarray, np.ndarray | None]:
-        """Prepare a frame and keep it; return it as the tracker takes it.
+        """Prepare and store a frame; return it in the form for the tracker.
 
         Returns
         -------
@@ -76,7 +76,7 @@ class PreparedFrames:
         Raises
         ------
         TypeError, ValueError
-            If it is no frame, as `tisfm.frames.check_frame` says.
+            If `tisfm.frames.check_frame` refuses the frame.
         """
         number = self.count
         image = check_frame(frame.image, frame.name)
@@ -108,14 +108,14 @@ class PreparedFrames:
         return whole, ignored
 
     def correct(self, camera: Camera, rolling: Rolling | None = None) -> None:
-        """Remove the distortion of a lens, and then the effect of a readout, that were found later.
+        """Remove the distortion and then the readout effect that were estimated after reading.
 
-        Frames are read once; here they are resampled, and written anew.
+        The stored frames are resampled, and written again.
 
         Parameters
         ----------
         camera : Camera
-            Of the prepared frames, with the distortion that they still have.
+            Camera of the prepared frames, with the distortion that they still have.
         rolling : Rolling, optional
             The motion of frames while their rows were read.
         """
@@ -130,7 +130,7 @@ class PreparedFrames:
             self.camera = replace(self.camera, readout=0.0)
 
     def unroll_again(self, rolling: Rolling | None) -> None:
-        """Correct frames that are not settled for a new estimate, from what they were before."""
+        """Restore the uncorrected unsettled frames, and correct them for a new estimate."""
         for number in sorted(self._as_read):
             for path in self._paths(number):
                 if _as_it_was(path).exists():
@@ -152,16 +152,16 @@ class PreparedFrames:
             self._make_anew(number, UnrolledFrame(rolling, number, self.shape))
 
     def settle(self, last: int) -> None:
-        """Let frames up to one stay as they are."""
+        """Make the correction of the frames up to `last` final."""
         for number in [k for k in self._as_read if k <= last]:
             for path in self._paths(number):
                 _as_it_was(path).unlink(missing_ok=True)
             self._as_read.discard(number)
 
     def flow(self, number: int) -> np.ndarray | None:
-        """Return the image motion to a frame from that before; None for the first frame.
+        """Return the image motion from the previous frame to a frame; None for the first frame.
 
-        It is found once, as long as frames stay as they are, and is as `FoundFlow.to` returns it.
+        It is what `FlowCache.to` returns: computed once, and again after frames were corrected.
         """
         if number == 0:
             return None
@@ -189,15 +189,15 @@ class PreparedFrames:
             self.label(number, _moved(self.labels(number), map_))
 
     def tracked(self, number: int) -> tuple[np.ndarray, np.ndarray | None]:
-        """Return a frame as the tracker takes it, as `add` does."""
+        """Return a frame in the form for the tracker, as `add` does."""
         counted = self.counted(number)
         whole = np.rint(self.grey(number)).clip(0, 255).astype(np.uint8)
         return whole, None if counted is None else ~counted
 
     def label(self, number: int, labels: np.ndarray) -> bool:
-        """Take and write the labels of a frame, (H, W) uint8: what they name counts no more.
+        """Set and write the labels of a frame, (H, W) uint8; labelled pixels are ignored later.
 
-        Return whether that is something else than before. What is masked belongs to nothing.
+        Return whether the set of labelled pixels changed. Masked pixels get label 0.
         """
         ignored = self.ignored(number)
         if ignored is not None:
@@ -210,24 +210,24 @@ class PreparedFrames:
         return not np.array_equal(before, labels > 0)
 
     def labels(self, number: int) -> np.ndarray:
-        """Return which thing each pixel of a frame belongs to, (H, W) uint8; 0 is at rest."""
+        """Return the id of the moving object at each pixel, (H, W) uint8; 0 is static."""
         if number not in self._labelled:
             return np.zeros(self.shape, np.uint8)
         return read_labels(self._pictures.parent, number, self.shape)
 
     def things(self) -> set[int]:
-        """Return the things that frames show, by their labels."""
+        """Return the ids of the moving objects in all frames."""
         return {int(k) for number in self._labelled for k in np.unique(self.labels(number)) if k}
 
     def ignored(self, number: int) -> np.ndarray | None:
-        """Return what is masked in a frame, (H, W) bool; None for nothing."""
+        """Return the masked pixels of a frame, (H, W) bool; None if there are none."""
         if number not in self._masked:
             return None
         ignored: np.ndarray = np.load(self._mask_path(number))
         return ignored
 
     def forget(self, number: int) -> None:
-        """Delete a frame; numbers of the others stay."""
+        """Delete a frame; the numbers of other frames stay."""
         self._held.pop(number, None)
         self._masked.discard(number)
         self._labelled.discard(number)
@@ -243,11 +243,11 @@ class PreparedFrames:
                 self._held.pop(next(iter(self._held)))
             self._held[number] = np.load(self._grey_path(number))
         else:
-            self._held[number] = self._held.pop(number)  # it is the last to go now
+            self._held[number] = self._held.pop(number)  # now the most recently used
         return self._held[number].astype(np.float32)
 
     def counted(self, number: int) -> np.ndarray | None:
-        """Return where a frame counts, (H, W) bool; None where all of it does."""
+        """Return the pixels of a frame that are used, (H, W) bool; None if all are used."""
         ignored = self.ignored(number)
         if number in self._labelled:
             aside = self.labels(number) > 0
@@ -272,7 +272,7 @@ class PreparedFrames:
 
 
 def _moved(labels: np.ndarray, map_: Resampling) -> np.ndarray:
-    """Return labels, (H, W) uint8, of another grid; 0 where there are none."""
+    """Return labels, (H, W) uint8, resampled with a map; 0 outside the frame."""
     return np.nan_to_num(map_.nearest(labels.astype(np.float32))).astype(np.uint8)
 
 
@@ -281,7 +281,7 @@ def _as_it_was(path: Path) -> Path:
 
 
 def write_picture(path: Path, picture: np.ndarray) -> None:
-    """Write a JPEG picture, (H, W) or (H, W, 3) RGB uint8, whole or not at all."""
+    """Write a JPEG picture, (H, W) or (H, W, 3) RGB uint8, completely or not at all."""
     turned = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
     encoded, data = cv2.imencode(".jpg", turned, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     if not encoded:

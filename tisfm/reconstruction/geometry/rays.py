@@ -1,4 +1,4 @@
-"""Rays of image points, the points that are nearest to several rays, and cross-product matrices."""
+"""Rays of image points, points nearest to several rays, and cross-product matrices."""
 
 import numpy as np
 
@@ -30,14 +30,14 @@ def unit_vectors(vectors: np.ndarray) -> np.ndarray:
 def nearest_point_equations(
     index: np.ndarray, rays: np.ndarray, centres: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the normal equations of the points that are nearest to their rays.
+    """Return the normal equations of the points nearest to their rays.
 
     Parameters
     ----------
     index : (N,) int array
         The point of each ray.
     rays, centres : (N, 3) float64
-        Unit directions and the camera positions that they start at, in the world.
+        Unit directions and camera centres of the rays, in the world.
     count : int
         Number of points P.
 

@@ -1,37 +1,37 @@
-"""Similarities in space, (4, 4) matrices (s R, t; 0, 1), and how points lead to them."""
+"""Similarities in space, (4, 4) matrices (s R, t; 0, 1), and their fits to points."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 # Values without a stated source were set by hand.
 
-# RANSAC trials, of three points each.
+# Number of RANSAC trials, each with three points.
 RANSAC_TRIALS = 200
-# Error of an inlier, as a share of its distance.
+# Largest error of an inlier, as a share of its distance.
 INLIER_ERROR = 0.05
-# Reweighted rounds of the fit to inliers.
+# Rounds of the reweighted fit to inliers.
 FIT_ROUNDS = 5
 
 
 def sim3_scale(similarity: np.ndarray) -> float:
-    """Return s."""
+    """Return the scale s."""
     return float(np.cbrt(np.linalg.det(similarity[:3, :3])))
 
 
 def transform_points(similarity: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return where points, (N, 3), go to."""
+    """Return transformed points, (N, 3)."""
     return np.asarray(points @ similarity[:3, :3].T + similarity[:3, 3])
 
 
 def transform_pose(similarity: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Return where a pose, (4, 4) camera to world, goes to."""
+    """Return a transformed pose, (4, 4) camera to world."""
     there = similarity @ pose
     there[:3, :3] /= sim3_scale(similarity)
     return np.asarray(there)
 
 
 def mean_pose(poses: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the mean of poses, (N, 4, 4), which differ little, by weights, (N,)."""
+    """Return the weighted mean of similar poses, (N, 4, 4), with weights, (N,)."""
     mean = np.asarray(np.average(poses, axis=0, weights=weights))
     u, _, vt = np.linalg.svd(mean[:3, :3])
     mean[:3, :3] = u @ vt
@@ -39,7 +39,7 @@ def mean_pose(poses: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def sim3_from_vector(scale: float, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Return the similarity of the logarithm of a scale, a rotation vector and a translation."""
+    """Return the similarity for the logarithm of a scale, a rotation vector and a translation."""
     similarity = np.eye(4)
     similarity[:3, :3] = np.exp(scale) * Rotation.from_rotvec(turn).as_matrix()
     similarity[:3, 3] = shift
@@ -47,9 +47,9 @@ def sim3_from_vector(scale: float, turn: np.ndarray, shift: np.ndarray) -> np.nd
 
 
 def fit_sim3(points: np.ndarray, others: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the similarity that brings other points, (N, 3), nearest to points.
+    """Return the similarity that moves `others`, (N, 3), nearest to `points`.
 
-    Neither are more exact than the others: the scale is that of their spread, as Horn has it.
+    Both sets count as equally exact: the scale is the ratio of their spreads, as in Horn's paper.
 
     References
     ----------
@@ -72,16 +72,16 @@ def fit_sim3(points: np.ndarray, others: np.ndarray, weights: np.ndarray) -> np.
 def fit_sim3_ransac(
     points: np.ndarray, others: np.ndarray, distances: np.ndarray, *, fewest: int, share: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the similarity from other points to points that most agree on, and which these are.
+    """Return the similarity from `others` to `points` with most inliers, and the inliers.
 
     Parameters
     ----------
     points, others : (N, 3) float64
     distances : (N,) float64
-        Of the points from where they are seen: the farther, the less exact.
+        Distances of the points from the camera: far points are less exact.
     fewest : int
     share : float
-        None is returned where fewer agree, or a smaller share.
+        The fewest inliers and their smallest share; with less, None is returned.
 
     Returns
     -------
@@ -114,20 +114,20 @@ def refine_sim3(
     distances: np.ndarray,
     poses: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """Return a similarity that fits poses of the same views as well, by how well each fits.
+    """Return a similarity that fits points and poses, with weights from their residuals.
 
-    The rotation is that of the poses alone, which is exact.
+    The rotation comes from the poses alone, where it is exact.
 
     Parameters
     ----------
     similarity : (4, 4) float64
-        To begin with.
+        Start value.
     points : two (N, 3) float64
-        Points, and the others, which are brought to them.
+        Points in the target system, and the same points in the other system.
     distances : (N,) float64
-        Of the points from where they are seen.
+        Distances of the points from the camera.
     poses : two (M, 4, 4) float64
-        Camera to world, as with the points and as with the others.
+        Poses of the same views, camera to world, in the target system and in the other system.
     """
     turns = np.tile(np.eye(4), (len(poses[0]), 1, 1))
     turns[:, :3, :3] = poses[0][:, :3, :3] @ poses[1][:, :3, :3].mT
@@ -148,7 +148,7 @@ def refine_sim3(
 
 
 def _weights(off: np.ndarray) -> np.ndarray:
-    """Return weights of what is off by so much, with some that is off by far more."""
+    """Return robust weights for residuals, (N,), with outliers among them."""
     usual = max(float(np.median(off)), 1e-9)
     return np.asarray(1 / (usual**2 + (off / 2) ** 2))
 
@@ -156,7 +156,7 @@ def _weights(off: np.ndarray) -> np.ndarray:
 def relative_errors(
     similarity: np.ndarray, points: np.ndarray, others: np.ndarray, distances: np.ndarray
 ) -> np.ndarray:
-    """Return how far others come to points, (N,), as shares of distances."""
+    """Return the errors of transformed `others`, (N,), as shares of distances."""
     return np.asarray(
         np.linalg.norm(transform_points(similarity, others) - points, axis=1)
         / np.maximum(distances, 1e-300)

@@ -1,7 +1,7 @@
-"""Coordinate systems brought together by similarities between them that were measured.
+"""A graph of coordinate systems with measured similarities between them.
 
-Each node is a coordinate system, and is placed in a common one by a similarity: seven unknowns.
-Edges say how two of them lie to one another, by points that both have.
+Each node is a coordinate system. Its unknown is the similarity to a common system, with seven
+parameters. Each edge has a measured similarity between two nodes, from points that both nodes have.
 """
 
 from collections.abc import Sequence
@@ -18,14 +18,14 @@ from tisfm.reconstruction.geometry.sim3 import sim3_from_vector, sim3_scale, tra
 
 # Gauss–Newton rounds.
 MAX_ROUNDS = 20
-# Error of an edge that may be wrong, as a share of the distance of points: larger errors have a
-# decreasing weight. It starts here,
+# Error of an uncertain edge, as a share of the distance of points: larger errors have a decreasing
+# weight. The value starts here,
 FIRST_OUTLIER_ERROR = 1.0
 # decreases by this factor in each round,
 OUTLIER_ERROR_FACTOR = 0.6
 # and ends here.
 LAST_OUTLIER_ERROR = 0.02
-# Rows of the system that are eliminated at a time: the unknowns of one similarity.
+# Rows of the system that are eliminated at a time: the parameters of one similarity.
 BLOCK_ROWS = 7
 # A smaller step of all unknowns ends the rounds.
 MIN_STEP = 1e-9
@@ -33,24 +33,24 @@ MIN_STEP = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class Edge:
-    """How two nodes lie to one another.
+    """A measured similarity between two nodes.
 
     Attributes
     ----------
     first, second : int
         The nodes.
     similarity : (4, 4) float64
-        From the second node's coordinates to those of the first.
+        From the second node's coordinates to the first node's coordinates.
     points : (N, 3) float64
-        That both have, in the first node's coordinates.
+        Points that both nodes have, in the first node's coordinates.
     distances : (N,) float64
-        Of these from where they are seen.
+        Distances of these points from the camera.
     deviation : float
-        By so much of its distance a point is off.
+        Error of a point, as a share of its distance.
     worth : float
-        Points that these stand for.
+        Weight of the edge: the number of points that `points` is a sample of.
     certain : bool
-        Whether it is right for sure. Others count less where they do not fit.
+        Whether the edge is surely right. Other edges get less weight if they do not fit.
     """
 
     first: int
@@ -64,41 +64,42 @@ class Edge:
 
     @property
     def ends(self) -> tuple[int, int]:
-        """Both nodes."""
+        """The two nodes."""
         return self.first, self.second
 
 
 class Link(Protocol):
-    """A similarity between two nodes, as `Edge` has it."""
+    """A similarity between two nodes: the part of `Edge` that `chain_sim3` needs."""
 
     @property
     def first(self) -> int:
-        """The node whose coordinates `similarity` leads to."""
+        """The node of the target coordinates of `similarity`."""
 
     @property
     def second(self) -> int:
-        """The other one."""
+        """The other node."""
 
     @property
     def similarity(self) -> np.ndarray:
-        """From the second's coordinates to those of the first, (4, 4) float64."""
+        """From the second node's coordinates to the first node's, (4, 4) float64."""
 
 
 def optimise_sim3_graph(count: int, edges: Sequence[Edge]) -> list[dict[int, np.ndarray]]:
-    """Place nodes by their edges.
+    """Find the similarity of each node to common coordinates.
 
     Parameters
     ----------
     count : int
-        Of nodes.
+        Number of nodes.
     edges : sequence of Edge
-        Those that are to be believed first come first.
+        Edges in the order in which they connect nodes for the start values: the most reliable
+        first.
 
     Returns
     -------
     list of dict of int to (4, 4) float64
-        For each group of nodes that edges connect, in the order of their first nodes: the
-        similarity of each node, in order, to common coordinates, those of the first.
+        For each connected group of nodes, in the order of first nodes: the similarity of each node,
+        in order, to the coordinates of the first node of the group.
 
     References
     ----------
@@ -112,16 +113,16 @@ def optimise_sim3_graph(count: int, edges: Sequence[Edge]) -> list[dict[int, np.
 
 
 def chain_sim3(count: int, edges: Sequence[Link]) -> list[dict[int, np.ndarray]]:
-    """Return the groups of connected nodes, each node placed along the first edges that connect.
+    """Return the groups of connected nodes, with similarities along the first edges that connect.
 
-    Arguments and what is returned are as for `optimise_sim3_graph`.
+    Arguments and result are as for `optimise_sim3_graph`.
     """
     group = {node: [node] for node in range(count)}
     place = {node: np.eye(4) for node in range(count)}
     for edge in edges:
         if group[edge.first] is group[edge.second]:
             continue
-        # All of the second's group move with it.
+        # All nodes of the second node's group move together.
         shift = place[edge.first] @ edge.similarity @ np.linalg.inv(place[edge.second])
         joined = group[edge.first] + group[edge.second]
         for node in group[edge.second]:
@@ -138,7 +139,7 @@ def chain_sim3(count: int, edges: Sequence[Link]) -> list[dict[int, np.ndarray]]
 
 
 def _adjusted(begun: dict[int, np.ndarray], edges: Sequence[Edge]) -> dict[int, np.ndarray]:
-    """Return the similarities that meet edges best; that of the first node stays."""
+    """Return the similarities that fit the edges best; the first node stays fixed."""
     nodes, place = list(begun), dict(begun)
     number = {node: k for k, node in enumerate(nodes)}
     doubted = FIRST_OUTLIER_ERROR
@@ -173,7 +174,7 @@ def _adjusted(begun: dict[int, np.ndarray], edges: Sequence[Edge]) -> dict[int, 
 def solve_sparse(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Return the solution of a symmetric, positive definite system, by elimination in blocks.
 
-    BLAS and LAPACK have other last bits with more threads. Most of the system is empty.
+    BLAS and LAPACK give other last bits with more threads. Most of the matrix is zero.
     """
     system, count = np.column_stack([matrix, vector]), len(vector)
     begins = range(0, count, BLOCK_ROWS)
@@ -193,11 +194,11 @@ def solve_sparse(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 
 def _misfit(edge: Edge, place: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return an edge's misfit about the middle of its points, (7,), its slope, and its weight.
+    """Return an edge's residual at the centre of its points, (7,), its Jacobian, and its weight.
 
-    The weight leads to the mean square of the share of their distance by which points are off. The
-    misfit is the similarity that is left between where both nodes have the points: the logarithm of
-    its scale, its rotation vector and its translation.
+    The residual is the similarity between the positions of the points in the two nodes: the
+    logarithm of its scale, its rotation vector and its translation. With the weight, its square is
+    the mean square error of the points, as a share of their distances.
     """
     first, second = place[edge.first], place[edge.second]
     points, unit = transform_points(first, edge.points), sim3_scale(first)
