@@ -1,4 +1,4 @@
-"""Depth of every frame whose pose is known, and poses adjusted together with depth.
+"""Depth of every frame with a known pose, and joint adjustment of poses and depth.
 
 May import: `camera`, `errors`, `kernels`, `motion`, `rigid`, `runtime`, `settings`, `solver`,
 `reconstruction.geometry`, `reconstruction.mapping` and `reconstruction.tracks`.

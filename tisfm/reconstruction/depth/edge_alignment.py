@@ -1,6 +1,6 @@
-"""Depth that a frame has from others, with the edges of surfaces where the frame itself has edges.
+"""Alignment of depth edges with image edges, for depth that was rendered from keyframes.
 
-Depth that is rendered ends raggedly: edges lie where each of several keyframes has them.
+Rendered depth has ragged edges: each keyframe puts the edge of a surface elsewhere.
 """
 
 import cv2
@@ -10,21 +10,21 @@ from tisfm.kernels.rigid.surface_edges import RADIUS, by_look
 
 # Values without a stated source were set by hand.
 
-# Share of the inverse depth: neighbours that differ by more lie on two surfaces.
+# Neighbours whose inverse depth differs by more than this share lie on two surfaces.
 MIN_JUMP = 0.1
-# Grey levels: pixels that differ by this much have a weight of 1/e.
+# A pixel that differs by this many grey levels has a weight of 1/e.
 GREY_SCALE = 10.0
 
 
 def align_edges(
     inverse_depth: np.ndarray, deviation: np.ndarray, frame: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return inverse depth and its deviation, its edges moved to those of the frame nearby.
+    """Return inverse depth and its deviation, with edges moved to the image edges nearby.
 
     Parameters
     ----------
     inverse_depth, deviation, frame : (H, W) float32
-        The frame has grey levels. Nothing changes where inverse depth is not known.
+        The frame has grey levels. If any inverse depth is not finite, nothing changes.
     """
     if not np.isfinite(inverse_depth).all():
         return inverse_depth, deviation
@@ -36,10 +36,10 @@ def align_edges(
 
 
 def _middle(inverse_depth: np.ndarray) -> np.ndarray:
-    """Return the geometric mean of the extremes nearby, where there is a jump; elsewhere 0."""
+    """Return the geometric mean of the extremes in a window around a depth edge; elsewhere 0."""
     near, window = (np.ones((side, side), np.uint8) for side in (3, 2 * RADIUS + 1))
     jump = _apart(inverse_depth, near)
-    # So far that a pixel beside the jump is within the window.
+    # Pixels so near to the edge that the window holds pixels of both surfaces.
     around = cv2.dilate(jump.astype(np.uint8), np.ones((2 * RADIUS - 1,) * 2, np.uint8)) > 0
     lowest, highest = cv2.erode(inverse_depth, window), cv2.dilate(inverse_depth, window)
     return np.where(around, np.sqrt(lowest * highest), np.float32(0))

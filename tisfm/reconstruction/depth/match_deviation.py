@@ -1,7 +1,8 @@
-"""What the matched planes of a window are worth: how sure D is of each by what shows around it.
+"""Weights of the matched planes of a window, from the certainty of their inverse depth D.
 
-A window is matched by all that it shows, and that may lie at its border: the outline of a nearer
-thing, beside a bare wall. So a cell counts by how far D moves the image close to it.
+The texture of a window may lie at its border alone, as at the outline of an object before a bare
+wall. Such a match does not give the depth of the centre. For this reason the weight of a cell
+depends on the texture close to it.
 """
 
 import cv2
@@ -11,19 +12,19 @@ from tisfm.kernels.model.constants import NEAREST
 from tisfm.motion.matched_planes import noise_deviation
 from tisfm.reconstruction.depth.window_planes import Window, WindowPlanes
 
-# Cells: side of the square around a cell that its certainty is measured on. Windows of the match
-# have a side of 11. Set by hand.
+# Cells: side of the square around a cell in which its certainty is measured. The windows of the
+# match have a side of 11. Set by hand.
 INNER_SIDE = 5
-# Cells: standard deviation of D of a match that has half the weight. Chosen on rendered scenes:
-# matches with this deviation are off by 0.3 cells, a tenth of them by 1 cell; more certain ones
-# by 0.1 cells, and a fiftieth of them by 1 cell.
+# Cells: standard deviation of D at which a match has half the weight. Chosen on rendered scenes:
+# matches with this deviation are off by 0.3 cells, and a tenth of them by 1 cell. More certain
+# matches are off by 0.1 cells, and a fiftieth of them by 1 cell.
 HALF_WEIGHT_DEVIATION = 0.5
-# Variance of slopes (by Sobel's mask) of noise with the variance 1. Exact.
+# Variance of the image gradient (Sobel) of noise with the variance 1. Exact.
 SOBEL_NOISE_GAIN = 3 / 16
 
 
 def match_weights(window: Window, planes: WindowPlanes) -> np.ndarray:
-    """Return weight, from 0 to 1, and D* of every cell, (2, h, w) float32."""
+    """Return the weight, from 0 to 1, and the matched D of every cell, (2, h, w) float32."""
     depth = planes.inverse_depth
     if planes.believed.any():
         depth = np.where(planes.believed, depth, np.median(depth[planes.believed]))
@@ -33,10 +34,10 @@ def match_weights(window: Window, planes: WindowPlanes) -> np.ndarray:
 
 
 def deviation_of_match(window: Window, inverse_depth: np.ndarray) -> np.ndarray:
-    """Return how sure D can be by the image close to each cell: a standard deviation, cells.
+    """Return the standard deviation of D, in cells, that the image around each cell allows.
 
-    It is that of the least squares, over cells close by and the frames that a cost is the mean of,
-    of what noise leaves of grey levels: σ_D² = 2 σ² / Σ (∇I·∂x/∂D)².
+    It is the deviation of a least-squares fit of D to grey levels with noise σ: σ_D² =
+    2 σ² / Σ (∇I·∂x/∂D)². The sum goes over the cells close by and over the best frames.
 
     Parameters
     ----------
@@ -67,7 +68,7 @@ def deviation_of_match(window: Window, inverse_depth: np.ndarray) -> np.ndarray:
 
 
 def _moved(window: Window, inverse_depth: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return ∂x/∂D of every cell in every frame, px/px, to the east and to the south."""
+    """Return ∂x/∂D of every cell in every frame, px/px, along the columns and along the rows."""
     height, width = inverse_depth.shape
     camera = window.camera_of(window.level)
     cx, cy = camera.center_for(*window.frames[0][window.level].shape)

@@ -1,4 +1,4 @@
-"""Which frames show the depth of a keyframe best."""
+"""Choice of the frames from which the depth of a keyframe is found."""
 
 import numpy as np
 
@@ -9,12 +9,12 @@ from tisfm.errors import InputError
 
 # Rows and columns of the grid of image points whose parallax is computed.
 GRID = (9, 12)
-# Share of the image width: more parallax makes a frame no better.
+# Parallax, as a share of the image width, beyond which a frame gets no better.
 FULL_PARALLAX = 0.03
-# Share of the image width: beyond this parallax, windows look less and less alike.
+# Parallax, as a share of the image width, beyond which windows look less and less alike.
 MAX_PARALLAX = 0.12
-# Mean gain of a grid point, of 1 for a point that no frame shows yet: a frame with a smaller gain
-# is not added.
+# A frame whose mean gain over the grid points is smaller is not added. The gain of a point that no
+# chosen frame shows yet is 1 at most.
 MIN_GAIN = 0.03
 
 
@@ -28,41 +28,42 @@ def choose_neighbours(
     most: int = 4,
     whole: tuple[int, int] | None = None,
 ) -> list[int]:
-    """Choose frames by how much parallax they give each part of a keyframe, from both sides.
+    """Choose frames with good parallax for each part of a keyframe, from both sides.
 
-    A frame shows a point with min(1, p/p₁) min(1, p₂/p) of what is possible, p its parallax, and
-    not at all beyond its border. Frames are taken one by one: each time that which adds most to
-    Σ √S of all points, where S is what the chosen ones show of a point, of those on one side of
-    it along its epipolar line and of those on the other apart: what is hidden from one side may be
-    seen from the other.
+    A frame shows a point with the value s = min(1, p/p₁) min(1, p₂/p), where p is the parallax of
+    the point; s is 0 outside the frame. Frames are chosen greedily: each time the frame that adds
+    most to Σ √S over all points. S is the sum of s over the chosen frames, taken apart for the
+    frames in which the point moves to either side along its epipolar line: a surface that is hidden
+    from one side may be visible from the other.
 
     Parameters
     ----------
     poses : (N, 4, 4) float64
-        Camera to world; NaN for frames without a pose, which are not chosen.
+        Camera to world. A frame without a pose has NaN and is never chosen.
     key : int
-        Which of them is the keyframe.
+        Number of the keyframe.
     inverse_depth : (h, w) array or float
-        Of the keyframe, roughly, 1/unit of the poses; not finite or not positive where unknown,
-        which counts as the median.
+        A rough inverse depth of the keyframe, 1/unit of the poses. Where it is not finite or not
+        positive it is unknown; the median takes its place.
     camera : Camera
         A pinhole.
     shape : (int, int)
         Height and width of the frames, px.
     most : int
-        How many are chosen at most.
+        Largest number of chosen frames.
     whole : (int, int), optional
-        Height and width of the frames that these are cut from: parallax is a share of that width.
+        Height and width of the uncropped frames, px, if the frames are crops. Parallax is a share
+        of this width.
 
     Returns
     -------
     list of int
-        Their numbers, the best first.
+        Numbers of the chosen frames, the best first.
 
     Raises
     ------
     ValueError
-        If the keyframe has no pose, or nothing is known of its depth.
+        If the keyframe has no pose or no known depth.
     """
     poses = np.asarray(poses, np.float64)
     if not np.isfinite(poses[key]).all():
@@ -99,7 +100,7 @@ def choose_neighbours(
 def _points(
     inverse_depth: np.ndarray | float, camera: Camera, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return rays (3, P) of points spread over the image, and their inverse depth (P,)."""
+    """Return the rays (3, P) of a grid of image points, and their inverse depth (P,)."""
     height, width = shape
     cx, cy = camera.center_for(height, width)
     rows, columns = (
@@ -126,9 +127,9 @@ def _shown(
     shape: tuple[int, int],
     full: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return how well each candidate shows each point (J, P), and where it moves, (J, 2, P).
+    """Return how well candidates show points (J, P), and the directions of parallax (J, 2, P).
 
-    Parallax is a share of a `full` width, px.
+    Parallax is a share of `full`, an image width in px.
     """
     height, width = shape
     cx, cy = camera.center_for(height, width)

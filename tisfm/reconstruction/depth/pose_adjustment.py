@@ -2,8 +2,8 @@
 
 A keyframe and the frames around it form a keyframe window. Every pixel of the keyframe has one
 inverse depth. The motion tensors of all frames of the window give normal equations with six
-unknowns a frame, in which this depth is eliminated. Frames belong to several windows, which share
-one scale for this reason.
+unknowns a frame, in which this depth is eliminated. A frame belongs to several windows; this gives
+all windows one scale.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -37,13 +37,13 @@ from tisfm.solver.unknowns import Unknowns
 MAX_PIXELS = 2**17
 # px: standard deviation of the Gaussian that smooths images first.
 PRESMOOTHING = 0.6
-# Variance of a window, in variances of the noise: its pixels have half the weight.
+# Grey-level variance of a window, in variances of the noise, at which a pixel has half the weight.
 HALF_WEIGHT_TEXTURE = 50.0
 # px: side of this window.
 TEXTURE_WINDOW = 11
-# Residual, in roots of the median squared residual, that has a quarter of the weight.
+# Residual with a quarter of the weight, in square roots of the median squared residual.
 OUTLIER_SCALE = 3.0
-# Relative standard deviation of the depth of a pixel that has half the weight.
+# Relative standard deviation of depth at which a pixel has half the weight.
 HALF_WEIGHT_DEVIATION = 0.05
 # Damping of a depth step, as a share of a pixel's mean data term.
 DEPTH_DAMPING = 1e-3
@@ -51,11 +51,11 @@ DEPTH_DAMPING = 1e-3
 POSE_DAMPING = 1e-3
 # px: side of the window whose depth moves together.
 DEPTH_WINDOW = 9
-# Share of a pixel's inverse depth: a depth step is not longer.
+# Largest depth step, as a share of the inverse depth of the pixel.
 MAX_DEPTH_STEP = 0.1
 # Gauss–Newton steps.
 ROUNDS = 2
-# Frames that are adjusted at a time.
+# Frames that are adjusted at a time, at most.
 MAX_FRAMES = 200
 # Shrunk frames in memory.
 CACHED_FRAMES = 64
@@ -72,9 +72,9 @@ class KeyframeWindow:
     key : int
     members : tuple of int
     inverse_depth : (h, w) float32
-        Of the keyframe at `level`, 1/unit of the poses.
+        Inverse depth of the keyframe at pyramid level `level`, 1/unit of the poses.
     weight : (h, w) float32
-        Of its pixels, in [0, 1].
+        Weight of each pixel, in [0, 1].
     level : int
     """
 
@@ -102,7 +102,8 @@ def make_keyframe_window(
     frame : (H, W) float32
         Grey levels of the keyframe.
     inverse_depth, deviation : (H, W) float32
-        Its inverse depth and the standard deviation; pixels with a large one have a small weight.
+        Its inverse depth and the standard deviation. Pixels with a large deviation have a small
+        weight.
     counted : (H, W) bool, optional
         Pixels that are used; by default all.
     """
@@ -158,9 +159,9 @@ def adjust_poses(
         A pinhole, of the frames.
     settings : Settings
     held : collection of int
-        Frames whose poses stay as they are; by default the first.
+        Frames whose poses are fixed; by default the first frame.
     rounds : int
-        Of Gauss–Newton.
+        Gauss–Newton steps.
     """
     found = {frame: np.array(pose, np.float64) for frame, pose in poses.items()}
     windows = [
@@ -192,7 +193,7 @@ class _FrameCache:
         """Return a frame, (h, w) float32, and its spline's taps."""
         key = number, level
         if key in self._held:
-            self._held[key] = self._held.pop(key)  # the last one to be removed
+            self._held[key] = self._held.pop(key)  # now removed last
             return self._held[key]
         while len(self._held) >= CACHED_FRAMES:
             self._held.pop(next(iter(self._held)))
@@ -233,7 +234,7 @@ def _linearise(
     """Linearise the images of a window about its poses and depth.
 
     With `move_depth`, the depth is changed in place to fit these poses. This comes last, since the
-    equations eliminate the depth from before.
+    equations eliminate the depth before the change.
     """
     key, _ = views.shrunk(window.key, window.level)
     camera = views.camera(window.key, window.level)
@@ -282,7 +283,7 @@ def _linearise(
         to_members[block, :6] = -np.block(
             [[turn, cross_matrices(shift[None])[0] @ turn], [np.zeros((3, 3)), turn]]
         )
-    # Steps are in the unit of the poses.
+    # Translations of the steps are in the unit of the poses.
     for j in range(count + 1):
         to_members[:, 6 * j : 6 * j + 3] /= unit
     held = DEPTH_DAMPING * max(float(sums[0].sum()) / key.size, 1e-12) + 1e-12
@@ -307,7 +308,7 @@ def _move_depth(
     """
     images = np.empty((2, grid.height, grid.width), np.float32)
     lanes_to_images(grid, sums, images)
-    # Single pixels are noisy: a neighbourhood moves together.
+    # Single pixels are noisy, so the depth of a neighbourhood moves together.
     curvature, pull = (cv2.blur(values, (DEPTH_WINDOW, DEPTH_WINDOW)) for values in images)
     depth = window.inverse_depth
     change = -pull / (curvature + np.float32(held)) / np.float32(scale)

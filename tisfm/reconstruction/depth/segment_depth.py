@@ -1,4 +1,4 @@
-"""Depth of the frames of a piece: keyframes from windows, the others rendered from theirs."""
+"""Depth of the frames of a piece: estimated for keyframes, rendered for the frames between."""
 
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
@@ -35,13 +35,13 @@ MIN_MOTION = 0.1
 MIN_KEPT_TRACKS = 0.25
 # px: keyframes are compared on every second pixel.
 COMPARE_STRIDE = 2
-# px: keyframes are rendered into the frames between them on every pixel of this stride.
+# px: stride of the pixels at which keyframes are rendered into the frames between them.
 RENDER_STRIDE: dict[Effort, int] = {"fast": 2, "balanced": 1, "accurate": 1}
-# Frames of one keyframe window: a camera may rest for long.
+# Frames of one keyframe window, at most: a resting camera would give windows without end.
 MAX_WINDOW_FRAMES = 24
-# Frames between a keyframe and a frame that it is compared with.
+# Largest distance, in frames, between a keyframe and a frame that it is compared with.
 MAX_FRAME_DISTANCE = 40
-# Frames that the depth of a keyframe is found from.
+# Frames from which the depth of a keyframe is found, at most.
 MAX_NEIGHBOURS: dict[Effort, int] = {"fast": 3, "balanced": 4, "accurate": 6}
 # Relative standard deviation of a keyframe per relative difference from its neighbour keyframes.
 DIFFERENCE_TO_DEVIATION = 1.75
@@ -55,8 +55,8 @@ class FrameDepth:
     ----------
     frame : int
     inverse_depth, deviation : (H, W) float32
-        NaN and infinity where there is none. The deviation is infinite as well where the frame
-        does not count.
+        NaN and infinity where there is no depth. The deviation is infinite at masked pixels as
+        well.
     """
 
     frame: int
@@ -65,7 +65,7 @@ class FrameDepth:
 
 
 class Frames(Protocol):
-    """Frames as depth is found from them; `PreparedFrames` are such."""
+    """Frames from which depth is found, such as `PreparedFrames`."""
 
     camera: Camera
     shape: tuple[int, int]
@@ -74,11 +74,11 @@ class Frames(Protocol):
         """Return a frame, (H, W) float32."""
 
     def counted(self, number: int) -> np.ndarray | None:
-        """Return where it counts, (H, W) bool; None where all of it does."""
+        """Return the mask of the pixels that count, (H, W) bool; None if all do."""
 
 
 class PieceDepths:
-    """Depth of the frames of a piece, one after the other.
+    """Iterates over the depth of the frames of a piece.
 
     Parameters
     ----------
@@ -89,20 +89,21 @@ class PieceDepths:
     settings : Settings
     effort : {"fast", "balanced", "accurate"}
     before : (int, WindowDepth), optional
-        A keyframe that is known already, and its depth: those of later frames are found.
+        A keyframe whose depth is known already, and this depth. Depth is found for later frames
+        only.
     after : int, optional
-        Frames between keyframes are left out up to this one.
+        Frames up to this number are skipped, except keyframes.
     whole : (int, int), optional
-        Height and width of the frames that these are cut from: depth is then found as in those. By
-        default they are whole.
+        Height and width of the uncropped frames, if the frames are crops. Depth is found as in the
+        uncropped frames.
 
     Attributes
     ----------
     keyframes : list of int
-        Chosen beforehand; those without depth are taken out as they turn up.
+        Chosen at the start. The iteration removes keyframes that get no depth.
     settled : dict of int to WindowDepth
-        Of the keyframe that came last, and the one before, as they are written: together with
-        those before and after them.
+        Final depth of the last keyframe and of the one before it: fused with the depth of their
+        neighbour keyframes.
     """
 
     def __init__(
@@ -122,14 +123,14 @@ class PieceDepths:
         self._camera = frames.camera
         self._whole = whole or frames.shape
         self._previous, self._after = None if before is None else before[0], after
-        # Of the keyframes in use: as their windows have it (that of `before` apart), and as it is
-        # written.
+        # `_known` has the depth of each keyframe in use from its own window (except for `before`),
+        # `settled` the final depth.
         self._known: dict[int, WindowDepth] = {} if before is None else dict([before])
         self.settled = dict(self._known)
         self.keyframes = choose_keyframes(piece, seen, max(self._whole), self._previous)
 
     def __iter__(self) -> Iterator[FrameDepth]:
-        """Yield the depth of every frame that has any: keyframes once the next one is known."""
+        """Yield the depth of each frame that has any; a keyframe waits until the next is known."""
         previous = self._previous
         for key in list(self.keyframes):
             found = self._keyframe(key, previous, self._effort)
@@ -146,7 +147,7 @@ class PieceDepths:
             yield from self._between(previous, max(self._piece.poses) + 1)
 
     def _up_to(self, key: int) -> Iterator[FrameDepth]:
-        """Yield a keyframe, whose neighbours are known, and the frames between the last and it."""
+        """Yield a keyframe with known neighbours, and the frames between it and the one before."""
         if key in self.settled:
             return
         after = max(self.settled, default=min(self._piece.poses) - 1)
@@ -156,10 +157,10 @@ class PieceDepths:
         self.settled = {key: found}
 
     def _compared(self, key: int) -> WindowDepth:
-        """Return the depth of a keyframe and of those before and after it, together.
+        """Return the depth of a keyframe, fused with that of the keyframes before and after it.
 
-        It is as unsure as they differ from it. They say the same but for errors of poses and of
-        matches, which a window knows nothing of.
+        Differences between the keyframes raise the deviation: they show errors of poses and of
+        matches that a single window cannot see.
         """
         found = self._known[key]
         shape = self._frames.shape
@@ -173,13 +174,13 @@ class PieceDepths:
         mean, deviation = fuse_views(
             raise_deviation_where_different([(own, spread), *others], DIFFERENCE_TO_DEVIATION)
         )
-        # Its own is known at every pixel: what is carried there is by how much others correct it.
+        # The keyframe's own depth is known at every pixel; only the correction is upsampled.
         inverse_depth = found.inverse_depth * upsample(mean / own, COMPARE_STRIDE, shape)
         deviation = upsample(deviation, COMPARE_STRIDE, shape)
         return replace(found, inverse_depth=inverse_depth, deviation=deviation)
 
     def keyframe_windows(self) -> list[KeyframeWindow]:
-        """Return the keyframes with a rough depth, each with the frames up to the next ones."""
+        """Return windows of keyframes with rough depth, and the frames up to the next keyframes."""
         frames = sorted(self._piece.poses)
         limits = [frames[0], *self.keyframes, frames[-1]]
         windows = []
@@ -205,16 +206,16 @@ class PieceDepths:
     def _given_out(
         self, frame: int, inverse_depth: np.ndarray, deviation: np.ndarray
     ) -> FrameDepth:
-        """Return depth as it is written: where the frame does not count, it shows other things."""
+        """Return the depth to write; masked pixels show other objects and get no certainty."""
         counted = self._frames.counted(frame)
         if counted is not None:
             deviation = np.where(counted, deviation, np.float32(np.inf))
         return FrameDepth(frame=frame, inverse_depth=inverse_depth, deviation=deviation)
 
     def _keyframe(self, key: int, previous: int | None, effort: Effort) -> WindowDepth | None:
-        """Return the depth of a keyframe from the frames around it, None if they show none.
+        """Return the depth of a keyframe from the frames around it; None if they do not show it.
 
-        They are chosen by what its tracks say of its depth, or else the keyframe before.
+        The frames are chosen with a rough depth from the tracks, or else from the keyframe before.
         """
         poses = self._piece.poses
         places, depths = track_depths(self._seen[key], self._piece.points, poses[key])
@@ -250,9 +251,9 @@ class PieceDepths:
         )
 
     def _shown(self, known: WindowDepth, key: int, frame: int, stride: int) -> View:
-        """Return the depth of a keyframe as a frame sees it, and its deviation; NaN for none.
+        """Return the depth of a keyframe, rendered into a frame, and its deviation; NaN for none.
 
-        They are of every pixel in `stride` rows and columns, from 0.
+        They have every `stride`-th row and column, from 0.
         """
         poses = self._piece.poses
         motion = (np.linalg.inv(poses[frame]) @ poses[key])[:3]
@@ -275,7 +276,7 @@ class PieceDepths:
         return np.where(seen, out, np.nan), np.where(seen, deviation, np.nan)
 
     def _rendered(self, frame: int) -> View:
-        """Return the depth of a frame as the keyframes show it, and its deviation."""
+        """Return the depth of a frame, rendered from the keyframes, and its deviation."""
         stride = RENDER_STRIDE[self._effort]
         views = [self._shown(known, key, frame, stride) for key, known in self.settled.items()]
         inverse_depth, deviation = fuse_views(views)
@@ -288,9 +289,9 @@ class PieceDepths:
 def choose_keyframes(
     piece: Piece, seen: Sequence[Observations], side: int, previous: int | None = None
 ) -> list[int]:
-    """Return the frames of a piece that are far enough from one another, in order.
+    """Return the frames of a piece, in order, between which the tracks move far enough.
 
-    Where there is a keyframe before, `previous`, they are far enough from it as well.
+    With `previous`, the keyframe before them, only later frames are chosen.
     """
     frames = sorted(piece.poses)
     keys = frames[:1] if previous is None else [previous]
@@ -307,7 +308,7 @@ def choose_keyframes(
 
 
 def _spread(places: np.ndarray, depths: np.ndarray, shape: tuple[int, int]) -> np.ndarray | None:
-    """Return inverse depth of the nearest known place at every pixel, None where none is known."""
+    """Return the inverse depth of the nearest track at every pixel; None without tracks."""
     if len(depths) == 0:
         return None
     x, y = np.rint(places).astype(np.intp).T
@@ -328,7 +329,7 @@ def median_depth(inverse_depth: np.ndarray) -> float:
 
 
 def depth_effort(settings: Settings) -> Effort:
-    """Return how densely planes are sought: as much as the preset that does as much for a pair."""
+    """Return how densely planes are matched: as in the preset that is most like these settings."""
     if settings.finest_level > 0:
         return "fast"
     balanced = Settings.preset("balanced")

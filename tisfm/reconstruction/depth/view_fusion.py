@@ -1,6 +1,6 @@
-"""What several keyframes say of one view: how far they are apart, what they say together, the rest.
+"""Fusion of the depth that several keyframes give one view, its deviation, and filled holes.
 
-Inverse depth is (H, W) float32, NaN where a keyframe shows nothing.
+Inverse depth is (H, W) float32, and NaN where a keyframe has none.
 """
 
 from collections.abc import Sequence
@@ -15,21 +15,21 @@ from tisfm.solver.second_order import fill
 
 # Values without a stated source were set by hand.
 
-# Share of the inverse depth: rendered surfaces that differ by more are different surfaces.
+# Rendered surfaces whose inverse depth differs by more than this share are different surfaces.
 MAX_DIFFERENCE = 0.1
-# Share of a value: neighbours that differ by more lie on different surfaces.
+# Neighbours that differ by more than this share lie on different surfaces.
 MAX_SMOOTH_STEP = 0.05
-# Share of the longer side: side of the window that differences are averaged in.
+# Side of the window in which differences are averaged, as a share of the longer image side.
 WINDOW_SHARE = 0.05
-# Share of the inverse depth: a single difference counts for no more.
+# Limit of a single difference, as a share of the inverse depth.
 DIFFERENCE_LIMIT = 0.5
-# Weight of the median of all differences, in pixels per pixel of the window.
+# Weight of the median of all differences, relative to a window full of pixels.
 MEDIAN_WEIGHT = 0.02
-# Relative standard deviation of inverse depth that no keyframe shows, where a hole is filled.
+# Relative standard deviation of inverse depth in a filled hole.
 FILLED_DEVIATION = 0.5
 # Cells of the grid that holes are filled on.
 MAX_FILL_CELLS = 2**13
-# Median inverse depth on this grid, in sides of a cell.
+# Inverse depth is scaled so that its median on this grid is this number of cell sides.
 FILL_MEDIAN = 20.0
 
 
@@ -37,12 +37,12 @@ View = tuple[np.ndarray, np.ndarray]  # inverse depth and its deviation, (H, W) 
 
 
 def relative_difference(inverse_depth: np.ndarray, others: Sequence[np.ndarray]) -> np.ndarray:
-    """Return how far others are from an inverse depth around every pixel.
+    """Return the mean relative difference of others from an inverse depth around every pixel.
 
     Parameters
     ----------
     inverse_depth : (H, W) float32
-        Positive, or NaN: there it is not compared.
+        Positive, or NaN where it is not compared.
     others : sequence of (H, W) float32
 
     Returns
@@ -67,7 +67,7 @@ def relative_difference(inverse_depth: np.ndarray, others: Sequence[np.ndarray])
 
 
 def raise_deviation_where_different(views: Sequence[View], times: float) -> list[View]:
-    """Return views as unsure as the others contradict each: `times` how far they are from it."""
+    """Return views whose deviation is raised by `times` their difference from the others."""
     depths = [depth for depth, _ in views]
     unsure = []
     for number, (depth, deviation) in enumerate(views):
@@ -79,17 +79,18 @@ def raise_deviation_where_different(views: Sequence[View], times: float) -> list
 
 
 def fuse_views(views: Sequence[View]) -> View:
-    """Return what several keyframes say of the same pixels: the mean of those that agree most.
+    """Return the mean of the keyframes that agree most, at every pixel.
 
     Parameters
     ----------
     views : sequence of View
-        NaN where there is none.
+        NaN where a keyframe has no depth.
 
     Returns
     -------
     inverse_depth, deviation : (H, W) float32
-        The same. Keyframes are of overlapping sets of images: their mean is no surer than they are.
+        NaN where there is none. The keyframes are found from overlapping sets of images, so the
+        mean has no smaller deviation than they have.
     """
     depths, spreads = map(np.stack, zip(*views, strict=True))
     known = np.isfinite(depths) & np.isfinite(spreads)
@@ -102,9 +103,9 @@ def fuse_views(views: Sequence[View]) -> View:
 def fill_holes(
     inverse_depth: np.ndarray, deviation: np.ndarray, frame: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Carry inverse depth to where no keyframe shows any, and say how unsure that is.
+    """Fill holes of inverse depth, which no keyframe shows, and set their deviation.
 
-    Slopes are carried as well, up to the edges of the frame (`tisfm.solver.second_order`).
+    Slopes are continued as well, up to image edges (`tisfm.solver.second_order`).
 
     Parameters
     ----------
@@ -133,14 +134,15 @@ def fill_holes(
 
 
 def upsample(image: np.ndarray, stride: int, shape: tuple[int, int]) -> np.ndarray:
-    """Return an image of some pixels at all of them: between two that are alike, their mean.
+    """Return an image at all pixels, from its values at some rows and columns.
 
-    Where they are not, the image has an edge, and the one before stands for both.
+    A pixel between two similar values has their mean. Where the two differ, the image has an edge,
+    and the pixel repeats the value before it.
 
     Parameters
     ----------
     image : (h, w) float32
-        Of every pixel in `stride` rows and columns, from 0; positive, or NaN.
+        Every `stride`-th row and column, from 0; positive, or NaN.
     stride : int
         A power of 2.
     shape : (int, int)

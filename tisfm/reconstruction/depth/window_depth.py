@@ -1,9 +1,9 @@
 """Inverse depth of a keyframe from several frames whose poses are known.
 
 Planes are matched in all frames at once (`tisfm.reconstruction.depth.window_planes`); second-order
-smoothness carries what is believed to the rest (`tisfm.solver.second_order`), and then the
-constraints of every frame, each along its own epipolar line, move the common inverse depth D as
-far as they are met: Σ w_j (A_j D² + 2 B_j D) is one scalar term.
+smoothness propagates reliable matches to the other pixels (`tisfm.solver.second_order`). Then the
+data terms of all frames refine the common inverse depth D, each along its own epipolar line. Their
+sum Σ w_j (A_j D² + 2 B_j D) is one scalar term.
 """
 
 import math
@@ -44,45 +44,48 @@ from tisfm.solver.second_order import (
 from tisfm.solver.smoothness import image_edges_in_lanes, mean_step
 from tisfm.solver.unknowns import Unknowns
 
-# Of the cells of a keyframe, at most: 160×120, 320×240 and 640×480 of as many pixels.
+# Largest number of cells of a keyframe. Frames of 4:3 get 160×120, 320×240 and 640×480.
 Effort = Literal["fast", "balanced", "accurate"]
 CELLS: dict[Effort, int] = {"fast": 2**15, "balanced": 2**17, "accurate": 2**19}
 # Values without a stated source were set by hand.
 
 # Share of the cells with a reliable match: with fewer, no depth is propagated.
 MIN_MATCHED_SHARE = 0.01
-# Weight of the constraints of a frame at full strength, against that of a matched cell.
+# Weight of the data term of a frame at full strength, relative to that of a matched cell.
 DATA_WEIGHT = 8.0
-# Share of the weight of a matched cell that is left there, since both come from the same images.
+# Share of the weight of a matched cell that is left under a data term at full strength, since both
+# use the same images.
 MATCH_SHARE_LEFT = 0.1
 # px per px: difference of slopes at which smoothness yields. It is smaller than for pairs, since
 # matches are more certain: otherwise the slope of a floor is smoothed into that of the walls.
 SLOPE_SCALE = 0.0009
 # Weight of image edges in the smoothness.
 IMAGE_EDGES = 10.0
-# Variance of a window, in variances of the noise: its constraints have half the weight.
+# Grey-level variance of a window, in variances of the noise, at which data terms have half the
+# weight.
 HALF_WEIGHT_TEXTURE = 1000.0
 # Warps, and iterations of each.
 WARPS = 3
 ITERATIONS = 1
 # Largest propagated depth, as a multiple of the largest matched depth.
 MAX_DEPTH_FACTOR = 2.0
-# Share of the matched cells, the farthest ones, that do not count for this limit.
+# Share of the matched cells, the farthest ones, that this limit ignores.
 FAR_SHARE = 0.01
-# Standard deviation of D: the least, in cells.
+# Smallest standard deviation of D, in cells.
 MIN_DEVIATION = 0.005
 # The share of the residuals of nearby constraints that is added to it,
 RESIDUAL_SHARE = 0.07
 # and the largest residual that counts, in cells.
 MAX_RESIDUAL = 2.5
-# The share of D that is added for every pixel of propagation: slopes of surfaces scale with D, and
-# with the pixels of the frame, not of its cells.
+# The share of D that is added for every pixel of propagation. Slopes of surfaces scale with D and
+# with pixels of the frame, which do not depend on the size of a cell.
 DEVIATION_PER_PIXEL = np.float32(0.002)
 # The share of the difference between nearby matches and D that is added,
 DIFFERENCE_SHARE = 0.8
-# reduced where this difference is near the scatter of these matches. With these values, of the
-# pixels of rendered rooms 60 to 76 % lie within one standard deviation, of TartanAir 57 %, and of a
-# HoloLens, whose poses are inexact, 28 %; `segment_depth` compares keyframes.
+# reduced where this difference is near the scatter of these matches. With these values, the error
+# is within one standard deviation at 60 to 76 % of the pixels of rendered rooms, at 57 % of
+# TartanAir, and at 28 % of a HoloLens recording, whose poses are inexact. `segment_depth` raises
+# the deviation where keyframes differ.
 SCATTER_SHARE = np.float32(0.2)
 # Cells: window that these differences are averaged in.
 AVERAGING_WINDOW = (15, 15)
@@ -99,7 +102,7 @@ class WindowDepth:
     deviation : (H, W) float32
         Its standard deviation.
     believed : (h, w) bool
-        Of cells of 2^`level` px a side: those that were matched.
+        Cells, 2^`level` px a side, with a reliable match.
     level : int
     """
 
@@ -128,26 +131,26 @@ def window_depth(
     key : (H, W) float32
         Grey levels on the 8-bit scale.
     others : sequence of (H, W) float32
-        Frames that see the same, M of them.
+        M frames that show the same scene.
     motions : (M, 3, 4) array
         R and t from the keyframe to each: P₁ = R P₀ + t.
     camera : Camera
         A pinhole.
     settings : Settings
-        Those of the constraints.
+        Settings of the data terms.
     effort : {"fast", "balanced", "accurate"}
-        How densely planes are sought.
+        How densely planes are matched.
     key_mask : (H, W) bool, optional
-        Where the keyframe counts; elsewhere depth is carried.
+        Pixels of the keyframe that count; the others get propagated depth.
     masks : sequence of (H, W) bool or None, optional
         The same of every other frame.
     whole : (int, int), optional
-        H and W of the frames that these are cut from, as for `Window`.
+        H and W of the uncropped frames, as for `Window`.
 
     Returns
     -------
     WindowDepth or None
-        None if there is too little to carry depth from.
+        None if there are too few reliable matches.
 
     Raises
     ------
@@ -192,7 +195,8 @@ def window_depth(
 def second_order(level: int) -> SecondOrderSettings:
     """Return the smoothness of cells of 2^`level` px a side.
 
-    That of pixels, as far as slopes are carried over as many px, against anchors that are fewer.
+    It is the smoothness of full resolution, scaled: slopes continue over the same number of px,
+    although there are fewer anchors.
     """
     side = 2.0**level
     return replace(
@@ -205,14 +209,14 @@ def second_order(level: int) -> SecondOrderSettings:
 
 
 class _Data:
-    """Depth of the cells, its slopes, and the constraints of all frames.
+    """Depth of the cells, its slopes, and the data terms of all frames.
 
     Parameters
     ----------
     window : Window
     settings : Settings
     anchors : (2, h, w) float32
-        Weight and D*, cells.
+        Weight of each cell, and its matched D, cells.
     """
 
     def __init__(self, window: Window, settings: Settings, anchors: np.ndarray) -> None:
@@ -318,7 +322,7 @@ def _checked(
     key_mask: np.ndarray | None,
     masks: Sequence[np.ndarray | None] | None,
 ) -> np.ndarray:
-    """Return the motions, (M, 3, 4) float64, of arguments that fit together."""
+    """Check that the arguments fit together, and return the motions, (M, 3, 4) float64."""
     if not others:
         raise InputError("others is empty: expected at least one frame")
     motions = np.asarray(motions, np.float64)

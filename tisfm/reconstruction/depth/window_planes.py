@@ -1,4 +1,4 @@
-"""Planes of a keyframe, matched in several frames whose motions are known, and which to believe."""
+"""Planes of a keyframe, matched in several frames with known motions, and their reliability."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,27 +26,27 @@ from tisfm.solver.image_pyramid import gaussian_pyramid, smooth
 
 # px: standard deviation of the Gaussian that smooths images first.
 PRESMOOTHING = 0.6
-# Levels that are searched besides that of the cells.
+# Coarser levels that are searched before the level of the cells.
 COARSER_LEVELS = 2
-# Rounds of improvement: on the coarsest level, on the next one, and on all others.
+# Rounds of improvement: on the coarsest level, on the next one, and on each finer level.
 SEARCH_ROUNDS = (3, 2, 1)
-# px of the finest level: larger cells are searched on their own level first.
+# px of the finest level: cells with a larger side are searched on their own level first.
 MAX_CELL_SIDE = 2
 # Random planes near a cell's own plane in each round.
 RANDOM_DRAWS = 2
-# px: spread of D of these planes, on the coarsest grid and on others.
+# px: spread of D of these random planes, on the coarsest grid and on finer grids.
 DRAW_SPREAD = (4.0, 1.0)
 # Spread of their slopes, px per px.
 DRAW_TILT = 0.05
 # px: shorter side of the coarsest level.
 MIN_COARSE_SIDE = 8
-# Factor of both spreads in every round.
+# Factor by which both spreads shrink in every round.
 DRAW_SHRINKAGE = 0.6
-# Cost of a reliable match, at most.
+# Largest cost of a reliable match.
 MAX_COST = 0.25
-# px: size of the connected region, whose values differ by at most 1 px, of a reliable match.
+# px: smallest region of reliable matches. In a region, neighbours differ by at most 1 px in D.
 MIN_REGION = 200
-# Values of D are compared in fractions of a px of this number.
+# Steps per px in which values of D are compared.
 REGION_UNITS = 16
 # Seed of the noise that replaces masked pixels of other frames: it correlates with nothing.
 MASKED_SEED = 7
@@ -54,10 +54,10 @@ MASKED_SEED = 7
 
 @dataclass(frozen=True, kw_only=True)
 class WindowPlanes:
-    """A plane for every cell of a keyframe, and which are believed.
+    """A plane for every cell of a keyframe, and the mask of reliable planes.
 
-    Cells are the pixels of a level of half the density for each step of `level`. D is in px of
-    that level: the inverse depth times its focal length and the length of a translation.
+    Cells are the pixels of pyramid level `level`, 2^`level` px a side. D is in px of this level:
+    the inverse depth times the focal length of the level and the unit length of the window.
 
     Attributes
     ----------
@@ -76,27 +76,27 @@ class WindowPlanes:
 
 
 class Window:
-    """A keyframe, other frames, and their motions, at several scales.
+    """Image pyramids of a keyframe and other frames, and their motions.
 
     Parameters
     ----------
     key : (H, W) float32
         Grey levels.
     others : sequence of (H, W) float32
-        M of them.
+        M other frames.
     motions : (M, 3, 4) array
-        R and t of each: from the keyframe to there.
+        R and t from the keyframe to each of them.
     camera : Camera
         A pinhole.
     cells : int
-        How many cells planes are sought for, at most.
+        Largest number of cells.
     key_mask : (H, W) bool, optional
-        Where the keyframe counts; by default everywhere.
+        Pixels of the keyframe that count; by default all.
     masks : sequence of (H, W) bool or None, optional
-        Where each of the others counts.
+        Pixels of each other frame that count.
     whole : (int, int), optional
-        H and W of the frames that these are cut from: cells are as dense, and planes are looked
-        for as far, as in those. By default they are whole.
+        H and W of the uncropped frames, if the frames are crops. Density of cells and search range
+        are those of the uncropped frames.
 
     Attributes
     ----------
@@ -104,16 +104,16 @@ class Window:
     size : (int, int)
         H and W.
     motions : (M, 3, 4) float64
-        With translations over `unit`.
+        The given motions, with translations divided by `unit`.
     unit : float
-        The length by which an inverse depth d, in 1/unit of the poses, moves pixels by d times the
-        focal length, on average over the image and for the frame in the middle.
+        A length: an inverse depth d, in 1/unit of the poses, moves pixels by d times `unit` times
+        the focal length, on average over the image and for the frame with the median parallax.
     frames : list of list of (h, w) float32
-        Of every frame, the keyframe first, all levels, the finest first.
+        All pyramid levels, the finest first, of every frame, the keyframe first.
     largest : float
-        The largest D that is looked for, px of the finest level.
+        Largest D of the search, px of level 0.
     finest, level : int
-        The level whose windows are compared at last, and that of the cells.
+        The level whose windows are compared last, and the level of the cells.
     counted : (h, w) bool
         Cells of the keyframe that count.
     """
@@ -165,7 +165,7 @@ class Window:
 
     @property
     def best(self) -> int:
-        """How many frames a cost is the mean of: half of them, at most `MOST_BEST`."""
+        """Number of best frames that a cost is the mean of: half of all, at most `MOST_BEST`."""
         return min((len(self.motions) + 1) // 2, MOST_BEST)
 
     def camera_of(self, level: int) -> Camera:
@@ -173,15 +173,15 @@ class Window:
         return self.camera.scaled(0.5**level, *self.size) if level else self.camera
 
     def of_cells(self, frame: int) -> np.ndarray:
-        """Return a frame, by its number, 0 for the keyframe, as densely sampled as cells are."""
+        """Return a frame, by its number (0 is the keyframe), at the level of the cells."""
         height, width = self.shape
         return np.ascontiguousarray(self.frames[frame][self.level][:height, :width])
 
     def searches(self) -> list[tuple[int, ViewSearch, int]]:
-        """Return the levels that are searched, the searches, and the sides of their cells, px.
+        """Return the searched levels, the searches, and the sides of their cells, px of the level.
 
-        Each has cells of half the side of those of the one before, or the same cells again where
-        their windows are of a level that is much coarser than the finest.
+        The cells of a search have half the side of those of the search before. If cells are much
+        larger than pixels of the finest level, the last two searches have the same cells.
         """
         side = 2 ** (self.level - self.finest)
         last = self.level + 1 if side <= MAX_CELL_SIDE else self.level
@@ -194,7 +194,7 @@ class Window:
 
     @cached_property
     def last_search(self) -> ViewSearch:
-        """The search of the finest windows, for the cells."""
+        """The search of the cells with windows of the finest level."""
         return self._search(self.finest, 2 ** (self.level - self.finest))
 
     def _search(self, level: int, stride: int) -> ViewSearch:
@@ -225,7 +225,7 @@ class Window:
 
     @cached_property
     def _greys(self) -> tuple[np.float32, np.float32, float]:
-        """What grey levels are compared as: the lowest, a factor, and the noise after it."""
+        """Scaling of grey levels before comparison: the lowest, a factor, and the scaled noise."""
         finest = [frame[self.finest] for frame in self.frames]
         low, gain = grey_scale(finest[0], finest[1])
         return low, gain, float(gain) * max(noise_deviation(frame) for frame in finest)
@@ -246,7 +246,7 @@ def mean_parallax(motion: np.ndarray, camera: Camera, shape: tuple[int, ...]) ->
 
 
 def _where_axes_meet(motion: np.ndarray) -> float:
-    """Return the inverse depth at which two cameras look at one point, as far as they do; or 0."""
+    """Return the inverse depth at which the optical axes of two cameras come nearest, or 0."""
     sight, translation = motion[:2, 2], motion[:2, 3]
     square = float(translation @ translation)
     return max(0.0, -float(sight @ translation) / square) if square > 0 else 0.0
@@ -287,7 +287,7 @@ def window_planes(window: Window) -> WindowPlanes:
 
 
 def costs_of(window: Window, inverse_depth: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Return what the planes of all cells cost in every frame, (M, h, w) float32.
+    """Return the costs of the planes of all cells in every frame, (M, h, w) float32.
 
     Parameters
     ----------
@@ -307,7 +307,7 @@ def costs_of(window: Window, inverse_depth: np.ndarray, slopes: np.ndarray) -> n
 
 
 def _drawn(window: Window, search: ViewSearch, level: int) -> np.ndarray:
-    """Return planes (h, w, 4) float32 drawn at random."""
+    """Return random planes, (h, w, 4) float32."""
     random = np.random.default_rng(0).random((*search.shape, 4), np.float32)
     focal = window.camera_of(level).focal
     random[..., 0] *= 0.5**level * window.largest
@@ -316,7 +316,7 @@ def _drawn(window: Window, search: ViewSearch, level: int) -> np.ndarray:
 
 
 def _halved(planes: np.ndarray) -> np.ndarray:
-    """Return planes of cells of half the side."""
+    """Return the planes of cells with half the side."""
     finer = planes.repeat(2, axis=0).repeat(2, axis=1)
     for k, axis in ((1, 1), (2, 0)):
         finer[..., k] *= 0.5
@@ -335,7 +335,7 @@ def _fitted(planes: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 
 
 def _hide(levels: np.ndarray, mask: np.ndarray) -> None:
-    """Replace, in place, what a mask says does not count by noise."""
+    """Replace masked-out pixels by noise, in place."""
     size = levels.shape[::-1]
     kept = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     random = np.random.default_rng(MASKED_SEED).random(levels.shape, np.float32)
@@ -343,7 +343,7 @@ def _hide(levels: np.ndarray, mask: np.ndarray) -> None:
 
 
 def _share_of_cells(mask: np.ndarray, side: int) -> np.ndarray:
-    """Return the share of a mask in every cell of so many px a side, (h, w) float32."""
+    """Return the covered share of every cell, `side` px wide, by a mask, (h, w) float32."""
     height, width = (-(-length // side) for length in mask.shape)
     below, right = side * height - mask.shape[0], side * width - mask.shape[1]
     padded = cv2.copyMakeBorder(
@@ -353,7 +353,7 @@ def _share_of_cells(mask: np.ndarray, side: int) -> np.ndarray:
 
 
 def _without_islands(depth: np.ndarray, believed: np.ndarray, island: int) -> np.ndarray:
-    """Return which cells lie among so many that are connected and differ by 1 px at most."""
+    """Return the reliable cells of connected regions with at least `island` cells, (h, w) bool."""
     fixed = np.where(believed, REGION_UNITS * depth + 1, 0).clip(0, np.iinfo(np.int16).max)
     fixed = fixed.astype(np.int16)
     cv2.filterSpeckles(fixed, 0, island, REGION_UNITS)

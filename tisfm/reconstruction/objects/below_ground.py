@@ -27,35 +27,35 @@ from tisfm.reconstruction.objects.motion_evidence import (
 
 # Share of the frame that shows the ground.
 MIN_GROUND = 0.03
-# Cameras are held upright: the inverse depth of the ground changes from top to bottom by this much
-# more than from left to right,
+# An upright camera: the inverse depth of the ground changes less from left to right than this share
+# of its change from top to bottom,
 MIN_VERTICAL_SLOPE = 0.15
-# and by this share of the inverse depth in the middle.
+# and its inverse depth at the image centre is smaller than this share of that change.
 MIN_SLOPE_TO_CENTRE = 0.4
 # Share of the inverse depth within which a pixel fits the ground plane.
 FIT_TOLERANCE = 0.07
 # Trials of the robust fit.
 RANSAC_TRIALS = 300
-# Pixels that are drawn for it.
+# Pixels on which the trials are compared.
 RANSAC_POINTS = 4000
-# Least-squares rounds after it.
+# Least-squares rounds after the trials.
 FIT_ROUNDS = 3
-# Relative change of the height of the camera above the ground: a vehicle keeps its height, a hand
-# above a table does not.
+# Largest relative change of the camera's height above the ground. A vehicle keeps its height, a
+# hand above a table does not.
 MAX_HEIGHT_CHANGE = 0.3
-# Frames before and after that this height is compared with.
+# Frames before and after with which this height is compared.
 HEIGHT_FRAMES = 10
-# Share of these frames with the same height.
+# Share of these frames that need a ground plane.
 MIN_STEADY_SHARE = 0.5
 # Depth of a pixel below the ground, as a multiple of the depth of the ground.
 MIN_DEPTH_RATIO = 1.3
 # Share of the largest inverse depth of the ground: farther pixels are not judged.
 MIN_JUDGED_DEPTH = 0.2
-# Frames before and after in which points are searched that an object hides.
+# Distances, in frames, of the frames whose static points an object may hide.
 HIDDEN_STEPS = (3, 5, 8)
-# Grey levels: mean difference at a point that is hidden.
+# Grey levels: smallest mean difference at the position of a hidden point.
 MIN_GREY_DIFFERENCE = 12.0
-# Points that an object has to hide, per root of its area in px.
+# Points that an object has to hide, per square root of its area in px.
 MIN_HIDDEN = 1.0
 
 
@@ -95,11 +95,11 @@ class BelowGround:
     ----------
     motion : ImageMotion
     poses : sequence of (4, 4) array or None
-        Camera to world, of every frame in one scale; None where there is none.
+        Camera to world, of every frame, in one scale; None for a frame without a pose.
     camera : Camera
-        Of the frames of the image motion.
+        A pinhole, for the frames of the image motion.
     depths : sequence of StaticDepth or None
-        Of every frame; None where there is none.
+        Static depth of every frame.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class BelowGround:
         ]
 
     def evidence(self, frame: int, moving: np.ndarray) -> Evidence | None:
-        """Return the evidence of pixels whose apparent depth lies below the ground; None for none.
+        """Return the evidence of pixels whose apparent depth lies below the ground, or None.
 
         Parameters
         ----------
@@ -147,7 +147,7 @@ class BelowGround:
         return Evidence(moving=MOVING_EVIDENCE * weight, weight=weight)
 
     def _ground(self, depth: StaticDepth) -> np.ndarray | None:
-        """Return the ground plane, (3,): its product with a ray is the inverse depth."""
+        """Return the ground plane, (3,), or None. Its product with a ray is the inverse depth."""
         below_middle = depth.at_rest & (self._rays[..., 1] > 0)
         rays, inverse_depth = self._rays[below_middle], depth.inverse_depth[below_middle]
         if len(rays) < MIN_GROUND * depth.at_rest.size:
@@ -171,9 +171,9 @@ class BelowGround:
         return plane if _is_upright(plane) else None
 
     def _steady_ground(self, frame: int) -> np.ndarray | None:
-        """Return the ground's plane in a frame, (3,), if it is as far below the camera in others.
+        """Return the median ground plane, (3,), of the frames around a frame.
 
-        None if it is not.
+        None if the height of the camera above the ground changes, or too few frames show it.
         """
         around = slice(max(0, frame - HEIGHT_FRAMES), frame + HEIGHT_FRAMES + 1)
         planes = [plane for plane in self._grounds[around] if plane is not None]
@@ -186,10 +186,11 @@ class BelowGround:
         return plane if most - least < MAX_HEIGHT_CHANGE * plane[1] else None
 
     def _hiding(self, frame: int) -> np.ndarray:
-        """Return the pixels, (H, W) bool, that hide points at rest which would hide them.
+        """Return the pixels, (H, W) bool, that hide static points nearer than their apparent depth.
 
-        Image motion loses those points on the way, and where they would be something is seen that
-        looks otherwise, and is further away.
+        The static points are known from other frames. The image motion loses them on the way to
+        this frame. At their projected position, this frame has other grey levels and a larger
+        apparent depth.
         """
         found = np.zeros(self._rays.shape[:2], bool)
         grey, own = self._motion.grey(frame), self._depths[frame]
@@ -215,7 +216,7 @@ class BelowGround:
         return found
 
     def _clear(self, frame: int, ground: np.ndarray) -> np.ndarray:
-        """Return how far the images refute that pixels lie on the ground, (H, W), 0 to 1."""
+        """Return how clearly the images refute that a pixel lies on the ground, (H, W), 0 to 1."""
         grey, depth = self._motion.grey(frame), self._depths[frame].inverse_depth
         clear = np.zeros(depth.shape, np.float32)
         for way in (-1, 1):
@@ -254,7 +255,7 @@ def _rays(camera: Camera, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _is_upright(planes: np.ndarray) -> np.ndarray:
-    """Return which planes, (..., 3), a camera that is held upright sees below it."""
+    """Return which planes, (..., 3), are ground below an upright camera."""
     across, down, middle = np.moveaxis(planes, -1, 0)
     return (np.abs(across) < MIN_VERTICAL_SLOPE * down) & (
         np.abs(middle) < MIN_SLOPE_TO_CENTRE * down
@@ -266,7 +267,7 @@ def _fits(of_plane: np.ndarray, inverse_depth: np.ndarray) -> np.ndarray:
 
 
 def _inner_parts(below: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield the connected parts, (H, W) bool, that are large enough and at no side."""
+    """Yield the large connected parts, (H, W) bool, that touch neither side of the frame."""
     opened = cv2.morphologyEx(below.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     count, parts, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
     width = below.shape[1]

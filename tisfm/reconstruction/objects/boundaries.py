@@ -1,4 +1,4 @@
-"""Boundaries of things, where the frames before and after show them."""
+"""Boundaries of moving objects, refined by the next and the previous frame."""
 
 import cv2
 import numpy as np
@@ -8,7 +8,7 @@ from tisfm.reconstruction.frames.image_motion import ImageMotion, pixel_grid, sa
 
 # Values without a stated source were set by hand.
 
-# px: a boundary moves by no more.
+# px: largest shift of a boundary.
 MAX_SHIFT = 10
 # px: width of the rim of an object whose motion is unreliable.
 RIM_WIDTH = 5
@@ -16,19 +16,20 @@ RIM_WIDTH = 5
 MIN_CORE = 30
 # Grey levels that are added to the median difference.
 MIN_DIFFERENCE = 2.0
-# Cost of another label than before, in squared ratios of a difference to the usual one.
+# Cost of a changed label, in squared ratios of a grey-level difference to the usual difference.
 CHANGE_COST = 2.0
-# Cost of a label at most, in the same unit.
+# Largest cost of a label, in the same unit.
 MAX_COST = 16.0
 # Data weight of pixels near a boundary, of 1.
 BAND_WEIGHT = 0.5
 
 
 def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np.ndarray:
-    """Return labels with boundaries where the frames before and after show them, (H, W) int32.
+    """Return labels with refined boundaries, (H, W) int32.
 
-    What lies on either side of a boundary goes on beyond it. A pixel belongs to what the frame
-    after or the one before shows it to go with: behind a thing that goes on, one of them does.
+    The motion on each side of a boundary is continued beyond it. A pixel takes the label whose
+    motion the next or the previous frame supports. Behind a moving object, at least one of the two
+    frames shows the pixel.
     """
     numbers = np.unique(labels)
     if len(numbers) < 2:
@@ -61,7 +62,7 @@ def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np
 
 
 def _going_on(flow: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return a flow, (H, W, 2), as it is within a mask, and beyond as at the nearest pixel."""
+    """Return a flow, (H, W, 2), continued beyond a mask from the nearest pixel inside."""
     _, nearest = cv2.distanceTransformWithLabels(
         np.uint8(~mask), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )

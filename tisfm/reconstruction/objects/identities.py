@@ -22,17 +22,17 @@ from tisfm.reconstruction.objects.moving_regions import find_moving_regions
 from tisfm.reconstruction.objects.smooth_motion import MIN_PIXELS, SmoothMotions, Terms
 
 # Values without a stated source were set by hand.
-# Share of a region's pixels with the propagated label of an object: the region shows that object.
+# A region shows a known object if this share of its pixels has the propagated label.
 MIN_PROPAGATED = 0.1
-# Frames that an object may be occluded and keep its id.
+# Frames for which an object may be occluded and still keep its id.
 MAX_OCCLUSION = 15
-# Overlap of grey-level histograms of the same object, 0 to 1.
+# Smallest overlap of two grey-level histograms of the same object, 0 to 1.
 MIN_HISTOGRAM_OVERLAP = 0.6
-# Distance from the predicted position after occlusion, in sizes of the object.
+# Largest distance from the predicted position after occlusion, in sizes of the object.
 MAX_DISTANCE = 1.5
 # Growth of this distance with each occluded frame, as a share.
 DISTANCE_GROWTH = 0.1
-# Visible share of an object that was occluded, for it to be recognised.
+# Share of an occluded object that has to reappear before it is recognised.
 MIN_REAPPEARED = 0.2
 # Bins of a grey-level histogram.
 BINS = 16
@@ -42,25 +42,27 @@ REACH_SHARE = 0.1
 MIN_QUADRATIC = 0.5
 # Visible share of an object that is needed for an affine motion; with less, one velocity is fitted.
 MIN_AFFINE = 0.15
-# Standard deviations: pixels that differ by more from the motion of an object are another object.
+# Standard deviations: pixels that differ by more from the motion of an object belong to another
+# one.
 MAX_MOTION_DEVIATIONS = 4.0
-# Error of the own motion of such pixels, as a share of the error of the known motions.
+# Largest error of such pixels from a motion fitted to them, as a share of their error from the
+# known motions.
 MAX_OWN_ERROR = 0.5
-# px: errors of a motion are limited to this.
+# px: limit of the errors of a motion.
 MAX_ERROR = 1e3
-# Share of the smallest error of a pixel: tolerance between motions where none fits.
+# Tolerance between motions where none fits, as a share of the smallest error of the pixel.
 ERROR_TOLERANCE = 0.5
-# Cost of a motion, in squared ratios of its error to the usual one.
+# Largest cost of a motion, in squared ratios of its error to the usual error.
 MAX_COST = 16.0
-# Cost of another label than the propagated one, in the same unit.
+# Cost of a label that differs from the propagated one, in the same unit.
 CHANGE_COST = 2.0
 # Data weight of pixels of a region with known motion, of 1.
 KNOWN_WEIGHT = 0.5
 # Data weight of all other pixels.
 UNKNOWN_WEIGHT = 0.02
-# Labels: 255 marks ignored pixels where labels are given.
+# Largest label: in given labels, 255 marks ignored pixels.
 MAX_OBJECTS = 254
-# Frames that show an object.
+# Frames in which an object has to be seen.
 MIN_FRAMES = 4
 # A smaller object is a part of a larger one if it touches it in this share of its frames, and
 # their motions differ by less than MAX_SAME_MOTION,
@@ -131,7 +133,7 @@ class ObjectTracker:
         self._touching: dict[tuple[int, int], int] = {}
 
     def labels(self) -> Iterator[np.ndarray]:
-        """Yield the labels of every frame, (H, W) uint8, in the size of the image motion's.
+        """Yield the labels of every frame, (H, W) uint8, in the size of the image motion.
 
         Static pixels have 0. Objects are numbered from 1 in the order in which they appear.
         """
@@ -180,7 +182,7 @@ class ObjectTracker:
     ) -> None:
         """Assign each pixel of a region to the object whose motion it follows.
 
-        Pixels that follow none of them are an object that was occluded, or a new one.
+        Pixels that follow no known motion become an object that was occluded, or a new one.
         """
         far: dict[int, np.ndarray] = {}  # error of each motion, px
         unlike = np.full(region.shape, np.inf, np.float32)  # smallest error, in standard deviations
@@ -246,7 +248,7 @@ class ObjectTracker:
     def _reappeared(
         self, frame: int, region: np.ndarray, labels: np.ndarray, carried: np.ndarray
     ) -> int:
-        """Return the id of the occluded object that a region shows again; 0 for none."""
+        """Return the id of the occluded object that reappears in a region; 0 for none."""
         there = set(np.unique(labels)) | set(np.unique(carried))
         place = np.array([*_center(region), region.sum() ** 0.5])
         look = self._histogram(frame, region)
@@ -263,7 +265,7 @@ class ObjectTracker:
 
     @staticmethod
     def _likeness(obj: _Object, place: np.ndarray, look: np.ndarray, away: int) -> float:
-        """Return how alike a region and an object of `away` frames ago are; 0 for not at all."""
+        """Return the likeness of a region and an object last seen `away` frames ago; 0 for none."""
         if not obj.whole.any():
             return 0.0
         size = max(place[2], obj.whole.sum() ** 0.5)
@@ -291,7 +293,7 @@ class ObjectTracker:
         regions: Sequence[tuple[np.ndarray, bool]],
         motions_of: SmoothMotions,
     ) -> None:
-        """Update the state of the objects of a frame, and count which of them touch."""
+        """Update the state of the objects in a frame, and count the pairs that touch."""
         flow = motions_of.flow
         for number in np.unique(labels[labels > 0]):
             obj, mask = self._objects[number], labels == number
@@ -349,10 +351,10 @@ class ObjectTracker:
         return table
 
     def _same_before(self, late: int, whole: np.ndarray) -> int:
-        """Return the object that was occluded before a later one appeared and looks alike, or 0."""
+        """Return the object, occluded earlier, that looks like a later one; 0 for none."""
         obj = self._objects[late]
         frames = [f for k in np.flatnonzero(whole == late) for f in self._objects[int(k)].motions]
-        if not frames:  # the refined boundary left no pixel of it
+        if not frames:  # the refined boundary left no pixel of the object
             return 0
         first = min(frames)
         best, found = 0.0, 0

@@ -1,4 +1,4 @@
-"""Labels of some frames, carried by the image motion to those that have none."""
+"""Propagation of labels, along the image motion, to the frames without labels."""
 
 from collections.abc import Callable, Iterator, Sequence
 
@@ -10,7 +10,7 @@ from tisfm.reconstruction.objects.boundaries import refine_boundaries
 
 # Values without a stated source were set by hand.
 
-# Cost of another label than the propagated one.
+# Cost of a label that differs from the propagated one.
 CHANGE_COST = 6.0
 # Data weight of pixels where forward and backward motion agree.
 FOLLOWED_WEIGHT = 0.5
@@ -21,11 +21,11 @@ LOST_WEIGHT = 0.02
 def propagate_labels(
     motion: ImageMotion, known: Sequence[int], labelled: Callable[[int], np.ndarray]
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield the other frames and their labels, (H, W) int32, from the nearest frame that has some.
+    """Yield the frames without labels and labels for them, (H, W) int32, from the nearest frame.
 
-    From frame to frame, a pixel keeps the label of where it was. Where the motion does not lead
-    back, as at what was hidden, the neighbours and the edges of the image decide; boundaries are
-    drawn as `refine_boundaries` does. The labels of hidden pixels are lost.
+    A pixel takes the label of its position in the frame before. Where forward and backward motion
+    disagree, as at surfaces that were hidden, the neighbours and the image edges decide.
+    `refine_boundaries` refines the boundaries in every frame. The labels of hidden pixels are lost.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def propagate_labels(
     known : sequence of int
         Frames that have labels, in order; at least one.
     labelled : callable
-        Returns the labels of such a frame, (H, W), in the size of the image motion's.
+        Returns the labels of such a frame, (H, W), in the size of the frames of the image motion.
     """
     for place, frame in enumerate(known):
         before = known[place - 1] if place else -frame - 1
@@ -47,7 +47,7 @@ def propagate_labels(
 
 
 def _carried(motion: ImageMotion, frame: int, other: int, labels: np.ndarray) -> np.ndarray:
-    """Return the labels of a frame, (H, W) int32, from those of the one before or after it."""
+    """Return the labels of a frame, (H, W) int32, from the labels of a neighbour frame."""
     numbers = np.unique(labels)
     led = next(led for led in motion.chained_flows(frame, 1) if led.frame == other)
     shares = np.stack([sample_image(np.float32(labels == k), led.places) for k in numbers])

@@ -20,7 +20,7 @@ from tisfm.reconstruction.frames.image_motion import ImageMotion, pixel_grid, sa
 # Values without a stated source were set by hand.
 # Distances, in frames, of the frames that a frame is compared with, before and after.
 FRAME_STEPS = (1, 3)
-# Share of the longer side: standard deviation of the image motion that is added to that of the fit.
+# Standard deviation of the image motion, as a share of the longer side; added to that of the fit.
 MIN_DEVIATION = 1.5e-4
 # Standard deviations from the motion of the camera at which evidence is neutral.
 NEUTRAL_DEVIATIONS = 3.0
@@ -34,11 +34,11 @@ STATIC_PRIOR = 0.3
 PASSED_SHARE = 0.8
 # px: side of the window that images are compared in.
 COMPARE_WINDOW = 5
-# Grey levels of additional difference that refute a static position.
+# Additional difference, in grey levels, that refutes a static position.
 REFUTING_DIFFERENCE = 4.0
-# Weight of evidence that no difference in grey levels supports, of 1.
+# Weight, of 1, of evidence without support from grey levels.
 MIN_SUPPORT = 0.05
-# Largest static inverse depth that is tried, as a multiple of the largest usual one.
+# Largest static inverse depth that is tried, as a multiple of the largest usual inverse depth.
 TRIED_DEPTH_FACTOR = 3.0
 # px between two static positions that are tried.
 TRIED_STEP = 2.0
@@ -98,7 +98,7 @@ class Evidence:
         )
 
     def overruled_by(self, other: "Evidence") -> "Evidence":
-        """Return the evidence with another one that finds objects which look static here."""
+        """Return the evidence, overruled by one that finds objects which look static here."""
         counts = (self.moving > 0) | (other.weight == 0)
         return Evidence(
             moving=counts * self.moving + other.moving,
@@ -163,7 +163,7 @@ def accumulate_evidence(motion: ImageMotion, evidence: Sequence[Evidence]) -> Se
 def _one_way(motion: ImageMotion, evidence: Sequence[Evidence], way: int) -> DiskCache[Evidence]:
     """Return the evidence accumulated from earlier frames, or, with way −1, from later ones.
 
-    The result is in this order of frames.
+    The result has the frames in the order of accumulation.
     """
     found, last = DiskCache(Evidence.arrays, Evidence.of_arrays), None
     for frame in range(len(evidence))[::way]:
@@ -207,7 +207,7 @@ class StaticMotion:
         self._translation = translation.astype(np.float32)
 
     def places(self, inverse_depth: np.ndarray | float) -> np.ndarray:
-        """Return positions, (H, W, 2) float32, of points of an inverse depth, 1/unit of t."""
+        """Return positions, (H, W, 2) float32, of points with an inverse depth, 1/unit of t."""
         moved = [
             turned + np.float32(inverse_depth) * part
             for turned, part in zip(cv2.split(self._turned), self._translation, strict=True)
@@ -264,9 +264,9 @@ def support_of_motion(
 ) -> np.ndarray:
     """Return how far the images support the image motion against every static position.
 
-    In a bare area all positions look alike, and the image motion is arbitrary. Where the image
-    motion is wrong, some static depth fits the images as well or better. One depth has to fit all
-    given frames.
+    In an area without texture all positions look alike, and the image motion is arbitrary. Where
+    the image motion is wrong, some static depth fits the images as well or better. One depth has to
+    fit all given frames.
 
     Parameters
     ----------
@@ -313,7 +313,7 @@ def _missed(
 
 
 def grey_difference(other: np.ndarray, places: np.ndarray, grey: np.ndarray) -> np.ndarray:
-    """Return the difference of a frame and another one at positions, grey levels, (H, W) float32.
+    """Return the difference of two frames at positions, grey levels, (H, W) float32.
 
     It is averaged over windows.
     """

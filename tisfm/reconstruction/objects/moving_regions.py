@@ -1,4 +1,4 @@
-"""Parts of a frame that move on their own, by what several frames say of every pixel."""
+"""Moving regions of a frame, from the evidence of several frames on every pixel."""
 
 from collections.abc import Iterator
 
@@ -41,7 +41,7 @@ def find_moving_regions(
     grey : (H, W) float32
     evidence : Evidence
     known : (H, W) bool
-        What belongs to things that were seen to move before.
+        Pixels of objects that moved in earlier frames.
     """
     mean = evidence.mean()
     core = (mean > CORE_EVIDENCE) & (evidence.weight > MIN_CORE_FRAMES)

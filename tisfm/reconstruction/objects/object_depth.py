@@ -1,4 +1,4 @@
-"""The moving objects of a sequence: the path of each, and its depth in that of the frames."""
+"""The moving objects of a sequence: their paths, and their depth within the depth of the frames."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -26,7 +26,7 @@ def objects_with_depth(
     with_depth: bool = True,
     sizes: Mapping[int, float] | None = None,
 ) -> tuple[MovingObject, ...]:
-    """Return the moving objects. Their depth is written into that of the frames.
+    """Return the moving objects. Their depth is written into the depth files of the frames.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def objects_with_depth(
         The piece of each frame; −1 for none. Objects are placed in the largest piece.
     settings : Settings
     with_depth : bool
-        Whether depth is found as well as paths.
+        Whether depth is found in addition to paths.
     sizes : mapping of int to float, optional
         Known lengths of objects by their ids, in the unit of the poses.
     """
@@ -101,7 +101,7 @@ def place_object(
     poses : (N, 4, 4) array
         Of the camera, camera to world.
     scale : float
-        Its found_path unit, in the unit of the world.
+        Length of the unit of `found_path`, in the unit of the world.
     scale_from : {"size", "contact", "around", "none"}
     """
     points = found_path.points()
@@ -111,7 +111,7 @@ def place_object(
     found = obj.poses.copy()
     for number, pose in found_path.piece.poses.items():
         frame = found_path.frames[number]
-        own_to_camera = np.linalg.inv(moved @ pose)  # of the object, in its found_path unit
+        own_to_camera = np.linalg.inv(moved @ pose)  # pose of the object, in the unit of found_path
         own_to_camera[:3, 3] *= scale
         found[at[frame]] = poses[frame] @ own_to_camera
     return replace(obj, poses=found, extent=scale * reach(points), scale_from=scale_from)

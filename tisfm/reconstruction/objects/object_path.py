@@ -1,7 +1,7 @@
-"""Path and depth of a thing that moves on its own, in axes of its own.
+"""Path and depth of a moving object, in its own axes.
 
-To a thing, the camera is what moves: its path and depth are found as those of a sequence at rest
-are, from what belongs to the thing alone.
+In the axes of the object, the object rests and the camera moves. For this reason path and depth are
+found as in a static scene, from the pixels of the object alone.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -21,18 +21,18 @@ from tisfm.settings import Settings
 
 # Values without a stated source were set by hand.
 
-# Frames that show an object.
+# Frames in which an object has to be seen.
 MIN_FRAMES = 3
 # Pixels of the object in each of these frames.
 MIN_PIXELS = 400
 # px: width of the rim of an object without tracks.
 RIM_WIDTH = 5
-# px from track to track.
+# px: smallest distance between tracks.
 MIN_TRACK_DISTANCE = 6
-# px around an object: depth is found there too.
+# px: margin around an object in which depth is found too.
 BOX_MARGIN = 24
-# px: the box of an object starts at a multiple of this number, since pixels of the coarsest
-# matched level are whole then.
+# px: the box of an object starts at a multiple of this number, so that it holds whole pixels of the
+# coarsest matched level.
 BOX_ALIGNMENT = 16
 
 
@@ -43,9 +43,9 @@ class ObjectPath:
     Attributes
     ----------
     frames : list of int
-        Of the sequence, by the numbers that piece and depth have.
+        Frame of the sequence, by the frame number that `piece` and `depths` use.
     piece : Piece
-        Camera to object, and the object's points.
+        Poses, camera to object, and the points of the object.
     depths : list of FrameDepth
     """
 
@@ -68,7 +68,7 @@ class _FramesOf:
     labelled : callable
         Returns the labels of a frame, (H, W).
     number : int
-        Of the thing.
+        Id of the object.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ def find_object_path(
         Returns the labels of a frame, (H, W).
     settings : Settings
     with_depth : bool
-        Or the path alone.
+        Whether depth is found in addition to the path.
     """
     numbers = [frame for frame in thing.frames if (labelled(frame) == thing.id).sum() >= MIN_PIXELS]
     if len(numbers) < MIN_FRAMES:
@@ -140,7 +140,7 @@ def find_object_path(
             cells=max(CELLS, round(cells)),
             focal_known=False,
         )
-    except ValueError:  # its views are out of order
+    except ValueError:  # the views do not fit together
         return "what it shows from frame to frame does not fit together"
     if not path.pieces:
         return "it does not turn or come nearer enough, or is not rigid: its motion shows no depth"
@@ -152,16 +152,16 @@ def find_object_path(
 def find_object_depths(
     own: Frames, piece: Piece, seen: Sequence[Observations], settings: Settings
 ) -> list[FrameDepth]:
-    """Return the depth of frames within the common bounding box of their counted pixels.
+    """Return the depth of frames within the bounding box of the counted pixels of all frames.
 
-    Elsewhere there is none.
+    Pixels outside the box get no depth.
 
     Parameters
     ----------
     own : Frames
     piece : Piece
     seen : sequence of Observations
-        Tracks of every frame, on what counts.
+        Tracks of every frame, on counted pixels.
     settings : Settings
     """
     part = _PartOf(own, _box_of(own, piece.poses))
@@ -174,7 +174,7 @@ def find_object_depths(
 
 
 def _box_of(own: Frames, frames: Iterable[int]) -> tuple[slice, slice]:
-    """Return the rows and columns of this box of some frames, with a margin."""
+    """Return the rows and columns of the bounding box of counted pixels, with a margin."""
     counts = np.zeros(own.shape, bool)
     for frame in frames:
         counted = own.counted(frame)
@@ -191,7 +191,7 @@ def _box_of(own: Frames, frames: Iterable[int]) -> tuple[slice, slice]:
 
 
 class _PartOf:
-    """Cut-out frames with their camera.
+    """Crops of frames, with their camera.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ class _PartOf:
         self.camera = replace(frames.camera, center=(cx - columns.start, cy - rows.start))
 
     def grey(self, number: int) -> np.ndarray:
-        """Return the cut-out of a frame, (h, w) float32."""
+        """Return the crop of a frame, (h, w) float32."""
         return np.ascontiguousarray(self._frames.grey(number)[self._box])
 
     def counted(self, number: int) -> np.ndarray | None:
@@ -218,7 +218,7 @@ class _PartOf:
         return None if counted is None else np.ascontiguousarray(counted[self._box])
 
     def within_the_whole(self, depth: FrameDepth) -> FrameDepth:
-        """Return depth of the cut-out as that of a whole frame."""
+        """Return the depth of a crop in the size of the whole frame."""
         inverse_depth, deviation = (
             np.full(self._frames.shape, value, np.float32) for value in (np.nan, np.inf)
         )

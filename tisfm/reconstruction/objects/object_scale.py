@@ -1,7 +1,7 @@
-"""What a thing's own path and depth are multiplied by in the world.
+"""Scale of a moving object: the factor from the unit of its own path to the unit of the world.
 
-Motion alone does not show it: a known size does, or where the thing stands, or roughly what is
-around it.
+Motion alone does not give the scale. A known size gives it, or the contact of the object with the
+ground, or, roughly, the depth around the object.
 """
 
 from collections.abc import Callable
@@ -18,9 +18,9 @@ from tisfm.reconstruction.result.moving_object import ScaleFrom
 
 # Share of the points that is dropped at both ends of an axis before an extent is measured.
 TRIMMED_SHARE = 0.03
-# px around an object whose depth may tell its distance.
+# px: width of the ring around an object whose depth may give the distance of the object.
 SURROUNDINGS = 15
-# Orientations of a box that are tried for the smallest one.
+# Random orientations of a box that are tried for the smallest box.
 BOX_TRIALS = 2000
 # Points that boxes are fitted to.
 MAX_BOX_POINTS = 1000
@@ -33,19 +33,19 @@ def find_object_scale(
     labelled: Callable[[int], np.ndarray],
     size: float | None = None,
 ) -> tuple[float, ScaleFrom]:
-    """Return the scale of a thing, and what it is from.
+    """Return the scale of an object, and its source.
 
     Parameters
     ----------
     own : ObjectPath
     number : int
-        Its label.
+        Label of the object.
     inverse_depth : callable
-        Returns that of a frame at rest, (H, W), of the world's unit.
+        Returns the static inverse depth of a frame, (H, W), 1/unit of the world.
     labelled : callable
         Returns the labels of a frame, (H, W).
     size : float, optional
-        Its length in the world's unit, as `longest_side` is one, if it is known.
+        Known length of the object, as `longest_side` measures it, in the unit of the world.
     """
     if size is not None:
         side = longest_side(own.points())
@@ -65,7 +65,7 @@ def find_object_scale(
         window = np.ones((2 * SURROUNDINGS + 1, 2 * SURROUNDINGS + 1), np.uint8)
         ring = (cv2.dilate(np.uint8(mine), window) > 0) & (labels == 0) & (behind > 0)
         if ring.any():
-            # It hides what is around it, so it is at least as near as the nearest there.
+            # The object occludes its surroundings, so it is at least as near as their nearest part.
             nearest = np.quantile(behind[ring], 0.9)
             around.append(float(np.median(depth.inverse_depth[sure]) / nearest))
     if len(contacts) >= max(2, len(own.depths) / 4):
@@ -82,9 +82,9 @@ def reach(points: np.ndarray) -> np.ndarray:
 
 
 def longest_side(points: np.ndarray) -> float:
-    """Return the longest side of the box of the least surface around points, (N, 3).
+    """Return the longest side of the box with the least surface around points, (N, 3).
 
-    However they are turned, it is the same. Its sides are as `reach` measures.
+    It does not depend on the orientation of the points. `reach` measures the sides.
     """
     some = points[:: 1 + len(points) // MAX_BOX_POINTS]
     random = np.random.default_rng(0)

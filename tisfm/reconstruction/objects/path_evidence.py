@@ -1,7 +1,7 @@
-"""What the camera's path says of whether a pixel is at rest: one depth has to serve many frames.
+"""Evidence from the camera path on static pixels: one depth has to fit many frames.
 
-Between two frames a thing that moves along epipolar lines looks like another depth, and as long as
-it moves so steadily. Over many it hardly does.
+In two frames, an object that moves along epipolar lines looks like static points at another depth.
+Over many frames, such a motion hardly ever fits one depth.
 """
 
 from collections.abc import Sequence
@@ -26,9 +26,10 @@ from tisfm.reconstruction.objects.motion_evidence import (
 FRAME_STEPS = (1, 2, 3, 5, 8)
 # Reweighted rounds of the robust fit of depth.
 FIT_ROUNDS = 3
-# px per root of the frame step: error with half the weight.
+# px per square root of the frame distance: error with half the weight.
 OUTLIER_PIXELS = 3.0
-# Share of the longer side: if the usual error is larger, the path is not that of static points.
+# Largest usual error, as a share of the longer side; with a larger one, the path does not fit the
+# static points.
 MAX_USUAL_ERROR = 1.5e-3
 
 
@@ -39,20 +40,20 @@ def path_evidence(
     camera: Camera,
     moving: np.ndarray,
 ) -> tuple[Evidence, np.ndarray] | None:
-    """Return what many frames say of a frame's pixels, under known poses; None if that is nothing.
+    """Return the evidence of many frames on a frame's pixels, under known poses, or None.
 
-    And the inverse depth, (H, W) float32, that serves them.
+    Also return the inverse depth, (H, W) float32, that fits these frames best.
 
     Parameters
     ----------
     motion : ImageMotion
     frame : int
     poses : sequence of (4, 4) array or None
-        Camera to world, of every frame in one scale; None where there is none.
+        Camera to world, of every frame, in one scale; None for a frame without a pose.
     camera : Camera
-        Of the frames of the image motion.
+        A pinhole, for the frames of the image motion.
     moving : (H, W) bool
-        What is known to move.
+        Pixels that are known to move.
     """
     pose = poses[frame]
     if pose is None:
@@ -74,10 +75,12 @@ def path_evidence(
     usual = 1.48 * float(np.median(far[resting]))
     if usual > MAX_USUAL_ERROR * max(shape):
         return None
-    usual += MIN_DEVIATION / 2 * max(shape)  # many frames are surer than one
+    usual += MIN_DEVIATION / 2 * max(shape)  # many frames are more certain than one
     says = np.clip((far / (usual * NEUTRAL_DEVIATIONS)) ** 2 - 1, STATIC_EVIDENCE, MOVING_EVIDENCE)
     near = inverse_depth[resting & (says < 0)]
-    last = {led.frame > frame: (led, at_rest) for led, at_rest in views}  # of each side
+    last = {
+        led.frame > frame: (led, at_rest) for led, at_rest in views
+    }  # the last view on each side
     compared = [
         (motion.grey(led.frame), led.places, led.found, at_rest) for led, at_rest in last.values()
     ]
@@ -90,13 +93,13 @@ def path_evidence(
 def _joint_depth(
     views: Sequence[tuple[ChainedFlow, StaticMotion]], shape: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the inverse depth that serves frames best, and how far it is off, px, (H, W) each."""
+    """Return the inverse depth that fits all views best, and its error, px, (H, W) each."""
     inverse_depth = np.zeros(shape, np.float32)
     for number in range(FIT_ROUNDS):
         squares, products = np.full(shape, 1e-12, np.float32), np.zeros(shape, np.float32)
         for led, at_rest in views:
             slope, missed = at_rest.slope_and_missed(inverse_depth, led.places)
-            weight = led.found / np.float32(led.steps)  # of chains, errors add up
+            weight = led.found / np.float32(led.steps)  # errors add up along a chain
             if number:
                 off = np.linalg.norm(missed, axis=-1) / np.float32(led.steps**0.5)
                 weight = weight / (1 + (off / OUTLIER_PIXELS) ** 2)

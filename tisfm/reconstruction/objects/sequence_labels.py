@@ -23,7 +23,7 @@ from tisfm.reconstruction.objects.path_evidence import path_evidence
 KNOWN, HALF = (
     0.3,
     STATIC_EVIDENCE / 2,
-)  # frames that say something, and what they say of what is at rest
+)  # static depth needs evidence of more than KNOWN frames, with a mean below HALF
 
 
 class SequenceLabels:
@@ -32,7 +32,7 @@ class SequenceLabels:
     Parameters
     ----------
     camera : Camera
-        A pinhole, of the frames. A guess of its focal length serves.
+        A pinhole, for the frames. A guessed focal length is enough.
     """
 
     def __init__(self, camera: Camera) -> None:
@@ -54,10 +54,10 @@ class SequenceLabels:
         Parameters
         ----------
         poses : sequence of (4, 4) array or None, optional
-            Camera to world, where the path is known: what many frames say under it counts as well.
-            None for frames without one.
+            Camera to world, if the path is known; the evidence of many frames under this path is
+            added. None for a frame without a pose.
         camera : Camera, optional
-            A pinhole, of the frames, that the path was found with.
+            The pinhole, for the frames, with which the path was found.
         """
         ground = None
         if poses is not None and camera is not None:
@@ -94,8 +94,8 @@ class SequenceLabels:
     ) -> Iterator[np.ndarray]:
         """Yield the labels of every frame, with objects below the ground added.
 
-        Those are things of their own: nothing shows where they end on the ground, which may lead to
-        what moves otherwise.
+        They get ids of their own. Their lower boundary on the ground is unknown, so a region below
+        the ground may run into another moving object.
         """
         known: DiskCache[np.ndarray] = DiskCache(lambda labels: (labels,), lambda labels: labels)
         evidence = DiskCache(Evidence.arrays, Evidence.of_arrays)
@@ -123,7 +123,7 @@ def enlarge_labels(labels: np.ndarray, share: float, shape: Sequence[int]) -> np
     ----------
     labels : (h, w) array
     share : float
-        Px of theirs to a px of the frames.
+        Pixels of the shrunk frames per pixel of the frames.
     shape : (int, int)
         Height and width of the frames, px.
     """

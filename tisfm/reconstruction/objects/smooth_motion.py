@@ -8,13 +8,13 @@ from tisfm.reconstruction.frames.image_motion import ImageMotion, pixel_grid, ve
 
 # Values without a stated source were set by hand.
 
-# Pixels that a smooth motion is fitted to.
+# Smallest number of pixels for the fit of a smooth motion.
 MIN_PIXELS = 30
-# Pixels that a quadratic motion is fitted to.
+# Smallest number of pixels for the fit of a quadratic motion.
 MIN_PIXELS_QUADRATIC = 400
-# px from the expected velocity: pixels with another motion count little in the first round.
+# px: pixels that differ by more from the expected velocity count little in the first round.
 START_TOLERANCE = 1.0
-# px: standard deviation of a smooth motion at least.
+# px: smallest standard deviation from a smooth motion.
 MIN_DEVIATION = 0.2
 
 Terms = Literal[1, 3, 6]
@@ -26,9 +26,9 @@ class SmoothMotions:
     Attributes
     ----------
     flow : (H, W, 2) float32
-        To the frame after, or away from that before if it is the last one.
+        To the next frame; for the last frame, the negative of the flow to the previous frame.
     known : (H, W) bool
-        Where one of the frames shows the pixel.
+        Pixels that the next or the previous frame shows.
     """
 
     def __init__(self, motion: ImageMotion, frame: int) -> None:
@@ -47,17 +47,17 @@ class SmoothMotions:
         *,
         terms: Terms = 6,
     ) -> tuple[np.ndarray, float]:
-        """Return the difference from the smooth motion of a mask, (H, W) px; 0 if unknown.
+        """Return each pixel's distance from the smooth motion of a mask, (H, W) px; 0 if unknown.
 
-        And the deviation of what is in the mask from its smooth motion, px.
+        Also return the standard deviation of the mask's own motion from its smooth motion, px.
 
         Parameters
         ----------
         mask : (H, W) bool
         velocity : (2,) array, optional
-            Of most of it, px/frame, if that is known.
+            Velocity of most of the mask, px/frame, if known.
         terms : {1, 3, 6}
-            Of the smooth motion at most: one velocity, an affine or a quadratic motion.
+            Largest model: 1 is one velocity, 3 an affine, 6 a quadratic motion.
         """
         total, count = np.zeros(mask.shape, np.float32), np.zeros(mask.shape, np.float32)
         deviations = []
@@ -85,9 +85,10 @@ def smooth_motion(
     flow : (H, W, 2) float32
     mask : (H, W) bool
     start : (2,) array, optional
-        What moves so, px/frame, counts most at first.
+        Expected velocity, px/frame: pixels near it count most in the first round.
     terms : {1, 3, 6}
-        One velocity, an affine or a quadratic motion; of few pixels it is affine at most.
+        1 is one velocity, 3 an affine, 6 a quadratic motion. With few pixels, the motion is affine
+        at most.
     """
     rows, columns = np.nonzero(mask)
     middle = np.array([np.median(columns), np.median(rows)])

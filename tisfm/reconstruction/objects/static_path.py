@@ -1,4 +1,4 @@
-"""The path through what is at rest, where things move on their own."""
+"""The camera path from static pixels, in a scene with moving objects."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -21,22 +21,24 @@ def find_static_path(
     path_of: Callable[[Calibrate | None], CameraPath],
     take_camera: Callable[[CameraPath], None],
 ) -> CameraPath:
-    """Label what moves on its own, unless it is, and return the path that is left.
+    """Label the moving objects, unless labels are given, and return the path of the static rest.
 
-    The first labels need no path. Under that which they leave, many frames say more. If frames are
-    made anew for a lens or a shutter that was found with it, all begins again with these, as if
-    that camera had been given.
+    The first labels need no path. With the path that follows, many frames give evidence for better
+    labels; if a label changes, the path is found again. If the path has a lens distortion or a
+    rolling shutter, the frames are undistorted first, and all starts again as if this camera had
+    been given.
 
     Parameters
     ----------
     frames : PreparedFrames
-        They take the labels.
+        The labels are stored in them.
     labels : SequenceLabels or None
-        That has the frames; None where they have labels that are given.
+        With all frames added; None if the frames have given labels.
     path_of : callable
-        Returns the path of the frames as they are; what of the camera is found may be stated.
+        Returns the path of the frames in their present state. Its argument states which camera
+        parameters are calibrated.
     take_camera : callable
-        Lets frames have the camera of a path, and makes them anew where it asks for that.
+        Sets the camera of the frames to that of a path, and prepares the frames anew if needed.
     """
     if labels is not None:
         _label(frames, labels.found())
@@ -59,7 +61,7 @@ def find_static_path(
 
 
 def label_remaining_frames(frames: PreparedFrames, known: Sequence[int]) -> None:
-    """Carry the labels of frames that have some, in order, to those that have none."""
+    """Propagate the labels of the `known` frames, in order, to the frames without labels."""
     if len(known) == frames.count:
         return
     motion = ImageMotion(frames.camera, TRACKING_SETTINGS)
@@ -76,7 +78,7 @@ def label_remaining_frames(frames: PreparedFrames, known: Sequence[int]) -> None
 
 
 def _label(frames: PreparedFrames, labels: Iterable[np.ndarray]) -> bool:
-    """Label every frame, and return whether something else moves than before."""
+    """Label every frame, and return whether any label changed."""
     return any([frames.label(number, labelled) for number, labelled in enumerate(labels)])
 
 
