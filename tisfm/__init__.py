@@ -73,8 +73,8 @@ _SUBMODULES = (
 class _CheckoutKernelsFinder:
     """Finds the package `tisfm.kernels` in a checkout, where it lies beside this package.
 
-    Python started in the checkout takes its folder ``tisfm`` for the package, even if another
-    version is installed.
+    Python started in the root of the checkout imports the folder ``tisfm`` of the checkout, even
+    if another version is installed.
     """
 
     @staticmethod

@@ -10,49 +10,50 @@ import numpy as np
 
 from tisfm.errors import InputError, InputTypeError
 
-COEFFICIENTS = (4, 5, 8, 12, 14)  # numbers of coefficients of distortion that OpenCV knows
-POWERS = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3)  # of the radius that they multiply; a tilt has none
-SHORTEST, LONGEST = 1e-3, 1e6  # px: beyond, squares of x̂ and ŷ leave single precision
+COEFFICIENTS = (4, 5, 8, 12, 14)  # numbers of distortion coefficients that OpenCV accepts
+# The power of the radius that each coefficient multiplies; the tilt has none.
+POWERS = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3)
+SHORTEST, LONGEST = 1e-3, 1e6  # px: outside, squares of x̂ and ŷ exceed the range of float32
 
 
 @dataclass(frozen=True, init=False)
 class Camera:
-    """A camera: a pinhole, behind a lens that may distort, and a sensor of square or oblong pixels.
+    """A pinhole camera with lens distortion and square or oblong pixels.
 
     Parameters
     ----------
     focal : float or (float, float), default 600.0
-        Focal length, px; or (fx, fy), in columns and in rows, where pixels are not square. The
-        default is the value the paper uses for every sequence (section 6).
+        Focal length, px; or (fx, fy), in columns and in rows, if pixels are not square. The
+        default is the value that the paper uses for every sequence (section 6).
     center : (float, float), optional
         Principal point (cx, cy), px, in the coordinates of array indices: (0, 0) is the centre
         of the upper left pixel. By default the centre of the image, ((W-1)/2, (H-1)/2).
     distortion : sequence of 4, 5, 8, 12 or 14 floats, optional
         Coefficients of OpenCV's model in OpenCV's order: radial k1, k2, tangential p1, p2, radial
         k3, then k4, k5, k6 of the denominator, s1 to s4 of a thin prism and the tilt τx, τy of the
-        sensor. An array of one row or column, as its calibration returns, will do; its fish-eye
-        model is another one. None, or zeros alone, for a lens that does not distort.
+        sensor. An array of one row or column, as OpenCV's calibration returns it, is accepted.
+        OpenCV's fish-eye model is not supported. None or zeros for a lens without distortion.
     aspect : float, default 1.0
         fy / fx, in place of a second focal length.
     readout : float, optional
-        How long a frame is read, row after row, as a share of the time from a frame of the source
-        to the next: from the first row to the last, in [−1, 1], negative where the last row is
-        read first. 0 where all rows are read at once (a global shutter). By default it is not
-        known: `tisfm.reconstruct` and `tisfm.reconstruct_stream` find it where the motion shows
-        it, and a pair takes it to be 0.
-        What it moves is undone for ``motion="camera"``, of pairs as well; other motions leave it
-        as it is.
+        Readout time of a rolling shutter, from the first row to the last, as a share of the time
+        between two frames of the source. In [−1, 1]; negative if the last row is read first; 0 if
+        all rows are read at once (a global shutter). By default it is unknown:
+        `tisfm.reconstruct` and `tisfm.reconstruct_stream` estimate it if the motion allows that,
+        and for a pair it is assumed to be 0.
+        The effect of the rolling shutter is removed for ``motion="camera"``, also for pairs; with
+        other motion models it stays in the frames.
 
     Attributes
     ----------
     focal : float
-        The smaller of fx and fy: that of the frames once they are resampled to square pixels.
+        The smaller of fx and fy: the focal length of frames resampled to square pixels.
 
     Raises
     ------
     TypeError, ValueError
-        If a value is not a number, not finite, or a focal length or the aspect is not positive; if
-        there is another number of coefficients; if both fy and an aspect other than 1 are given.
+        If a value is not a finite number; if a focal length or the aspect is not positive; if the
+        number of coefficients is another one; if both fy and an aspect other than 1 are given.
 
     Examples
     --------
@@ -110,12 +111,12 @@ class Camera:
 
     @property
     def is_pinhole(self) -> bool:
-        """Whether its frames can be taken as they are: square pixels and no distortion."""
+        """Whether frames need no resampling: pixels are square and the lens does not distort."""
         return self.distortion is None and self.aspect == 1
 
     @property
     def is_tilted(self) -> bool:
-        """Whether the distortion is also that of a tilted sensor."""
+        """Whether the distortion includes a tilted sensor."""
         return any((self.distortion or ())[len(POWERS) :])
 
     def center_for(self, height: int, width: int) -> tuple[float, float]:
@@ -125,18 +126,19 @@ class Camera:
         return (width - 1) / 2, (height - 1) / 2
 
     def pinhole(self) -> "Camera":
-        """Return the camera without distortion, of square pixels: that of the resampled frames."""
+        """Return the camera of the resampled frames: no distortion, and square pixels."""
         return replace(self, distortion=None, aspect=1.0)
 
     def with_focal(self, focal: float) -> "Camera":
-        """Return the camera of another focal length, whose lens moves every pixel as this one does.
+        """Return a camera with another focal length that displaces every pixel as this one does.
 
-        Coefficients of distortion belong to radii in focal lengths, and change with it.
+        The distortion coefficients multiply powers of the radius in units of the focal length, so
+        they change with the focal length.
 
         Raises
         ------
         ValueError
-            If its sensor is tilted: no other tilt moves pixels in the same way.
+            If the sensor is tilted: no other tilt displaces pixels in the same way.
 
         Examples
         --------
@@ -153,7 +155,7 @@ class Camera:
         return replace(self, focal=focal, distortion=lens)
 
     def scaled(self, scale: float, height: int, width: int) -> "Camera":
-        """Return the camera of the image resampled by `scale`; its distortion is the same.
+        """Return the camera of the image resampled by `scale`; the distortion stays the same.
 
         Parameters
         ----------
@@ -179,7 +181,7 @@ class Camera:
 
 
 def check_camera(camera: Camera | None) -> Camera:
-    """Return the camera, by default the paper's; refuse anything else, and what no frame has."""
+    """Return the camera, by default the paper's; raise unless it is a camera in plausible range."""
     if camera is None:
         return Camera()
     if not isinstance(camera, Camera):
@@ -192,13 +194,7 @@ def check_camera(camera: Camera | None) -> Camera:
 
 
 def check_pinhole(camera: Camera, advice: str) -> None:
-    """Refuse a camera with distortion or oblong pixels where they would be left out of account.
-
-    Raises
-    ------
-    ValueError
-        With a word of advice.
-    """
+    """Raise InputError with the advice if the camera has distortion or oblong pixels."""
     if not camera.is_pinhole:
         what = "oblong pixels" if camera.distortion is None else "distortion"
         raise InputError(f"camera has {what}, which does not belong here: {advice}")
@@ -243,7 +239,7 @@ def _readout(value: object) -> float:
 
 def _coefficients(value: Iterable[float]) -> tuple[float, ...]:
     if isinstance(value, np.ndarray) and value.ndim == 2 and 1 in value.shape:
-        value = value.ravel()  # as OpenCV returns them
+        value = value.ravel()  # OpenCV returns one row or one column
     try:
         items = tuple(value)
     except TypeError:
@@ -263,7 +259,7 @@ def _number(value: object, name: str, *, unit: str = ", in px") -> float:
         raise InputTypeError(f"{name} is {value!r}: expected a number{unit}")
     try:
         number = float(value)
-    except OverflowError:  # of an integer beyond the range of floats
+    except OverflowError:  # an integer beyond the range of floats
         number = math.inf
     if not math.isfinite(number):
         raise InputError(f"{name} is {number}: expected a finite number{unit}")

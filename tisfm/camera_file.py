@@ -1,4 +1,4 @@
-"""Cameras as files: what one command found, for others to take."""
+"""Camera files: one command writes its camera, and other commands read it."""
 
 import json
 import os
@@ -14,9 +14,9 @@ from tisfm.formats.reading import read_json
 __all__ = ["read_camera", "write_camera"]
 
 FORMAT = 2
-NAME = "camera.json"  # in a folder
-LONGEST_SIDE = 2**20  # of frames, px
-SAME_SHAPE = 0.01  # sizes of which one is the other, shrunk, have ratios that differ by less
+NAME = "camera.json"  # name of the file in the folder of a reconstruction
+LONGEST_SIDE = 2**20  # px: the longest side of a frame that a file may have
+SAME_SHAPE = 0.01  # relative difference of two aspect ratios below which they count as equal
 
 
 def write_camera(
@@ -34,14 +34,14 @@ def write_camera(
     shape : (int, int)
         Height and width of its frames, px.
     about : dict, optional
-        What else is to be said of it; readers pass over it.
+        More entries for the file; `read_camera` ignores them.
 
     Raises
     ------
     OSError
-        If it cannot be written.
+        If the file cannot be written.
     TypeError, ValueError
-        If it is no camera, or the shape is none.
+        If `camera` is not a camera, or `shape` is not a shape.
 
     Examples
     --------
@@ -68,8 +68,8 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
     path : path
         The file, or the folder of a reconstruction.
     shape : (int, int), optional
-        Height and width of the frames that it is wanted for, px. If they are those of the file,
-        enlarged or shrunk, so is the camera.
+        Height and width of the frames that need a camera, px. If these are an enlarged or shrunk
+        version of the frames in the file, the camera is scaled accordingly.
 
     Returns
     -------
@@ -78,18 +78,18 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
     Raises
     ------
     FileNotFoundError, OSError
-        If there is no such file, or it cannot be read.
+        If the file does not exist or cannot be read.
     tisfm.formats.FormatError
-        A ValueError: if it is not a camera.
+        A ValueError: if the file does not hold a camera.
     ValueError
-        If it is of frames of another shape.
+        If the camera belongs to frames with another aspect ratio.
 
     Examples
     --------
     >>> from tisfm.camera_file import read_camera
     >>> read_camera("walk").focal  # of the frames that were reconstructed, 180 × 240 px
     144.0
-    >>> read_camera("walk", shape=(360, 480)).focal  # and of larger ones of the same lens
+    >>> read_camera("walk", shape=(360, 480)).focal  # of larger frames from the same lens
     288.0
     """
     file = file_of(path)
@@ -129,13 +129,13 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
 
 
 def doubt_of(path: str | os.PathLike[str]) -> str:
-    """Return what a file that `read_camera` reads says against its focal length, or nothing."""
+    """Return why the focal length in a camera file is doubtful, or "" if it is not."""
     record = record_in(path)
     return "" if record.get("seen", True) else str(record.get("message", ""))
 
 
 def record_in(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return all that a file that `read_camera` reads says."""
+    """Return all entries of a camera file."""
     file = file_of(path)
     try:
         record = read_json(file)
@@ -148,5 +148,5 @@ def record_in(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def file_of(path: str | os.PathLike[str]) -> Path:
-    """Return the file of a camera, of which the folder may be given."""
+    """Return the camera file; the path may also be the folder that holds it."""
     return Path(path) / NAME if Path(path).is_dir() else Path(path)

@@ -1,4 +1,4 @@
-"""Checks of values that are given."""
+"""Checks of arguments."""
 
 import difflib
 from collections.abc import Iterable, Sequence
@@ -9,15 +9,15 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from tisfm.errors import InputError, InputTypeError
 
-_LEAST_SIMILARITY = 0.6  # ratio of `difflib`, 0 to 1, of a suggested word; the default of `difflib`
+_LEAST_SIMILARITY = 0.6  # of a suggested word: ratio of `difflib`, 0 to 1; the default there
 
 Floats = NDArray[np.float64]
-# Of a field: array_like when it is given, a read-only float64 array once it is checked.
+# Type of a dataclass field: array_like as an argument, a read-only float64 array once checked.
 Vector = Any
 
 
 def finite(value: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
-    """Return a read-only float64 copy; raise ValueError unless of this shape and finite."""
+    """Return a read-only float64 copy; raise ValueError if not finite or of another shape."""
     refuse_masked(value, name, "expected numbers without a mask")
     array = np.array(value, dtype=np.float64)
     if array.shape != shape:
@@ -48,11 +48,11 @@ def refuse_masked(values: object, name: str, advice: str | None = None) -> None:
     Parameters
     ----------
     values : array_like
-        An array, or nested sequences, of which a row may be a masked array.
+        An array, or nested sequences whose rows may be masked arrays.
     name : str
-        What errors call it.
+        Name of the argument in the error.
     advice : str, optional
-        What to do; by default to fill the values with NaN, which stands for unknown.
+        Advice in the error; by default to fill the masked values with NaN, which means unknown.
     """
     hidden, total = _masked(values)
     if hidden:
@@ -63,13 +63,13 @@ def refuse_masked(values: object, name: str, advice: str | None = None) -> None:
 def unmasked(
     values: ArrayLike, name: str, dtype: DTypeLike | None = None, *, advice: str | None = None
 ) -> NDArray[Any]:
-    """Return values as a plain array, or raise as `refuse_masked` does."""
+    """Return values as a plain array; raise as `refuse_masked` does."""
     refuse_masked(values, name, advice)
     return np.asarray(values, dtype)
 
 
 def unmasked_mask(values: ArrayLike, name: str) -> NDArray[np.bool_]:
-    """Return where a mask is nonzero, or raise as `refuse_masked` does, or if it is no mask."""
+    """Return where a mask is nonzero; raise if it is not a mask, or as `refuse_masked` does."""
     advice = f"fill them first, for instance by {name}.filled(0)"
     mask = unmasked(values, name, advice=advice)
     if mask.dtype.kind not in "biuf":
@@ -80,7 +80,7 @@ def unmasked_mask(values: ArrayLike, name: str) -> NDArray[np.bool_]:
 
 
 def _masked(values: object) -> tuple[int, int]:
-    """Return how many values are masked, and how many there are."""
+    """Return the number of masked values, and the number of all values."""
     if isinstance(values, np.ma.MaskedArray):
         return int(np.ma.count_masked(values)), values.size
     if not isinstance(values, Sequence) or isinstance(values, str | bytes):
@@ -90,9 +90,9 @@ def _masked(values: object) -> tuple[int, int]:
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
-    """Return the known word that is most similar to another word; None if none is similar.
+    """Return the known word most similar to `word`; None if no word is similar.
 
-    A known word that alone begins with the other word comes first.
+    If exactly one known word begins with `word`, that word is returned.
     """
     words = [name for name in known if name]
     begun = [name for name in words if name.startswith(word)] if word.strip("-") else []

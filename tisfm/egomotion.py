@@ -1,4 +1,4 @@
-"""The camera's motion from a flow field: `tisfm.motion.egomotion`'s, by a short name."""
+"""The camera's motion from a flow field: a short name for `tisfm.motion.egomotion`."""
 
 from tisfm.motion.egomotion import CameraMotion, camera_motion
 

@@ -1,7 +1,7 @@
-"""Errors whose text is written for the user: it says what is wrong and what to do.
+"""Errors with a text for the user: the text says what is wrong and what to do.
 
-Any other exception, such as one that NumPy or Taichi raises, is a bug of tisfm: its traceback is
-needed.
+Any other exception, for example from NumPy or Taichi, is a bug of tisfm, and a report of the bug
+needs its traceback.
 """
 
 __all__ = [
@@ -16,9 +16,9 @@ __all__ = [
 
 
 class TisfmError(Exception):
-    """An error of tisfm that its user can mend.
+    """An error that the user of tisfm can fix.
 
-    Each class below is also a built-in exception, so that ``except ValueError`` finds it.
+    Each class below is also a built-in exception, so ``except ValueError`` catches an `InputError`.
 
     Examples
     --------
@@ -52,13 +52,13 @@ class MissingPackageError(TisfmError, ModuleNotFoundError):
 
 
 class OutOfMemoryError(TisfmError, MemoryError):
-    """Memory or address space does not suffice."""
+    """There is not enough memory or address space."""
 
 
 def is_user_error(error: BaseException) -> bool:
-    """Return whether the user can mend an error, so that its text suffices without a traceback.
+    """Return whether the user can fix an error, so that its text is enough without a traceback.
 
-    An OSError is the answer of the operating system, a MemoryError that of the machine, whichever
-    library raised it.
+    OSError and MemoryError count, whichever library raised them: they come from the operating
+    system and the machine, not from a bug.
     """
     return isinstance(error, (TisfmError, OSError, MemoryError))

@@ -1,4 +1,4 @@
-"""A guess at the focal length of frames whose camera is not known."""
+"""Guess the focal length of frames from an unknown camera."""
 
 import io
 import math
@@ -17,13 +17,13 @@ __all__ = ["FocalGuess", "GuessedFocalWarning", "guess_camera", "guess_focal"]
 
 SIDES = 1.2  # focal lengths per longer side: a field of view of 45°, between phones and lenses
 FILM_DIAGONAL = math.hypot(36, 24)  # mm
-PLAUSIBLE = (0.1, 100)  # longer sides: what lies outside is a slip of the pen
+PLAUSIBLE = (0.1, 100)  # focal lengths per longer side: EXIF data outside this range are wrong
 _SIDEWAYS = (5, 6, 7, 8)  # orientations in EXIF data that exchange height and width
-_MILLIMETRES = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of the units of resolution, inches first
+_MILLIMETRES = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # mm per unit of EXIF resolution; 2 is inch
 
 
 class GuessedFocalWarning(UserWarning):
-    """The focal length is a guess, or hardly shown by the motion; results are no better than it."""
+    """The focal length is a guess, or the motion hardly determines it; results depend on it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,9 +35,9 @@ class FocalGuess:
     focal : float
         px.
     origin : {"exif", "size"}
-        What was known: what the camera wrote into the file, or nothing but the size.
+        Source of the guess: the EXIF data of the file, or the size of the image alone.
     reason : str
-        How it was worked out, in words.
+        How the guess was computed, in words.
     shape : (int, int)
         Height and width of the image, px.
 
@@ -57,10 +57,11 @@ class FocalGuess:
 def guess_focal(source: str | os.PathLike[str] | Sequence[int]) -> FocalGuess:
     """Guess the focal length of an image.
 
-    The EXIF data of a file decide, if there are any that state it: the focal length in terms of
-    35 mm film, whose diagonal stands for that of the image, or else the true one together with the
-    resolution of the sensor. An image smaller than the EXIF data say was resized, and cropped as
-    little as its shape allows. Without them the guess is 1.2 times the longer side.
+    The EXIF data of a file are used first: the 35 mm equivalent focal length, for which the
+    diagonal of the film equals the diagonal of the image, or else the true focal length together
+    with the resolution of the sensor. If the image is smaller than the EXIF data say, it is
+    assumed to have been resized, and cropped as little as its shape allows. Without usable EXIF
+    data the guess is 1.2 times the longer side.
 
     Parameters
     ----------
@@ -74,9 +75,9 @@ def guess_focal(source: str | os.PathLike[str] | Sequence[int]) -> FocalGuess:
     Raises
     ------
     FileNotFoundError, IsADirectoryError, OSError
-        If there is no such file, or it cannot be read.
+        If the file does not exist or cannot be read.
     tisfm.formats.FormatError
-        A ValueError: if it is not an image.
+        A ValueError: if the file is not an image.
     TypeError, ValueError
         If `source` is neither a path nor a shape.
 
@@ -94,7 +95,7 @@ def guess_focal(source: str | os.PathLike[str] | Sequence[int]) -> FocalGuess:
 
 
 def guess_camera(source: str | os.PathLike[str] | Sequence[int]) -> Camera:
-    """Return a camera with a guessed focal length and the image's centre, and warn.
+    """Return a camera with a guessed focal length and the centre of the image; warn about it.
 
     Parameters
     ----------
@@ -108,7 +109,7 @@ def guess_camera(source: str | os.PathLike[str] | Sequence[int]) -> Camera:
     Warns
     -----
     GuessedFocalWarning
-        Always: with the guess, where it comes from, and what to do.
+        Always. The text has the guess, its source, and what to do.
 
     Raises
     ------
@@ -137,7 +138,7 @@ def guess_camera(source: str | os.PathLike[str] | Sequence[int]) -> Camera:
 
 
 def at_size(shape: tuple[int, int] | None) -> str:
-    """Return the frame size (H, W) in words, to put after a number of px; "" if it is not known.
+    """Return the frame size (H, W) as text to put after a length in px; "" if it is unknown.
 
     Examples
     --------
@@ -158,13 +159,13 @@ def _from_size(size: tuple[int, int]) -> FocalGuess:
 
 
 def _from_exif(size: tuple[int, int], exif: Mapping[int, Any]) -> FocalGuess | None:
-    """Return what the EXIF data of an image of this size (H, W) state, or None."""
+    """Return the guess from the EXIF data of an image of this size (H, W), or None."""
     width, height = (
         _positive(exif, tag)
         for tag in (ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight)
     )
     original = (height, width) if height and width else size
-    # By longer and shorter side: the image may have been turned upright.
+    # Compare longer with longer side: the image may have been turned upright.
     scale = max(pick(size) / pick(original) for pick in (max, min))
     film = _positive(exif, ExifTags.Base.FocalLengthIn35mmFilm)
     if film:
@@ -207,18 +208,18 @@ def _look(path: str | os.PathLike[str]) -> tuple[tuple[int, int], Mapping[int, A
     data = read_bytes(path)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of damaged EXIF data, and of large pictures
+            warnings.simplefilter("ignore")  # about damaged EXIF data and large pictures
             with Image.open(io.BytesIO(data), formats=PILLOW_FORMATS) as picture:
                 return _upright_size(picture), _exif(picture)
     except MemoryError:
         raise
-    except Exception:  # not known to Pillow, or too large for it: OpenCV may read it
+    except Exception:  # Pillow cannot read the format or the size, but OpenCV may
         height, width = read_image(path).shape[:2]
         return (height, width), {}
 
 
 def _upright_size(picture: Image.Image) -> tuple[int, int]:
-    """Return height and width of the picture after the rotation that its EXIF data state."""
+    """Return height and width of the picture once it is turned as its EXIF data say."""
     try:
         is_turned = picture.getexif().get(ExifTags.Base.Orientation) in _SIDEWAYS
     except MemoryError:

@@ -1,4 +1,4 @@
-"""Frames in: validation, and conversion to grey levels on the 8-bit scale."""
+"""Checks of input frames, and their conversion to grey levels on the 8-bit scale."""
 
 import os
 
@@ -8,14 +8,15 @@ import numpy.typing as npt
 from tisfm.checks import refuse_masked
 from tisfm.errors import InputError, InputTypeError
 
-MIN_SIDE = 4  # px: below it a five-tap derivative sees nothing but border
-LARGEST_GREY = 1e36  # grey levels: their differences are numbers of float32
-# Of float frames in [0, 1], how far values lie beyond, and the share of them that may lie further:
-# beyond rounding after resampling and sharpening, which take up to a sixth of the values there;
-# beyond 1 where that is strong; beyond 10 in bright spots. A frame on the 8-bit scale so dark has
-# nothing to see but spots: 99% of it are no brighter than grey level 2.
+MIN_SIDE = 4  # px: on a shorter side a five-tap derivative depends mainly on the border
+LARGEST_GREY = 1e36  # grey levels: differences of such values still fit into float32
+# Float frames in [0, 1] may overshoot. Each pair is a distance beyond [0, 1], and the largest share
+# of values that may lie farther out. 0.01 allows for rounding; resampling and sharpening take up
+# to a sixth of the values beyond it. 1 allows for strong sharpening, 10 for bright spots. A frame
+# on the 8-bit scale that passes these limits is black but for spots: 99% of its values are at most
+# grey level 2.
 OVERSHOOTS = ((0.01, 0.2), (1.0, 0.01), (10.0, 0.001))
-ROWS = 32  # at a time, which stay in the cache
+ROWS = 32  # rows converted at a time, few enough to stay in the cache
 
 # ITU-R BT.601 luma.
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
@@ -29,17 +30,17 @@ def grey_pair(
     Parameters
     ----------
     frame0, frame1 : (H, W) or (H, W, 3) array
-        Grey or RGB; uint8, uint16 or float, both alike.
+        Grey or RGB; uint8, uint16 or float, the same type for both.
     stretch : bool
-        Whether float frames in [0, 1] are brought to the 8-bit scale. False where other frames
-        of their sequence show that they are on it.
+        Whether float frames in [0, 1] are multiplied by 255. False if other frames of the
+        sequence show that the frames are already on the 8-bit scale.
 
     Returns
     -------
     grey0, grey1 : (H, W) float32
-        On the 8-bit scale, by one factor for both frames: uint8 as it is, uint16 / 257,
-        float × 255 if both frames are in [0, 1] (`in_unit_range`), else as it is. Never views of
-        the input.
+        On the 8-bit scale, with one factor for both frames: uint8 unchanged, uint16 / 257,
+        float × 255 if both frames are in [0, 1] (`in_unit_range`), other float unchanged. Always
+        copies of the input.
 
     Raises
     ------
@@ -65,7 +66,7 @@ def grey_pair(
 
 
 def check_frame(frame: npt.ArrayLike, name: str) -> np.ndarray:
-    """Return the frame as an array of native byte order, or raise as `grey_pair` does."""
+    """Return the frame as an array in native byte order; raise as `grey_pair` does."""
     if isinstance(frame, (str, os.PathLike)):
         raise InputTypeError(
             f"{name} is the path {os.fspath(frame)!r}: expected an array; read the file, for "
@@ -106,7 +107,7 @@ def check_frame(frame: npt.ArrayLike, name: str) -> np.ndarray:
 
 
 def eight_bit(frame0: npt.ArrayLike, frame1: npt.ArrayLike, *, stretch: bool = True) -> np.ndarray:
-    """Return frame 0 of a pair as uint8, for display, by the factor that `grey_pair` takes."""
+    """Return frame 0 of a pair as uint8 for display, scaled by the factor of `grey_pair`."""
     first, second = check_frame(frame0, "frame0"), check_frame(frame1, "frame1")
     if first.dtype == np.uint8:
         return first.copy()
@@ -117,17 +118,17 @@ def eight_bit(frame0: npt.ArrayLike, frame1: npt.ArrayLike, *, stretch: bool = T
 
 
 def in_unit_range(frame: np.ndarray) -> bool:
-    """Return whether a float frame has its values in [0, 1], but for overshoots.
+    """Return whether the values of a float frame are in [0, 1], apart from overshoots.
 
-    It has if 80% of them lie in [−0.01, 1.01], 99% in [−1, 2], and 99.9% in [−10, 11]:
-    interpolation of a frame in [0, 1] takes some values beyond, sharpening more of them, and some
-    pixels may be wrong. No single value decides. A frame on the 8-bit scale is taken for one in
-    [0, 1] if it is as dark as that: black, with bright spots on less than a thousandth of it. True
-    for other types, which are on a scale of their own.
+    They are if 80% lie in [−0.01, 1.01], 99% in [−1, 2], and 99.9% in [−10, 11]. Interpolation of
+    a frame in [0, 1] moves some values out of the range, sharpening moves more, and some pixels may
+    be wrong; so no single value decides. The answer is also True for a very dark frame on the
+    8-bit scale: black, with bright spots on less than a thousandth of the pixels. It is True for
+    integer types, whose scale is given by the type.
     """
     if not _is_float(frame) or frame.size == 0:
         return True
-    if frame.min() >= 0 and frame.max() <= 1:  # as most are: it takes a tenth of the time
+    if frame.min() >= 0 and frame.max() <= 1:  # true for most frames, in a tenth of the time
         return True
     return all(
         np.count_nonzero((frame < -beyond) | (frame > 1 + beyond)) <= share * frame.size
@@ -152,7 +153,7 @@ def _grey(frame: np.ndarray, factor: float) -> np.ndarray:
         grey = _luma(frame) if frame.ndim == 3 else frame.astype(np.float32, order="C")
         if factor != 1:
             grey *= np.float32(factor)
-    # Differences of grey levels have to be finite as well.
+    # Differences of grey levels must be finite too.
     if _is_float(frame) and not np.abs(grey).max() <= LARGEST_GREY:
         raise InputError("a frame has values too large for float32: scale it before interpreting")
     return grey
@@ -163,7 +164,7 @@ def _luma(frame: np.ndarray) -> np.ndarray:
     grey = np.empty(frame.shape[:2], np.float32)
     for top in range(0, len(frame), ROWS):
         rows, total = frame[top : top + ROWS], grey[top : top + ROWS]
-        # One by one: a matrix product may round differently from one machine to the next.
+        # Channel by channel: a matrix product may round differently on another machine.
         red, green, blue = (rows[..., k].astype(np.float32) for k in range(3))
         np.multiply(red, _LUMA[0], out=total)
         green *= _LUMA[1]

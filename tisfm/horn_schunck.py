@@ -1,4 +1,4 @@
-"""Horn and Schunck's optical flow, warped coarse to fine: the baseline the paper compares with."""
+"""Horn and Schunck's optical flow with coarse-to-fine warping: the paper's baseline."""
 
 import math
 from dataclasses import replace
@@ -23,8 +23,8 @@ def horn_schunck(
 ) -> np.ndarray:
     """Estimate optical flow with a quadratic, isotropic smoothness term.
 
-    The same pyramid, warping, derivatives and solver as `tisfm.interpret`, with the flow itself
-    as unknown and b = 1 on every edge.
+    Pyramid, warping, derivatives and solver are those of `tisfm.interpret`. The unknown is the flow
+    itself, and b = 1 on every edge.
 
     Parameters
     ----------
@@ -33,8 +33,8 @@ def horn_schunck(
     smoothness : float
         Horn and Schunck's α², in squared grey levels of the 8-bit scale.
     settings : Settings, optional
-        Pyramid, warps, iterations, derivatives and presmoothing; by default the preset
-        ``"balanced"``. What else they say is not used.
+        Pyramid, warps, iterations, derivatives and presmoothing are used, the other settings are
+        not. By default the preset ``"balanced"``.
 
     Returns
     -------

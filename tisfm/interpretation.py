@@ -1,4 +1,4 @@
-"""The result: 3D motion, depth, image motion and how far to trust them."""
+"""The result of a pair: 3D motion, depth, image motion, and their confidence."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -23,34 +23,36 @@ class Interpretation:
     flow : (H, W, 2) float32
         Image motion (u, v) of eq. 25, px/frame, u to the right and v down.
     inverse_depth : (H, W) float32
-        Relative inverse depth. For ``motion="field"`` it is ‖τ‖ (eq. 24), for ‖T‖ = 1: true where
-        the scene translates parallel to the image plane, elsewhere see docs/trust.md. For
-        ``motion="camera"`` it is signed, for ‖T‖ = 1, or in the inverse unit of a given pose's
-        translation; for ``"objects"`` in that of each label's own T. 0 where there is no depth to
-        see: everywhere if the status says so, or on a background that shows no parallax.
+        Relative inverse depth, in the inverse unit of T. For ``motion="field"`` it is ‖τ‖
+        (eq. 24), with ‖T‖ = 1: correct if the scene translates parallel to the image plane; for
+        other motions see docs/trust.md. For ``motion="camera"`` it is signed; T has length 1, or
+        the length of the translation in a given pose. For ``"objects"`` the unit is that of each
+        label's own T. 0 where depth cannot be seen: everywhere if the status says so, or on a
+        background without parallax.
     inverse_depth_std : (H, W) float32 or None
-        Its standard deviation: about 68% of the pixels that are visible in frame 1 are off by
-        less. Infinite where there is no depth, never 0. None for ``motion="field"``.
+        Standard deviation of the inverse depth: of the pixels visible in frame 1, about 68% have
+        a smaller error. Infinite where there is no depth, never 0. None for ``motion="field"``.
     confidence : (H, W) float32
-        In [0, 1]: how much the data in a window of 15 px around a pixel, not its neighbours'
-        motion, determine its image motion. 0 where the pixel is not visible in frame 1.
+        In [0, 1]: how much the data in a window of 15 px around a pixel determine its image
+        motion, as opposed to the motion of its neighbours. 0 where the pixel is not visible in
+        frame 1.
     occlusion : (H, W) bool
-        Where a pixel is not visible in frame 1: it leaves the image, or is hidden there.
+        True where a pixel is not visible in frame 1: it leaves the image, or is hidden there.
     motions : (K, 6) float64 or None
         Twists (T, ω) of the rigid motions, per frame, with ‖T‖ = 1, or, with `align_scales`, in
-        the unit of the background's. `tisfm.rigid.rigid_motion` gives R and t of P₁ = R P₀ + t. T
-        is 0 where the camera only turned or did not move. None for ``motion="field"``.
+        the unit of the background's T. `tisfm.rigid.rigid_motion` gives R and t of P₁ = R P₀ + t.
+        T is 0 if the camera only turned or did not move. None for ``motion="field"``.
     labels : (H, W) int32 or None
-        Which of `motions` a pixel has. None for ``motion="field"``.
+        Index into `motions` of each pixel. None for ``motion="field"``.
     frame : (H, W) or (H, W, 3) uint8
-        Frame 0, on the 8-bit scale, without distortion and what a stated readout moved: what a
-        picture of the result is drawn on.
+        Frame 0 on the 8-bit scale, without distortion and, if it was undone, without the effect
+        of the rolling shutter. Pictures of the result are drawn on it.
     camera : Camera
-        The pinhole camera that all of this belongs to: without distortion. Its readout is 0 where
-        it was undone.
+        The pinhole camera of `frame` and of all maps, without distortion. Its readout is 0 if the
+        effect of the rolling shutter was undone.
     settings : Settings
     status : Status
-        A code that compares as text, with ``status.message`` saying what to try.
+        A code that compares as text; ``status.message`` says what to try.
     history : History
         Energy and relative change of every iteration.
     version : str
@@ -98,7 +100,7 @@ class Interpretation:
 
     @cached_property
     def depth(self) -> np.ndarray:
-        """Relative depth, (H, W) float32; NaN where the inverse depth is not above 0."""
+        """Relative depth, (H, W) float32; NaN where the inverse depth is 0 or negative."""
         depth = np.full_like(self.inverse_depth, np.nan)
         np.divide(1, self.inverse_depth, out=depth, where=self.inverse_depth > 0)
         return depth
@@ -117,18 +119,18 @@ class Interpretation:
         min_confidence : float
             In [0, 1]: pixels of less confidence are left out.
         max_depth : float or None
-            Pixels farther than so many median depths (of the other pixels that are taken) are
-            left out: where the inverse depth is nearly 0 the depth is a guess. None for no limit.
+            Largest depth, as a multiple of the median depth of the selected pixels; farther pixels
+            are left out, because a depth is a guess if its inverse is nearly 0. None for no limit.
         occluded : bool
-            Whether to take pixels that are not visible in frame 1 as well: their depth is that of
-            their neighbours.
+            Whether to include pixels that are not visible in frame 1. Their depth comes from their
+            neighbours.
 
         Returns
         -------
         PointCloud
             Used as an array it is (N, 3) float32: X right, Y down, Z forward, in the axes of the
-            camera at frame 0 and the relative scale of `depth`. With ``colors``, ``confidence``,
-            and ``save(path)`` for a PLY file. It may have no points.
+            camera at frame 0 and the relative scale of `depth`. It has ``colors``, ``confidence``,
+            and ``save(path)`` for a PLY file. It may be empty.
 
         Raises
         ------
@@ -160,32 +162,32 @@ class Interpretation:
         )
 
     def save(self, path: str | Path, *, compact: bool = False) -> None:
-        """Write everything to an ``.npz`` without pickles, whole or not at all.
+        """Write the result to an ``.npz`` file without pickles, whole or not at all.
 
-        What `load` gives back is the same but for two roundings: `rho`, and with it `tau` and
-        `omega`, to 11 significant bits (and to 6e-8 px/frame where it is tiny), and `confidence`
-        to 11 bits as well. Numbers of `rho` beyond 65504, as a result that diverged may have, are
-        kept as they are. `numpy.load` reads the file too; ``docs/formats.md`` describes it.
+        `load` returns the same values but for two roundings: `rho`, and with it `tau` and `omega`,
+        to 11 significant bits (and to 6e-8 px/frame where it is tiny), and `confidence` to 11 bits.
+        If `rho` has values beyond 65504, which happens if a result diverged, it is not rounded.
+        `numpy.load` reads the file too; ``docs/formats.md`` describes it.
 
-        A compact file, as `tisfm run` writes it, has a quarter of the bytes, and rounds more:
-        `flow`, `rho` and `confidence` to multiples of 2⁻¹⁰ (of px/frame; or, where all of them are
-        small, of at most 2⁻¹² of the largest), inverse depth and its deviation to 12 significant
-        bits. Arrays in it are packed, but for a result that diverged.
+        A compact file, as `tisfm run` writes it, has a quarter of the bytes and rounds more:
+        `flow`, `rho` and `confidence` to multiples of 2⁻¹⁰ (px/frame for the first two; if all
+        values of an array are small, of at most 2⁻¹² of its largest value), inverse depth and its
+        deviation to 12 significant bits. Its arrays are packed, unless the result diverged.
 
         Parameters
         ----------
         path : path
-            The file; ``.npz`` is the customary suffix, and none is added.
+            The file. Its customary suffix is ``.npz``; no suffix is added.
         compact : bool, default False
-            Whether to round more, and to compress.
+            Whether to round more and to compress.
 
         Raises
         ------
         OSError
             If the folder does not exist or cannot be written to.
         ValueError
-            If a value is masked, or if `load` would refuse what is written: if arrays do not fit
-            each other, or hold NaN or infinity though the status is another than ``"diverged"`` or
+            If a value is masked, or if `load` would refuse the file: if arrays do not fit each
+            other, or hold NaN or infinity although the status is neither ``"diverged"`` nor
             ``"pose_mismatch"``.
 
         Examples
@@ -203,21 +205,21 @@ class Interpretation:
 
     @classmethod
     def load(cls, path: str | Path) -> "Interpretation":
-        """Read what `save` wrote.
+        """Read a file that `save` wrote.
 
-        Nothing in the file is run, and every shape, type and name is checked before an array is
-        read. Of a compact file no more is unpacked than the arrays that it states, of at most 2²⁴
-        pixels, or as many as the file has bytes.
+        No code in the file is run, and every shape, type and name is checked before an array is
+        read. A compact file may unpack to at most 2²⁴ pixels, or to as many as it has bytes if
+        those are more.
 
         Raises
         ------
         FileNotFoundError, IsADirectoryError, OSError
-            If there is no such file, or it cannot be read.
+            If the file does not exist or cannot be read.
         tisfm.formats.FormatError
-            A ValueError: if it is not a complete interpretation, or of a format this version
-            cannot read.
+            A ValueError: if the file is not a complete interpretation, or has a format that this
+            version cannot read.
         MemoryError
-            If it is one, but memory does not suffice.
+            If there is not enough memory to load the file.
 
         Examples
         --------

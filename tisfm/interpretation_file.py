@@ -1,6 +1,6 @@
-"""The file that keeps an interpretation: what is stored, and what is checked when it is read.
+"""Writing and reading the file of an interpretation, with all checks when it is read.
 
-`docs/formats.md` describes it.
+`docs/formats.md` describes the file.
 """
 
 import json
@@ -24,14 +24,14 @@ from tisfm.frames import MIN_SIDE
 from tisfm.settings import Settings
 from tisfm.status import History, Status
 
-FORMAT = 7  # raised when a reader of the one before would go wrong
-_READ = (6, FORMAT)  # 6 had nothing packed
-_MOST_PIXELS = 2**24  # of packed arrays; or as many as the file has bytes
-_MOST_ABOUT = 2**20  # bytes of the account of itself, which has a thousandth of that
-_LARGEST_HALF = 65504.0
+FORMAT = 7  # increased whenever a reader of the previous format would misread a file
+_READ = (6, FORMAT)  # formats that can be read; format 6 had no packed arrays
+_MOST_PIXELS = 2**24  # of a packed frame, unless the file has more bytes than this
+_MOST_ABOUT = 2**20  # bytes of the entry "about", which usually has a thousandth of that
+_LARGEST_HALF = 65504.0  # largest number of float16
 _HISTORY = tuple(f"history_{record.name}" for record in fields(History))
 _ALWAYS = ("rho", "flow", "inverse_depth", "confidence", "occlusion", "frame")
-_RIGID = ("inverse_depth_std", "motions", "labels")  # of rigid motions only
+_RIGID = ("inverse_depth_std", "motions", "labels")  # stored unless motion="field"
 _PARTS = ("about", *_ALWAYS, *_RIGID, *_HISTORY)
 _ABOUT = ("format", "version", "camera", "settings", "status", "message", "packed")
 _RIGID_STATUSES = (
@@ -41,8 +41,8 @@ _RIGID_STATUSES = (
 _WITHOUT_DEPTH = (
     "no_motion", "no_texture", "little_parallax", "pure_rotation", "unrelated", "aperture",
 )  # fmt: skip
-_WITHOUT_MOTION = ("no_motion", "no_texture")  # and so without depth; of a field as well
-_WILD = ("diverged", "pose_mismatch")  # statuses whose numbers may be of no use
+_WITHOUT_MOTION = ("no_motion", "no_texture")  # no depth either, even for motion="field"
+_WILD = ("diverged", "pose_mismatch")  # statuses whose numbers may be useless
 
 _HALF, _FLOAT, _DOUBLE, _INT = (np.dtype(kind) for kind in ("<f2", "<f4", "<f8", "<i4"))
 _TYPES = {
@@ -67,7 +67,7 @@ _STORED = {name: (kind,) for name, kind in _TYPES.items()} | {
     "labels": (np.dtype("u1"), np.dtype("<u2"), _INT),
 }
 _FIXED, _BITS = ("int16", "int32"), ("uint32",)
-_PACKED = {  # the whole numbers that arrays are packed as
+_PACKED = {  # integer types that each array may be packed as
     "rho": _FIXED,
     "flow": _FIXED,
     "confidence": _FIXED,
@@ -82,7 +82,7 @@ _PACKED = {  # the whole numbers that arrays are packed as
 def write_interpretation(
     path: str | os.PathLike[str], result: Any, *, compact: bool = False
 ) -> None:
-    """Write everything to an ``.npz``; see `Interpretation.save`."""
+    """Write a result to an ``.npz`` file; see `Interpretation.save`."""
     about: dict[str, Any] = {
         "format": FORMAT,
         "version": result.version,
@@ -107,7 +107,7 @@ def write_interpretation(
     if compact and str(result.status) not in _WILD:
         _pack(given, about["packed"])
     if "rho" not in about["packed"] and (
-        max(given["rho"].max(), -given["rho"].min()) <= _LARGEST_HALF  # nor is it so of NaN
+        max(given["rho"].max(), -given["rho"].min()) <= _LARGEST_HALF  # False for NaN
     ):
         given["rho"] = _half(given["rho"])
     if "confidence" not in about["packed"]:
@@ -116,13 +116,13 @@ def write_interpretation(
 
 
 def _pack(arrays: dict[str, NDArray[Any]], packed: dict[str, Any]) -> None:
-    """Pack arrays, as far as they can be; both are modified in place."""
+    """Pack the arrays that can be packed; both arguments are modified in place."""
     for name, kinds in _PACKED.items():
         if name not in arrays:
             continue
         step = STEP if kinds == _FIXED else None
         array = arrays[name]
-        if name == "confidence":  # what is above 0 stays so
+        if name == "confidence":  # positive values must not be rounded to 0
             array = np.maximum(array, np.float32(STEP), out=array.copy(), where=array > 0)
         found = pack(array, row_axis=_rows(name), step=step)
         if found is not None:
@@ -131,12 +131,12 @@ def _pack(arrays: dict[str, NDArray[Any]], packed: dict[str, Any]) -> None:
 
 
 def _rows(name: str) -> int:
-    """Return the axis of rows: the first one, but for those that have the columns last."""
+    """Return the axis of image rows of an array: 1 for (6, H, W), else 0."""
     return 1 if name == "rho" else 0
 
 
 def read_interpretation(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the fields of what `write_interpretation` wrote; see `Interpretation.load`."""
+    """Return the fields of a file by `write_interpretation`; see `Interpretation.load`."""
     name = os.fspath(path)
     try:
         with NpzFile(path) as file:
@@ -186,7 +186,7 @@ def _read(file: NpzFile) -> dict[str, Any]:
 
 
 def _packings(file: NpzFile, about: Any) -> dict[str, Packing]:
-    """Return how arrays are packed, by their names."""
+    """Return the packing of each packed array, by its name."""
     if not isinstance(about, dict) or not set(about) <= set(_PACKED):
         raise InputError(f"what is packed is {about!r}, expected some of {', '.join(_PACKED)}")
     packings = {}
@@ -202,14 +202,14 @@ def _packings(file: NpzFile, about: Any) -> dict[str, Packing]:
 
 
 def _refuse_inflated(file: NpzFile, frame: tuple[int, ...]) -> None:
-    """Refuse a small file of a huge frame, to whose shape those of all arrays belong."""
+    """Refuse a small file with a huge frame, whose size determines that of all arrays."""
     pixels = frame[0] * frame[1]
     if pixels > max(_MOST_PIXELS, file.length):
         raise InputError(f"it has {pixels:,} pixels packed in {file.length:,} bytes")
 
 
 def _array(file: NpzFile, name: str, packing: Packing | None) -> NDArray[Any]:
-    """Return an array as it is in memory."""
+    """Return an array, unpacked and in its type in memory."""
     if packing is None:
         return file.read(name).astype(_TYPES[name], copy=False)
     try:
@@ -219,14 +219,14 @@ def _array(file: NpzFile, name: str, packing: Packing | None) -> NDArray[Any]:
 
 
 def _read_about(file: NpzFile) -> dict[str, Any]:
-    """Return the account of itself, checked as far as it stands alone."""
+    """Return the entry "about", after the checks that need no other entry."""
     if "about" not in file:
         missing = sorted({"about", *_ALWAYS}.difference(file))
         raise InputError(f"it has no {', '.join(missing)}")
     text = file.read("about", max_bytes=_MOST_ABOUT)
     if text.dtype.kind != "U" or text.shape != ():
         raise InputError(f"about is {text.shape} {text.dtype}, expected one text")
-    # NumPy makes a text of any numbers, with which Python's own functions fail.
+    # NumPy accepts any numbers as characters, but Python's own functions fail on some.
     letters = np.frombuffer(text.tobytes(), np.dtype("u4").newbyteorder(text.dtype.byteorder))
     if (letters > sys.maxunicode).any():
         raise InputError("about has letters that there are not")
@@ -251,9 +251,9 @@ def _read_about(file: NpzFile) -> dict[str, Any]:
 
 
 def _camera(about: Any) -> Camera:
-    """Return the camera."""
+    """Return the camera; raise ValueError if an entry is missing or wrong."""
     if isinstance(about, dict):
-        about = {"readout": None} | about  # earlier versions knew of none
+        about = {"readout": None} | about  # earlier versions had no readout
     _check_names("its camera", about, [part.name for part in fields(Camera)])
     try:
         return Camera(**about)
@@ -262,7 +262,7 @@ def _camera(about: Any) -> Camera:
 
 
 def _settings(about: Any) -> Settings:
-    """Return the settings; none of them takes a default of today."""
+    """Return the settings; a missing one is an error, as today's default may be another."""
     _check_names("its settings", about, [setting.name for setting in fields(Settings)])
     try:
         return Settings(**about)
@@ -285,7 +285,7 @@ def _check_layout(
     types: Mapping[str, tuple[np.dtype, ...]],
     settings: Settings,
 ) -> None:
-    """Check that shapes and types are those of one result; ValueError if not."""
+    """Raise ValueError unless shapes and types fit each other and the settings."""
     size = layout["frame"][0]
     if len(size) not in (2, 3) or min(size[:2]) < MIN_SIDE or size[2:] not in ((), (3,)):
         raise InputError(
@@ -318,7 +318,7 @@ def _check_layout(
 
 
 def _check_values(arrays: Mapping[str, NDArray[Any]], status: str) -> None:
-    """Check that numbers are those of one result; ValueError if not."""
+    """Raise ValueError unless the values fit each other and the status."""
     if "labels" in arrays:
         count = len(arrays["motions"])
         least, most = arrays["labels"].min(), arrays["labels"].max()
@@ -334,7 +334,7 @@ def _check_values(arrays: Mapping[str, NDArray[Any]], status: str) -> None:
     if status in _WILD:
         return
     confidence = arrays["confidence"]
-    if not (confidence.min() >= 0 and confidence.max() <= 1):  # nor is it so of NaN
+    if not (confidence.min() >= 0 and confidence.max() <= 1):  # NaN fails as well
         raise InputError(
             f"confidence is {confidence.min():g} to {confidence.max():g}, expected 0 to 1"
         )
@@ -346,7 +346,7 @@ def _check_values(arrays: Mapping[str, NDArray[Any]], status: str) -> None:
     if "inverse_depth_std" in arrays and not arrays["inverse_depth_std"].min() > 0:
         raise InputError("inverse_depth_std is not positive everywhere")
     for name in ("history_energy", "history_half_quadratic", "history_change"):
-        if np.isnan(arrays[name]).any():  # infinite it may be, where an energy overflows
+        if np.isnan(arrays[name]).any():  # infinity is allowed: an energy may overflow
             raise InputError(f"{name} is NaN, but the status is {status!r}")
     without_depth = _WITHOUT_DEPTH if "motions" in arrays else _WITHOUT_MOTION
     if not (np.isfinite(arrays["history_change"]) & (arrays["history_change"] >= 0)).all():
@@ -361,6 +361,6 @@ def _half(array: NDArray[np.float32]) -> NDArray[np.float16]:
     try:
         # Several times as fast as NumPy. −0 leaves every number as it is; 0 would change −0.
         rounded = cv2.add(flat, -0.0, dtype=cv2.CV_16F)  # type: ignore[call-overload]
-    except cv2.error:  # of a version that cannot
+    except cv2.error:  # this version of OpenCV cannot convert to float16
         rounded = flat.astype(np.float16)
     return rounded.reshape(array.shape)

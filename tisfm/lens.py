@@ -1,4 +1,4 @@
-"""Distortion of the lens, removed: frames as a pinhole camera would have taken them."""
+"""Removal of lens distortion: frames are resampled to those of a pinhole camera."""
 
 import cv2
 import numpy as np
@@ -12,8 +12,9 @@ from tisfm.solver.sampling import FAR
 
 __all__ = ["undistort"]
 
-LEAST_SEEN = 0.1  # of the pixels: coefficients that leave fewer with data belong to another camera
-RADII = 4096  # at which the radial part of the model is looked at
+# Least share of pixels with data: if fewer remain, the coefficients belong to another camera.
+LEAST_SEEN = 0.1
+RADII = 4096  # number of radii at which the radial part of the model is evaluated
 
 
 class Undistortion(Resampling):
@@ -30,12 +31,12 @@ class Undistortion(Resampling):
     Attributes
     ----------
     valid : (H, W) bool
-        Where the pinhole image has data: what it shows there lies inside the frame.
+        Where the pinhole image has data: the source of the pixel lies inside the frame.
 
     Raises
     ------
     ValueError
-        If so little of the pinhole image has data that the camera cannot be that of the frames.
+        If the pinhole image has data at so few pixels that the camera cannot fit the frames.
 
     References
     ----------
@@ -55,7 +56,7 @@ class Undistortion(Resampling):
         )
         x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
         flow = np.stack([sources[..., 0] - x, sources[..., 1] - y])
-        # Not left to the kernel: compiled for speed, it may take a comparison with NaN for true.
+        # Before the kernel: with fast math, its comparisons with NaN may be true.
         flow = np.nan_to_num(flow, nan=FAR)
         radius = np.hypot((x - cx) / camera.focal, (y - cy) / camera.focal)
         folded = radius > _fold(coefficients, float(radius.max()))
@@ -72,7 +73,7 @@ class Undistortion(Resampling):
 def undistort(frame: npt.ArrayLike, camera: Camera) -> np.ndarray:
     """Return a frame as the pinhole camera would have taken it, ``camera.pinhole()``.
 
-    `tisfm.interpret` does so itself: its result belongs to the frames without distortion.
+    `tisfm.interpret` does this itself: its result belongs to the frames without distortion.
 
     Parameters
     ----------
@@ -84,13 +85,12 @@ def undistort(frame: npt.ArrayLike, camera: Camera) -> np.ndarray:
     -------
     (H, W) or (H, W, 3) array
         Of the same type. The frame itself, if the lens does not distort and pixels are square.
-        Where the frame does not
-        show what the pinhole image would, its border is repeated.
+        Pixels of the pinhole image outside the frame repeat the border of the frame.
 
     Raises
     ------
     TypeError, ValueError
-        If `frame` is not an image of those kinds, or `camera` not one that could have taken it.
+        If `frame` is not an image of those kinds, or `camera` cannot have taken it.
 
     Examples
     --------
@@ -109,19 +109,19 @@ def undistort(frame: npt.ArrayLike, camera: Camera) -> np.ndarray:
 
 
 def undistort_depth(depth: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return a depth map, (H, W) float, of the frame that `undistort` returns.
+    """Return a depth map, (H, W) float, resampled like the frame that `undistort` returns.
 
-    Each pixel's is the nearest one, NaN where there are no data; the map itself, if the lens does
-    not distort and pixels are square.
+    Each pixel takes the depth of the nearest source pixel; NaN where there are no data. If the lens
+    does not distort and pixels are square, the map itself is returned.
     """
     return depth if camera.is_pinhole else Undistortion(camera, *depth.shape).nearest(depth)
 
 
 def _fold(coefficients: np.ndarray, reach: float) -> float:
-    """Return the distance from the axis, focal lengths, from where the model turns back.
+    """Return the radius, in focal lengths, at which the distorted radius stops increasing.
 
-    It is a polynomial fitted to what the frame shows. Beyond, it may bring a part of the frame to
-    the pinhole image a second time.
+    The model is a rational function fitted inside the frame. Beyond this radius it may map a part
+    of the frame into the pinhole image a second time.
     """
     k1, k2, _, _, k3, k4, k5, k6 = np.pad(coefficients, (0, 14 - len(coefficients)))[:8]
     radius = np.linspace(0, reach, RADII)

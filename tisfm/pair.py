@@ -1,4 +1,4 @@
-"""Two frames in, one interpretation out."""
+"""The interpretation of a pair of frames."""
 
 from typing import TYPE_CHECKING
 
@@ -44,55 +44,59 @@ def interpret(
     Parameters
     ----------
     frame0, frame1 : (H, W) or (H, W, 3) array
-        Grey or RGB; uint8, uint16 or float, both alike. At least 4 × 4 px. Not modified.
-        Float frames are taken to be in [0, 1] if, of the values of each, 80% lie in [−0.01, 1.01],
-        99% in [−1, 2], and 99.9% in [−10, 11], so that resampling and sharpening may overshoot and
-        some pixels may be wrong. Otherwise they are taken to be on the 8-bit scale, whatever their
-        range. Frames on that scale so dark that they meet this are taken to be in [0, 1] as well:
-        give them as uint8.
+        Grey or RGB; uint8, uint16 or float, the same type for both. At least 4 × 4 px. Not
+        modified. Float frames are assumed to be in [0, 1] if 80% of the values of each lie in
+        [−0.01, 1.01], 99% in [−1, 2], and 99.9% in [−10, 11]: resampling and sharpening may
+        overshoot, and some pixels may be wrong. Other float frames are assumed to be on the 8-bit
+        scale, whatever their range. A very dark frame on the 8-bit scale may meet the conditions
+        for [0, 1] too: give it as uint8.
     camera : Camera, optional
-        By default the image's centre and a focal length of 600 px, as in the paper, or, because
-        depth depends on it there, 1.2 times the image's longer side for ``motion="camera"``, with
-        a `GuessedFocalWarning`. If it has distortion or oblong pixels, both frames are resampled
-        first, and the result is that of frame 0 without distortion and with square pixels, of
-        the same size, focal length and centre. Likewise, if it states a readout, a share of the
-        time from frame 0 to frame 1, and the motion is ``"camera"``: the result is that of both
-        frames as their middle rows saw them, between which the camera is taken to move evenly.
+        By default the principal point is the centre of the image. The default focal length is
+        600 px for ``motion="field"``, as in the paper; for the other motion models, whose depth
+        depends on it, it is 1.2 times the longer side of the image, with a `GuessedFocalWarning`.
+        If the camera has distortion or oblong pixels, both frames are resampled first, and the
+        result belongs to frame 0 without distortion and with square pixels, of the same size,
+        focal length and centre. If the camera states a readout, as a share of the time from frame
+        0 to frame 1, and the motion is ``"camera"``, the rolling shutter is undone: the result
+        belongs to frames whose rows were all read with the middle row. The camera is assumed to
+        move evenly between the two.
     settings : Settings, optional
         By default the preset ``"balanced"``.
     pose : (4, 4) or (3, 3) array, optional
-        A known motion, for ``motion="camera"``: points in frame 0's camera axes to frame 1's, P₁ =
-        R P₀ + t, which makes depth one in the unit of t; or R alone, which leaves the direction
-        of translation to be found. With t, what shows no parallax is far, its inverse depth 0
-        within the deviation; only frames that are identical have no depth. Where a readout is
-        undone, it is that of middle rows.
+        A known motion, for ``motion="camera"``. Either (R, t; 0, 1), which takes points from frame
+        0's camera axes to frame 1's, P₁ = R P₀ + t: depth then has the unit of t. Or R alone: the
+        direction of the translation is then estimated. With t, pixels without parallax are far:
+        their inverse depth is 0 within its deviation; only identical frames have no depth. If a
+        rolling shutter is undone, the pose is that between the middle rows.
     mask : (H, W) or (2, H, W) array, optional
-        Pixels that count, in both frames, or in each of them; black, zero or False are ignored, as
-        bonnets, logos and mattes should be. By default all count.
+        Pixels to use, for both frames or for each; black, zero or False pixels are ignored, for
+        example bonnets, logos and mattes. By default all are used.
 
     Returns
     -------
     Interpretation
         Its `camera` is a pinhole. Where the frames without distortion have no data, confidence is
-        0 and `occlusion` True. So they are where pixels are ignored in frame 0, or go to pixels
-        that are ignored in frame 1: what they have there is carried from around, and its deviation
-        is infinite. Where a readout was undone, `camera` has the readout 0, and all belongs to
-        `frame`, which is frame 0 as its middle row saw it: depth, points and motion need one place
-        of the camera. Its flow leads to frame 1 as that one's middle row saw it. Where frames
-        show no motion to undo it by, all belongs to frame 0 as given, and the readout stays.
+        0 and `occlusion` True. The same holds for pixels that are ignored in frame 0, or that move
+        to ignored pixels of frame 1: their values come from the neighbourhood, and the deviation
+        of their inverse depth is infinite. If a rolling shutter was undone, the readout of
+        `camera` is 0, and all maps belong to `frame`, which is frame 0 with all rows read with the
+        middle row: depth, points and motion need a single camera position. The flow leads to
+        frame 1 with all rows read with its middle row. If the frames show no motion with which to
+        undo the rolling shutter, all maps belong to frame 0 as given, and `camera` keeps its
+        readout.
 
     Raises
     ------
     TypeError, ValueError
         If a frame is not an image of those kinds, the two differ in size or type, or a pixel is
-        masked, NaN, infinite or beyond 1e36; if `pose` is not one of these, turns by 90° or more,
-        has a translation whose length is neither 0 nor from 1e-30 to 1e30, or is given for a
-        motion that is not ``"camera"``; if distortion leaves next to nothing of the frames; if
-        `mask` is not of the size of the frames, or leaves nothing of one of them.
+        masked, NaN, infinite or beyond 1e36; if `pose` is not one of these matrices, turns by 90°
+        or more, has a translation whose length is neither 0 nor from 1e-30 to 1e30, or is given
+        for a motion that is not ``"camera"``; if almost no pixel of the frames has data without
+        distortion; if `mask` has not the size of the frames, or excludes all pixels of a frame.
 
     Notes
     -----
-    Beyond 1e15 squares of derivatives overflow: the status is ``"diverged"`` then.
+    Beyond grey levels of 1e15, squares of derivatives overflow: the status is ``"diverged"`` then.
 
     References
     ----------
@@ -137,12 +141,12 @@ def interpret_pair(
     stretch: bool = True,
     window: Window | None = None,
 ) -> Interpretation:
-    """Do what `interpret` does, for a pair of a sequence.
+    """Interpret a pair of a sequence, as `interpret` does.
 
-    `ignored`, (H, W) bool, are the pixels of each frame that do not count; None if all count.
+    `ignored`, (H, W) bool, marks the pixels of each frame that are not used; None to use all.
     `stretch` says whether float frames in [0, 1] are brought to the 8-bit scale
-    (`tisfm.frames.grey_pair`). `window` holds the previous pair, for motion ``"field"``, and
-    afterwards this pair for the next one.
+    (`tisfm.frames.grey_pair`). `window`, for motion ``"field"``, holds the previous pair; this pair
+    then replaces it there.
     """
     settings = check_settings(settings)
     known = check_pose(pose)
@@ -179,7 +183,7 @@ def interpret_pair(
     flow, deviation = estimate.flow, estimate.inverse_depth_std
     if pyramid.contrast == 0:
         estimate.precision[...] = 0  # only gradients of frame 1 contribute
-    with np.errstate(over="ignore", invalid="ignore"):  # where ρ̂ diverged, as the status says
+    with np.errstate(over="ignore", invalid="ignore"):  # ρ̂ may have diverged: the status says so
         leaves = leaves_image(flow)
         unseen = occlusion_in(
             pyramid,
@@ -255,9 +259,9 @@ def keep_pair(
     ignored: tuple[np.ndarray | None, np.ndarray | None] | None = None,
     stretch: bool = True,
 ) -> None:
-    """Keep a pair for the next one, as `interpret_pair` does.
+    """Store a finished pair in `window` for the next pair, as `interpret_pair` does.
 
-    `result` is the result of `interpret_pair`, and the other arguments are those that it had.
+    `result` is the result of `interpret_pair` for the other arguments.
     """
     prepared = prepare_pair(
         frame0,
@@ -274,9 +278,10 @@ def keep_pair(
 def _keep(
     window: Window, pyramid: "ImagePyramid", flow: np.ndarray, unseen: np.ndarray, status: Status
 ) -> None:
-    """Keep a flow, (2, H, W), for the next pair, if its status is one to rely on.
+    """Store a flow, (2, H, W), for the next pair, if its status is in `RELIABLE`.
 
-    It is round_as_packed as in a compact file, from which a run that is resumed goes on.
+    The flow is rounded as in a compact file, so that a resumed run, which reads the flow from such
+    a file, gives the same results.
     """
     from tisfm.motion.previous_frame import PreviousPair
 

@@ -1,4 +1,4 @@
-"""The scene as coloured points in space, and as a PLY file."""
+"""Coloured 3D points of a depth map, and their PLY file."""
 
 import os
 from dataclasses import dataclass
@@ -12,23 +12,24 @@ from tisfm.camera import Camera, check_pinhole
 from tisfm.checks import refuse_masked, unmasked
 from tisfm.errors import InputError, InputTypeError
 
-FARTHEST_MEDIANS = 10.0  # depths: near the horizon of inverse depth its noise throws points off
+# Farthest point, median depths: where inverse depth is nearly 0, its noise moves points far away.
+FARTHEST_MEDIANS = 10.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PointCloud(NDArrayOperatorsMixin):
-    """Points before the camera, with their colours and how far to trust them.
+    """Points in front of the camera, with colours and confidence.
 
-    It can be used as the array of its positions: it has their shape, type, length, items and
-    arithmetic, and NumPy's functions take it.
+    A cloud can be used as the array of its positions: it has their shape, type, length, items and
+    arithmetic, and NumPy's functions accept it.
 
     Attributes
     ----------
     positions : (N, 3) float32
-        X right, Y down, Z forward, in the axes of the camera at frame 0; the scale is that of the
-        depth, relative.
+        X right, Y down, Z forward, in the axes of the camera at frame 0 and the relative scale of
+        the depth.
     colors : (N, 3) uint8
-        Red, green, blue; of a grey frame all three alike.
+        Red, green, blue; three equal values for a grey frame.
     confidence : (N,) float32
         In [0, 1].
 
@@ -88,7 +89,7 @@ class PointCloud(NDArrayOperatorsMixin):
         return np.asarray(self.positions, dtype=dtype)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
-        if "out" in options:  # as from +=, which would leave the colours with other points
+        if "out" in options:  # from +=, after which the colours would belong to other points
             return NotImplemented
         arrays = [i.positions if isinstance(i, PointCloud) else i for i in inputs]
         return getattr(ufunc, method)(*arrays, **options)
@@ -99,21 +100,21 @@ class PointCloud(NDArrayOperatorsMixin):
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a binary PLY file, whole or not at all.
 
-        Every vertex has x, y, z, red, green, blue (uchar) and confidence, the numbers as float.
-        Viewers such as MeshLab, CloudCompare and Blender read it. Y points down: a viewer whose Y
-        points up shows the scene upside down until it is turned.
+        Every vertex has x, y, z and confidence (float), and red, green, blue (uchar). Viewers such
+        as MeshLab, CloudCompare and Blender read it. Y points down: a viewer whose Y points up
+        shows the scene upside down at first.
 
         Parameters
         ----------
         path : path
-            The file; ``.ply`` is the customary suffix, and none is added.
+            The file. Its customary suffix is ``.ply``; no suffix is added.
 
         Raises
         ------
         OSError
             If the folder does not exist or cannot be written to.
         """
-        from trimesh import Trimesh  # takes a while to load
+        from trimesh import Trimesh  # slow to import
         from trimesh.exchange.ply import export_ply
 
         from tisfm.formats import atomic_write
@@ -136,16 +137,16 @@ def point_cloud(
     max_depth: float | None = FARTHEST_MEDIANS,
     occluded: bool = False,
 ) -> PointCloud:
-    """Take the pixels of a depth map out into space.
+    """Return the 3D points of the pixels of a depth map.
 
     Parameters
     ----------
     depth : (H, W) float32
-        Z; pixels where it is not finite or not positive give no point.
+        Z; only pixels with a finite positive depth give a point.
     camera : Camera
         Without distortion.
     frame : (H, W) or (H, W, 3) uint8
-        For the colours.
+        The image that gives the colours.
     confidence : (H, W) float32
     occlusion : (H, W) bool
     min_confidence, max_depth, occluded
@@ -179,7 +180,8 @@ def point_cloud(
     if not occluded:
         kept &= ~occlusion
     if max_depth is not None and kept.any():
-        kept &= depth <= max_depth * np.median(depth[kept].astype(float))  # beyond float32, maybe
+        # In float64: the product may be beyond float32.
+        kept &= depth <= max_depth * np.median(depth[kept].astype(float))
     row, column = np.nonzero(kept)
     cx, cy = camera.center_for(*depth.shape)
     positions = np.empty((len(row), 3), np.float32)
@@ -192,7 +194,7 @@ def point_cloud(
     if colors.ndim == 1:
         colors = np.repeat(colors[:, None], 3, axis=1)
     trust = confidence[row, column]
-    within = np.isfinite(positions).all(axis=1)  # not so beyond what float32 holds
+    within = np.isfinite(positions).all(axis=1)  # False where float32 overflowed
     return PointCloud(positions=positions[within], colors=colors[within], confidence=trust[within])
 
 

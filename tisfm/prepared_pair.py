@@ -22,7 +22,7 @@ from tisfm.status import Status
 if TYPE_CHECKING:
     from tisfm.solver.image_pyramid import ImagePyramid
 
-LARGEST_GREY = 1e15  # grey levels: squares of derivatives have to fit into float32
+LARGEST_GREY = 1e15  # grey levels: squares of derivatives must fit into float32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,17 +32,17 @@ class PreparedPair:
     Attributes
     ----------
     pyramid : ImagePyramid
-        Of both frames.
+        Image pyramid of both frames.
     camera : Camera
         A pinhole.
     lens : Undistortion or None
         The distortion that was undone.
     frame : (H, W) or (H, W, 3) uint8
-        Frame 0 as a picture.
+        Frame 0, for display.
     overflow : Status or None
         The status of frames that are too bright for float32.
     greys : tuple of (H, W) float32
-        Both frames, for motion ``"objects"`` alone.
+        Both frames for motion ``"objects"``, empty for other motions.
     """
 
     pyramid: "ImagePyramid"
@@ -73,7 +73,7 @@ def prepare_pair(
         camera = guess_camera(grey0.shape)
     camera = check_camera(camera)
 
-    runtime.start()  # before Taichi is imported, which looks for a cache folder as well
+    runtime.start()  # first: importing Taichi already looks for a cache folder
     from tisfm.motion.problems import pyramid_of
     from tisfm.motion.rolling_shutter import global_shutter_pair
 
@@ -127,7 +127,7 @@ def ignored_pixels(mask: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[np.ndar
 def _counting_pixels(
     ignored: tuple[np.ndarray | None, np.ndarray | None] | None, shape: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the pixels of both frames that count, (H, W) bool; None where all do."""
+    """Return the pixels of both frames that are used, (H, W) bool; None if all are used."""
     if ignored is None or not any(part is not None and part.any() for part in ignored):
         return None
     counted0, counted1 = (np.ones(shape, bool) if part is None else ~part for part in ignored)

@@ -1,4 +1,4 @@
-"""Images taken to another grid: each pixel from where a map leads to."""
+"""Resampling of images: a map gives the source position of each new pixel."""
 
 import numpy as np
 
@@ -7,19 +7,19 @@ from tisfm.visibility.occlusion import leaves_image
 
 
 class Resampling:
-    """The map from an image to another one of its size.
+    """The map from an old image to a new image of the same size.
 
     Parameters
     ----------
     flow : (2, H, W) float32
-        From each pixel of the new image to where the old one has it, px.
+        Displacement from each pixel of the new image to its source in the old image, px.
     known : (H, W) bool, optional
-        Where that is to be relied on; by default everywhere.
+        Where the displacement is reliable; by default everywhere.
 
     Attributes
     ----------
     valid : (H, W) bool
-        Where the new image has data: the map leads to inside the old one.
+        Where the new image has data: the source is reliable and inside the old image.
     """
 
     def __init__(self, flow: np.ndarray, known: np.ndarray | None = None) -> None:
@@ -39,8 +39,8 @@ class Resampling:
         Returns
         -------
         array of the image's shape and type
-            No value lies beyond the image's own least and greatest one. Where there are no data,
-            the border is repeated.
+            All values lie between the image's own least and greatest value. Pixels without data
+            repeat the border.
         """
         if image.ndim == 3:
             return np.stack([self.apply(channel) for channel in np.moveaxis(image, -1, 0)], axis=-1)
@@ -50,12 +50,12 @@ class Resampling:
         return np.clip(values, image.min(), image.max()).astype(image.dtype, copy=False)
 
     def nearest(self, values: np.ndarray) -> np.ndarray:
-        """Return a map of values as the new image has it, each from the nearest pixel.
+        """Return a map of values for the new image, each from the nearest source pixel.
 
         Parameters
         ----------
         values : (H, W) float array
-            Such as depth.
+            For example depth.
 
         Returns
         -------
@@ -68,7 +68,7 @@ class Resampling:
         return np.where(self.valid, values[y.astype(np.intp), x], values.dtype.type(np.nan))
 
     def missing(self, flow: np.ndarray) -> np.ndarray:
-        """Return which pixels have no data, or go to where frame 1 has none.
+        """Return the pixels that have no data in frame 0, or move to where frame 1 has no data.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Rigid motions of the scene before the camera, P₁ = R P₀ + t: as twists and as matrices."""
+"""Rigid motions of the scene in front of the camera, P₁ = R P₀ + t: twists and matrices."""
 
 import math
 from dataclasses import dataclass
@@ -11,15 +11,15 @@ from tisfm.errors import InputError, InputTypeError
 
 __all__ = ["pose_matrix", "rigid_motion", "rigid_twist"]
 
-_ORTHONORMAL = 1e-3  # of R Rᵀ: poses in text files are rounded, measured ones to 1e-4
-# Of ‖t‖, in its own unit: depth and its deviation then are numbers of float32, with digits to spare
-# for scenes of any size and images of any parallax.
+_ORTHONORMAL = 1e-3  # tolerance of R Rᵀ − 1: text files round poses, measured poses to 1e-4
+# Range of ‖t‖, in the unit of t: depth and its deviation then fit into float32, with a margin for
+# scenes of any size and any parallax.
 _SHORTEST, _LONGEST = 1e-30, 1e30
-_TURN = 90.0  # degrees: frames that differ by more have hardly anything in common
+_TURN = 90.0  # degrees: frames that differ by a larger rotation have hardly anything in common
 
 
 def rigid_motion(motion: ArrayLike) -> tuple[Floats, Floats]:
-    """Return the finite rigid motion of a twist acting for one frame.
+    """Return the finite rigid motion of a twist that acts for one frame.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def rigid_motion(motion: ArrayLike) -> tuple[Floats, Floats]:
     Raises
     ------
     ValueError
-        If `motion` is not six finite numbers, none of them masked.
+        If `motion` is not six finite numbers without a mask.
 
     Examples
     --------
@@ -51,7 +51,7 @@ def rigid_motion(motion: ArrayLike) -> tuple[Floats, Floats]:
     velocity, spin = twist[:3], twist[3:]
     angle = float(np.linalg.norm(spin))
     cross = np.array([[0.0, -spin[2], spin[1]], [spin[2], 0.0, -spin[0]], [-spin[1], spin[0], 0.0]])
-    # sin θ/θ, (1 - cos θ)/θ² and (θ - sin θ)/θ³, none of which cancels at small angles.
+    # sin θ/θ, (1 - cos θ)/θ² and (θ - sin θ)/θ³, in forms without cancellation at small angles.
     first = float(np.sinc(angle / np.pi))
     second = 0.5 * float(np.sinc(angle / (2 * np.pi))) ** 2
     if angle < 1e-2:
@@ -64,7 +64,7 @@ def rigid_motion(motion: ArrayLike) -> tuple[Floats, Floats]:
 
 
 def rigid_twist(rotation: ArrayLike, translation: ArrayLike) -> Floats:
-    """Return the twist that, acting for one frame, does a finite rigid motion.
+    """Return the twist that, acting for one frame, gives a finite rigid motion.
 
     Parameters
     ----------
@@ -74,12 +74,12 @@ def rigid_twist(rotation: ArrayLike, translation: ArrayLike) -> Floats:
     Returns
     -------
     (6,) ndarray
-        (T, ω), of which `rigid_motion` gives R and t.
+        (T, ω); `rigid_motion` converts it back to R and t.
 
     Raises
     ------
     ValueError
-        If they are not finite numbers of those shapes.
+        If the arguments are not finite numbers of those shapes.
 
     Examples
     --------
@@ -90,14 +90,14 @@ def rigid_twist(rotation: ArrayLike, translation: ArrayLike) -> Floats:
     True
     """
     matrix, offset = finite(rotation, (3, 3), "rotation"), finite(translation, (3,), "translation")
-    # The axis times twice the sine, and the cosine, from the trace: good at small angles.
+    # The axis times twice the sine, with the cosine from the trace, is accurate at small angles.
     axis = np.array(
         [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
     )
     twice_sine = float(np.linalg.norm(axis))
     angle = math.atan2(twice_sine, float(np.trace(matrix)) - 1)
     spin = axis / 2 if twice_sine < 1e-12 else axis * (angle / twice_sine)
-    # t = V(ω) T, and V(ω) is what `rigid_motion` does to unit velocities.
+    # t = V(ω) T: the columns of V(ω) are the translations of the three unit velocities.
     integral = np.column_stack([rigid_motion([*unit, *spin])[1] for unit in np.eye(3)])
     return np.concatenate([np.linalg.solve(integral, offset), spin])
 
@@ -113,7 +113,7 @@ def pose_matrix(twist: ArrayLike) -> NDArray[np.float64]:
     Returns
     -------
     (4, 4) float64 ndarray
-        Its exponential.
+        The exponential of the twist.
 
     Raises
     ------
@@ -125,7 +125,7 @@ def pose_matrix(twist: ArrayLike) -> NDArray[np.float64]:
     >>> import numpy as np
     >>> from tisfm.rigid import pose_matrix
     >>> pose = pose_matrix([-0.1, 0, 0, 0, 0, 0])  # the camera moved 0.1 to the right
-    >>> (pose @ [0, 0, 2, 1]).tolist()  # where a point before it is then
+    >>> (pose @ [0, 0, 2, 1]).tolist()  # where a point in front of it is then
     [-0.1, 0.0, 2.0, 1.0]
     """
     pose = np.eye(4)
@@ -134,14 +134,14 @@ def pose_matrix(twist: ArrayLike) -> NDArray[np.float64]:
 
 
 def is_rotation(matrix: NDArray[np.float64]) -> bool:
-    """Return whether a (3, 3) matrix is orthonormal, within 0.001, and mirrors nothing."""
+    """Return whether a (3, 3) matrix is orthonormal within 0.001 and has no mirroring."""
     square = matrix @ matrix.T
     return bool(np.abs(square - np.eye(3)).max() <= _ORTHONORMAL and np.linalg.det(matrix) > 0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class KnownPose:
-    """What is known of P₁ = R P₀ + t.
+    """The known part of the motion P₁ = R P₀ + t.
 
     Attributes
     ----------
@@ -155,20 +155,20 @@ class KnownPose:
 
 
 def check_pose(pose: ArrayLike | None) -> KnownPose | None:
-    """Return a pose as it was given, None for None.
+    """Return a checked pose, with the nearest exact rotation; None for None.
 
     Parameters
     ----------
     pose : array_like, shape (4, 4) or (3, 3), or None
-        (R, t; 0, 1), points in frame 0's camera axes to frame 1's; or R alone.
+        (R, t; 0, 1), which takes points from frame 0's camera axes to frame 1's; or R alone.
 
     Raises
     ------
     TypeError
-        If it is not an array of real numbers.
+        If the pose is not an array of real numbers.
     ValueError
-        If it is neither, has a masked value, turns by 90° or more, or translates by a length that
-        is neither 0 nor from 1e-30 to 1e30: single precision cannot hold depth in such a unit.
+        If it is neither of the two, has a masked value, turns by 90° or more, or translates by a
+        length that is neither 0 nor from 1e-30 to 1e30: float32 cannot hold depth in such a unit.
     """
     if pose is None:
         return None
@@ -199,7 +199,7 @@ def check_pose(pose: ArrayLike | None) -> KnownPose | None:
             f"pose holds {rotation.tolist()}, which is no rotation: expected an orthonormal matrix "
             "without mirroring"
         )
-    # Measured poses are rounded: the nearest rotation.
+    # Measured poses are rounded: take the nearest rotation.
     left, _, right = np.linalg.svd(rotation)
     rotation = left @ right
     from scipy.spatial.transform import Rotation  # slow to import
@@ -214,7 +214,7 @@ def check_pose(pose: ArrayLike | None) -> KnownPose | None:
     if len(matrix) == 3:
         return KnownPose(rotation=rotation, translation=None)
     translation = matrix[:3, 3].copy()
-    length = math.hypot(*translation)  # whose squares do not overflow
+    length = math.hypot(*translation)  # hypot: squares would overflow
     if translation.any() and not _SHORTEST <= length <= _LONGEST:
         raise InputError(
             f"pose translates by {length:.1e}: expected 0 if it only turns, or a length of "

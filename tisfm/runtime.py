@@ -1,4 +1,4 @@
-"""The Taichi runtime: the only place that starts it."""
+"""The Taichi runtime. Only this module starts Taichi."""
 
 import contextlib
 import io
@@ -25,9 +25,9 @@ __all__ = ["start"]
 Arch = Literal["cpu", "cuda", "vulkan", "metal"]
 ARCHS = get_args(Arch)
 _starting = threading.Lock()
-_process: int | None = None  # in which Taichi was started, or found running
-_warned_of: int | None = None  # id of the program of Taichi that the user was warned of
-_AVX_512F = 13  # OpenCV's number of this feature, which Python has no name for
+_process: int | None = None  # id of the process in which Taichi was started or found running
+_warned_of: int | None = None  # id of the Taichi program that the user was warned about
+_AVX_512F = 13  # OpenCV's number of this CPU feature; cv2 in Python has no name for it
 _NEEDS = {
     "cuda": "it needs an NVIDIA GPU and its driver (libcuda)",
     "vulkan": "it needs a GPU with a Vulkan driver, and the loader (libvulkan)",
@@ -36,7 +36,7 @@ _NEEDS = {
 
 
 class SoftwareVulkanWarning(UserWarning):
-    """Vulkan runs on software on the CPU, not on a GPU."""
+    """Vulkan is emulated in software on the CPU, not run on a GPU."""
 
 
 def start(
@@ -44,49 +44,48 @@ def start(
 ) -> None:
     """Start Taichi, unless it is running already.
 
-    Optional: the first interpretation starts it with the defaults. Taichi keeps one runtime per
-    process, so arch and threads are chosen before the first use. A runtime that an application
-    started with its own ``ti.init`` is used as it is and never reset.
+    This call is optional: the first interpretation starts Taichi with the defaults. Taichi has one
+    runtime per process, so choose arch and threads before the first use. If an application started
+    Taichi with its own ``ti.init``, that runtime is used unchanged and never reset.
 
     Parameters
     ----------
     arch : {"cpu", "cuda", "vulkan", "metal"}, optional
-        Where kernels run. By default where they run already, or else what Taichi's environment
-        variable TI_ARCH says, or else "cpu".
+        Where kernels run. By default the arch of a running Taichi, or else that of Taichi's
+        environment variable TI_ARCH, or else "cpu".
     threads : int, optional
-        Upper bound on CPU threads, by default and at most as many as there are cores. Results
-        do not depend on it.
+        Most CPU threads, by default and at most the number of cores. The number does not change
+        results.
     bind_threads : bool
-        Whether each of the CPU's threads is bound to a core of its own, on Linux, where there are
-        as many as this process may use cores. Kernels on small images are faster by it. Without
-        effect where Taichi runs already.
+        Whether to bind each CPU thread to its own core, on Linux, if there are as many threads as
+        cores that this process may use. Kernels on small images become faster. Without effect if
+        Taichi is already running.
 
     Warns
     -----
     UserWarning
-        If Vulkan runs on software on the CPU, not on a GPU: it is slow, and answers may be wrong.
-        An application may have started Taichi on it.
-        If an application started Taichi on the CPU without ``real_matrix_scalarize=False``: our
-        kernels may then take minutes to compile.
+        If Vulkan is emulated in software on the CPU, also in a runtime that an application started:
+        it is slow, and results may be wrong. If an application started Taichi on the CPU without
+        ``real_matrix_scalarize=False``: our kernels may then take minutes to compile.
 
     Raises
     ------
     ValueError
-        If arch is not one of those above or threads is not a positive integer.
+        If arch is not one of the above, or threads is not a positive integer.
     RuntimeError
-        If Taichi is already running in another way than the one asked for, or cannot run on
-        `arch` here. It never falls back to the CPU by itself. If this process was forked from one
-        in which Taichi ran: its threads have stayed there.
+        If Taichi is already running with another arch or another number of threads, or cannot run
+        on `arch` here: there is no fallback to the CPU. Also if this process was forked from a
+        process in which Taichi ran: a fork does not copy Taichi's threads.
     MemoryError
         If a limit of the address space (``ulimit -v``) leaves less than Taichi reserves.
 
     Notes
     -----
     Taichi keeps compiled kernels in the user's cache folder, and ends the process with a
-    segmentation fault where there is none that it can write. It is then started without that
-    cache, and compiles anew in every process. A lock there that a killed process has left is
-    removed after two minutes. Where neither HOME nor XDG_CACHE_HOME is set,
-    which Taichi does not survive either, HOME is set for this process.
+    segmentation fault if it cannot write to that folder. Taichi is then started without the cache,
+    and compiles anew in every process. A lock that a killed process left there is removed after two
+    minutes. If neither HOME nor XDG_CACHE_HOME is set, Taichi would crash too; HOME is then set for
+    this process.
 
     Examples
     --------
@@ -104,7 +103,7 @@ def start(
         isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1
     ):
         raise InputError(f"threads is {threads!r}: expected a positive integer, or None for all")
-    if threads is not None:  # Taichi starts every thread it is told of, needed or not
+    if threads is not None:  # Taichi would start all these threads, even more than cores
         threads = min(int(threads), os.cpu_count() or 1)
     if _process not in (None, os.getpid()):
         raise RunError(
@@ -113,7 +112,7 @@ def start(
             "before the first interpretation"
         )
     with _starting:
-        _process = os.getpid()  # known before: a process may fork while another thread starts
+        _process = os.getpid()  # set first: the process may fork while this thread starts Taichi
         try:
             _start(arch, threads, bind_threads)
         finally:
@@ -122,13 +121,13 @@ def start(
 
 
 def start_worker(arch: Arch | None = None, *, threads: int | None = None) -> None:
-    """Start the runtime, as `start` does, in a process that outlives what it is asked for.
+    """Start the runtime, as `start` does, in a worker process that does several jobs.
 
-    Where it already runs it keeps its threads, on which no result depends.
+    A runtime that already runs keeps its number of threads, which does not change results.
     """
     keep_freed_memory()
     with warnings.catch_warnings():
-        # The main process has warned already.
+        # The main process has already given this warning.
         warnings.simplefilter("ignore", SoftwareVulkanWarning)
         start(arch, threads=None if _is_running() else threads)
 
@@ -146,7 +145,7 @@ def _start(arch: Arch | None, threads: int | None, bind_threads: bool) -> None:
 
     import tisfm.kernels  # noqa: F401  (quiets Taichi's import)
 
-    # Where output goes to a notebook, it would say so there, and look for what kernels print.
+    # If stdout belongs to a notebook, Taichi would print a notice and collect output of kernels.
     with contextlib.redirect_stdout(sys.__stdout__):
         import taichi  # noqa: F401
 
@@ -154,9 +153,9 @@ def _start(arch: Arch | None, threads: int | None, bind_threads: bool) -> None:
         options["cpu_max_num_threads"] = threads
         cv2.setNumThreads(threads)
     if chosen == "cpu":
-        options["real_matrix_scalarize"] = False  # lanes are one hardware vector, or two
+        options["real_matrix_scalarize"] = False  # keeps all lanes in one or two hardware vectors
     else:
-        options["fast_math"] = False  # roots and quotients rounded as on a CPU
+        options["fast_math"] = False  # rounds roots and quotients as a CPU does
     before = thread_ids()
     _initialise(chosen, options)
     if chosen == "cpu" and bind_threads:
@@ -164,18 +163,18 @@ def _start(arch: Arch | None, threads: int | None, bind_threads: bool) -> None:
 
 
 def _initialise(arch: str, options: dict[str, Any]) -> None:
-    """Start Taichi on an arch, or explain why it cannot be."""
+    """Start Taichi on an arch, or raise an error that says why this is impossible."""
     global _warned_of
     import taichi as ti
 
     from tisfm.kernels.layout.internals import materialize, program
 
-    overriding = os.environ.pop("TI_ARCH", None)  # would win over what is asked for
+    overriding = os.environ.pop("TI_ARCH", None)  # it would override `arch`
     try:
         with contextlib.redirect_stdout(io.StringIO()):  # Taichi prints the arch it starts on
-            # Nor is it to complain of each library that it looks for: the error says that.
+            # log_level: no line for each library that Taichi does not find; the error is enough.
             ti.init(arch=getattr(ti, arch), enable_fallback=False, log_level=ti.ERROR, **options)
-            # Left to the first kernel, it would have to be launched by this very thread.
+            # Without this, only the present thread could launch the first kernel.
             materialize()
     except RuntimeError as error:
         raise RunError(
@@ -185,11 +184,11 @@ def _initialise(arch: str, options: dict[str, Any]) -> None:
         if overriding is not None:
             os.environ["TI_ARCH"] = overriding
     ti.set_logging_level(ti.WARN)
-    _warned_of = id(program())  # no application has started it
+    _warned_of = id(program())  # started here, so no warning about an application's ti.init
 
 
 def software_said(device: str) -> str:
-    """Return the warning for a Vulkan device of this name that is software."""
+    """Return the warning for a software Vulkan device of this name."""
     return (
         f"vulkan runs on {device}, software on the CPU, not a GPU: it is slow, and answers may "
         'be wrong; take arch="cpu" (--arch cpu)'
@@ -209,31 +208,31 @@ def _arch_of_environment() -> str:
 
 
 def on_gpu() -> bool:
-    """Return whether kernels run elsewhere than on the CPU, starting the runtime if need be."""
+    """Return whether kernels run on a GPU; start the runtime if necessary."""
     start()
     return running_arch() != "cpu"
 
 
 def running_arch() -> str:
-    """Return where the runtime, which must have been started, runs: "cpu", or Taichi's name."""
+    """Return the arch of the running runtime: "cpu", or Taichi's name of the GPU arch."""
     from tisfm.kernels.layout import internals
 
     return internals.arch()
 
 
 def lanes() -> int:
-    """Return the lane count that suits the running arch, starting the runtime if need be."""
+    """Return the lane count for the running arch; start the runtime if necessary."""
     return 1 if on_gpu() else cpu_lanes()
 
 
 def cpu_lanes() -> int:
-    """Return the lane count that suits this CPU: 16 where vectors are as wide (AVX-512), else 8."""
+    """Return the lane count for this CPU: 16 with vectors of that width (AVX-512), else 8."""
     return 16 if cv2.checkHardwareSupport(_AVX_512F) else 8
 
 
 def lane_grid(height: int, width: int) -> "LaneGrid":
-    """Return a grid whose arrays lie as suits the running arch, and on its device."""
-    device = on_gpu()  # before kernels are imported: it starts Taichi
+    """Return a grid whose arrays have the layout for the running arch and lie on its device."""
+    device = on_gpu()  # first: it starts Taichi, which must precede the import of kernels
     from tisfm.kernels.layout.lanes import LaneGrid
 
     try:
@@ -243,7 +242,7 @@ def lane_grid(height: int, width: int) -> "LaneGrid":
 
 
 def threads() -> int:
-    """Return the most CPU threads that kernels use, starting the runtime if need be."""
+    """Return the most CPU threads that kernels use; start the runtime if necessary."""
     start()
     return _most_threads()
 
@@ -287,9 +286,9 @@ def _check_running(arch: str | None, threads: int | None) -> None:
 
 
 def _warn_of_application() -> None:
-    """Warn, once for each ``ti.init``, if an application started Taichi in a way that is slow.
+    """Warn, once for each ``ti.init``, if an application started Taichi with slow options.
 
-    Either Taichi takes vectors apart, or Vulkan runs on software.
+    The options are splitting of vectors into scalars, or Vulkan that is emulated in software.
     """
     global _warned_of
     from tisfm.kernels.layout import internals
@@ -298,7 +297,7 @@ def _warn_of_application() -> None:
     if _warned_of == program:
         return
     if arch == "vulkan":
-        _warned_of = program  # first: asking the drivers takes time
+        _warned_of = program  # set first: the query of the drivers is slow and need not repeat
         if device := software_vulkan():
             warnings.warn(software_said(device), SoftwareVulkanWarning, stacklevel=4)
     if arch == "cpu" and internals.configuration().real_matrix_scalarize:

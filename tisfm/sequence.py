@@ -1,4 +1,4 @@
-"""Frames in, interpretations out, two frames in memory at a time."""
+"""The interpretation of all pairs of a sequence, with two frames in memory at a time."""
 
 import os
 import warnings
@@ -48,48 +48,49 @@ def interpret_sequence(
     ----------
     source : path, sequence of paths, or iterable of arrays
         A folder of images, a glob pattern, a video, a list of image files, or any iterable of
-        frames; or ``"webcam"``, ``"webcam:1"``, … for a camera. Two frames are in memory at a time,
-        and two more of files and videos, which are read ahead in a thread.
+        frames; or ``"webcam"``, ``"webcam:1"``, … for a camera. Two frames are in memory at a time.
+        For files and videos a thread reads two more frames ahead.
     camera : Camera, optional
-        As for `tisfm.interpret`; distortion is removed from every frame first. It is that of the
-        frames before they are cropped and shrunk; that of a result is the one after. A focal length
-        that has to be guessed is guessed once, from the first image file, or else from the size of
+        As for `tisfm.interpret`; distortion is removed from every frame first. The argument belongs
+        to the frames before cropping and shrinking, the camera of a result to the frames after. An
+        unknown focal length is guessed once, from the first image file, or else from the size of
         the first frame, with one `GuessedFocalWarning`.
     settings : Settings, optional
         By default the preset ``"balanced"``.
     step : int
-        Take every `step`-th frame, for slow motion.
+        Use every `step`-th frame, for slow motion.
     start, stop : int
-        The first frame that is taken, and the first that is not any more, by their numbers in the
-        source, from 0. By default all.
+        Number of the first frame to use, and of the frame before which to stop; the frames of the
+        source count from 0. By default all are used.
     size : int, optional
         Longer side of the frames, px. Larger ones are shrunk by averaging over areas.
     crop : (int, int, int, int), optional
-        Left, top, width and height of the part of the frames that is used, px, cut out before the
-        rest is shrunk.
+        Left, top, width and height of the part of the frames to use, px. It is cropped before
+        shrinking.
     bad_frames : {"raise", "skip"}
-        What becomes of frames that are damaged: an error, or they are left out, with a warning
-        each. A pair then is of the frames before and after.
+        For a damaged frame: raise an error, or leave the frame out with a warning. A pair is then
+        made of the frames before and after it.
     poses : iterable of (4, 4) or (3, 3) arrays, optional
         A known motion for every pair, as `pose` for `tisfm.interpret`: from the axes of its first
-        frame to those of its second. It may be made as it goes, and need not end.
+        frame to those of its second. The iterable may be a generator, and may be endless.
     mask : path, array, sequence of paths, or iterable of arrays, optional
-        Pixels that count, as for `tisfm.interpret`: black, zero or False are ignored. A picture or
-        an (H, W) array for all frames; or one for every frame of the source, those that are left
-        out included: a folder, a glob pattern, a list of files, an (N, H, W) array, or any iterable
-        of (H, W) arrays. They have the size of the frames before these are cropped and shrunk.
+        Pixels to use, as for `tisfm.interpret`: black, zero or False pixels are ignored. Either a
+        picture or an (H, W) array for all frames, or one mask for every frame of the source,
+        skipped frames included: a folder, a glob pattern, a list of files, an (N, H, W) array, or
+        any iterable of (H, W) arrays. Masks have the size of the frames before cropping and
+        shrinking.
     window : {2, 3}
-        How many frames an interpretation sees: the pair, or, for ``motion="field"``, the frame
-        before it as well. What is hidden in the second frame of a pair is mostly seen in the one
-        before the first, and its motion is nearly the same. What is known of the pair before is
-        dropped at cuts, after pairs that failed, and where frames are skipped; until then a third
-        frame, grey, and a flow are in memory.
+        Number of frames for one interpretation: the pair, or, for ``motion="field"``, also the
+        previous frame. A point that is hidden in the second frame of a pair is mostly visible in
+        the previous frame, with nearly the same motion. The data of the previous pair are dropped
+        at cuts, after pairs that failed, and where frames are skipped. They take the memory of a
+        third grey frame and a flow.
 
     workers : int
-        Processes of this machine that share the pairs, each with its share of the cores. Results
-        do not depend on it. The source and the mask are files then, and `window` is 2. As always
-        with processes that `multiprocessing` starts by ``"spawn"``, a script calls this under
-        ``if __name__ == "__main__":``.
+        Processes of this machine that share the pairs, each with its share of the cores. The
+        number does not change results. With several workers, the source and the mask must be
+        files, and `window` must be 2. As always when `multiprocessing` starts processes by
+        ``"spawn"``, a script must make the call under ``if __name__ == "__main__":``.
 
     Returns
     -------
@@ -99,18 +100,17 @@ def interpret_sequence(
     Warns
     -----
     UserWarning
-        For each frame that is skipped, and each note on how the source is read.
+        For each skipped frame, and for each note on how the source is read.
 
     Raises
     ------
     OSError, TypeError, ValueError
-        At once if the source does not exist or has fewer than two frames, or if there are poses
-        for a motion that is not ``"camera"``, or not as many as pairs, or though frames may be
-        skipped, or if masks do not exist or are not as many as frames, or if `window` is not 2 or
-        3, or is 3 for a motion that is not ``"field"``, or if several workers cannot share the
-        source; while iterating if a frame or its mask
-        cannot be read, if poses or masks end too early, or as `tisfm.interpret`, with the names of
-        the frames.
+        At once if the source does not exist or has fewer than two frames; if poses are given for a
+        motion that is not ``"camera"``, or together with ``bad_frames="skip"``, or their number is
+        not that of the pairs; if masks do not exist, or their number is not that of the frames; if
+        `window` is not 2 or 3, or is 3 for a motion that is not ``"field"``; or if several workers
+        cannot share the source. While iterating, if a frame or its mask cannot be read, if poses or
+        masks end too early, or as `tisfm.interpret`, with the names of the frames.
 
     Examples
     --------
@@ -177,17 +177,17 @@ def _interpret_pairs(
             if first:
                 camera = _camera_after(source, pair, camera, settings)
             result = pair.interpret(camera=camera, settings=settings, window=window)
-            camera, first = camera or result.camera, False  # a guess is made once
-            del pair  # or it would keep its first frame while the next one is read
+            camera, first = camera or result.camera, False  # the guess of the first pair is kept
+            del pair  # frees its first frame before the next frame is read
             yield result
-            del result  # of which the frame may be that of the source
+            del result  # its frame may be that of the source
     _warn_of_skipped(source, told)
 
 
 def _interpret_shared(
     source: PairSource, camera: Camera | None, workers: int
 ) -> Iterator[Interpretation]:
-    """Interpret the first pair here, which decides on the camera, and the others in processes."""
+    """Interpret the first pair in this process, to find the camera, and the others in workers."""
     frames, pairs = source.open()
     with closing(pairs):
         first = next(pairs)
@@ -213,7 +213,7 @@ def _interpret_shared(
 
 
 def _warn_of_skipped(source: FrameSource, told: int) -> int:
-    """Warn of the frames that were skipped after the first `told`; return how many it now are."""
+    """Warn of skipped frames but for the first `told`; return the number of skipped frames."""
     for _, reason in source.skipped[told:]:
         warnings.warn(f"{reason}; the frame is skipped", stacklevel=3)
     return len(source.skipped)
@@ -222,7 +222,7 @@ def _warn_of_skipped(source: FrameSource, told: int) -> int:
 def _camera_after(
     source: FrameSource, pair: FramePair, camera: Camera | None, settings: Settings
 ) -> Camera | None:
-    """Return the camera of the frames as they are interpreted; None where the pair is to decide."""
+    """Return the camera of the cropped and shrunk frames; None if `interpret` is to choose it."""
     known = source.first_file or pair.full
     if camera is None and known is not None and settings.motion != "field":
         camera = guess_camera(known)

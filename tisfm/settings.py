@@ -1,4 +1,4 @@
-"""Settings: what is minimised, and how. Presets are named points in this space."""
+"""Settings of the energy and of its minimisation, and named presets."""
 
 import math
 from collections.abc import Sequence
@@ -15,21 +15,21 @@ Solver = Literal["cholesky", "closed_form"]
 Preset = Literal["paper", "fast", "balanced", "accurate"]
 
 PAPER_SMOOTHNESS = 1e8 / 600**2  # the paper's λ = 1e8 at its f = 600, as λ̂ = λ/f²
-# Bounds of weights and scales: whatever is accepted, products of several of them with grey levels
-# and motions are numbers of float32, and α is not so small that it drowns in the floors of pivots.
+# Bounds of weights and scales. Within them, products of several settings with grey levels and
+# motions fit into float32, and α stays above the least pivots of the linear solvers.
 LEAST_SMOOTHNESS, MOST_SMOOTHNESS = 1e-6, 1e12
 _MOST = 1e6
-_LEAST_CONTRAST = 1e-3  # px/frame: below it, single precision cannot keep the energy from rising
-# The most of every count: more than any use, and few enough for a run to end or to be interrupted.
+_LEAST_CONTRAST = 1e-3  # px/frame: below it, rounding in float32 can make the energy rise
+# The most of every count: more than any use needs, but a run still ends or can be interrupted.
 _COUNTS = {
     "pyramid_levels": 100,
     "finest_level": 100,
     "warps": 10_000,
     "coarse_warps": 10_000,
     "outer_iterations": 10_000,
-    "sweeps": 1000,  # of one launch, which cannot be interrupted
+    "sweeps": 1000,  # in one kernel launch, which cannot be interrupted
     "cycles": 1000,
-    "max_objects": 255,  # labels are bytes while they are looked for
+    "max_objects": 255,  # the search for objects stores labels as bytes
 }
 _MAY_BE_0 = ("finest_level", "cycles")
 
@@ -43,104 +43,102 @@ class Settings:
     model : {"rigid", "translation"}
         Unknowns per pixel: (τ, ω), eq. 23, or τ alone, eq. 16.
     motion : {"field", "camera", "objects"}
-        Motion model: ``"field"`` leaves ρ̂ free at every pixel, as the paper does;
-        ``"camera"`` has one rigid motion for the whole image, and inverse depth at every pixel;
-        ``"objects"`` several rigid motions, a label per pixel, and inverse depth in the unit of
-        each motion.
+        Motion model: ``"field"`` has a free ρ̂ at every pixel, as in the paper; ``"camera"`` has one
+        rigid motion for the whole image, and inverse depth at every pixel; ``"objects"`` has
+        several rigid motions, a label per pixel, and inverse depth in the unit of each motion.
     smoothness : float
-        λ̂, weight of the regularisation. Without unit where constraints are normalised; without
+        λ̂, weight of the regularisation. It has no unit if constraints are normalised; without
         `normalization`, λ̂ = λ/f² on the 8-bit grey scale: the paper's λ = 1e8 at f = 600 is 278.
         In [1e-6, 1e12].
     beta : float
-        β of eq. 12; smoothness and β enter as α = λ̂β, which is in [1e-6, 1e12] as well.
+        β of eq. 12; smoothness and β enter as α = λ̂β, which must be in [1e-6, 1e12] too.
     contrast : float or None
-        δ, px/frame: neighbours that differ by more are an edge. In [1e-3, 1e6]: below it, single
-        precision cannot keep the energy from rising. The same at every level. None for δ = 1 in
-        the units of τ and ω, that is f pixels: the paper's setting, under which smoothing is all
-        but quadratic.
+        δ, px/frame: a larger difference between neighbours is an edge. In [1e-3, 1e6]; below,
+        rounding in float32 can make the energy rise. The same at every level. None for δ = 1 in the
+        units of τ and ω, that is f pixels: the paper's setting, with which smoothing is nearly
+        quadratic.
     joint_edges : bool
-        Whether neighbours that differ in one component are an edge for all of them. Otherwise
-        every component has edges of its own, as in the paper.
+        Whether an edge in one component is an edge for all components. Otherwise every component
+        has its own edges, as in the paper.
     stiffness : tuple of 6 floats
-        s_k: how strongly (τ1, τ2, τ3, ω1, ω2, ω3) are smoothed relative to `smoothness`. ω1 and
-        ω2 look like τ2 and τ1, so they had better not change; ω3, about the optical axis, may. The
-        softer τ3, the better the flow on slanted surfaces, and the worse depth by eq. 24. All 1
-        in the paper. The translation model uses the first three.
+        s_k: how strongly (τ1, τ2, τ3, ω1, ω2, ω3) are smoothed relative to `smoothness`. ω1 and ω2
+        change the flow almost as τ2 and τ1 do, so they should vary little; ω3, about the optical
+        axis, may vary. A softer τ3 gives better flow on slanted surfaces, but worse depth by
+        eq. 24. All 1 in the paper. The translation model uses the first three.
     image_edges : float
-        κ: the smoothness across an edge of the image is divided by 1 + κ|ΔI| / mean |ΔI|, and
-        its mean is kept. 0 in the paper.
+        κ: the smoothness across an edge of the image is divided by 1 + κ|ΔI| / mean |ΔI|; the mean
+        smoothness stays the same. 0 in the paper.
     brightness, gradient : float
-        Weights of the constancy of brightness (eq. 4) and of its gradient, which changes of
-        illumination leave alone. At least one is above 0; 1 and 0 in the paper.
+        Weights of the constancy of brightness (eq. 4) and of the constancy of its gradient, which
+        changes of illumination hardly affect. At least one is above 0; 1 and 0 in the paper.
     normalization : float or None
-        ζ, as a share of the mean |ΔI| between neighbours in frame 0: every constraint is divided
-        by |∇I|² + ζ², so that it is a distance in px whatever the contrast and the scale of grey
-        levels. None for constraints as they are: the paper's.
+        ζ, as a share of the mean |ΔI| between neighbours in frame 0. Every constraint is divided
+        by |∇I|² + ζ²; it is then a distance in px, independent of the contrast and the scale of
+        grey levels. None for no division, as in the paper.
     data_contrast : float or None
-        ε, px/frame (grey levels without `normalization`): residuals beyond it count in proportion
-        rather than squared (Charbonnier). None for squares: the paper's.
+        ε, px/frame (grey levels without `normalization`): the cost of larger residuals grows
+        linearly instead of quadratically (Charbonnier). None for squares, as in the paper.
     depth_smoothness : float
         Weight of the regularisation of inverse depth with ``motion="camera"`` and ``"objects"``, in
         place of `smoothness`, with the same bounds.
     depth_brightness : float
-        Weight of the constancy of brightness there, in place of `brightness`.
+        Weight of the constancy of brightness for these motions, in place of `brightness`.
     depth_normalization : float or None
-        ζ there, in place of `normalization`. One motion leaves a pixel little freedom, so that
-        noise is what disturbs it, and weak gradients had better count less than strong ones.
+        ζ for these motions, in place of `normalization`. A rigid motion leaves a pixel little
+        freedom, so noise is the main disturbance, and weak gradients should count less than strong
+        ones.
     max_objects : int
-        How many motions ``motion="objects"`` may find, that of the background included; at most
-        255.
+        Most motions that ``motion="objects"`` may find, including the background's; at most 255.
     align_scales : bool
         Whether objects that stand on the background take its scale where they touch it
         (``motion="objects"``). Otherwise every object's depth is in the unit of its own motion.
     derivatives : {"cube", "five_tap"}
         Horn and Schunck's 2×2×2 cube, whose estimates belong half a pixel to the south-east of
-        the pixel they are given to, or five taps on the mean of both frames.
+        their pixel, or five taps on the mean of both frames.
     presmoothing : float
         Standard deviation, px, of a Gaussian applied to both frames first (the paper's
         Fig. 8b); 0 for none, at most 100.
     pyramid_factor : float
-        Ratio of neighbouring levels' sizes, in [0.5, 0.95].
+        Ratio of the sizes of neighbouring levels, in [0.5, 0.95].
     pyramid_levels : int or None
         Number of levels; 1 for a single scale, None for as many as keep the shorter side at
         about 12 px.
     finest_level : int
-        Level to end on, 0 the finest: what is found there is interpolated, confidence and the
-        deviation of depth with it, and the residuals by which hidden surfaces are told from others
-        are those of its frames. 1, with a `pyramid_factor` of ½, leaves a quarter of the pixels to
-        compute, and blurs motion over two pixels. Beyond the coarsest level it is that;
-        where parallax is large, ``motion="camera"`` goes on to a finer level.
-        ``motion="objects"`` takes 0.
+        Last level to compute; 0 is the finest. Its motion, confidence and deviation of depth are
+        interpolated to the frame, and occlusion uses residuals of the frames at this level. 1 with
+        a `pyramid_factor` of ½ leaves a quarter of the pixels to compute, and blurs motion over two
+        pixels. Numbers beyond the coarsest level stand for the coarsest level. If the parallax is
+        large, ``motion="camera"`` goes on to a finer level. ``motion="objects"`` always uses 0.
     warps : int
-        Linearisations on the last level; 2 at least with ``motion="objects"``.
+        Linearisations on the last level; at least 2 with ``motion="objects"``.
     coarse_warps : int
-        Linearisations on each of the others, at most: twice as many as on the next finer one. They
-        cost little there, and what a coarse level gets wrong no finer one mends; untextured parts
-        are small there, and soon filled.
+        Most linearisations on each coarser level; a level has at most twice as many as the next
+        finer level. They cost little there, and finer levels cannot correct the errors of a coarse
+        level. Untextured regions are small on a coarse level, so they fill quickly.
     outer_iterations : int
-        Most half-quadratic iterations per warp; with ``motion="objects"`` 10 at least.
+        Most half-quadratic iterations per warp; at least 10 with ``motion="objects"``.
     sweeps : int
-        Red–black sweeps per half-quadratic iteration; at most 1000, and with ``motion="objects"``
-        8 at least.
+        Red–black sweeps per half-quadratic iteration; at most 1000, and at least 8 with
+        ``motion="objects"``.
     cycles : int
-        Multigrid cycles with conjugate gradients per half-quadratic iteration; `sweeps` and
-        `relaxation` are then not in use. They pay where ρ̂ starts from zero on a single scale, as
-        in the paper, and hardly from coarse to fine. 0 for sweeps; where `pyramid_levels` is 1, one
-        cycle then checks what sweeps have found.
+        Multigrid cycles with conjugate gradients per half-quadratic iteration, in place of `sweeps`
+        and `relaxation`. They are faster if ρ̂ starts from zero on a single scale, as in the
+        paper, but help little from coarse to fine. 0 for sweeps; if `pyramid_levels` is 1, one
+        cycle then checks the result of the sweeps.
     relaxation : float
-        Over-relaxation, from 0.01, below 2; 1 is Gauss–Seidel.
+        Over-relaxation, at least 0.01 and below 2; 1 is Gauss–Seidel.
     tolerance : float
-        Half-quadratic iterations, two at least, stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖. Where
-        `pyramid_levels` is 1, as in the paper, they stop when ‖error of ρ̂‖ ≤ tolerance · ‖ρ̂‖, as
-        estimated from the way the changes shrink. That takes three iterations, or four with sweeps
-        (`cycles=0`), so fewer `outer_iterations` cannot converge.
+        Half-quadratic iterations, at least two, stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖. If
+        `pyramid_levels` is 1, as in the paper, they stop when ‖error of ρ̂‖ ≤ tolerance · ‖ρ̂‖. The
+        error is estimated from the rate at which the changes shrink. The estimate takes three
+        iterations, or four with sweeps (`cycles=0`), so fewer `outer_iterations` cannot converge.
     solver : {"cholesky", "closed_form"}
         How each pixel's system is solved; both give the same answer up to rounding.
 
     Raises
     ------
     TypeError, ValueError
-        If a value is of the wrong type or out of range; the text names those possible.
+        If a value is of the wrong type or out of range; the text names the allowed values.
 
     Examples
     --------
@@ -231,7 +229,7 @@ class Settings:
             if name != "pyramid_levels" or self.pyramid_levels is not None:
                 fewest = 0 if name in _MAY_BE_0 else 1
                 _check_count(name, getattr(self, name), least=fewest, most=most_of)
-        # Plain numbers, whatever type came: they are compared, hashed and written to JSON.
+        # Convert to Python numbers: settings are compared, hashed and written to JSON.
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name in _COUNTS and value is not None:
@@ -247,14 +245,14 @@ class Settings:
         ----------
         name : {"paper", "fast", "balanced", "accurate"}
             ``"paper"`` reproduces the paper: one scale, no warping, brightness only, β = ¼,
-            λ = 1e8 at f = 600, δ = 1. The others are points on a front of accuracy and time.
+            λ = 1e8 at f = 600, δ = 1. The others trade accuracy for time.
         **changes
             Settings that differ from the preset.
 
         Raises
         ------
         ValueError
-            If the preset, or the name or value of a change, is not one of those possible.
+            If the preset does not exist, or the name or value of a change is not allowed.
 
         Examples
         --------
@@ -284,7 +282,7 @@ class Settings:
         return self.smoothness * self.beta
 
     def warps_on(self, level: int) -> int:
-        """Return the number of linearisations on a level of the pyramid, 0 the last."""
+        """Return the number of linearisations on a level of the pyramid; 0 is the last level."""
         return self.warps if level == 0 else min(self.coarse_warps, self.warps * 2**level)
 
     def contrast_for(self, focal: float) -> float:
@@ -293,7 +291,7 @@ class Settings:
 
 
 def check_settings(settings: Settings | None) -> Settings:
-    """Return the settings, by default those of the preset ``"balanced"``; refuse anything else."""
+    """Return the settings, by default the preset ``"balanced"``; raise if they are not settings."""
     if settings is None:
         return Settings()
     if not isinstance(settings, Settings):
@@ -322,7 +320,7 @@ def _check_real(
         raise InputTypeError(f"{name} is {value!r}: expected a number")
     try:
         number = float(value)
-    except OverflowError:  # of an integer beyond the range of floats
+    except OverflowError:  # an integer beyond the range of floats
         number = math.inf
     if not math.isfinite(number) or not (least <= number <= most and above < number < below):
         bounds = [

@@ -1,8 +1,8 @@
-"""Rolling shutters, which read a frame row by row as those of phones do, and how to undo them.
+"""Removal of rolling shutter, which reads the rows of a frame one after another, as in phones.
 
 A moving camera sees every row from another position. The pose of a frame is that of its middle row.
-Row y is read `readout` · (y − middle) / H intervals later, where an interval is the time from one
-frame of the source to the next.
+Row y is read `readout` · (y − middle) / H intervals later; an interval is the time from one frame
+of the source to the next.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,9 +18,9 @@ from tisfm.rigid import rigid_twist
 
 # All of these were set by hand.
 BEHIND = 1e-6  # least Z of a visible point
-LONGEST = 2.0  # median times between frames: a longer gap says nothing about the motion in it
-NODES = 33  # along the longer side: pixels between which displacements are interpolated
-STEPS = 4  # iterations that find the row in which a pixel was read
+LONGEST = 2.0  # median times between frames: the motion within a longer gap is not used
+NODES = 33  # nodes along the longer side; displacements are interpolated between nodes
+STEPS = 4  # iterations to find the row in which a pixel was read
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +57,7 @@ def instants_of(indices: Sequence[int], times: Sequence[float | None]) -> np.nda
     indices : sequence of int
         Numbers of the frames in the source, increasing.
     times : sequence of float or None
-        s; if some are unknown or do not increase, frames are assumed to be evenly spaced.
+        s; if a time is unknown or does not increase, frames are assumed to be evenly spaced.
     """
     number = np.array(indices, np.float64)
     known = np.array([time for time in times if time is not None])
@@ -111,7 +111,7 @@ def at_middle(
     points : (N, 2) array
         px.
     depth : (N,) array
-        Z of each, positive.
+        Z of each point, positive.
     rate : (6,) array
         Rate of the frame, as in `Rolling`.
     readout : float
@@ -150,7 +150,7 @@ def transported(points: np.ndarray, rate: np.ndarray, time: np.ndarray) -> np.nd
 
 
 class UnrolledPixels(Resampling):
-    """The map from a frame to the frame whose rows were all read with the middle one.
+    """The map from a frame to the same frame with all rows read with the middle one.
 
     Parameters
     ----------
@@ -160,8 +160,8 @@ class UnrolledPixels(Resampling):
     rate : (6,) array
         Rate of the frame, as in `Rolling`.
     inverse_depth : float or (h, w) array
-        Inverse depth of the whole frame, or at its `nodes_of` as the middle row sees them, 1/unit
-        of the rate. Values that are not positive count as far.
+        Inverse depth of the whole frame, or at its `nodes_of` at the time of the middle row, 1/unit
+        of the rate. Zero and negative values are treated as far.
     shape : (int, int)
         Height and width, px.
     """
@@ -196,8 +196,8 @@ class UnrolledPixels(Resampling):
 class UnrolledFrame(UnrolledPixels):
     """`UnrolledPixels` of a frame of a sequence.
 
-    The whole frame is assumed to have one depth: nearer and farther points are corrected for the
-    rotation of the camera, and for its translation as if they had that depth.
+    The whole frame is assumed to have one depth. The correction for the camera's rotation is exact;
+    the correction for its translation is that of a point at this depth.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ class UnrolledFrame(UnrolledPixels):
 
 
 def nodes_of(shape: tuple[int, ...]) -> np.ndarray:
-    """Return the pixels, (h, w, 2) as (x, y), between which displacements are interpolated."""
+    """Return the nodes for interpolating displacements: pixels (x, y), (h, w, 2)."""
     height, width = shape
     spacing = max(shape) / (NODES - 1)
     columns, rows = (max(2, round(side / spacing) + 1) for side in (width, height))

@@ -1,4 +1,4 @@
-"""How an interpretation ended: a status, and a record of its iterations."""
+"""The status of an interpretation, and the record of its iterations."""
 
 import re
 from dataclasses import dataclass
@@ -19,27 +19,37 @@ _CODE = re.compile(r"[a-z_]+")
 
 
 class Status(str):
-    """A short code that says how the interpretation ended, with a message on what to try.
+    """A short code for the outcome of an interpretation, with a message on what to try.
 
-    Codes: ``"converged"``; ``"iteration_limit"``, the iterations ran out before the result
-    was exact; ``"no_motion"``, the frames do not differ, or move by no more than noise;
-    ``"no_texture"``, frame 0 shows no gradient that motion could be seen by, or too few pixels are
-    trusted to fit a motion to them; ``"diverged"``, the numbers are of no use: somewhere the image
-    motion grew beyond half of the image's longer side, or more than half of the pixels leave the
-    image (the whole side, and 80 %, where matched points, a 4×4 pose, or the images themselves
-    confirm a large motion);
-    ``"unrelated"``, the frames have nothing in common, or some parts are alike and at rest while
-    the others differ; ``"aperture"``, they vary along one direction only, so that
-    motion along their stripes cannot be seen: no depth, and it does not occur with a 4×4 pose. With
-    ``motion="camera"``, or ``"objects"`` that find one motion only, also ``"pure_rotation"``, the
-    camera only turned, and ``"little_parallax"``, it hardly changed its place: there is no depth;
-    ``"uncertain"``, it changed its place so little that depth is rough; and ``"two_motions"``,
-    frames of one plane, or far apart, leave two motions that explain them alike, and depth follows
-    from one of them. With ``motion="camera"``, ``"uncertain"`` is also the status where much of the
-    depth has a large deviation, and there are ``"behind_camera"``, much of the scene would lie
-    behind the camera; and ``"unexplained"``, much of the texture is not alike where motion and
-    depth lead: depth is wrong there. With a pose given, ``"pose_mismatch"``: it contradicts the
-    images, and the depth is what follows from it all the same.
+    Codes with every motion model:
+
+    - ``"converged"``.
+    - ``"iteration_limit"``: the iterations ran out before the result was exact.
+    - ``"no_motion"``: the frames do not differ, or move by no more than noise.
+    - ``"no_texture"``: frame 0 has no gradient that could show motion, or too few reliable pixels
+      to fit a motion.
+    - ``"diverged"``: the numbers are useless. Somewhere the image motion exceeds half of the longer
+      side of the image, or more than half of the pixels leave the image (the whole side and 80 %,
+      if matched points, a 4×4 pose or the images confirm a large motion).
+    - ``"unrelated"``: the frames have nothing in common, or some parts are alike and at rest while
+      the others differ.
+    - ``"aperture"``: the frames vary along one direction only, so motion along their stripes cannot
+      be seen. No depth. Does not occur with a 4×4 pose.
+
+    With ``motion="camera"``, or ``"objects"`` if it finds a single motion:
+
+    - ``"pure_rotation"``: the camera only turned. No depth.
+    - ``"little_parallax"``: the camera hardly moved. No depth.
+    - ``"uncertain"``: the camera moved so little that depth is rough; with ``motion="camera"`` also
+      if much of the depth has a large deviation.
+    - ``"two_motions"``: two motions explain the frames equally well, because the frames show one
+      plane or are far apart; depth follows from one of the motions.
+
+    With ``motion="camera"``:
+
+    - ``"behind_camera"``: much of the scene would lie behind the camera.
+    - ``"unexplained"``: motion and depth do not align much of the texture; depth is wrong there.
+    - ``"pose_mismatch"``: the given pose contradicts the images; depth still follows from the pose.
 
     A file of another version may hold a code that is not in this list. It is kept: treat it as
     doubtful.
@@ -47,7 +57,7 @@ class Status(str):
     Parameters
     ----------
     code : str
-        Small letters of ASCII and underscores.
+        Lower-case ASCII letters and underscores.
     message : str
         What to try.
 
@@ -77,7 +87,7 @@ class Status(str):
 
 @dataclass(frozen=True, kw_only=True)
 class History:
-    """Record of every half-quadratic iteration, in order; arrays of one length.
+    """Record of all half-quadratic iterations, in order; all arrays have the same length.
 
     Attributes
     ----------
@@ -86,9 +96,9 @@ class History:
     warp : (N,) int32
         Linearisation within the level.
     energy : (N,) float64
-        Energy (eq. 6, 20) after the iteration; within a warp it never rises.
+        Energy (eq. 6, 20) after the iteration; it never rises within a warp.
     half_quadratic : (N,) float64
-        Its half-quadratic form (eq. 8, 21) with the weights the iteration used.
+        Half-quadratic energy (eq. 8, 21) with the weights that the iteration used.
     change : (N,) float64
         ‖change of ρ̂‖ / ‖ρ̂‖.
     """

@@ -1,7 +1,7 @@
 """Cores, threads bound to one core each, and a second Python thread.
 
-Without a binding, Linux may wake two threads on one core and leave them there, beside an idle core,
-for as long as a kernel on a small image takes.
+Unbound threads can share a core: Linux may wake two threads on one core and leave them there, with
+another core idle, for the whole time of a kernel on a small image.
 """
 
 import contextlib
@@ -20,7 +20,7 @@ def usable_cores() -> int:
 
 
 def thread_ids() -> list[int]:
-    """Return the kernel's ids of the threads of this process, oldest first; empty if unknown."""
+    """Return the operating system's ids of this process's threads, oldest first; [] if unknown."""
     try:
         return sorted(int(name) for name in os.listdir("/proc/self/task"))
     except OSError:
@@ -28,21 +28,21 @@ def thread_ids() -> list[int]:
 
 
 def bind_newest(count: int, before: list[int]) -> bool:
-    """Bind each of the newest threads to a core of its own, if there is one for each and no more.
+    """Bind each of the newest threads to its own core, if threads and cores are equally many.
 
     Parameters
     ----------
     count : int
-        Threads to bind: the newest of those started since.
+        Number of newest threads to bind.
     before : list of int
-        `thread_ids` from before they were started.
+        `thread_ids` from before these threads were started.
 
     Returns
     -------
     bool
-        Whether they are bound now. They are not where threads are fewer than the cores of this
-        process, which leaves room for other processes that would choose the same cores, nor on
-        systems that have no such call.
+        Whether the threads are bound now. False if there are fewer threads than cores of this
+        process, since other processes would bind to the same cores; and on systems without such a
+        call.
     """
     if not hasattr(os, "sched_setaffinity"):
         return False
@@ -54,7 +54,7 @@ def bind_newest(count: int, before: list[int]) -> bool:
     try:
         for thread, core in zip(threads, cores, strict=True):
             os.sched_setaffinity(thread, {core})
-    except OSError:  # not allowed here
+    except OSError:  # the system does not allow it: undo the binding
         for thread in threads:
             with contextlib.suppress(OSError):
                 os.sched_setaffinity(thread, cores)
@@ -70,8 +70,8 @@ def _second_thread() -> Executor:
 
 
 def start_beside(function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
-    """Start a call in the second thread; return what waits for its result."""
+    """Start a call in the second thread; return a function that waits for its result."""
     try:
         return _second_thread().submit(function, *arguments).result
-    except RuntimeError:  # the main thread has ended, and with it the second
+    except RuntimeError:  # the main thread and the second thread have ended: call later, here
         return cache(partial(function, *arguments))

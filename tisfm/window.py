@@ -1,4 +1,4 @@
-"""How many frames an interpretation sees, and what a sequence keeps of the pair before."""
+"""The data of the previous pair, for interpretations that use three frames."""
 
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -12,15 +12,15 @@ WindowSize = Literal[2, 3]
 
 
 class Window:
-    """What is kept from pair to pair, so that the next one has three frames.
+    """Storage for the previous pair of a sequence, so that the next pair has a third frame.
 
-    Pairs come in their order. What is kept is dropped where they do not follow one another evenly:
-    after a pair whose flow is not to be relied on, as at cuts, and where frames are left out.
+    Pairs come in order. The previous pair is dropped if its flow is unreliable, for example at a
+    cut, and if the spacing of the frames changes because frames are left out.
 
     Attributes
     ----------
     previous : PreviousPair or None
-        Of the pair before.
+        Data of the previous pair.
     """
 
     def __init__(self) -> None:
@@ -28,19 +28,19 @@ class Window:
         self._apart: int | None = None
 
     def begin(self, apart: int) -> None:
-        """Take notice of how many frames of the source lie between those of the next pair."""
+        """Drop the previous pair if the frame spacing of the next pair, `apart`, is another one."""
         if apart != self._apart:
             self.previous = None
         self._apart = apart
 
 
 def window_of(size: WindowSize, settings: Settings) -> Window | None:
-    """Return what is kept from pair to pair, None for pairs each on its own.
+    """Return a `Window` for three frames, None for two.
 
     Raises
     ------
     TypeError, ValueError
-        If `size` is not the number of frames of a window, or the motion takes pairs alone.
+        If `size` is not 2 or 3, or is 3 for a motion model that uses pairs only.
     """
     if isinstance(size, bool) or not isinstance(size, int):
         raise InputTypeError(f"window is {size!r}: expected 2 or 3, a number of frames")

@@ -1,37 +1,38 @@
-"""How far to trust the image motion of a pixel."""
+"""Confidence in the image motion of a pixel."""
 
 import cv2
 import numpy as np
 
 from tisfm import runtime
 
-CONFIDENCE_WINDOW = 15  # px: about as far as the regularisation carries data
-ROUNDING = 1e-6  # of the largest J11 + J22: smoothing leaves less where an image is uniform
-TOLERATED_RESIDUAL = 4.0  # times the median residual that halves the confidence
-# px, and grey levels where constraints are not normalised: residuals that are no cause for doubt,
-# though all of a background at rest may be smaller.
+CONFIDENCE_WINDOW = 15  # px: about the distance over which regularisation spreads data
+ROUNDING = 1e-6  # share of the largest J11 + J22 below which an image counts as uniform
+TOLERATED_RESIDUAL = 4.0  # multiple of the median squared residual that halves the confidence
+# px, and grey levels if constraints are not normalised: the least value for the median residual.
+# Residuals of this size are harmless, even if those of a background at rest are all smaller.
 QUIET, QUIET_GREY = 0.05, 0.5
 
 
 def confidence(
     precision: np.ndarray, occlusion: np.ndarray, *, normalized: bool, freedom: int = 2
 ) -> np.ndarray:
-    """Combine what the data determine with how well they are met.
+    """Return the confidence from the precision of the data and from their residuals.
 
     The share of the data in the two degrees of freedom of a pixel's flow is
-    ½ tr[J M (I + J M)⁻¹], with J the precision of the data in a window around it and M the
-    covariance that its neighbours leave: 0 without texture, at most ½ where only one direction
-    is seen (the aperture problem), near 1 at a corner. Where motion is free along one line only,
-    it is tr[J M (I + J M)⁻¹]. It is divided by 1 + r/(4·r̃), r the mean
-    squared residual in the window and r̃ its median over the pixels with a gradient, or what
-    hardly matters if that is more: where the
-    data constraints are not met, at occlusions above all, texture is no reason for trust.
+    ½ tr[J M (I + J M)⁻¹], with J the precision of the data in a window around the pixel and M the
+    covariance of the pixel's flow given its neighbours. The share is 0 without texture, at most ½
+    if only one direction is seen (the aperture problem), and near 1 at a corner. If the motion is
+    free along one line only, the share is tr[J M (I + J M)⁻¹].
+
+    The share is divided by 1 + r/(4·r̃), with r the mean squared residual in the window and r̃ its
+    median over the pixels with a gradient, but at least QUIET². Where the data constraints are
+    violated, mostly at occlusions, texture alone does not make the motion reliable.
 
     Parameters
     ----------
     precision : (7, h, w) float32
-        J11, J12, J22, squared residual, M11, M12, M22 (`data_precision`). Modified.
-        Of the frame, or of a coarser level of its pyramid: then confidence is interpolated.
+        J11, J12, J22, squared residual, M11, M12, M22 (`data_precision`). Modified. It belongs to
+        the frame, or to a coarser level of its pyramid; confidence is then interpolated.
     occlusion : (H, W) bool
         Where a pixel is not visible in frame 1.
     normalized : bool
@@ -42,19 +43,19 @@ def confidence(
     Returns
     -------
     (H, W) float32
-        In [0, 1]; 0 where occluded, and where the motion diverged so far that there is no number.
+        In [0, 1]; 0 for occluded pixels, and where the motion diverged to NaN.
     """
     runtime.start()  # before kernels are imported
     from tisfm.kernels.solve.data_precision import share_of_data
 
-    # Without a gradient there is no residual: uniform parts say nothing of what is usual.
+    # Pixels without a gradient have no residual, so they are left out of the median.
     gradient = precision[0] + precision[2]
     textured = gradient > ROUNDING * gradient.max()
     window = (CONFIDENCE_WINDOW, CONFIDENCE_WINDOW)
     for k in range(4):
         cv2.boxFilter(precision[k], -1, window, dst=precision[k], normalize=k == 3)
     usual = median(precision[3][textured]) if textured.any() else 0.0
-    # In this order: where motion diverged, the median may be no number.
+    # `max` in this order: if the motion diverged the median may be NaN, and max then drops it.
     tolerated = TOLERATED_RESIDUAL * max((QUIET if normalized else QUIET_GREY) ** 2, usual)
     share = np.empty_like(precision[3])
     share_of_data(precision, share, tolerated=tolerated, freedom=freedom)
@@ -66,7 +67,7 @@ def confidence(
 
 
 def median(values: np.ndarray) -> float:
-    """Return the median of values, (N,), several times as fast as NumPy, which looks for NaN."""
+    """Return the median of values, (N,); faster than NumPy's, which also checks for NaN."""
     middle = len(values) // 2
     parted = np.partition(values, middle)
     upper = float(parted[middle])

@@ -1,4 +1,4 @@
-"""Which pixels of frame 0 are not visible in frame 1."""
+"""Occlusion: the pixels of frame 0 that are not visible in frame 1."""
 
 from typing import TYPE_CHECKING
 
@@ -12,12 +12,13 @@ from tisfm.solver.sampling import FAR, enlarged, reduced, sample
 if TYPE_CHECKING:
     from tisfm.solver.image_pyramid import ImagePyramid
 
-DENSITY = 1.23  # pixels of frame 0 per pixel of frame 1: more cannot all be seen there
-# px/frame from the mean of all that go to a place, the pixel itself included: two pixels that move
-# by 0.14 px/frame relative to each other. What moves alike is one surface, seen at a smaller scale.
+DENSITY = 1.23  # pixels of frame 0 per pixel of frame 1 above which some of them are hidden
+# px/frame from the mean flow of all pixels that move to one position, the pixel itself included;
+# for two pixels, a relative motion of 0.14 px/frame. Pixels with the same motion belong to one
+# surface that became smaller, so none of them is hidden.
 APART = 0.07
-MARGIN = 0.05  # px beyond the border: a background at rest drifts by less, and does not leave
-RESIDUAL_WINDOW = 3  # px: residuals are means over it
+MARGIN = 0.05  # px beyond the border: the flow of a background at rest is off by less than this
+RESIDUAL_WINDOW = 3  # px: side of the window over which residuals are averaged
 _FIVE_TAP = np.array([[1, -8, 0, 8, -1]], np.float32) / 12
 
 
@@ -34,29 +35,29 @@ def occlusion(
 ) -> np.ndarray:
     """Find the pixels that leave the image or are hidden, by the uniqueness of the mapping.
 
-    Only one surface is seen at a place of frame 1. Where the flow takes two of them there, the
-    one whose data constraints are met worse is hidden. No flow backward in time is needed: the
-    usual check of forward against backward flow costs another interpretation. At its usual
-    thresholds its F1 is lower on scenes with exact truth; with looser ones it finds more on some
-    sequences, at less precision (bench/results/tried.md).
+    Each position of frame 1 shows one surface only. If the flow moves two surfaces to the same
+    position, the surface with the larger data residual is hidden. This needs no backward flow; the
+    usual check of forward against backward flow costs a second interpretation. With the usual
+    thresholds that check has a lower F1 on scenes with exact truth; with looser thresholds it
+    finds more occlusions on some sequences, at a lower precision (bench/results/tried.md).
 
     Parameters
     ----------
     frame0, frame1 : (h, w) float32
-        Grey levels on the 8-bit scale, smoothed as the settings say; of the flow's size, or of a
-        coarser level of the pyramid, by which constraints are then judged.
+        Grey levels on the 8-bit scale, smoothed as the settings say. They have the size of the
+        flow, or that of a coarser level of the pyramid, which then gives the residuals.
     flow : (2, H, W) float32
-        (u, v), px/frame. Where it is not finite, the pixel counts as one that leaves the image.
+        (u, v), px/frame. A pixel whose flow is not finite counts as leaving the image.
     settings : Settings
         For the weights of the data constraints.
     factor : int
-        Pixels of the flow to one of the frames, along a side.
+        Number of flow pixels per frame pixel, along a side.
     taps1 : ((h + 3)·w, 4) float32, optional
-        `tisfm.solver.sampling.spline_taps` of frame 1, if they are at hand.
+        `tisfm.solver.sampling.spline_taps` of frame 1, if already computed.
     leaves : (H, W) bool, optional
-        `leaves_image` of the flow, if it is at hand.
+        `leaves_image` of the flow, if already computed.
     residual : (H, W) float32, optional
-        `residual_of` the flow, or of one that is nearly the same, if it is at hand.
+        `residual_of` the flow or of nearly the same flow, if already computed.
 
     Returns
     -------
@@ -64,10 +65,11 @@ def occlusion(
 
     References
     ----------
-    The idea is that of Xu, Jia, Matsushita, "Motion detail preserving optical flow estimation",
-    PAMI 34 (2012), 1744, who count how often a place is taken; who loses it is decided here.
+    The idea is from Xu, Jia, Matsushita, "Motion detail preserving optical flow estimation",
+    PAMI 34 (2012), 1744. They count the pixels that move to each position; here the residuals also
+    decide which of them are hidden.
     """
-    any_order = runtime.on_gpu()  # before kernels are imported: it starts Taichi
+    any_order = runtime.on_gpu()  # first: it starts Taichi, which must precede import of kernels
     from tisfm.kernels.data.forward_splatting import defeated, splat
     from tisfm.kernels.layout.lanes import aligned_empty
 
@@ -92,11 +94,11 @@ def occlusion_in(
     level: int = 0,
     residual: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Find which pixels a flow of the finest level, (2, H, W), hides: (H, W) bool.
+    """Return the occlusion, (H, W) bool, for a flow of the finest level, (2, H, W).
 
-    As `occlusion` does, and with those that do not count in one of the frames; the frames of
-    `level` tell how well the flow meets them, where its pixels are whole numbers of others, or
-    `residual` does.
+    As `occlusion`, and the pixels that a mask ignores in one of the frames are occluded too. The
+    residuals are `residual`, or computed from the frames of `level`; a pyramid whose factor is not
+    ½ uses level 0 instead, since its pixels do not divide into whole numbers of finer ones.
     """
     if pyramid.factor != 0.5:
         level = 0
@@ -114,7 +116,7 @@ def occlusion_in(
 
 
 def leaves_image(flow: np.ndarray) -> np.ndarray:
-    """Return where a flow, (2, H, W), ends outside the image; (H, W) bool, True for NaN."""
+    """Return whether each pixel of a flow, (2, H, W), leaves the image; True for NaN."""
     height, width = flow.shape[1:]
     x = np.arange(width, dtype=np.float32)
     y = np.arange(height, dtype=np.float32)[:, None]
@@ -134,9 +136,9 @@ def residual_of(
     factor: int = 1,
     taps1: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return how badly a flow keeps brightness and its gradient, grey levels: (H, W) float32.
+    """Return the residual of brightness and gradient for a flow, grey levels: (H, W) float32.
 
-    The arguments are those of `occlusion`; the frames' pixels judge.
+    The arguments are those of `occlusion`. The residual is computed at the size of the frames.
     """
     flow = _finite(flow)
     if factor == 1:
@@ -147,9 +149,9 @@ def residual_of(
 
 
 def _finite(flow: np.ndarray) -> np.ndarray:
-    """Return a flow with what is no number, or too large a one, outside of any image.
+    """Return a flow with NaN replaced and large values clipped, so that these leave any image.
 
-    That is not left to kernels: compiled for speed, they may take any comparison with NaN for true.
+    Kernels cannot do this: compiled with fast math, their comparisons with NaN may be true.
     """
     if flow.min() >= -FAR and flow.max() <= FAR:
         return flow
@@ -159,9 +161,9 @@ def _finite(flow: np.ndarray) -> np.ndarray:
 
 
 def _residual(frame0: np.ndarray, warped: np.ndarray, settings: Settings) -> np.ndarray:
-    """Return how badly brightness and its gradient are kept around every pixel, in grey levels.
+    """Return the residual of brightness and gradient around every pixel, grey levels.
 
-    Not normalised by the image's gradient, unlike in the energy: that finds fewer occlusions.
+    It is not divided by the image's gradient as in the energy, which would find fewer occlusions.
     """
     change = cv2.subtract(warped, frame0)
     residual = cv2.multiply(change, change, scale=settings.brightness)
