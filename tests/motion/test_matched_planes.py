@@ -89,9 +89,7 @@ def test_no_island_is_left():
     assert kept.sum() == 30 * 30 - 5 * 5
     assert ISLAND > 25 and not kept[40:].any() and not kept[10:15, 10:15].any()
     ramp = np.broadcast_to(np.linspace(1, 50, 60, dtype=np.float32), (60, 60))
-    assert without_islands(
-        ramp.copy(), np.ones((60, 60), bool)
-    ).all()  # a slanted plane is one surface
+    assert without_islands(ramp.copy(), np.ones((60, 60), bool)).all()  # slanted, one surface
 
 
 @pytest.mark.parametrize("deviation", [1.0, 4.0])

@@ -1,7 +1,7 @@
-"""Boxes of the cars in the 24 frames of KITTI's `kitti_cars`, made by eye.
+"""Boxes of the cars in the 24 frames of KITTI's `kitti_cars`, drawn by hand.
 
-Which of them move is told by how much nearer they come: the camera goes 3.8 m in 16 frames, since
-the traffic light comes so much nearer, as all does that stands. Distances are the laser's.
+The camera moves 3.8 m in 16 frames: the traffic light, and all at rest, comes 3.8 m nearer. A car
+whose distance changes otherwise moves. Distances are from the laser scanner.
 """
 
 from dataclasses import dataclass
@@ -14,19 +14,19 @@ NEAR = 30.0  # m
 
 @dataclass(frozen=True, kw_only=True)
 class Car:
-    """A car, and the box around what is seen of it.
+    """A car, and boxes around its visible part.
 
     Attributes
     ----------
     name : str
     distance : float
-        At first, m.
+        In the first frame, m.
     boxes : dict of int to tuple
-        By frame, (x0, y0, x1, y1), px: the first column and row, and those after the last.
+        By frame, (x0, y0, x1, y1), px: the first column and row, and the ends, exclusive.
     moves : bool
-        Or it stands in all frames.
+        False if it stands in all frames.
     hidden : bool
-        Whether less than half of it is seen, in all frames.
+        Whether more than half of it is hidden in all frames.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Car:
     hidden: bool = False
 
     def box(self, frame: int) -> tuple[slice, slice]:
-        """Return the rows and columns of its box in a frame: between two boxes, what is between."""
+        """Return rows and columns of its box in a frame, interpolated between given boxes."""
         frames = list(self.boxes)
         sides = np.array(list(self.boxes.values()), float).T
         x0, y0, x1, y1 = (round(np.interp(frame, frames, side)) for side in sides)
@@ -44,7 +44,7 @@ class Car:
 
 
 CARS = (
-    # The trailer is 3 m away. The cab goes 6.8 m in 16 frames.
+    # The trailer is 3 m away. The cab moves 6.8 m in 16 frames.
     Car(
         name="tanker",
         distance=3.0,
@@ -59,7 +59,7 @@ CARS = (
             23: (741, 0, 1242, 375),
         },
     ),
-    # 7.8 m away and 16 frames later 6.8 m: it goes 2.7 m.
+    # 7.8 m away, 6.8 m after 16 frames: it moves 2.7 m.
     Car(
         name="estate ahead",
         distance=7.8,
@@ -74,7 +74,7 @@ CARS = (
             23: (551, 194, 731, 343),
         },
     ),
-    # 19.3 m and 17.7 m: it goes 2.1 m. Only its roof shows, above that of the estate.
+    # 19.3 m and 17.7 m: it moves 2.1 m. Only its roof is visible, above the roof of the estate car.
     Car(
         name="roof before the estate",
         distance=19.3,
@@ -87,7 +87,7 @@ CARS = (
             23: (587, 179, 641, 194),
         },
     ),
-    # The rest stand. Its front wheel comes as much nearer as the lines on the road.
+    # All cars below stand. The front wheel comes nearer by as much as the lines on the road.
     Car(
         name="hatchback on the left",
         distance=5.4,

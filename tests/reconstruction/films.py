@@ -1,4 +1,4 @@
-"""Films of a room, small, with exact truth."""
+"""Small films of a room, with exact truth."""
 
 import numpy as np
 
@@ -8,22 +8,22 @@ from tisfm.rigid import pose_matrix
 from tisfm.scenes import Box, Film, Scene, Texture, bodies_path
 from tisfm.scenes.room import FOCAL, expose, room_objects, wavelength_at
 
-STEP = np.array((0.12, 0.0, 0.05, 0.0, 0.012, 0.0))  # of the camera, m and rad a frame
+STEP = np.array((0.12, 0.0, 0.05, 0.0, 0.012, 0.0))  # of the camera in a frame: m and rad
 
 
 def along(count, step=STEP):
-    """Return the poses of a camera that goes on by the same motion in every frame."""
+    """Return the poses of a camera with the same motion in every frame."""
     return np.array([pose_matrix(k * np.asarray(step)) for k in range(count)])
 
 
 def walk(count=9, height=180, width=240):
-    """Return a film of so many frames."""
+    """Return a film of `count` frames."""
     return room_film(along(count), height, width, samples=2)
 
 
 @shared
 def board_film(count=20, height=240, width=320, *, with_board=True):
-    """Return a film of a papered room, and where a board is seen, (N, H, W) bool.
+    """Return a film of a papered room, and the mask of a board, (N, H, W) bool.
 
     The board fills a third of the frames, has more contrast than the room, and moves on its own.
     """
@@ -56,6 +56,6 @@ def path_error(found, true):
 
 
 def depth_error(depth, true, scale=1.0):
-    """Return the mean relative error of a depth map; what has none counts as 1."""
+    """Return the mean relative error of a depth map; a pixel without depth has the error 1."""
     error = np.abs(scale * depth - true) / true
     return float(np.nan_to_num(error, nan=1.0).mean())

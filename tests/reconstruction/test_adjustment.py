@@ -1,4 +1,4 @@
-"""Poses adjusted to the images, jointly with the depth of keyframes."""
+"""Adjustment of poses to the images, jointly with the depth of keyframes."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""What matched planes are worth."""
+"""Weights and deviations of matched planes."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ def window_of(key, others, motions, camera):
 
 
 def shifted(key, translation):
-    """Return a window of a frame beside itself, moved without turning."""
+    """Return a window of a frame and the same frame, with a translation between them."""
     motion = np.column_stack([np.eye(3), translation])[None]
     return window_of(key, [key], motion, Camera(focal=50.0))
 
@@ -33,8 +33,8 @@ def test_sureness_is_that_of_slopes_along_epipolar_lines():
     depth = np.full((40, 60), 5, np.float32)
     along, across = (deviation_of_match(shifted(steep, t), depth) for t in ((1, 0, 0), (0, 1, 0)))
     inside = np.s_[8:-8, 6:24]
-    # Noise of grey levels over the root of the slopes' squares, 8 per px, in all cells nearby;
-    # frames are smoothed a little before, and their noise with them.
+    # Noise of the grey levels over the root of the summed squares of the slopes, 8 per px. Frames
+    # and their noise are smoothed a little before.
     expected = np.sqrt(2) * 1.5 / (8 * INNER_SIDE)
     assert 0.3 * expected < np.median(along[inside]) < expected
     assert np.median(across[inside]) > 10 * np.median(along[inside])

@@ -1,4 +1,4 @@
-"""A car that goes ahead of the camera, along its own path, in a rendered street."""
+"""A car in front of the camera that drives along the camera's path, in a rendered street."""
 
 from functools import cache
 
@@ -12,12 +12,12 @@ from tisfm.scenes import Box, Plane, Scene, Texture
 
 HEIGHT, WIDTH, FRAMES = 160, 400, 16
 CAMERA = tisfm.Camera(focal=300.0)
-OURS = 0.4  # m a frame, straight ahead; the road is 1.6 m below
-CAR, PARKED = 4, 5  # places among the objects
+OURS = 0.4  # m a frame, the camera moves straight ahead; the road is 1.6 m below
+CAR, PARKED = 4, 5  # indices of the objects
 
 
 def street(number, speed):
-    """Return the street in a frame, the car having gone on at a speed, m a frame."""
+    """Return the street in a frame; the car has moved by a speed, m a frame."""
 
     def paint(seed, wavelength, mean=128.0):
         return Texture(wavelength=wavelength, detail=3, mean=mean, contrast=90, seed=seed)
@@ -35,7 +35,7 @@ def street(number, speed):
 
 @cache
 def labelled(speed):
-    """Return what is found in every frame, and what is true, (N, H, W) each."""
+    """Return estimated and true labels, (N, H, W) each."""
     finder, poses, true = SequenceLabels(CAMERA), [], []
     for number in range(FRAMES):
         pose = np.eye(4)

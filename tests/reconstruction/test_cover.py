@@ -1,4 +1,4 @@
-"""How much of the frames a model explains, and that it decides which motion is the world's."""
+"""Share of the frames that a model explains; it decides which motion is that of the world."""
 
 from types import SimpleNamespace
 
@@ -21,13 +21,13 @@ OTHER = np.linalg.inv(pose_matrix((-0.1, 0.2, 0.0, -0.02, 0.01, 0.0)))[:3]
 
 
 def projected(points, motion):
-    """Return where points, (N, 3), are seen after a motion, (3, 4), px."""
+    """Return the positions of points, (N, 3), in a frame after a motion, (3, 4); px."""
     local = points @ motion[:, :3].T + motion[:, 3]
     return CAMERA.focal * local[:, :2] / local[:, 2:] + CAMERA.center_for(*SHAPE)
 
 
 def points_seen(random, low, high, count):
-    """Return points that the first camera sees between columns, (N, 3)."""
+    """Return points that the first camera sees between two columns, (N, 3)."""
     u, v = random.uniform(low, high, count), random.uniform(10, 110, count)
     z = random.uniform(1.5, 4, count)
     x, y = (np.stack([u, v], axis=1) - CAMERA.center_for(*SHAPE)).T / CAMERA.focal
@@ -35,7 +35,7 @@ def points_seen(random, low, high, count):
 
 
 def view_of(frame, points):
-    """Return a view of tracks alone."""
+    """Return a view with tracks and without detected points."""
     tracks = np.arange(len(points), dtype=np.int64)
     return View(
         frame=frame, seen=Observations(points=points, tracks=tracks), detected=np.empty((0, 2))
@@ -43,7 +43,7 @@ def view_of(frame, points):
 
 
 def model_of(*motions):
-    """Return what a reconstruction says of a first view and of others that have these motions."""
+    """Return a model of a first view, and of further views with these motions."""
     poses = dict(enumerate((np.eye(4)[:3], *motions), start=1))
     images = {
         number: SimpleNamespace(cam_from_world=lambda pose=pose: pycolmap().Rigid3d(pose))
@@ -58,7 +58,7 @@ def model_of(*motions):
 
 @pytest.fixture
 def crowd():
-    """Return the cover of 150 points that move on the left, and 30 at rest on the rest."""
+    """Return the coverage of 150 moving points at the left, and 30 points at rest elsewhere."""
     random = np.random.default_rng(0)
     thing, world = points_seen(random, 10, 50, 150), points_seen(random, 60, 150, 30)
     before = np.vstack([projected(thing, np.eye(4)[:3]), projected(world, np.eye(4)[:3])])

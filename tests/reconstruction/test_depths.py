@@ -1,4 +1,4 @@
-"""Depth of the frames of a piece: how sure keyframes are that others contradict."""
+"""Depth of the frames of a piece: the deviation of keyframes that contradict others."""
 
 from dataclasses import replace
 
@@ -58,7 +58,7 @@ def test_it_counts_where_it_is_and_else_as_usual():
     apart = relative_difference(flat(), [other])
     np.testing.assert_allclose(apart[:, :25], 0.2, rtol=0.05)
     assert (apart[:, 35:48] < 0.02).all()
-    np.testing.assert_allclose(apart[:, 55:], 0.2, rtol=1e-5)  # the median of what is compared
+    np.testing.assert_allclose(apart[:, 55:], 0.2, rtol=1e-5)  # the median over compared pixels
     assert apart.dtype == np.float32
 
 
@@ -87,7 +87,8 @@ def test_together_they_say_what_most_say():
     assert np.isnan(depth[:, :10]).all() and np.isnan(deviation[:, :10]).all()
     np.testing.assert_allclose(depth[:, 10:20], 0.9, rtol=1e-6)
     np.testing.assert_allclose(depth[:, 20:], 0.51, rtol=1e-5)
-    np.testing.assert_allclose(deviation[:, 20:], 0.051, rtol=1e-5)  # no surer than they are
+    # The mean has no smaller deviation than its views.
+    np.testing.assert_allclose(deviation[:, 20:], 0.051, rtol=1e-5)
 
 
 def slanted():
@@ -150,7 +151,7 @@ def test_planes_lie_where_they_were_between_the_pixels_that_show_them(stride):
     plane = slanted()
     found = upsample(plane[::stride, ::stride], stride, SHAPE)
     assert found.shape == SHAPE and found.flags.c_contiguous
-    inside = np.s_[: 1 - stride or None, : 1 - stride or None]  # beyond, the last pixel stays
+    inside = np.s_[: 1 - stride or None, : 1 - stride or None]  # beyond, the last pixel is repeated
     np.testing.assert_allclose(found[inside], plane[inside], rtol=1e-6)
 
 
@@ -178,7 +179,7 @@ def within_one(film, poses):
 def test_errors_of_poses_are_in_the_deviation(monkeypatch, draws):
     film = walk(height=120, width=160)
     with_comparison, without = [], []
-    # Three keyframes agree or not by chance: of one draw alone the share is anything above a half.
+    # Three keyframes agree by chance: with a single draw the share may be anything above 0.5.
     for seed in range(draws):
         random = np.random.default_rng(seed)
         twists = random.normal(0, 1, (len(film.poses), 6)) * np.repeat((0.02, 0.004), 3)
@@ -187,7 +188,7 @@ def test_errors_of_poses_are_in_the_deviation(monkeypatch, draws):
         with monkeypatch.context() as patched:
             patched.setattr(depths, "DIFFERENCE_TO_DEVIATION", 0.0)
             without.append(within_one(film, shaken))
-    # About 0.8; which keyframes agree hangs on how a processor rounds.
+    # About 0.8: rounding on a processor decides which keyframes agree.
     assert 0.6 < np.mean(with_comparison) < 0.9
     assert np.mean(without) < 0.6 * np.mean(with_comparison)
 

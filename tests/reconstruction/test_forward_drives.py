@@ -1,7 +1,7 @@
 """Drives along a straight road, from points: the path goes forward, and not sideways.
 
-Most points are far or near the horizon. A sideways motion with a turn then moves nearly all of them
-to within 4 px of where they are seen, but not to within 1 px.
+Most points are far or near the horizon. A sideways motion with a turn then projects nearly all
+points to within 4 px of their observations, but not to within 1 px.
 """
 
 import numpy as np
@@ -17,12 +17,12 @@ from tisfm.reconstruction.tracks.views import View
 CAMERA, SHAPE = Camera(focal=770.0), (360, 640)
 VIEWS, STEP = 8, 1.2  # m from view to view
 NOISE = 0.3  # px
-CAR_STEP = 0.3  # m: what a car ahead gains from view to view
-CONFUSED = 0.3  # of the matches: they lead to the nearest point beside the right one
+CAR_STEP = 0.3  # m from view to view: how much faster a car ahead is
+CONFUSED = 0.3  # share of the matches that lead to the nearest other point
 
 
 def roadside(random):
-    """Return points, (N, 3), m: some of the road, more beside it, and hills."""
+    """Return points, (N, 3), m: some on the road, more beside the road, and hills."""
     road = np.column_stack([random.uniform(-4, 4, 20), np.full(20, 1.4), random.uniform(8, 50, 20)])
     side = random.choice([-1, 1], 120) * random.uniform(5, 12, 120)
     beside = np.column_stack(
@@ -35,10 +35,10 @@ def roadside(random):
 
 
 def drive(seed, *, step=STEP, turn=0.0, gain=CAR_STEP):
-    """Return views and matches of a camera that goes forward, behind a car that is a bit faster.
+    """Return views and matches of a camera that drives forward behind a slightly faster car.
 
-    From view to view it goes `step` m and turns by `turn` rad, and the car gains `gain` m. Half of
-    the points are tracks. The others are matched with the three views after, some of them wrongly.
+    From view to view it moves by `step` m and turns by `turn` rad; the car is `gain` m faster. Half
+    of the points are tracks. The others are matched with the next three views, some wrongly.
     """
     random = np.random.default_rng(seed)
     at_rest = roadside(random)
@@ -72,7 +72,7 @@ def view_of(number, local, is_track, random):
 
 
 def matched(before, after, random):
-    """Return indices of matching points, (N, 2), with some confused ones."""
+    """Return indices of matching points, (N, 2), some of which are wrong."""
     both = np.flatnonzero((before[:, 0] >= 0) & (after[:, 0] >= 0))
     found = after[both]
     distance = np.linalg.norm(found[:, None] - found, axis=-1)
@@ -84,7 +84,7 @@ def matched(before, after, random):
 
 
 def forward_and_turn(poses):
-    """Return the median share of steps that goes forward, and the turn in all, degrees."""
+    """Return the median share of forward motion in a step, and the total turn, degrees."""
     found = np.array([poses[frame] for frame in sorted(poses)])
     steps = np.einsum("nji,nj->ni", found[:-1, :3, :3], np.diff(found[:, :3, 3], axis=0))
     steps /= np.linalg.norm(steps, axis=1, keepdims=True)
@@ -93,19 +93,19 @@ def forward_and_turn(poses):
 
 
 def is_forward(poses):
-    """Return whether the camera goes along its own axis and turns by less than 1° in all."""
+    """Return whether the camera moves along its axis and turns by less than 1° in total."""
     forward, turn = forward_and_turn(poses)
     return len(poses) == VIEWS and forward > 0.99 and turn < 1
 
 
 def test_most_drives_go_forward():
-    """With a tolerance of 4 px at first pairs, 6 of 20 drives went forward, and 19 with 1 px."""
+    """With a tolerance of 4 px for first pairs, 6 of 20 drives went forward; with 1 px, 19."""
     models = [find_models(*drive(seed), CAMERA, SHAPE) for seed in range(4)]
     assert sum(bool(found) and is_forward(found[0].poses) for found in models) >= 3
 
 
 def test_a_forward_path_scores_more_than_one_that_goes_sideways(monkeypatch):
-    """Triangulated observations prefer the wrong one."""
+    """The number of triangulated observations would prefer the wrong path."""
     shared = ViewGraph.of(*drive(2), SHAPE)
     right = shared.grow_models(CAMERA)[0]
     monkeypatch.setattr(growing, "first_pair_tolerance", lambda longer_side: 4.0)
@@ -118,7 +118,7 @@ def test_a_forward_path_scores_more_than_one_that_goes_sideways(monkeypatch):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_camera_that_hardly_moves_shows_no_parallax(seed):
-    """Noise then passes for parallax in some pairs, and a focal length found from them is wrong."""
+    """In some pairs noise looks like parallax; a focal length from these pairs is wrong."""
     turning = drive(seed, step=0.01, turn=0.02, gain=0.0)
     assert not ViewGraph.of(*turning, SHAPE).shows_parallax(CAMERA)
     assert ViewGraph.of(*drive(seed), SHAPE).shows_parallax(CAMERA)

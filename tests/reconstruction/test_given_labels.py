@@ -1,4 +1,4 @@
-"""Things that move, whose labels are given."""
+"""Moving objects with given labels."""
 
 import cv2
 import numpy as np
@@ -22,11 +22,11 @@ FEW, SMALL = 6, (120, 160)
 COUNT = 16
 WHOLE = COUNT, (240, 320)
 CARRIED = 12, (120, 160)
-IDS = np.array([0, 5, 3, 254], np.uint8)  # of the bodies
+IDS = np.array([0, 5, 3, 254], np.uint8)  # ids of the bodies in the given labels
 
 
 def film(count=FEW, size=SMALL):
-    """Return a film in which labels can be followed; with `count` and `size` of `WHOLE`, paths."""
+    """Return a film to follow labels in; `count` and `size` of `WHOLE` also give object paths."""
     return bodies_film(bodies_path(count), *size)
 
 
@@ -52,7 +52,7 @@ def given(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def short(tmp_path_factory):
-    """Return that of the short film."""
+    """Return the reconstruction of the short film with its true labels."""
     return reconstructed(labels=labels(), folder=tmp_path_factory.mktemp("short") / "result")
 
 
@@ -156,7 +156,7 @@ def iou(one, two):
 
 @pytest.mark.parametrize(("known", "least"), [((0, CARRIED[0] - 1), 0.85), ((2,), 0.65)])
 def test_labels_are_carried_to_frames_without(known, least):
-    """From a single frame, what hides another thing for a while may take what comes out."""
+    """From a single labelled frame, an occluder may also take the pixels that it uncovers."""
     result = reconstructed(*CARRIED, labels={k: labels(*CARRIED)[k] for k in known})
     found = labels_of(result)
     for k in known:
@@ -171,7 +171,7 @@ def test_labels_are_carried_to_frames_without(known, least):
 
 
 def test_a_thing_at_rest_is_followed_as_well():
-    """Nothing is searched for: labels say what is set aside."""
+    """Objects are not searched: the given labels define them, also at rest."""
     box = np.zeros_like(labels()[0])
     box[20:60, 50:90] = 9
     result = reconstructed(labels={0: box})
@@ -213,7 +213,7 @@ def test_a_result_does_not_replace_its_labels(short):
 
 
 def test_pictures_of_one_thing_with_a_palette(tmp_path):
-    """Indexed pictures of a single thing, as DAVIS has them."""
+    """Indexed pictures of a single object, as in DAVIS."""
     for k, one in enumerate(labels()):
         write_label_png(tmp_path / f"{k:05d}.png", np.uint8(one == 5))
     result = reconstructed(mask=tmp_path)
@@ -273,7 +273,7 @@ def test_paths_against_true_ones(given, tmp_path):
     np.savetxt(tmp_path / "poses.txt", film(*WHOLE).poses[:, :3].reshape(-1, 12))
     assert has_true_paths(tmp_path)
     errors = compare_object_paths(given.folder, tmp_path, {1: 5, 2: 99, 3: 254})
-    # The third hardly turns in so few frames: whether it has a path hangs on how a CPU rounds.
+    # Body 3 hardly turns in so few frames: rounding decides whether it has a path.
     assert {1} <= set(errors) <= {1, 3}
     assert errors[1].frames == COUNT and errors[1].share < 0.1
     with pytest.raises(ValueError, match="has 8 frames at a step of 2"):

@@ -1,4 +1,4 @@
-"""Which of the poses that are given belongs to which frame."""
+"""Assignment of given poses to frames."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,8 @@ def test_each_frame_gets_the_pose_that_is_nearest_in_time():
     poses, missing = poses_of_frames(Trajectory(poses=PATH[:5], times=times), TIMES.tolist())
     for frame, place in ((0, 0), (1, 1), (2, 2), (5, 4)):
         np.testing.assert_array_equal(poses[frame], PATH[place])
-    assert sorted(missing) == [3, 4]  # 0.46 s is nearer to 0.5 s, but 0.52 s is the nearest there
+    # The frame at 0.5 s takes the pose at 0.52 s, so the pose at 0.46 s has no frame left.
+    assert sorted(missing) == [3, 4]
     assert np.isnan(poses[[3, 4]]).all()
     assert missing[3].message == "no pose is given within 0.05 s of it"
 

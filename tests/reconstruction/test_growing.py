@@ -1,4 +1,4 @@
-"""Which of several models counts, where each is grown from another first pair."""
+"""The choice between models grown from different first pairs."""
 
 from types import SimpleNamespace
 
@@ -10,7 +10,7 @@ MATCHES = 1000
 
 
 class Model:
-    """A model of so many views, with its score, triangulated observations and its worst view."""
+    """A model: number of views, score, triangulated observations, and score of its worst view."""
 
     def __init__(self):
         self.views, self.explained, self.observations, self.least_view = 0, 0.0, 0, 0.0
@@ -24,7 +24,7 @@ class Model:
 
 @pytest.fixture
 def chosen(monkeypatch):
-    """Return a function that grows models from first pairs, and gives what `_one` returns."""
+    """Return a function that runs `_one` with given models, and returns its choice."""
 
     def choose(models):
         grown = []
@@ -64,12 +64,13 @@ EVEN, BENT = 0.9, 0.5  # scores of the worst view, over the median
 @pytest.mark.parametrize(
     ("models", "best", "count"),
     [
-        ([(0.83, BENT), (0.99, EVEN)], 1, 2),  # a bent model explains so much
+        ([(0.83, BENT), (0.99, EVEN)], 1, 2),  # a bent model with a high score
         ([(0.7, EVEN), (0.99, EVEN)], 0, 1),
-        ([(0.55, EVEN), (0.551, EVEN), (0.9, EVEN)], 1, 2),  # noise: two lead to the same
+        # The scores differ by noise: two lead to the same.
+        ([(0.55, EVEN), (0.551, EVEN), (0.9, EVEN)], 1, 2),
         ([(0.83, BENT), (0.55, EVEN), (0.83, BENT)], 0, 3),
-        ([(0.3, BENT), (0.83, BENT), (0.5, EVEN), (0.99, EVEN)], 1, 3),  # three are grown at most
-        ([(0.83, BENT), (0.7, EVEN), (0.99, EVEN)], 1, 2),  # the even one is right
+        ([(0.3, BENT), (0.83, BENT), (0.5, EVEN), (0.99, EVEN)], 1, 3),  # at most three are grown
+        ([(0.83, BENT), (0.7, EVEN), (0.99, EVEN)], 1, 2),  # the even model is right
         ([(0.83, BENT)], 0, 1),
         ([], None, 0),
     ],

@@ -1,4 +1,4 @@
-"""Labels where frames are made anew, for a lens or a shutter."""
+"""Given labels, when frames are warped again for a lens or a shutter."""
 
 import warnings
 from dataclasses import replace
@@ -29,7 +29,7 @@ RADIAL, READOUT = -0.1, 0.8
 
 
 def turning(count):
-    """Return the path of a camera that turns as it goes by the bodies."""
+    """Return the path of a camera that turns while it passes the bodies."""
     poses = bodies_path(count)
     poses[:, :3, 3] *= 1.5
     at = np.arange(count) / (count - 1)
@@ -38,7 +38,7 @@ def turning(count):
 
 
 def shaken(count):
-    """Return the path of a camera that is shaken as it goes by the bodies."""
+    """Return the path of a shaken camera that passes the bodies."""
     at = np.arange(count)
     turns = 0.02 * np.sin(0.9 * at), 0.025 * (np.cos(0.7 * at) - 1), 0.012 * np.sin(1.3 * at)
     twists = np.stack([0 * at, 0 * at, 0 * at, *turns], axis=1)
@@ -51,7 +51,7 @@ def film(path=turning, count=16, readout=0.0, size=(180, 240)):
 
 
 def distorted(images, camera, interpolation):
-    """Return images, (N, H, W), as a lens with one coefficient takes them."""
+    """Return images, (N, H, W), distorted by a lens with one coefficient."""
     height, width = images.shape[1:]
     cx, cy = camera.center_for(height, width)
     matrix = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1]])
@@ -68,7 +68,7 @@ def labels_of(result):
 
 
 def prepared(tmp_path, pictures, labels):
-    """Return frames that are ready to be worked on, with labels."""
+    """Return prepared frames with labels."""
     for name in ("cache", "frames"):
         (tmp_path / name).mkdir()
     frames = PreparedFrames(Camera(focal=60.0), tmp_path / "cache", tmp_path / "frames")
@@ -79,7 +79,7 @@ def prepared(tmp_path, pictures, labels):
 
 @pytest.mark.parametrize("what", ["lens", "shutter"])
 def test_labels_move_with_the_pixels(tmp_path, what):
-    """The picture is bright where it is labelled."""
+    """Labelled pixels are bright, so the pictures show whether labels moved with them."""
     labels = np.zeros((60, 80), np.uint8)
     labels[5:25, 8:30], labels[35:58, 50:74] = 3, 9
     frames = prepared(tmp_path, [np.uint8(20 + 200 * (labels > 0))], [labels])
@@ -166,8 +166,9 @@ def test_a_shutter_is_undone_beside_things_that_move():
         )
         errors.append(path_error(result.poses, scene.poses))
     assert errors[1] < 0.2 * errors[0]
-    assert result.camera.readout == 0 and result.calibration.readout == 0  # it was given
-    assert (labels_of(result) != scene.labels).any()  # they went with the pixels
+    # The given value: nothing is estimated.
+    assert result.camera.readout == 0 and result.calibration.readout == 0
+    assert (labels_of(result) != scene.labels).any()  # labels move with the pixels
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Tracks that a path is built from."""
+"""The choice of the tracks that a path is built from."""
 
 import numpy as np
 import pytest
@@ -7,18 +7,18 @@ from tisfm.reconstruction.tracks import long_tracks as module
 from tisfm.reconstruction.tracks.long_tracks import CELL_COUNTS, MIN_TRACKS, choose_long_tracks
 from tisfm.reconstruction.tracks.tracker import Observations
 
-SIDE = 400  # px: of the frames
+SIDE = 400  # px, of the frames
 CELL = SIDE / CELL_COUNTS[0]
 
 
 @pytest.fixture
 def any_number(monkeypatch):
-    """The first number of cells is taken, however few tracks it gives."""
+    """Accept the first grid of cells, however few tracks it gives."""
     monkeypatch.setattr(module, "MIN_TRACKS", 0)
 
 
 def views(seed=0, count=5):
-    """Return what views see of tracks of chance."""
+    """Return the tracks that views see, at random."""
     random = np.random.default_rng(seed)
     seen = []
     for _ in range(count):
@@ -28,7 +28,7 @@ def views(seed=0, count=5):
 
 
 def expected(seen):
-    """Return the tracks of the same choice, cell by cell."""
+    """Return the same choice of tracks, cell by cell."""
     lives = {track: sum(track in one.tracks for one in seen) for track in range(400)}
     kept = set()
     for one in seen:

@@ -1,4 +1,4 @@
-"""Scores of models by all matches: half lines from explicit points, and right and wrong paths."""
+"""Scores of models by all matches: half lines, computed from points, and right and wrong paths."""
 
 import numpy as np
 import pytest
@@ -34,14 +34,14 @@ def test_a_point_at_any_depth_lies_on_its_half_line(depth):
 
 @pytest.mark.parametrize(("x", "away"), [(0.01, 0.01), (-0.01, 0.0)])
 def test_a_point_beyond_infinity_is_as_far_as_infinity(x, away):
-    """The camera goes to the right, so points move to the left: to the right is behind it."""
+    """The camera moves right, so points move left; a point at the right is behind the camera."""
     found = half_line_distances(REST, SIDEWAYS, STRAIGHT_ON, unit(x, 0, 1))
     assert found[0] == pytest.approx(away, abs=1e-12)
 
 
 @pytest.mark.parametrize(("x", "away"), [(0.05, 0.0), (-0.1, 0.1), (0.12, 0.02)])
 def test_a_half_line_ends_at_the_epipole(x, away):
-    """The camera goes back, so a point moves towards the middle, and not beyond it."""
+    """The camera moves back, so a point moves towards the centre, and not past it."""
     back = np.column_stack([np.eye(3), [0, 0, 0.5]])
     found = half_line_distances(REST, back, unit(0.1, 0, 1), unit(x, 0, 1))
     assert found[0] == pytest.approx(away, abs=1e-12)
@@ -78,7 +78,7 @@ def test_a_right_model_scores_each_match_with_one_and_a_wrong_one_less():
 
 
 def test_a_view_at_a_wrong_place_explains_less_than_the_others():
-    """Of five views the last is at a wrong place."""
+    """The last of five views has a wrong position."""
     random = np.random.default_rng(0)
     points = points_seen(random, 10, 150, 80)
     places = [MOTION + np.column_stack([np.zeros((3, 3)), [0.1 * k, 0, 0]]) for k in range(4)]
@@ -90,7 +90,7 @@ def test_a_view_at_a_wrong_place_explains_less_than_the_others():
 
 
 def test_half_the_tolerance_halves_the_score():
-    """The frames are 160 px long, so a match off by 0.5 px has a score of a half."""
+    """Frames are 160 px wide, so a match with an error of 0.5 px has the score 0.5."""
     points = np.array([[80.0, 60.0], [100.0, 60.0]])
     moved = points + np.array([-3.0, first_pair_tolerance(160) / 2])
     both = np.repeat(np.arange(2)[:, None], 2, axis=1)

@@ -1,4 +1,4 @@
-"""Which cars of a street are labelled as moving, by boxes made by eye."""
+"""Labels of moving and parked cars of a street, compared with boxes drawn by hand."""
 
 from functools import cache
 
@@ -9,10 +9,10 @@ import tisfm
 from tests.reconstruction.cars import CARS, FRAMES, NEAR
 from tisfm.datasets import find_sequences
 
-pytestmark = pytest.mark.nightly  # of a rendered street: test_below_ground.py
+pytestmark = pytest.mark.nightly  # test_below_ground.py tests a rendered street
 
-MEASURED = (0, 8, 16)  # frames in which cars that move are to be labelled
-# A car of which less than half is seen does not count; standing cars count at any distance.
+MEASURED = (0, 8, 16)  # frames in which moving cars must be labelled
+# Cars that are more than half hidden do not count as moving; parked cars count at any distance.
 MOVING = [car for car in CARS if car.moves and not car.hidden and car.distance <= NEAR]
 STANDING = [car for car in CARS if not car.moves]
 
@@ -43,14 +43,14 @@ def labels(shared_data):
 
 
 def identity(car, labels):
-    """Return the label that has most of a car's boxes, 0 if none has any."""
+    """Return the label with most pixels in a car's boxes; 0 if there is none."""
     inside = np.concatenate([labels[k][car.box(k)].ravel() for k in range(FRAMES)])
     counts = np.bincount(inside[inside > 0])
     return int(counts.argmax()) if len(counts) else 0
 
 
 def shares(car, labels, frames, label):
-    """Return the share of a car's box that has a label, in each of some frames."""
+    """Return the share of a car's box with a label, for each of some frames."""
     return np.array([(labels[k][car.box(k)] == label).mean() for k in frames])
 
 

@@ -1,4 +1,4 @@
-"""Which frames show the depth of a keyframe best."""
+"""The choice of frames that determine the depth of a keyframe best."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ CAMERA, SHAPE = Camera(focal=300.0), (240, 320)
 
 
 def line(positions):
-    """Return poses (N, 4, 4) of a camera that goes to the right, looking ahead."""
+    """Return poses (N, 4, 4) of a camera that moves to the right and looks ahead."""
     poses = np.tile(np.eye(4), (len(positions), 1, 1))
     poses[:, 0, 3] = positions
     return poses

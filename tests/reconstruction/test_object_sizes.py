@@ -1,4 +1,4 @@
-"""Things that move, of a known size."""
+"""Moving objects of known size."""
 
 from functools import cache
 
@@ -22,7 +22,7 @@ def film():
 
 @cache
 def sized(size):
-    """Return what is found of the film, where the first body has a size."""
+    """Return the reconstruction of the film with a size of the first body."""
     return tisfm.reconstruct(
         list(film().frames),
         camera=film().camera,
@@ -35,7 +35,7 @@ def sized(size):
 
 
 def own_depth(result):
-    """Return the ratio of true to found depth of the first body, in the median."""
+    """Return the median ratio of true to estimated depth of the first body."""
     key = result.keyframes[0]
     return np.nanmedian((film().depth[key] / result.depth(key))[film().labels[key] == 1])
 
@@ -61,7 +61,7 @@ def test_twice_the_size_is_twice_as_far():
     assert own_depth(once) / own_depth(twice) == pytest.approx(2, rel=1e-3)
     key = once.keyframes[0]
     others = film().labels[key] != 1
-    rounded = 2**-10  # depth has 11 significant bits, and here two scales
+    rounded = 2**-10  # depth has 11 significant bits, and two scales are compared
     np.testing.assert_allclose(once.depth(key)[others], twice.depth(key)[others], rtol=rounded)
 
 
@@ -73,7 +73,7 @@ def test_without_it_the_scale_is_from_elsewhere():
 @pytest.mark.parametrize("turn", [(0, 0, 0), (0.3, 0.5, -0.2), (1.0, 0.2, 0.7)])
 @pytest.mark.parametrize("faces", [3, 1])
 def test_the_longest_side_is_that_of_a_box_however_it_is_turned(turn, faces):
-    """Of a box of 4.5 × 1.8 × 1.5, three faces or one are seen."""
+    """Three faces or one face of a box of 4.5 × 1.8 × 1.5 are visible."""
     sides, random = np.array([4.5, 1.8, 1.5]), np.random.default_rng(2)
     points = []
     for face in (2, 1, 0)[:faces]:

@@ -1,4 +1,4 @@
-"""Things that move on their own in a sequence."""
+"""Moving objects in a sequence."""
 
 import json
 import shutil
@@ -25,13 +25,13 @@ DATA = Path(__file__).parents[3] / "shared" / "data"
 
 @cache
 def film(bodies=3, count=16):
-    """Return a film of bodies."""
+    """Return a film with moving bodies."""
     return bodies_film(bodies_path(count), 180, 240, bodies=bodies)
 
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
-    """Return what is found in the film."""
+    """Return the reconstruction of the film."""
     return tisfm.reconstruct(
         list(film().frames),
         camera=film().camera,
@@ -132,7 +132,7 @@ def test_a_folder_that_lacks_a_part_is_refused(found, tmp_path, damage, words):
 
 
 def altered(folder, **about):
-    """Change what is told of the first thing, or of all."""
+    """Change the record of the first object, or of all objects."""
     record = json.loads((folder / "objects.json").read_text())
     thing = record["objects"][0]
     if "frames" in about:
@@ -230,7 +230,7 @@ def test_json_of_a_thing_comes_back():
     assert (again.id, again.frames, again.scale_from) == (2, (3, 4), "contact")
 
 
-@pytest.mark.nightly  # of rendered frames: the tests above
+@pytest.mark.nightly  # the tests above use rendered frames
 @pytest.mark.parametrize(("clip", "least"), [("camel", 0.7), ("car-roundabout", 0.8)])
 def test_clips_of_one_thing_that_moves(clip, least):
     folder = DATA / "davis" / clip

@@ -1,4 +1,4 @@
-"""Depth of a thing is found in the part of the frames that it is in, as in whole frames."""
+"""Depth of an object from the part of the frames that shows it, compared with whole frames."""
 
 from functools import cache
 
@@ -31,7 +31,7 @@ def film():
 
 
 class Part:
-    """Frames of which a part counts, that stays where it is."""
+    """Frames with one fixed mask of the pixels that count."""
 
     def __init__(self, counted):
         self.camera, self.shape = film().camera, SIZE
@@ -45,7 +45,7 @@ class Part:
 
 
 def part(where):
-    """Return where a thing is: in the midst, or up to a corner."""
+    """Return the mask of an object, in the middle or at a corner."""
     rows, columns = np.indices(SIZE)
     if where == "midst":
         return ((rows - 91) / 37) ** 2 + ((columns - 118) / 45) ** 2 < 1

@@ -1,4 +1,4 @@
-"""Parallax beyond a homography and beyond a rotation, with directions made by formula."""
+"""Parallax beyond a homography and beyond a rotation, with directions from formulas."""
 
 import numpy as np
 import pytest
@@ -44,11 +44,11 @@ def test_a_rotation_leaves_noise_alone_whatever_the_focal_length(focal, rotation
     pair = matches(far_and_near, np.zeros(3), rotation, focal=focal, outliers=30)
     for left in (beyond_rotation(*pair), beyond_homography(*pair)):
         assert np.median(left) < 3 * NOISE
-        assert np.median(left[:30]) > 50 * NOISE  # outliers do not bend the fit
+        assert np.median(left[:30]) > 50 * NOISE  # outliers do not affect the fit
 
 
 def test_a_focal_length_beyond_the_limits_leaves_parallax():
-    """Three times the stated focal length is not tried: the remaining angles count as parallax."""
+    """Three times the stated focal length is beyond the search: the rest counts as parallax."""
     pair = matches(far_and_near, np.zeros(3), (0.1, 0.3, 0), focal=3.0, noise=0)
     assert np.median(beyond_rotation(*pair)) > 10 * NOISE
 
@@ -61,7 +61,7 @@ def test_a_plane_has_parallax_beyond_a_rotation_but_not_beyond_a_homography(dept
             0.4,
             0.3,
             0,
-        )  # straight at a plane, it would look like a zoom
+        )  # motion straight towards a plane looks like a zoom
     pair = matches(depth, np.array(translation), (0.01, 0.02, 0.0))
     assert np.median(beyond_homography(*pair)) < 3 * NOISE
     assert np.median(beyond_rotation(*pair)) > 6 * NOISE

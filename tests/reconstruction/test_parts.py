@@ -1,4 +1,4 @@
-"""Long sequences: paths found in parts, which are brought together."""
+"""Long sequences: submaps are reconstructed and then aligned."""
 
 import hashlib
 from itertools import pairwise
@@ -82,14 +82,14 @@ def test_a_round_trip_closes_across_parts():
         (piece,) = path_in_parts(images).pieces
     found = np.array([piece.poses[k][:3, 3] for k in range(48)])
     length = np.linalg.norm(np.diff(found, axis=0), axis=1).sum()
-    assert any(not edge.certain for edge in edges)  # a place that was seen again
-    # Measured: 0.0064 of frames of 180 × 240. In px the limit is that of 0.006 at 240 × 320.
+    assert any(not edge.certain for edge in edges)  # a loop closure
+    # Measured: 0.0064 with frames of 180 × 240. In px, that is 0.006 at 240 × 320.
     assert np.linalg.norm(found[0] - found[-1]) < 0.008 * length
     assert residual(found, centres(way)) < 0.005
 
 
 def a_part(span, groups):
-    """A part whose cameras are where the world begins; only its poses are looked at."""
+    """Return a submap whose cameras are all at the origin; only its poses matter."""
     poses = {view: np.eye(4) for view in range(*span)}
     return SimpleNamespace(span=span, poses=poses, groups=groups)
 
@@ -101,14 +101,14 @@ def shifted(x):
 
 
 def test_one_pose_changes_gradually_into_the_other():
-    """Views count by how far they are from an end of a part, and between the middles of groups."""
+    """Weights depend on the distance of a view to the ends of a submap, and on group centres."""
     first, second = a_part((0, 10), [list(range(10))]), a_part((6, 16), [list(range(6, 16))])
     found = parts._merged([first, second], [[shifted(0.0)], [shifted(1.0)]])
     assert sorted(found) == list(range(16))
     for view in range(16):
         here, there = max(0, min(view + 1, 10 - view)), max(0, min(view - 5, 16 - view))
         assert found[view][0, 3] == pytest.approx(there / (here + there)), view
-    alone = a_part((0, 10), [list(range(5)), list(range(5, 10))])  # their middles are 2 and 7
+    alone = a_part((0, 10), [list(range(5)), list(range(5, 10))])  # their centres are 2 and 7
     found = parts._merged([alone], [[shifted(0.0), shifted(1.0)]])
     expected = np.clip((np.arange(10) - 2) / 5, 0, 1)
     np.testing.assert_allclose([found[view][0, 3] for view in range(10)], expected, atol=1e-12)
@@ -134,7 +134,7 @@ def test_a_part_without_a_beginning_of_its_own_continues_the_next():
     )
 
 
-@pytest.mark.nightly  # another process finds the same bits in the test below
+@pytest.mark.nightly  # the next test compares the bits with another process
 def test_the_same_bits_twice():
     assert bits() == bits()
 
@@ -146,7 +146,8 @@ def test_the_same_bits_on_one_thread():
 
 
 def test_the_focal_length_is_that_of_the_first_part_that_shows_it(monkeypatch):
-    shares = {0: 0.2, 330: 0.1, 660: 0.01, 990: 0.001}  # deviation, by the first view of a part
+    # Relative deviation, by the first view of a submap.
+    shares = {0: 0.2, 330: 0.1, 660: 0.01, 990: 0.001}
 
     def models_and_focal(views, *_, limit):
         return [], FocalEstimate(focal=500.0, deviation=500 * shares[views[0]], limit=limit)
@@ -157,4 +158,4 @@ def test_the_focal_length_is_that_of_the_first_part_that_shows_it(monkeypatch):
     found = focal_from_submaps(views, {}, SMALL_CAMERA, (240, 320), "focal", limit=0.3)
     assert found.deviation == 5
     found = focal_from_submaps(views[:700], {}, SMALL_CAMERA, (240, 320), "focal", limit=0.3)
-    assert found.deviation == 50  # no part shows it well
+    assert found.deviation == 50  # no submap determines it well

@@ -1,4 +1,4 @@
-"""A turn of the camera, without parallax: what only it shows has no depth, and breaks no scale."""
+"""A turn of the camera without parallax: points that only it shows are deleted, the scale stays."""
 
 from types import SimpleNamespace
 
@@ -14,7 +14,7 @@ TURN = slice(10, 26)
 
 
 def model(places, tracks, *, depth=2.0):
-    """Return a mapper and a model of views at places, and of points by the views that see them."""
+    """Return a mapper, a model of views at positions and points by the views that see them."""
     deleted = []
 
     def delete(one):
@@ -74,7 +74,7 @@ def test_a_view_without_points_is_left():
 
 
 def going_and_turning():
-    """Return poses of a camera that goes aside, turns where it is, and goes on."""
+    """Return poses of a camera that moves sideways, turns on the spot, and moves on."""
     places = np.clip(np.arange(36), 0, 9) + np.clip(np.arange(36) - 25, 0, None)
     turns = 0.025 * (np.clip(np.arange(36) - 9, 0, 16) - 8)
     poses = np.array([pose_matrix((0, 0, 0, 0, turn, 0)) for turn in turns])

@@ -1,4 +1,4 @@
-"""`tisfm.reconstruct`: a film in; a path, depth in one scale and a folder out."""
+"""`tisfm.reconstruct`: from a film to a path, depth in one scale, and a folder."""
 
 import gc
 import json
@@ -29,7 +29,7 @@ def found(film):
 
 @pytest.fixture(scope="module")
 def path(film):
-    """Return the reconstruction of the path alone."""
+    """Return the reconstruction with a path and without depth."""
     return tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, depth_of="none")
 
 
@@ -53,7 +53,7 @@ def test_every_frame_has_a_pose_and_depth_in_one_scale(film, found):
 
 
 def test_a_preset_alone_means_the_motion_of_the_camera(film):
-    """As in `Settings.preset("fast")`, whose motion is that of pairs."""
+    """`Settings.preset("fast")` instead has the motion model of pairs."""
     frames, preset = film.frames[:3], Settings.preset("fast")
     options = {"camera": film.camera, "depth_of": "none"}
     result = tisfm.reconstruct(frames, settings=preset, **options)
@@ -88,7 +88,7 @@ def test_frames_without_a_given_pose_have_no_depth(film):
 
 
 def test_as_many_poses_as_frames_are_needed(film, found, tmp_path):
-    """What was in the folder is still there, where that is known before frames are read."""
+    """If this is known before frames are read, earlier files in the folder stay."""
     found.save(tmp_path)
     options = {"camera": film.camera, "settings": FAST, "poses": film.poses[:4]}
     with pytest.raises(ValueError, match="poses are 4, but there are 9 frames"):
@@ -110,7 +110,7 @@ def test_nothing_is_left_of_a_reconstruction_that_failed(film, tmp_path, monkeyp
     with pytest.raises(OSError, match="plug") as held:
         tisfm.reconstruct(broken(), camera=film.camera, settings=FAST)
     assert len(there) == 1 and list(tmp_path.iterdir()) == []
-    assert held.value.__traceback__ is not None  # it holds all that was at work
+    assert held.value.__traceback__ is not None  # it refers to all objects of the run
 
 
 def test_a_result_in_no_folder_ends_without_a_warning(tmp_path, monkeypatch):
@@ -141,7 +141,7 @@ def test_the_path_alone(path, found):
     assert all(status == "converged" for status in path.status)
     np.testing.assert_allclose(path.poses[:, :3, :3], found.poses[:, :3, :3], atol=1e-12)
     moved, moved_before = (np.linalg.norm(one.poses[-1, :3, 3]) for one in (path, found))
-    assert moved == pytest.approx(moved_before, rel=0.5)  # units: of tracks, and of all pixels
+    assert moved == pytest.approx(moved_before, rel=0.5)  # units: one of tracks, one of all pixels
 
 
 def test_a_path_without_depth_in_any_frame_has_the_unit_of_its_tracks(film, path, monkeypatch):
@@ -169,7 +169,7 @@ def test_saved_and_loaded(found, tmp_path):
     for frame in range(len(found)):
         np.testing.assert_array_equal(loaded.inverse_depth(frame), found.inverse_depth(frame))
         np.testing.assert_array_equal(loaded.picture(frame), found.picture(frame))
-    found.save(tmp_path / "kept")  # in place of itself
+    found.save(tmp_path / "kept")  # it replaces its own folder
     assert Reconstruction.load(tmp_path / "kept").keyframes == found.keyframes
 
 
@@ -218,7 +218,7 @@ def test_the_working_folder_may_change(found, film, tmp_path, monkeypatch):
 
 
 def test_what_was_deleted_is_told(found, tmp_path):
-    """Depth that is nowhere is not taken for depth that no frame shows."""
+    """Missing depth files are not taken for frames without depth."""
     found.save(tmp_path)
     loaded = Reconstruction.load(tmp_path)
     (tmp_path / "frames" / "000000.jpg").write_bytes(b"")
@@ -279,7 +279,7 @@ def test_scales_that_say_nothing_are_refused(found, frames, text):
 def test_points_lie_in_the_world(found, film):
     cloud = found.points(range(len(found)), agreeing=3)
     assert len(cloud) > 1000 and cloud.positions.dtype == np.float32
-    one = found.points([0])  # nothing else to agree with
+    one = found.points([0])  # no other view to agree with
     depth = found.depth(0)
     assert one.positions[:, 2].max() <= np.nanmax(depth) * (1 + 1e-3)
     assert len(found.points([0], max_relative_std=0.01)) < len(one)
@@ -299,7 +299,7 @@ def test_frames_of_a_cloud_are_checked(found):
 
 
 def test_masked_pixels_are_left_out(film):
-    """What covers nearly half of the frames, and stays where it is, is not taken for the scene."""
+    """A cover at a fixed position, nearly half of each frame, is not taken for the scene."""
     seen = np.ones(film.frames[0].shape, bool)
     seen[99:] = False
     mask = np.uint8(255) * seen
@@ -313,7 +313,7 @@ def test_masked_pixels_are_left_out(film):
         depth_error(found.depth(k)[seen], true[seen], scale) for k, true in enumerate(film.depth)
     ]
     assert np.median(errors) < 0.15
-    # Nothing of it depends on what the cover shows.
+    # The result does not depend on the pixels of the cover.
     other = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, mask=mask)
     np.testing.assert_array_equal(other.poses, found.poses)
     np.testing.assert_array_equal(other.depth(4), found.depth(4))
@@ -329,7 +329,8 @@ def test_what_covers_the_scene_is_in_no_cloud(film):
         np.testing.assert_array_equal(np.isinf(found.inverse_depth_std(frame)), ~seen)
     colors = found.points(range(len(found)), agreeing=1).colors.astype(int)
     covering = colors[:, 0] > colors[:, 1] + 128
-    assert len(colors) > 1000 and covering.mean() < 0.005  # JPEG lets some of it into neighbours
+    # JPEG spreads some of it to neighbouring pixels.
+    assert len(colors) > 1000 and covering.mean() < 0.005
 
 
 def test_distortion_is_removed(film):

@@ -1,4 +1,4 @@
-"""A folder with an earlier reconstruction, when the next one fails or is killed."""
+"""A folder with an earlier reconstruction, if the next one fails or is killed."""
 
 import contextlib
 import os
@@ -17,7 +17,7 @@ FAST = tisfm.Settings.preset("fast", motion="camera")
 
 
 def contents(folder):
-    """Return the files below a folder, by their names."""
+    """Return the files below a folder by name."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))
@@ -27,7 +27,7 @@ def contents(folder):
 
 @pytest.fixture
 def earlier(tmp_path):
-    """Return a folder that looks like that of a reconstruction."""
+    """Return a folder like that of a finished reconstruction."""
     folder = tmp_path / "result"
     with renewed_folder(folder) as path:
         for name in ("reconstruction.json", "path.npz", "points.ply", "depth/000000.npz"):
@@ -62,7 +62,7 @@ def test_links_are_not_followed_and_the_earlier_result_comes_back(earlier, tmp_p
     outside = tmp_path / "outside"
     outside.mkdir()
     (outside / "note.txt").write_text("mine")
-    # In place of files: a link to a missing file.
+    # Instead of files: a link to a missing file.
     is_folder = name in ("cache", "masks") or name.startswith(".tisfm-")
     (earlier / name).symlink_to(outside if is_folder else outside / "nothing")
     ends = pytest.raises(ValueError, match="again") if fails else contextlib.nullcontext()
@@ -103,13 +103,13 @@ def test_what_a_killed_run_put_aside_comes_back_after_the_next_failure(earlier):
 
 
 class Killed(BaseException):
-    """Nothing is done after it."""
+    """The process ends: no code runs after it."""
 
 
 @pytest.mark.parametrize("phase", ["aside", "back"])
 @pytest.mark.parametrize("step", range(1, 7))
 def test_nothing_is_lost_wherever_a_run_is_killed(earlier, monkeypatch, phase, step):
-    """At the n-th file that is moved; and the run after it fails."""
+    """The n-th move of a file kills the run, and the next run fails."""
     before, moved = contents(earlier), []
 
     def counted(original):
@@ -136,7 +136,7 @@ def test_nothing_is_lost_wherever_a_run_is_killed(earlier, monkeypatch, phase, s
         monkeypatch = inner
         if phase == "aside":
             patch()
-            # A killed process puts nothing back.
+            # A killed process does not put files back.
             inner.setattr(renewal, "_put_back", lambda path: None)
         with contextlib.suppress(Killed, ValueError):
             start()

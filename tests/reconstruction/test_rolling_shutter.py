@@ -1,4 +1,4 @@
-"""Sequences from a camera that reads row after row, and is shaken."""
+"""Sequences from a shaken camera with a rolling shutter."""
 
 from dataclasses import replace
 from functools import cache
@@ -22,7 +22,7 @@ COUNT, READOUT = 16, 0.8
 
 
 def shaken(count=COUNT):
-    """Return the poses of a camera that is shaken as it goes."""
+    """Return the poses of a shaken camera."""
     at = np.arange(count)
     turns = 0.03 * np.sin(0.9 * at), 0.04 * np.cos(0.7 * at) - 0.04, 0.02 * np.sin(1.3 * at)
     twists = np.stack([0.04 * at, 0.01 * np.sin(at), 0.02 * at, *turns], axis=1)
@@ -46,7 +46,7 @@ def reconstructed(readout, of=READOUT, **options):
 
 @cache
 def with_depth(readout):
-    """Return the reconstruction of the film by a camera of a readout, None where it is unknown."""
+    """Return the reconstruction of the film with a readout time of the camera; None if unknown."""
     return reconstructed(readout, depth_of="keyframes")
 
 
@@ -63,8 +63,8 @@ def test_the_readout_is_found_and_undone():
     assert path_error(found.poses, shaken()) < 0.2 * path_error(ignored.poses, shaken())
     about = found.calibration
     assert abs(about.readout - READOUT) < 0.08 and 0 < about.readout_std < 0.06
-    assert about.origin == "given"  # the focal length was
-    assert found.camera.readout == 0.0  # that of the frames of the result
+    assert about.origin == "given"  # origin of the focal length
+    assert found.camera.readout == 0.0  # frames of the result have no readout time
     again = tisfm.Reconstruction.load(found.folder)
     assert again.calibration == about and again.camera == found.camera
     assert read_camera(found.folder).readout == about.readout
@@ -87,7 +87,7 @@ def test_depth_is_that_of_middle_rows():
 def test_a_readout_that_is_given_is_undone():
     result = with_depth(READOUT)
     assert path_error(result.poses, shaken()) < 0.01
-    assert result.calibration.readout == 0  # nothing was found
+    assert result.calibration.readout == 0  # nothing was estimated
     assert result.camera.readout == 0
 
 
@@ -96,7 +96,7 @@ def test_rows_that_are_read_at_once_leave_everything_as_it_is():
     found, given = (reconstructed(readout, of=0.0) for readout in (None, 0.0))
     assert found.calibration.readout == 0
     np.testing.assert_array_equal(found.poses, given.poses)
-    assert found.camera.readout is None  # nothing is known
+    assert found.camera.readout is None  # unknown
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Streams from a camera that reads row after row, and is shaken."""
+"""Streams from a shaken camera with a rolling shutter."""
 
 import warnings
 from dataclasses import replace
@@ -21,7 +21,7 @@ COUNT, DELAY, READOUT = 24, 16, 0.8
 
 @cache
 def film(readout=READOUT):
-    """Return a film, small, of a camera that goes to and fro and is shaken."""
+    """Return a small film of a shaken camera that moves to and fro."""
     at = np.arange(COUNT)
     turns = 0.03 * np.sin(0.9 * at), 0.04 * np.cos(0.7 * at) - 0.04, 0.02 * np.sin(1.3 * at)
     way = 0.9 * np.sin(at / 18), 0.05 * np.sin(at), 0.3 * (1 - np.cos(at / 18))
@@ -57,7 +57,7 @@ def test_poses_and_depth_are_those_of_middle_rows(readout):
     assert all(frame.piece == 0 for frame in found)
     assert error(found) < 0.2 * error(ignored)
     assert depth_error(found) < 0.6 * depth_error(ignored)
-    assert all(frame.camera.readout == 0 for frame in found)  # in what is given out it is undone
+    assert all(frame.camera.readout == 0 for frame in found)  # undone in the frames of the stream
 
 
 @pytest.mark.slow
@@ -66,7 +66,8 @@ def test_it_is_found_with_the_first_path_and_stays():
     assert len(about) == 1
     (found,) = about
     assert abs(found.readout - READOUT) < 3 * found.readout_std < 0.4
-    assert {frame.calibration.readout for frame in streamed(READOUT)} == {0}  # it was given
+    # The given value: nothing is estimated.
+    assert {frame.calibration.readout for frame in streamed(READOUT)} == {0}
 
 
 @pytest.mark.slow
@@ -77,7 +78,7 @@ def test_pictures_are_what_the_middle_rows_saw():
     for of in (streamed(READOUT), streamed(0.0)):
         changes = [np.abs(f.picture.astype(float) - straight[f.index])[inside].mean() for f in of]
         off.append(np.mean(changes))
-    assert off[0] < 0.75 * off[1]  # of which some is noise, and the other JPEG's
+    assert off[0] < 0.75 * off[1]  # part of the rest is noise, part is from JPEG
 
 
 @pytest.mark.slow

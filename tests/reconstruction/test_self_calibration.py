@@ -1,4 +1,4 @@
-"""The focal length of sequences whose camera is not known, and how far it is trusted."""
+"""The estimated focal length of unknown cameras, and the trust in it."""
 
 import json
 import math
@@ -36,7 +36,7 @@ TILTED = Camera(distortion=(0.0,) * 12 + (0.1, 0.0))
 
 @cache
 def arc(count=16, size=SIZE, focal=None):
-    """Return a film of a camera that goes round what it looks at, and tilts and rolls."""
+    """Return a film of a camera on an arc around the scene, with tilt and roll."""
     poses = []
     for at in np.linspace(-1, 1, count):
         waving = np.sin(3 * at)
@@ -47,15 +47,15 @@ def arc(count=16, size=SIZE, focal=None):
 
 @cache
 def straight():
-    """Return a film of a camera that goes sideways, and does not turn."""
+    """Return a film of a camera that moves sideways without turning."""
     return room_film(along(10, (0.12, 0, 0, 0, 0, 0)), *SIZE, samples=2)
 
 
 @cache
 def through_a_lens(radial):
-    """Return frames of the same through a lens that distorts by one coefficient, and what is seen.
+    """Return frames of the arc through a lens with one radial coefficient, and the larger film.
 
-    They are taken out of larger ones: barrel distortion shows more than a pinhole does.
+    They are cut out of a larger film, because barrel distortion shows more than a pinhole.
     """
     wide = arc(size=(240, 320), focal=144.0)
     height, width = SIZE
@@ -78,7 +78,7 @@ def path_of(film, **options):
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # it is seen: there is nothing to warn of
+        warnings.simplefilter("error")  # the focal length is determined: no warning is due
         return path_of(arc(), folder=tmp_path_factory.mktemp("found"))
 
 
@@ -148,7 +148,7 @@ def test_the_file_is_of_the_frames_of_the_source(tmp_path):
 
 
 def test_a_focal_length_that_is_printed_can_be_copied_back(tmp_path, capsys):
-    """It is that of the source's frames, also if they are shrunk."""
+    """It refers to the frames of the source, also if frames are shrunk."""
     film, command = arc(), ["reconstruct", str(tmp_path / "film"), "--preset", "fast"]
     command += ["--size", "192", "--depth-of", "none", "-o"]
     (tmp_path / "film").mkdir()
@@ -162,7 +162,7 @@ def test_a_focal_length_that_is_printed_can_be_copied_back(tmp_path, capsys):
     found = Reconstruction.load(tmp_path / "found")
     assert printed == pytest.approx(film.camera.focal, rel=0.03)
     assert printed == pytest.approx(found.camera.focal / 0.8, rel=1e-3)
-    # Files, messages and the result state one unit.
+    # Files, messages and the result have the same unit.
     about = json.loads((tmp_path / "found" / "camera.json").read_text())
     record = json.loads((tmp_path / "found" / "reconstruction.json").read_text())
     for stated in (about, record["calibration"], vars(found.calibration)):
@@ -175,7 +175,7 @@ def test_a_focal_length_that_is_printed_can_be_copied_back(tmp_path, capsys):
     given = Reconstruction.load(tmp_path / "given")
     assert given.camera.focal == pytest.approx(found.camera.focal, rel=1e-3)
     assert path_error(given.poses, found.poses) < 1e-3
-    # The report says the same.
+    # The report has the same numbers.
     assert main(["report", str(tmp_path / "found")]) == 0
     page = (tmp_path / "found" / "report.html").read_text(encoding="utf-8")
     assert f"{told[1]} ± {told[2]} px (at 240×180), estimated" in page
@@ -193,7 +193,7 @@ def test_the_file_of_a_lens_is_of_what_was_done_to_frames(tmp_path):
     assert written.focal == pytest.approx(result.camera.focal, rel=1e-12)
     frame = film.frames[3]
     before, after = (undistort(frame, camera).astype(float) for camera in (guess, written))
-    assert np.abs(before - after).max() <= 1  # rounded
+    assert np.abs(before - after).max() <= 1  # rounding
     assert written.distortion != lens
 
 
@@ -214,7 +214,7 @@ def test_adjustments_that_lead_nowhere_leave_the_guess(monkeypatch, name, answer
     film = arc()
     with pytest.warns(GuessedFocalWarning, match="motion does not show") as caught:
         result = tisfm.reconstruct(film.frames[::2], settings=FAST, depth_of="none")
-    assert len(caught) == 1  # and no word of a path that was not found
+    assert len(caught) == 1  # and no message about a missing path
     assert result.camera.focal == 1.2 * SIZE[1]
     assert (result.piece == 0).any()
 
@@ -236,9 +236,9 @@ def test_a_path_that_explains_little_is_begun_with_another_focal_length(first, b
 
 @pytest.mark.parametrize(("scores", "kept"), [([49], True), ([30, 20], False), ([], False)])
 def test_models_grown_again_have_to_explain_half_as_much(monkeypatch, scores, kept):
-    """The motion hardly shows the focal length: models are grown again with it; 100 is the score.
+    """The motion hardly determines the focal length, so models are grown again with it.
 
-    A turn of the camera leads to no model at all.
+    Their score is compared with 100. A pure rotation of the camera gives no model.
     """
     again = [SimpleNamespace(score=score) for score in scores]
     models, _ = models_where_the_focal_is_hardly_seen(monkeypatch, again, shows_parallax=True)
@@ -252,7 +252,7 @@ def test_no_path_if_few_pairs_show_parallax_with_the_focal_length_found(monkeypa
 
 
 def models_where_the_focal_is_hardly_seen(monkeypatch, again, *, shows_parallax):
-    """Return models and focal length; `again` are models grown again with it."""
+    """Return models and focal length; `again` are the models grown again with this focal length."""
     shared = SimpleNamespace(
         models=lambda *_: ["before"],
         score=lambda _: 0.5,
@@ -338,7 +338,7 @@ def test_a_radial_coefficient_is_found_and_removed(radial, tmp_path):
     assert f"k1 = {result.calibration.radial:.3f}" in result.calibration.message
     assert read_camera(tmp_path).distortion == (result.calibration.radial, 0, 0, 0)
     assert path_error(result.poses, wide.poses) < 0.01
-    # The pictures are those of a pinhole: the middle of the larger film.
+    # Pictures are those of a pinhole: the middle of the larger film.
     picture = result.picture(3).astype(float)
     off = np.abs(picture - wide.frames[3, 30:-30, 40:-40])[5:-5, 5:-5]
     distorted = np.abs(frames[3].astype(float) - wide.frames[3, 30:-30, 40:-40])[5:-5, 5:-5]
@@ -402,7 +402,7 @@ GUESS = FocalGuess(focal=200.0, origin="size", reason="by its size", shape=(300,
     ],
 )
 def test_what_is_said_of_an_estimate(deviation, origin, seen, text):
-    """Frames are shrunk to half; lengths are px of the source's frames."""
+    """Frames are shrunk to half; focal lengths are in px of the frames of the source."""
     estimate = FocalEstimate(focal=50.0, deviation=deviation)
     camera = estimate.taken(CAMERA)
     assert camera.focal == (100 if origin == "guessed" else 50)
@@ -448,7 +448,8 @@ def test_a_doubted_focal_length_stays_doubted(tmp_path):
     with pytest.warns(GuessedFocalWarning, match="a guess, 9 px"):
         result = path_of(arc(), camera=tmp_path / "c.json")
     focal = arc().camera.focal
-    assert result.calibration == replace(doubt, focal=focal, shape=SIZE)  # words are of the file
+    # The message is that of the file.
+    assert result.calibration == replace(doubt, focal=focal, shape=SIZE)
     assert result.camera.focal == pytest.approx(focal)
     write_camera(tmp_path / "c.json", arc().camera, SIZE)
     again = path_of(arc(), camera=tmp_path / "c.json").calibration

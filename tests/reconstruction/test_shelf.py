@@ -1,4 +1,4 @@
-"""What is kept of every frame, on disk."""
+"""The disk cache of data of every frame."""
 
 import errno
 import io

@@ -1,4 +1,4 @@
-"""What a shutter that reads row after row moves, and how it is undone."""
+"""The effect of a rolling shutter on points and frames, and its correction."""
 
 import cv2
 import numpy as np
@@ -42,7 +42,7 @@ def test_rates_of_a_steady_motion_are_its_twist():
 
 
 def test_rates_beside_a_long_gap_are_those_of_the_near_side():
-    """A camera that turns to and fro: over the gap, nobody knows how."""
+    """The camera turns to and fro, and its motion in the gap is unknown."""
     poses = {k: pose_matrix((0, 0, 0, 0, 0.1 * (-1) ** k, 0)) for k in [*range(8), *range(27, 35)]}
     rates = rates_of(poses, np.arange(40))
     np.testing.assert_allclose(rates[7][4], 0.2, atol=1e-9)
@@ -50,7 +50,7 @@ def test_rates_beside_a_long_gap_are_those_of_the_near_side():
 
 
 def test_points_that_would_be_behind_stay():
-    rate = np.array([0, 0, -5.0, 0, 0, 0])  # nearer by more than the depth of either
+    rate = np.array([0, 0, -5.0, 0, 0, 0])  # it comes nearer by more than both depths
     points = np.array([[80.0, 0.0], [80.0, 120.0]])
     moved = at_middle(points, np.array([2.0, 2.0]), -rate, 0.9, CAMERA, SHAPE)
     np.testing.assert_array_equal(moved[1], points[1])
@@ -64,9 +64,9 @@ def test_a_frame_alone_has_no_rate():
 @pytest.mark.parametrize("readout", [0.9, -0.5])
 def test_points_go_to_where_the_middle_row_would_have_them(readout):
     random = np.random.default_rng(1)
-    world = random.uniform((-1, -1, 3), (1, 1, 6), (40, 3))  # as the middle row has them
+    world = random.uniform((-1, -1, 3), (1, 1, 6), (40, 3))  # as seen at the middle row
     cx, cy = CAMERA.center
-    # The row that a point is read in, found by going to and fro.
+    # The row that reads a point, by fixed-point iteration.
     row = np.full(40, SHAPE[0] / 2)
     for _ in range(60):
         late = readout * (row - (SHAPE[0] - 1) / 2) / SHAPE[0]
@@ -80,7 +80,7 @@ def test_points_go_to_where_the_middle_row_would_have_them(readout):
 
 
 def test_a_frame_is_made_as_its_middle_row_saw_it():
-    """Of a plane before the camera, of a smooth pattern, no point of which is out of place."""
+    """The scene is a plane with a smooth pattern, in front of the camera."""
     depth, readout = 4.0, 0.8
     rolling = Rolling(
         camera=CAMERA, readout=readout, rates={3: TWIST}, inverse_depth={3: 1 / depth}
@@ -92,14 +92,15 @@ def test_a_frame_is_made_as_its_middle_row_saw_it():
         return 120 + 50 * np.sin(x / 9) * np.cos(y / 7)
 
     taken = np.column_stack([x.ravel(), y.ravel()])
-    # What each pixel of the frame shows is on a surface that is plane for the middle row.
+    # Pixels of the frame are points of a surface that is a plane at the middle row.
     middle = at_middle(taken, np.full(len(taken), depth), TWIST, readout, CAMERA, SHAPE)
     frame = pattern(*middle.T).reshape(SHAPE).astype(np.float32)
     made = UnrolledFrame(rolling, 3, SHAPE)
     found = made.apply(frame)
     off = np.abs(found - pattern(x, y))[made.valid]
     assert np.abs(frame - pattern(x, y)).mean() > 5
-    assert off.mean() < 0.25 and off.max() < 3  # depth of the frame is not quite that of the plane
+    # Depth of the frame differs a little from that of the plane.
+    assert off.mean() < 0.25 and off.max() < 3
     assert 0.8 < made.valid.mean() < 1
 
 

@@ -1,4 +1,4 @@
-"""How long a camera reads a frame, found from points that move through views."""
+"""The readout time of a camera, estimated from points in many views."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ CAMERA, SHAPE = Camera(focal=300.0), (240, 320)
 
 
 def shaken(count):
-    """Return poses of a camera that is shaken as it goes, camera to world."""
+    """Return poses of a shaken camera, camera to world."""
     at = np.arange(count)
     turns = 0.06 * np.sin(0.9 * at), 0.05 * np.cos(0.7 * at), 0.03 * np.sin(1.3 * at)
     twists = np.stack([0.05 * at, 0.02 * np.sin(at), 0.01 * at, *turns], axis=1)
@@ -23,7 +23,7 @@ def shaken(count):
 
 
 def seen_by(poses, readout, noise, outliers=0.0):
-    """Return views of points, each row of which is read at its own moment; some are wrong."""
+    """Return views of points, each row read at its own time; some points are wrong."""
     random = np.random.default_rng(0)
     world = random.uniform((-3, -2, 3), (4, 2, 7), (500, 3))
     rates = rates_of(poses, np.arange(len(poses)))
@@ -54,7 +54,7 @@ def seen_by(poses, readout, noise, outliers=0.0):
 
 
 def matched(views):
-    """Return matches of what neighbouring views both detect."""
+    """Return matches of the detected points of neighbouring views."""
     matches = {}
     for k in range(len(views) - 1):
         both = (views[k].detected[:, 0] >= 0) & (views[k + 1].detected[:, 0] >= 0)
@@ -81,7 +81,7 @@ def test_rows_that_are_read_at_once_are_told():
 
 
 def test_a_steady_way_shows_little_of_it():
-    """Each frame is moved alike: poses and points that are a little bent explain it as well."""
+    """Every frame is distorted alike, and slightly bent poses and points explain it as well."""
     poses = {k: pose_matrix((0.05 * k, 0, 0, 0, 0, 0)) for k in range(14)}
     shaking = shaken(14)
     views = [seen_by(path, 0.5, 0.3) for path in (poses, shaking)]
@@ -104,16 +104,16 @@ def test_a_steady_way_shows_little_of_it():
 )
 @pytest.mark.parametrize("readout", [0.0, 0.5])
 def test_a_readout_that_poses_and_focal_length_explain_is_not_seen(twist, readout):
-    """A steady way moves rows as other poses or another focal length would."""
+    """In a steady motion, other poses or another focal length move rows in the same way."""
     poses = {k: pose_matrix(np.multiply(k, twist)) for k in range(10)}
     views = seen_by(poses, readout, 0.3)
     found = estimate_readout(views, {}, poses, rates_of(poses, np.arange(10)), CAMERA, SHAPE)
-    assert found.deviation > 1  # more than any readout
+    assert found.deviation > 1  # larger than any readout time
     assert not _is_seen(found)
 
 
 def test_it_depends_on_no_choice_of_axes():
-    """Where the world has its origin, and how it is turned, changes no image."""
+    """Images do not depend on the origin and the axes of the world."""
     poses = shaken(8)
     views = seen_by(poses, 0.5, 0.3)
     elsewhere = pose_matrix((3, -2, 1, 0.5, 1.0, -0.3))

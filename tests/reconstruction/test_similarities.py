@@ -1,4 +1,4 @@
-"""Similarities in space, and graphs of them."""
+"""Similarity transforms in 3D, and graphs of them."""
 
 from dataclasses import replace
 
@@ -58,7 +58,7 @@ def test_an_exact_similarity_is_found():
 
 
 def test_three_points_are_turned_and_never_mirrored():
-    """Their plane leaves the sign of the third axis to the singular vectors."""
+    """In a plane of points, the SVD does not determine the sign of the third axis."""
     random = np.random.default_rng(3)
     for _ in range(40):
         others = random.uniform(-1, 1, (3, 3))
@@ -100,7 +100,7 @@ def test_what_most_points_agree_on_is_found():
 
 
 def near_and_far():
-    """Return 30 near and 30 far points with errors, the true ones, and their distances.
+    """Return 30 near and 30 far points with errors, the true points, and their distances.
 
     The errors are 0.02 % of the distance for near points, and 2 % for far ones.
     """
@@ -117,7 +117,7 @@ def test_points_count_less_by_the_square_of_their_distance():
     points, others, distances = near_and_far()
     found, agree = fit_sim3_ransac(points, others, distances, fewest=20, share=0.5)
     assert agree.all()
-    # It is 0.0007; 0.15 without weights by distance, 0.004 with its inverse.
+    # Measured: 0.0007; without weights by distance 0.15, with weights 1/distance 0.004.
     assert (
         np.abs(transform_points(found, others[:30]) - transform_points(TRUE, others[:30])).max()
         < 0.002
@@ -154,7 +154,7 @@ def test_a_pose_stays_rigid_and_the_mean_lies_between():
 
 
 def test_the_mean_of_poses_is_weighted():
-    """Turns about one axis have the angle of the mean of their sines and cosines."""
+    """For rotations about one axis, the mean angle is that of the mean sine and cosine."""
     few, weights = path()[[2, 4, 9]], np.array([1.0, 3.0, 0.5])
     mean = mean_pose(few, weights)
     angles = np.array([0.06, 0.12, 0.27])
@@ -166,7 +166,7 @@ def test_the_mean_of_poses_is_weighted():
 
 
 def test_surer_edges_count_more():
-    """Two edges that differ in scale count by their precision."""
+    """Two edges of different scale count by their precision."""
     points = cloud()
     centre = points.mean(axis=0)
     scales, worths, deviations = (0.01, -0.02), (60.0, 120.0), (0.01, 0.03)
@@ -181,7 +181,7 @@ def test_surer_edges_count_more():
 
 
 def chain(count=6, drift=0.02):
-    """Return edges from each node to the next, which are off, and the true places of nodes."""
+    """Return drifting edges from each node to the next, the true poses, and the true edge."""
     move = sim3_from_vector(0.0, np.array([0, 2 * np.pi / count, 0]), np.array([1.0, 0, 0]))
     true = [np.linalg.matrix_power(move, k) for k in range(count)]
     off = sim3_from_vector(drift, np.array([0, drift, 0]), np.array([0, drift, 0]))
@@ -226,7 +226,8 @@ def test_a_system_is_solved_as_linalg_does(count):
     random = np.random.default_rng(count)
     matrix, vector = random.normal(size=(count, count)), random.normal(size=count)
     matrix = matrix @ matrix.T + np.eye(count)
-    matrix[:1, count // 2 :] = matrix[count // 2 :, :1] = count == 1  # some of it is empty
+    # Some matrices have an empty block.
+    matrix[:1, count // 2 :] = matrix[count // 2 :, :1] = count == 1
     matrix += count * np.eye(count)
     kept = matrix.copy(), vector.copy()
     np.testing.assert_allclose(

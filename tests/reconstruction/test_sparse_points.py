@@ -1,4 +1,4 @@
-"""Points of tracks under known poses."""
+"""Points of tracks with known poses."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""`tisfm.reconstruct_stream`: frames in, frames with poses and depth out, little kept."""
+"""`tisfm.reconstruct_stream`: it yields frames with poses and depth, and keeps few frames."""
 
 import tempfile
 from functools import cache
@@ -25,7 +25,7 @@ COUNT, DELAY = 36, 12
 
 @cache
 def swing(count=COUNT, seed=0):
-    """Return a film, small, of a camera that swings from side to side as it goes."""
+    """Return a small film of a camera that swings sideways while it moves."""
     poses = np.tile(np.eye(4), (count, 1, 1))
     for k in range(count):
         phase = 2 * np.pi * k / 50
@@ -35,7 +35,7 @@ def swing(count=COUNT, seed=0):
 
 
 class Counted:
-    """Frames as they come, which counts how many were asked for."""
+    """A source that counts the frames that were requested."""
 
     def __init__(self, images):
         self.images, self.read, self.closed = images, 0, False
@@ -51,14 +51,14 @@ class Counted:
 
 @pytest.fixture
 def disk(tmp_path, monkeypatch):
-    """The folder of temporary files."""
+    """Return the folder of temporary files."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     return tmp_path
 
 
 @pytest.fixture(scope="module")
 def streamed():
-    """The frames of a stream, and how far it had been read when each was given out."""
+    """Return the frames of a stream, and how many frames were read when each was yielded."""
     film, read = swing(), []
     source, found = Counted(film.frames), []
     frames = tisfm.reconstruct_stream(source, camera=film.camera, settings=FAST, delay=DELAY)
@@ -97,7 +97,7 @@ def test_no_frame_waits_for_more_than_the_delay(streamed):
     _, read = streamed
     waited = [count - 1 - k for k, count in enumerate(read)]
     assert max(waited) == DELAY
-    assert min(waited[: COUNT - DELAY]) > 0  # some are looked at before they are given out
+    assert min(waited[: COUNT - DELAY]) > 0  # some frames are read ahead
 
 
 def test_the_path_is_nearly_that_of_the_whole(streamed, whole):
@@ -115,7 +115,7 @@ def test_the_scale_stays_from_chunk_to_chunk(streamed, whole):
     ]
     chunks = [np.median(part) for part in np.array_split(ways[0] / ways[1], 4)]
     assert max(chunks) < 1.03 * min(chunks)
-    # The unit is the same as well: the median depth of the first keyframe.
+    # The unit is the same: the median depth of the first keyframe.
     assert np.nanmedian(found[0].depth) == pytest.approx(1, abs=1e-3)
     ratio = [np.nanmedian(found[k].depth / whole.depth(k)) for k in range(COUNT)]
     np.testing.assert_allclose(ratio, 1, atol=0.05)
@@ -182,7 +182,7 @@ def test_memory_and_disk_hold_the_last_frames_only(disk, monkeypatch):
         views.append(len(path._views.chosen))
         files.append(sum(item.is_file() for item in disk.rglob("*")))
         points.append(sum(len(poses) for poses in path._held.values()))
-    # One keyframe may lie further back.
+    # One keyframe may be older.
     most = DELAY + 1 + 8 + 1
     assert most - 4 <= max(kept) <= most and max(files) <= 2 * most
     assert max(views) <= FIXED_VIEWS + DELAY + 1 < COUNT
@@ -194,7 +194,7 @@ def test_closed_early_it_leaves_nothing(disk):
     film = swing()
     source = Counted(film.frames)
     frames = tisfm.reconstruct_stream(source, camera=film.camera, settings=FAST, delay=DELAY)
-    assert list(disk.iterdir()) == [] and source.read == 0  # nothing is done before it is asked for
+    assert list(disk.iterdir()) == [] and source.read == 0  # no work before the first request
     next(frames)
     assert len(list(disk.iterdir())) == 1
     frames.close()
@@ -290,7 +290,7 @@ def test_frames_after_blanked_ones_are_in_the_same_piece():
 @pytest.mark.slow
 @pytest.mark.parametrize("rests", nightly_except(24, of=[24, 64]))
 def test_a_camera_that_rests_keeps_its_scale(rests):
-    """For 64 frames, which is longer than frames are remembered, or for fewer."""
+    """It rests for 64 frames, more than the stream keeps, or for fewer."""
     film = swing()
     random = np.random.default_rng(3)
     rest = film.frames[17] + random.normal(0, 1, (rests, *film.frames[17].shape))
@@ -312,7 +312,7 @@ def test_poses_are_adjusted_to_the_images_in_accurate():
             film.frames[:24], camera=film.camera, settings=settings, delay=DELAY
         )
         found[preset] = poses_of(frames)
-    turns = [poses[:, :3, :3] for poses in found.values()]  # whatever the unit
+    turns = [poses[:, :3, :3] for poses in found.values()]  # rotations, for any unit
     assert (np.abs(turns[0] - turns[1]) > 1e-5).any(axis=(1, 2)).sum() > 16
     assert path_error(found["accurate"], film.poses[:24]) < 0.01
 
@@ -322,7 +322,8 @@ def test_masked_pixels_count_for_nothing_and_frames_are_chosen():
     kept = np.ones(film.frames[0].shape, bool)
     kept[:, :40] = False
     images = film.frames.copy()
-    images[:, :, :40] = np.random.default_rng(1).integers(0, 255, (120, 40))  # it does not move
+    # Pixels that do not move.
+    images[:, :, :40] = np.random.default_rng(1).integers(0, 255, (120, 40))
     source = FrameSource(images, mask=kept, step=2, stop=24)
     running = Stream(source, film.camera, "nothing", FAST, 8)
     found = list(running.frames())
@@ -349,7 +350,7 @@ def test_options_of_the_source_are_handed_on():
     assert [frame.index for frame in found] == [4, 7, 10]
     assert found[0].picture.shape == (80, 80)
     assert found[0].camera.focal == pytest.approx(film.camera.focal * 80 / 120)
-    about = found[0].calibration  # of the frames of the source
+    about = found[0].calibration  # in px of the frames of the source
     assert about.focal == pytest.approx(film.camera.focal)
     assert about.shape == film.frames[0].shape
 

@@ -1,4 +1,4 @@
-"""Tracks follow a picture that moves, and stay apart."""
+"""Tracks follow a moving picture, and stay apart."""
 
 import cv2
 import numpy as np

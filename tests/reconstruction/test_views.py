@@ -1,4 +1,4 @@
-"""Which frames become views, and whether they are in order."""
+"""The choice of frames as views, and the check of their order."""
 
 import numpy as np
 

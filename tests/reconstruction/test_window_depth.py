@@ -84,7 +84,7 @@ def test_what_masks_hide_does_not_count():
     mask = np.ones(key.shape, bool)
     mask[:, 100:] = False
     for frame in spoilt:
-        frame[:, 100:] = key[:, 100:]  # stands still, as a bonnet does
+        frame[:, 100:] = key[:, 100:]  # it does not move, like a bonnet
     hidden = found_in((key, spoilt, motions, camera), masks=[mask] * 3)
     clean = scene.errors(found_in((key, others, motions, camera)))
     believed = scene.errors(found_in((key, spoilt, motions, camera)))
@@ -153,7 +153,7 @@ def test_cameras_that_look_at_one_point_are_searched_beyond_it():
     from tisfm.reconstruction.depth.window_planes import Window
 
     key, others, _, camera = views("sideways").first(1)
-    turn = np.arctan(0.5)  # from 1 beside, at a point 2 ahead
+    turn = np.arctan(0.5)  # from 1 beside the key frame, at a point 2 ahead
     rotation = np.array(
         [[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]]
     )

@@ -1,4 +1,4 @@
-"""Several views of the ready scenes, with true depth and motions."""
+"""Several views of the ready-made scenes, with true depth and motions."""
 
 from dataclasses import dataclass
 from unittest import mock
@@ -25,7 +25,7 @@ class Views:
     depth: np.ndarray
 
     def first(self, count):
-        """Return the arguments of `window_depth` for so many of the frames."""
+        """Return the arguments of `window_depth` for the first `count` frames."""
         return self.key, self.others[:count], self.motions[:count], self.camera
 
     def errors(self, found):

@@ -1,4 +1,4 @@
-"""A camera that walks through a rendered room: frames and exact poses."""
+"""Frames and exact poses of a camera that walks through a rendered room."""
 
 import cv2
 import numpy as np
@@ -6,7 +6,7 @@ import numpy as np
 from tests.rendered import shared
 from tisfm import Camera, scenes
 
-SIZE, SMALL = (240, 320), (180, 240)  # of frames
+SIZE, SMALL = (240, 320), (180, 240)  # of frames, px
 CAMERA, SMALL_CAMERA = (Camera(focal=0.6 * width) for _, width in (SIZE, SMALL))
 
 
@@ -21,7 +21,7 @@ def pose(forward=0.0, sideways=0.0, turn=0.0):
 @shared
 def _view(seed, forward, sideways, turn, height, width):
     at = pose(forward, sideways, turn)
-    # The twist whose exponential is this pose: its translation is linear in V.
+    # The exponential of this twist is the pose: its translation is linear in V.
     columns = [scenes.rigid_motion((*axis, 0, turn, 0))[1] for axis in np.eye(3)]
     velocity = np.linalg.solve(np.transpose(columns), at[:3, 3])
     moved = scenes.room(

@@ -1,4 +1,4 @@
-"""A film in files, and what makes chunks in this process."""
+"""A film in files, and functions that make chunks in this process."""
 
 from functools import cache
 
@@ -10,12 +10,12 @@ from tests.reconstruction.films import along
 from tests.rendered import room_film
 
 FAST = tisfm.Settings.preset("fast", motion="camera")
-COUNT, CHUNK = 24, 12  # frames of the film, and of a chunk: it has three
+COUNT, CHUNK = 24, 12  # frames of the film, and of a chunk: there are three chunks
 
 
 @cache
 def film():
-    """Return a film whose camera goes on slowly."""
+    """Return a film of a slow steady camera."""
     return room_film(along(COUNT, np.array((0.06, 0, 0.025, 0, 0.006, 0))), 180, 240, samples=2)
 
 
@@ -28,13 +28,13 @@ def write_frames(folder, frames):
 
 
 def in_turn(function, items):
-    """Call a function with each item, here."""
+    """Call a function with each item in this process."""
     for number, item in enumerate(items):
         yield number, function(item)
 
 
 def contents(folder):
-    """Return the files below a folder, by their names, without timings."""
+    """Return the files below a folder by name, without timings."""
     return {
         path.relative_to(folder).as_posix(): path.read_bytes()
         for path in sorted(folder.rglob("*"))

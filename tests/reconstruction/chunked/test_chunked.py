@@ -1,4 +1,4 @@
-"""A film in chunks, beside the same film at once."""
+"""A film reconstructed in chunks, compared with the same film at once."""
 
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -50,7 +50,7 @@ def at_once(frames):
 
 
 def scales(result):
-    """Return what the depth of each frame is to be multiplied by to be the true one."""
+    """Return for each frame the factor that turns its depth into true depth."""
     return np.array([np.nanmedian(true / result.depth(k)) for k, true in enumerate(film().depth)])
 
 
@@ -74,7 +74,7 @@ def test_the_path_is_nearly_as_exact_as_at_once(found, at_once):
 
 
 def test_there_is_one_scale(found, at_once):
-    """Depth is in the scale of that at once, on both sides of where the next chunk begins."""
+    """Depth has the scale of the whole film on both sides of a chunk's beginning."""
     part, whole = scales(found), scales(at_once)
     ratio = part / whole * np.median(whole) / np.median(part)
     assert np.abs(ratio - 1).max() < 0.04
@@ -94,7 +94,7 @@ def test_depth_of_keyframes_or_none(frames, tmp_path):
 def test_a_focal_length_is_found_once_and_chunks_know_that_it_is_a_guess(
     frames, tmp_path, monkeypatch
 ):
-    """Or a chunk before a plane would get a path that the guess has made."""
+    """Otherwise a chunk that shows a plane would get a path from the guessed focal length."""
     stated, chunks = [], []
 
     def solver(**options):
@@ -131,7 +131,7 @@ def test_given_poses_are_those_of_the_result(frames, tmp_path):
     at_once = tisfm.reconstruct(
         frames, camera=film().camera, settings=FAST, poses=poses, depth_of="keyframes"
     )
-    # Of the least exact keyframe, as near to the truth.
+    # For the least accurate keyframe, the errors are similar.
     once, parts = (
         max(abs(np.nanmedian(film().depth[k] / one.depth(k)) - 1) for k in one.keyframes)
         for one in (at_once, found)
@@ -144,7 +144,7 @@ def test_a_camera_is_guessed_once(tmp_path):
     source = write_frames(tmp_path / "film", film().frames)
     for k in range(COUNT):
         exif = PIL.Image.Exif()
-        exif.get_ifd(0x8769)[0xA405] = 50 if k == 0 else 90  # as of a film of 35 mm
+        exif.get_ifd(0x8769)[0xA405] = 50 if k == 0 else 90  # 35 mm equivalent, as in EXIF
         with PIL.Image.open(source / f"f{k:02d}.png") as picture:
             picture.save(source / f"f{k:02d}.jpg", exif=exif, quality=95)
         (source / f"f{k:02d}.png").unlink()
@@ -172,7 +172,7 @@ def test_a_camera_is_guessed_once(tmp_path):
 
 
 def test_other_frames_of_the_source(frames, tmp_path):
-    """Every second one, from the third on, with one that cannot be read."""
+    """Every second frame from the third on; one file cannot be read."""
     source = write_frames(tmp_path / "film", np.repeat(film().frames, 2, axis=0))
     (source / "f10.png").write_bytes(b"no picture")
     found = in_chunks(source, tmp_path / "out", start=2, step=2, bad_frames="skip", depth_of="none")
@@ -184,7 +184,7 @@ def test_other_frames_of_the_source(frames, tmp_path):
 
 
 def test_a_cut_stays_a_cut(tmp_path):
-    """Two places, 14 frames each: two pieces, as at once, each through two chunks."""
+    """Two scenes of 14 frames each: two pieces, as at once, each in two chunks."""
     one, other = (
         room_film(along(14, np.array((way, 0, 0.02, 0, 0, 0))), 180, 240, seed=seed, samples=2)
         for way, seed in ((0.06, 0), (-0.06, 7))
@@ -201,7 +201,7 @@ def test_a_cut_stays_a_cut(tmp_path):
 
 
 def spawned(function, items):
-    """Call a function with each item in a process of its own."""
+    """Call a function with each item in its own process."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=context) as pool:
         tasks = {pool.submit(function, item): number for number, item in enumerate(items)}
@@ -209,7 +209,7 @@ def spawned(function, items):
             yield tasks[task], task.result()
 
 
-@pytest.mark.nightly  # workers of the command are tests/cli/test_workers.py
+@pytest.mark.nightly  # workers of the command are tested in tests/cli/test_workers.py
 def test_other_processes_find_the_same(frames, found, tmp_path):
     there = in_chunks(frames, tmp_path / "out", finished=spawned)
     assert contents(there.folder) == contents(found.folder)

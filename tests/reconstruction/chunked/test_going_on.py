@@ -1,4 +1,4 @@
-"""A command that was killed, given again: nothing is done twice, and the result is the same."""
+"""A killed run, started again: no work is done twice, and the result is the same."""
 
 import json
 import shutil
@@ -30,7 +30,7 @@ from tisfm.sources import Listing
 
 
 class Killed(BaseException):
-    """The process is no more."""
+    """The process is killed."""
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def again(source, folder, **options):
 
 @pytest.fixture(scope="module")
 def whole(frames, tmp_path_factory):
-    """Return what an uninterrupted run leaves."""
+    """Return the files of an uninterrupted run."""
     folder = tmp_path_factory.mktemp("whole") / "out"
     again(frames, folder, resume=False)
     return contents(folder)
@@ -56,7 +56,7 @@ def whole(frames, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def begun(frames, tmp_path_factory):
-    """Return a folder of a run that was killed when all chunks were made."""
+    """Return the folder of a run that was killed after all chunks were made."""
     folder = tmp_path_factory.mktemp("begun") / "out"
     run = ChunkedRun(
         frames, folder, camera=film().camera, settings=FAST, chunk=CHUNK, depth_of="keyframes"
@@ -72,7 +72,7 @@ def kill(*arguments, **options):
 
 
 def at(count, original):
-    """Return a function that is killed when it is called for so many times."""
+    """Return a function whose call number `count` kills the process."""
     calls = []
 
     def call(*arguments, **options):
@@ -85,12 +85,12 @@ def at(count, original):
 
 
 STAGES = [
-    # The second chunk, half way; the account of the first, which is not written any more.
+    # In the middle of the second chunk; before the record of the first chunk is written.
     (run_module, "write_depth", 6),
     (chunk_module, "files_below", 1),
-    # The camera that all share, before there is a chunk.
+    # During the estimate of the common camera, before there is a chunk.
     pytest.param(chunk_module, "reconstruct", 1, marks=pytest.mark.nightly),
-    # The whole, half way; its record; and what is left to do then.
+    # While chunks are joined; before the record of the result; and during the clean-up.
     (joining, "link_or_copy", 9),
     pytest.param(folder_module, "atomic_write", 20, marks=pytest.mark.nightly),
     (joining, "write_record", 1),
@@ -111,7 +111,7 @@ def test_the_same_bytes_wherever_it_is_killed(
             left = contents(tmp_path / "out")
             assert any(path.startswith(CHUNKS) for path in left)
         else:
-            assert name in ("atomic_write", "rmtree")  # it is called less often
+            assert name in ("atomic_write", "rmtree")  # these have fewer calls
     again(frames, tmp_path / "out")
     assert contents(tmp_path / "out") == whole
 
@@ -185,20 +185,20 @@ def test_other_frames_and_versions_are_refused(frames, begun, tmp_path, monkeypa
 
 def test_what_is_complete_is_left_as_it_is(frames, whole, tmp_path, monkeypatch):
     folder = tmp_path / "out"
-    again(frames, folder)  # there is nothing to go on with
+    again(frames, folder)  # nothing to resume
     assert contents(folder) == whole
     monkeypatch.setattr(chunk_module, "reconstruct", kill)
     assert len(again(frames, folder)) == len(film().frames)
     assert contents(folder) == whole
     with pytest.raises(ValueError, match="size was null, now 200"):
         again(frames, folder, size=200)
-    with pytest.raises(Killed):  # without it all is made again
+    with pytest.raises(Killed):  # without `resume` all work is done again
         again(frames, folder, resume=False)
     assert len(Reconstruction.load(folder)) == len(film().frames)
 
 
 def test_an_earlier_result_is_there_until_the_next_one_is(frames, begun, tmp_path, monkeypatch):
-    """It can be opened while chunks are made; and comes back where joining them fails."""
+    """It can be opened while chunks are made, and it comes back if joining them fails."""
     folder = tmp_path / "out"
     camera = film().camera
     tisfm.reconstruct(frames, stop=6, camera=camera, settings=FAST, depth_of="none", folder=folder)
@@ -228,7 +228,7 @@ def test_a_run_at_once_removes_the_chunks(frames, begun, tmp_path):
 
 
 def test_a_chunk_that_is_being_made_is_waited_for(frames, whole, begun, tmp_path, monkeypatch):
-    """As by a worker that outlives who gave it the work; then it is not made again."""
+    """A worker may outlive the process that started it; its chunk is not made again."""
     shutil.copytree(begun, tmp_path / "out")
     account = tmp_path / "out" / CHUNKS / "001.json"
     account.rename(tmp_path / "kept.json")

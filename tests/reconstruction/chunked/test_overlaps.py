@@ -1,4 +1,4 @@
-"""How chunks lie to one another, by what both know of the same frames."""
+"""Alignment of neighbouring chunks by the frames that both contain."""
 
 from types import SimpleNamespace
 
@@ -24,7 +24,7 @@ SIMILARITY[:3, :3] *= 1.7
 
 
 class Chunk(SimpleNamespace):
-    """Poses and depth, as a reconstruction has them."""
+    """Poses and depth with the interface of a reconstruction."""
 
     def inverse_depth(self, frame):
         return np.asarray(self.inverse[frame], np.float32)
@@ -50,7 +50,7 @@ def chunk(folder, poses, depth, *, with_depth=range(COUNT), off=0.01):
 
 @pytest.fixture
 def both(tmp_path):
-    """Return two chunks of a plane before a camera, the second in coordinates of its own."""
+    """Return two chunks of a plane in front of a camera; each has its own coordinates."""
     poses = along(COUNT)
     depth = np.stack([_plane(pose) for pose in poses])
     there = np.array([transform_pose(np.linalg.inv(SIMILARITY), pose) for pose in poses])
@@ -60,7 +60,7 @@ def both(tmp_path):
 
 
 def _plane(pose, away=4.0):
-    """Return the depth of a plane Z = 4 as a camera sees it."""
+    """Return the depth of a plane Z = 4 in a camera."""
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
     rays = np.stack([(x - 39.5) / 80, (y - 29.5) / 80, np.ones(SHAPE)], axis=-1)
     return (away - pose[2, 3]) / (rays @ pose[:3, :3].T)[..., 2]
@@ -75,7 +75,7 @@ def test_the_similarity_is_found(both):
 
 
 def test_the_surer_scale_counts_more(both, monkeypatch):
-    """That of depth or of the camera's places, each by its precision."""
+    """The scale from depth and the scale from camera positions count by their precision."""
     monkeypatch.setattr(overlaps, "scale_from_depth", lambda *_: (0.01, 0.01))
     monkeypatch.setattr(overlaps, "scale_from_positions", lambda *_: (0.06, 0.02))
     found = np.log(sim3_scale(overlap_sim3(*both, SHARED)))
@@ -83,7 +83,7 @@ def test_the_surer_scale_counts_more(both, monkeypatch):
 
 
 def test_depth_of_other_frames_will_do(both, tmp_path):
-    """As where keyframes alone have depth, and the second's are others than the first's."""
+    """For example, only keyframes have depth, and both chunks have different keyframes."""
     first, second = both
     one = chunk(tmp_path / "a", first.poses, 1 / first.inverse, with_depth=(1, 5))
     two = chunk(tmp_path / "b", second.poses, 1 / second.inverse, with_depth=(2, 7))
@@ -104,7 +104,7 @@ def test_places_alone_will_do(both, tmp_path):
     two = chunk(tmp_path / "b", second.poses, 1 / second.inverse, with_depth=())
     assert scale_from_depth(one, two, SHARED) is None
     np.testing.assert_allclose(overlap_sim3(one, two, SHARED), SIMILARITY, atol=1e-9)
-    assert overlap_sim3(one, two, SHARED[:3]) is None  # too few to tell
+    assert overlap_sim3(one, two, SHARED[:3]) is None  # too few frames
 
 
 def test_a_third_of_wrong_depth_changes_little(both):

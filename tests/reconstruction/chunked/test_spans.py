@@ -1,4 +1,4 @@
-"""Which frames a chunk has."""
+"""The frames of each chunk."""
 
 from itertools import pairwise
 
@@ -28,7 +28,7 @@ def test_chunks_overlap_and_have_all_frames(count, chunk, start, step):
     assert (len(spans) == 1) == (count <= chunk)
     for span, part in zip(spans, frames, strict=True):
         assert list(range(span.start, span.stop or taken.stop, step)) == part
-    assert spans[-1].stop is None  # a video may end elsewhere than it says
+    assert spans[-1].stop is None  # a video may have more frames than it states
 
 
 def test_the_last_chunk_ends_where_it_was_told():
