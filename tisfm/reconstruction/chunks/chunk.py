@@ -35,38 +35,38 @@ from tisfm.version import __version__
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chunk:
-    """A chunk, as it is passed to a process.
+    """A chunk, with all that a process needs to reconstruct it.
 
     Attributes
     ----------
     folder : Path
-        That it is written to, absolute.
+        The folder that the chunk is written to, an absolute path.
     source : str or list of str
-        Absolute paths.
+        Absolute paths of the source.
     span : Span
-        Its frames.
+        The frames of the chunk.
     frames : mapping
-        Other options of `tisfm.reconstruct` that say what is taken of the source.
+        Further arguments of `tisfm.reconstruct` that select frames and their parts.
     camera : Camera, Path or None
     calibrate : {"nothing", "focal", "radial"}
     settings : Settings
     poses : (N, 4, 4) float64, or None
-        Of its frames, if they are given.
+        Poses of the frames, if given.
     depth_of : {"all", "keyframes", "none"}
     asked : str
-        Digest of what the whole was asked for.
+        Digest of the request of the whole sequence.
     arch, threads
         As for `tisfm.runtime.start`.
     listing : Listing
-        Of the files of the frames, as that process sees them.
+        The files of the frames, as the parent process sees them.
     stop : int or None
-        The frame of the source that they end before.
+        Number of the frame of the source before which the selection ends.
     alive : Path
-        A file that is there as long as the process that gives the work waits for it.
+        A file that exists as long as the parent process waits for the chunk.
     lanes : int
-        Of the vectors of its CPU.
+        Lanes of the vectors of the CPU of the parent process.
     version : str
-        Of tisfm.
+        Version of tisfm in the parent process.
     """
 
     folder: Path
@@ -106,7 +106,7 @@ class Chunk:
         return hashlib.sha256(json.dumps(about).encode()).hexdigest()[:32]
 
     def is_complete(self) -> bool:
-        """Return whether it is complete, of the same request, and its files are unchanged."""
+        """Return whether the chunk is complete, of the same request, with unchanged files."""
         try:
             about = read_json(self.account)
             return bool(
@@ -116,7 +116,7 @@ class Chunk:
             return False
 
     def with_camera(self, camera: Path) -> "Chunk":
-        """Return the chunk with the camera of a file, without a search for its focal length.
+        """Return the chunk with the camera of a file, which is not calibrated again.
 
         The file also states whether its focal length is a guess.
         """
@@ -124,7 +124,7 @@ class Chunk:
 
 
 def make_chunk(chunk: Chunk) -> Exception | None:
-    """Reconstruct a chunk unless it is complete; return an error of the user's input."""
+    """Reconstruct a chunk unless it is complete; return an error that the user's input caused."""
     try:
         here = runtime.cpu_lanes() if chunk.arch in (None, "cpu") else chunk.lanes
         check_worker(chunk.version, chunk.alive, lanes=chunk.lanes, here=here)
@@ -163,7 +163,7 @@ def _make(chunk: Chunk) -> None:
     remove(chunk.folder)
     runtime.start_worker(chunk.arch, threads=chunk.threads)
     with warnings.catch_warnings():
-        for kind in (GuessedFocalWarning, SourceWarning):  # they are told once, of the whole
+        for kind in (GuessedFocalWarning, SourceWarning):  # the parent warns once for the whole
             warnings.simplefilter("ignore", kind)
         reconstruct(
             chunk.source,

@@ -1,4 +1,4 @@
-"""A sequence in chunks, from the source to the folder, started anew or resumed."""
+"""Reconstruction of a sequence in chunks, from the source to the folder, with resumption."""
 
 import os
 import warnings
@@ -59,35 +59,35 @@ from tisfm.trajectory.times import times_note
 
 
 class ChunkedRun:
-    """A reconstruction in chunks of frames, and its request.
+    """A reconstruction in chunks of frames, new or resumed.
 
     Parameters
     ----------
     source : path, or sequence of paths
         A video, a folder of images, a glob pattern, or image files.
     folder : path
-        Where the result is to lie, and meanwhile its chunks, in ``.tisfm-chunks``.
+        The folder of the result. Until it is complete, the chunks lie in its ``.tisfm-chunks``.
     camera, calibrate, settings, poses, depth_of, step, start, stop, size, crop, bad_frames
-        As for `tisfm.reconstruct`. Settings are of ``motion="camera"``.
+        As for `tisfm.reconstruct`. The settings need ``motion="camera"``.
     mask : path, optional
         As for `tisfm.reconstruct`.
     chunk : int
-        Frames of a chunk, at most.
+        Largest number of frames of a chunk.
     arch, threads
-        As for `tisfm.runtime.start`, of each process.
+        As for `tisfm.runtime.start`, for each process.
     others : mapping, optional
-        What else is asked for, as JSON has it.
+        Further options that the request records, as JSON values.
 
     Attributes
     ----------
     asked : dict
-        All that the result depends on.
+        The request: everything that the result depends on.
 
     Raises
     ------
     OSError, TypeError, ValueError
-        As `tisfm.reconstruct` does; if the source is a webcam or no files; if chunks are too short;
-        if settings are of ``motion="objects"``.
+        As `tisfm.reconstruct`; if the source is a webcam or arrays; if chunks are too short; if the
+        settings have ``motion="objects"``.
     """
 
     def __init__(
@@ -186,7 +186,7 @@ class ChunkedRun:
         Raises
         ------
         ValueError
-            If it holds a result, or chunks, of something else.
+            If the folder holds a result, or chunks, of another request.
         """
         chunks = read_request(self.folder / CHUNKS)
         if chunks is None:
@@ -204,18 +204,17 @@ class ChunkedRun:
         Parameters
         ----------
         finished : callable
-            ``finished(function, items)`` calls a function, which can be pickled, with each item,
-            in whichever process, and yields (number of the item, what was returned) as they come.
+            ``finished(function, items)`` calls a function, which can be pickled, with each item, in
+            any process. It yields (number of the item, result) in the order in which items finish.
         resume : bool
-            Go on with chunks that lie in the folder, as far as they are whole.
+            Keep the complete chunks that lie in the folder.
         progress : callable, optional
             As for `tisfm.reconstruct`.
 
         Raises
         ------
         Exception
-            What `tisfm.reconstruct` raises; ValueError if chunks in the folder are of something
-            else.
+            As `tisfm.reconstruct`; ValueError if chunks in the folder are of another request.
         """
         from tisfm.reconstruction.chunks.joining import write_whole
 
@@ -228,12 +227,12 @@ class ChunkedRun:
             alive = living.enter_context(presence_file(path / CHUNKS))
             chunks, count = [replace(one, alive=alive) for one in self._chunks], len(self._taken)
             tell("path", 0, count)
-            found = None  # what the camera is found with
+            found = None  # the result that the camera is from
             if len(chunks) > 1 and is_sought(chunks[0], self._stated):
                 shared = shared_camera(chunks, finished, path / CHUNKS)
                 found = shared.found
                 chunks = [one.with_camera(shared.camera) for one in chunks]
-            elif len(chunks) > 1 and self._stated is None:  # it is guessed, by the first file
+            elif len(chunks) > 1 and self._stated is None:  # guessed from the first chunk alone
                 list(made(chunks[:1], finished))
                 guessed = file_of(chunks[0].folder)
                 chunks = [chunks[0], *(one.with_camera(guessed) for one in chunks[1:])]
@@ -263,7 +262,7 @@ class ChunkedRun:
             try_to_remove(self.folder / CHUNKS)
 
     def _begin(self, chunks: Path, resume: bool) -> None:
-        remove_link(chunks)  # it would lead elsewhere
+        remove_link(chunks)  # chunks would be written outside the folder
         before = read_request(chunks) if resume else None
         if before is not None:
             refuse_differing(self.folder, before["asked"], self.asked)
@@ -283,7 +282,7 @@ def reconstruct_in_chunks(
     progress: Progress | None = None,
     **options: Any,
 ) -> Reconstruction:
-    """Reconstruct a sequence in chunks of frames, and return the whole.
+    """Reconstruct a sequence in chunks of frames, and return the joined result.
 
     Parameters
     ----------
@@ -304,7 +303,7 @@ def reconstruct_in_chunks(
 
 
 def _absolute(source: Source) -> str | list[str]:
-    """Return a source of files with absolute paths, for other processes."""
+    """Return a source of files with absolute paths, which other processes can open."""
     if isinstance(source, (str, os.PathLike)):
         name = os.fspath(source)
         if webcam_number(name) is not None and not os.path.exists(name):
@@ -323,9 +322,9 @@ def _absolute(source: Source) -> str | list[str]:
 
 
 def _taken(source: FrameSource) -> tuple[range, list[float | None]]:
-    """Return the numbers of the selected frames, and their times, None for an unknown one.
+    """Return the numbers of the selected frames, and their times; None for an unknown time.
 
-    Only reading tells how many a video has.
+    The number of frames of a video is known only after it is read.
     """
     if source.names is not None:
         chosen = range(len(source.frame_files))[source.chosen]

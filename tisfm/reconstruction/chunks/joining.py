@@ -1,4 +1,4 @@
-"""The folder of a whole sequence, joined from those of its chunks."""
+"""The folder of a whole sequence, joined from the folders of its chunks."""
 
 import shutil
 from collections.abc import Mapping, Sequence
@@ -30,16 +30,16 @@ def write_whole(
     Parameters
     ----------
     folder : Path
-        Ready to be written to.
+        The folder of the whole, prepared for writing.
     parts : sequence of ChunkResult
     places : sequence of ChunkPlacement
-        Of its frames.
+        Placement of each frame of the whole.
     camera : Reconstruction
-        The result that the camera of all is from.
+        The result whose camera all chunks share.
     missing : mapping of int to Status
-        Frames without a pose that is given, and why they have none.
+        Frames without a given pose, and the reasons.
     notes : sequence of str
-        What should be known of how the source was read.
+        Notes on how the source was read.
     """
     first = parts[0].result
     for frame, place in enumerate(places):
@@ -96,7 +96,7 @@ def _picture(folder: Path, number: int) -> Path:
 
 
 def _take_depth(source: Path, target: Path, scale: float) -> None:
-    """Copy the depth of a frame, if it has any, with another scale factor; the values stay."""
+    """Copy the depth of a frame, if it has any, with another scale factor and the same values."""
     if not source.exists():
         return
     if scale == 1:

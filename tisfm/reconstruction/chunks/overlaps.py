@@ -1,7 +1,7 @@
 """The similarity between two chunks, from the frames that both have.
 
-The rotation is that between the poses of these frames. The scale comes from their depth, pixel by
-pixel, and from the camera positions. The scatter of each estimate gives its weight.
+The rotation is the mean rotation between the poses of these frames. The scale comes from their
+depth, pixel by pixel, and from the camera positions. The scatter of each estimate gives its weight.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,23 +15,24 @@ from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 # Values without a stated source were set by hand.
 
-# Relative standard deviation of depth: less certain depth is ignored.
+# Largest relative standard deviation of depth; less certain depth is ignored.
 MAX_DEPTH_DEVIATION = 0.25
-# Shared frames whose depth is compared.
+# Largest number of shared frames whose depth is compared.
 MAX_FRAMES = 20
-# Pixels of each of these frames, roughly.
+# Approximate number of compared pixels in each of these frames.
 PIXELS_PER_FRAME = 1500
-# Pixels whose depth can be compared.
+# Smallest number of pixels with comparable depth.
 MIN_PIXELS = 100
-# Share of these pixels that have to agree on the scale.
+# Smallest share of these pixels that have to agree on the scale.
 MIN_AGREEING_SHARE = 0.5
 # Difference of the logarithm of the scale within which pixels agree.
 MAX_SCALE_DIFFERENCE = 0.1
-# Camera positions that a scale is estimated from.
+# Smallest number of camera positions for an estimate of the scale.
 MIN_POSITIONS = 4
-# Standard deviation of the logarithm of the scale: a less certain estimate is ignored.
+# Largest standard deviation of the logarithm of the scale; a less certain estimate is ignored.
 MAX_SCALE_DEVIATION = 0.1
-# The same: neither estimate is more certain, as depth and positions drift along a chunk.
+# Smallest standard deviation of the logarithm of the scale: depth and positions drift along a
+# chunk, so no estimate is more certain.
 MIN_SCALE_DEVIATION = 0.01
 
 Shared = Sequence[tuple[int, int]]
@@ -45,11 +46,11 @@ class ChunkOverlap:
     Attributes
     ----------
     first, second : int
-        The pieces.
+        Numbers of the pieces.
     similarity : (4, 4) float64
-        From the second's coordinates to those of the first.
+        From the coordinates of the second piece to those of the first.
     frames : int
-        That both have.
+        Number of frames that both pieces share.
     """
 
     first: int
@@ -67,12 +68,12 @@ def overlap_sim3(
     ----------
     first, second : Reconstruction
     shared : sequence of (int, int)
-        Frames that both have, with a pose in a piece of each.
+        Shared frames with a pose in both results.
 
     Returns
     -------
     (4, 4) float64, or None
-        From coordinates of the second to those of the first.
+        From the coordinates of the second to those of the first.
     """
     poses, others = (
         one.poses[[pair[k] for pair in shared]] for k, one in enumerate((first, second))
@@ -94,7 +95,7 @@ def overlap_sim3(
 
 
 def mean_rotation(poses: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return the mean rotation from other poses, (N, 4, 4), to poses."""
+    """Return the mean rotation from `others`, (N, 4, 4), to `poses`."""
     turns = np.tile(np.eye(4), (len(poses), 1, 1))
     turns[:, :3, :3] = poses[:, :3, :3] @ others[:, :3, :3].mT
     return mean_pose(turns, np.ones(len(turns)))[:3, :3]
@@ -111,7 +112,7 @@ def scale_from_positions(
     apart, apart_there = (float(np.sqrt((one**2).sum())) for one in (here, there))
     if min(apart, apart_there) == 0:
         return None
-    scale = apart / apart_there  # neither is more exact than the other
+    scale = apart / apart_there  # symmetric: neither chunk is more exact
     deviation = max(float(np.linalg.norm(here - scale * there)) / apart, MIN_SCALE_DEVIATION)
     return None if deviation > MAX_SCALE_DEVIATION else (float(np.log(scale)), deviation)
 
@@ -138,9 +139,9 @@ def scale_from_depth(
 def _with_depth(
     first: Reconstruction, second: Reconstruction, shared: Shared
 ) -> Iterator[tuple[int, int]]:
-    """Yield some frames with depth in the first chunk, each with the nearest one in the second.
+    """Yield frames with depth in the first chunk, each with the nearest such frame in the second.
 
-    Both are numbers of `shared`.
+    Both are positions in `shared`.
     """
     ours, theirs = (
         [k for k, pair in enumerate(shared) if depth_path(one.folder, pair[side]).exists()]
@@ -155,9 +156,10 @@ def _with_depth(
 def _ratios(
     first: Reconstruction, second: Reconstruction, shared: Shared, at: tuple[int, int]
 ) -> np.ndarray:
-    """Return the depth ratios, first to second chunk, of some pixels of a frame.
+    """Return the ratios of depth in the first chunk to depth in the second, for some pixels.
 
-    The first's may be of another frame, whose points are brought into this one.
+    If the frames differ, points of the first chunk's frame are projected into the frame of the
+    second.
     """
     height, width = first.shape
     fx, fy = first.camera.focals

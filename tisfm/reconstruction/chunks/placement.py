@@ -22,7 +22,7 @@ class ChunkResult:
     ----------
     result : Reconstruction
     frames : dict of int to int
-        The number in the result of each frame, by its number in the source.
+        Number of each frame in the result, by its number in the source.
     """
 
     result: Reconstruction
@@ -30,12 +30,12 @@ class ChunkResult:
 
     @classmethod
     def of(cls, result: Reconstruction, span: Span, taken: range) -> "ChunkResult":
-        """Return the part of a span of the frames that are taken.
+        """Return the result of a chunk, for its span of the selected frames.
 
         Raises
         ------
         ValueError
-            If the result has more frames or fewer.
+            If the result has another number of frames.
         """
         skipped = {index for index, _ in result.skipped}
         left = [index for index in taken[span.of(taken)] if index not in skipped]
@@ -53,18 +53,18 @@ class ChunkResult:
 
 @dataclass(frozen=True, kw_only=True)
 class ChunkPlacement:
-    """The chunk of a frame of the whole, and its similarity to the world.
+    """The chunk that a frame of the whole is taken from, and the frame's pose and scale.
 
     Attributes
     ----------
     part, number : int
-        The chunk, and the number of the frame in it.
+        Number of the chunk, and number of the frame in the chunk.
     piece : int
-        Of the whole; −1 for none.
+        Number of the piece in the whole; −1 for none.
     pose : (4, 4) float64
-        Camera to world; NaN without one.
+        Camera to world; NaN for a frame without a pose.
     scale : float
-        What depth is multiplied by.
+        Factor for the depth of the chunk.
     """
 
     part: int
@@ -80,9 +80,9 @@ def place_chunks(parts: Sequence[ChunkResult], *, are_given: bool) -> list[Chunk
     Parameters
     ----------
     parts : sequence of ChunkResult
-        In order; each shares frames with the next.
+        Results in order; each shares frames with the next.
     are_given : bool
-        Whether poses were given: parts are in one world and one unit then.
+        Whether poses were given. All results then have one world and one unit.
     """
     owners = _owners(parts)
     nodes = [(k, piece) for k, part in enumerate(parts) for piece in range(len(part.result.unit))]
@@ -109,7 +109,7 @@ def place_chunks(parts: Sequence[ChunkResult], *, are_given: bool) -> list[Chunk
         if world not in pieces:
             pieces[world] = len(pieces)
             unit = _unit(parts, owners, similarity, of_node, world)
-            begins = np.allclose(pose, np.eye(4), atol=1e-12)  # it is the first frame already
+            begins = np.allclose(pose, np.eye(4), atol=1e-12)  # exactly the first frame
             bases[world] = (np.eye(4) if begins or are_given else pose), unit
         base, unit = bases[world]
         pose = np.linalg.solve(base, pose)
@@ -131,7 +131,7 @@ def _owners(parts: Sequence[ChunkResult]) -> dict[int, int]:
                 owners[index] = k
     for k, (before, after) in enumerate(pairwise(parts)):
         for index in before.frames.keys() & after.frames.keys():
-            # One that has a pose of it rather than one that has none.
+            # Prefer the chunk in which the frame has a pose.
             for one, other in ((k, k + 1), (k + 1, k)):
                 if parts[one].piece(index) < 0 <= parts[other].piece(index):
                     owners[index] = other
@@ -139,10 +139,10 @@ def _owners(parts: Sequence[ChunkResult]) -> dict[int, int]:
 
 
 def _cut(before: ChunkResult, after: ChunkResult) -> int:
-    """Return the first frame of the later of two chunks.
+    """Return the first frame that is taken from the later of two chunks.
 
-    It is the keyframe of that nearest to the middle of the frames that both have, if there is one
-    in the middle half, or else the middle.
+    It is the keyframe of the later chunk that is nearest to the middle of the shared frames.
+    Without a keyframe in the middle half, it is the middle frame.
     """
     shared = sorted(before.frames.keys() & after.frames.keys())
     if not shared:
@@ -159,7 +159,7 @@ def _cut(before: ChunkResult, after: ChunkResult) -> int:
 def _worlds(
     parts: Sequence[ChunkResult], nodes: Sequence[tuple[int, int]]
 ) -> list[dict[int, np.ndarray]]:
-    """Return, for each world, the pieces in it and their similarities, by their numbers."""
+    """Return, for each world, the similarities of its pieces, by their node numbers."""
     number = {node: n for n, node in enumerate(nodes)}
     joints = []
     for k, (before, after) in enumerate(pairwise(parts)):
@@ -192,7 +192,7 @@ def _unit(
 ) -> float:
     """Return the scale of the piece with the first keyframe of a world.
 
-    Its unit is that of the whole.
+    The unit of this piece becomes the unit of the world.
     """
     own = [
         (owner, index)

@@ -1,4 +1,4 @@
-"""Reconstructions that are resumed: whole in this process, or in chunks by several processes."""
+"""Reconstructions that can be resumed: whole in this process, or in chunks by several processes."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -31,7 +31,7 @@ from tisfm.threads import usable_cores
 
 
 class ReconstructRun(Protocol):
-    """A reconstruction that is computed once, and knows whether its folder is complete."""
+    """A reconstruction that is computed unless its folder is complete."""
 
     def is_done(self) -> bool:
         """Return whether the folder is complete; InputError if it holds another reconstruction."""
@@ -51,10 +51,10 @@ class WholeRun:
     source : Source
     folder : Path
     options : mapping
-        Arguments of `tisfm.reconstruct`, without those in `frames`.
+        Arguments of `tisfm.reconstruct`, except those in `frames`.
     frames : FrameSelection
     others : mapping
-        Further options of the command, as JSON has them.
+        Further options of the command, as JSON values.
     arch, threads
         As for `tisfm.runtime.start`.
     """
@@ -131,11 +131,11 @@ class ChunksRun:
     source, folder, options, frames, others, arch, threads
         As for `WholeRun`.
     chunk : int
-        Most frames of a chunk.
+        Largest number of frames of a chunk.
     workers : int
         Number of processes.
     cluster : str or None
-        The address of a scheduler of Dask, whose workers compute instead.
+        The address of a Dask scheduler, whose workers compute instead.
     """
 
     def __init__(
@@ -153,7 +153,7 @@ class ChunksRun:
         cluster: str | None,
     ) -> None:
         taken = {k: v for k, v in options.items() if k not in ("labels", "object_sizes")}
-        if workers > 1 and cluster is None:  # each has its share of the cores
+        if workers > 1 and cluster is None:  # each process gets its share of the cores
             threads = threads or max(1, usable_cores() // workers)
         self._run = ChunkedRun(
             source,
@@ -183,7 +183,7 @@ class ChunksRun:
 
 @contextmanager
 def _map_of(workers: int, cluster: str | None) -> Iterator[Finished]:
-    """Give the function that calls another one with every item, here or in other processes."""
+    """Yield a function that calls another one with every item, here or in other processes."""
     if workers == 1 and cluster is None:
         yield _map_here
         return

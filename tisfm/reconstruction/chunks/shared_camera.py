@@ -1,4 +1,4 @@
-"""The camera that all chunks share, found on one of them before the others are made."""
+"""The camera that all chunks share, found with one chunk before the others are reconstructed."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -15,19 +15,19 @@ from tisfm.reconstruction.result.reconstruction import Reconstruction
 Finished = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[tuple[int, Any]]]
 """Calls a function with each item, in any process; yields the number and result of each item."""
 
-# Chunks that are searched for the focal length. Set by hand.
+# Largest number of chunks that are searched for the focal length. Set by hand.
 MAX_TRIED_CHUNKS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class SharedCamera:
-    """A camera for all chunks, and the result that it was found with.
+    """A camera for all chunks, and the result from which it was found.
 
     Attributes
     ----------
     camera : Path
-        Its file, of the frames as they come. Its readout is known; the file says whether the focal
-        length is a guess.
+        Its file, for the frames of the source. The readout time is known; the file states whether
+        the focal length is a guess.
     found : Reconstruction
         A path without depth.
     """
@@ -37,27 +37,27 @@ class SharedCamera:
 
 
 def is_sought(chunk: Chunk, camera: Camera | None) -> bool:
-    """Return whether a part of the camera has to be found from frames."""
+    """Return whether a part of the camera has to be found from the frames."""
     if chunk.poses is not None:
         return False
     return chunk.calibrate != "nothing" or camera is None or camera.readout is None
 
 
 def shared_camera(chunks: Sequence[Chunk], finished: Finished, folder: Path) -> SharedCamera:
-    """Find the camera on the first chunk, or on others if that does not show it.
+    """Find the camera from the first chunk, or from other chunks if the first one fails.
 
     Parameters
     ----------
     chunks : sequence of Chunk
-        All of them, as they are to be made.
+        All chunks, before the camera is known.
     finished : callable
     folder : Path
-        The folders of paths and the file of the camera are made in it.
+        The folder for the file of the camera and for the paths that it is found from.
 
     Raises
     ------
     Exception
-        What `tisfm.reconstruct` raises.
+        As `tisfm.reconstruct`.
     """
     first, *others = [
         replace(chunk, folder=folder / f"camera-{number:03d}", depth_of="none")
@@ -74,7 +74,7 @@ def shared_camera(chunks: Sequence[Chunk], finished: Finished, folder: Path) -> 
     if best is None:
         best = min(found, key=_relative_deviation)
     camera, record = read_camera(best.folder), record_in(best.folder)
-    if camera.readout is None:  # the motion shows none, and no chunk is to look for one
+    if camera.readout is None:  # no readout was found: chunks must not search again
         camera = replace(camera, readout=0.0)
     shape = record["height"], record["width"]
     write_camera(folder / NAME, camera, shape, about=record)
@@ -98,7 +98,7 @@ def made(chunks: Sequence[Chunk], finished: Finished) -> Iterator[int]:
     Raises
     ------
     Exception
-        What `tisfm.reconstruct` raises.
+        As `tisfm.reconstruct`.
     """
     missing = []
     for number, chunk in enumerate(chunks):

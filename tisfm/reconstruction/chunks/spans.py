@@ -6,13 +6,13 @@ from itertools import pairwise
 from tisfm.errors import InputError
 from tisfm.sources.frame_reader import is_integer
 
-# Frames of a chunk, by default.
+# Default number of frames of a chunk.
 CHUNK = 150
-# Frames that a chunk shares with the next one.
+# Largest number of frames that a chunk shares with the next one.
 MAX_OVERLAP = 20
-# A short chunk shares its length divided by this number.
+# A short chunk shares fewer frames: its length divided by this number.
 MIN_OVERLAP_DIVISOR = 3
-# Frames of the shortest chunk that can be asked for.
+# Smallest allowed number of frames of a chunk.
 MIN_CHUNK = 12
 
 
@@ -23,11 +23,11 @@ class Span:
     Attributes
     ----------
     start : int
-        Number of the first in the source.
+        Number of the first frame in the source.
     stop : int or None
-        Number of the first that is not of the chunk any more; None for the end of the source.
+        Number of the first frame after the chunk; None for the end of the source.
     count : int
-        How many there are.
+        Number of frames.
     """
 
     start: int
@@ -35,7 +35,7 @@ class Span:
     count: int
 
     def of(self, taken: range) -> slice:
-        """Return the slice of the selected frames."""
+        """Return the slice of the chunk in the selected frames."""
         begin = taken.index(self.start)
         return slice(begin, begin + self.count)
 
@@ -47,7 +47,7 @@ def check_chunk(chunk: int) -> None:
 
 
 def overlap_of(chunk: int) -> int:
-    """Return the number of frames that chunks of a length share."""
+    """Return the number of frames that neighbour chunks of a length share."""
     return min(MAX_OVERLAP, chunk // MIN_OVERLAP_DIVISOR)
 
 
@@ -57,11 +57,11 @@ def spans_of(taken: range, stop: int | None, chunk: int) -> list[Span]:
     Parameters
     ----------
     taken : range
-        Numbers of all frames that are taken.
+        Numbers of all selected frames in the source.
     stop : int or None
-        As it was given: the last chunk ends there.
+        The end of the selection, as given; the last chunk ends there.
     chunk : int
-        Frames of a chunk, at most.
+        Largest number of frames of a chunk.
     """
     count, overlap = len(taken), overlap_of(chunk)
     chunks = 1 if count <= chunk else -(-(count - overlap) // (chunk - overlap))

@@ -11,42 +11,43 @@ from tisfm.focal_guess import at_size
 from tisfm.formats import FormatError
 
 Calibrate = Literal["nothing", "focal", "radial"]
-"""The part of the camera that is found: nothing, the focal length, or a radial coefficient too."""
+"""The camera parameters that are found: none, the focal length, or a radial coefficient as well."""
 Origin = Literal["given", "estimated", "guessed"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """Where a camera's focal length is from, and how far to trust it.
+    """Origin and uncertainty of a camera's focal length.
 
-    Its lengths are px of the frames of the source, before these are cropped and shrunk, as those of
-    `tisfm.Camera` and ``--focal`` are. `Reconstruction.camera` is of the frames of the result.
+    Lengths are px of the frames of the source, before cropping and shrinking, as in `tisfm.Camera`
+    and ``--focal``. `Reconstruction.camera` has px of the frames of the result.
 
     Attributes
     ----------
     origin : {"given", "estimated", "guessed"}
-        Whether it was given, found from the sequence, or guessed from the image file or the size.
-        Of a camera that was given as a file, what the file says of it.
+        Whether the focal length was given, estimated from the sequence, or guessed from the image
+        file or the image size. If the camera was given as a file, the origin that the file states.
     focal : float or None
-        The focal length, px of the frames of the source; None where no frame is known yet.
+        The focal length, px of the frames of the source; None before any frame is known.
     focal_std : float
-        Its standard deviation, px of the frames of the source: 0 where it was given, infinite where
-        it was guessed.
+        Its standard deviation, px of the frames of the source: 0 if it was given, infinite if it
+        was guessed.
     shape : (int, int) or None
         Height and width of the frames of the source, px.
     seen : bool
-        Whether it can be relied on: False where it was guessed, or the motion hardly shows it.
+        Whether the focal length is reliable: False if it was guessed, or if the motion hardly
+        determines it.
     message : str
-        The focal length, its origin and the size of its frames in words; empty where it was given.
+        The focal length, its origin and the size of its frames in words; empty if it was given.
     radial : float
-        The coefficient k1 of the lens that was found with it, whose distortion was removed; 0 if
-        none was sought.
+        The lens coefficient k1 that was estimated with it, whose distortion was removed; 0 if none
+        was estimated.
     radial_std : float
         Its standard deviation.
     readout : float
-        How long a frame is read, as for `tisfm.Camera`, of the frames as they were taken, if that
-        was found from the sequence: what it moves has been undone. 0 if none was seen, or it was
-        given.
+        Readout time of the frames of the source, as for `tisfm.Camera`, if it was estimated from
+        the sequence; its effect has been removed from the frames. 0 if there is no effect, or if it
+        was given.
     readout_std : float
         Its standard deviation.
     """
@@ -80,7 +81,7 @@ GIVEN = Calibration(origin="given")
 def describe_focal(focal: float, deviation: float, shape: tuple[int, int] | None) -> str:
     """Return a focal length and its deviation, px, with the size (H, W) of their frames.
 
-    A deviation of 0 is left out, and so is an infinite one.
+    A deviation that is 0 or infinite is left out.
     """
     told = f"{focal:.4g}"
     if 0 < deviation < math.inf:
@@ -99,9 +100,9 @@ def as_json(calibration: Calibration) -> dict[str, Any]:
 def from_json(about: dict[str, Any]) -> Calibration:
     """Return the calibration that `as_json` wrote."""
     deviation = math.inf if about["focal_std"] is None else float(about["focal_std"])
-    known = {field.name for field in fields(Calibration)}  # later versions may say more
+    known = {field.name for field in fields(Calibration)}  # later versions may have more fields
     kinds: dict[str, Any] = {"origin": str, "seen": bool, "message": str, "shape": _shape}
-    # The file of a camera has null for a readout that is not known.
+    # The file of a camera has null for an unknown readout time.
     stated = [name for name in known - {"focal_std"} if about.get(name) is not None]
     values = {name: kinds.get(name, float)(about[name]) for name in stated}
     return Calibration(**values, focal_std=deviation)
@@ -113,23 +114,23 @@ def _shape(given: Any) -> tuple[int, int]:
 
 
 def calibration_in(path: str | os.PathLike[str], focal: float) -> Calibration:
-    """Return what the file of a camera says of its focal length; "given" if that is nothing.
+    """Return the calibration in the file of a camera; "given" if the file states no origin.
 
     Parameters
     ----------
     path : path
-        One that `tisfm.camera_file.read_camera` reads.
+        A file or folder that `tisfm.camera_file.read_camera` reads.
     focal : float
-        Of the frames that the file was read for, px: their size may differ from that in the file.
-        The returned focal length and deviation are px of the same frames; the message is that of
-        the file.
+        Focal length of the frames that the file was read for, px. Their size may differ from the
+        size in the file. The returned focal length and deviation are px of these frames; the
+        message is that of the file.
 
     Raises
     ------
     OSError
-        If it cannot be read.
+        If the file cannot be read.
     tisfm.formats.FormatError
-        If what it says is damaged.
+        If its content is damaged.
     """
     record = record_in(path)
     if "origin" not in record:
@@ -143,7 +144,7 @@ def calibration_in(path: str | os.PathLike[str], focal: float) -> Calibration:
         about,
         focal=focal,
         focal_std=ratio * about.focal_std,
-        shape=None,  # of the frames that it was read for, which are not known here
-        readout=0.0,  # it is given now
+        shape=None,  # the size of these frames is unknown here
+        readout=0.0,  # from now on it counts as given
         readout_std=0.0,
     )

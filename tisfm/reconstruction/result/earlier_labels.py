@@ -1,4 +1,4 @@
-"""Labels that are taken from an earlier result."""
+"""Labels from the folder of an earlier reconstruction."""
 
 import glob
 import os
@@ -16,21 +16,21 @@ from tisfm.errors import InputError
 from tisfm.reconstruction.result.folder import MASKS, PICTURES, RECORD, mask_path, read_record
 
 MOST_COEFFICIENTS = 14
-SAME = 1e-6  # relative: cameras that differ by less are the same
+SAME = 1e-6  # relative difference below which two cameras are equal
 
 
 @dataclass(frozen=True, kw_only=True)
 class ResultLabels:
-    """The labels of an earlier result.
+    """The labels of an earlier reconstruction.
 
     Attributes
     ----------
     folder : Path
     files : mapping of str to Path
-        By the names of frames.
+        Label files by the names of the frames.
     camera : Camera or None
-        Whose distortion or readout is undone in the frames that the labels are of; None if they are
-        of the frames as these are read.
+        The labels fit frames without the distortion and readout motion of this camera; None if they
+        fit the frames as they are read.
     """
 
     folder: Path
@@ -50,13 +50,13 @@ class ResultLabels:
 
 
 def labels_of_result(labels: Any, source: Any) -> ResultLabels | None:
-    """Return labels that are the folder of a reconstruction, or that of its masks; else None.
+    """Return the labels in a folder of a reconstruction, or in its masks folder; else None.
 
     Parameters
     ----------
     labels, source : object
-        As `tisfm.reconstruct` takes them. Where the source is the folder of the frames that the
-        result made, labels are those of these.
+        As for `tisfm.reconstruct`. If the source is the frames folder of that reconstruction, the
+        labels fit its frames.
     """
     if not isinstance(labels, (str, os.PathLike)):
         return None

@@ -1,7 +1,7 @@
 """The folder of a reconstruction.
 
-``reconstruction.json`` is written last: a folder without it is incomplete. Until then another
-file marks the folder as ours. ``docs/formats.md`` describes the files.
+``reconstruction.json`` is written last: a folder without it is incomplete. Until then
+``reconstruction.begun`` marks the folder as one of tisfm. ``docs/formats.md`` describes the files.
 """
 
 import json
@@ -35,12 +35,12 @@ FORMAT, OBJECTS_FORMAT = 2, 1
 RECORD, BEGUN = "reconstruction.json", "reconstruction.begun"
 PATH, DEPTH, PICTURES, CACHE = "path.npz", "depth", "frames", "cache"
 MASKS, OBJECTS = "masks", "objects.json"
-LARGEST_HALF = 60000.0  # what a value is scaled to at most: numbers have 11 significant bits
-# What JSON of another kind, and numbers beyond those that NumPy has, lead to.
+LARGEST_HALF = 60000.0  # values are scaled to at most this: float16 ends at 65504
+# Errors that other JSON, or numbers outside NumPy's range, raise when read.
 _DAMAGE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA, MASKS, OBJECTS)
 _HALVES = ("inverse_depth", "inverse_depth_std")
-REQUEST = "asked.json"  # what `tisfm reconstruct` was asked for
+REQUEST = "asked.json"  # the request of `tisfm reconstruct`
 OTHERS = (
     REQUEST, "poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb", REPORT, TIMINGS
 )  # fmt: skip
@@ -55,9 +55,9 @@ def write_depth(
     ----------
     folder : Path
     number : int
-        Of the frame.
+        Number of the frame.
     inverse_depth, deviation : (H, W) float32
-        NaN and infinity where there is none.
+        NaN and infinity where there is no depth.
     """
     scale = largest_of(inverse_depth) / LARGEST_HALF or 1.0
     with np.errstate(over="ignore"):
@@ -79,7 +79,7 @@ def read_depth(folder: Path, number: int, shape: tuple[int, int]) -> tuple[np.nd
     Raises
     ------
     FileNotFoundError
-        If there is no folder of depth: it was moved or deleted.
+        If the depth folder is missing: it was moved or deleted.
     tisfm.formats.FormatError
         If the file is damaged.
     """
@@ -212,7 +212,7 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
     Raises
     ------
     FileNotFoundError
-        If it is no folder of a complete reconstruction.
+        If it is not the folder of a complete reconstruction.
     tisfm.formats.FormatError
         If a file is damaged, or of a format this version cannot read.
     """

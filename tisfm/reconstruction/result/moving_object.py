@@ -14,28 +14,29 @@ ScaleFrom = Literal["size", "contact", "around", "none"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MovingObject:
-    """A moving object: the frames that show it, and its path, if that was found.
+    """A moving object: the frames that show it, and its path, if one was found.
 
     Attributes
     ----------
     id : int
         Its label, from 1 on.
     frames : tuple of int
-        Those that it is labelled in.
+        The frames in which it is labelled.
     boxes : (n, 4) int32
-        Left, top, width and height of what is labelled in each of them, px.
+        Left, top, width and height of its label in each frame, px.
     poses : (n, 4, 4) float64
-        Object to world in each of them; NaN where that is not known. The origin is in the middle
-        of the object, axes are those of the camera in the first frame with a pose.
+        Object to world in each frame; NaN where it is unknown. The origin is the median of the
+        points of the object. The axes are those of the camera in the first frame with a pose.
     extent : (3,) float64
-        Its lengths along its axes, in the unit of the poses; NaN if it has none. They are of its
-        points, without 3 % of them at both ends.
+        Its lengths along its axes, in the unit of the poses; NaN without poses. They are the extent
+        of its points, without the outermost 3 % at both ends.
     scale_from : {"size", "contact", "around", "none"}
-        What its size is from, which motion alone does not show: ``object_sizes`` of
-        `tisfm.reconstruct`; where it stands on what is at rest; or, roughly, the depth of what is
-        around it. ``"none"`` if it has no poses, or no depth to tell by.
+        Source of its scale, which motion alone does not give. ``"size"``: ``object_sizes`` of
+        `tisfm.reconstruct`; ``"contact"``: its contact with the static scene; ``"around"``:
+        roughly, the depth around it; ``"none"``: it has no poses, or there is no depth to scale it
+        by.
     message : str
-        Why it has no poses, or few.
+        Why it has no poses or only a few.
 
     Examples
     --------
@@ -57,7 +58,7 @@ class MovingObject:
     message: str = ""
 
     def rescaled(self, factor: float, rescaled: np.ndarray) -> "MovingObject":
-        """Return the object with another unit in some frames, (N,) bool."""
+        """Return the object with lengths times a factor in some frames, (N,) bool."""
         mine = rescaled[list(self.frames)]
         poses = self.poses.copy()
         poses[mine, :3, 3] *= factor
@@ -84,7 +85,7 @@ class MovingObject:
         Raises
         ------
         KeyError, TypeError, ValueError
-            If it is something else.
+            If the entry is not of this form.
         """
         count = len(about["frames"])
         if about["scale_from"] not in get_args(ScaleFrom):

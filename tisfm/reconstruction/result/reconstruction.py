@@ -29,45 +29,47 @@ class Reconstruction:
     Attributes
     ----------
     poses : (N, 4, 4) float64
-        Camera to world: X right, Y down, Z forward. The first frame of a piece is the identity,
-        unless poses were given. NaN for a frame without one.
+        Camera to world: X right, Y down, Z forward. The first pose of a piece is the identity,
+        unless poses were given. NaN for a frame without a pose.
     piece : (N,) int32
-        Which piece a frame belongs to; each has a scale of its own, in which the median depth of
-        its first keyframe is 1, or of tracks in its first frame, if it has no depth, unless poses
-        were given. −1 for a frame without a pose.
+        The piece of each frame; −1 for a frame without a pose. Each piece has its own scale: the
+        median depth of its first keyframe is 1. Without depth, this holds for the tracks in its
+        first frame. Given poses set the scale instead.
     unit : tuple of float
-        For every piece, what its depth on disk is multiplied by; 1 unless it was rescaled.
+        For every piece, the factor from depth on disk to depth; 1 unless it was rescaled.
     status : tuple of Status
-        For every frame, with a message: ``"converged"`` if it has a pose, and depth if that was
-        asked for.
+        For every frame, with a message: ``"converged"`` if it has a pose, and depth if depth was
+        requested.
     keyframes : tuple of int
-        Frames whose depth was found from several others; that of the rest is as they
-        show it, and filled along the edges of the frame.
+        Frames whose depth was estimated from several others. The depth of all other frames is
+        rendered from the keyframes; holes are filled up to image edges.
     camera : Camera
-        The pinhole of the frames of the result, cropped and shrunk, without distortion: that of
-        `depth` and `picture`.
+        The pinhole camera of `depth` and `picture`: of frames that are cropped, shrunk and without
+        distortion.
     calibration : Calibration
-        Where its focal length is from, and how far to trust it: ``origin`` (given, estimated or
-        guessed), ``focal``, ``focal_std``, ``shape``, ``seen`` and ``message``. Its px are those of
-        the frames of the source, of which ``shape`` is the height and width.
+        Origin and uncertainty of the focal length: ``origin`` (given, estimated or guessed),
+        ``focal``, ``focal_std``, ``shape``, ``seen`` and ``message``. Lengths are px of the frames
+        of the source, whose height and width is ``shape``.
     settings : Settings
     names : tuple of str
-        Of the frames.
+        Names of the frames.
     times : tuple of float or None
-        Seconds, as the source has them: they may repeat or go back, as `notes` then says.
+        Times of the frames, s, as the source states them. They may repeat or decrease; `notes` then
+        has a note.
     skipped : tuple of (int, str)
-        Frames of the source that could not be read, and why; they are not counted.
+        Frames of the source that could not be read, and the reasons; they have no number in the
+        result.
     notes : tuple of str
-        On how the source was read: frames that were left out or resampled, and why paths use the
-        numbers of frames instead of times.
+        Notes on how the source was read: frames that were left out or resampled, and the reason if
+        paths use the numbers of frames instead of times.
     shape : (int, int)
         Height and width of the frames, px.
     folder : Path
-        Where it lies.
+        Folder of the files.
     version : str
-        Of tisfm.
+        Version of tisfm that made the result.
     objects : tuple of MovingObject
-        Things that move on their own, with ``motion="objects"``, in order of their labels.
+        Moving objects, with ``motion="objects"``, in the order of their labels.
 
     Examples
     --------
@@ -107,14 +109,14 @@ class Reconstruction:
 
     @property
     def largest_piece(self) -> int:
-        """The piece of most frames; 0 if there is none."""
+        """The piece with the most frames; 0 if there is none."""
         placed = self.piece[self.piece >= 0]
         return int(np.bincount(placed).argmax()) if len(placed) else 0
 
     def inverse_depth(self, frame: int) -> np.ndarray:
         """Return the inverse depth of a frame, (H, W) float32, 1/unit of the poses.
 
-        NaN where no frame shows it. Numbers have 11 significant bits.
+        NaN where there is no depth. Numbers have 11 significant bits.
 
         Raises
         ------
@@ -124,9 +126,10 @@ class Reconstruction:
         return self._depth_of(frame)[0]
 
     def inverse_depth_std(self, frame: int) -> np.ndarray:
-        """Return its standard deviation, (H, W) float32.
+        """Return the standard deviation of the inverse depth of a frame, (H, W) float32.
 
-        Infinite where there is no depth, or pixels are masked: depth there is carried from around.
+        Infinite where there is no depth, and at masked pixels, whose depth is filled from their
+        surroundings.
         """
         return self._depth_of(frame)[1]
 
@@ -140,8 +143,8 @@ class Reconstruction:
     def labels(self, frame: int) -> np.ndarray:
         """Return the object id of each pixel of a frame, (H, W) uint8.
 
-        0 is what is at rest; other numbers are the ids of `objects`. They are of the frame without
-        distortion, as `picture` returns it.
+        0 is static; other numbers are the ids of `objects`. Pixels are those of the frame without
+        distortion, as in `picture`.
 
         Examples
         --------
@@ -168,19 +171,19 @@ class Reconstruction:
         max_relative_std: float = 0.05,
         voxel: float | None = None,
     ) -> PointCloud:
-        """Return coloured points that several frames agree on, in the axes of the world.
+        """Return coloured points on which several frames agree, in the axes of the world.
 
         Parameters
         ----------
         frames : iterable of int, optional
-            Of one piece; by default the keyframes of the largest.
+            Frames of one piece; by default the keyframes of the largest piece.
         agreeing : int
-            A point is kept where so many frames, its own included, agree within their deviations,
-            and no more see through it.
+            A point is kept if this number of frames, its own included, agree within their
+            deviations, and not more frames see through it.
         max_relative_std : float
-            Pixels whose deviation is a larger share of their inverse depth are left out.
+            Largest relative deviation of inverse depth; other pixels are left out.
         voxel : float, optional
-            Side of cubes of which each keeps one point, in the unit of the poses.
+            Side of the cubes that keep one point each, in the unit of the poses.
 
         Returns
         -------
@@ -190,7 +193,8 @@ class Reconstruction:
         Raises
         ------
         IndexError, ValueError
-            If there is no such frame, frames are of several pieces, or an option is impossible.
+            If a frame does not exist, frames are of several pieces, or an option is out of its
+            range.
 
         Examples
         --------
@@ -215,7 +219,7 @@ class Reconstruction:
         voxel: float | None = None,
         truncation: float | None = None,
     ) -> "Mesh":
-        """Return the surface that several frames agree on, as coloured triangles.
+        """Return the surface on which several frames agree, as coloured triangles.
 
         It needs scikit-image: ``pip install 'tisfm[mesh]'``.
 
@@ -224,13 +228,13 @@ class Reconstruction:
         frames, agreeing
             As for `points`.
         max_relative_std : float
-            Depth of a larger relative deviation is left out: of a room whose walls are bare, what
-            was carried far over them.
+            Largest relative deviation of depth; other depth is left out, such as depth that was
+            propagated far over walls without texture.
         voxel : float, optional
             Side of the voxels, in the unit of the poses; by default 2 px at the median depth, or
             half the median deviation of depth if that is more.
         truncation : float, optional
-            How far from a surface distances are kept.
+            Largest distance from a surface at which distances are stored.
 
         Returns
         -------
@@ -240,9 +244,9 @@ class Reconstruction:
         Raises
         ------
         ImportError
-            If scikit-image is not there.
+            If scikit-image is not installed.
         IndexError, ValueError
-            As for `points`; or if voxels are too fine for the memory, with the size to take.
+            As for `points`; or if voxels are too small for the memory (the message names a size).
 
         Examples
         --------
@@ -263,20 +267,20 @@ class Reconstruction:
         )
 
     def rescaled(self, frame0: int, frame1: int, distance: float) -> "Reconstruction":
-        """Return the same in the unit in which the camera moved so far between two frames.
+        """Return the result in a unit in which the camera moved by `distance` between two frames.
 
         Parameters
         ----------
         frame0, frame1 : int
-            Two frames of one piece. Other pieces keep their scales.
+            Two frames of one piece; other pieces keep their scales.
         distance : float
-            Between the places of the camera, in the unit that is wanted.
+            Distance between the camera positions, in the new unit.
 
         Raises
         ------
         ValueError
-            If a frame has no pose, both are of different pieces or of one place, or the distance is
-            not positive.
+            If a frame has no pose, the frames are of two pieces or have one position, or the
+            distance is not positive.
 
         Examples
         --------
@@ -309,7 +313,7 @@ class Reconstruction:
         return replace(self, poses=poses, unit=unit, objects=objects)
 
     def save(self, folder: str | os.PathLike[str]) -> None:
-        """Copy everything to a folder, which is complete once it has a ``reconstruction.json``.
+        """Copy the result to a folder, which is complete once it has a ``reconstruction.json``.
 
         Parameters
         ----------
@@ -319,9 +323,9 @@ class Reconstruction:
         Raises
         ------
         FileExistsError
-            If it holds other files.
+            If the folder holds other files.
         OSError
-            If it cannot be written to.
+            If the folder cannot be written to.
 
         Examples
         --------
@@ -335,14 +339,14 @@ class Reconstruction:
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str]) -> "Reconstruction":
-        """Open what `save` or ``tisfm reconstruct`` wrote; depth is read on demand.
+        """Open a folder that `save` or ``tisfm reconstruct`` wrote; depth is read on demand.
 
         Raises
         ------
         FileNotFoundError
-            If the folder is not that of a complete reconstruction.
+            If it is not the folder of a complete reconstruction.
         tisfm.formats.FormatError
-            A ValueError: if a file is damaged or of a format this version cannot read.
+            A ValueError: if a file is damaged, or of a format that this version cannot read.
 
         Examples
         --------

@@ -1,4 +1,4 @@
-"""The output folder of a reconstruction; an earlier one in it comes back if the new one fails."""
+"""The output folder of a reconstruction. If a new one fails, the earlier one is restored."""
 
 import os
 from collections.abc import Iterator
@@ -30,20 +30,20 @@ from tisfm.reconstruction.result.folder import (
     write_record,
 )
 
-EARLIER = ".tisfm-earlier"  # the folder that an earlier result is in meanwhile
-# The same, while not all of it is there yet, and while not all of it is back.
+EARLIER = ".tisfm-earlier"  # holds the earlier result until the new one is complete
+# Names of this folder while files are moved into it, and while they are moved back.
 LEAVING, RESTORING = ".tisfm-leaving", ".tisfm-restoring"
-# Chunks of a result that is not there yet.
+# Chunks of a result that is not yet complete.
 CHUNKS = ".tisfm-chunks"
 _FOLDERS = (EARLIER, LEAVING, RESTORING, CHUNKS)
 
 
 @contextmanager
 def renewed_folder(folder: str | os.PathLike[str]) -> Iterator[Path]:
-    """Make a folder ready to be written to, and let nobody else write to it within the block.
+    """Prepare a folder for a reconstruction, and lock it within the block.
 
-    An earlier reconstruction in it is put aside. It is removed where the block ends, and put back
-    where an exception leaves it. Of a process that was killed it stays aside until then.
+    An earlier reconstruction in it is put aside. It is removed when the block ends, and put back if
+    an exception leaves the block. If the process is killed, it stays aside until the next run.
 
     Parameters
     ----------
@@ -57,20 +57,20 @@ def renewed_folder(folder: str | os.PathLike[str]) -> Iterator[Path]:
     Raises
     ------
     FileExistsError
-        If it holds anything that is not of a reconstruction.
+        If it holds files that do not belong to a reconstruction.
     OSError
-        If it cannot be made or written to, or another run writes to it.
+        If the folder cannot be made or written to, or another run writes to it.
     """
     path = make_result_folder(folder)
     with locked_folder(path):
         with renewed(path):
             yield path
-        try_to_remove(path / CHUNKS)  # left by a run that did not end
+        try_to_remove(path / CHUNKS)  # left by an interrupted run
 
 
 @contextmanager
 def renewed(path: Path) -> Iterator[None]:
-    """Renew a folder that exists and is locked."""
+    """As `renewed_folder`, for a folder that exists and is locked."""
     try:
         _begin(path)
         yield
@@ -102,10 +102,10 @@ def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
 def _begin(path: Path) -> None:
     """Put an earlier result aside, remove an incomplete one, and make the inner folders."""
     refuse_others(path)
-    for name in (*_FOLDERS, BEGUN):  # runs make no links: these would lead elsewhere
+    for name in (*_FOLDERS, BEGUN):  # tisfm makes no links; a link would lead out of the folder
         remove_link(path / name)
     (path / BEGUN).touch()
-    # What a run was killed at is done to its end first.
+    # First complete the step at which an earlier run was killed.
     if (path / RESTORING).exists():
         _move(path / RESTORING, path)
         (path / RESTORING).rmdir()
@@ -123,13 +123,13 @@ def _begin(path: Path) -> None:
 def refuse_others(path: Path) -> None:
     """Raise FileExistsError if a folder holds other files than those of a reconstruction."""
     known = {*PARTS, *OTHERS, CACHE, BEGUN}
-    if not is_report(path / REPORT):  # somebody else's page would be lost
+    if not is_report(path / REPORT):  # a report.html that tisfm did not write
         known.discard(REPORT)
     there = sorted(item.name for item in path.iterdir())
     ours = {name for name in there if name in (LOCK, *_FOLDERS) or is_temporary(name)}
     others = [name for name in there if name not in known | ours]
     if not others and not ours & set(_FOLDERS) and not {RECORD, BEGUN} & set(there):
-        others = [name for name in there if name not in ours]  # of such names, but whose?
+        others = [name for name in there if name not in ours]  # known names, but no mark of tisfm
     if others:
         raise FileExistsError(
             f"{path} has other files, such as {others[0]}: give a new folder, or an empty one"
@@ -138,7 +138,7 @@ def refuse_others(path: Path) -> None:
 
 def _put_back(path: Path) -> None:
     """Restore the earlier result, if there was one."""
-    if (path / LEAVING).exists():  # nothing of another one is there yet
+    if (path / LEAVING).exists():  # no file of the new result exists yet
         (path / LEAVING).rename(path / RESTORING)
     elif (path / EARLIER).exists():
         _remove(path)

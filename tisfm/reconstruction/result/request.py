@@ -1,4 +1,4 @@
-"""The request of a reconstruction, kept with its result so that it is not made twice."""
+"""The request of a reconstruction, stored with its result, so that `--resume` can compare it."""
 
 import hashlib
 import json
@@ -42,20 +42,20 @@ def make_request(
     others: Mapping[str, Any],
     files: Mapping[str, str | None] | None = None,
 ) -> Request:
-    """Return everything that a result depends on, as JSON.
+    """Return everything that a result depends on, as JSON values.
 
     Parameters
     ----------
     frames : FrameSource
-        Of files.
+        A source of files.
     camera, settings, poses
         As for `tisfm.reconstruct`.
     arch : str or None
-        Where kernels run.
+        The processor that kernels run on.
     others : mapping
-        Further options, as JSON has them.
+        Further options, as JSON values.
     files : mapping of str to str or None
-        Options that name files, a folder or a pattern: what is in them counts.
+        Options that name files, a folder or a pattern; the contents of the files count.
     """
     taken = frames.frame_files
     asked = {
@@ -97,10 +97,10 @@ def _files(path: str) -> Sequence[Path]:
 
 
 def files_below(folder: Path) -> dict[str, list[int]]:
-    """Return length and CRC-32 of the files of a folder, by their names in it.
+    """Return length and CRC-32 of the files in a folder, by their relative paths.
 
-    Some are left out: hidden files, a report (it may be made later), timings (they differ each
-    time), and the files that mark a result as begun and record what was asked for.
+    Left out are hidden files, a report (it may be made later), timings (they differ each time), and
+    the files that mark a result as begun and hold its request.
     """
     found = {}
     for path in sorted(folder.rglob("*")):
@@ -138,7 +138,7 @@ def is_done(folder: Path, asked: Request) -> bool:
     Raises
     ------
     ValueError
-        If it holds one of something else; it says what differs.
+        If it holds the result of another request; the message names the differences.
     """
     about = read_request(folder)
     if about is None or not (folder / RECORD).exists():

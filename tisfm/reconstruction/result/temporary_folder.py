@@ -6,14 +6,14 @@ import weakref
 
 
 class TemporaryFolder:
-    """A new folder, deleted once nothing refers to this object, or with the process.
+    """A new folder, deleted when the last reference to this object goes, or when the process ends.
 
-    `tempfile.TemporaryDirectory` warns where it is not closed before; here that is how it ends.
+    `tempfile.TemporaryDirectory` would warn that it was not closed; here this is the normal end.
 
     Attributes
     ----------
     name : str
-        Its path.
+        Path of the folder.
     """
 
     def __init__(self) -> None:
@@ -21,5 +21,5 @@ class TemporaryFolder:
         self._remove = weakref.finalize(self, shutil.rmtree, self.name, ignore_errors=True)
 
     def remove(self) -> None:
-        """Delete it now."""
+        """Delete the folder now."""
         self._remove()
