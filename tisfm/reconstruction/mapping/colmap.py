@@ -1,4 +1,4 @@
-"""pycolmap, imported when it is first needed, and silent."""
+"""pycolmap, imported at its first use, with silenced messages."""
 
 from functools import cache
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 
 @cache
 def pycolmap() -> Any:
-    """Return the module; from then on only its fatal errors are on standard error."""
+    """Return the module; it writes only fatal errors to standard error."""
     import pycolmap as module
 
     log = module.logging

@@ -1,7 +1,7 @@
-"""How much of the frames a model explains, by area.
+"""The share of the area of frames that a model explains.
 
-What moves on its own may show more texture than the rest, and so more points: which motion is that
-of the world, the area of the frames tells, not the number of points.
+A moving object may have more texture than the static scene, and so more points. Therefore area, not
+the number of points, tells which motion is the motion of the static scene.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,26 +16,27 @@ from tisfm.reconstruction.tracks.views import View
 
 # Values without a stated source were set by hand.
 
-# Grid points along the longer side of a frame, each of which belongs to the nearest point.
+# Grid points along the longer side of a frame; each belongs to the nearest matched point.
 GRID_CELLS = 32
-# px, of 640 across: distance from the epipolar line of a match that a model explains.
+# px, if the longer side has 640: largest distance of an explained match from its epipolar line.
 EPIPOLAR_TOLERANCE = 2.0
 
 Pairs = Mapping[tuple[int, int], np.ndarray]
 
 
 class Coverage:
-    """Tells how much of the frames models explain.
+    """Computes the share of the area of frames that models explain.
 
-    A match of two views stands for what is nearest to its points in either. It is explained where
-    it lies on its epipolar line: of what is too far away to show parallax, a model has no points.
+    A match of two views stands for the area nearest to its point in each view. A model explains a
+    match that lies near its epipolar line. Triangulated points are not needed: a model has none
+    where the scene is too far away to show parallax.
 
     Parameters
     ----------
     views : sequence of View
     pairs : mapping of (int, int) to (N, 2) int array
-        For pairs of indices of views, indices of points that are the same: tracks first, then what
-        was detected.
+        For pairs of indices of views, indices of matching points: tracks first, then detected
+        points.
     shape : (int, int)
         Height and width of the frames, px.
     """
@@ -50,7 +51,7 @@ class Coverage:
         }
 
     def explained(self, models: Sequence[Any]) -> dict[tuple[int, int], np.ndarray]:
-        """Return, for every pair, which matches any of pycolmap's reconstructions explains."""
+        """Return, for each pair of views, the matches that any pycolmap reconstruction explains."""
         piece = {view - 1: k for k, one in enumerate(models) for view in one.reg_image_ids()}
         found = {
             (first, second): np.zeros(len(both), bool)
@@ -71,7 +72,7 @@ class Coverage:
         return found
 
     def share(self, explained: Mapping[tuple[int, int], np.ndarray]) -> float:
-        """Return the share of what matches stand for that is explained."""
+        """Return the explained share of the area that all matches stand for."""
         parts = [
             (self._worth[pair][fits].sum(), self._worth[pair].sum())
             for pair, fits in explained.items()
@@ -80,7 +81,7 @@ class Coverage:
         return float(part / whole) if whole else 0.0
 
     def _areas(self, places: np.ndarray) -> list[np.ndarray]:
-        """Return the share of places that are nearest to each point of each view, of matches."""
+        """Return, by view, the share of grid points nearest to each matched point; else 0."""
         matched = [np.zeros(len(points), bool) for points in self._points]
         for (first, second), both in self._pairs.items():
             matched[first][both[:, 0]] = True
@@ -96,7 +97,7 @@ class Coverage:
 
 
 def places_in(shape: tuple[int, int]) -> np.ndarray:
-    """Return (x, y) of places that are spread over a frame, (N, 2), px."""
+    """Return (x, y) of grid points over a frame, (N, 2), px."""
     side = max(shape) / GRID_CELLS
     rows, columns = (
         (np.arange(max(1, round(length / side))) + 0.5) * side - 0.5 for length in shape
@@ -105,13 +106,13 @@ def places_in(shape: tuple[int, int]) -> np.ndarray:
 
 
 def camera_rays(points: np.ndarray, camera: Any) -> np.ndarray:
-    """Return the directions of points in a view, (N, 3), of unit length."""
+    """Return the unit directions of points in a view, (N, 3)."""
     rays = np.column_stack([camera.cam_from_img(points + PIXEL_CENTRE), np.ones(len(points))])
     return unit_vectors(rays)
 
 
 def _off(pose0: np.ndarray, pose1: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return how far directions are from their epipolar planes, (N,), rad; poses are (3, 4)."""
+    """Return the angles of directions to their epipolar planes, (N,), rad; poses are (3, 4)."""
     turn = pose1[:, :3] @ pose0[:, :3].T
     normal = np.cross(pose1[:, 3] - turn @ pose0[:, 3], before @ turn.T)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)

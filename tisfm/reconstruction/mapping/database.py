@@ -1,4 +1,4 @@
-"""Views, and what they have in common, as pycolmap takes it."""
+"""pycolmap's camera and database of views and their matches."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,16 +16,16 @@ from tisfm.reconstruction.tracks.views import View
 
 # The number of pycolmap's two-view configuration "calibrated".
 CALIBRATED_PAIR = 2
-# Tracks that two views share. Set by hand.
+# The fewest tracks that two views share. Set by hand.
 MIN_SHARED_TRACKS = 20
-# Distances, in views, of the pairs that are compared by shared tracks. Set by hand.
+# Distances, in views, of the pairs that get matches from shared tracks. Set by hand.
 VIEW_STEPS = (1, 2, 3, 4, 6, 8, 12, 16)
 # px: the centre of pycolmap's upper left pixel is at (0.5, 0.5).
 PIXEL_CENTRE = 0.5
 
 
 def colmap_camera(camera: Camera, shape: tuple[int, int], calibrate: Calibrate = "nothing") -> Any:
-    """Return pycolmap's camera, whose focal length and distortion may be found."""
+    """Return pycolmap's camera; `calibrate` chooses the parameters that may be estimated."""
     height, width = shape
     cx, cy = camera.center_for(height, width)
     focal, center = camera.focal, (cx + PIXEL_CENTRE, cy + PIXEL_CENTRE)
@@ -35,14 +35,14 @@ def colmap_camera(camera: Camera, shape: tuple[int, int], calibrate: Calibrate =
         "radial": ("SIMPLE_RADIAL", [focal, *center, 0.0]),
     }[calibrate]
     known = pycolmap().Camera(model=model, width=width, height=height, params=params, camera_id=1)
-    known.has_prior_focal_length = True  # or pairs to begin with are looked for without it
+    known.has_prior_focal_length = True  # so that the search for first pairs uses it
     return known
 
 
 def pairs_of(
     views: Sequence[View], matches: Mapping[tuple[int, int], np.ndarray]
 ) -> dict[tuple[int, int], np.ndarray]:
-    """Return, for pairs of indices of views, indices of points that are the same, (N, 2)."""
+    """Return, for pairs of indices of views, the indices of matching points, (N, 2)."""
     near = {(k, k + apart) for apart in VIEW_STEPS for k in range(len(views) - apart)}
     pairs = {}
     for first, second in sorted(near | set(matches)):
@@ -61,7 +61,7 @@ def pairs_of(
 def database_of(
     views: Sequence[View], pairs: Mapping[tuple[int, int], np.ndarray], camera: Any
 ) -> Iterator[Any]:
-    """Give pycolmap's database of views and what pairs of them have in common."""
+    """Open pycolmap's database of views and the matches of pairs of views."""
     database = pycolmap().Database.open(":memory:")
     try:
         _write_views(database, views, camera)
@@ -72,9 +72,9 @@ def database_of(
 
 
 class Directions(Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]):
-    """Unit directions to the same points, for pairs of numbers of views; made when asked for.
+    """Unit directions to matching points, for pairs of numbers of views; computed on access.
 
-    Together they would be many times as large as the views.
+    All of them together would need many times the memory of the views.
     """
 
     def __init__(

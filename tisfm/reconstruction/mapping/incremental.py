@@ -1,4 +1,4 @@
-"""Models grown view by view: a first pair, then whatever sees enough of what is known."""
+"""Incremental mapping: a first pair of views, then each view that sees enough known points."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, Protocol
@@ -12,70 +12,70 @@ from tisfm.reconstruction.result.calibration import Calibrate
 
 # Values without a stated source were set by hand.
 
-# Observations that two views share, or a view and the known points.
+# The fewest observations that two views share, or a view and the known points.
 MIN_SHARED = 15
-# Inliers of a view that is added, as a share of its observations of known points.
+# Smallest share of inliers among a new view's observations of known points.
 MIN_INLIER_SHARE = 0.15
-# px: reprojection error of an inlier of a view that is added.
+# px: largest reprojection error of an inlier of a new view.
 MAX_POSE_ERROR = 6.0
-# Views of a model.
+# The fewest views of a model.
 MIN_VIEWS = 3
 # px: larger residuals have a decreasing weight in an adjustment of all views.
 OUTLIER_PIXELS = 0.5
-# px: the same in the first adjustment from rough poses.
+# px: the same bound in the first adjustment from rough poses.
 ROUGH_OUTLIER_PIXELS = 3.0
 # All views are adjusted once views or points have grown by this factor.
 GROWTH_FACTOR = 1.5
 # Steps of an adjustment of all views while a model grows, and the relative change of the squared
 # residuals that ends it.
 GROWING_LIMITS = (10, 1e-4)
-# The same at the end.
+# The same limits at the end.
 FINAL_LIMITS = (50, 1e-5)
-# Degrees: triangulation angles of first pairs, tried in this order. Where a car drives forward,
-# only small ones exist.
+# Degrees: smallest triangulation angles of first pairs, tried in this order. A car that drives
+# forward gives only small angles.
 FIRST_PAIR_ANGLES = (4.0, 1.0, 0.5)
 # First pairs that are tried for each angle.
 MAX_FIRST_PAIRS = 24
-# px: errors that RANSAC tolerates at a first pair. The parallax may be 2 px: with a larger
-# tolerance RANSAC accepts any motion. Films of 160 to 320 px get nearly the same path with 0.5 to
-# 4 px.
+# px: error that RANSAC tolerates at a first pair. The parallax may be as small as 2 px: with a
+# larger tolerance RANSAC accepts any motion. Films of 160 to 320 px get nearly the same path with
+# 0.5 to 4 px.
 FIRST_PAIR_TOLERANCE = 1.0
-# px: longer side up to which this tolerance holds; it grows in proportion to longer frames.
+# px: longer side up to which this tolerance is used; for larger frames it grows in proportion.
 TOLERANCE_FRAME = 1000
-# rad: parallax of matching noise.
+# rad: a smaller parallax is matching noise.
 MIN_PARALLAX = 5e-4
-# rad: more parallax makes a first pair no better.
+# rad: a larger parallax makes a first pair no better.
 FULL_PARALLAX = 0.03
-# Ratio of the residuals of a homography to those of the motion of a first pair, if the focal length
-# is a guess.
+# Smallest ratio of the residuals of a homography to the residuals of the motion of a first pair, if
+# the focal length is a guess.
 MIN_HOMOGRAPHY_RATIO_GUESSED = 2.5
-# If it is known: the same ratio of a rotation with any focal length,
+# If the focal length is known: the same ratio for a rotation with any focal length,
 MIN_ROTATION_RATIO = 6.0
-# and of a homography. On a plane, noise alone makes the residuals of a homography, in two
+# and for a homography. On a plane, noise alone makes the residuals of a homography, which have two
 # dimensions, 1.75 times the distances from epipolar lines.
 MIN_HOMOGRAPHY_RATIO = 1.5
 # Quantile of the parallax of two views that ranks first pairs.
 PARALLAX_QUANTILE = 0.75
-# Share of the best pairs with a motion that show parallax with an estimated focal length. Where the
-# camera rotated and hardly moved it was 0.12 to 0.33 (three sequences), in noise 0, in 20 other
-# sequences 0.71 to 1.
+# Smallest share of pairs with parallax, of the best pairs with a motion, at an estimated focal
+# length. Where the camera rotated and hardly moved it was 0.12 to 0.33 (three sequences), in noise
+# 0, in 20 other sequences 0.71 to 1.
 MIN_PARALLAX_PAIRS = 0.4
-# Mean score per match of a right model.
+# Smallest mean score per match of a right model.
 MIN_MEAN_SCORE = 0.65
-# Score of the worst view of a right model, as a share of the median view. Worst views of right
-# models had 0.84 to 1 of it (blurred: 0.67), one of a bent model had 0.53.
+# Smallest score of the worst view of a right model, as a share of the median view. Worst views of
+# right models had 0.84 to 1 of it (blurred: 0.67), one of a bent model had 0.53.
 MIN_WORST_VIEW = 0.8
-# Otherwise a model is right if another first pair leads to the same score, up to this share.
+# Otherwise a model is right if another first pair leads to the same score, within this share.
 MAX_SCORE_DIFFERENCE = 0.02
-# Views: smaller models are always grown twice, which costs little.
+# Views: models of at most this size are always built twice, which costs little.
 FEW_VIEWS = 8
-# Models that are grown.
+# The largest number of models that are built from different first pairs.
 MAX_STARTS = 3
-# Distance between first pairs, as a share of the remaining views,
+# Smallest distance between first pairs, as a share of the remaining views,
 MIN_START_SHARE = 0.25
 # but at most this number of views.
 MAX_START_DISTANCE = 4
-# Degrees between the rays of a triangulated point.
+# Degrees: smallest angle between the rays of a triangulated point.
 MIN_TRIANGULATION_ANGLE = 0.5
 
 Pairs = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
@@ -88,10 +88,10 @@ class Score(Protocol):
         """Return the sum of the scores of the matches between the views of a model."""
 
     def least_view(self, model: Any) -> float:
-        """Return the mean score of the matches of the worst view over the median of all views."""
+        """Return the mean match score of the worst view, divided by the median over all views."""
 
     def matches(self, views: Collection[int] | None = None) -> int:
-        """Return the number of matches between views, whose numbers begin with 1."""
+        """Return the number of matches between views; numbers of views begin with 1."""
 
 
 def grow_models(
@@ -109,17 +109,17 @@ def grow_models(
     ----------
     database : pycolmap.Database
     pairs : mapping of (int, int) to two (N, 3) arrays
-        For pairs of views, whose numbers begin with 1: directions of unit length to the same
-        points.
+        For pairs of views (numbers begin with 1): unit directions to matching points.
     count : int
-        Of views.
+        Number of views.
     score : Score
-        Chooses among models that begin with different pairs.
+        Compares models that begin with different pairs.
     calibrate : {"nothing", "focal", "radial"}
-        What of the camera is adjusted with the rest, from what it is on.
+        The part of the camera that is adjusted together with poses and points, from its current
+        value.
     focal_known : bool
-        Whether the focal length is known. Then a first pair may show a single plane: it has to show
-        parallax beyond a rotation. With a guess, it has to show parallax beyond a homography.
+        Whether the focal length is known. Then a first pair needs parallax beyond a rotation, and
+        may show a single plane. With a guess, a first pair needs parallax beyond a homography.
     """
     cache = _cache(database)
     mapper = pycolmap().IncrementalMapper(cache)
@@ -144,15 +144,15 @@ def grow_from_poses(
     fixed: bool = True,
     left: Collection[int] | None = None,
 ) -> Any:
-    """Return pycolmap's reconstruction of views, grown from those whose poses are known.
+    """Return pycolmap's reconstruction, continued from views with known poses.
 
     Parameters
     ----------
     database : pycolmap.Database
     known : mapping of int to (3, 4) array
-        World to camera, of two views at least, whose numbers begin with 1.
+        World to camera, for at least two views; numbers of views begin with 1.
     fixed : bool
-        Whether these stay where they are, or are adjusted with the rest.
+        Whether the known poses stay fixed. Otherwise they are adjusted with all others.
     left : collection of int, optional
         The views that may be added; by default all others.
     """
@@ -163,7 +163,7 @@ def grow_from_poses(
     reconstruction = pycolmap().Reconstruction()
     reconstruction.load(cache)
     known = {number: pose for number, pose in known.items() if number in cache.images}
-    if len(known) < 2:  # the others share nothing with any view
+    if len(known) < 2:  # the other known views share no points with any view
         return reconstruction
     for number, pose in known.items():
         reconstruction.frame(number).rig_from_world = pycolmap().Rigid3d(pose)
@@ -178,14 +178,14 @@ def grow_from_poses(
 
 
 def shows_parallax(database: Any, pairs: Pairs) -> bool:
-    """Return whether enough of the best first pairs show parallax beyond a rotation.
+    """Return whether at least MIN_PARALLAX_PAIRS of the best pairs show parallax beyond a rotation.
 
     If few of them do, matching errors determine the focal length and the path.
 
     Parameters
     ----------
     database : pycolmap.Database
-        Whose camera has the focal length that was found.
+        Its camera has the estimated focal length.
     pairs : mapping of (int, int) to two (N, 3) arrays
         As for `grow_models`, with that focal length.
     """
@@ -203,7 +203,7 @@ def _cache(database: Any) -> Any:
 
 
 def first_pair_tolerance(longer_side: float) -> float:
-    """Return the error, px, that a match of a first pair may have.
+    """Return the largest error, px, of a match of a first pair.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def _longer_side(cache: Any) -> int:
 
 
 class _FirstPairs:
-    """Chooses pairs of views that a path may begin with.
+    """Selects the pairs of views from which a path may begin.
 
     Parameters
     ----------
@@ -238,9 +238,9 @@ class _FirstPairs:
     def starts(
         self, mapper: Any, options: Any, left: set[int], begun: Sequence[int]
     ) -> Iterator[tuple[int, int, Any]]:
-        """Give pairs of the views that are left, with the motion from the first to the second.
+        """Yield pairs of remaining views, with the motion from the first to the second.
 
-        Pairs near views of `begun`, which may grow meanwhile, are left out.
+        Pairs near the views in `begun` are left out; the caller may extend `begun` meanwhile.
         """
         possible = [pair for pair in self._ranked if left.issuperset(pair)]
         apart = min(max(MIN_START_SHARE * len(left), 1), MAX_START_DISTANCE)
@@ -254,7 +254,7 @@ class _FirstPairs:
                     yield first, second, motion
 
     def usable_share(self, mapper: Any, options: Any) -> float:
-        """Return the share, from 0 to 1, of the best pairs that a path may begin with.
+        """Return the share, from 0 to 1, of the best pairs from which a path may begin.
 
         Pairs whose matches fit no motion are not counted.
         """
@@ -279,9 +279,10 @@ class _FirstPairs:
         return sorted(worth, key=lambda one: (-worth[one], one))
 
     def _is_needed(self, motion: np.ndarray, first: int, second: int) -> bool:
-        """Return whether a motion, (3, 4), explains directions much better than simpler ones.
+        """Return whether a motion, (3, 4), explains directions much better than simpler motions.
 
-        A motion with a depth for each point explains noise a little better as well.
+        The required ratios exceed 1: a motion with a free depth for each point also fits noise
+        better.
         """
         before, after = self._pairs[first, second]
         normal = np.cross(motion[:, 3], before @ motion[:, :3].T)
@@ -299,11 +300,11 @@ class _FirstPairs:
 def _one(
     mapper: Any, score: Score, options: Any, first_pairs: _FirstPairs, left: set[int]
 ) -> Any | None:
-    """Return a reconstruction of some of the views that are left, None if there is none.
+    """Return a reconstruction of some of the remaining views, or None.
 
-    A first pair may leave the motion open, and views may be added at wrong places. A model
-    counts if it explains all views well, or if a model from another first pair gets the same score.
-    Otherwise the one with the best score counts.
+    A first pair may not determine the motion, and views may get wrong poses. A model is accepted if
+    it explains all views well, or if a model from another first pair gets the same score. Otherwise
+    the model with the best score is returned.
     """
     best, most, begun, is_right = None, 0.0, list[int](), False
     enough = MIN_MEAN_SCORE * score.matches(left)
@@ -333,7 +334,7 @@ def _one(
 def _grow(
     mapper: Any, reconstruction: Any, options: Any, left: set[int], *, roughly: bool = False
 ) -> None:
-    """Grow a reconstruction; `roughly` if all of it has to move first."""
+    """Add views to a reconstruction; with `roughly`, its rough poses are adjusted first."""
     local = options.get_local_bundle_adjustment()
     one_place = LowParallaxFilter(mapper, reconstruction)
 
@@ -387,7 +388,7 @@ def _options(calibrate: Calibrate = "nothing") -> Any:
     options.mapper.abs_pose_min_inlier_ratio = MIN_INLIER_SHARE
     options.mapper.init_min_num_inliers = 2 * MIN_SHARED
     options.triangulation.min_angle = options.mapper.filter_min_tri_angle = MIN_TRIANGULATION_ANGLE
-    options.mapper.init_max_forward_motion = 1.0  # the angle says whether it serves
+    options.mapper.init_max_forward_motion = 1.0  # the triangulation angle decides instead
     for part in (options, options.mapper):
         part.num_threads = 1
     for part in (options, options.mapper, options.triangulation):
@@ -396,14 +397,14 @@ def _options(calibrate: Calibrate = "nothing") -> Any:
 
 
 def _adjustment(options: Any, steps: int, tolerance: float, outlying: float) -> Any:
-    """Return what all views and points are adjusted by, robustly."""
+    """Return the options of the robust adjustment of all views and points."""
     return robust_adjustment(options.get_global_bundle_adjustment(), steps, tolerance, outlying)
 
 
 def robust_adjustment(
     adjustment: Any, steps: int, tolerance: float, outlying: float = OUTLIER_PIXELS
 ) -> Any:
-    """Return pycolmap's options of an adjustment, made robust, of so many steps at most."""
+    """Return pycolmap's options of an adjustment, with a robust loss and at most `steps` steps."""
     adjustment.print_summary = False
     adjustment.ceres.loss_function_type = pycolmap().LossFunctionType.CAUCHY
     adjustment.ceres.loss_function_scale = outlying

@@ -1,39 +1,40 @@
-"""Points that are seen from one place only, as where the camera turns: nothing tells their depth.
+"""Removal of points that are seen from one camera position only: they show no depth.
 
-The way between such views is noise, and so is the depth of points that only they see. These seem
-to be very near, and what is built on them has a scale of its own.
+Where the camera only rotates, the translation between views is noise, and so is the depth of points
+that only these views see. Such points seem very near, and views added from them get a wrong scale.
 """
 
 from typing import Any
 
 import numpy as np
 
-# Share of the median depth of a view: distance to another view that sees a point. Set by hand.
+# Smallest distance to another view that sees a point, as a share of a view's median depth. Set by
+# hand.
 MIN_BASELINE = 0.02
 
 
 class LowParallaxFilter:
-    """Finds the points of a model that are seen from one place only, and deletes them.
+    """Deletes the points of a model that are seen from one camera position only.
 
     Parameters
     ----------
     mapper : pycolmap.IncrementalMapper
     reconstruction : pycolmap.Reconstruction
-        That the mapper works on.
+        The reconstruction that the mapper works on.
     """
 
     def __init__(self, mapper: Any, reconstruction: Any) -> None:
         self._mapper, self._reconstruction = mapper, reconstruction
-        self._known: set[int] = set()  # points that are seen from several places
+        self._known: set[int] = set()  # points that are seen from several positions
 
     def delete(self, number: int) -> None:
-        """Delete such points of a view, of this number.
+        """Delete such points of the view with this number.
 
-        They come back where a view from another place sees them.
+        A deleted point may be triangulated again with a view from another position.
         """
         images, points = self._reconstruction.images, self._reconstruction.points3D
         image = images[number]
-        # Some twice: a point's track may be in one view more than once.
+        # Without repetition: the track of a point may contain two observations of one view.
         seen = list(dict.fromkeys(one.point3D_id for one in image.points2D if one.has_point3D()))
         if not seen:
             return

@@ -1,8 +1,8 @@
-"""How well models explain the matches of views: the number by which models are compared.
+"""Scores of models, by which they are compared: how well they explain the matches of views.
 
-Every match counts, not only those that were triangulated. Where the camera goes forward, far points
+Every match counts, with or without a triangulated point. If the camera moves forward, far points
 often have no triangulated position. The number of triangulated observations may then prefer a wrong
-path that goes sideways.
+path with sideways motion.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -62,10 +62,10 @@ class MatchScore:
         return sum(score for score, _ in self._of_pairs(model).values())
 
     def least_view(self, model: Any) -> float:
-        """Return the mean score of the matches of the worst view over the median of all views.
+        """Return the mean match score of the worst view, divided by the median over all views.
 
-        In a right model it is near 1. A view at a wrong place has a small one, though the model as
-        a whole explains most of the matches.
+        It is near 1 in a right model. It is small if one view has a wrong pose, though the model
+        explains most matches.
         """
         sums: dict[int, np.ndarray] = {}
         for pair, score in self._of_pairs(model).items():
@@ -94,20 +94,20 @@ def half_line_distances(
 ) -> np.ndarray:
     """Return the distances of points from their epipolar half lines.
 
-    A half line goes from the point at infinite depth towards the epipole, where the first camera
-    is seen. It ends there if the first camera is in front of the second.
+    A half line goes from the point at infinite depth towards the epipole, the image of the first
+    camera. It ends at the epipole if the first camera is in front of the second.
 
     Parameters
     ----------
     pose0, pose1 : (3, 4) array
         World to camera, of two views.
     before, after : (N, 3) array
-        Directions to the same points in the first and the second view; z of `after` is positive.
+        Directions to matching points in the first and the second view; z of `after` is positive.
 
     Returns
     -------
     (N,) float64
-        Distances in the second image, in focal lengths; infinite where the nearest place of the
+        Distances in the second image, in focal lengths; infinite if the nearest position on the
         half line is not in front of the second camera.
     """
     rotation = pose1[:, :3] @ pose0[:, :3].T
@@ -128,7 +128,7 @@ def half_line_distances(
 
 
 def _distance_to(direction: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Return the distances of points with z = 1 from directions, infinite for any behind."""
+    """Return the distances of points with z = 1 from directions; infinite for z ≤ 0."""
     z = np.where(direction[:, 2] > 1e-9, direction[:, 2], np.nan)
     away = np.hypot(*(seen - direction / z[:, None])[:, :2].T)
     return np.nan_to_num(away, nan=np.inf)

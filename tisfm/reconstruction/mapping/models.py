@@ -1,6 +1,6 @@
-"""Poses and points from what views have in common, found and adjusted by pycolmap.
+"""Poses and points from matches of views, found and adjusted by pycolmap.
 
-One thread and fixed seeds: the same input gives the same bits.
+pycolmap runs with one thread and fixed seeds: the same input gives the same bits.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,7 +39,8 @@ from tisfm.reconstruction.tracks.triangulation import (
 )
 from tisfm.reconstruction.tracks.views import View
 
-# Share of the area of the frames: models that explain more are the static scene. Set by hand.
+# Share of the area of the frames: models that explain at least this show the static scene. Set by
+# hand.
 MIN_COVERAGE = 0.75
 
 
@@ -52,10 +53,10 @@ class Model:
     poses : dict of int to (4, 4) float64
         Camera to world, by frame.
     points : TrackPoints
-        In the world.
+        Positions of tracks, in the world.
     score : float
-        How well it explains the matches of its views (`MatchScore`). A model grown by parts, or
-        continued, keeps 0.
+        How well the model explains the matches of its views (`MatchScore`). It is 0 for a model
+        from submaps and for a continued model.
     """
 
     poses: dict[int, np.ndarray]
@@ -65,12 +66,12 @@ class Model:
 
 @dataclass(frozen=True, kw_only=True)
 class ViewGraph:
-    """Views, their tracks and their matches, from which models are grown.
+    """Views with their tracks and matches, from which models are built.
 
     Attributes
     ----------
     views : list of View
-        With their longest tracks.
+        Views with their longest tracks.
     pairs : dict of (int, int) to (N, 2) int32
         For pairs of indices of views: indices of matching points.
     shape : (int, int)
@@ -112,9 +113,9 @@ class ViewGraph:
         """Return pycolmap's reconstructions, the largest first.
 
         Each has the focal length of the camera, or its own estimate, and maybe a radial
-        coefficient. A moving object with more points than the static scene may have been taken for
-        the scene. So if much of the area of the frames is unexplained, other models are grown from
-        the unexplained matches, and replace the first ones if they explain more.
+        coefficient. Models may follow a moving object that has more points than the static scene.
+        So if much of the area of the frames is unexplained, other models are built from the
+        unexplained matches. They replace the first models if they explain more area.
         """
         found = self._grown(self.pairs, camera, calibrate)
         cover = Coverage(self.views, self.pairs, self.shape)
@@ -160,7 +161,7 @@ class ViewGraph:
         return sum(map(len, self.pairs.values()))
 
     def continue_model(self, camera: Camera, known: Mapping[int, np.ndarray]) -> Any:
-        """Return pycolmap's reconstruction, grown from fixed known poses, by frame."""
+        """Return pycolmap's reconstruction, continued from fixed known poses, by frame."""
         matrices = {
             number: np.linalg.inv(known[view.frame])[:3]
             for number, view in enumerate(self.views, start=1)
@@ -173,7 +174,7 @@ class ViewGraph:
     def models(
         self, reconstructions: Sequence[Any], views: Sequence[View], camera: Camera
     ) -> list[Model]:
-        """Return models of pycolmap's reconstructions, with the points of all tracks of views."""
+        """Return models of pycolmap's reconstructions, with points of all tracks of the views."""
         models = [self.model(one) for one in reconstructions]
         return [_with_others(model, views, camera, self.shape) for model in models]
 
@@ -199,24 +200,24 @@ def find_models(
         In the order of their frames.
     matches : mapping of (int, int) to (N, 2) int array
         For pairs of indices of views, the smaller first: indices of their detected points that
-        are the same.
+        match.
     camera : Camera
         A pinhole.
     shape : (int, int)
         Height and width of the frames, px.
     focal_known : bool
-        Whether the focal length is known. If it is a guess, a path does not begin where all matches
+        Whether the focal length is known. If it is a guess, a path cannot begin where all matches
         lie in one plane.
 
     Returns
     -------
     list of Model
-        The largest first. A view is in one of them at most.
+        The largest model first. Each view is in at most one model.
 
     References
     ----------
-    Schönberger and Frahm, "Structure-from-motion revisited", CVPR 2016,
-    doi 10.1109/CVPR.2016.445: incremental mapping, whose steps pycolmap does.
+    Schönberger and Frahm, "Structure-from-motion revisited", CVPR 2016, doi 10.1109/CVPR.2016.445:
+    incremental mapping, with pycolmap's steps.
     """
     shared = ViewGraph.of(views, matches, shape, focal_known=focal_known)
     return shared.models(shared.grow_models(camera), views, camera)
@@ -229,14 +230,14 @@ def continue_model(
     shape: tuple[int, int],
     known: Mapping[int, np.ndarray],
 ) -> Model:
-    """Find poses of further views, and points; the known poses of some views are fixed.
+    """Find poses of more views, and points; the known poses of some views are fixed.
 
     Parameters
     ----------
     views, matches, camera, shape
         As for `find_models`.
     known : mapping of int to (4, 4) array
-        Camera to world, by frame, of two views at least.
+        Camera to world, by frame, for at least two views.
 
     Returns
     -------
@@ -268,7 +269,7 @@ def readjust_models(
     Returns
     -------
     list of Model
-        One for each. Views without a model may be added to any of them, the first models first.
+        One model for each set of poses. A view without a pose joins the first model that it fits.
     """
     shared = ViewGraph.of(views, matches, shape)
     number = {view.frame: k for k, view in enumerate(views, start=1)}
@@ -288,7 +289,7 @@ def pose_from_points(
 ) -> np.ndarray | None:
     """Return the pose of a frame, (4, 4) camera to world, from tracks whose points are known.
 
-    None if too few of them agree.
+    None is returned if too few tracks agree.
     """
     known, world = points_of_tracks(seen, points)
     if len(known) < MIN_SHARED:
@@ -318,7 +319,7 @@ def _model(reconstruction: Any, views: Sequence[View]) -> Model:
         if not image.has_pose:
             continue
         poses[views[number - 1].frame] = _matrix(image.cam_from_world())
-    # A track may have come apart into several points: the one that is seen most often counts.
+    # A track may be split into several points: the point with most observations counts.
     for point in sorted(reconstruction.points3D.values(), key=lambda point: point.track.length()):
         for element in point.track.elements:
             tracks = views[element.image_id - 1].seen.tracks
@@ -330,7 +331,7 @@ def _model(reconstruction: Any, views: Sequence[View]) -> Model:
 def _with_others(
     model: Model, views: Sequence[View], camera: Camera, shape: tuple[int, int]
 ) -> Model:
-    """Add the points of the tracks that poses were not adjusted for."""
+    """Add the points of the tracks that the adjustment did not use."""
     seen = [view.seen for view in views if view.frame in model.poses]
     poses = {k: model.poses[frame] for k, frame in enumerate(sorted(model.poses))}
     return replace(model, points=triangulate_tracks(seen, poses, camera, shape) | model.points)

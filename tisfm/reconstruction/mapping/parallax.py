@@ -1,7 +1,7 @@
-"""Angles between matched directions that a simpler motion leaves: a homography, or a rotation.
+"""Residual angles between matched directions after the best homography or the best rotation.
 
-A first pair of a path needs parallax that no such motion explains. Without it the translation is
-open, and any reconstruction from the pair is arbitrary.
+A first pair of a path needs parallax that neither of them explains. Without such parallax the
+translation is unknown, and any reconstruction from the pair is arbitrary.
 """
 
 import numpy as np
@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 # Values without a stated source were set by hand.
 
-# rad: matching noise; smaller angles get no larger weight in the robust fits.
+# rad: matching noise; it bounds the weight of small angles in the robust fits.
 MATCH_NOISE = 5e-4
 # Reweighted rounds of the linear fit of a homography.
 HOMOGRAPHY_ROUNDS = 5
@@ -17,8 +17,8 @@ HOMOGRAPHY_ROUNDS = 5
 ROTATION_STEPS = 12
 # A smaller step, in rad and in the logarithm of the focal length, ends this fit.
 MIN_ROTATION_STEP = 1e-5
-# Focal lengths that a rotation may have, relative to the stated one. With the stated one alone,
-# 20 % off, 7 of 8 rendered pure rotations passed for parallax.
+# Bounds of the focal length in the fit of a rotation, relative to the stated one. With the stated
+# one alone, 20 % off, 7 of 8 rendered pure rotations passed for parallax.
 MIN_FOCAL_RATIO = 0.5
 MAX_FOCAL_RATIO = 2.0
 # Smallest z of a unit direction that is projected.
@@ -26,12 +26,12 @@ MIN_Z = 1e-3
 
 
 def beyond_homography(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return the angles that the best homography leaves.
+    """Return the residual angles after the best homography.
 
     Parameters
     ----------
     before, after : (N, 3) float64
-        Unit directions to the same points in two views.
+        Unit directions to matching points in two views.
 
     Returns
     -------
@@ -58,13 +58,13 @@ def beyond_homography(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 
 
 def beyond_rotation(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return the angles that the best rotation leaves, with the focal length that suits it best.
+    """Return the residual angles after the best rotation, fitted together with a focal length.
 
-    The focal length is the same in both views, and from half to twice the one that the directions
-    were computed with: a rotation seen with a wrong focal length then shows no parallax.
+    The focal length is the same in both views, and 0.5 to 2 times the one that the directions were
+    computed with. So a rotation seen with a wrong focal length shows no parallax.
 
-    Takes and returns the same as `beyond_homography`. The angles are computed with the stated focal
-    length.
+    Parameters and result are those of `beyond_homography`. The angles are computed with the stated
+    focal length.
     """
     seen = (before[:, 2] > MIN_Z) & (after[:, 2] > MIN_Z)
     start, end = (rays[seen, :2] / rays[seen, 2:] for rays in (before, after))
@@ -77,7 +77,7 @@ def beyond_rotation(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 
 
 def _moved_by_rotation(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Return where the best rotation and focal length move points to; all (N, 2), focal lengths."""
+    """Return points moved by the best rotation and focal length; all (N, 2), in focal lengths."""
     rotation, log_focal, weights = np.eye(3), 0.0, np.ones(len(start))
     for number in range(ROTATION_STEPS):
         focal = np.exp(log_focal)

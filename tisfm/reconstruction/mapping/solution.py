@@ -1,4 +1,4 @@
-"""Where the camera was: frames in pieces, through the views and tracks that lead there."""
+"""Solutions of the camera path: focal length, pieces of frames, and the views and tracks used."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,30 +9,28 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 
-MAX_SEEN_DEVIATION = (
-    0.05  # of the focal length: with a larger deviation, the motion does not show it
-)
-MAX_USEFUL_DEVIATION = (
-    0.3  # with a larger one, a guess is as good: lenses of 0.6 to 2 longer sides are common
-)
+# Share of the focal length: with a larger standard deviation, the motion hardly shows it.
+MAX_SEEN_DEVIATION = 0.05
+# The same: with a larger one, a guess is as good, since lenses of 0.6 to 2 longer sides are common.
+MAX_USEFUL_DEVIATION = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
 class FocalEstimate:
-    """A focal length that was found from a sequence, and maybe a radial coefficient.
+    """A focal length that was estimated from a sequence, and maybe a radial coefficient.
 
     Attributes
     ----------
     focal : float
         px.
     deviation : float
-        Standard deviation, px; infinite where the sequence says nothing.
+        Standard deviation, px; infinite if the sequence does not show the focal length.
     radial, radial_deviation : float
-        k1 of the lens; 0 if it was not sought.
+        k1 of the lens, and its standard deviation; both 0 if k1 was not estimated.
     limit : float
-        With a deviation of a larger share of the focal length, a guess is as good.
+        Share of the focal length: with a larger standard deviation, a guess is as good.
     bent : bool
-        Whether a lens that distorts, if there may be one, leads to another focal length.
+        Whether the focal length changes clearly if the lens may distort.
     """
 
     focal: float
@@ -43,7 +41,7 @@ class FocalEstimate:
     bent: bool = False
 
     def taken(self, camera: Camera) -> Camera:
-        """Return a camera with it, or as it is if a guess is as good."""
+        """Return a camera with this focal length and k1; unchanged if a guess is as good."""
         if not self.is_of_use:
             return camera
         distortion = (self.radial, 0.0, 0.0, 0.0) if self.radial else None
@@ -51,25 +49,25 @@ class FocalEstimate:
 
     @property
     def is_seen(self) -> bool:
-        """Whether the motion shows it."""
+        """Whether the motion shows the focal length well."""
         return self.deviation <= MAX_SEEN_DEVIATION * self.focal
 
     @property
     def is_of_use(self) -> bool:
-        """Whether it says more than a guess."""
+        """Whether the estimate is better than a guess."""
         return self.deviation <= self.limit * self.focal
 
 
 @dataclass(frozen=True, kw_only=True)
 class Piece:
-    """Frames in one coordinate system, of one scale.
+    """Frames in one coordinate system, with one scale.
 
     Attributes
     ----------
     poses : dict of int to (4, 4) float64
         Camera to world, by frame, in order.
     views : tuple of int
-        Frames that poses and points were adjusted for.
+        Frames whose poses were adjusted together with the points.
     points : mapping of int to (3,) float64
         Positions of tracks, in the world.
     """
@@ -81,23 +79,23 @@ class Piece:
 
 @dataclass(frozen=True, kw_only=True)
 class PathSolution:
-    """Pieces, and what they were found from.
+    """Pieces of a path, and the views and tracks that they come from.
 
     Attributes
     ----------
     pieces : list of Piece
     unplaced : list of int
-        Frames in none of them.
+        Frames that are in no piece.
     views : sequence of View
-        As frames show them.
+        Views with points as the frames show them.
     seen : sequence of Observations
-        Tracks in every frame, as the camera's pinhole has them.
+        Tracks in every frame, as the pinhole camera would see them.
     camera : Camera
     focal : FocalEstimate or None
-        If it was to be found, and was.
+        The estimate, if the focal length was to be estimated and a path was found.
     score : float
-        How well the models explain the matches of views: the sum of `Model.score`. Models grown by
-        parts, or continued, keep 0.
+        How well the models explain the matches of views: the sum of `Model.score`, which is 0 for
+        models from submaps and for continued models.
     """
 
     pieces: list[Piece]

@@ -1,4 +1,4 @@
-"""The camera path of a sequence, which is found from its frames or given.
+"""The camera path of a sequence, estimated from its frames or given.
 
 May import: `camera`, `checks`, `errors`, `shutter`, `status`, `trajectory`,
 `reconstruction.calibration`, `reconstruction.frames`, `reconstruction.mapping`,

@@ -1,4 +1,4 @@
-"""A given camera path: its poses by frame, and the points that they show."""
+"""A given camera path: its poses by frame, and triangulated points."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,24 +23,24 @@ def given_path(
     times: Sequence[float | None],
     instants: np.ndarray,
 ) -> CameraPath:
-    """Return the path of frames whose poses are given.
+    """Return the camera path for given poses, with triangulated points.
 
     Parameters
     ----------
     tracks : SequenceTracks
     given : Trajectory
-        Its poses are those of middle rows, where rows are not read at once.
+        Given poses; with a rolling shutter, the poses of middle rows.
     camera : Camera
-        A pinhole, of the frames. An unknown readout counts as 0: given poses do not show it.
+        Pinhole camera of the frames. An unknown readout counts as 0: it is not estimated.
     times : sequence of float or None
-        When frames were taken, s; None where that is not known.
+        Times of the frames, s; None if unknown.
     instants : (N,) array
-        The same, in intervals between frames of the source.
+        Times of the frames, in intervals between frames of the source.
 
     Raises
     ------
     InputError
-        If poses do not fit the frames.
+        If poses do not fit the frames in number or in time.
     """
     seen: Sequence[Observations] = tracks.observations
     poses, lost = poses_of_frames(given, times)

@@ -1,4 +1,4 @@
-"""Which of the poses that are given belongs to which frame: by times, or else by their order."""
+"""Assignment of given poses to frames: by times, or else by order."""
 
 from collections.abc import Sequence
 
@@ -10,14 +10,14 @@ from tisfm.status import Status
 from tisfm.trajectory import Trajectory
 from tisfm.trajectory.times import are_increasing, associate
 
-# Share of the median interval between frames: largest time from a frame to its pose.
+# Largest time from a frame to its pose, as a share of the median interval between frames.
 MAX_TIME_SHARE = 0.5
 
 
 def poses_of_frames(
     given: Trajectory, times: Sequence[float | None]
 ) -> tuple[np.ndarray, dict[int, Status]]:
-    """Return a pose for each frame, NaN for none, and why frames have none.
+    """Return a pose for each frame, NaN if it has none, and the reasons for missing poses.
 
     If poses and all frames have times, each frame gets the pose nearest in time. If not, poses
     belong to the frames in their order.
@@ -26,19 +26,20 @@ def poses_of_frames(
     ----------
     given : Trajectory
     times : sequence of float or None
-        When the frames were taken, s; None where that is not known.
+        Times of the frames, s; None if unknown.
 
     Returns
     -------
     poses : (N, 4, 4) float64
         Camera to world.
     missing : dict of int to Status
-        Frames without a pose.
+        Reason for each frame without a pose.
 
     Raises
     ------
     ValueError
-        If poses belong to frames in their order, and are more or fewer; or if none is near in time.
+        If poses are assigned by order, and their number differs from the number of frames; or if no
+        pose is near a frame in time.
     """
     told = "no pose is given for it"
     if given.times is None or len(times) < 2 or not are_increasing(times):

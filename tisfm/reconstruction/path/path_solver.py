@@ -1,4 +1,4 @@
-"""The camera's path through a sequence."""
+"""The camera path of a sequence, estimated from tracks and matches of views."""
 
 from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
@@ -39,23 +39,24 @@ from tisfm.status import Status
 
 @dataclass(frozen=True, kw_only=True)
 class CameraPath:
-    """Poses of frames, in pieces, and why others have none.
+    """Poses of frames, in pieces, and the reasons for missing poses.
 
     Attributes
     ----------
     pieces : tuple of Piece
-        In the order of their first frames. A frame is in one of them at most.
+        In the order of their first frames. Each frame is in at most one piece.
     lost : dict of int to Status
-        Frames in none of them.
+        Reason for each frame that is in no piece.
     seen : sequence of Observations
         Tracks in every frame.
     camera : Camera
-        With the focal length that poses are found with. Poses, points and tracks are those of its
-        pinhole; it has distortion where that was found with them.
+        Camera with the focal length of the path, and with distortion if distortion was estimated.
+        Poses, points and tracks belong to its pinhole, without distortion.
     focal : FocalEstimate or None
-        If it was to be found: None as well if no path was.
+        The estimate, if the focal length was to be estimated and a path was found.
     rolling : Rolling or None
-        If rows are not read at once: poses, points and tracks are those of middle rows.
+        With a rolling shutter: the motion during readout. Poses, points and tracks are those of
+        middle rows.
     """
 
     pieces: tuple[Piece, ...]
@@ -76,15 +77,16 @@ class PathSolver:
     camera : Camera
         A pinhole, of the frames.
     calibrate : {"nothing", "focal", "radial"}
-        The part of the camera that is found with the path: then its focal length is a guess.
+        The part of the camera that is estimated with the path. Except for ``"nothing"``, the focal
+        length of `camera` is a guess.
     limit : float
         Share of the focal length: an estimate with a larger standard deviation is dropped, and the
         guess stays.
     readout : float or None
-        Readout time of the shutter, as in `tisfm.Camera`; None if it is found.
+        Readout time of the shutter, as in `tisfm.Camera`; None if it is estimated.
     focal_known : bool
-        Whether the focal length is known. A path of a guessed focal length does not begin before a
-        single plane.
+        Whether the focal length is known. With a guess, a path cannot begin where all points lie in
+        one plane.
     """
 
     tracks: SequenceTracks
@@ -100,8 +102,7 @@ class PathSolver:
         Parameters
         ----------
         instants : (N,) array, optional
-            When each frame was taken, in intervals between frames of the source; by default one
-            after the other.
+            Time of each frame, in intervals between frames of the source; by default 0, 1, 2, …
         """
         tracks = self.tracks
         if not len(tracks.observations):
@@ -158,7 +159,8 @@ class PathSolver:
         if rolling is None:
             return solution, None
         if len(found.views) <= MAX_VIEWS:
-            # A path that was bent by what rows do may stay so. Another begins without it.
+            # A path bent by the readout effect may stay bent. So another path is built from the
+            # corrected tracks, without the first path as a start.
             calibrate: Calibrate = "focal" if self.calibrate == "focal" else "nothing"
             anew = self._solution(found.views, found.seen, pinhole, calibrate)
             if anew.pieces and anew.focal is None:
@@ -167,7 +169,7 @@ class PathSolver:
                 found = anew
         if found.focal is None:
             found = replace(found, camera=solution.camera, focal=solution.focal)
-        # Frames that have got a pose only now.
+        # The last solution has poses for more frames: their motion is added.
         late = TrackUnroller(
             solution.seen,
             found.pieces,
@@ -190,7 +192,7 @@ class PathSolver:
     ) -> PathSolution:
         """Return the path through views and tracks in every frame."""
         matches, shape, focal = self.tracks.matches, self.tracks.shape, None
-        if len(views) > MAX_VIEWS:  # memory is to be bounded
+        if len(views) > MAX_VIEWS:  # submaps bound the memory
             if calibrate != "nothing":
                 focal = focal_from_submaps(
                     views, matches, camera, shape, calibrate, limit=self.limit
@@ -221,7 +223,7 @@ class PathSolver:
         camera: Camera,
         focal: FocalEstimate | None = None,
     ) -> PathSolution:
-        """Return the solution of models and of the frames between their views."""
+        """Return the solution with the poses of models and of the frames between their views."""
         pieces, unplaced = add_other_frames(
             [Piece(poses=one.poses, views=tuple(one.poses), points=one.points) for one in models],
             seen,
@@ -253,8 +255,8 @@ def find_path(
     Parameters
     ----------
     frames : iterable
-        Of each frame: its grey levels, ignored pixels and image motion, as `SequenceTracker.add`
-        takes them.
+        For each frame: grey levels, ignored pixels and image motion, the arguments of
+        `SequenceTracker.add`.
     camera, readout, focal_known
         As for `PathSolver`.
     cells : int
@@ -270,7 +272,7 @@ def find_path(
 
 
 def _is_of_use(focal: FocalEstimate | None) -> bool:
-    """Return whether a focal length was not sought, or what was found says more than a guess."""
+    """Return whether the estimate of a focal length, if there is any, is better than a guess."""
     return focal is None or focal.is_of_use
 
 
@@ -287,7 +289,7 @@ def _straight(
 
 
 def _straight_views(views: Sequence[View], lens: Camera, shape: tuple[int, int]) -> Sequence[View]:
-    """Return views as a pinhole has them."""
+    """Return views as a pinhole would see them."""
     if lens.is_pinhole:
         return views
     found = DiskCache(View.arrays, View.of_arrays)
@@ -309,7 +311,7 @@ def add_other_frames(
     camera: Camera,
     shape: tuple[int, int],
 ) -> tuple[list[Piece], list[int]]:
-    """Add the frames between views to pieces; return those that are in none as well.
+    """Add the frames between views to pieces; return the pieces and the frames without a piece.
 
     Parameters
     ----------
@@ -317,7 +319,7 @@ def add_other_frames(
     seen : sequence of Observations
         Tracks in every frame.
     frames : iterable of int
-        Those that are to be in a piece.
+        Frames to add.
     camera : Camera
         A pinhole, of the frames.
     shape : (int, int)
@@ -353,11 +355,11 @@ def status_of_lost(
     seen : Observations
         Tracks in the frame.
     pieces : sequence of Piece
-        All that were found.
+        All pieces of the path.
     different : int
         Number of frames that differ from one another.
     focal_known : bool
-        Whether the focal length was stated: then a path may begin before a plane.
+        Whether the focal length is known: then a path may begin where all points lie in one plane.
     """
     count = len(seen.tracks)
     if count < MIN_SHARED:

@@ -1,8 +1,8 @@
-"""The path of a long sequence from overlapping submaps, so that memory is bounded.
+"""The path of a long sequence from overlapping submaps, in bounded memory.
 
 Each submap is mapped by itself. The views of a submap are divided into groups. A graph of
 similarities then moves each group, so that shared points coincide: points of neighbouring groups,
-of consecutive submaps, and of loops. This corrects the drift of scale along a submap as well.
+of consecutive submaps, and of loops. This also corrects the drift of scale along a submap.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,28 +31,28 @@ from tisfm.reconstruction.tracks.views import View
 
 # Values without a stated source were set by hand.
 
-# Views of a submap.
+# Largest number of views of a submap.
 MAX_VIEWS = 370
 # Views that consecutive submaps share.
 OVERLAP_VIEWS = 40
-# Groups of views that all submaps are divided into, roughly.
+# Approximate number of groups into which the views of all submaps are divided.
 GROUP_COUNT = 120
-# Views of a group.
+# Smallest number of views of a group, roughly.
 MIN_GROUP_VIEWS = 8
-# Points that two groups of one submap share.
+# The fewest points that two groups of one submap share.
 MIN_SHARED_POINTS = 15
-# Points that agree on a similarity, between submaps and at loops,
+# The fewest inliers of a similarity, between submaps and at loops,
 MIN_INLIERS = 20
-# and their share of all points.
+# and their smallest share of all points.
 MIN_INLIER_SHARE = 0.5
-# Points that an edge of the graph keeps.
+# Largest number of points that an edge of the graph keeps.
 EDGE_POINTS = 60
-# Error of a point, as a share of its distance: no point is more exact.
+# Smallest assumed error of a point, as a share of its distance.
 MIN_POINT_ERROR = 0.002
 
 
 def submap_spans(count: int) -> list[tuple[int, int]]:
-    """Return the first view of each submap, and the one after its last."""
+    """Return the first view of each submap, and the view after its last."""
     if count <= MAX_VIEWS:
         return [(0, count)]
     parts = -(-(count - OVERLAP_VIEWS) // (MAX_VIEWS - OVERLAP_VIEWS))
@@ -100,19 +100,19 @@ def models_from_submaps(
     *,
     focal_known: bool = True,
 ) -> list[Model]:
-    """Find poses of views and points of tracks, as `models_of` does, in bounded memory.
+    """Find poses of views and points of tracks, as `find_models` does, in bounded memory.
 
     Parameters
     ----------
     views, matches, camera, shape, focal_known
-        As for `tisfm.reconstruction.mapping.models.models_of`.
+        As for `tisfm.reconstruction.mapping.models.find_models`.
     seen : sequence of Observations
         Tracks in every frame.
 
     Returns
     -------
     list of Model
-        The largest first. A view is in one of them at most.
+        The largest model first. Each view is in at most one model.
     """
     size = max(MIN_GROUP_VIEWS, len(views) // GROUP_COUNT)
     spans = submap_spans(len(views))
@@ -130,7 +130,8 @@ def models_from_submaps(
         )
         whole.append({views[view].frame: pose for view, pose in sorted(poses.items())})
     models, taken = [], set[int]()
-    # Parts that do not go together both have the views where they overlap: the larger keeps them.
+    # Submaps that cannot be joined both have the views of their overlap: the larger model keeps
+    # them.
     for poses in sorted(whole, key=lambda one: (-len(one), min(one))):
         own = {frame: pose for frame, pose in poses.items() if frame not in taken}
         if len(own) >= MIN_VIEWS:
@@ -140,7 +141,7 @@ def models_from_submaps(
 
 
 def _inside(parts: Sequence[Submap], begins: Sequence[int]) -> Iterator[Edge]:
-    """Give edges between groups of one part: as it was grown, they lie right."""
+    """Yield edges between groups of one submap: their coordinates already agree."""
     for part, begin in zip(parts, begins[:-1], strict=True):
         for first in range(len(part.groups)):
             for second in range(first + 1, len(part.groups)):
@@ -148,7 +149,7 @@ def _inside(parts: Sequence[Submap], begins: Sequence[int]) -> Iterator[Edge]:
                 if both.sum() < MIN_SHARED_POINTS:
                     if second > first + 1:
                         continue
-                    both = part.shows[first] | part.shows[second]  # a part does not fall apart
+                    both = part.shows[first] | part.shows[second]  # the submap stays connected
                 points = part.points[both]
                 distances = part.distances(first, points)
                 yield _edge(
@@ -159,7 +160,7 @@ def _inside(parts: Sequence[Submap], begins: Sequence[int]) -> Iterator[Edge]:
 def _joints(
     parts: Sequence[Submap], begins: Sequence[int], views: Sequence[View]
 ) -> Iterator[Edge]:
-    """Give edges between groups of parts that have views in common, by the tracks of these."""
+    """Yield edges between groups of submaps with common views, from the tracks of these views."""
     for k, part in enumerate(parts):
         for n, other in enumerate(parts[k + 1 :], start=k + 1):
             shared = sorted(set(part.poses) & set(other.poses))
@@ -196,7 +197,7 @@ def _joints(
 def _common(
     part: Submap, other: Submap, shared: Sequence[int]
 ) -> Iterator[tuple[int, int, list[int]]]:
-    """Give groups of two parts with the views that both have."""
+    """Yield pairs of groups of two submaps, with their common views."""
     for first, views in enumerate(part.groups):
         for second, others in enumerate(other.groups):
             common = sorted(set(shared).intersection(views, others))
@@ -205,7 +206,7 @@ def _common(
 
 
 def _loops(parts: Sequence[Submap], begins: Sequence[int], matches: Matches) -> Iterator[Edge]:
-    """Give edges between groups of different parts that show the same place."""
+    """Yield edges between groups of different submaps that show the same scene (loops)."""
     found: dict[tuple[int, int], list[tuple[np.ndarray, ...]]] = {}
     holding: dict[int, list[int]] = {}
     for number, part in enumerate(parts):
@@ -268,15 +269,15 @@ def _merged(
 ) -> dict[int, np.ndarray]:
     """Return the poses of views in common coordinates.
 
-    From the middle of a group to that of the next, and from a part to the next one, one pose goes
-    over into the other.
+    The pose of a view is a weighted mean. Weights change linearly from the middle of a group to the
+    middle of the next group, and decrease towards both ends of a submap.
     """
     found: dict[int, list[tuple[np.ndarray, float]]] = {}
     for part, place in zip(parts, places, strict=True):
         middles = [float(np.mean(views)) for views in part.groups]
         begin, end = part.span
         for view, pose in part.poses.items():
-            inside = min(view - begin + 1, end - view)  # the nearer to an end, the less it counts
+            inside = min(view - begin + 1, end - view)  # weight, small near both ends
             at = float(np.interp(view, middles, np.arange(len(middles))))
             low = min(int(at), len(middles) - 1)
             high = min(low + 1, len(middles) - 1)

@@ -1,4 +1,4 @@
-"""Submaps of a long sequence, and the points of each that are kept to join them."""
+"""Submaps of a long sequence, with the points that are needed to join them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,17 +22,17 @@ class Submap:
     Attributes
     ----------
     span : (int, int)
-        The first view of the span, and the one after its last.
+        The first view of the span, and the view after its last.
     poses : dict of int to (4, 4) float64
         Camera to world, by view, in order.
     groups : list of list of int
         The views, divided into consecutive groups.
     points : (P, 3) float64
-        The points that were adjusted with the poses.
+        The points that were adjusted together with the poses.
     shows : (G, P) bool
         The points that the views of each group show.
     tracks : TrackPoints
-        Points of the tracks in views that other spans share.
+        Points of the tracks in views that are also in other spans.
     detected : dict of int to ((N,) int64, (N, 3) float64)
         By view: numbers and positions of detected points that match views of other spans.
     """
@@ -46,7 +46,7 @@ class Submap:
     detected: dict[int, tuple[np.ndarray, np.ndarray]]
 
     def group_of(self, view: int) -> int:
-        """Return the number of the group that has a view."""
+        """Return the number of the group that contains a view."""
         return next(k for k, views in enumerate(self.groups) if views[0] <= view <= views[-1])
 
     def posed(self, views: Sequence[int]) -> np.ndarray:
@@ -70,16 +70,16 @@ class Submap:
 
 
 class SubmapBuilder:
-    """Maps the spans of a sequence, one at a time.
+    """Maps the spans of a sequence one by one.
 
     Parameters
     ----------
     views, matches, camera, shape, focal_known
-        As for `tisfm.reconstruction.mapping.models.models_of`.
+        As for `tisfm.reconstruction.mapping.models.find_models`.
     spans : sequence of (int, int)
-        The first view of each part, and the one after its last.
+        The first view of each submap, and the view after its last.
     size : int
-        Of groups, about: views.
+        Approximate number of views of a group.
     """
 
     def __init__(
@@ -99,9 +99,9 @@ class SubmapBuilder:
         self._elsewhere = _matched_elsewhere(matches, spans)
 
     def parts(self) -> list[Submap]:
-        """Return all submaps. The views of one span may give several."""
+        """Return all submaps. One span may have several submaps."""
         found = [self._grown(list(range(*span))) for span in self._spans]
-        # Where a part has no beginning of its own, it continues the one before, or after.
+        # Remaining views of a span are added to a submap of the previous or the next span.
         count = len(found)
         for k in range(1, count):
             found[k] += self._continued(self._spans[k], found[k], found[k - 1])
@@ -188,9 +188,9 @@ def _matched_elsewhere(matches: Matches, spans: Sequence[tuple[int, int]]) -> di
 
 
 def _shown(whole: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points of pycolmap's reconstruction, (P, 3), and what views show of them.
+    """Return the points of pycolmap's reconstruction, (P, 3), and their observations, (N, 3) int64.
 
-    The latter, (N, 3) int64, are numbers of points, of views, and of points in these views; all
+    Each observation has the number of the point, of the view, and of the point within the view; all
     from 0.
     """
     points, shown = [], []
@@ -201,7 +201,7 @@ def _shown(whole: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _by_group(shown: np.ndarray, ends: Sequence[int], count: int) -> np.ndarray:
-    """Return which points the views of each group show, (G, P); `ends` has its last view."""
+    """Return whether groups show points, (G, P) bool; `ends` has the last view of each group."""
     shows = np.zeros((len(ends), count), bool)
     shows[np.searchsorted(ends, shown[:, 1]), shown[:, 0]] = True
     return shows
@@ -214,7 +214,7 @@ def _detected(
     numbers: Sequence[int],
     wanted: Mapping[int, np.ndarray],
 ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Return, by view, the numbers and positions of those wanted points that are known."""
+    """Return, by view, the numbers and positions of the wanted points with known positions."""
     found = {}
     for k in np.unique(shown[:, 1]).tolist():
         view = numbers[k]

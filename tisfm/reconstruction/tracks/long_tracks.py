@@ -1,4 +1,4 @@
-"""Tracks that last: the few that a path is built from."""
+"""Selection of long tracks: the few from which a path is built."""
 
 from collections.abc import Sequence
 
@@ -9,15 +9,15 @@ from tisfm.reconstruction.tracks.tracker import Observations
 # Cells along the longer side: each cell of a view keeps the track that most views see. The first
 # number with enough tracks is used, since parts of frames may be bare. Set by hand.
 CELL_COUNTS = (10, 16, 24)
-# Tracks of a view, in the median, that are enough. Set by hand.
+# Median number of tracks of a view that is enough. Set by hand.
 MIN_TRACKS = 60
 
 
 def choose_long_tracks(seen: Sequence[Observations], longer_side: int) -> list[Observations]:
-    """Return what views see of the tracks that last longest, of every place in every view.
+    """Return the observations of the longest track in each cell of each view.
 
-    A track that few views see adds work, and little else: what it says of the path, those say
-    that last. Points that look alike, which do not drift, count for more beside fewer tracks.
+    A track that few views see adds work but hardly any information that long tracks do not have.
+    With fewer tracks, matches of points by appearance, which do not drift, get more weight.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Image retrieval: views that may show the same scene, however long apart they were taken."""
+"""Image retrieval: pairs of views that may show the same scene, however far apart in time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,17 +14,17 @@ from tisfm.reconstruction.frames.disk_cache import DiskCache
 CODEBOOK_SIZE = 32
 # Descriptors that the codebook is clustered from.
 CODEBOOK_SAMPLE = 8192
-# Rounds of this clustering.
+# Number of rounds of this clustering.
 CODEBOOK_ROUNDS = 8
-# Earlier views that a view is matched with.
+# Largest number of earlier views that a view is matched with.
 CANDIDATES = 3
-# Views between two of these candidates.
+# Smallest distance, in views, between two of these candidates.
 MIN_CANDIDATE_DISTANCE = 3
-# Points of a view with descriptors.
+# The fewest described points of a view.
 MIN_POINTS = 30
-# Share of the likeness of neighbouring views: views that are less alike are not matched.
+# Smallest similarity of matched views, as a share of the median similarity of neighbouring views.
 MIN_LIKENESS = 0.4
-# Largest value of a descriptor, which is kept in 8 bits.
+# Largest value of a descriptor, which is stored in 8 bits.
 MAX_LEVEL = 255.0
 # Views whose codes are in memory at a time.
 BLOCK_VIEWS = 512
@@ -39,7 +39,7 @@ class ImageDescriptors:
     points : (N, 2) float64
         (x, y), px from the upper left pixel's centre.
     levels : (N, 128) uint8
-        Roots of descriptors of these points, times 255.
+        Square roots of the descriptors of these points, times 255.
     """
 
     points: np.ndarray
@@ -52,7 +52,7 @@ class ImageDescriptors:
 
     @classmethod
     def of_arrays(cls, points: np.ndarray, levels: np.ndarray) -> "ImageDescriptors":
-        """Return the object with these arrays."""
+        """Return the descriptors with these arrays."""
         return cls(points=points, levels=levels)
 
     def arrays(self) -> tuple[np.ndarray, ...]:
@@ -70,9 +70,9 @@ def find_similar_views(looks: Sequence[ImageDescriptors], *, apart: int) -> list
     Parameters
     ----------
     looks : sequence of ImageDescriptors
-        Of views in the order of their frames.
+        Descriptors of views, in the order of their frames.
     apart : int
-        Views from the earlier to the later one, at least.
+        Smallest distance, in views, from the earlier to the later view.
 
     References
     ----------
@@ -106,7 +106,7 @@ def find_similar_views(looks: Sequence[ImageDescriptors], *, apart: int) -> list
 
 
 def _most_alike(alike: np.ndarray, seen: Sequence[int], last: int) -> list[int]:
-    """Return the earlier views, up to the last one, that a view is most alike, in order."""
+    """Return the earlier views, up to `last`, that are most similar to a view, in order."""
     chosen: list[int] = []
     for column in np.argsort(-alike, kind="stable").tolist():
         if len(chosen) == CANDIDATES:
@@ -120,7 +120,7 @@ def _most_alike(alike: np.ndarray, seen: Sequence[int], last: int) -> list[int]:
 def _codebook(looks: Sequence[ImageDescriptors], seen: Sequence[int]) -> np.ndarray:
     """Return the centres of clusters of descriptors, (CODEBOOK_SIZE, 128) float32."""
     each = max(1, CODEBOOK_SAMPLE // len(seen))
-    # Some of each view, evenly: seeds of a random choice are not needed.
+    # Evenly spaced descriptors of each view: no random choice, and so no seed.
     some = []
     for k in seen[:: -(-len(seen) // CODEBOOK_SAMPLE)]:
         levels = looks[k].levels

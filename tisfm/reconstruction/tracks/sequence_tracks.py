@@ -1,4 +1,4 @@
-"""Tracking of a whole sequence: tracks in every frame, and the views that a path is built from."""
+"""Tracking of a whole sequence: tracks in every frame, and the views for the camera path."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,9 +12,9 @@ from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
 from tisfm.reconstruction.tracks.tracker import CELLS, Observations, Tracker
 from tisfm.reconstruction.tracks.views import View, ViewSelection
 
-# Views: below this number, the views that are closer together are used instead.
+# Number of views: with fewer, a second selection of views with less motion between them is used.
 FEW_VIEWS = 3
-# Share of the longer side: median motion of tracks between these closer views. Set by hand.
+# Median motion of tracks between these closer views, as a share of the longer side. Set by hand.
 CLOSER_VIEWS = 0.0125
 
 
@@ -27,7 +27,7 @@ class SequenceTracks:
     observations : sequence of Observations
         Tracks in every frame.
     views : sequence of View
-        The frames that a path is built from, in order; none if poses are given.
+        The frames from which a path is built, in order; none if poses are given.
     matches : mapping of (int, int) to (N, 2) int array
         For pairs of indices of views: indices of detected points that match.
     different : int
@@ -51,9 +51,10 @@ class SequenceTracker:
     camera : Camera
         A pinhole, of the frames.
     focal_known : bool
-        Whether matches of views have to fit the focal length of the camera, or any.
+        Whether matches of views have to fit the focal length of the camera. Otherwise any focal
+        length may fit.
     with_views : bool
-        Whether views are selected. A given path needs tracks alone.
+        Whether views are selected. A given path needs only tracks.
     cells : int
         As for `tisfm.reconstruction.tracks.tracker.Tracker`.
     """

@@ -11,31 +11,34 @@ from tisfm.settings import Settings
 
 # Values without a stated source were set by hand.
 
-# Cells along the longer side, by default: a track begins in every cell without one.
+# Default number of cells along the longer side: a new track begins in every cell without a track.
 CELLS = 32
-# Share of a cell: of tracks within one square of this side, the oldest stays.
+# Side of a square, as a share of a cell: of the tracks in one square, the oldest is kept.
 MIN_DISTANCE = 0.6
-# px: side of the window that the structure tensor is averaged in.
+# px: side of the window for the average of the structure tensor.
 STRUCTURE_WINDOW = 5
-# Quantile of the structure of all pixels that a new point exceeds.
+# A new point has more structure than this quantile of all pixels.
 STRUCTURE_QUANTILE = 0.5
-# px: distance of points from the border.
+# px: smallest distance of points from the border.
 BORDER = 4
-# px: distance from the start after the way there and back,
+# px: largest distance from the start after tracking there and back,
 MAX_RETURN_ERROR = 0.5
 # or a share of the longer side, if that is more.
 MAX_RETURN_SHARE = 0.5 / 640
 # px: side of the patches that are compared along a track.
 PATCH_SIDE = 7
-# Grey levels: mean difference of two patches of a track, without their difference in brightness.
+# Grey levels: largest mean difference of two patches of a track, after the difference of their
+# means is removed.
 MAX_PATCH_DIFFERENCE = 12.0
-# px: side of the window of the search for the same patch, which begins where the flow leads.
+# px: side of the window of the search for the same patch, which starts at the position from the
+# flow.
 SEARCH_WINDOW = 11
 # Rounds of this search.
 SEARCH_ROUNDS = 10
 # px: a smaller step ends this search.
 SEARCH_TOLERANCE = 0.01
-# px from where the flow leads: a patch that is found farther away is another one.
+# px: largest distance of the result from the position from the flow: a farther patch belongs to
+# another point.
 MAX_SEARCH = 1.0
 
 
@@ -56,7 +59,7 @@ class Observations:
 
     @classmethod
     def of_arrays(cls, points: np.ndarray, tracks: np.ndarray) -> "Observations":
-        """Return the object with these arrays."""
+        """Return the observations with these arrays."""
         return cls(points=points, tracks=tracks)
 
     def arrays(self) -> tuple[np.ndarray, ...]:
@@ -64,7 +67,7 @@ class Observations:
         return self.points, self.tracks
 
     def shared(self, other: "Observations") -> tuple[np.ndarray, np.ndarray]:
-        """Return the indices, here and in another frame, of the tracks of both."""
+        """Return the indices, in this frame and in another one, of the tracks that both see."""
         _, here, there = np.intersect1d(
             self.tracks, other.tracks, assume_unique=True, return_indices=True
         )
@@ -81,7 +84,7 @@ class Tracker:
     settings : Settings
         Of the image motion.
     cells : int
-        Cells along the longer side: a track begins in every cell without one.
+        Cells along the longer side: a new track begins in every cell without a track.
     """
 
     def __init__(self, camera: Camera, settings: Settings, cells: int = CELLS) -> None:
@@ -105,8 +108,8 @@ class Tracker:
         ignored : (H, W) bool, optional
             Pixels without tracks.
         flow : (h, w, 2) float32, optional
-            Image motion from the previous frame, px of its own size, which is that of
-            `shrink_for_flow`. By default it is found.
+            Image motion from the previous frame at the size of `shrink_for_flow`, px of this size.
+            By default it is computed.
         """
         small = shrink_for_flow(grey)
         points, tracks = self._seen.points, self._seen.tracks
@@ -132,11 +135,11 @@ class Tracker:
 def carry_points(
     grey0: np.ndarray, grey1: np.ndarray, points: np.ndarray, flow: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return where points of frame 0 are in frame 1, and which of them were found there.
+    """Return the positions of points of frame 0 in frame 1, and the points that were found.
 
-    The flow leads to a place; where the point looks as before near by, that is taken. A point is
-    found if, sought from there in frame 0, it comes back to where it was, and what is around it is
-    alike. Few points pass that, but those drift little.
+    The flow gives a first position. If a search by appearance succeeds near it, the searched
+    position is used. A point counts as found if tracking back to frame 0 ends at its start, and the
+    patches in both frames are similar. Few points pass these checks, but these points drift little.
 
     Parameters
     ----------
@@ -179,7 +182,7 @@ def carry_points(
 def _sought(
     grey0: np.ndarray, grey1: np.ndarray, points: np.ndarray, near: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return where points of frame 0 look as before, near places in frame 1, and whether any do."""
+    """Search for points of frame 0 near positions in frame 1; return positions and successes."""
     found, seen, _ = cv2.calcOpticalFlowPyrLK(
         grey0,
         grey1,
@@ -197,13 +200,13 @@ def _sought(
 def choose_new_points(
     grey: np.ndarray, points: np.ndarray, ignored: np.ndarray | None, cells: int = CELLS
 ) -> np.ndarray:
-    """Return the points that stand out most in each cell without a point, (N, 2) float64.
+    """Return the strongest corner of each cell without a point, (N, 2) float64.
 
     Parameters
     ----------
     grey : (H, W) uint8
     points : (M, 2) float64
-        Those that are there already.
+        Existing points.
     ignored : (H, W) bool, or None
     cells : int
         Along the longer side.
@@ -236,12 +239,12 @@ def choose_new_points(
 
 
 def _cell(grey: np.ndarray, cells: int) -> int:
-    """Return the side of the cells that points are begun in, px."""
+    """Return the side of the cells in which new points begin, px."""
     return max(BORDER, round(max(grey.shape) / cells))
 
 
 def thin_out(points: np.ndarray, side: float) -> np.ndarray:
-    """Return the indices of the first points in squares of this side, ascending."""
+    """Return the indices of the first point in each square of this side, ascending."""
     _, first = np.unique(points // side, axis=0, return_index=True)
     return np.sort(first)
 
@@ -253,7 +256,7 @@ def _flow_at(flow: np.ndarray, points: np.ndarray, grey: np.ndarray) -> np.ndarr
 
 
 def _sampled(image: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return an image, (H, W) or (H, W, 2), at points, bilinearly, (N,) or (N, 2)."""
+    """Sample an image, (H, W) or (H, W, 2), at points, bilinearly; return (N,) or (N, 2)."""
     x, y = np.ascontiguousarray(points.T, np.float32)
     values = cv2.remap(
         image, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
@@ -262,7 +265,7 @@ def _sampled(image: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _patches(grey: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return what is around points, (N, PATCH²) float32."""
+    """Return the patches around points, (N, PATCH_SIDE²) float32."""
     offsets = np.arange(PATCH_SIDE, dtype=np.float32) - PATCH_SIDE // 2
     dx, dy = (grid.ravel() for grid in np.meshgrid(offsets, offsets))
     x, y = (points[:, k, None].astype(np.float32) + d for k, d in enumerate((dx, dy)))

@@ -1,4 +1,4 @@
-"""Points of tracks under known poses."""
+"""Triangulation of tracks with known poses."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,19 +11,19 @@ from tisfm.reconstruction.tracks.tracker import Observations
 
 # Values without a stated source were set by hand.
 
-# Frames that see a track.
+# The fewest frames that see a track.
 MIN_FRAMES = 2
-# Degrees between the rays of a track: with less, they show no depth.
+# Degrees: smallest angle between the rays of a track: a smaller angle shows no depth.
 MIN_ANGLE = 0.5
-# px: median residual of a track.
+# px: largest median residual of a track.
 MAX_MEDIAN_RESIDUAL = 3.0
-# Observations that are triangulated at a time, so that memory is bounded.
+# Observations that are triangulated at a time, to bound the memory.
 MAX_OBSERVATIONS = 2**18
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrackPoints(Mapping[int, np.ndarray]):
-    """Points of tracks, in little memory.
+    """Points of tracks: a mapping from track numbers to positions, stored in two arrays.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class TrackPoints(Mapping[int, np.ndarray]):
         return cls(tracks=tracks, positions=positions.reshape(-1, 3))
 
     def __or__(self, others: "TrackPoints") -> "TrackPoints":
-        """Return these points and others, which count where a track has both."""
+        """Return these points and others; of a track in both, the other point is used."""
         kept = ~np.isin(self.tracks, others.tracks)
         tracks = np.concatenate([self.tracks[kept], others.tracks])
         positions = np.vstack([self.positions[kept], others.positions])
@@ -71,7 +71,7 @@ class TrackPoints(Mapping[int, np.ndarray]):
 def points_of_tracks(
     seen: Observations, points: Mapping[int, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return which of a frame's tracks have points, (M,), and where these are, (M, 3)."""
+    """Return the indices of a frame's tracks with points, (M,), and the points, (M, 3)."""
     if isinstance(points, TrackPoints):
         places = np.searchsorted(points.tracks, seen.tracks)
         places[places == len(points)] = 0
@@ -88,12 +88,12 @@ def triangulate_tracks(
     camera: Camera,
     shape: tuple[int, int],
 ) -> TrackPoints:
-    """Return the points of tracks, nearest to all rays that see them.
+    """Triangulate tracks: return the points nearest to the rays of their observations.
 
     Parameters
     ----------
     seen : sequence of Observations
-        Of every frame.
+        Observations of every frame.
     poses : mapping of int to (4, 4) array
         Camera to world, by frame.
     camera : Camera
@@ -111,9 +111,9 @@ def triangulate_tracks(
 def _lots(
     seen: Sequence[Observations], poses: Mapping[int, np.ndarray]
 ) -> Iterator[Mapping[int, Observations]]:
-    """Give what frames with poses see of some tracks at a time, so that memory is bounded."""
+    """Yield observations in frames with poses, of some tracks at a time, to bound the memory."""
     count = np.zeros(0, np.int64)
-    spans = {}  # of the tracks that a frame sees
+    spans = {}  # oldest and newest track, by frame
     for frame in poses:
         tracks = seen[frame].tracks
         if not len(tracks):
@@ -163,7 +163,7 @@ def _triangulated(
     ray, centre, place, frame_of = map(np.concatenate, (rays, centres, places, frames))
     count = np.bincount(index)
     matrix, vector = nearest_point_equations(index, ray, centre, len(numbers))
-    # Where rays are parallel, the least eigenvalue vanishes: count · sin² of their spread.
+    # The smallest eigenvalue is 0 for parallel rays, else count · sin² of their spread.
     least = np.linalg.eigvalsh(matrix)[:, 0]
     good = (count >= MIN_FRAMES) & (least > count * np.sin(np.radians(MIN_ANGLE) / 2) ** 2)
     point = np.zeros((len(numbers), 3))
@@ -185,7 +185,7 @@ def _triangulated(
 def track_depths(
     seen: Observations, points: Mapping[int, np.ndarray], pose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places of a frame's tracks whose points lie before it, (N, 2), and their Z."""
+    """Return positions, (N, 2), and depth of a frame's tracks with points before the camera."""
     known, world = points_of_tracks(seen, points)
     depth = (world - pose[:3, 3]) @ pose[:3, 2]
     return seen.points[known][depth > 0], depth[depth > 0]

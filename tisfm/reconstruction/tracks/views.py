@@ -1,4 +1,4 @@
-"""Views: the frames that a path is built from, and the matches of their points."""
+"""Views: the frames from which a path is built, and the matches of their points."""
 
 from dataclasses import dataclass
 
@@ -15,19 +15,20 @@ from tisfm.reconstruction.tracks.tracker import Observations
 
 # Values without a stated source were set by hand.
 
-# A frame becomes a view if tracks have moved by this share of the longer side since the last view,
+# A frame becomes a view if the median motion of tracks since the last view exceeds this share of
+# the longer side,
 MIN_MOTION = 0.025
-# or if less than this share of its tracks is still visible.
+# or if less than this share of the last view's tracks is still visible.
 MIN_KEPT_TRACKS = 0.35
-# Points of a cell: fewer than for pairs, since views are matched with several others.
+# Detected points per cell: fewer than for pairs, since a view is matched with several views.
 POINTS_PER_CELL = 4
-# Previous views that a view is matched with by appearance.
+# Number of previous views with which a view is matched by appearance.
 MATCHED_VIEWS = 3
-# Matches of two neighbouring views.
+# The fewest matches of two neighbouring views.
 MIN_MATCHES = 15
-# Matches of two views at a loop that one motion explains,
+# The fewest matches of two views at a loop that one motion explains,
 MIN_LOOP_MATCHES = 25
-# and their share of all matches.
+# and their smallest share of all matches.
 MIN_LOOP_SHARE = 0.4
 # Frames are out of order if, of at least this number of views,
 MIN_ORDERED_VIEWS = 8
@@ -35,9 +36,9 @@ MIN_ORDERED_VIEWS = 8
 MAX_FOLLOWING_SHARE = 0.4
 # and at least this share matches other views.
 MIN_ELSEWHERE_SHARE = 0.7
-# px, of 640 across: distance of a match from its epipolar line.
+# px, if the longer side has 640: largest distance of a match from its epipolar line.
 EPIPOLAR_TOLERANCE = 2.0
-# Trials of RANSAC.
+# Largest number of RANSAC trials.
 RANSAC_TRIALS = 500
 
 
@@ -79,16 +80,16 @@ class ViewSelection:
     camera : Camera
         A pinhole, of the frames.
     focal_known : bool
-        Whether matches have to fit its focal length, or may fit any.
+        Whether matches have to fit its focal length. Otherwise any focal length may fit.
     on_disk : bool
-        Whether views lie on disk: then they cannot be dropped.
+        Whether views are stored on disk: then they cannot be dropped.
 
     Attributes
     ----------
     chosen : list of View, or DiskCache of View
         In the order of their frames.
     matches : dict of (int, int) to (N, 2) int32 array
-        For pairs of indices of views: indices of their detected points that are the same.
+        For pairs of indices of views: indices of their detected points that match.
     """
 
     def __init__(self, camera: Camera, *, focal_known: bool = True, on_disk: bool = False) -> None:
@@ -100,7 +101,7 @@ class ViewSelection:
         self._looks: list[ImageDescriptors] | DiskCache[ImageDescriptors] = (
             DiskCache(ImageDescriptors.arrays, ImageDescriptors.of_arrays) if on_disk else []
         )
-        self._matchable: list[int] = []  # views that show enough
+        self._matchable: list[int] = []  # views with enough detected points
         self._compared: set[tuple[int, int]] = set()
 
     def use(self, camera: Camera) -> None:
@@ -123,7 +124,7 @@ class ViewSelection:
     def add(
         self, frame: int, grey: np.ndarray, seen: Observations, ignored: np.ndarray | None
     ) -> None:
-        """Add a frame, (H, W) uint8, as a view, without its ignored pixels, (H, W) bool."""
+        """Add a frame, (H, W) uint8, as a view; ignored pixels, (H, W) bool, get no points."""
         found = _described(grey, ignored)
         number = len(self.chosen)
         self.chosen.append(View(frame=frame, seen=seen, detected=found.points))
@@ -134,7 +135,7 @@ class ViewSelection:
             self._matchable.append(number)
 
     def close_loops(self, shape: tuple[int, int]) -> None:
-        """Match views that show the same scene again (loops); `shape` is that of the frames."""
+        """Match views that show the same scene again (loops), in frames of this shape, px."""
         for pair in find_similar_views(self._looks, apart=MATCHED_VIEWS + 1):
             if pair not in self._compared:
                 self._match(*pair, shape, fewest=MIN_LOOP_MATCHES, share=MIN_LOOP_SHARE)
@@ -208,7 +209,7 @@ class ViewSelection:
                 _, inlier = cv2.findFundamentalMat(
                     before, after, cv2.USAC_MAGSAC, threshold, 0.999, RANSAC_TRIALS
                 )
-        except cv2.error:  # it asserts where matches are degenerate, as those of overlays may be
+        except cv2.error:  # OpenCV fails on degenerate matches, for example of overlays
             return None
         return None if inlier is None else np.asarray(inlier)
 
