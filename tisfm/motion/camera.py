@@ -15,29 +15,30 @@ from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.status import Status
 
-# Of the longer side: parallax between near and far from which depth is carried where frames are
-# partly bare. Below, coarse to fine follows weak texture better.
+# Of the longer side: difference of parallax between near and far from which depth is carried
+# across partly textureless frames. Below, coarse to fine follows weak texture better.
 CARRIED_RANGE = 0.019
-# Of the frame: where less is bare, the images tell the motion better than a flow field does,
-# jointly with depth; where more is, what they tell of it is noise.
+# Of the frame: textureless share below which motion is refined by the images, jointly with depth.
+# Above, the images show mostly noise, and a finer flow field gives the motion.
 BARE_FOR_MOTION = 0.15
-START = 2**14  # pixels, at least, of the flow field that the camera's motion is first found from
+START = 2**14  # least pixels of the flow field that gives the first motion
 
 
 def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose | None) -> Estimate:
-    """Find one rigid motion and the inverse depth of every pixel, both from the images directly.
+    """Find one rigid motion and the inverse depth of every pixel directly from the images.
 
-    A flow field of a coarser level gives a first motion (`tisfm.motion.egomotion`). Depth and
-    motion then are estimated jointly, coarse to fine (`tisfm.motion.rigid_depth`). Where much of
-    a frame is bare and parallax is large, depth is matched and carried across afterwards
-    (`tisfm.motion.textureless_depth`); where even more is, motion is that of a finer flow field.
+    A flow field of a coarser level gives a first motion (`tisfm.motion.egomotion`). Then depth and
+    motion are estimated jointly, coarse to fine (`tisfm.motion.rigid_depth`). If much of a frame
+    is textureless and parallax is large, depth is matched and carried across afterwards
+    (`tisfm.motion.textureless_depth`). If even more is textureless, a finer flow field gives the
+    motion.
 
     Parameters
     ----------
     pyramid : ImagePyramid
     settings : Settings
     pose : KnownPose or None
-        What is known of the motion.
+        Known pose, or known rotation alone.
     """
     camera, level = pyramid.cameras[0], pyramid.last
     labels = np.zeros(pyramid.shape, np.int32)
@@ -92,12 +93,12 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
                 surer = refined.motions
             else:
                 surer, doubt = _finer(pyramid, settings, start, pose)
-                known = None if start.doubt == "uncertain" else start.doubt  # the finer one decides
+                known = None if start.doubt == "uncertain" else start.doubt  # the finer decides
                 start = replace(start, doubt=known or doubt)
         solution = textureless_depth(pyramid, settings, surer[0])
-    misfit = 0.0  # is in the deviation of what is carried
+    misfit = 0.0  # the deviation of carried depth includes the misfit
     if solution is None:
-        # What a sweep finds is sharper than the last level; it is near, so that little is to do.
+        # A sweep may be finer than the last level. Its depth is near the solution: few warps do.
         finer = sweep.finest if sweep.needed else level
         warps = settings.warps if unit is None else None
         solution = joint(finer, warps) if finer < level else refined or joint(level)
@@ -116,9 +117,9 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
 def _finer(
     pyramid: ImagePyramid, settings: Settings, start: FirstMotion, pose: KnownPose | None
 ) -> tuple[np.ndarray, Status | None]:
-    """Return the motion of the flow field of the last level, if it shows one, and why to doubt it.
+    """Return the motion of a flow field on the last level, else the first motion, and a doubt.
 
-    Depth carried across bare surfaces does not refine the motion, which therefore has to be right.
+    Depth carried across textureless surfaces does not refine the motion, so it has to be right.
     """
     pixels = pyramid.frames0[pyramid.last].size
     coarser = start.rotation, start.translation
@@ -131,7 +132,7 @@ def _finer(
 def only_turned(
     pyramid: ImagePyramid, settings: Settings, start: FirstMotion, status: Status, *, level: int
 ) -> Estimate:
-    """Return what is left of a first motion whose depth is not to be seen, and why."""
+    """Return the estimate of a first motion without visible depth, with the reason as status."""
     turned = without_depth(
         pyramid,
         settings,

@@ -1,4 +1,4 @@
-"""What a motion model leaves of a pair: unknowns, flow, depth, and how the iterations ended."""
+"""The estimate of a motion model for a pair: unknowns, flow, depth, and status of iterations."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from tisfm.status import History, Status
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """What a motion model found of a pair, before occlusion and confidence.
+    """The result of a motion model for a pair, before occlusion and confidence.
 
     Attributes
     ----------
@@ -22,28 +22,27 @@ class Estimate:
         (u, v), px/frame.
     inverse_depth : (H, W) float32
     precision : (7, h, w) float32
-        Of `tisfm.kernels.solve.data_precision`, on the level that it ended on.
+        As in `tisfm.kernels.solve.data_precision`, on the last level.
     level : int
-        Of the pyramid, whose frames tell which of two surfaces is hidden.
+        Level of the pyramid whose frames decide which of two surfaces is hidden.
     normalized : bool
-        Whether its residual is in squared px.
+        Whether the residual is in squared px.
     freedom : {1, 2}
-        Along how many directions the image motion of a pixel was free.
+        Number of directions in which the image motion of a pixel was free.
     history : list of (level, warp, Iteration)
     status : Status
-        ``"converged"`` or ``"iteration_limit"``, or why there is nothing to converge to.
+        ``"converged"`` or ``"iteration_limit"``, or why no estimate was possible.
     motions : (K, 6) float64 or None
     labels : (H, W) int32 or None
     inverse_depth_std : (H, W) float32 or None
     widening : float
-        By how much deviations grew for errors that pixels share.
+        Factor of the deviations for errors that pixels share.
     matched : bool
-        Whether the motion was first found from matched points, by which frames may be far apart.
+        Whether the first motion came from matched points, as for frames far apart.
     free_flow : (h, w, 2) float32 or None
-        The flow that one rigid motion was first fitted to, px of its level; None where there is no
-        depth.
+        Flow field that gave the first rigid motion, px of its level; None without depth.
     free_level : int
-        Its level.
+        Level of the flow field.
     """
 
     rho: np.ndarray
@@ -65,7 +64,7 @@ class Estimate:
 
 
 def unmoved(solution: Solution, *, textured: bool = True) -> Status | None:
-    """Return the status of frames that show no motion at all, None if they show some."""
+    """Return the status of frames that show no motion, None if they show motion."""
     if not textured or not _any(solution.system.tensor, 3):
         return Status(
             "no_texture",
@@ -82,14 +81,14 @@ def unmoved(solution: Solution, *, textured: bool = True) -> Status | None:
 
 
 def _any(array: LaneData, components: int) -> bool:
-    """Return whether the first components of a lane array are not all zero."""
+    """Return whether the first components of a lane array have a value other than zero."""
     return any(component.any() for component in on_host(array)[:components])
 
 
 def ended(
     history: Records, converged: bool, settings: Settings, *, adjustable: bool = True
 ) -> Status:
-    """Return how the last iterations ended; `adjustable`: whether settings say how many."""
+    """Return the status of the last iterations; `adjustable`: settings determine their number."""
     last = history[-1][2]
     if not converged and not adjustable:
         return Status(
@@ -97,7 +96,7 @@ def ended(
             f"depth still changed by {last.change:.1e} of its norm in the last iteration "
             f"(tolerance {settings.tolerance:g}): accept a higher tolerance",
         )
-    if settings.pyramid_levels == 1:  # iterations stop by the error left
+    if settings.pyramid_levels == 1:  # the remaining error stops iterations
         return _ended_thoroughly(converged, settings)
     if not converged:
         more = "cycles" if settings.cycles else "sweeps"
@@ -114,7 +113,7 @@ def ended(
 
 
 def _ended_thoroughly(converged: bool, settings: Settings) -> Status:
-    """Return the status of iterations that stop by an estimate of the error left."""
+    """Return the status of iterations that an estimate of the remaining error stops."""
     if converged:
         return Status(
             "converged",

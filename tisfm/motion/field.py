@@ -1,4 +1,4 @@
-"""Motion free at every pixel, as in the paper: ``motion="field"``."""
+"""A motion ρ̂ of its own for every pixel, as in the paper: ``motion="field"``."""
 
 import numpy as np
 
@@ -18,15 +18,15 @@ from tisfm.solver.image_pyramid import ImagePyramid
 def field_estimate(
     pyramid: ImagePyramid, settings: Settings, before: PreviousFrame | None = None
 ) -> Estimate:
-    """Leave ρ̂ free at every pixel.
+    """Estimate a ρ̂ of its own for every pixel.
 
     Parameters
     ----------
     pyramid : ImagePyramid
-        Splines of its coarse levels are let go of.
+        The splines of its coarse levels are freed.
     settings : Settings
     before : PreviousFrame, optional
-        What the frame before adds.
+        Data of the previous frame.
     """
     camera = pyramid.cameras[0]
     problem = flow_problem(settings, camera.focal)
@@ -45,7 +45,7 @@ def field_estimate(
     )
     del solution  # the larger part of the memory
     rho = at_finest(pyramid, unknowns, pyramid.last)
-    if status == "no_texture":  # gradients of frame 1 alone may have moved what shows none
+    if status == "no_texture":  # gradients of frame 1 alone may give a uniform frame 0 motion
         rho[...] = 0
     flow, inverse_depth = _read_out(rho, camera)
     if len(rho) < 6:
@@ -64,7 +64,7 @@ def field_estimate(
 
 
 def _read_out(rho: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Return flow, (2, H, W), and inverse depth, (H, W), of ρ̂ at the finest level."""
+    """Return flow, (2, H, W), and inverse depth, (H, W), of ρ̂ on the finest level."""
     height, width = rho.shape[1:]
     cx, cy = camera.center_for(height, width)
     x_hat = ((np.arange(width) - cx) / camera.focal).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Whether a view of one plane leaves two motions of the camera."""
+"""Check whether a view of a single plane allows two camera motions."""
 
 import numpy as np
 
@@ -11,27 +11,27 @@ TWO_MOTIONS = Status(
     "two motions of the camera explain the frames alike, as where they show one plane, and "
     "depth follows from one of them: take frames that show more, or give the pose",
 )
-FEW = 400  # of the rays, which a homography is fitted to
-ROUNDS = 4  # of weights
-# Of the distances from epipolar lines: those from where the homography of a plane leads, at most.
-# They are along two directions, so that noise alone makes it 1.75; of real frames, 2.6 and more.
+FEW = 400  # rays that a homography is fitted to, about
+ROUNDS = 4  # rounds of robust weights
+# Largest ratio of the distances from a homography's points and from epipolar lines, for a plane.
+# The former have two components, so noise alone makes it 1.75; in real frames it is 2.6 or more.
 AS_NEAR = 2.2
-SMALLEST = 0.02  # px: distances that are no smaller in real frames
-BEFORE = 0.99  # of the rays: a plane that is seen is met by as many, before the camera
+SMALLEST = 0.02  # px: smallest distance in real frames
+BEFORE = 0.99  # least share of the rays that meet a visible plane before the camera
 
 
 def plane_status(rays: Rays, residual: float) -> Status | None:
-    """Return a status if rays show one plane that leaves two motions, None if not.
+    """Return a status if rays show one plane that allows two motions, else None.
 
-    A homography has two decompositions in general. The plane of the wrong one often is behind the
-    camera for some of the rays, which decides.
+    In general a homography has two decompositions. If the plane of one decomposition is behind the
+    camera for some of the rays, this decomposition is wrong.
 
     Parameters
     ----------
     rays : Rays
-        Of a flow field.
+        Rays of a flow field.
     residual : float
-        Robust deviation of their distances from the epipolar lines of the best motion, px.
+        Robust deviation of the rays from the epipolar lines of the best motion, px.
 
     References
     ----------
@@ -51,7 +51,7 @@ def plane_status(rays: Rays, residual: float) -> Status | None:
 
 
 def _homography(rays: Rays) -> tuple[np.ndarray, float]:
-    """Return the homography nearest to rays, (3, 3), and how far they are from it, px."""
+    """Return the homography that fits rays best, (3, 3), and the deviation of the fit, px."""
     before = rays.before
     x, y = rays.after
     nothing = np.zeros_like(before)

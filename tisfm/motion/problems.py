@@ -1,4 +1,4 @@
-"""What the settings ask of the solver: the problem of a flow field, and that of depth."""
+"""The solver's problems by the settings: one for a flow field, and one for depth."""
 
 import math
 
@@ -22,7 +22,7 @@ def pyramid_of(
 ) -> ImagePyramid:
     """Return the pyramid of a pair of grey frames, (H, W) float32 on the 8-bit scale.
 
-    `counted`, (H, W) bool each, says which of their pixels count, by default all.
+    `counted`, (H, W) bool each, are the pixels of each frame that count, by default all.
     """
     return ImagePyramid(
         grey0,
@@ -39,15 +39,15 @@ def pyramid_of(
 def flow_problem(
     settings: Settings, focal: float, stiffness: tuple[float, ...] | None = None
 ) -> Problem:
-    """Return the problem of free motion, by default that of the settings' model.
+    """Return the problem of free motion, by default with the unknowns of the settings' model.
 
     Parameters
     ----------
     settings : Settings
     focal : float
-        Of the finest level, px.
+        Focal length of the finest level, px.
     stiffness : tuple of float, optional
-        Of other unknowns than those of the model.
+        Stiffness of other unknowns than the model's.
     """
     return _problem(
         settings,
@@ -66,7 +66,7 @@ def depth_problem(settings: Settings, focal: float) -> Problem:
     ----------
     settings : Settings
     focal : float
-        Of the level, px.
+        Focal length of the level, px.
     """
     return _problem(
         settings,

@@ -1,4 +1,4 @@
-"""What rigid motions and depth leave of a pair: twists, inverse depth, ρ̂."""
+"""The estimate of a pair from rigid motions and depth: twists, flow, inverse depth, ρ̂."""
 
 import numpy as np
 
@@ -16,8 +16,8 @@ from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.status import Status
 from tisfm.visibility.confidence import median
 
-# px: how far noise leaves flow fields of rendered scenes from where their motion can take points.
-# What a misfit is beyond that is an error of lens, shutter or pose; as many times it, one of D.
+# px: misfit of flow fields of rendered scenes, which comes from noise alone. A larger misfit is an
+# error of lens, shutter or pose. And error of D for each px of that excess.
 FITTING, MISFIT = 0.016, 1.5
 
 
@@ -31,26 +31,26 @@ def with_depth(
     unseen: int | None = None,
     misfit: float = 0.0,
 ) -> Estimate:
-    """Bring a solution to ‖T‖ = 1 and depth in that unit.
+    """Return the estimate of a solution, with ‖T‖ = 1 and depth in that unit.
 
     Parameters
     ----------
     solution : RigidSolution
     labels : (H, W) int32
-        Which of its motions a pixel has.
+        Index of each pixel's motion.
     camera : Camera
     settings : Settings
     unit : float, optional
-        ‖t‖ of a given motion, in whose unit depth then is.
+        ‖t‖ of a given motion; depth is then in its unit.
     unseen : int, optional
-        The label whose parallax is too little to return its depth.
+        The label whose parallax is too small to return its depth.
     misfit : float
-        Robust deviation of a flow field from where the motion can take points, px: what is wrong
-        with more than pixels one by one. All deviations grow in proportion, such that a usual one
-        has it in it.
+        Robust deviation of a flow field from the points that the motion allows, px. It shows errors
+        that pixels share, so all deviations are multiplied by one factor that adds these errors to
+        the median deviation.
     """
     twists = np.empty((len(solution.motions), 6))
-    for_twist = np.empty(len(twists), np.float32)  # d over D, for ‖T‖ = 1
+    for_twist = np.empty(len(twists), np.float32)  # d / D, for ‖T‖ = 1
     for_output = np.empty(len(twists), np.float32)
     for label, motion in enumerate(solution.motions):
         length = float(np.linalg.norm(motion[:, 3]))
@@ -59,7 +59,7 @@ def with_depth(
             for_twist[label] = for_output[label] = 0
             continue
         twist = rigid_twist(motion[:, :3], motion[:, 3] / length)
-        speed = float(np.linalg.norm(twist[:3]))  # ‖T‖ of ‖t‖ = 1
+        speed = float(np.linalg.norm(twist[:3]))  # ‖T‖ for ‖t‖ = 1
         twists[label] = [*(twist[:3] / speed), *twist[3:]]
         for_twist[label] = length * speed / camera.focal
         for_output[label] = for_twist[label] if unit is None else length / camera.focal / unit
@@ -91,7 +91,7 @@ def with_depth(
 
 
 def _widening(deviation: np.ndarray, misfit: float) -> float:
-    """Return the factor by which deviations of D, (H, W) px, grow for a misfit."""
+    """Return the factor of deviations of D, (H, W) px, for a misfit."""
     if misfit <= FITTING:
         return 1.0
     beyond = (misfit**2 - FITTING**2) ** 0.5
@@ -108,10 +108,10 @@ def without_depth(
     status: Status,
     history: Records,
 ) -> Estimate:
-    """Return the flow of a rotation, without depth; the translation is only reported."""
+    """Return an estimate without depth, with the flow of a rotation; translation is only stored."""
     height, width = pyramid.shape
     camera = pyramid.cameras[0]
-    problem = flow_problem(settings, camera.focal, stiffness=(1.0, 1.0))  # of the flow itself
+    problem = flow_problem(settings, camera.focal, stiffness=(1.0, 1.0))  # for (u, v)
     unknowns = unknowns_on(pyramid, 0, problem)
     data_term = data_term_on(pyramid, 0, problem, unknowns)
     minimiser = minimiser_on(problem, unknowns, data_term)
@@ -150,7 +150,7 @@ def _fields(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the flow of motions, (2, H, W), and the ρ̂ of their twists, (6, H, W).
 
-    `for_twist` takes each motion's inverse depth to that of its twist.
+    `for_twist` converts each motion's inverse depth to that of its twist.
     """
     height, width = inverse_depth.shape
     cx, cy = camera.center_for(height, width)

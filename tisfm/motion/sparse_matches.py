@@ -1,4 +1,4 @@
-"""Points of two frames that look alike, however far apart they lie: SIFT, matched."""
+"""Matched SIFT points of two frames, for displacements of any size."""
 
 from dataclasses import dataclass
 
@@ -8,18 +8,19 @@ import numpy as np
 from tisfm import runtime
 from tisfm.threads import start_beside
 
-# Of the detector: rooms have few points, and faint ones; matching leaves out what is not alike.
+# Threshold of the detector. It is low because rooms have few and faint points; matching removes
+# wrong points.
 CONTRAST = 0.01
 LARGEST = 2**20  # pixels: a larger frame is matched on a coarser level
-CELLS = 16  # a side of the frame, by area: each keeps its strongest points
-PER_CELL = 30
-RATIO = 0.8  # of the distances of the nearest descriptor and of the next
-RANGE = (0.5, 99.5)  # percentiles of frame 0 that become 0 and 255
+CELLS = 16  # cells along a side of a square frame of the same area
+PER_CELL = 30  # strongest points that each cell keeps
+RATIO = 0.8  # largest ratio of the distances of the nearest and the second nearest descriptor
+RANGE = (0.5, 99.5)  # percentiles of frame 0 that are mapped to 0 and 255
 
 
 @dataclass(frozen=True, kw_only=True)
 class Matches:
-    """Points of frame 0 and where they are in frame 1, px from the upper left pixel's centre.
+    """Points of frame 0 and their matches in frame 1, px from the upper left pixel's centre.
 
     Attributes
     ----------
@@ -33,14 +34,14 @@ class Matches:
 
 @dataclass(frozen=True, kw_only=True)
 class Described:
-    """Points of a frame and what they look like.
+    """Points of a frame and their descriptors.
 
     Attributes
     ----------
     points : (N, 2) float64
         (x, y), px from the upper left pixel's centre.
     roots : (N, 128) float32
-        Roots of their descriptors, which are of sum 1.
+        Square roots of the descriptors, which are normalised to sum 1.
     """
 
     points: np.ndarray
@@ -54,9 +55,9 @@ def sparse_matches(
 ) -> Matches:
     """Find points that look alike in two frames.
 
-    Detected points are thinned out where they are dense, so that a textured corner does not
-    outvote the rest. Descriptors are compared by the Hellinger distance (RootSIFT). A match is the
-    nearest of each other, and clearly nearer than the next.
+    Detected points are thinned out where they are dense, so a textured corner does not dominate.
+    Descriptors are compared by the Hellinger distance (RootSIFT). The two points of a match are
+    nearest to each other, and clearly nearer than the second nearest point.
 
     Parameters
     ----------
@@ -68,7 +69,7 @@ def sparse_matches(
     Returns
     -------
     Matches
-        The same every time, and possibly none.
+        Always the same for the same frames; there may be none.
 
     References
     ----------
@@ -88,7 +89,7 @@ def sparse_matches(
         first, second = map(_where, (first, second), counted)
     index0, index1 = alike(first, second)
     pairs = np.hstack([first.points[index0], second.points[index1]])
-    pairs = np.unique(pairs, axis=0)  # a point has several descriptors if it has several directions
+    pairs = np.unique(pairs, axis=0)  # a point with several orientations has several descriptors
     return Matches(before=pairs[:, :2], after=pairs[:, 2:])
 
 
@@ -108,7 +109,7 @@ def described(frame: np.ndarray, *, per_cell: int = PER_CELL) -> Described:
     """Detect and describe points of a frame, (H, W) float32 with grey levels in [0, 255]."""
     detector = cv2.SIFT.create(contrastThreshold=CONTRAST)
     image = np.rint(frame).astype(np.uint8)
-    # Descriptors of all take less time than a second pyramid for those that are kept.
+    # Describing all points is faster than building a second pyramid for the kept points.
     found, descriptors = detector.detectAndCompute(image, None)
     if not found:
         return Described(points=np.empty((0, 2)), roots=np.empty((0, 128), np.float32))
@@ -117,7 +118,7 @@ def described(frame: np.ndarray, *, per_cell: int = PER_CELL) -> Described:
     side = (frame.size / CELLS**2) ** 0.5
     kept = _spread(points, strength, side=side, most=per_cell)
     descriptors = descriptors[kept]
-    total = np.maximum(descriptors.sum(axis=1, keepdims=True), 1)  # they have no negative entries
+    total = np.maximum(descriptors.sum(axis=1, keepdims=True), 1)  # entries are not negative
     return Described(points=points[kept], roots=np.sqrt(descriptors / total))
 
 
@@ -130,11 +131,11 @@ def _where(found: Described, counted: np.ndarray) -> Described:
 
 
 def _spread(points: np.ndarray, response: np.ndarray, *, side: float, most: int) -> np.ndarray:
-    """Return the indices of the strongest points of every square of this side, in order."""
+    """Return the indices of the strongest points of every square with this side, in order."""
     column, row = (points // side).astype(np.int64).T
     cell = row * (column.max() + 1) + column
     order = np.lexsort((-response, cell))
-    first = np.searchsorted(cell[order], cell[order])  # where the cell of each begins
+    first = np.searchsorted(cell[order], cell[order])  # start of each point's cell
     strongest = np.arange(len(order)) - first < most
     return np.sort(order[strongest])
 
@@ -144,7 +145,7 @@ def _nearest(alike: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     others = np.array(alike, order="C")
     rows = np.arange(len(others))
     best = others.argmax(axis=1)
-    # Of vectors of length 1, the squared distance is 2 − 2 cos.
+    # The squared distance of vectors of length 1 is 2 − 2 cos.
     nearest = 1 - others[rows, best]
     others[rows, best] = -np.inf
     following = 1 - others.max(axis=1)

@@ -1,4 +1,4 @@
-"""Where to start from if frames lie far apart: a motion from matches, and a depth swept for it."""
+"""The start for frames far apart: a motion from matches, and depth from a plane sweep."""
 
 from dataclasses import dataclass
 
@@ -27,28 +27,28 @@ from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.status import Status
 from tisfm.visibility.occlusion import leaves_image
 
-MOST = 3  # motions that are compared by the images
-RARE, FURTHER = 99, 1.5  # percentile of the matches' D, and how far beyond it depth is sought
+MOST = 3  # motions that the images compare
+RARE, FURTHER = 99, 1.5  # percentile of the matches' D, and largest D of the sweep relative to it
 FEWEST_HYPOTHESES = 4
-UNDECIDED = 0.01  # of mean correlations: motions whose differ by less are as good as each other
+UNDECIDED = 0.01  # difference of mean correlations below which two motions are equally good
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SparseStart:
-    """A motion from matches, and what it makes of a level of the pyramid.
+    """A motion from matches, and its flow on a level of the pyramid.
 
     Attributes
     ----------
     motion : SparseMotion
         Lengths are in px of the finest level.
     flow : (h, w, 2) float32
-        Of the motion and a plane sweep, px of the level.
+        Flow of the motion and the depth of a plane sweep, px of the level.
     trust : (h, w) float32
-        How far to trust it, in [0, 1].
+        Trust in the flow, in [0, 1].
     apart : Status or None
-        Whether it leaves the frames unlike each other all the same.
+        Set if the frames do not match even along this flow.
     doubt : Status or None
-        Whether another motion is as likely.
+        Set if another motion is as likely.
     """
 
     motion: SparseMotion
@@ -59,16 +59,16 @@ class SparseStart:
 
 
 def sparse_start(pyramid: ImagePyramid, level: int, dense: Pose | None) -> SparseStart | None:
-    """Return a motion that matches show and the images agree with, None where there is none better.
+    """Return the motion of matches that fits the images best, or None to keep the dense motion.
 
     Parameters
     ----------
     pyramid : ImagePyramid
     level : int
-        On which motions are compared by the images, and of the flow that is returned.
+        Level on which the images compare motions; the returned flow is on this level.
     dense : (rotation, translation) or None
-        That of a flow field. It stays if the matches have little against it, and decides between
-        motions that the images do not tell apart.
+        Motion of a flow field. It is kept if the matches fit it nearly as well as their best
+        motion. It decides between motions that fit the images equally well.
     """
     finest, matches = _matches(pyramid)
     motions, judge = sparse_motions(matches, pyramid.cameras[finest], pyramid.frames0[finest].shape)
@@ -79,7 +79,7 @@ def sparse_start(pyramid: ImagePyramid, level: int, dense: Pose | None) -> Spars
     views = [_View(pyramid, level, motion) for motion in motions[:MOST]]
     best = max(view.score for view in views)
     likely = [view for view in views if view.score >= best - UNDECIDED]
-    chosen = likely[0]  # that which costs the matches least; directions of all differ
+    chosen = likely[0]  # the motion of least cost for the matches
     doubt = None
     if len(likely) > 1 and dense is not None:
         chosen = min(likely, key=lambda view: angle(view.motion.translation, dense[1]))
@@ -91,10 +91,10 @@ def sparse_start(pyramid: ImagePyramid, level: int, dense: Pose | None) -> Spars
 def posed_start(
     pyramid: ImagePyramid, level: int, pose: Pose
 ) -> tuple[SparseStart | None, Status | None]:
-    """Return what a known motion makes of a level, and why it is wrong.
+    """Return the start for a known motion, and why the motion is wrong.
 
-    The former is None where too few matches agree with it, the latter where they agree with no
-    other motion by far better.
+    The first is None if too few matches agree with the motion. The second is None if no other
+    motion fits the matches far better.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def posed_start(
 
 
 def _matches(pyramid: ImagePyramid) -> tuple[int, Matches]:
-    """Return a level that is not too large, and matches of its frames."""
+    """Return the finest level of at most `LARGEST` pixels, and matches of its frames."""
     finest = next(
         (k for k, frame in enumerate(pyramid.frames0) if frame.size <= LARGEST), pyramid.levels - 1
     )
@@ -132,7 +132,7 @@ def _matches(pyramid: ImagePyramid) -> tuple[int, Matches]:
 
 
 class _View:
-    """A level of the pyramid under one motion: depth by a plane sweep, and how alike frames are."""
+    """A level of the pyramid under one motion: depth by a plane sweep, and frame correlation."""
 
     def __init__(self, pyramid: ImagePyramid, level: int, motion: SparseMotion) -> None:
         self.motion = motion
@@ -171,7 +171,7 @@ class _View:
         self.apart = unrelated(frame0, frame1, self.flow, weight, free=False) if total > 0 else None
 
     def start(self, enlarged: float, doubt: Status | None) -> SparseStart:
-        """Return it, with lengths of the motion that many times as large."""
+        """Return the start, with lengths of the motion multiplied by `enlarged`."""
         return SparseStart(
             motion=self.motion.scaled(enlarged),
             flow=self.flow,
@@ -182,7 +182,7 @@ class _View:
 
 
 def _flow(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return where a motion takes points of inverse depth D, less where they are, (h, w, 2)."""
+    """Return the flow of points of inverse depth D under a motion, (h, w, 2), px/frame."""
     height, width = depth.shape
     cx, cy = camera.center_for(height, width)
     x = (np.arange(width) - cx) / camera.focal

@@ -5,14 +5,14 @@ import numpy as np
 
 from tisfm.visibility.confidence import CONFIDENCE_WINDOW
 
-FLATTEST = 1e-12  # of two variances, in units of the frame's: none where it is flat
+FLATTEST = 1e-12  # least product of two window variances, in units of the frame's variance
 
 
 def window_variance(image: np.ndarray, size: int, mean: np.ndarray | None = None) -> np.ndarray:
     """Return the variance of the square window around every pixel.
 
-    Squares lose digits far from 0, so the mean of the whole image is subtracted first, unless
-    `mean` is given.
+    Squares of values far from 0 lose digits, so the mean of the whole image is subtracted first,
+    unless `mean` is given.
 
     Parameters
     ----------
@@ -20,15 +20,15 @@ def window_variance(image: np.ndarray, size: int, mean: np.ndarray | None = None
     size : int
         Side of the window, px, odd.
     mean : (H, W) float32, optional
-        Mean of every window, of an image whose own mean is about 0.
+        Mean of every window, for an image whose mean is about 0.
 
     Returns
     -------
     (H, W) float32
-        0 at least; not finite where squares are too large for float32.
+        At least 0; not finite where squares are too large for float32.
     """
     window = (size, size)
-    with np.errstate(over="ignore", invalid="ignore"):  # of frames that are far too bright
+    with np.errstate(over="ignore", invalid="ignore"):  # frames may be far too bright
         if mean is None:
             image = image - image.mean()
             mean = cv2.blur(image, window)
@@ -36,12 +36,12 @@ def window_variance(image: np.ndarray, size: int, mean: np.ndarray | None = None
 
 
 def correlation(frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray) -> np.ndarray:
-    """Return the correlation of frame 0 with where a flow leads, in a window around each pixel.
+    """Return the correlation of frame 0 with frame 1 along a flow, in a window around each pixel.
 
     Parameters
     ----------
     frame0, frame1 : (H, W) float32
-        Grey levels, not all the same in frame 0.
+        Grey levels; frame 0 is not uniform.
     flow : (H, W, 2) float32
         px/frame.
 
@@ -50,7 +50,7 @@ def correlation(frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray) -> np.
     (H, W) float32
         In [-1, 1]; 0 where both are flat.
     """
-    # Brightness may be on any scale, and squares lose digits far from 0.
+    # Brightness may be on any scale, and squares of values far from 0 lose digits.
     mean, unit = (np.float32(value(dtype=float)) for value in (frame0.mean, frame0.std))
     frame0, frame1 = (frame0 - mean) / unit, (frame1 - mean) / unit
     moved = warped(frame1, flow)
@@ -62,7 +62,7 @@ def correlation(frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray) -> np.
 
 
 def texture(frame: np.ndarray) -> np.ndarray:
-    """Return how textured the window around a pixel is, next to the others, in [0, 1)."""
+    """Return the variance v of the window around each pixel as v / (v + median), in [0, 1)."""
     frame = frame - frame.mean()
     variance = variance_in_windows(frame, mean_in_windows(frame))
     usual = np.float32(np.median(variance))
@@ -70,12 +70,12 @@ def texture(frame: np.ndarray) -> np.ndarray:
 
 
 def warped(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
-    """Return an image sampled where a flow, (H, W, 2), leads, bilinearly; beyond, it repeats.
+    """Return an image sampled bilinearly along a flow, (H, W, 2); outside, border pixels repeat.
 
-    OpenCV's `remap` takes no image with a side of 32,767 px or more.
+    OpenCV's `remap` cannot be used: it rejects images with a side of 32,767 px or more.
     """
     height, width = image.shape
-    flow = np.nan_to_num(flow)  # where it diverged
+    flow = np.nan_to_num(flow)  # flow may diverge
     x = np.clip(flow[..., 0] + np.arange(width, dtype=np.float32), 0, width - 1)
     y = np.clip(flow[..., 1] + np.arange(height, dtype=np.float32)[:, None], 0, height - 1)
     left = np.minimum(x.astype(np.intp), width - 2)
@@ -96,5 +96,5 @@ def mean_in_windows(image: np.ndarray) -> np.ndarray:
 
 
 def variance_in_windows(image: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Return the variance of the square window around every pixel, of which `mean` is the mean."""
+    """Return the variance of the square window around every pixel, given its mean."""
     return window_variance(image, CONFIDENCE_WINDOW, mean)

@@ -1,4 +1,4 @@
-"""Inverse depth of a background that is partly bare: carried across, around things before it."""
+"""Inverse depth of a partly textureless background, carried across around moving objects."""
 
 import cv2
 import numpy as np
@@ -15,7 +15,7 @@ from tisfm.motion.textureless_depth import (
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 
-RIM = 7  # px: a window that reaches beyond the background's boundary is of no use
+RIM = 7  # px: window that erodes the background, as windows across its boundary mix depths
 
 
 def with_carried_background(
@@ -25,10 +25,10 @@ def with_carried_background(
     labels: np.ndarray,
     motion: np.ndarray,
 ) -> TexturelessSolution | None:
-    """Return a solution whose background, where it is partly bare, has depth that is carried.
+    """Return a solution with carried depth of the background, if this is partly textureless.
 
-    What has another label is neither matched nor constrained under the background's motion, and
-    keeps its motion and depth.
+    Pixels of other labels keep their motion and depth. They are neither matched nor constrained
+    under the background's motion.
 
     Parameters
     ----------
@@ -38,14 +38,14 @@ def with_carried_background(
     labels : (H, W) int32
         0 for the background.
     motion : (3, 4) array
-        R and t of the background as its layer has them: depth that bare surfaces lead astray
-        refines them for the worse.
+        R and t of the background's layer, because wrong depth of textureless surfaces spoils the
+        refined motion.
 
     Returns
     -------
     TexturelessSolution or None
-        None if little of the frame is bare, if the background shows too little parallax between
-        near and far, or if too little of it could be matched.
+        None if little of the frame is textureless, if the background's parallax differs too little
+        between near and far, or if too little of the background could be matched.
     """
     if (
         textureless_share(pyramid.frames0[pyramid.last], pyramid.counted0(pyramid.last))
@@ -66,7 +66,7 @@ def with_carried_background(
     mine = cv2.resize(background.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     ends: list[RigidSolution] = [solution, carried]
     if labels.any() and not solution.converged:
-        ends.reverse()  # the last says how the iterations ended
+        ends.reverse()  # the last one gives the status of the iterations
     first, last = ends
     return TexturelessSolution(
         motions=motions,
@@ -86,7 +86,7 @@ def _on_level(carried: TexturelessSolution, other: RigidSolution) -> np.ndarray:
     if carried.level == other.level:
         return carried.precision
     size = other.precision.shape[:0:-1]
-    area = np.float32((carried.density / other.density) ** 2)  # of a pixel there, px² of its own
+    area = np.float32((carried.density / other.density) ** 2)  # ratio of px² of both levels
     units = (area, area, area, 1 / area, 1 / area, 1 / area, 1 / area)
     channels = zip(carried.precision, units, strict=True)
     return np.stack([cv2.resize(channel, size) * unit for channel, unit in channels])

@@ -1,4 +1,4 @@
-"""Where objects touch the background, their depths agree: scales aligned at contacts."""
+"""Scales of objects from their contacts with the background, where both have the same depth."""
 
 from dataclasses import replace
 
@@ -6,32 +6,32 @@ import numpy as np
 
 from tisfm.motion.estimate import Estimate
 
-APART = 3  # px from the boundary, on both sides, where depths are read
-FEWEST_COLUMNS = 8  # columns that a contact needs
-LOWEST = 0.5  # of an object's rows: what touches the floor is its lower half
+APART = 3  # px: distance from the boundary at which depths are read, on both sides
+FEWEST_COLUMNS = 8  # least number of columns of a contact
+LOWEST = 0.5  # of an object's rows: only the lower half touches the floor
 
 
 def aligned(estimate: Estimate, hidden: np.ndarray) -> Estimate:
-    """Bring objects to the scale of the background below them, where they stand on it.
+    """Bring objects to the scale of the background on which they stand.
 
-    From motion alone every object has a scale of its own. In each column of an object the lowest
-    pixel is taken, if the background lies below it, in the lower half of the object's rows; there
-    both are taken to be equally far away. The median of the ratio over columns is the object's
-    scale. Objects that show no such contact, and all where the background shows no depth, keep
-    their own.
+    From motion alone, every object has a scale of its own. In each column of an object, the lowest
+    pixel counts as a contact if it is in the lower half of the object's rows and the background is
+    below it. Object and background are assumed equally far away there. The object's scale is the
+    median ratio over the columns. Objects without contact keep their own scale, and so do all
+    objects if the background has no depth.
 
     Parameters
     ----------
     estimate : Estimate
         With motions, labels and inverse depth; the background is label 0.
     hidden : (H, W) bool
-        Where depth is not to be read.
+        Pixels whose depth is not used.
 
     Returns
     -------
     Estimate
-        Inverse depth and its deviation in the background's unit; an object's T likewise, so that
-        its length is no longer 1.
+        Inverse depth, its deviation and T of objects are in the background's unit, so the length of
+        an object's T is no longer 1.
     """
     motions, labels = estimate.motions, estimate.labels
     if motions is None or labels is None or estimate.inverse_depth_std is None:
@@ -55,18 +55,18 @@ def aligned(estimate: Estimate, hidden: np.ndarray) -> Estimate:
 def contact_scale(
     inverse_depth: np.ndarray, labels: np.ndarray, hidden: np.ndarray, label: int
 ) -> float | None:
-    """Return the background's inverse depth over an object's where they touch; None if nowhere.
+    """Return the ratio of the background's to an object's inverse depth at contacts, if any.
 
     Parameters
     ----------
     inverse_depth : (H, W) float32
-        Of the object where it is labelled, in its own unit, and of the background elsewhere.
+        In the object's own unit at its pixels, and in the background's unit elsewhere.
     labels : (H, W) int array
         0 for the background.
     hidden : (H, W) bool
-        Where depth is not to be read.
+        Pixels whose depth is not used.
     label : int
-        Of the object.
+        The object's label.
     """
     height = len(labels)
     mine = labels == label
@@ -81,7 +81,7 @@ def contact_scale(
     touches = (labels[below, columns] == 0) & mine[above, columns]
     touches &= ~hidden[below, columns] & ~hidden[above, columns]
     columns, above, below = columns[touches], above[touches], below[touches]
-    # In double precision no quotient overflows.
+    # Double precision avoids overflow of the quotient.
     standing, ground = (inverse_depth[rows, columns].astype(float) for rows in (above, below))
     known = (standing != 0) & np.isfinite(standing) & np.isfinite(ground)
     ratio = ground[known] / standing[known]

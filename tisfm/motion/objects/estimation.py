@@ -1,4 +1,4 @@
-"""Several rigid motions, a label per pixel, and depth of each object: ``motion="objects"``."""
+"""Several rigid motions, a label per pixel, and depth of every object: ``motion="objects"``."""
 
 from dataclasses import replace
 
@@ -21,25 +21,25 @@ from tisfm.settings import MOST_SMOOTHNESS, Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.visibility.occlusion import occlusion_in
 
-# Things show less parallax than a scene does, so that their depth has more noise: it takes more of
-# its neighbours' to even that out.
+# Factor of depth smoothness. Objects show less parallax than a static scene, so their depth has
+# more noise.
 SMOOTHER = 4 / 3
-PIXELS = 2**16  # of the level, at least, on which motions and what has them are found
+PIXELS = 2**16  # least pixels of the level on which motions and their pixels are found
 
 
 def objects_estimate(
     pyramid: ImagePyramid, settings: Settings, grey0: np.ndarray, grey1: np.ndarray
 ) -> Estimate:
-    """Find rigid motions, which pixels have them, and inverse depth, in the unit of each motion.
+    """Find rigid motions, a label for each pixel, and inverse depth in the unit of each motion.
 
-    The largest motion, the background's, is fitted to the flow field; where frames lie too far
-    apart for one, frame 1 is turned back first (`wide_baseline_motion`). Other motions are fitted
-    to the flow that it leaves unexplained (`candidates`). The images decide which of them are
-    needed, and where their boundaries lie (`layers`). Parts that the background's motion explains
-    only as floating are added (`floating_parts`), and boundaries are made sharp (`boundaries`).
-    Depth and motions are then estimated jointly, as for one motion (`tisfm.motion.rigid_depth`),
-    and estimates that diverge are brought back (`unstable_depth`). Where much of the frame has no
-    texture, depth of the background is extrapolated (`background`).
+    The largest motion, the background's, is fitted to the flow field. If frames are too far apart
+    for a flow field, the rotation of frame 1 is undone first (`wide_baseline_motion`). Other
+    motions are fitted to the unexplained flow (`candidates`). The images decide which motions are
+    needed and where their boundaries lie (`layers`). Parts that would float at rest are added
+    (`floating_parts`), and boundaries are made sharp (`boundaries`). Then depth and motions are
+    estimated jointly, as for one motion (`tisfm.motion.rigid_depth`), and diverged labels and
+    pixels are restored (`unstable_depth`). If much of the frame has no texture, depth of the
+    background is carried across (`background`).
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def objects_estimate(
     grey0, grey1 : (H, W) float32
         Grey levels of the frames on the 8-bit scale.
     """
-    # A wrong label costs more than a wrong depth: flow and surfaces are worth some work.
+    # A wrong label is worse than a wrong depth, so flow and surfaces get more iterations.
     settings = replace(
         settings,
         finest_level=0,
@@ -79,7 +79,7 @@ def objects_estimate(
     rank[order] = np.arange(len(order))
     expected = np.take_along_axis(flows, labels[None, None], axis=0)[0]
     labels = rank[labels]
-    # Beside things that are seen well, rough depth of the background says nothing.
+    # Next to objects with reliable depth, rough depth of the background is left out.
     rough = start.status is not None or (len(order) > 1 and start.doubt == "uncertain")
     unseen = int(rank[0]) if rough and areas[0] else None
 
@@ -110,9 +110,9 @@ def objects_estimate(
 def _layers(
     pyramid: ImagePyramid, settings: Settings, grey0: np.ndarray, start: FirstMotion
 ) -> Layers:
-    """Return the layers of the level of a flow field: what moves, and roughly where."""
+    """Return the layers on the level of a flow field: motions and rough labels."""
     coarse, scale = pyramid.coarser(start.level), pyramid.scales[start.level]
-    frame = coarse.frames0[0] if start.level else grey0  # which is sharper
+    frame = coarse.frames0[0] if start.level else grey0  # grey0 is sharper
     hidden = occlusion_in(coarse, np.ascontiguousarray(np.moveaxis(start.flow, -1, 0)), settings)
     motions, labels = motion_candidates(
         start.flow,
@@ -140,10 +140,10 @@ def _to_the_pixel(
     grey1: np.ndarray,
     residual: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return labels, (H, W) int32, and the flow of every layer, (K, 2, H, W), of the finest level.
+    """Return labels, (H, W) int32, and the flow of every layer, (K, 2, H, W), on the finest level.
 
-    From level to level boundaries are made sharp: each is off by little more than a pixel of the
-    one before.
+    Boundaries are sharpened level by level. On each level they are wrong by little more than a
+    pixel of the previous level.
     """
     labels, flows = layers.labels, layers.flows
     if not layers.motions[0][:, 3].any():
@@ -163,7 +163,7 @@ def _to_the_pixel(
 
 
 def _resized(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return labels or a mask of another level, (h, w): each pixel as the nearest."""
+    """Return labels or a mask on another level, (h, w), by nearest neighbours."""
     if image.shape == shape:
         return image
     small = image.astype(np.uint8)
@@ -171,7 +171,7 @@ def _resized(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _finer(flows: np.ndarray, shape: tuple[int, ...], ratio: float) -> np.ndarray:
-    """Return flows, (K, 2, h, w), of a finer level, `ratio` times as dense."""
+    """Return flows, (K, 2, h, w), on a finer level that is `ratio` times as dense."""
     return np.stack(
         [
             np.stack([cv2.resize(part, shape[::-1]) for part in np.nan_to_num(flow)])
@@ -181,10 +181,10 @@ def _finer(flows: np.ndarray, shape: tuple[int, ...], ratio: float) -> np.ndarra
 
 
 def _as_background(layers: Layers, least: float) -> np.ndarray:
-    """Return what moves as the background does, up to so many px, (H, W) bool.
+    """Return pixels whose flow differs from the background's by less than `least` px, (H, W) bool.
 
-    Under a motion with translation, what is far goes where the rotation alone takes it. So any
-    such motion explains a background that has none, with depth that is not there.
+    Under a motion with translation, distant points move as under its rotation alone. So such a
+    motion also explains a background that only rotates, by a wrong depth.
     """
     own = np.take_along_axis(layers.flows, layers.labels[None, None], axis=0)[0]
     return np.linalg.norm(own - layers.flows[0], axis=0) < least

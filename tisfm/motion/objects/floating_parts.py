@@ -1,35 +1,37 @@
-"""What floats: parts of a depth map that cannot be at rest, because nothing holds them up.
+"""Floating parts: regions of a depth map that cannot be at rest, because nothing supports them.
 
-Things that move along the lines that points at rest move along look like points at rest, nearer
-or further than they are. Where they look nearer, they float before everything around them, their
-feet included. A thing at rest that stands on the ground is as near as the ground at its base, and
-from there the ground comes nearer, down to the border of the image.
+An object that moves along the epipolar lines of points at rest looks like a point at rest with a
+wrong depth. If it looks nearer, the whole object, with its feet, floats before its surroundings.
+An object at rest on the ground is different: it has the depth of the ground at its base, and from
+there the ground comes nearer, down to the border of the image.
 """
 
 import cv2
 import numpy as np
 
-PIXELS = 40_000  # of the depth map that is looked at
-MEDIAN, BRIDGE = 5, 3  # px of it: windows of a median, and over gaps between a thing and its stand
-JOINED = 9  # px of it: parts less than that apart are one
-SURE = 2.0  # standard deviations by which something is nearer
-NEARER = 1.3  # times: rooms are full of lamps and leaves that hang, but hardly so far before all
-GROUND = 0.9  # of the depth around a thing: at least as near is what lies below it at the border
-LOWEST = 3  # rows at the border
+PIXELS = 40_000  # most pixels of the depth map, which is reduced if it has more
+MEDIAN, BRIDGE = 5, 3  # px of that map: windows of a median, and across gaps below an object
+JOINED = 9  # px of that map: window that joins parts
+SURE = 2.0  # standard deviations of the limits of inverse depth
+# Least ratio of inverse depths of a floating part and its surroundings. Rooms have hanging lamps
+# and leaves, but they are hardly so far before everything else.
+NEARER = 1.3
+GROUND = 0.9  # least inverse depth at the border below a part, relative to that around the part
+LOWEST = 3  # rows at the lower border that are taken for the ground
 MOST_PARTS = 255  # parts
-FAINTEST_DEPTH = 0.05  # of the median: less inverse depth is as good as none
+FAINTEST_DEPTH = 0.05  # of the median: least inverse depth of the surroundings
 
 
 def floating_parts(inverse_depth: np.ndarray, deviation: np.ndarray, smallest: int) -> np.ndarray:
     """Return the connected parts of a depth map that float, numbered from 1; 0 elsewhere.
 
-    From a point of a thing that stands, a path leads over the thing and the ground to the border
-    of the image that is nowhere much further away than the point. The furthest place of the best
-    path is what morphological reconstruction by dilation from the border gives: the inverse depth
-    with all domes cut off. What is `NEARER` times as near, by lower and upper limits of `SURE`
-    deviations, floats, if the image shows the ground below to come nearer, or at least not to
-    recede. Things that touch the border never float; those that hang from above, or stand tall
-    below a camera that looks straight down on them, seem to.
+    From each point of a standing object, a path over the object and the ground leads to the border
+    of the image, and no point of the path is much farther away than the first. Morphological
+    reconstruction by dilation from the border gives the farthest point of the best path: it is the
+    inverse depth with all domes cut off. A part floats if its inverse depth is `NEARER` times as
+    large, by lower and upper limits of `SURE` deviations, and if the ground below it comes nearer
+    or at least does not recede. Objects that touch the border never float. Objects that hang from
+    above, or are tall and seen from straight above, wrongly seem to float.
 
     Parameters
     ----------
@@ -79,8 +81,8 @@ def floating_parts(inverse_depth: np.ndarray, deviation: np.ndarray, smallest: i
 def without_domes(image: np.ndarray) -> np.ndarray:
     """Return an image with all maxima that do not touch its border cut off.
 
-    At every pixel it is the largest, over paths of eight neighbours to the border, of the least
-    value on the path: the reconstruction of the image by dilation from its border.
+    Each pixel takes the largest, over all 8-connected paths to the border, of the least value on
+    the path. This is the morphological reconstruction of the image by dilation from its border.
 
     Parameters
     ----------

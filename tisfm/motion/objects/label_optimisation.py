@@ -1,6 +1,6 @@
 """Labels of least cost whose boundaries are short and lie on edges of the image.
 
-`Potts` labels a whole image by moves of graph cuts on it, `MinSum` a part of one by belief
+`Potts` labels a whole image by a convex relaxation, `MinSum` a part of an image by belief
 propagation.
 """
 
@@ -18,7 +18,7 @@ from tisfm.solver.unknowns import Unknowns
 
 SMOOTHNESS = Smoothness(
     alpha=20.0,
-    contrast=0.05,  # of a share of a label: total variation, but for the smallest steps
+    contrast=0.05,  # step of a label's share above which the regulariser is total variation
     stiffness=(1.0,),
     joint=True,
     image_edges=5.0,  # boundaries lie on edges of the image
@@ -29,20 +29,21 @@ EFFORT = Effort(outer_iterations=12, sweeps=10, relaxation=1.9, tolerance=5e-3, 
 
 
 class Potts:
-    """Assigns labels by a convex relaxation of Potts' model.
+    """Assigns labels by a convex relaxation of the Potts model.
 
-    The share of every label, exp(−cost/2) normalised over labels, is smoothed by the solver of
-    the interpretation itself: squared distance from it, weighted, plus the edge-preserving
-    regularisation, cut by the edges of the image. The label of the largest share is taken.
+    The share of every label is exp(−cost/2), normalised over labels. The solver of the
+    interpretation smooths it: the energy is the weighted squared distance from the share plus the
+    edge-preserving regularisation, which edges of the image interrupt. Each pixel takes the label
+    of the largest smoothed share.
 
     Parameters
     ----------
     frame : (H, W) float32
         Grey levels.
     density : float
-        How densely it is sampled, of the frames whose boundaries weigh what `SMOOTHNESS` says.
-        With fewer pixels on either side, boundaries count for less: costs fall with the area,
-        boundaries with the length.
+        Sampling density of the frame over that of the frames that `SMOOTHNESS` is for. It scales
+        the weight of boundaries: in a smaller frame, costs fall with the area, boundaries only
+        with the length.
 
     References
     ----------
@@ -62,15 +63,15 @@ class Potts:
         Parameters
         ----------
         costs : (K, H, W) float32
-            Of every label.
+            Cost of every label.
         weight : (H, W) float32
-            How far each pixel has a say; elsewhere its neighbours decide.
+            Weight of each pixel's costs; at small weights the neighbours decide.
         """
         if len(costs) == 1:
             return np.zeros(costs.shape[1:], np.int32)
         shares = np.exp(-0.5 * (costs - costs.min(axis=0)))
         shares /= shares.sum(axis=0)
-        if len(costs) == 2:  # the second share is what the first leaves of 1
+        if len(costs) == 2:  # the second share is 1 minus the first
             return (self._smoothed(shares[0], weight) < 0.5).astype(np.int32)
         smoothed = np.stack([self._smoothed(share, weight) for share in shares])
         return smoothed.argmax(axis=0).astype(np.int32)
@@ -95,7 +96,7 @@ class Potts:
         return unknowns.images()[0]
 
 
-# A step to a neighbour, and the one back: pairs that follow one another.
+# Steps to the eight neighbours; the steps of indices k and k ^ 1 are opposite.
 STEPS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 1))
 
 
@@ -103,21 +104,22 @@ ITERATIONS = 15
 
 
 class MinSum:
-    """Assigns labels that cost little, and whose boundaries do, to the pixels of a mask.
+    """Assigns labels of least cost and short boundaries to the pixels of a mask.
 
-    Each pixel tells its eight neighbours, direction by direction, what their labels would cost it,
-    by what it heard from the others. Boundaries cost their length, as in Potts' model.
+    This is min-sum belief propagation: in one direction after the other, each pixel sends a
+    message to its neighbour, the least cost of each of the neighbour's labels given the messages
+    from the other neighbours. Boundaries cost their length, as in the Potts model.
 
     Parameters
     ----------
     free : (H, W) bool
-        The mask; other pixels keep the label that they have.
+        The mask; other pixels keep their labels.
     frame : (H, W) float32
         Grey levels.
     length : float
-        What a boundary costs for every px of its length, where the frame is uniform.
+        Cost of a boundary per px of its length, where the frame is uniform.
     image_edges : float
-        κ: across a step ΔI of the frame it costs 1/(1 + κ|ΔI|/m) of that, m the mean of |ΔI|.
+        κ: a step ΔI of the frame divides that cost by 1 + κ|ΔI|/m, with m the mean of |ΔI|.
 
     References
     ----------
@@ -136,7 +138,7 @@ class MinSum:
         rows, columns = np.nonzero(free)
         usual = max(mean_step(frame), FAINTEST_EDGE)
         count = len(rows)
-        number = np.full(np.add(free.shape, 2), count)  # of a pixel that says nothing
+        number = np.full(np.add(free.shape, 2), count)  # `count` is a pixel that sends no message
         number[1:-1, 1:-1][free] = np.arange(count)
         inside = np.pad(np.ones(free.shape, bool), 1)
         padded = np.pad(frame, 1)
@@ -159,9 +161,9 @@ class MinSum:
         Parameters
         ----------
         costs : (K, N) float32
-            Of every label.
+            Cost of every label.
         labels : (H, W) int32
-            Of which those of other pixels count.
+            The labels of pixels outside the mask count.
         """
         count = len(costs)
         total = np.zeros((count, costs.shape[1] + 1), np.float32)
@@ -174,7 +176,7 @@ class MinSum:
             for step, (neighbour, cost) in enumerate(
                 zip(self._neighbours, self._costs, strict=True)
             ):
-                # What the neighbour says is all that it knows but for what it heard from here.
+                # The neighbour's message: its total cost without the message that it got from here.
                 says = total.take(neighbour, axis=1) - heard[step ^ 1].take(neighbour, axis=1)
                 says -= says.min(axis=0)
                 np.minimum(says, cost, out=says)

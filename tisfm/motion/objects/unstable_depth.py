@@ -1,7 +1,7 @@
-"""Labels and pixels that run away when motions and depth are refined: brought back, one by one.
+"""Restores labels and pixels whose flow diverges when motions and depth are refined.
 
-The motion of a small thing is hardly held by its data. Where it takes the thing's pixels beyond
-the image, nothing is left to bring it back.
+The data hardly determine the motion of a small object. If the motion takes the object's pixels out
+of the image, no data are left to correct it.
 """
 
 from collections.abc import Callable
@@ -22,10 +22,10 @@ from tisfm.motion.rigid_depth import (
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 
-# Of the longer side: how far the flow of a label, as a median, and that of a pixel may come to be
-# from that of its layer.
+# Of the longer side: largest distance of a label's flow (median) and of a pixel's flow from the
+# flow of the layer.
 LABEL_AWAY, PIXEL_AWAY = 0.01, 0.05
-FEW = 0.02  # of the pixels: if more run away, the pair does
+FEW = 0.02  # of the pixels: if more diverge, the whole pair has diverged, and pixels stay
 
 
 def stable_depth(
@@ -36,28 +36,28 @@ def stable_depth(
     expected: np.ndarray,
     finish: Callable[[RigidSolution], Estimate],
 ) -> tuple[RigidSolution, Estimate]:
-    """Estimate motions and depth of several labels, and leave out what runs away.
+    """Estimate motions and depth of several labels, and restore diverged labels and pixels.
 
-    A label other than the largest whose flow runs away keeps the motion and the depth of its layer.
-    A few pixels that run away take the depth of those of their label that are nearest and do not,
-    or none if there are none. What the images say of them is that of what they come to be.
+    A label whose flow diverges keeps the motion and the depth of its layer; the largest label is
+    never restored. If few pixels diverge, they take the depth of the nearest good pixels of their
+    label, or 0 if there are none. The precision of restored pixels is computed anew.
 
     Parameters
     ----------
     pyramid : ImagePyramid
     settings : Settings
     motions : (K, 3, 4) array
-        R and t of each, the largest label's first.
+        R and t of each motion, the largest label's first.
     labels : (H, W) int32
     expected : (2, H, W) float32
-        The flow of the layers.
+        Flow of the layers.
     finish : callable
-        Makes an estimate of a solution.
+        Returns the estimate of a solution.
 
     Returns
     -------
     RigidSolution, Estimate
-        The second is made of the first.
+        The solution and its estimate.
     """
     side = max(labels.shape)
     solution = rigid_depth(pyramid, settings, motions, labels)
@@ -93,7 +93,7 @@ def _judged(
     labels: np.ndarray,
     where: np.ndarray,
 ) -> RigidSolution:
-    """Return a solution with the precision of its motions and depth on a part of the image."""
+    """Return a solution whose precision is computed anew on a part of the image."""
     depth = solution.inverse_depth
     known = np.where(np.isfinite(depth), depth, 0)
     precision = motion_precision(pyramid, settings, solution.motions, labels, known)
@@ -108,7 +108,7 @@ def _with_layers(
     lost: list[int],
     camera: Camera,
 ) -> RigidSolution:
-    """Return a solution in which some labels have the motion and the depth of their layers."""
+    """Return a solution where the labels `lost` have the motion and depth of their layers."""
     held = solution.motions.copy()
     held[lost] = scaled_translations(motions, labels, camera)[lost]
     depth = solution.inverse_depth.copy()
@@ -129,7 +129,7 @@ def _with_layers(
 
 
 def _away(estimate: Estimate, expected: np.ndarray) -> np.ndarray:
-    """Return how far the flow of every pixel is from what was expected, px; (H, W)."""
+    """Return the distance of every pixel's flow from the expected flow, (H, W), px."""
     with np.errstate(over="ignore", invalid="ignore"):
         away = np.hypot(*(estimate.flow - expected))
     return np.where(np.isfinite(away), away, np.inf)

@@ -1,4 +1,4 @@
-"""The first motion of frames far apart: frame 1 is turned back by what matched points show."""
+"""The first motion of frames far apart: the rotation of frame 1 is undone by matched points."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.status import Status
 from tisfm.visibility.occlusion import leaves_image
 
-BEYOND = 15  # px: the window in which a pixel that frame 1 does not see spoils the flow
+BEYOND = 15  # px: window around a pixel outside frame 1 in which the flow is unreliable
 
 
 def wide_baseline_motion(
@@ -24,21 +24,21 @@ def wide_baseline_motion(
     grey0: np.ndarray,
     grey1: np.ndarray,
 ) -> FirstMotion:
-    """Return a first motion, and the flow of all that moves, where a flow field alone fails.
+    """Return a first motion and a flow field for frames where a flow field alone fails.
 
-    Matches show how the camera turned. Seen as by a camera that did not, frame 1 is like frame 0
-    but for parallax and for what moves on its own, which a flow field shows. What frame 1 does not
-    see has no say in it. Where even that fails, there is the motion of the matches, and the flow
-    of what has it.
+    Matches give the rotation of the camera. Frame 1 is resampled without this rotation. Then it
+    differs from frame 0 only by parallax and moving objects, which a flow field shows. Pixels that
+    frame 1 does not see do not count. If this flow field fails as well, the result is the motion
+    of the matches and its flow.
 
     Parameters
     ----------
     pyramid : ImagePyramid
     settings : Settings
     start : FirstMotion
-        That of the flow field alone, on the finest level.
+        First motion of a flow field alone, on the finest level.
     grey0, grey1 : (H, W) float32
-        Grey levels of its frames.
+        Grey levels of the frames.
     """
     far = sparse_start(pyramid, start.level, None)
     if far is None:
@@ -70,7 +70,7 @@ def wide_baseline_motion(
     flow = cv2.perspectiveTransform(places + found.flow, turn) - places
     status = found.status
     if status == "no_motion":
-        # Frame 1 as it came did move.
+        # The original frame 1 did move: the camera turned.
         status = Status(
             "pure_rotation",
             "too little parallax to see depth by: the camera only turned; it has to change its "
@@ -106,7 +106,7 @@ def _turned_counted(
 
 
 def _homography(rotation: np.ndarray, camera: Camera, height: int, width: int) -> np.ndarray:
-    """Return where a rotation takes pixels, (3, 3)."""
+    """Return the homography of pixels under a rotation, (3, 3)."""
     cx, cy = camera.center_for(height, width)
     matrix = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1]])
     return matrix @ rotation @ np.linalg.inv(matrix)
