@@ -1,4 +1,4 @@
-"""``python -m bench``: times of the kernels beside the NumPy reference, in one table.
+"""``python -m bench``: times of the kernels and of the NumPy reference, in one table.
 
 Each number of threads has a process of its own, since Taichi cannot change its number of threads.
 The timings (JSON of pytest-benchmark), the memory and the table as Markdown are left in
@@ -30,7 +30,7 @@ from bench.shared.results import RESULTS, ROOT, wide_console
 from tisfm.runtime import ARCHS
 from tisfm.settings import Preset
 
-# Package → module, of the packages that run the benchmarks.
+# Package → module, for the packages that run the benchmarks.
 RUNNERS = {"pytest": "pytest", "pytest-benchmark": "pytest_benchmark", "pytest-xdist": "xdist"}
 FAILED = 1  # exit code of pytest if a test failed; other faults have other codes
 DISAGREED = "an answer disagreed with the reference, or a benchmark failed: see above"
@@ -64,7 +64,7 @@ BARS = FULL | {
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Read the command line; options that are not given are those of a full, smoke or bars run."""
+    """Read the command line; defaults depend on whether the run is full, smoke or bars."""
     parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--smoke", action="store_true", help="a small size, in about a minute")
@@ -80,7 +80,8 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     for name, value in (SMOKE if options.smoke else BARS if options.bars else FULL).items():
         if getattr(options, name, None) is None:
             setattr(options, name, value)
-    if options.arch != "cpu":  # one lane there; memory, bars and contests are of the CPU
+    # Kernels have one lane on a GPU; memory, bars and contests are for the CPU.
+    if options.arch != "cpu":
         if options.bars:
             parser.error("the bars are those of the CPU: leave --arch or --bars out")
         options.lanes, options.memory, options.contests = "1", False, False
@@ -106,7 +107,7 @@ def run_benchmarks(options: argparse.Namespace, threads: int, report: Path) -> i
         command.append("--full-reference")
     if options.only:
         command += ["-k", f"stream or ({options.only})"]
-    # More threads of BLAS, which wait by spinning, make the small systems of the reference slower.
+    # More BLAS threads wait by spinning, and slow down the small systems of the reference.
     blas = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     environment = os.environ | dict.fromkeys(blas, "1")
     return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
@@ -167,7 +168,7 @@ def main(arguments: list[str] | None = None) -> int:
         path.write_text(json.dumps(memory, indent=1), encoding="utf-8")
 
     results = collect(reports, memory)
-    # A run without --bars shows the bars of the figures that it measured.
+    # Without --bars, the bars of all measured figures are shown.
     checked = [bar for bar in bars(results) if options.bars or bar.value is not None]
     console = wide_console()
     show(results, console)

@@ -35,7 +35,7 @@ def pytest_generate_tests(metafunc):
     sizes = metafunc.config.getoption("sizes").split(",")
     lanes = [int(count) for count in metafunc.config.getoption("lanes").split(",")]
     if "problem" in metafunc.fixturenames:
-        # By session, so that all benchmarks of one size come before the next size.
+        # by session, so that all benchmarks of one size run before the next size
         metafunc.parametrize("problem", sizes, indirect=True, scope="session")
     if "lanes" in metafunc.fixturenames:
         metafunc.parametrize("lanes", lanes, ids=[f"lanes{count}" for count in lanes])
@@ -71,8 +71,8 @@ def problem(request) -> Problem:
 def measure(benchmark, request):
     """Return a function that times a call and stores the timings under a label.
 
-    The call must have run before, so that it is compiled. A long call without a check before may
-    skip the warm-up.
+    The call must have run before, so that it is compiled. `warm=False` skips the warm-up of a long
+    call.
     """
 
     def timed(call, *, warm=True, **label):

@@ -31,12 +31,12 @@ from tisfm.scenes.block_scenes import STATIC_KINDS
 from tisfm.settings import Motion, Preset, Settings
 
 FOCALS = (320.0, 600.0, 1000.0)  # px, true
-# Assumed over true focal length. 5/3 assumes 1000 px for 600 px and 0.6 the reverse, the pair that
-# the paper compares.
+# Assumed over true focal length. The paper compares 600 and 1000 px: 5/3 assumes 1000 px for a true
+# focal length of 600 px, and 0.6 the reverse.
 RATIOS = (0.5, 0.6, 0.75, 0.9, 1.0, 1.1, 4 / 3, 5 / 3, 2.0)
 PAPER = ((600.0, 5 / 3), (1000.0, 0.6))  # true focal length, px; ratio
-EXACT = 0.01  # px, threshold of the essential matrix of the true flow
-HARDLY = 1.2  # times the error at the true focal length: below, depth counts as unaffected
+EXACT = 0.01  # px, threshold of the essential matrix for the true flow
+HARDLY = 1.2  # ratio to the error at the true focal length, up to which depth counts as unaffected
 NOTES = (
     "abs-rel is the mean of |ΔZ|/Z after scaling by the median; direction and rotation are errors "
     'of the camera\'s motion, `motion="camera"`; the field is `motion="field"`, whose depth is by '
@@ -62,8 +62,8 @@ ROWS = {
 }
 TICKS = (0.5, 0.75, 1.0, 1.33, 2.0)
 MARKERS = ("o", "s", "^", "v")
-FEW_DECADES = 30.0  # ratio of largest to smallest error: below, the axis has more ticks
-LEAST = 1e-4  # of errors on a logarithmic axis
+FEW_DECADES = 30.0  # ratio of largest to smallest error, below which the axis has more ticks
+LEAST = 1e-4  # least error on a logarithmic axis
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,14 +73,14 @@ class Outcome:
     Attributes
     ----------
     kind : str
-        Of the scene's motion.
+        Kind of motion of the scene.
     focal : float
         The true focal length, px.
     ratio : float
         Assumed focal length over the true one.
     status : str
     abs_rel : float or None
-        Of depth, scaled by the median; None if the status says that there is no depth.
+        Error of depth, scaled by the median; None if the status says that there is no depth.
     offset : float or None
         Constant added to the inverse depth, as a share of the scene's median: see `offset_of`.
     direction, rotation : float or None
@@ -88,9 +88,9 @@ class Outcome:
     flow : float
         End-point error, px.
     exact_abs_rel : float
-        Of the depth that an essential matrix and triangulation give from the true flow.
+        Error of the depth that an essential matrix and triangulation give for the true flow.
     field_abs_rel, field_flow : float
-        The same of the flow field, whose depth is that of eq. 24.
+        Errors of the flow field; its depth is that of eq. 24.
     """
 
     kind: str
@@ -138,7 +138,7 @@ def measure(pair: SyntheticPair, kind: str, ratio: float, preset: Preset) -> Out
 
 
 def offset_of(inverse_depth: NDArray, truth: NDArray) -> float:
-    """Return the constant c for which inverse_depth is best fitted by a (truth + c).
+    """Return the constant c for which a (truth + c) fits inverse_depth best, with any factor a.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ def report(outcomes: Sequence[Outcome], conditions: Mapping[str, Any]) -> str:
 
 
 def draw(outcomes: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write the picture of outcomes, as `bench.focal.Outcome` has them."""
+    """Write the picture of outcomes, mappings with the fields of `Outcome`."""
     picture(outcomes).savefig(path)
 
 

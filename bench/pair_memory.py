@@ -1,7 +1,7 @@
 """``python -m bench.pair_memory PRESET [HxW]``: peak memory of one interpretation.
 
 Memory that the process holds after a first interpretation of a tiny pair (libraries, compiled
-kernels) does not count, nor do the two frames, uint8; the result counts.
+kernels) and the two uint8 frames do not count; the result counts.
 """
 
 import contextlib
@@ -34,7 +34,7 @@ def peak() -> int:
 
 def restart() -> None:
     """Reset the peak to the present resident memory, if the system permits."""
-    # If not, temporary memory of the tiny interpretation is subtracted as well.
+    # Without permission, the peak of the tiny interpretation is subtracted as well.
     with contextlib.suppress(OSError):
         CLEAR.write_text("5")
 
@@ -42,7 +42,7 @@ def restart() -> None:
 def measure(preset: Preset, height: int, width: int) -> float:
     """Return the peak memory of interpreting a pair, float32 per pixel."""
     settings, camera = tisfm.Settings.preset(preset), tisfm.Camera(focal=float(width))
-    # No rendered scene: the interpretation would reuse memory that rendering has freed.
+    # Frames are not rendered: the interpretation would reuse memory that rendering has freed.
     blobs = np.random.default_rng(0).integers(0, 256, (height // 8, width // 8), dtype=np.uint8)
     frame0 = cv2.resize(blobs, (width, height))
     frame1 = np.roll(frame0, 2, axis=1)

@@ -1,8 +1,8 @@
-"""``python -m bench.peers``: flow of tisfm beside other libraries, on the same pairs in one run.
+"""``python -m bench.peers``: flow of tisfm and of other libraries, on the same pairs in one run.
 
-The other libraries need an environment of their own: ``--prepare DIR`` makes it, and
-``--peer-python`` names its interpreter. By default, the methods run that the present environment
-has. The tables, all figures and a picture are left in bench/results.
+The other libraries need their own environment: ``--prepare DIR`` makes it, and ``--peer-python``
+names its interpreter. By default, methods run if the present environment has them. The tables, all
+figures and a picture are left in bench/results.
 """
 
 import argparse

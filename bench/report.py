@@ -1,4 +1,4 @@
-"""Table of the stored timings, and the bars that figures of a run are held to."""
+"""The table of stored timings, and the bounds of the figures of a run."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -15,23 +15,24 @@ HEAD = (
     "kernel", "size", "model", "solver", "lanes", "threads", "ns/px", "IQR", "GB/s", "stream",
     "NumPy ns/px", "ratio",
 )  # fmt: skip
-SIZE = (480, 640)  # px, height and width of a pair of the bars
+SIZE = (480, 640)  # px, height and width of the pair for the bounds
 LARGE = (1080, 1920)  # px
-PAIR_SIZE = (240, 320)  # px, of the whole pair beside the reference
+PAIR_SIZE = (240, 320)  # px, of the pair that the reference also solves
 THREADS = 2
 LANES = cpu_lanes()
 # Bounds of figures, set by hand from measurements of earlier states.
 MOST_NS_PER_PIXEL = 12.0  # ns per pixel of a sweep, edges separate, Cholesky
 MOST_NS_PER_PIXEL_JOINT = 6.0  # ns per pixel of a sweep, edges joint, closed form
 LEAST_RATIO = 70.0  # time of the reference's sweep over that of the kernel
-MOST_OVER_FLOOR = 1.3  # of a sweep in two passes: time over that of its bytes at stream bandwidth
+# Of a sweep in two passes: time over the time of its bytes at stream bandwidth.
+MOST_OVER_FLOOR = 1.3
 LEAST_PAIR_RATIO = 50.0  # time of the reference's pair over that of the library
 MOST_FLOATS_PER_PIXEL = 60.0  # float32 per pixel, peak memory
-# This preset has no bound of memory: its regulariser has 12 weights per pixel where the others have
+# This preset has no bound of memory: its regulariser has 12 weights per pixel, other presets have
 # 2, and its cycles keep coarser levels of the whole system.
 UNBOUNDED = "paper"
 
-# Selects the benchmarks that measure the bars, as pytest -k.
+# Value of pytest -k that selects the benchmarks with bounds.
 _AT_PAIR_SIZE = f"{PAIR_SIZE[0]}x{PAIR_SIZE[1]}"
 SELECTION = (
     f"(sweep and (rigid or lexicographic) and not {_AT_PAIR_SIZE}) or "

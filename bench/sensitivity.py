@@ -1,9 +1,9 @@
 """``python -m bench.sensitivity NAME …``: change of the errors if a constant is halved or doubled.
 
 NAME is a number or a tuple of numbers of a module (``tisfm.motion.camera.CONSTANT``), or a frozen
-dataclass or an instance of one, whose fields are changed one at a time. Each case runs in a process
-of its own, which sets the value before other modules import it. Inputs are rendered scenes and, if
-a folder of real sequences is named, real pairs and sequences. The table is left in bench/results.
+dataclass or its instance, whose fields are changed one at a time. Each case runs in its own
+process, which sets the value before other modules import it. Inputs are rendered scenes and, if a
+folder of real sequences is named, real pairs and sequences. The table is left in bench/results.
 """
 
 import importlib
@@ -35,7 +35,7 @@ def find(path: str) -> tuple[Any, str, Any]:
 
 
 def numbers_of(value: Any) -> dict[str, float]:
-    """Return suffix → number, of all numbers in a constant; the suffix of a plain number is ""."""
+    """Return suffix → number for all numbers in a constant; a plain number has the suffix ""."""
     if is_dataclass(value):
         parts = {f".{f.name}": getattr(value, f.name, None) for f in fields(value)}
     elif isinstance(value, tuple):
@@ -47,7 +47,7 @@ def numbers_of(value: Any) -> dict[str, float]:
 
 
 def scaled(value: Any, suffix: str, factor: float) -> Any:
-    """Return a constant with one of its numbers scaled; an integer stays one, and at least 1."""
+    """Return a constant with one number scaled; an integer stays an integer, at least 1."""
     if not suffix:
         return max(1, round(value * factor)) if isinstance(value, int) else value * factor
     if isinstance(value, tuple):
@@ -62,7 +62,7 @@ def scaled(value: Any, suffix: str, factor: float) -> Any:
 def change(path: str, suffix: str, factor: float) -> None:
     """Scale one number of a constant, in its module and in modules that have imported it."""
     owner, name, value = find(path)
-    if isinstance(value, type):  # a dataclass, whose defaults are changed
+    if isinstance(value, type):  # a dataclass: its defaults are changed
         changed, init = scaled(value(), suffix, factor), value.__init__  # type: ignore[misc]
         positional = [f.name for f in fields(changed) if f.init and not f.kw_only]
         count = len(init.__defaults__ or ())
@@ -77,7 +77,7 @@ def change(path: str, suffix: str, factor: float) -> None:
 
 def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
     """Return name → function that measures the figures of an input."""
-    import tisfm  # here and below, after the constant was changed
+    import tisfm  # here and below: imported after the constant was changed
     from bench.sequences.entries import FARTHEST, data_entries
     from bench.sequences.rendered_scores import depth_in_one_scale, path_error
     from bench.shared.sequences import find_pairs, scene_pairs
@@ -134,7 +134,7 @@ def measure(case: dict[str, Any]) -> Figures:
 
 
 def in_process(case: dict[str, Any]) -> Figures | str:
-    """Return the figures of a case from a process of its own, or its last message if it failed."""
+    """Return the figures of a case from its own process, or its last message if it failed."""
     command = [sys.executable, "-m", "bench.sensitivity", "--case", json.dumps(case)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     last = ((done.stderr if done.returncode else done.stdout).strip().splitlines() or [""])[-1]

@@ -1,7 +1,7 @@
 """``python -m bench.solvers``: convergence of the linear system.
 
-The system is that of a cold start at one scale: the paper's data term, weights of edges fixed by
-the image, ρ̂ = 0 at first. Its energy after some work is compared with the least energy.
+The system is the first one at a single scale: the paper's data term, edge weights from the image,
+and ρ̂ = 0. The energy after some work is compared with the least energy.
 """
 
 import argparse
@@ -37,24 +37,24 @@ from tisfm.solver.unknowns import Unknowns
 SIZES = ((120, 160), (240, 320), (480, 640), (1080, 1920))  # px, height and width
 ALPHA = PAPER_SMOOTHNESS  # λ̂
 IMAGE_EDGES = 2.0  # κ of the weights of edges
-FOCAL = 600 / 640  # of the width
+FOCAL = 600 / 640  # as a share of the width
 RELAXATIONS = (1.0, 1.5, 1.9, 1.95)
 SWEEPS = (1, 2, 4, 8, 12, 16, 20, 24, 32, 40, 50, 64, 80, 100, 128, 160, 200)
 CYCLES = 12
-CONVERGED = 30  # cycles with conjugate gradients, for the least energy
+CONVERGED = 30  # cycles with conjugate gradients that give the least energy
 GAPS = (1e-2, 1e-3, 1e-4, 1e-5)
 BUDGET = 16.0  # sweeps
 ROUNDS = 9  # timed calls of each step
-LEAST_GAP = 1e-8  # drawn: rounding to single precision decides smaller ones
-MOST_WORK = 130.0  # sweeps, drawn
+LEAST_GAP = 1e-8  # least gap in the picture: rounding to single precision decides smaller gaps
+MOST_WORK = 130.0  # sweeps, end of the axis
 
-# Work is counted in sweeps of the finest grid, by the memory to be moved (a sweep: 29 words per
-# pixel). On every level, with a quarter of the pixels of the finer one: two sweeps, the residual
-# and its restriction (25 words, counted as a sweep) and the correction (14 words, as half a sweep).
+# Work is counted in sweeps of the finest grid, by the words that are moved: a sweep moves 29 words
+# per pixel. Every level has a quarter of the pixels of the finer level, and takes two sweeps, a
+# residual with its restriction (25 words, a sweep) and a correction (14 words, half a sweep).
 LEVELS = 4 / 3
 CYCLE = LEVELS * 3.5
 SET_UP = 1.0  # coarse tensors and weights, 23 words, on all levels
-PLANE = 2.5  # conjugate gradients beside the cycle: 35 words for the scalars, 36 for the step
+PLANE = 2.5  # conjugate gradients, added to a cycle: 35 words for the scalars, 36 for the step
 
 CONSTANCY = Constancy(brightness=1.0, gradient=0.0, normalization=None, derivatives="cube")
 
@@ -117,10 +117,10 @@ class System:
             contrast=math.inf,
             scales=term.scales,
         )
-        self.energy()  # also sets the weights of the edges
+        self.energy()  # also sets the edge weights
 
     def energy(self) -> float:
-        """Return the energy of the present ρ̂."""
+        """Return the energy of the current ρ̂."""
         return self._update().energy
 
     def sweep(self, relaxation: float, sweeps: int = 1) -> None:
@@ -205,7 +205,7 @@ def wall_times(pair: FlowPair, size: tuple[int, int]) -> dict[str, float]:
         for name, step in steps.items():
             started = time.perf_counter()
             step()
-            if turn:  # the first compiles
+            if turn:  # the first turn compiles kernels
                 seconds[name].append(time.perf_counter() - started)
     ratios = {
         name: median(a / b for a, b in zip(times, seconds["sweep"], strict=True))
@@ -215,7 +215,7 @@ def wall_times(pair: FlowPair, size: tuple[int, int]) -> dict[str, float]:
 
 
 def gap_table(found: Sequence[Course]) -> Table:
-    """Return the gap that is left after `BUDGET` sweeps, and the work to reach every gap."""
+    """Return the remaining gap after `BUDGET` sweeps, and the work to reach each gap."""
     sizes = list(dict.fromkeys(course.size for course in found))
     names = list(dict.fromkeys(course.method for course in found))
     head = ["", "", f"left after {BUDGET:g}", *(f"to {gap:g}" for gap in GAPS)]

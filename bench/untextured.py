@@ -1,8 +1,8 @@
 """``python -m bench.untextured``: flow, depth and confidence in parts without texture.
 
 Scenes are `tisfm.scenes.bare_patches`, rounded to 8 bits. In some rows, Gaussian noise is added to
-both frames before. A bare pixel is more than `MARGIN` px from texture and from the outline of the
-block.
+both frames before rounding. A bare pixel is more than `MARGIN` px from texture and from the outline
+of the block.
 """
 
 import sys

@@ -1,12 +1,12 @@
 """``python -m bench.window --data DIR``: flow from three frames against flow from two.
 
-Frames t−1, t and t+1; the flow from t to t+1 by the pair alone, and with `window=3`. Errors are
-separate for pixels that are occluded at t+1 (hidden, or outside the image) and for all others. The
-pair and the window are timed one after the other, and the median of the ratios counts.
+Frames t−1, t and t+1. The flow from t to t+1 is computed from the pair alone, and with `window=3`.
+Errors are separate for pixels that are occluded at t+1 (hidden, or outside the image) and for all
+others. Pair and window are timed one after the other; the result is the median of the ratios.
 
 DIR has the folders ``sintel_alley`` and ``sintel_cave`` (frames 1 to 4 of a sequence of MPI Sintel,
 and ``gt`` with the flow from frame 2 to 3, occlusions and invalid pixels). Without DIR, only
-rendered sequences are measured, with other seeds than the method was developed with.
+rendered sequences are measured, with seeds that were not used to develop the method.
 """
 
 import sys
@@ -28,7 +28,8 @@ from tisfm.sources import FrameSource
 from tisfm.window import Window
 
 SEEDS = (10, 11)
-SPEEDS = ((240, 320, 1.0), (240, 320, 3.0), (480, 640, 2.0))  # height and width, px; times
+# Height and width, px; factor of the motion.
+SPEEDS = ((240, 320, 1.0), (240, 320, 3.0), (480, 640, 2.0))
 ROOM_MOTIONS = {"sideways": (0.08, 0.0, 0.0), "forward": (0.02, 0.0, 0.12)}  # m/frame
 REPETITIONS = 5  # timed calls of pair and window
 HIDDEN_BEHIND = 1.02  # times the visible depth: a farther point is hidden
@@ -51,7 +52,7 @@ class Triple:
 
 
 def leaving(flow: np.ndarray) -> np.ndarray:
-    """Return where a flow, (H, W, 2), ends outside of the image."""
+    """Return the pixels whose flow, (H, W, 2), ends outside the image."""
     height, width = flow.shape[:2]
     x, y = flow[..., 0] + np.arange(width), flow[..., 1] + np.arange(height)[:, None]
     return (x < 0) | (x > width - 1) | (y < 0) | (y > height - 1)
@@ -100,7 +101,7 @@ def blocks(
 
 
 def bare_room(height: int, width: int, seed: int) -> Triple:
-    """Render a room with bare walls, before a camera that keeps its velocity."""
+    """Render a room with bare walls, for a camera with constant velocity."""
     motion = np.array([0.12, 0.0, 0.08, 0.003, 0.01, 0.006])
     before, after = (room(height, width, seed=seed, camera_motion=f * motion) for f in (-1, 1))
     return of_pairs(f"room, bare, {width}×{height}", before, after)

@@ -1,8 +1,8 @@
 """``python -m bench.writing``: cost of storing every result of a sequence.
 
 A loop over `tisfm.interpret_sequence`, `tisfm run --no-figures`, and `tisfm run` with a figure of
-every tenth pair take the same frames in turns, in one process, so that all find their kernels
-compiled.
+every tenth pair process the same frames in turns. They run in one process, so that kernels are
+compiled before.
 """
 
 import contextlib
@@ -27,7 +27,8 @@ from tisfm.formats import write_png
 from tisfm.scenes import static_scene
 from tisfm.settings import Preset
 
-BARS = 1.3, 1.5  # times the loop, without figures and with one of every tenth pair; set by hand
+# Times over that of the loop: without figures, with a figure of every tenth pair; set by hand.
+BARS = 1.3, 1.5
 OPTIONS = ("--no-figures",), ("--figures", "10")
 NAMES = "`tisfm run --no-figures`", "`tisfm run --figures 10`"
 ROUNDS = 7
@@ -47,7 +48,7 @@ class Outcome:
     source : str
     pairs : int
     times : sequence of (float, float, float)
-        s in every round: of the loop, of the command without figures, and with every tenth.
+        s in every round: loop, command without figures, command with every tenth figure.
     size : int
         Bytes that the command wrote without figures.
     """
@@ -58,7 +59,7 @@ class Outcome:
     size: int
 
     def ratios(self, kind: int) -> tuple[float, float, float]:
-        """Lower quartile, median and upper quartile of a kind of command line over the loop."""
+        """Lower quartile, median and upper quartile of the time of a command over the loop."""
         times = np.array(self.times)
         low, middle, high = np.quantile(times[:, 1 + kind] / times[:, 0], (0.25, 0.5, 0.75))
         return float(low), float(middle), float(high)
@@ -95,7 +96,7 @@ def measure(source: Path, preset: Preset, rounds: int) -> Outcome:
             if code != 0:
                 raise RuntimeError(f"tisfm run ended with exit code {code}")
 
-        loop()  # compiles
+        loop()  # compiles kernels
         times = []
         for _ in range(rounds):
             seconds = _seconds(loop), _seconds(lambda: run(0)), _seconds(lambda: run(1))

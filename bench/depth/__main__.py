@@ -1,9 +1,9 @@
-"""``python -m bench.depth``: depth and motion of the camera, beside flow with two stages after it.
+"""``python -m bench.depth``: depth and motion of the camera, compared with two-stage methods.
 
-The two stages are an essential matrix by random sampling, and triangulation, after the flow of
-OpenCV's DeepFlow or DIS, and of tisfm itself. DeepFlow needs an environment of its own, which
-``python -m bench.peers --prepare DIR`` makes; ``--peer-python`` names its interpreter. The tables
-and all figures are left in bench/results.
+The two stages are an essential matrix by random sampling, and triangulation, after a flow of
+OpenCV's DeepFlow or DIS, or of tisfm. DeepFlow needs its own environment, which ``python -m
+bench.peers --prepare DIR`` makes; ``--peer-python`` names its interpreter. The tables and all
+figures are left in bench/results.
 """
 
 import argparse
@@ -32,7 +32,7 @@ from tisfm.settings import Motion
 
 FLOWS = ("OpenCV DeepFlow", "OpenCV DIS medium")
 SCENE_SIZE = (240, 320)  # px, height and width of rendered scenes
-# Options that the results name.
+# Options that appear in the results.
 WORDS = ("preset", "rounds", "threads", "pairs", "only", "smoke", "data", "peer-python")
 MOTIONS: tuple[Motion, ...] = ("camera",)
 REMARKS = (

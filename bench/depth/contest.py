@@ -15,7 +15,7 @@ from tisfm.rigid import pose_matrix
 from tisfm.scenes import static_scene
 
 WARM_UP = (96, 128)  # px
-LEAST_ERROR = 1e-6  # of errors whose logarithm is taken
+LEAST_ERROR = 1e-6  # errors are raised to this before their logarithm is taken
 WRONG = {"direction": 90.0, "abs_rel_limited": 1.0}  # error of a failure, to choose a threshold
 
 
@@ -157,7 +157,7 @@ def hold(
 
 
 def mean_median_worst(values: Sequence[float]) -> tuple[float, float, float] | None:
-    """Return mean, median and worst, or None of no values."""
+    """Return mean, median and worst value; None without values."""
     return (fmean(values), median(values), max(values)) if values else None
 
 

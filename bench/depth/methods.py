@@ -1,4 +1,4 @@
-"""Methods in the comparison of depth: tisfm, and flows with two stages after them."""
+"""Methods in the comparison of depth: tisfm, and two stages after a flow."""
 
 import time
 from collections.abc import Sequence

@@ -23,7 +23,7 @@ from tisfm.scenes.block_scenes import STATIC_KINDS
 
 SCENE_FOCALS = (300.0, 320.0, 600.0, 1200.0)  # px at a width of 320, of the seeds 0, 1, 2, 3
 BLOCK_SEEDS = (0, 1)
-AT_REST = 2  # labels below are those of the background and the floor
+AT_REST = 2  # labels below this are those of the background and the floor
 
 MOVING = "two blocks"
 HAND_HELD, HARDLY_MOVED = "7-Scenes", "7-Scenes, hardly moved"
@@ -190,7 +190,7 @@ def _loaded(
     pair: DatasetPair, name: str, group: str, *, selection: Selection | None = None
 ) -> DepthPair:
     loaded = pair.load()
-    camera = loaded.camera or Camera()  # depth of a stereo pair does not depend on it
+    camera = loaded.camera or Camera()  # depth of a stereo pair does not depend on the camera
     depth, raw = loaded.depth, None
     if pair.layout in KNOWN_CAMERAS and pair.depth is not None:
         raw = read_depth(pair.depth)
@@ -252,13 +252,13 @@ def rendered(
     )
 
 
-OFF = 0.7  # px between a match and the projected point, at most, in both frames; set by hand
+OFF = 0.7  # px between a match and its projected point in each frame, at most; set by hand
 
 
 def depth_of_matches(
     frame0: NDArray, frame1: NDArray, camera: Camera, pose: NDArray
 ) -> NDArray[np.float32]:
-    """Return the depth of frame 0 by triangulated matches, (H, W), NaN between the matches.
+    """Return the depth of triangulated matches in frame 0, (H, W); NaN between the matches.
 
     Parameters
     ----------

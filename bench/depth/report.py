@@ -1,4 +1,4 @@
-"""Tables of a comparison of depth: a summary, one of each group, one of thresholds."""
+"""Tables of a comparison of depth: a summary, a table of each group, and one of thresholds."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -23,7 +23,7 @@ from bench.shared.results import write as write_files
 
 STATIC = "scenes, all static ones"
 HALF = 0.5  # relative error of a pair that counts as wrong
-PARALLAX = 3.0  # px of median parallax above which depth should be found; set by hand
+PARALLAX = 3.0  # px, median parallax of a pair above which depth is expected; set by hand
 COMMON = ", with depth by every method"
 _STATIC_PREFIX = "scenes, "
 TITLES = {"rooms": "Depth in bare rooms, beside two stages"}  # by name of the output
@@ -49,10 +49,10 @@ SUMMARY: tuple[tuple[str, str, str, Reduce, int], ...] = (
 
 
 def groups(contest: DepthContest) -> list[Group]:
-    """Return the groups, after one of all static scenes.
+    """Return a group of all static scenes, and then the single groups.
 
-    If a method reports some pairs of a group as showing no depth, the group without these pairs
-    follows, so that all methods are averaged over the same pairs.
+    If a method reports no depth for some pairs of a group, the group without these pairs is added,
+    so that all methods are averaged over the same pairs.
     """
     found = []
     for group in _whole_groups(contest):
@@ -63,7 +63,7 @@ def groups(contest: DepthContest) -> list[Group]:
 
 
 def common(contest: DepthContest, group: Group) -> Group:
-    """Return a group without the pairs that a method reports as showing no depth."""
+    """Return a group without the pairs for which a method reports no depth."""
     declined = {
         score.pair
         for method in contest.methods
@@ -236,9 +236,9 @@ def _cells(contest: DepthContest, method: str, group: Group) -> list[str]:
 
 
 def _trusted(scores: list[Score]) -> tuple[str, str]:
-    """Return the numbers of converged pairs that are wrong, and of pairs with parallax and depth.
+    """Return two counts: converged pairs with wrong depth, and pairs with parallax that have depth.
 
-    Both are empty for methods without a status, and where no depth is known.
+    Both are empty for methods without a status, and if no true depth is known.
     """
     known = [score for score in scores if score.status and score.abs_rel_all is not None]
     if not known:

@@ -11,12 +11,12 @@ from tisfm.evaluation.pair_errors import LITTLE_PARALLAX
 from tisfm.metrics import certain_error, depth_errors, pose_errors
 from tisfm.metrics.valid_pixels import is_known
 
-HORIZON = 10.0  # medians of depth: limit of "limited" depth
+HORIZON = 10.0  # medians of depth, limit of "limited" depth
 
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Errors of a method on a pair. A figure that truth or method does not give is None.
+    """Errors of a method on a pair; None if the truth or the method does not give an error.
 
     Attributes
     ----------
@@ -29,8 +29,8 @@ class Score:
     abs_rel, delta1, density : float or None
         As in `tisfm.metrics.DepthErrors`, after scaling by the median.
     abs_rel_limited : float or None
-        The same after depth beyond `HORIZON` medians, or behind the camera, was set to `HORIZON`
-        medians, so that every pixel counts and a few cannot decide.
+        The same, with depth beyond `HORIZON` medians or behind the camera set to `HORIZON` medians:
+        every pixel counts, and a few pixels cannot dominate.
     abs_rel_raw : float or None
         `abs_rel` against the unregistered map of the depth camera.
     abs_rel_rest, abs_rel_movers : float or None
@@ -41,10 +41,10 @@ class Score:
         As `tisfm.metrics.certain_error`, in the unit of the pose, where pose and deviations are
         given.
     parallax : float or None
-        Median over the pixels of known depth of the displacement beside that of the rotation, px.
+        Median displacement of pixels of known depth, minus that of the rotation, px.
     within : float or None
-        Share of the visible pixels whose inverse depth, in the common scale, is off by less than
-        its standard deviation.
+        Share of the visible pixels with an error of inverse depth below the standard deviation,
+        in the common scale.
     direction, rotation : float or None
         As in `tisfm.metrics.PoseErrors`, degrees.
     """
@@ -127,7 +127,7 @@ def depth_of(inverse_depth: NDArray) -> NDArray[np.float64]:
 
 
 def known_depth(truth: NDArray) -> NDArray[np.bool_]:
-    """Return where a true depth is known, (H, W) bool, as `tisfm.metrics.depth_errors` has it."""
+    """Return the pixels with a known true depth, (H, W) bool, as in `depth_errors`."""
     return is_known(truth) & (truth > 0)
 
 

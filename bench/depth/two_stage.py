@@ -1,6 +1,6 @@
 """Depth from a flow in two stages: the motion of the camera, then triangulation.
 
-The motion is that of an essential matrix by random sampling (OpenCV's USAC, MAGSAC).
+An essential matrix by random sampling (OpenCV's USAC, MAGSAC) gives the motion.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from tisfm.camera import Camera
 CORRESPONDENCES = 4800  # on a regular grid, about
 CONFIDENCE = 0.9999  # of the random sampling
 ITERATIONS = 10_000  # of the random sampling, at most
-FEWEST_CORRESPONDENCES = 5  # of a sample
+FEWEST_CORRESPONDENCES = 5  # for a sample
 
 
 class NoMotion(ValueError):  # noqa: N818 (an outcome, not an error)
@@ -51,7 +51,7 @@ def two_stage(
     threshold : float
         Distance from the epipolar line up to which a correspondence may be an inlier, px.
     pose : (4, 4) array, optional
-        The motion, if it is known: only triangulation is done then.
+        The motion, if it is known: then only depth is triangulated.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def two_stage(
 
 
 def triangulated(flow: NDArray, camera: Camera, pose: NDArray) -> NDArray[np.float64]:
-    """Return the inverse depth that moves every point nearest to the end of its flow.
+    """Return the inverse depth at which every point moves nearest to the end of its flow.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Every kernel, and the step of the NumPy reference that it replaces."""
+"""Timings of every kernel, and of the step of the NumPy reference that it replaces."""
 
 from dataclasses import dataclass, replace
 
@@ -23,25 +23,25 @@ from bench.shared.problems import ALPHA, RELAXATION, Problem, check
 from tisfm import runtime
 
 MODELS = {6: "rigid", 3: "translation"}
-# Module → prefix of the names of its kernels, which other modules have as well.
+# Module → prefix of its kernels' names, because other modules have kernels of the same names.
 PREFIXES = {"solve.second_order": "second_order_", "rigid.view_search": "views_"}
 DEPTH = 1  # components of the model with inverse depth as the only unknown
 SOLVERS = ("cholesky", "closed_form")
-EDGES = ("separate", "joint")  # weights of edges for each component, or one for all
+EDGES = ("separate", "joint")  # a weight for each component, or one weight for all
 SLOW = ("improve",)  # kernels whose reference takes minutes on large images
 LARGEST_OF_SLOW = (480, 640)  # px, height and width, for these
 LEXICOGRAPHIC_SIZE = (48, 64)  # px: a plain loop in Python is slow
 
-# Relative to the largest value of a component: a few roundings. Larger for matrices with condition
-# numbers of some hundreds, and for residuals that are differences of much larger numbers. The mask
-# of `defeated` has thresholds, where rounding decides for a few of thousands of pixels.
+# Relative to the largest value of a component: a few roundings. It is larger for matrices with
+# condition numbers of some hundreds, and for residuals, which are differences of much larger
+# numbers. The mask of `defeated` has thresholds: rounding decides a few of thousands of pixels.
 TOLERANCE = 1e-6
 TOLERANCES = {
     "restrict_residual": 1e-5,
     "sweep": 1e-4,
     "sweep_unfused": 1e-4,
     "data_precision": 1e-4,
-    "share_of_data": 1e-5,  # determinants are such differences
+    "share_of_data": 1e-5,  # determinants are differences of larger numbers
     "update": 1e-4,
     "squared_residual": 1e-4,
     "answered": 1e-5,
@@ -66,7 +66,7 @@ class Case:
 
     @property
     def step(self) -> str:
-        """Name of the method of both sides."""
+        """Name of the method of both sides: kernel and reference."""
         prefixes = (PREFIXES[start] for start in PREFIXES if self.module.startswith(start))
         return next(prefixes, "") + self.kernel
 
@@ -92,7 +92,7 @@ class Case:
 
     def tolerance(self, problem: Problem) -> float:
         if self.kernel in AT_PLACES:
-            # Error of a position: some 2⁻²⁴ of the width, times slopes of half the range per pixel.
+            # A position has an error of some 2⁻²⁴ of the width; slopes are half the range per px.
             return AT_PLACES[self.kernel] * problem.width * 2.0**-22
         if self.kernel in OF_FLOW:
             return OF_FLOW[self.kernel] * max(1.0, 1.5 * np.abs(problem.flow).max())
@@ -103,10 +103,10 @@ class Case:
         return {"kernel": self.name, "size": size, "model": self.model}
 
 
-# Tolerance of kernels whose weights are differences of numbers as large as ∇I·u, with the motion u,
-# or (`add_frame`) of their squares.
+# Tolerance of kernels whose weights are differences of numbers as large as ∇I·u, for the flow u, or
+# of their squares (`add_frame`).
 OF_FLOW = {"constancy_constraints": TOLERANCE, "join": TOLERANCE, "add_frame": 10 * TOLERANCE}
-# Factor of the tolerance of kernels whose answers depend on target positions; costs also depend on
+# Factor of the tolerance for kernels that sample at target positions. Costs also depend on the
 # derivatives there.
 AT_PLACES = {
     "warp": 1,

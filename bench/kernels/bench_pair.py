@@ -1,8 +1,8 @@
 """Times of whole pairs, coarse to fine, with the same number of iterations on both sides.
 
-The reference starts from pyramids; the driver builds them within its time. Without a tolerance,
-neither side stops early. Outer iterations are limited to 5 and 3 with the same work per iteration,
-and those of the paper are sweeps.
+The reference starts from pyramids; the driver builds them, and its time includes that. Without a
+tolerance, neither side stops early. Outer iterations are limited to 5 and 3, with the same work per
+iteration. With the preset "paper", an iteration is a sweep.
 """
 
 from dataclasses import dataclass, replace
@@ -24,10 +24,10 @@ REFERENCE_SIZE = (240, 320)  # px: the reference takes minutes for larger pairs
 
 @dataclass(frozen=True)
 class Pair:
-    """Settings of a pair, the share of its pixels that must agree, and their tolerance, px/frame.
+    """Settings of a pair, the share of its pixels that must agree, and the tolerance, px/frame.
 
     Within one linearisation, float32 and float64 agree. After a warp they differ at isolated pixels
-    with outlying flow, as do two runs of the reference whose frames differ by 1e-5 grey levels.
+    with outlying flow. So do two runs of the reference if their frames differ by 1e-5 grey levels.
     """
 
     settings: Settings
@@ -119,7 +119,7 @@ def bench_pair_taichi(problem, preset, model, solver, lanes, measure, monkeypatc
     settings = replace(pair.settings, model=model, solver=solver)
     known = ("pair", preset, model) in problem.expected
     small = problem.height * problem.width <= np.prod(REFERENCE_SIZE)
-    # If the reference did not run, the same scene is checked at a smaller size.
+    # If the reference was not run, a smaller image of the same scene is checked.
     judge = problem if known or small else problem_at(*REFERENCE_SIZE)
     motion = reference.motion_matrix(judge.camera, judge.height, judge.width, settings.components)
     actual, expected = (

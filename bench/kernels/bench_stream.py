@@ -1,4 +1,4 @@
-"""Bandwidth of the memory, the unit of the bandwidth of kernels."""
+"""Bandwidth of the memory, to which the bandwidth of kernels is compared."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Kernels and references of multigrid: between two grids, and along a direction."""
+"""Kernels and references of multigrid: transfer between two grids, and line search."""
 
 import numpy as np
 
@@ -56,7 +56,7 @@ class MultigridOperations(TaichiSide):
 
 
 class MultigridReferences(NumpySide):
-    """The same steps in plain NumPy; that of `relayout` is a copy."""
+    """The same steps in plain NumPy; `relayout` is a copy."""
 
     def coarsen_system(self) -> Run:
         tensor, n = self.problem.tensor, self.n

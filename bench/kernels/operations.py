@@ -1,4 +1,4 @@
-"""Kernels from two frames to a field of motion, called by their wrappers."""
+"""Wrapper calls of the kernels that compute a motion field from two frames."""
 
 import numpy as np
 

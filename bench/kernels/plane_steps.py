@@ -1,4 +1,4 @@
-"""Kernels and references of planes that are matched by correlation, in one or several frames."""
+"""Kernels and references of planes matched by correlation, in one or several frames."""
 
 from functools import cached_property
 
@@ -13,7 +13,7 @@ from tisfm.kernels.rigid.view_search import ABSENT, ViewSearch
 from tisfm.kernels.rigid.windows import LEVELS, UNSEEN
 
 NOISE = 1.5  # grey levels, deviation of the noise
-SEEN = 1.8  # variance of a textured window over that of the noise, at least
+SEEN = 1.8  # least variance of a textured window, over that of the noise
 BOUNDS = 0.01, 10.0  # px/frame, of searched inverse depths
 SPREAD = 0.5  # px/frame, of drawn inverse depths
 TILT = 0.02  # px/frame per px, of drawn slopes
@@ -24,7 +24,7 @@ PLANE = (0.03, -0.02)  # slopes of the only plane of frame 1
 class Planes:
     """Planes near the true ones, and the frames as bytes.
 
-    Frame 1 has one plane, so that any pixel gives the same one.
+    Frame 1 has a single plane, so every pixel of it gives the same answer.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Planes:
         u, v = reference.displacement(self.own[0], self.camera, *self.pose)
         x, y = columns + u, rows + v
         away = [x, x + 1 - problem.width, y, y + 1 - problem.height]
-        # Pixels clearly inside or outside; for others rounding decides.
+        # Pixels clearly inside or outside the image; for others rounding decides.
         self.decided = (np.abs(np.abs(away) - 0.5) > BORDER).all(axis=0)
 
     def cost(self, planes: np.ndarray) -> np.ndarray:
@@ -58,7 +58,7 @@ class Planes:
 
 
 def search_options(p: Problem) -> dict:
-    """Return the options that searches in one and in several frames share."""
+    """Return the common options of searches in one frame and in several frames."""
     center = p.camera.center_for(p.height, p.width)
     options = {"noise": NOISE, "seen": SEEN, "least": BOUNDS[0], "largest": BOUNDS[1]}
     return {"center": center, "focal": p.camera.focal, **options}
@@ -149,12 +149,12 @@ def _known(apart: np.ndarray, decided: np.ndarray) -> np.ndarray:
 def summary(cost: np.ndarray) -> np.ndarray:
     """Return the quartiles of costs, (3, 1).
 
-    Rounding may choose another of two planes for a pixel, which changes quartiles little.
+    Rounding may decide between two planes of a pixel, which changes quartiles little.
     """
     return np.quantile(cost, [0.25, 0.5, 0.75])[:, None]
 
 
-BEST = 1  # number of the best frames whose mean is the cost
+BEST = 1  # number of best frames whose mean cost counts
 
 
 class Views:
@@ -165,7 +165,7 @@ class Views:
         self._each = [Planes(problem, motion) for motion in self.motions]
         self.planes = self._each[0]
         self.decided = np.logical_and.reduce([planes.decided for planes in self._each])
-        # The kernel has costs of bare windows as well, which are unseen in the reference.
+        # The kernel also computes costs of bare windows, which the reference skips.
         self.seen = self.decided & (self.costs(self.planes.own)[0] < UNSEEN)
 
     def costs(self, planes: np.ndarray) -> np.ndarray:

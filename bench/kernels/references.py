@@ -1,4 +1,4 @@
-"""Steps from two frames to a field of motion, by `bench.reference` or in plain NumPy."""
+"""The steps from two frames to a motion field, by `bench.reference` or in plain NumPy."""
 
 import numpy as np
 
@@ -198,12 +198,12 @@ class FieldReferences(NumpySide):
 
 
 def bent(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a flow, and the difference of the motion to the next frame and from the last one."""
+    """Return a flow, and its bend: the difference of the motions after and before frame 0."""
     return flow, 0.1 * flow[::-1]
 
 
 def other_constraints(problem: Problem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return constraints of another frame, trust in both, and masks of both."""
+    """Return constraints of another frame, trust in both frames, and masks of both."""
     trust = np.stack([0.7 * problem.mask, 1 - 0.4 * problem.mask])
     masks = np.stack([problem.mask, problem.mask[::-1]])
     return np.ascontiguousarray(problem.constraints[:, ::-1]), trust, masks
@@ -238,7 +238,7 @@ def _arrivals(
 
 
 def _splatted(flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Return Σw, Σw·residual, Σw·u, Σw·v, (4, H, W), over the pixels that go to a pixel."""
+    """Return Σw, Σw·residual, Σw·u, Σw·v, (4, H, W), at every pixel of frame 1."""
     inside, corners = _arrivals(flow)
     values = np.stack([np.ones_like(residual), residual, *flow])[:, inside]
     targets = np.concatenate([row * residual.shape[1] + column for row, column, _ in corners])

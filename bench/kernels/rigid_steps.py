@@ -1,4 +1,4 @@
-"""Kernels and references of rigid motions, beside those of a field."""
+"""Kernels and references of rigid motions."""
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from tisfm.kernels.rigid import (
 from tisfm.reconstruction.depth.pose_adjustment import OUTLIER_SCALE
 
 HELD = 3.0  # weight of the smoothness of depth while the motion changes
-TINY = 1e-6  # least curvature of costs
+TINY = 1e-6  # least curvature of the costs
 
 
 class DepthOperations(TaichiSide):
@@ -334,7 +334,7 @@ def squares(problem: Problem) -> np.ndarray:
 
 
 def tolerated(problem: Problem) -> float:
-    """Return the squared residual with a weight of a quarter, as in the adjustment."""
+    """Return the squared residual at which the weight in the adjustment is a quarter."""
     return OUTLIER_SCALE**2 * float(np.median(squares(problem)))
 
 

@@ -21,7 +21,7 @@ ANCHORED = 0.5  # share of the pixels with an anchor
 
 
 class Surface:
-    """An inverse depth with its slopes, the one before, and the system linearised there."""
+    """An inverse depth with slopes, its previous state, and the system linearised there."""
 
     def __init__(self, problem: Problem) -> None:
         rng = np.random.default_rng(5)
@@ -39,7 +39,7 @@ class Surface:
         )
         self.tensor = single(reference.anchor_tensor(self.previous[0], *self.anchors, ANCHOR_SCALE))
         self.weights = single(reference.second_order_weights(self.previous, self.smoothness))
-        # p and c of p D + c = 0: of brightness, and of both its derivatives.
+        # p and c of the constraints p D + c = 0: brightness, and both of its derivatives.
         self.lines = problem.constraints.reshape(3, 3, *depth.shape)[:, ::2]
 
     def residual(self, rho: np.ndarray, source: np.ndarray | None = None) -> np.ndarray:
@@ -214,14 +214,14 @@ def _offsets(size: int) -> np.ndarray:
 
 
 def _integrated(coarse: np.ndarray, size: int, *, slope: int) -> np.ndarray:
-    """Return D and its slopes, interpolated along the axis of a slope; D is its integral."""
+    """Return D and its slopes, interpolated along one axis; D is the integral of the slope."""
     axis = 3 - slope
     shape = [-1 if k == axis - 1 else 1 for k in range(2)]
     parent, beside = neighbours(size, coarse.shape[axis])
     sense, offset = (values.reshape(shape) for values in (beside - parent, _offsets(size)))
     near, far = coarse.take(parent, axis), coarse.take(beside, axis)
     fine = 0.75 * near + 0.25 * far
-    # −t(1 − t) H Δv/2, H = 2h and t = ¼; beyond the outermost coarse pixels, on along the slope.
+    # −t(1 − t) H Δv/2, H = 2h and t = ¼; outside the outermost coarse pixels, along the slope.
     fine[0] -= 3 / 16 * SPACING * sense * (far[slope] - near[slope])
     fine[0] += SPACING * (sense == 0) * offset * near[slope]
     return fine

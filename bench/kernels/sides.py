@@ -16,9 +16,9 @@ Run = Callable[[], np.ndarray]
 
 
 class TaichiSide:
-    """One method per kernel, which returns the timed call and a reader of its answer.
+    """One method per kernel; it returns the timed call and a function that reads its answer.
 
-    The reader takes the result of the call and returns images, (k, H, W), or sums, (k, …). Calls
+    The function takes the result of the call and returns images, (k, H, W), or sums, (k, …). Calls
     in place continue from the last state, as in the solver. On a device, lane arrays are allocated
     before the call and stay there.
     """
@@ -108,7 +108,7 @@ class TaichiSide:
 
 
 class NumpySide:
-    """One method per kernel, which returns the timed call; the call returns the answer.
+    """One method per kernel; it returns the timed call, which returns the answer.
 
     Calls in place continue from the last state, as on the Taichi side.
     """

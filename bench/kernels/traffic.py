@@ -2,11 +2,11 @@
 
 Every array that a kernel must read or write counts once, 4 bytes per pixel and component, however
 often the kernel accesses it; the stream follows the same rule. Halo, padding, column tables, and
-reads of cache lines that are then overwritten do not count. So a kernel that passes twice over its
-arrays has at most half the bandwidth.
+reads of cache lines that are then overwritten do not count. So a kernel with two passes over its
+arrays reaches at most half the bandwidth.
 
-Only `sweep_unfused`, which shows the cost of two passes, counts the bytes of each pass: whole cache
-lines, which hold one color alone with 16 lanes.
+Only `sweep_unfused`, which shows the cost of two passes, counts the bytes of each pass. They are
+whole cache lines; with 16 lanes, a line holds one color only.
 """
 
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ class Traffic:
         return BYTES * (fixed + each * components)
 
 
-VIEWS = 2  # other frames of the kernels of several frames
+VIEWS = 2  # number of other frames in kernels of several frames
 TRAFFIC = {
     "image_to_lanes": Traffic(read=(1, 0), written=(1, 0)),  # image | lanes
     "lanes_to_images": Traffic(read=(0, 1), written=(0, 1)),  # ρ̂ | images
@@ -49,28 +49,29 @@ TRAFFIC = {
     "sweep separate": Traffic(read=(5, 3), written=(0, 1)),  # tensor without J_tt, b, ρ̂ | ρ̂
     "sweep joint": Traffic(read=(7, 1), written=(0, 1)),
     "sweep line": Traffic(read=(5, 0), written=(1, 0)),  # J11, j1, b, D | D
-    # Each of red and black: tensor, b, ρ̂ | ρ̂. Of its own color alone: tensor | ρ̂.
+    # For red and for black: tensor, b, ρ̂ | ρ̂. Lines of the own color alone: tensor | ρ̂.
     "sweep_unfused joint": Traffic(read=(14, 2), written=(0, 2), spared=(5, 1)),
     # constraints, g, tensor, b, ρ̂, previous | tensor, b, previous
     "update separate": Traffic(read=(17, 4), written=(6, 3)),
     "update joint": Traffic(read=(19, 2), written=(8, 1)),
-    # Of the tensor, J11, j1 and J_tt alone.
+    # Only J11, j1 and J_tt of the tensor.
     "update line": Traffic(read=(18, 0), written=(6, 0)),
-    "prolong": Traffic(read=(0, 0.49), written=(0, 1)),  # ρ̂ of 0.7² as many pixels | ρ̂
+    "prolong": Traffic(read=(0, 0.49), written=(0, 1)),  # ρ̂ on 0.7² of the pixels | ρ̂
     "data_precision": Traffic(read=(6, 3), written=(7, 0)),  # tensor, b, ρ̂ | J, residual, M
     "share_of_data": Traffic(read=(7, 0), written=(1, 0)),  # precision | share
     "motion_fields": Traffic(read=(0, 1), written=(3, 0)),  # ρ̂ | u, v, ‖τ‖
     "image_edges": Traffic(read=(1, 0), written=(2, 0)),  # image | g
     "multiply": Traffic(read=(10, 0), written=(9, 0)),  # factor, constraints | constraints
     "backward_flow": Traffic(read=(4, 0), written=(2, 0)),  # flow, bend | flow back
-    # Constraints of both, trust, masks, u, v | constraints, tensor.
+    # Constraints of both frames, trust, masks, u, v | constraints, tensor.
     "join": Traffic(read=(24, 0), written=(15, 0)),
     "splat": Traffic(read=(3, 0), written=(4, 0)),  # u, v, residual | sums
     "defeated": Traffic(read=(7, 0), written=(1, 0)),  # u, v, residual, sums | out
-    # Of a halved array, a quarter: tensor, b | tensor, b
+    # Arrays of half the density have a quarter of the pixels: tensor, b | tensor, b
     "coarsen_system separate": Traffic(read=(6, 2), written=(1.5, 0.5)),
     "coarsen_system joint": Traffic(read=(8, 0), written=(2, 0)),
-    "restrict_residual separate": Traffic(read=(5, 3), written=(0, 0.25)),  # as a sweep | residual
+    # Words of a sweep | residual.
+    "restrict_residual separate": Traffic(read=(5, 3), written=(0, 0.25)),
     "restrict_residual joint": Traffic(read=(7, 1), written=(0, 0.25)),
     "relayout": Traffic(read=(0, 0.25), written=(0, 0.25)),
     "correct": Traffic(read=(0, 1.25), written=(0, 1)),  # correction, ρ̂ | ρ̂
@@ -82,7 +83,8 @@ TRAFFIC = {
     # p and c of 3 constraints, anchors, g, tensor, weights, ρ, previous | tensor, weights, previous
     "second_order_update": Traffic(read=(23, 0), written=(10, 0)),
     "second_order_coarsen_system": Traffic(read=(9, 0), written=(2.25, 0)),  # tensor, weights
-    "second_order_restrict_residual": Traffic(read=(11, 0), written=(0.75, 0)),  # as a sweep
+    # Words of a sweep | residual.
+    "second_order_restrict_residual": Traffic(read=(11, 0), written=(0.75, 0)),
     "second_order_correct": Traffic(read=(3.75, 0), written=(3, 0)),  # correction, ρ | ρ
     # Tensor without C, weights, ρ, before, step
     "second_order_plane": Traffic(read=(17, 0), written=(0, 0)),
@@ -99,7 +101,7 @@ TRAFFIC = {
     "matching_cost": Traffic(read=(10, 0), written=(len(HYPOTHESES), 0)),
     "score": Traffic(read=(6, 0), written=(4, 0)),  # levels, packed levels, planes | planes
     "improve": Traffic(read=(6, 0), written=(4, 0)),
-    "views_score": Traffic(read=(5 + VIEWS, 0), written=(4, 0)),  # of every other frame, levels
+    "views_score": Traffic(read=(5 + VIEWS, 0), written=(4, 0)),  # levels of each other frame
     "views_improve": Traffic(read=(5 + VIEWS, 0), written=(4, 0)),
     "views_costs": Traffic(read=(5 + VIEWS, 0), written=(VIEWS, 0)),
     "disagreement": Traffic(read=(8, 0), written=(1, 0)),  # planes of both frames | out

@@ -1,4 +1,4 @@
-"""A sweep with one pass over memory for each color, where the library needs one pass for both.
+"""A sweep with one pass over memory for each color; the library needs one pass for both colors.
 
 It shows whether relaxation keeps up with memory without caches. The difference to
 `tisfm.kernels.solve.relaxation` is the gain of fusing both colors.
@@ -24,7 +24,7 @@ from tisfm.kernels.solve.relaxation import RELAXATION_BAND, relax_at
 def sweep_unfused(system: LinearSystem, rho: LaneData, *, relaxation: float, solver: str) -> None:
     """Sweep red everywhere and then black, as `LinearSystem.sweep` does.
 
-    For several lanes; with one lane, the sweep of the library is unfused.
+    This needs several lanes; with one lane, the sweep of the library is already unfused.
     """
     grid = system.grid
     if grid.lanes == 1:

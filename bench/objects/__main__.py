@@ -1,10 +1,10 @@
 """``python -m bench.objects``: labels, depth and motion of moving objects.
 
-Rendered scenes of two and three blocks, beside two stages after a flow, where one essential matrix
-serves the whole image. The depth of the stages is compared over the whole image in one scale, and
-on each true object in a scale of its own. With a folder of real sequences, the statue too: whether
-the walking man and the cyclist have labels of their own. DeepFlow needs the environment that
-``python -m bench.peers --prepare DIR`` makes. The tables and all figures are left in bench/results.
+Rendered scenes of two and three blocks. The peers estimate a flow, and then depth in two stages
+with one essential matrix for the whole image. Their depth is compared over the whole image in one
+scale, and on each true object in its own scale. With a folder of real sequences, the statue is
+added: do the walking man and the cyclist have separate labels? DeepFlow needs the environment of
+``python -m bench.peers --prepare DIR``. The tables and all figures are left in bench/results.
 """
 
 import argparse
@@ -51,7 +51,7 @@ from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair, three_blocks, two_blocks
 from tisfm.settings import Preset, Settings
 
-# Options that the results name.
+# Options that appear in the results.
 WORDS = ("preset", "threads", "pairs", "only", "smoke", "data", "peer-python")
 SIZE = (240, 320)  # px, height and width of rendered scenes
 SEEDS: dict[str, tuple[Callable[..., SyntheticPair], range]] = {

@@ -97,7 +97,7 @@ def _pictures(folder: Path) -> list[Path]:
 
 
 def neighbours(count: int, number: int, nearest: int, end: int) -> Iterator[int]:
-    """Yield the frames before and after one, at distances from end - 1 down to nearest."""
+    """Yield the frames on both sides of a frame, at distances from `end` − 1 down to `nearest`."""
     for distance in range(end - 1, nearest - 1, -1):
         for other in (number - distance, number + distance):
             if 0 <= other < count:

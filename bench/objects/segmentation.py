@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bench.objects.clips import neighbours
 
 _CORNERS = 1000  # tracked between frames, at most
-_RANSAC = 1.5  # px, threshold for tracked corners
+_RANSAC = 1.5  # px, RANSAC threshold for tracked corners
 REACH = 8  # frames before, and as many after, in the mixture of Gaussians
 
 
@@ -52,8 +52,8 @@ def differences(
     gap : int
         Distance to the neighbours before and after, frames; the first and last frames have one.
     both : bool
-        Whether the smaller of both differences is used, which is small where an object was or will
-        be, or the larger, which is large also within a large object.
+        Whether the smaller of both differences is used, or the larger. The smaller one is low where
+        an object was before or will be after; the larger one is also high inside a large object.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def differences(
         if not channels:
             found.append(np.zeros(frame.shape[:2], np.float32))
             continue
-        # Where one neighbour does not show the pixel, the other one counts.
+        # Where one neighbour does not show the pixel, the difference from the other is used.
         choose = np.fmin if both else np.fmax
         found.append(np.nan_to_num(reduce(choose, channels)).astype(np.float32))
     return found
@@ -88,15 +88,15 @@ def mixtures(
     frames, steps
         Frames and their homographies.
     gap : int
-        Distance to the nearest neighbours, frames; in nearer ones an object has hardly moved.
+        Distance to the nearest neighbours, frames; at less distance an object hardly moves.
     threshold : float
-        Squared distance from the background, in deviations, of foreground: `varThreshold`.
+        Least squared distance of foreground from the background, in deviations: `varThreshold`.
     """
     found = []
     for number, frame in enumerate(frames):
         model = cv2.createBackgroundSubtractorMOG2(2 * REACH, threshold, False)
         for other in neighbours(len(frames), number, gap, gap + REACH):
-            # Pixels that a neighbour does not show have the values of the frame.
+            # Where a neighbour shows no pixel, the pixel of the frame is used.
             moved = _warped(frames[other], between(steps, number, other), None, frame)
             model.apply(moved)
         found.append((model.apply(frame, learningRate=0) > 0).astype(np.uint8))

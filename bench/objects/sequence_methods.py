@@ -48,7 +48,7 @@ class Found:
     seconds : float
         Of the whole clip.
     objects : tuple
-        Of `tisfm.reconstruct`.
+        Moving objects, from `tisfm.reconstruct`; else empty.
     cameras : (N, 4, 4) float64 or None
         Camera to world.
     """

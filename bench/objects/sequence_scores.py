@@ -28,7 +28,7 @@ class ClipScore:
     seconds : float
         Per frame.
     paths : tuple of ObjectPathErrors or None
-        Of each true object; None without a label or a known path.
+        Errors for each true object; None without a label or a known path.
     failure : str
     """
 

@@ -1,8 +1,8 @@
 """``python -m bench.objects.sequences``: labels of moving objects over whole sequences.
 
-Clips of DAVIS, if a folder of real sequences has them, and a rendered film of three bodies; beside
-background subtraction after a homography, and clusters of flow. DeepFlow needs the environment that
-``python -m bench.peers --prepare DIR`` makes. The tables and all figures are left in bench/results.
+Clips of DAVIS, if a folder of real sequences has them, and a rendered film of three bodies. Peers
+are background subtraction after a homography, and clusters of flow. DeepFlow needs the environment
+of ``python -m bench.peers --prepare DIR``. The tables and all figures are left in bench/results.
 """
 
 import argparse

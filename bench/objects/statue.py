@@ -1,4 +1,4 @@
-"""A real sequence of a walking man and a passing cyclist, before a moving camera."""
+"""A real sequence of a walking man and a passing cyclist, filmed by a moving camera."""
 
 import time
 import warnings
@@ -17,11 +17,11 @@ from tisfm.formats import read_image
 from tisfm.settings import Preset, Settings
 
 FOLDER = "statue"
-STEP = 3  # frames between the two of a pair, over which both people move by some 3 px
+STEP = 3  # frames between both frames of a pair; in that time both people move by some 3 px
 EVERY = 2  # frames from one pair to the next
 FOCALS = (384.0, 600.0)  # px: the guess for this image size, and the paper's; the truth is unknown
 ESTIMATED = "estimated"  # origin of the focal length from all frames
-LEAST = 0.5  # share of a patch that has a label, to count
+LEAST = 0.5  # least share of labelled pixels of a patch that counts as labelled
 # Centres of the man's upper body and of the cyclist's in every second frame, px.
 MAN = (
     (55, 107), (63, 107), (73, 106), (77, 102), (81, 106), (88, 111), (94, 111), (96, 107),

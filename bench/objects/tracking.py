@@ -27,8 +27,8 @@ def tracked(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
     Returns
     -------
     list of (H, W) uint8
-        A part takes the label of the last 10 frames that it overlaps most, if no larger part has
-        that label; else a new label, up to 255.
+        A part gets the label that it overlaps most in the last 10 frames, unless a larger part has
+        that label. Otherwise it gets a new label, up to 255.
     """
     places: dict[int, NDArray[np.bool_]] = {}
     seen: dict[int, int] = {}

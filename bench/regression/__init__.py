@@ -1,6 +1,6 @@
-"""Results and speed of this code beside another checkout: ``python -m bench.regression``.
+"""Results and speed of this code against another checkout: ``python -m bench.regression``.
 
-Both interpret `pairs`. `checkout` runs each in processes of its own with its own interpreter, and
-times them in turns; those processes run `worker`, which needs NumPy and the public names of tisfm
-alone. `report` compares the results. Imports tisfm and `bench.shared`.
+Both interpret `pairs`. `checkout` runs each with its own interpreter and in its own processes, and
+times them in turns. These processes run `worker`, which needs only NumPy and the public names of
+tisfm. `report` compares the results. Imports tisfm and `bench.shared`.
 """

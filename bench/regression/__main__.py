@@ -1,8 +1,8 @@
-"""``python -m bench.regression --before CHECKOUT``: results and speed beside another checkout.
+"""``python -m bench.regression --before CHECKOUT``: results and speed against another checkout.
 
-Both checkouts interpret the same pairs in processes of their own, with the same threads: rendered
-scenes, and real pairs of ``--data`` or TISFM_DATA. Their results are compared. Then interpretations
-and starts of both are timed in turns. The tables are left in bench/results.
+Both checkouts interpret the same pairs in their own processes with the same number of threads:
+rendered scenes, and real pairs of ``--data`` or TISFM_DATA. Their results are compared. Then
+interpretations and starts of both are timed in turns. The tables are left in bench/results.
 """
 
 import argparse

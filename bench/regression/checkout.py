@@ -13,7 +13,7 @@ from bench.shared.contest import QUICK
 from bench.shared.worker import Worker
 
 WORKER = Path(__file__).with_name("worker.py")
-Sample = tuple[float, float]  # wall time and that of the processor, s
+Sample = tuple[float, float]  # wall and processor time, s
 CACHE = "TI_OFFLINE_CACHE_FILE_PATH"  # environment variable of Taichi's folder of compiled kernels
 
 
@@ -96,7 +96,7 @@ class Paired:
         return float(before), float(after)
 
     def ratios(self, *, cpu: bool = False) -> tuple[float, float, float]:
-        """Return the lower quartile, median and upper quartile of after / before by round."""
+        """Return lower quartile, median and upper quartile of after / before over the rounds."""
         times = np.array(self.cpu if cpu else self.seconds)
         low, middle, high = np.quantile(times[:, 1] / times[:, 0], (0.25, 0.5, 0.75))
         return float(low), float(middle), float(high)
@@ -117,7 +117,7 @@ def interpretation(
 ) -> Paired:
     """Time one request of two running workers.
 
-    A quick request runs once more, untimed, before each timed call, so that caches are warm.
+    A quick request also runs once untimed before each timed call, so that caches are warm.
     """
 
     def ask(side: int, times: int = 1) -> Sample:
@@ -126,7 +126,7 @@ def interpretation(
             raise RuntimeError(f"{name}: {answer['status']}")
         return answer["seconds"], answer["cpu"]
 
-    pace = max(ask(side, times=2)[0] for side in (0, 1))  # the first compiles
+    pace = max(ask(side, times=2)[0] for side in (0, 1))  # the first call compiles kernels
     times = 2 if pace < QUICK else 1
     found = in_turns(rounds, lambda side: ask(side, times))
     return Paired.of(name, found)
@@ -137,8 +137,8 @@ def starts(
 ) -> list[Paired]:
     """Time fresh processes: the import, and the first answer of a cold and of a warm start.
 
-    Each cold start has an empty folder of compiled kernels; the warm start after it uses the
-    kernels of the cold one.
+    Each cold start has an empty folder for compiled kernels; the following warm start uses these
+    kernels.
     """
     exchange = options["exchange"]
     turns = [0, 0]

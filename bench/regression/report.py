@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from bench.regression.checkout import Paired
 from bench.shared.results import EMPTY, Table, text_of
 
-VISIBLE = 1e-3  # px: a larger difference of flow is more than rounding
-FLOOR = 0.01  # of the median inverse depth: lower bound of the unit of relative differences
+VISIBLE = 1e-3  # px: a larger difference of flow is not only rounding
+FLOOR = 0.01  # share of the median inverse depth: least denominator of relative differences
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +25,7 @@ class Difference:
         Of the absolute differences of u and v, px/frame.
     visible : float
         Share of the pixels whose flow differs by more than `VISIBLE`.
-    depth_max, depth_median : float
+        Of the differences of inverse depth, relative to its earlier value.
         Of the differences of inverse depth, relative to the one before.
     labels, occlusion : float
         Share of the pixels that differ.
@@ -63,7 +63,7 @@ def difference(before: Path, after: Path) -> Difference:
 
 
 def relative(before: NDArray, after: NDArray) -> NDArray:
-    """Return |after − before| over |before|, or over a share of its median where that is more."""
+    """Return |after − before| over |before|, which is at least `FLOOR` of its median."""
     apart = _apart(before, after)
     known = np.abs(before[np.isfinite(before)])
     floor = FLOOR * float(np.median(known)) if known.size else 0.0
@@ -158,7 +158,7 @@ def out_of_bounds(found: Findings) -> Iterator[str]:
             yield f"{case.name}: {case.difference.labels:.3%} of the labels differ"
     for paired in found.times:
         low, middle, _ = paired.ratios()
-        # On a busy machine, wall time alone is no evidence.
+        # On a busy machine, wall time alone proves nothing.
         if low > MOST_SLOWER and paired.ratios(cpu=True)[0] > MOST_SLOWER:
             yield f"{paired.name}: {middle:.3f} times as long, at least {low:.3f} in 3 rounds of 4"
 

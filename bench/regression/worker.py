@@ -1,7 +1,7 @@
-"""Interprets pairs with the tisfm of the folder that the process is started in.
+"""Interprets pairs with the tisfm of the working folder.
 
-An interpreter gets the code by ``-c``, so that the folder of the process comes first on its path,
-not the folder of this file. The code uses NumPy and documented names of tisfm alone, and so runs in
+An interpreter gets the code by ``-c``, so that the working folder comes first on its path, not the
+folder of this file. The code uses only NumPy and documented names of tisfm, so it also runs in
 older checkouts. Argument: the number of threads.
 
 It prints a line of JSON when it is ready, and then one for each request on standard input,
@@ -24,13 +24,13 @@ sys.meta_path[:] = [f for f in sys.meta_path if getattr(f, "__name__", "") != "_
 _used, _started = time.process_time(), time.perf_counter()
 import tisfm  # noqa: E402
 
-IMPORT = time.perf_counter() - _started, time.process_time() - _used  # includes that of NumPy
+IMPORT = time.perf_counter() - _started, time.process_time() - _used  # includes the import of NumPy
 
 import numpy as np  # noqa: E402
 
 
 def read(path: str) -> dict[str, Any]:
-    """Return a pair as arguments of `tisfm.interpret`, the pose apart."""
+    """Return a pair as arguments of `tisfm.interpret`, and the pose separately."""
     with np.load(path) as stored:
         focal, *center = stored["camera"].tolist()
         pair = {name: stored[name] for name in ("frame0", "frame1", "pose") if name in stored}
@@ -38,7 +38,7 @@ def read(path: str) -> dict[str, Any]:
 
 
 def answer(pair: dict[str, Any], request: dict[str, Any]) -> dict[str, Any]:
-    """Interpret a pair, store the result where it is asked for, return times and status."""
+    """Interpret a pair, store the result if a path is given, and return times and status."""
     settings = tisfm.Settings.preset(**request["settings"])
     given = {name: value for name, value in pair.items() if name != "pose" or request["pose"]}
     try:

@@ -1,8 +1,8 @@
 """``python -m bench.scaling``: time and memory of a pair, and of its stages, over its size.
 
-Pairs are renderings of one scene, whose motion grows with the image. Every preset runs on every
-number of threads in a process of its own. In it, the sizes take turns, together with OpenCV's DIS
-on the pair of one size.
+Pairs are renderings of one scene, whose motion grows with the image. Each preset and number of
+threads has its own process. There, the sizes are timed in turns, and for one size also OpenCV's
+DIS.
 """
 
 import argparse
@@ -98,9 +98,9 @@ GIB = 2**30  # bytes
 MIDDLE = "480x640"
 LARGE = "1080x1920"
 LARGEST = "2160x3840"
-PEER_SIZE = MIDDLE  # of the pair of OpenCV's DIS
-# Preset and size → time over that of the peer, at most. None: the time lies at its former bound,
-# so that passing would be chance; `bench.regression` shows whether it has grown.
+PEER_SIZE = MIDDLE  # size of the pair for OpenCV's DIS
+# Preset and size → most time over that of the peer. None: the time is at its former bound, so that
+# chance would decide; `bench.regression` shows whether the time has grown.
 MOST_OVER_PEER = {("balanced", LARGE): 57.0, ("fast", PEER_SIZE): None}
 MOST_GROWTH = 1.15  # of the time per pixel from MIDDLE to LARGE; set by hand
 MOST_GIB = 3.0  # GiB, peak memory of a pair of LARGEST; set by hand

@@ -1,4 +1,4 @@
-"""Process of `bench.scaling` that times whole pairs with one number of threads.
+"""Process of `bench.scaling` that times whole pairs with a given number of threads.
 
 It reads one line of JSON from standard input and prints one. OpenCV's DIS is timed in the same
 process, with the same threads, in the same rounds.
@@ -117,9 +117,9 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def in_turns(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, list[float]]:
-    """Return the times of every call, s; each runs once per round.
+    """Return the times of every call, s; each call runs once per round.
 
-    As in `bench.shared.contest`, a quick call runs once more, untimed, before.
+    As in `bench.shared.contest`, a quick call also runs once untimed before.
     """
 
     def seconds(call: Callable[[], Any]) -> float:
@@ -127,7 +127,7 @@ def in_turns(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, list
         call()
         return time.perf_counter() - started
 
-    for call in calls.values():  # which compiles
+    for call in calls.values():  # compiles kernels
         call()
     pace = {name: seconds(call) for name, call in calls.items()}
     times: dict[str, list[float]] = {name: [] for name in calls}

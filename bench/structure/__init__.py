@@ -1,7 +1,7 @@
-"""What the source is made of, and the way of a frame through it: ``python -m bench.structure``.
+"""Packages and imports of the source, and the call path of a pair: ``python -m bench.structure``.
 
-`source` reads packages, imports, cycles and lines of code of a checkout from its source alone,
-`drawing` draws them; `tracer` follows one interpretation in a process of its own, and `way` says
-how it went. Imports nothing of tisfm, so that any checkout will do, and of bench
+`source` reads packages, imports, cycles and lines of code of a checkout, without running it, and
+`drawing` draws them. `tracer` follows one interpretation in its own process, and `way` has the
+calls between modules. Imports nothing of tisfm, so that any checkout can be read, and of bench
 only `bench.shared`.
 """

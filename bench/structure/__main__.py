@@ -1,9 +1,8 @@
-"""``python -m bench.structure [CHECKOUT …]``: packages, imports, cycles, lines, the way of a frame.
+"""``python -m bench.structure [CHECKOUT …]``: packages, imports, cycles, lines, and calls.
 
 The source of each checkout, by default this one, is read without running it, and drawn. Then one
-interpretation of each motion is followed, in a process of the checkout's own. Reports and drawings
-are left in bench/results as structure-NAME.md and .png, and of several checkouts a table of all as
-structure.md.
+interpretation of each motion is traced in a process of the checkout. bench/results gets a report
+and a drawing, structure-NAME.md and .png, and for several checkouts a common table, structure.md.
 """
 
 import argparse
@@ -41,7 +40,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Return 0, or 2 where a checkout interprets nothing."""
+    """Return 0, or 2 if the code of a checkout cannot interpret a pair."""
     options = parse(arguments)
     RESULTS.mkdir(exist_ok=True)
     sources, ways = [], []

@@ -1,4 +1,4 @@
-"""The packages of a checkout as a drawing: rooms on storeys, arrows for what imports what."""
+"""A drawing of the packages of a checkout: boxes in layers, and an arrow for each import."""
 
 import math
 from dataclasses import dataclass
@@ -14,17 +14,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PREFIX = "tisfm."
-ROWS = 10  # modules in a column of a room, at most
+ROWS = 10  # modules in a column of a box, at most
 LINE, LETTER, TITLE, MARGIN = 0.15, 0.066, 0.52, 0.1  # inches
-GAP, STAIRS = 0.35, 1.1  # inches between rooms, and between storeys
-SWEEPS = 8  # over the storeys, to put rooms above those that they import
+GAP, STAIRS = 0.35, 1.1  # inches between boxes, and between layers
+SWEEPS = 8  # over the layers, to put boxes above the boxes that they import
 COLOURS = ("#35618f", "#4d8b57", "#a8622d", "#7b4f9e", "#5f6b73", "#b08a1e", "#2f8c8c", "#8c4a5a")
 IN_CYCLE = "#c22121"
 
 
 @dataclass
 class Room:
-    """A package with its modules; `x` is its centre and `y` its floor, inches."""
+    """A box with the modules of a package; `x` is its centre and `y` its lower edge, inches."""
 
     name: str
     modules: list[str]
@@ -34,40 +34,40 @@ class Room:
 
     @property
     def title(self) -> str:
-        """What stands above the modules."""
+        """Text above the modules."""
         return self.name.removeprefix(PREFIX)
 
     @property
     def columns(self) -> int:
-        """Columns of modules."""
+        """Number of columns of modules."""
         return math.ceil(len(self.modules) / ROWS)
 
     @property
     def column_width(self) -> float:
-        """Inches."""
+        """Width of a column, inches."""
         return LETTER * max(map(len, self.modules)) + MARGIN
 
     @property
     def width(self) -> float:
-        """Inches."""
+        """Width of the box, inches."""
         head = LETTER * 1.25 * max(len(self.title), len(self.subtitle))
         return max(self.columns * self.column_width, head) + 2 * MARGIN
 
     @property
     def height(self) -> float:
-        """Inches."""
+        """Height of the box, inches."""
         rows = math.ceil(len(self.modules) / self.columns)
         return TITLE + rows * LINE + MARGIN
 
     @property
     def subtitle(self) -> str:
-        """How much is in it."""
+        """Numbers of modules and lines."""
         many = len(self.modules) > 1
         return f"{len(self.modules)} module{'s' * many}, {self.lines} lines"
 
 
 def rooms_of(source: Source) -> dict[str, Room]:
-    """Return the rooms of a checkout, not placed yet."""
+    """Return the boxes of a checkout, without positions."""
     found: dict[str, Room] = {}
     for name, room in source.rooms.items():
         module = source.modules[name]
@@ -79,7 +79,7 @@ def rooms_of(source: Source) -> dict[str, Room]:
 
 
 def place(rooms: dict[str, Room], graph: Graph) -> float:
-    """Give every room its place; return the width of the whole, inches."""
+    """Set the position of every box; return the width of the drawing, inches."""
     levels = storeys(graph)
     order: dict[int, list[Room]] = {}
     for name in sorted(rooms):
@@ -166,7 +166,7 @@ def _room(axes: "Axes", room: Room, colour: str) -> None:
 
 
 def _arrow(axes: "Axes", room: Room, other: Room, colour: str, implied: bool) -> None:
-    if room.y == other.y:  # on one storey, so in one cycle
+    if room.y == other.y:  # both in one layer, so in one cycle
         start = (room.x, room.y + room.height)
         end = (other.x, other.y + other.height)
         bend = "arc3,rad=-0.3" if room.x < other.x else "arc3,rad=0.15"

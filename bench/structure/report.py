@@ -1,4 +1,4 @@
-"""What the source of a checkout is like, as Markdown."""
+"""The report on the source of a checkout, as Markdown."""
 
 from collections.abc import Mapping, Sequence
 
@@ -6,25 +6,25 @@ from bench.structure.source import Graph, Source, cycles, storeys
 from bench.structure.way import Way
 
 KERNELS = "tisfm.kernels"
-# Modules that hold values, or say where arrays lie, and are asked from everywhere.
+# Modules with values that every stage uses; without them, only the stages are left.
 VALUES = ("camera", "settings", "runtime", "interpretation", "checks", "rigid", "cores")
 STAGES = "stages"
 MOST_ENTERED = 6
-MOST_LINES = 150  # of a way that is written out
+MOST_LINES = 150  # of a listed call path
 
 
 def in_kernels(module: str) -> bool:
-    """Return whether a module is one of the kernels'."""
+    """Return whether a module belongs to the kernels."""
     return module == KERNELS or module.startswith(KERNELS + ".")
 
 
 def short(module: str) -> str:
-    """Return a module's name without the package that all are in."""
+    """Return the name of a module without the prefix ``tisfm.``."""
     return module.removeprefix("tisfm.")
 
 
 def markdown(name: str, source: Source, lines: Mapping[str, int], ways: Mapping[str, Way]) -> str:
-    """Return the report on one checkout; `ways` is by motion, and may be empty."""
+    """Return the report on one checkout; `ways` is motion → calls, and may be empty."""
     parts = [
         [f"# Structure: {name}", "", f"![rooms](structure-{name}.png)", "", *_counts(source)],
         ["", "## Cycles", "", *_cycles(source)],
@@ -90,7 +90,7 @@ def _lines(lines: Mapping[str, int]) -> list[str]:
 
 
 def views(way: Way) -> dict[str, Way]:
-    """Return the way at three distances."""
+    """Return the calls with all modules, without kernels, and of the stages only."""
     alone = way.without(in_kernels)
     return {
         "tisfm and kernels": way,

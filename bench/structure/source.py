@@ -1,4 +1,4 @@
-"""Modules of a checkout, what they import of one another, cycles, and lines of code."""
+"""Modules of a checkout, the imports between them, cycles, and lines of code."""
 
 import ast
 import io
@@ -8,21 +8,21 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-ROOTS = {"tisfm": "tisfm", "kernels": "tisfm.kernels"}  # folder → the package it is installed as
+ROOTS = {"tisfm": "tisfm", "kernels": "tisfm.kernels"}  # folder → name of the installed package
 FOLDERS = ("tisfm", "kernels", "bench", "tests")
 BASE = " (base)"
 _NO_CODE = (
     tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT,
     tokenize.ENDMARKER,
 )  # fmt: skip
-Graph = Mapping[str, frozenset[str]]  # name → what it imports
+Graph = Mapping[str, frozenset[str]]  # name → names that it imports
 
 
 @dataclass(frozen=True, kw_only=True)
 class Module:
     """A file of source: its dotted name, package, lines of code, and the modules it imports.
 
-    `types` are those that it imports for annotations only.
+    `types` are modules that it imports for annotations only.
     """
 
     name: str
@@ -34,18 +34,18 @@ class Module:
 
 @dataclass(frozen=True)
 class Source:
-    """The modules of a checkout's package and of its kernels, by name."""
+    """All modules of the package and of the kernels of a checkout, by name."""
 
     modules: Mapping[str, Module]
 
     @cached_property
     def graph(self) -> Graph:
-        """Module → modules it imports, wherever in it, but not for annotations only."""
+        """Module → modules that it imports anywhere in its code, except for annotations only."""
         return {name: module.imports for name, module in self.modules.items()}
 
     @cached_property
     def packages(self) -> Graph:
-        """Package → other packages whose modules its modules import."""
+        """Package → other packages that it imports modules of."""
         return self.grouped({name: module.package for name, module in self.modules.items()})
 
     def grouped(self, groups: Mapping[str, str]) -> Graph:
@@ -57,10 +57,10 @@ class Source:
 
     @cached_property
     def rooms(self) -> dict[str, str]:
-        """Module → the room it is drawn in.
+        """Module → the box of the drawing that contains it.
 
-        That is its package, but for one in a cycle of packages: there, modules that need no other
-        of the cycle are a room of their own below it, as the settings are that every stage reads.
+        The box is its package. In a cycle of packages, modules that import nothing from the other
+        packages of the cycle get a separate box below, such as settings that every stage reads.
         """
         packages = {name: module.package for name, module in self.modules.items()}
         rooms = dict(packages)
@@ -70,7 +70,8 @@ class Source:
                 needed = reachable(self.graph, name) & within
                 if all(packages[other] == packages[name] for other in needed):
                     rooms[name] = f"{packages[name]}{BASE}"
-        split = set(packages.values()) & set(rooms.values())  # others are base, all of them
+        # Boxes that contain all of a package have the plain name of the package.
+        split = set(packages.values()) & set(rooms.values())
         return {
             name: room if packages[name] in split else packages[name]
             for name, room in rooms.items()
@@ -141,7 +142,7 @@ def code_lines(text: str) -> int:
 
 
 def lines_by_folder(folder: Path) -> dict[str, int]:
-    """Return the lines of code in every folder with Python files, those below it left out."""
+    """Return the lines of code in every folder with Python files, without its subfolders."""
     found: dict[str, int] = {}
     for top in FOLDERS:
         for path in sorted((folder / top).rglob("*.py")):
@@ -152,7 +153,7 @@ def lines_by_folder(folder: Path) -> dict[str, int]:
 
 
 def reachable(graph: Graph, start: str) -> set[str]:
-    """Return all that a name imports, directly or not."""
+    """Return all names that a name imports, directly or indirectly."""
     found: set[str] = set()
     waiting = [start]
     while waiting:
@@ -163,7 +164,7 @@ def reachable(graph: Graph, start: str) -> set[str]:
 
 
 def cycles(graph: Graph) -> list[frozenset[str]]:
-    """Return the sets of names that import one another, directly or not."""
+    """Return the sets of names that import one another, directly or indirectly."""
     reach = {name: reachable(graph, name) for name in graph}
     found = {
         frozenset(other for other in reach[name] if name in reach[other])
@@ -174,9 +175,9 @@ def cycles(graph: Graph) -> list[frozenset[str]]:
 
 
 def storeys(graph: Graph) -> dict[str, int]:
-    """Return the storey of every name: 0 imports none of the others, else one above the highest.
+    """Return the layer of every name: 0 without imports, else one above its highest import.
 
-    Names in one cycle are on one storey.
+    Names of one cycle are in the same layer.
     """
     circle = {name: cycle for cycle in cycles(graph) for name in cycle}
     found: dict[str, int] = {}

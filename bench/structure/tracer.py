@@ -1,8 +1,8 @@
-"""Follows one interpretation through the modules of the checkout that it is started in.
+"""Follows one interpretation through the modules of the checkout in the working folder.
 
-The code is given to an interpreter by ``-c``, with the motion as its argument; it uses what tisfm
-documents alone. It prints JSON: the modules of tisfm in the order in which they executed, each
-with whether that was a call (true) or the return to a caller (false).
+An interpreter gets the code by ``-c``, with the motion as its argument. The code uses documented
+names of tisfm only. It prints JSON: the modules of tisfm in the order of execution, each with true
+for a call and false for the return to a caller.
 """
 
 import json
@@ -12,7 +12,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-# An editable installation would find the kernels of the checkout that it was made in.
+# The finder of an editable installation would load the kernels of another checkout.
 sys.meta_path[:] = [f for f in sys.meta_path if getattr(f, "__name__", "") != "_EditableFinder"]
 
 import tisfm  # noqa: E402
@@ -33,14 +33,14 @@ def modules() -> dict[str, str]:
 
 
 class Trace:
-    """Records where execution is; code of others counts as that of the module that called it."""
+    """Records the executing module; code outside tisfm counts as part of its caller."""
 
     def __init__(self, names: dict[str, str]) -> None:
         self.steps: list[tuple[str, bool]] = []
         self._names, self._stack = names, [""]
 
     def __call__(self, frame: FrameType, event: str, argument: Any) -> None:
-        """Take an event, as `sys.setprofile` gives it."""
+        """Record an event of `sys.setprofile`."""
         if event == "call":
             module = self._names.get(frame.f_code.co_filename, self._stack[-1])
             if module != self._stack[-1]:
@@ -53,7 +53,7 @@ class Trace:
 
 
 def trace(motion: str) -> list[tuple[str, bool]]:
-    """Return the way of a pair, the second of two: the first one compiles."""
+    """Return the calls of the second of two interpretations; the first one compiles kernels."""
     scene = tisfm.scenes.two_blocks(*SIZE)
     frames, settings = (
         (scene.frame0, scene.frame1),
@@ -66,11 +66,11 @@ def trace(motion: str) -> list[tuple[str, bool]]:
         kept = tisfm.interpret(*frames, camera=scene.camera, settings=settings)
     finally:
         sys.setprofile(None)
-    del kept  # not before: its end is no part of the way
+    del kept  # freed only here: freeing is not part of the interpretation
     return recorded.steps
 
 
 if __name__ == "__main__":
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what a library prints is no part of the answer
+    os.dup2(2, 1)  # the output of libraries must not mix with the answer
     print(json.dumps(trace(sys.argv[1])), file=answers, flush=True)

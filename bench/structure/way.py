@@ -1,4 +1,4 @@
-"""The way of a frame through the modules: how long it is, and the same with its loops folded."""
+"""The calls between modules during an interpretation, with and without repeated calls."""
 
 import json
 import subprocess
@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 TRACER = Path(__file__).with_name("tracer.py")
-LONGEST = 40  # calls in a loop that is recognised
+LONGEST = 40  # calls in a repeated sequence, at most
 INDENT = "  "
 
 
 @dataclass(frozen=True)
 class Call:
-    """A call from one module into another, and the calls that this one makes in turn."""
+    """A call from one module into another, with the calls that it makes."""
 
     module: str
     inner: tuple["Call | Loop", ...] = ()
@@ -22,7 +22,7 @@ class Call:
 
 @dataclass(frozen=True)
 class Loop:
-    """Calls that follow one another several times; how often may differ by turn."""
+    """A sequence of calls that is repeated; loops with other numbers of repeats count as equal."""
 
     body: tuple["Call | Loop", ...]
     times: int = field(compare=False)
@@ -33,10 +33,9 @@ Calls = Sequence["Call | Loop"]
 
 @dataclass(frozen=True)
 class Way:
-    """The calls of one interpretation from module to module; a loop counts once.
+    """The calls of one interpretation between modules; repeated calls may be folded to a loop.
 
-    A stop is each time that another module executes: one for every call, and one for every return
-    to a caller.
+    A stop is a change of the executing module: by a call, or by the return to a caller.
     """
 
     calls: Calls
@@ -50,34 +49,34 @@ class Way:
 
     @property
     def entered(self) -> Counter[str]:
-        """Module → how often it was called from another."""
+        """Module → number of calls from other modules."""
         return Counter(call.module for call in self.walk())
 
     @property
     def back(self) -> int:
-        """How many stops are returns to a caller."""
+        """Number of returns to a caller."""
         return self.entered.total() - 1
 
     @property
     def stops(self) -> int:
-        """How many stops there are."""
+        """Number of stops."""
         return self.entered.total() + self.back
 
     def without(self, hidden: Callable[[str], bool]) -> "Way":
-        """Return the way, loops not folded, as if some modules' code were that of their callers."""
+        """Return unfolded calls in which code of some modules counts as part of their callers."""
         return Way(_shown(self.calls, "", hidden))
 
     def folded(self) -> "Way":
-        """Return the way with every loop gone through once."""
+        """Return the calls with every loop counted once."""
         return Way(fold(self.calls))
 
     def lines(self, short: Callable[[str], str]) -> Iterator[str]:
-        """Yield a line for every call, further to the right than its caller's."""
+        """Yield a line for every call, indented below its caller."""
         yield from _lines(self.calls, short, "")
 
 
 def trace(folder: Path, python: Path, motion: str) -> Way:
-    """Follow one interpretation by a checkout's code, in a process of its own."""
+    """Trace one interpretation with the code of a checkout, in its own process."""
     code = TRACER.read_text(encoding="utf-8")
     done = subprocess.run(
         [python, "-c", code, motion], cwd=folder, capture_output=True, text=True, check=False
@@ -89,7 +88,7 @@ def trace(folder: Path, python: Path, motion: str) -> Way:
 
 
 def from_stops(stops: Iterable[tuple[str, bool]]) -> Way:
-    """Return the way of stops in order: the module, and whether it was called or returned to."""
+    """Return the calls of a list of stops: module, and whether it was called or returned to."""
     open_calls: list[tuple[str, list[Call]]] = [("", [])]
     for module, called in stops:
         if called:
@@ -119,7 +118,7 @@ def _shown(calls: Calls, caller: str, hidden: Callable[[str], bool]) -> tuple[Ca
 
 
 def fold(calls: Calls) -> tuple["Call | Loop", ...]:
-    """Return calls with their loops: the shortest first, then loops of loops until none is left."""
+    """Return calls folded to loops: short loops first, then loops of loops."""
     folded: Calls = [
         Call(call.module, fold(call.inner)) if isinstance(call, Call) else call for call in calls
     ]

@@ -18,14 +18,14 @@ from bench.view.long_results import (
 from bench.view.opening import Opening, browser, opened
 
 FRAMES = 1000  # of each result
-SHORT = 8  # frames of the results that are lengthened
+SHORT = 8  # frames of the short results that are repeated
 HEIGHT = 480  # px
 WIDTH = 640  # px
 ROUNDS = 5  # starts of the command on each result
 STEPS = 6  # of the slider in each start
 
 
-BAR = 3.0  # s until points are seen; set by hand
+BAR = 3.0  # s until points are visible; set by hand
 NAMES = {"run": "`tisfm run`", "reconstruction": "`tisfm reconstruct`"}
 HEAD = (
     "", "frames", "page served, s", "points seen, s", "in the slowest start, s",

@@ -1,6 +1,6 @@
 """Long results for the viewer: the files of a short run or reconstruction, linked many times.
 
-The viewer reads as many files of the same size as of a real long result.
+The viewer then reads files of the same number and size as those of a real long result.
 """
 
 import json
@@ -64,7 +64,7 @@ def lengthened_run(short: Path, long: Path, count: int) -> None:
 
 
 def lengthened_reconstruction(short: Path, long: Path, count: int) -> None:
-    """Write a reconstruction of `count` frames, which runs through a short one to and fro.
+    """Write a reconstruction of `count` frames that runs to and fro through a short one.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Time from the start of ``tisfm view`` until its page shows points in a browser.
 
-The browser is a headless Chromium without a GPU, which is already open. The page itself notes when
-it has drawn points, since screenshots of the window would delay the drawing.
+The browser is a headless Chromium without a GPU, which is already open. The page itself records
+when it has drawn points, because screenshots would delay the drawing.
 """
 
 import os
@@ -25,7 +25,7 @@ OPTIONS = (
 WINDOW = {"width": 1280, "height": 800}
 PATIENCE = 120.0  # s to wait for the page
 _REST = 1.5  # s without data after which a frame counts as complete; set by hand
-_LEAST_PAYLOAD = 10_000  # bytes of a message with points or pictures, at least
+_LEAST_PAYLOAD = 10_000  # least bytes of a message with points or pictures
 # Notes the second picture after the first call that draws 1,000 points or more.
 _NOTES = """
 const draw = WebGL2RenderingContext.prototype.drawArrays;
@@ -43,20 +43,20 @@ _STARTS = "import sys; from tisfm.cli.command_line import main; sys.exit(main())
 
 @dataclass(frozen=True, kw_only=True)
 class Opening:
-    """Times of one start of the command: s since the start, if the text names no other.
+    """Times of one start of the command: s since the start, unless stated otherwise.
 
     Attributes
     ----------
     served : float
         Until the command prints the address of its page.
     first : float
-        Until points are seen.
+        Until the first points are visible.
     processor : float
-        Processor time of the command until then.
+        Processor time of the command until the first points are visible.
     refined : float
-        Until all points of the first frame have come.
+        Until all points of the first frame have arrived.
     steps : tuple of (float, float)
-        Since a step of the slider: until the frame is shown, and until all its points have come.
+        Since a step of the slider: until the frame is shown, and until all its points are there.
     memory, peak : float or None
         Memory of the command, MB: after the first picture, and its peak. None if the system does
         not report it.
@@ -146,7 +146,7 @@ def opened(chromium: Any, folder: Path, steps: Sequence[int]) -> Opening:
 
 
 class Arrivals:
-    """Times at which data came to a tab."""
+    """Times at which data arrived in a tab."""
 
     def __init__(self, tab: Any) -> None:
         self.times: list[float] = []
@@ -157,7 +157,7 @@ class Arrivals:
             self.times.append(time.perf_counter())
 
     def last_after(self, begin: float, tab: Any) -> float:
-        """Wait until no more data come, and return the time of the last arrival."""
+        """Wait until no more data arrive, and return the time of the last arrival."""
         while True:
             last = max([begin, *self.times])
             rest = time.perf_counter() - last
