@@ -1,4 +1,4 @@
-"""Coarse to fine: large motions become small ones on a smaller image."""
+"""Coarse-to-fine estimation: a large motion is small on a coarse level of the pyramid."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,12 +16,12 @@ from tisfm.solver.smoothness import Smoothness, image_edges_in_lanes
 from tisfm.solver.three_frames import ThreeFrameData
 from tisfm.solver.unknowns import Unknowns
 
-Records = list[tuple[int, int, Iteration]]  # level, warp and what the iteration did
+Records = list[tuple[int, int, Iteration]]  # level, warp and record of each iteration
 
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """What is sought at every pixel, and by which energy.
+    """The unknowns of every pixel and the energy to minimise.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Problem:
         Its stiffness has a value for each unknown: 6, 3, 2 or 1.
     effort : Effort
     warps : callable
-        Takes how many levels there are below one, and gives how often it is linearised.
+        Takes the number of finer levels below a level, returns the linearisations on that level.
     """
 
     constancy: Constancy
@@ -45,48 +45,48 @@ class Problem:
 
 
 class Amendment(Protocol):
-    """What may change the unknowns on their way.
+    """A change of the unknowns between the levels of the pyramid.
 
     Attributes
     ----------
     level : int
-        On which they may be changed, once half of its linearisations are done.
+        The level for `apply`, which is called after half of its linearisations.
     """
 
     level: int
 
     def apply(self, unknowns: Unknowns) -> bool:
-        """Return whether it has changed the unknowns: if so, the level is linearised as if new."""
+        """Change the unknowns; return whether they changed, so that the level needs more warps."""
 
     def go_on(self, unknowns: Unknowns, level: int) -> None:
-        """Change the unknowns of a finer level, before anything else is done there."""
+        """Change the unknowns of a finer level before its first linearisation."""
 
 
 class MoreData(Protocol):
-    """What may add to the data of the last level, once half of its linearisations are done."""
+    """Additional data for the last level, used after half of its linearisations."""
 
     def joined(self, unknowns: Unknowns, data_term: DataTerm) -> ThreeFrameData | None:
-        """Return the data term to go on with, which writes the same constraints.
+        """Return a data term that writes the same constraints, or None to keep that of the pair.
 
-        None for that of the pair. It may change the unknowns.
+        The unknowns may be changed.
         """
 
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """What coarse to fine leaves at the level that it ends on.
+    """The result of coarse-to-fine estimation, on its last level.
 
     Attributes
     ----------
     unknowns : Unknowns
         ρ̂, px/frame.
     system : LinearSystem
-        That of the weights b of the last iteration.
+        The system with the weights b of the last iteration.
     level : int
     history : list of (level, warp, Iteration)
-        Every half-quadratic iteration; level 0 is the finest.
+        All half-quadratic iterations; level 0 is the finest.
     converged : bool
-        Whether the last warp of that level ceased to evolve.
+        Whether the iterations of the last warp converged.
     """
 
     unknowns: Unknowns
@@ -105,16 +105,16 @@ def coarse_to_fine(
     amendment: Amendment | None = None,
     more: MoreData | None = None,
 ) -> Solution:
-    """Estimate ρ̂ from the coarsest level to the last, from zero.
+    """Estimate ρ̂ from the coarsest level to the last, starting at zero.
 
     Parameters
     ----------
     pyramid : ImagePyramid
     problem : Problem
     last : int
-        The level to end on.
+        The last level to compute.
     release : bool
-        Whether the splines of all levels but the last are let go of once they have served.
+        Whether to free the splines of each level but the last after use.
     amendment : Amendment, optional
     more : MoreData, optional
     """
@@ -122,7 +122,7 @@ def coarse_to_fine(
     unknowns: Unknowns | None = None
     solution: Solution | None = None
     for level in reversed(range(last, pyramid.levels)):
-        solution = None  # of the level before, only its unknowns are needed
+        solution = None  # frees the previous level: only its unknowns are needed
         unknowns = unknowns_on(pyramid, level, problem, unknowns)
         amend = None
         if amendment is not None and level < amendment.level:
@@ -148,7 +148,7 @@ def coarse_to_fine(
 def unknowns_on(
     pyramid: ImagePyramid, level: int, problem: Problem, coarse: Unknowns | None = None
 ) -> Unknowns:
-    """Return the unknowns of a level, from those of the next coarser one or zero."""
+    """Return the unknowns of a level, interpolated from the next coarser level or zero."""
     frame0 = pyramid.frames0[level]
     grid = lane_grid(*frame0.shape)
     unknowns = Unknowns(grid, pyramid.cameras[level], problem.components)
@@ -188,7 +188,7 @@ def minimiser_on(problem: Problem, unknowns: Unknowns, data_term: DataTerm) -> H
 
 
 def at_finest(pyramid: ImagePyramid, unknowns: Unknowns, level: int) -> np.ndarray:
-    """Return the unknowns of a level at the pixels of the finest, (components, H, W) float32."""
+    """Return the unknowns of a level at the finest pixels, (components, H, W) float32."""
     if level == 0:
         return unknowns.images()
     if pyramid.factor != 0.5:
@@ -208,7 +208,7 @@ def _on_level(
     amend: Callable[[Unknowns], bool] | None = None,
     more: MoreData | None = None,
 ) -> Solution:
-    """Estimate ρ̂ on one level, from what it is, and add to the history."""
+    """Estimate ρ̂ on one level, starting at its present value, and append to the history."""
     data_term = data_term_on(pyramid, level, problem, unknowns)
     minimiser = minimiser_on(problem, unknowns, data_term)
     flow = unknowns.grid.allocate(2, zeros=False)
@@ -218,7 +218,7 @@ def _on_level(
     joined_after = half
     while warp < warps:
         find_flow()
-        linearise()  # its tensor is that of this flow already
+        linearise()  # also writes the tensor for this flow
         if changed:
             minimiser.update()
         iterations, converged = minimiser.minimise()
@@ -232,7 +232,7 @@ def _on_level(
             if joint is not None:
                 linearise = joint.bind_linearise(flow, minimiser.system.tensor)
                 warps, changed = max(warps, warp + 1), True
-    if joint is not None:  # what is new needs more iterations, which cost less than linearisations
+    if joint is not None:  # new data need more iterations, which cost less than linearisations
         iterations, converged = minimiser.minimise()
         history += [(level, warp - 1, iteration) for iteration in iterations]
     return Solution(

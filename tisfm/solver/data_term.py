@@ -1,4 +1,4 @@
-"""What the images say: constraints on the flow, renewed at every warp."""
+"""The data term: constraints of the images on the flow, computed anew at every warp."""
 
 import math
 from collections.abc import Callable
@@ -17,17 +17,17 @@ from tisfm.solver.sampling import weight_taps
 
 @dataclass(frozen=True, kw_only=True)
 class Constancy:
-    """What is taken to be the same in both frames, and how much of it counts.
+    """The constancy assumptions about both frames, and their weights.
 
     Attributes
     ----------
     brightness, gradient : float
         Weights of the constancy of brightness (eq. 4) and of its gradient.
     normalization : float or None
-        ζ, as a share of the mean step between neighbours of the frame; None for constraints as
-        they are.
+        ζ, as a share of the mean |ΔI| between neighbours of frame 0; None for constraints without
+        normalisation.
     contrast : float
-        ε, px/frame (grey levels where constraints are not normalised); infinite for a quadratic
+        ε, px/frame (grey levels if constraints are not normalised); infinite for a quadratic
         data term.
     derivatives : {"cube", "five_tap"}
     """
@@ -40,12 +40,12 @@ class Constancy:
 
     @property
     def count(self) -> int:
-        """Constraints that a pixel has."""
+        """Number of constraints per pixel."""
         return constraint_count(self.brightness, self.gradient)
 
     @property
     def scales(self) -> tuple[float, ...]:
-        """M ε² of each term in use, m its weight (`tisfm.kernels.model.robust`)."""
+        """Scale m ε² of each term in use, with m its weight (`tisfm.kernels.model.robust`)."""
         weights = (self.brightness, self.gradient)
         return tuple(weight * self.contrast**2 for weight in weights if weight > 0)
 
@@ -62,23 +62,23 @@ class DataTerm:
         `tisfm.solver.sampling.spline_taps` of frame 1.
     constancy : Constancy
     unit : float
-        Mean step between neighbours of the frame, grey levels, of which ζ is a share.
+        Mean |ΔI| between neighbours of frame 0, grey levels; the unit of ζ.
     counted : tuple of two (H, W) bool, optional
-        Pixels of each frame that count, by default all. The others have no constraints, nor have
-        those that go to them.
+        Pixels of each frame that are used, by default all. Ignored pixels of frame 0, and pixels
+        that move to an ignored pixel of frame 1, have no constraints.
 
     Attributes
     ----------
     grid, constancy
         As given.
     constraints : lane array, 3 components for each constraint
-        (p, q, c) (`tisfm.kernels.data.constraints`), which a linearisation overwrites.
+        (p, q, c) (`tisfm.kernels.data.constraints`); each linearisation overwrites them.
     scales : tuple of float
-        Those of the constancy.
+        `constancy.scales`.
     lanes0 : lane array, 1 component, halo `IMAGE_HALO`
         Frame 0.
     mask : lane array, 1 component
-        1 where a pixel counts and lands inside frame 1, as of the last linearisation.
+        1 where a pixel is used and moves to inside frame 1, by the flow of the last linearisation.
     """
 
     def __init__(
@@ -105,19 +105,20 @@ class DataTerm:
 
     @property
     def normalization(self) -> float | None:
-        """ζ, grey levels per px; None for constraints as they are."""
+        """ζ, grey levels per px; None for constraints without normalisation."""
         share = self.constancy.normalization
         return None if share is None else share * self._unit
 
     def bind_linearise(self, flow: LaneData, tensor: LaneData | None = None) -> Callable[[], None]:
-        """Return what warps frame 1 by a flow and writes `constraints` there.
+        """Return a function that warps frame 1 by a flow and writes `constraints` for it.
 
         Parameters
         ----------
         flow : lane array, 2 components
             (u, v), px/frame, read at every call.
         tensor : lane array, 6 components, optional
-            Overwritten with their motion tensors, added up with the robust weights of this flow.
+            Overwritten with the sum of the constraints' motion tensors, with the robust weights of
+            this flow.
         """
         grid, constancy = self.grid, self.constancy
         ignore = [] if self._counted is None else [self._counted.bind(flow, self.mask)]
@@ -143,7 +144,7 @@ class DataTerm:
 
 
 class _BothCount:
-    """The weights of pixels that count in frame 0, and go to where frame 1 counts."""
+    """The weights of pixels that are used in frame 0 and move to used pixels of frame 1."""
 
     def __init__(self, grid: LaneGrid, counted0: np.ndarray, counted1: np.ndarray) -> None:
         self._grid = grid
@@ -153,7 +154,7 @@ class _BothCount:
         self._image1, self._taps1 = grid.place(image), grid.place(taps, vectors=True)
 
     def bind(self, flow: LaneData, mask: LaneData) -> Callable[[], None]:
-        """Return what multiplies a mask by the weights under a flow."""
+        """Return a function that multiplies a mask by the weights for a flow."""
         grid = self._grid
         return in_turn(
             warp.bind(grid, self._image1, self._taps1, flow, self._weight1, self._inside),

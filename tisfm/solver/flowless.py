@@ -1,4 +1,4 @@
-"""Rigid motions without image motion, which sweeps and cycles find last.
+"""Correction of ρ̂ along fields without image motion, for which sweeps and cycles are slow.
 
 Four fields of ρ̂ have no image motion, Gρ̂ = 0: τ along the line of sight, and each component of ω
 with the τ that cancels its image motion,
@@ -6,8 +6,9 @@ with the τ that cancels its image motion,
     (x̂, ŷ, 1, 0, 0, 0),            (x̂ŷ, 1 + ŷ², 0, 1, 0, 0),
     (−1 − x̂², −x̂ŷ, 0, 0, 1, 0),    (ŷ, −x̂, 0, 0, 0, 1).
 
-The data terms do not depend on them, and they are so smooth that the smoothness term hardly does:
-of all errors they shrink most slowly. The best multiple of each follows exactly from 4 equations.
+The data term does not depend on these fields. They are so smooth that the smoothness term hardly
+depends on them either, so errors along them shrink most slowly. The best multiple of each field
+follows exactly from 4 linear equations.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,8 +18,8 @@ import numpy as np
 from tisfm.kernels.solve.linear_system import LinearSystem
 from tisfm.solver.unknowns import Unknowns
 
-LEAST_SHARE = 1e-12  # of a pivot, below which fields are as good as dependent
-BAND = 64  # rows that are computed at a time, in float64
+LEAST_SHARE = 1e-12  # relative singular value below which fields count as dependent
+BAND = 64  # rows computed at a time, in float64
 
 
 class FlowlessFields:
@@ -27,7 +28,7 @@ class FlowlessFields:
     Parameters
     ----------
     unknowns : Unknowns
-        Of 6 or 3 components; with 3, only the first field is among them.
+        With 6 or 3 components; with 3, only the first field exists.
     """
 
     def __init__(self, unknowns: Unknowns) -> None:
@@ -44,11 +45,11 @@ class FlowlessFields:
         Parameters
         ----------
         system : LinearSystem
-            With fixed weights; its tensor is not read.
+            Its weights are fixed; its tensor is not read.
         """
         matrix, vector = self._normal_equations(system)
         if not (np.isfinite(matrix).all() and np.isfinite(vector).all()):
-            return  # ρ̂ has diverged, and its status says so
+            return  # ρ̂ has diverged; the status of the result will say so
         scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(np.float64).tiny))
         shares, *_ = np.linalg.lstsq(matrix / np.outer(scale, scale), vector / scale, LEAST_SHARE)
         unknowns = self._unknowns
@@ -59,9 +60,9 @@ class FlowlessFields:
             unknowns.set_image(component, image)
 
     def _normal_equations(self, system: LinearSystem) -> tuple[np.ndarray, np.ndarray]:
-        """Return the matrix and the right-hand side for the shares of the fields, float64.
+        """Return the matrix and the right-hand side for the multiples of the fields, float64.
 
-        Of the differences of neighbours, only those of τ1 and τ2 are not 0.
+        Only τ1 and τ2 of the fields vary from pixel to pixel, so only their differences count.
         """
         n, unknowns = self._count, self._unknowns
         matrix, vector = np.zeros((n, n)), np.zeros(n)
@@ -70,7 +71,7 @@ class FlowlessFields:
             alpha = float(system.alphas[component])
             rho = unknowns.to_image(unknowns.rho, component)
             for side, step in enumerate(steps):
-                # Every step is a function of the row times one of the column.
+                # Every step is a function of the row times a function of the column.
                 rows, columns = (np.stack(parts) for parts in zip(*step[:n], strict=True))
                 products, slopes = _sums(
                     unknowns.to_image(system.weights, k + side * system.sets),
@@ -101,9 +102,9 @@ class FlowlessFields:
         )
 
     def _fields(self, shares: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return a sum of the fields: functions of the row and of the column for each component.
+        """Return a weighted sum of the fields, as row and column functions for each component.
 
-        The component is the sum of their products.
+        A component is the sum over products of a row function and a column function.
         """
         x, y = self._x, self._y
         one_x, one_y = np.ones(x.shape), np.ones(y.shape)
@@ -129,7 +130,7 @@ def _sums(
     weights, rho : (H, W) array
         b of the edges along an axis, and a component of ρ̂.
     rows, columns : (n, H'), (n, W') array
-        Functions of the row and of the column, whose product is the step of each field from a pixel
+        Functions of the row and of the column. Their product is the step of each field from a pixel
         to the next along the axis.
     axis : {1, 0}
     """
@@ -144,5 +145,5 @@ def _sums(
 
 
 def _weighted(image: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return Σ image · row · column over the pixels, for every pair of functions of them."""
+    """Return Σ image · row · column over the pixels, for every pair of row and column functions."""
     return np.asarray(((rows @ image) * columns).sum(axis=-1))

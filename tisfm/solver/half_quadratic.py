@@ -15,30 +15,30 @@ from tisfm.solver.multigrid import Multigrid
 from tisfm.solver.smoothness import Smoothness
 from tisfm.solver.unknowns import Unknowns
 
-FEWEST_ITERATIONS = 2  # if so many are allowed: the first alone brings nothing from afar
+FEWEST_ITERATIONS = 2  # if the limit allows them: one iteration spreads data over short distances
 TRANSLATION = 3  # unknowns of the smallest model that has motions without image motion
-CONFIRMED = 2  # iterations in a row whose estimate of the error left has to be small
-LEAST_CONTRACTION = 2 / 3  # least factor assumed for errors: at first, changes may shrink faster
+CONFIRMED = 2  # consecutive iterations whose estimate of the remaining error must be small
+LEAST_CONTRACTION = 2 / 3  # least contraction assumed for errors: early changes may shrink faster
 
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """How far a linearisation is solved.
+    """The number of iterations for a linearisation, and the condition to stop.
 
     Attributes
     ----------
     outer_iterations, sweeps : int
-        Half-quadratic iterations at most, and sweeps in each.
+        Most half-quadratic iterations, and sweeps in each.
     cycles : int
-        Of multigrid, in place of sweeps; 0 for sweeps.
+        Multigrid cycles in place of sweeps; 0 for sweeps.
     relaxation : float
-        Of the sweeps, in (0, 2).
+        Over-relaxation of the sweeps, in (0, 2).
     tolerance : float
-        Iterations stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖; where `thorough`, when ‖error of ρ̂‖
-        is estimated to be no more than that.
+        Iterations stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖. If `thorough`, they stop when the
+        estimate of ‖error of ρ̂‖ is at most tolerance · ‖ρ̂‖.
     thorough : bool
-        Whether ρ̂ has to come near the minimum, as with one pyramid level, where no coarser level
-        brings it near. It takes three iterations at least, or four with sweeps.
+        Whether to iterate close to the minimum. This is needed with one pyramid level, since no
+        coarser level gives a good start. It takes at least three iterations, or four with sweeps.
     solver : {"cholesky", "closed_form"}
     """
 
@@ -58,11 +58,11 @@ class Iteration:
     Attributes
     ----------
     energy : float
-        Energy (eq. 6, 20) after it; never rises within a warp.
+        Energy (eq. 6, 20) after the iteration; it never rises within a warp.
     half_quadratic : float
-        Its half-quadratic form (eq. 8, 21), with the weights the iteration solved for.
+        Half-quadratic energy (eq. 8, 21) with the weights of the system that was solved.
     change : float
-        ‖change of ρ̂‖ / ‖ρ̂‖; 0 where ρ̂ is zero.
+        ‖change of ρ̂‖ / ‖ρ̂‖; 0 if ρ̂ is zero.
     """
 
     energy: float
@@ -73,25 +73,25 @@ class Iteration:
 class HalfQuadratic:
     """Alternates b (eq. 10) and ρ̂ (eq. 16, 23) on one level.
 
-    `update` has to come before `minimise` whenever ρ̂ or the constraints were changed by others:
-    it makes weights and tensor those of both. `minimise` leaves them so.
+    If other code changes ρ̂ or the constraints, call `update` before `minimise`: it computes weights
+    and tensor anew. `minimise` itself keeps them up to date.
 
     Parameters
     ----------
     unknowns : Unknowns
-        Their `rho` is modified in place by `minimise`.
+        `minimise` modifies their `rho` in place.
     constraints : lane array, 3 components for each constraint
-        (p, q, c) (`tisfm.kernels.data.constraints`), read where they lie.
+        (p, q, c) (`tisfm.kernels.data.constraints`); used without a copy.
     scales : sequence of float
-        Of the data terms (`tisfm.kernels.model.robust`).
+        Scales of the data terms (`tisfm.kernels.model.robust`).
     smoothness : Smoothness
     effort : Effort
 
     Attributes
     ----------
     system : LinearSystem
-        Its weights are g·b of every edge, its tensor the data terms, weighted and added up; with
-        one unknown, those of constraints along a line.
+        Its weights are g·b of every edge; its tensor is the weighted sum of the data terms, or with
+        one unknown the weighted sum of the constraints along a line.
     """
 
     def __init__(
@@ -128,18 +128,18 @@ class HalfQuadratic:
             self._set_system(replace(self.system, alpha=alpha))
 
     def update(self) -> Sums:
-        """Compute the weights of the current ρ̂ and constraints: b, and those of the data."""
+        """Compute b and the data weights for the current ρ̂ and constraints."""
         return self._update()
 
     def minimise(self) -> tuple[list[Iteration], bool]:
-        """Iterate until ρ̂ ceases to evolve, twice at least, or to the limit of iterations.
+        """Iterate at least twice, until ρ̂ hardly changes or the iterations run out.
 
         Returns
         -------
         iterations : list of Iteration
         converged : bool
-            Whether the last relative change was within the tolerance; where thorough, whether the
-            error is estimated to be.
+            Whether the last relative change was within the tolerance; if thorough, whether the
+            estimated error was.
         """
         if self._effort.thorough:
             return self._minimise_thoroughly()
@@ -155,10 +155,10 @@ class HalfQuadratic:
         return iterations, False
 
     def _minimise_thoroughly(self) -> tuple[list[Iteration], bool]:
-        """Iterate until little error is left.
+        """Iterate until the estimated error is within the tolerance.
 
-        Sweeps hardly reduce errors of low frequency. Where sweeps seem to have converged, one
-        iteration of multigrid replaces them, and it has to change little as well.
+        Sweeps hardly reduce errors of low frequency. So once sweeps seem to have converged, one
+        iteration uses multigrid instead, and its change must be within the tolerance too.
         """
         tolerance, sweeping = self._effort.tolerance, self._effort.cycles == 0
         iterations: list[Iteration] = []
@@ -186,7 +186,7 @@ class HalfQuadratic:
         return iterations, False
 
     def _set_system(self, system: LinearSystem) -> None:
-        """Take a system, and bind to it what every iteration runs."""
+        """Store a system and bind the functions that every iteration runs."""
         self.system = system
         self._multigrid: Multigrid | None = None
         self._update: Callable[[], Sums] = system.bind_weight_update(
@@ -206,14 +206,14 @@ class HalfQuadratic:
         )
 
     def _solving(self) -> Callable[[], None]:
-        """Return what comes nearer to the solution of the system of the current weights."""
+        """Return a function that improves ρ̂ as a solution of the current system."""
         if not self._effort.cycles:
             return self._sweep
         self._with_multigrid().restart()
         return lambda: self._cycle(fresh=False)
 
     def _cycle(self, *, fresh: bool) -> None:
-        """Run cycles of multigrid; `fresh` where others have changed ρ̂ since the last."""
+        """Run multigrid cycles; `fresh` if other code changed ρ̂ since the last cycle."""
         multigrid = self._with_multigrid()
         if fresh:
             multigrid.restart()
@@ -228,10 +228,10 @@ class HalfQuadratic:
 
 
 def error_left(changes: Sequence[float]) -> float:
-    """Return an estimate of the error of ρ̂ from its last relative changes, one an iteration.
+    """Return an estimate of the error of ρ̂ from its last relative changes, one per iteration.
 
-    If every change is q times the one before, the changes to come add up to q/(1 − q) times the
-    last. q is the greater of the last two ratios, and ⅔ at least. Infinite if changes grow.
+    If every change is q times the previous change, all later changes add up to q/(1 − q) times the
+    last change. q is the greater of the last two ratios, but at least ⅔. Infinite if changes grow.
     """
     if not changes or changes[-1] == 0:
         return 0.0 if changes else math.inf

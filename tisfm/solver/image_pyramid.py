@@ -1,4 +1,4 @@
-"""Both frames of a pair at every scale, and the splines of the second."""
+"""The image pyramids of both frames of a pair, and the splines of the second frame."""
 
 import math
 from collections.abc import Callable
@@ -16,46 +16,47 @@ from tisfm.solver.smoothness import mean_step
 from tisfm.threads import start_beside
 
 COARSEST_FRAME_SIDE = 12  # px
-BESIDE = 1 << 16  # pixels from which on a second thread pays
+BESIDE = 1 << 16  # least number of pixels for which a second thread saves time
 
 
 class ImagePyramid:
-    """Both frames at every level, 0 the finest.
+    """Both frames at every level; level 0 is the finest.
 
     Parameters
     ----------
     grey0, grey1 : (H, W) float32
         Grey levels on the 8-bit scale.
     camera : Camera
-        A pinhole, of the finest level.
+        Pinhole camera of the finest level.
     factor : float
         Ratio of neighbouring levels' sampling densities, in [0.5, 1).
     levels : int, optional
-        As many at most; by default as many as `COARSEST_FRAME_SIDE` admits.
+        Most levels; by default as many as `COARSEST_FRAME_SIDE` allows.
     presmoothing : float
         Standard deviation of a Gaussian applied first, px.
     last : int
-        The level that coarse to fine is to end on, or the coarsest if there are fewer.
+        The last level for coarse-to-fine estimation, or the coarsest level if that is finer.
     counted : tuple of two (H, W) bool, optional
-        Pixels of each frame that count, by default all. Others are filled from around already.
+        Pixels of each frame that are used, by default all. Ignored pixels must already be filled
+        from their surroundings.
 
     Attributes
     ----------
     frames0, frames1 : list of (h, w) float32
-        Smoothed beforehand, the finest first.
+        Smoothed frames, the finest first.
     cameras : list of Camera
     scales : list of float
         Sampling density of every level relative to the finest.
     levels, last : int
-        How many there are, and which of them is the last.
+        Number of levels, and the last level for coarse-to-fine estimation.
     shape : (int, int)
-        Height and width of the finest, px.
+        Height and width of the finest level, px.
     factor : float
         As given.
     contrast : float
         Mean |ΔI| between neighbours of frame 0 at the finest level.
     counted : PixelMasks or None
-        Which pixels count; None for all of them.
+        The used pixels; None if all are used.
     """
 
     def __init__(
@@ -72,7 +73,7 @@ class ImagePyramid:
     ) -> None:
         self.factor = factor
         if grey0.min() == grey0.max() and grey1.min() == grey1.max():
-            # What rounding leaves of a uniform frame would be all the data there is.
+            # Otherwise rounding errors of the uniform frames would be the only data.
             grey0, grey1 = np.zeros_like(grey0), np.zeros_like(grey1)
         height, width = self.shape = grey0.shape
         count = self.levels = level_count(height, width, factor, levels)
@@ -85,14 +86,14 @@ class ImagePyramid:
 
         together = runtime.threads() > 1 and grey0.size >= BESIDE
         if together:
-            # OpenCV's filters take one thread each, and so do kernels on coarse levels.
+            # OpenCV's filters and kernels on coarse levels use one thread each.
             others = start_beside(frames, grey1)
             self.frames0, self.frames1 = frames(grey0), others()
         else:
             self.frames0, self.frames1 = frames(grey0), frames(grey1)
         self._taps1 = [self._spline(level) for level in range(count)]
         if together:
-            for level in reversed(range(self.last, count)):  # the coarsest comes first
+            for level in reversed(range(self.last, count)):  # the coarsest is needed first
                 self._taps1[level] = start_beside(spline_taps, self.frames1[level])
         self.counted: PixelMasks | None = None
         if counted is not None:
@@ -102,11 +103,11 @@ class ImagePyramid:
         self.contrast = mean_step(self.frames0[0], self.counted0(0))
 
     def counted_on(self, level: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the pixels of both frames that count on a level, (h, w) bool; None for all."""
+        """Return the used pixels of both frames on a level, (h, w) bool; None for all."""
         return None if self.counted is None else self.counted.levels[level]
 
     def counted0(self, level: int) -> np.ndarray | None:
-        """Return the same of frame 0."""
+        """Return the used pixels of frame 0 on a level, (h, w) bool; None for all."""
         return None if self.counted is None else self.counted.levels[level][0]
 
     def taps1(self, level: int) -> np.ndarray:
@@ -114,11 +115,11 @@ class ImagePyramid:
         return self._taps1[level]()
 
     def release_taps1(self, level: int) -> None:
-        """Let go of the taps of a level: whoever asks for them again has them computed again."""
+        """Free the taps of a level; the next `taps1` computes them again."""
         self._taps1[level] = self._spline(level)
 
     def reversed(self) -> "ImagePyramid":
-        """Return the pyramid of the same frames the other way round."""
+        """Return the pyramid with both frames exchanged."""
         other = copy(self)
         other.frames0, other.frames1 = self.frames1, self.frames0
         other._taps1 = [other._spline(level) for level in range(self.levels)]
@@ -127,9 +128,9 @@ class ImagePyramid:
         return other
 
     def coarser(self, level: int) -> "ImagePyramid":
-        """Return the pyramid of the levels from this one on, whose finest it is.
+        """Return the pyramid of `level`, as its finest level, and all coarser levels.
 
-        Its frames and splines are those of this pyramid.
+        It shares frames and splines with this pyramid.
         """
         if level == 0:
             return self
@@ -148,7 +149,7 @@ class ImagePyramid:
 
 
 def level_count(height: int, width: int, factor: float, most: int | None = None) -> int:
-    """Return the number of levels: `most`, as far as `COARSEST_FRAME_SIDE` admits them."""
+    """Return the number of levels that `COARSEST_FRAME_SIDE` allows, at most `most`."""
     side = min(height, width)
     count = 1
     if side > COARSEST_FRAME_SIDE:
@@ -157,11 +158,11 @@ def level_count(height: int, width: int, factor: float, most: int | None = None)
 
 
 def gaussian_pyramid(image: np.ndarray, factor: float, levels: int) -> list[np.ndarray]:
-    """Return `levels` images, the given one first, each `factor` times as densely sampled.
+    """Return `levels` images, the finest first, each `factor` times as densely sampled.
 
-    The scale is `factor` exactly, in both directions, whatever the rounding of the sizes: pixel
-    x of a level lies at (x + ½)/factor − ½ on the one before. Each level is smoothed beforehand
-    by a Gaussian of 0.6·√(1/factor² − 1) px, so that it keeps the sharpness of the first.
+    The scale is exactly `factor` in both directions, however sizes are rounded: pixel x of a level
+    lies at (x + ½)/factor − ½ on the next finer level. Before resampling, each level is smoothed by
+    a Gaussian of 0.6·√(1/factor² − 1) px, so that all levels are equally sharp.
 
     Parameters
     ----------
@@ -185,7 +186,7 @@ def gaussian_pyramid(image: np.ndarray, factor: float, levels: int) -> list[np.n
 
 
 def smooth(image: np.ndarray, sigma: float) -> np.ndarray:
-    """Return the image convolved with a Gaussian of `sigma` px, its border reflected."""
+    """Return the image convolved with a Gaussian of `sigma` px, with reflected borders."""
     if sigma == 0:
         return image
     return cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT_101)

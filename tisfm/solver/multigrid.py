@@ -1,11 +1,11 @@
 """Multigrid for the linear system of fixed weights (eq. 16, 22–23).
 
-Sweeps take long over what is smooth; on a grid of half the density it is less smooth, and a sweep
-costs a quarter. A V-cycle sweeps once, solves for the correction on the coarser grid in the same
-way, adds it and sweeps once more.
+Sweeps reduce smooth errors slowly. On a grid of half the density the same error is less smooth, and
+a sweep costs a quarter. A V-cycle sweeps once, solves for the correction on the coarser grid in the
+same way, adds the correction and sweeps once more.
 
-The coarse system is that of averaged motion tensors at the coarse pixels' own x̂, ŷ, and of
-averaged edge weights.
+The coarse system has averaged motion tensors, at the coarse pixels' own x̂, ŷ, and averaged edge
+weights.
 """
 
 from collections.abc import Callable
@@ -22,11 +22,11 @@ from tisfm.kernels.solve.coarsening import (
 from tisfm.kernels.solve.linear_system import LinearSystem
 from tisfm.solver.unknowns import Unknowns
 
-# What tells rotation from translation is hardly seen by the data, and as large as the image: where
-# the coarsest system is not solved to the end, all else waits for it.
+# The data hardly distinguish rotation from translation, and errors between the two extend over the
+# whole image. Only an accurate solution of the coarsest system removes them quickly.
 COARSEST_GRID_SIDE = 2  # px
 COARSEST_SWEEPS = 32
-RELAXATION = 1.2  # of the smoother: 1 and 1.4 take more cycles, see bench/results/solvers.md
+RELAXATION = 1.2  # of the smoother; 1 and 1.4 need more cycles, see bench/results/solvers.md
 
 
 class Multigrid:
@@ -35,13 +35,13 @@ class Multigrid:
     Parameters
     ----------
     unknowns : Unknowns
-        Their `rho` is modified in place by `cycle` and `descend`.
+        `cycle` and `descend` modify their `rho` in place.
     system : LinearSystem
-        Whose solution is sought; its tensor and weights are read where they lie.
+        The system to solve; its tensor and weights are used without a copy.
     solver : {"cholesky", "closed_form"}
         How each pixel's system is solved.
     relaxation : float
-        Of the sweeps, in (0, 2).
+        Over-relaxation of the sweeps, in (0, 2).
     """
 
     def __init__(
@@ -62,21 +62,21 @@ class Multigrid:
         self.restart()
 
     def coarsen(self) -> None:
-        """Derive the coarse systems: due whenever tensor or weights have changed."""
+        """Compute the coarse systems; necessary whenever tensor or weights have changed."""
         for fine, coarse in zip(self._levels, self._levels[1:], strict=False):
             fine.coarsen(coarse)
 
     def restart(self) -> None:
-        """Forget the last step, and take ρ̂ as it is now: due whenever others have changed it."""
+        """Drop the last step and start at the present ρ̂; necessary if other code changed it."""
         finest = self._levels[0].unknowns
         finest.grid.copy(finest.rho, self._before)
         self._step.fill(0)
 
     def descend(self) -> None:
-        """Run one V-cycle, then go to the least energy in the plane of its correction and the last.
+        """Run one V-cycle, then minimise the energy over its correction and the last step.
 
-        For one system these are conjugate gradients, which the cycle preconditions. The energy of
-        the system does not rise, whatever it is.
+        The minimum is taken in the plane of these two directions. For a fixed system this is the
+        method of conjugate gradients, preconditioned by the cycle. The energy never rises.
         """
         self.cycle()
         finest = self._levels[0]
@@ -95,7 +95,7 @@ class Multigrid:
 
 
 class _Level:
-    """A grid, its system and its unknown: ρ̂ on the finest, a correction of it on the others."""
+    """A grid, its system and its unknown: ρ̂ on the finest grid, a correction on the others."""
 
     def __init__(
         self,
@@ -112,7 +112,7 @@ class _Level:
         self.size = grid.height, grid.width
         self.smooth = self.bind_smooth(1)
         self._across = interpolation_columns(grid)
-        # Strips of the coarser grid are even: half of ours may not be.
+        # Strips of the coarser grid have an even length; half of a strip here may be odd.
         self._halved: tuple[LaneData, LaneData, LaneData] | None = None
         if grid.strip // 2 != coarse_grid(grid).strip:
             self._halved = (
@@ -122,7 +122,7 @@ class _Level:
             )
 
     def bind_smooth(self, sweeps: int) -> Callable[[], None]:
-        """Return what runs so many sweeps."""
+        """Return a function that runs `sweeps` sweeps."""
         return self.system.bind_sweep(
             self.unknowns.rho,
             relaxation=self._relaxation,
@@ -132,7 +132,7 @@ class _Level:
         )
 
     def coarser(self) -> "_Level":
-        """Return the level of half the density, whose system `coarsen` derives."""
+        """Return the level of half the density; `coarsen` computes its system."""
         grid = coarse_grid(self.unknowns.grid)
         camera = self.unknowns.camera.scaled(0.5, *self.size)
         unknowns = Unknowns(grid, camera, self.unknowns.components)
@@ -148,7 +148,7 @@ class _Level:
         return _Level(unknowns, system, source, solver=self._solver, relaxation=self._relaxation)
 
     def coarsen(self, coarse: "_Level") -> None:
-        """Derive the system of the next coarser level."""
+        """Compute the system of the next coarser level."""
         if self._halved is None:
             self.system.coarsen(coarse.system.tensor, coarse.system.weights)
             return
@@ -158,7 +158,7 @@ class _Level:
         relayout(coarse.unknowns.grid, weights, coarse.system.weights)
 
     def restrict(self, coarse: "_Level") -> None:
-        """Hand the residual to the coarser level, whose correction starts from zero."""
+        """Restrict the residual to the coarser level, and set its correction to zero."""
         halved = coarse._source if self._halved is None else self._halved[2]
         self.system.restrict(self.unknowns.rho, halved, source=self._source)
         if halved is not coarse._source:
@@ -166,7 +166,7 @@ class _Level:
         coarse.unknowns.rho.fill(0)
 
     def correct(self, coarse: "_Level") -> None:
-        """Add what the coarser level found."""
+        """Add the correction of the coarser level."""
         correction = coarse.unknowns.rho
         if self._halved is not None:
             correction = self._halved[2]

@@ -1,7 +1,7 @@
-"""Pixels that count in both frames of a pair, at every level of the pyramid, and what fills others.
+"""Masks of used pixels in both frames at every pyramid level, and filling of ignored pixels.
 
-Those that are ignored contribute no data. Frames are filled there from around, so that neither
-smoothing nor the stencils of their neighbours meet the edges of what covers the scene.
+Ignored pixels give no data. They are filled from their surroundings, so that smoothing and the
+stencils of neighbouring pixels do not see the edges of an object that covers the scene.
 """
 
 from copy import copy
@@ -12,17 +12,17 @@ import numpy as np
 
 from tisfm.solver.sampling import goes_to
 
-RIM = 3  # px: the side of the square, by pixels of a level, in which all have to count
-MOST_IGNORED = 0.5  # of a pixel of a level
+RIM = 3  # px of a level: side of the square around a used pixel that has no ignored pixel
+MOST_IGNORED = 0.5  # share of a coarse pixel's area that may be ignored
 
 
 class PixelMasks:
-    """Where the pixels of a pair count.
+    """The used pixels of a pair, at every level of the pyramid.
 
     Parameters
     ----------
     counted0, counted1 : (H, W) bool
-        Of each frame.
+        Used pixels of each frame.
     shapes : list of (int, int)
         Height and width of every level, the finest first, px.
 
@@ -40,21 +40,21 @@ class PixelMasks:
 
     @cached_property
     def levels(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """The pixels of both frames, (h, w) bool, whose stencils see what counts alone."""
+        """The pixels of both frames, (h, w) bool, whose stencils have used pixels only."""
         first, second = (
             [_on_level(counted, shape) for shape in self._shapes] for counted in self.whole
         )
         return list(zip(first, second, strict=True))
 
     def missing(self, flow: np.ndarray, level: int | None = None) -> np.ndarray:
-        """Return which pixels do not count, or go to where none does in frame 1.
+        """Return the pixels that are ignored, or move to an ignored pixel of frame 1.
 
         Parameters
         ----------
         flow : (2, h, w) float32
             px/frame of the level.
         level : int, optional
-            By default the finest, where pixels count as they were given.
+            By default the finest, with the masks as given.
 
         Returns
         -------
@@ -64,11 +64,11 @@ class PixelMasks:
         return ~(counted0 & counted1[goes_to(flow)])
 
     def reversed(self) -> "PixelMasks":
-        """Return the same of the frames the other way round."""
+        """Return the masks with both frames exchanged."""
         return PixelMasks(*self.whole[::-1], self._shapes)
 
     def coarser(self, level: int) -> "PixelMasks":
-        """Return the same of the levels from one on, on which pixels count as they do here."""
+        """Return the masks of `level`, as the finest level, and of all coarser levels."""
         other = copy(self)
         other.whole, other._shapes = self.levels[level], self._shapes[level:]
         other.levels = self.levels[level:]
@@ -76,7 +76,7 @@ class PixelMasks:
 
 
 def filled(image: np.ndarray, ignored: np.ndarray) -> np.ndarray:
-    """Return an image whose ignored pixels are means of those around, ever wider ones further in.
+    """Return an image whose ignored pixels are means of used pixels, farther inside over more.
 
     Parameters
     ----------
@@ -86,18 +86,18 @@ def filled(image: np.ndarray, ignored: np.ndarray) -> np.ndarray:
     Returns
     -------
     (H, W) float32
-        0 where all are ignored.
+        0 if all pixels are ignored.
     """
     if ignored.all():
         return np.zeros_like(image)
     weight = (~ignored).astype(np.float32)
     seen = image[~ignored]
-    # Rounding would leave a texture where there is none.
+    # Without the clipping, rounding would give a uniform image a texture.
     return _filled(image, weight).clip(seen.min(), seen.max())
 
 
 def _filled(image: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return an image with means of its surroundings where pixels have no weight."""
+    """Return an image whose pixels of weight 0 are means of their surroundings."""
     if weight.all():
         return image
     height, width = image.shape
@@ -112,7 +112,7 @@ def _filled(image: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _on_level(counted: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return the pixels of a level that count, and so do those around them."""
+    """Return the pixels of a level that are used and have used pixels only around them."""
     size = shape[::-1]
     share = cv2.resize(counted.astype(np.float32), size, interpolation=cv2.INTER_AREA)
     within = (share > 1 - MOST_IGNORED).astype(np.uint8)

@@ -1,8 +1,7 @@
-"""Images between their pixels: by cubic splines, and from one level of a pyramid to another.
+"""Sampling of images by cubic splines, and resampling between levels of a pyramid.
 
-`enlarged` and `reduced` are for levels that are a whole number of pixels to one: pixel x of the
-coarser level lies at factor·(x + ½) − ½ on the finer one, exactly, whatever the rounding of the
-levels' sizes.
+`enlarged` and `reduced` need an integer ratio of sampling densities. Pixel x of the coarser level
+lies exactly at factor·(x + ½) − ½ on the finer level, however the levels' sizes are rounded.
 """
 
 import math
@@ -12,10 +11,10 @@ import numpy as np
 
 from tisfm import runtime
 
-FAR = 1e7  # px/frame: outside any image
+FAR = 1e7  # px/frame: leads outside any image
 _POLE = math.sqrt(3) - 2
-_REACH = 12  # px: what lies farther has a weight below 1e-7, less than float32 resolves
-# The inverse of the filter (1, 4, 1)/6, by which coefficients give values at pixels.
+_REACH = 12  # px: farther taps of the filter are below 1e-7, less than float32 resolves
+# Inverse of the filter (1, 4, 1)/6, which computes values at pixels from coefficients.
 _INVERSE = math.sqrt(3) * _POLE ** np.abs(np.arange(-_REACH, _REACH + 1))
 
 
@@ -40,7 +39,7 @@ def spline_coefficients(image: np.ndarray) -> np.ndarray:
 
 
 def spline_taps(image: np.ndarray) -> np.ndarray:
-    """Return the coefficients of an image's spline as the kernels take them, four at once.
+    """Return the coefficients of an image's spline in the layout of the kernels, rows of four.
 
     Parameters
     ----------
@@ -49,9 +48,9 @@ def spline_taps(image: np.ndarray) -> np.ndarray:
     Returns
     -------
     ((H + 3)·W, 4) float32
-        Row r·W + x holds the coefficients of columns x − 1 to x + 2 in row r − 1: those of a
-        sample between rows y and y + 1 and columns x and x + 1 are in r = y to y + 3. Beyond the
-        border they are mirrored at the centres of its pixels. Aligned.
+        Row r·W + x holds the coefficients of columns x − 1 to x + 2 in image row r − 1. A sample
+        between rows y and y + 1 and columns x and x + 1 needs r = y to y + 3. Beyond the border,
+        coefficients are mirrored at the centres of the border pixels. The memory is aligned.
     """
     return _taps(spline_coefficients(image))
 
@@ -59,8 +58,8 @@ def spline_taps(image: np.ndarray) -> np.ndarray:
 def weight_taps(weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return weights smoothed by a B-spline, (H, W) float32, and the taps of that spline.
 
-    Its coefficients are the weights themselves, so that samples lie between them, as those of a
-    spline through them would not.
+    The coefficients are the weights themselves. Samples then stay within the range of the weights;
+    a spline through the weights would overshoot.
 
     Parameters
     ----------
@@ -72,7 +71,7 @@ def weight_taps(weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _taps(coefficients: np.ndarray) -> np.ndarray:
-    """Return coefficients, (H, W) float32, as `spline_taps` does."""
+    """Return coefficients, (H, W) float32, in the layout of `spline_taps`."""
     from tisfm.kernels.layout.lanes import aligned_empty
 
     height, width = coefficients.shape
@@ -84,7 +83,7 @@ def _taps(coefficients: np.ndarray) -> np.ndarray:
 
 
 def sample(image: np.ndarray, flow: np.ndarray, taps: np.ndarray | None = None) -> np.ndarray:
-    """Return an image sampled where a flow leads, by its cubic spline; beyond, it repeats.
+    """Return an image sampled at the ends of a flow, by its cubic spline with repeated borders.
 
     Parameters
     ----------
@@ -92,13 +91,13 @@ def sample(image: np.ndarray, flow: np.ndarray, taps: np.ndarray | None = None) 
     flow : (2, H, W) float32
         (u, v), px; finite.
     taps : ((H + 3)·W, 4) float32, optional
-        Its `spline_taps`, if they are at hand.
+        `spline_taps` of the image, if already computed.
 
     Returns
     -------
     (H, W) float32
     """
-    grid = runtime.lane_grid(*image.shape)  # before kernels are imported: it starts Taichi
+    grid = runtime.lane_grid(*image.shape)  # first: it starts Taichi before kernels are imported
     from tisfm.kernels.data.warp import warp
     from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images
     from tisfm.kernels.layout.lanes import aligned_empty
@@ -113,9 +112,9 @@ def sample(image: np.ndarray, flow: np.ndarray, taps: np.ndarray | None = None) 
 
 
 def goes_to(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows and columns, (H, W), of the pixels nearest to where a flow, (2, H, W), leads.
+    """Return rows and columns, (H, W), of the pixels nearest to the ends of a flow, (2, H, W).
 
-    Those of the border where it leaves the image, or is not finite.
+    Where the flow leaves the image or is not finite, these are pixels of the border.
     """
     height, width = flow.shape[1:]
     flow = np.clip(np.nan_to_num(flow, nan=FAR), -FAR, FAR)
@@ -125,7 +124,7 @@ def goes_to(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def enlarged(images: np.ndarray, factor: int, height: int, width: int) -> np.ndarray:
-    """Return images of a coarser level, (n, h, w), at the pixels of a finer one, bilinearly.
+    """Return images of a coarser level, (n, h, w), interpolated bilinearly to a finer level.
 
     Returns
     -------
@@ -146,7 +145,7 @@ def enlarged(images: np.ndarray, factor: int, height: int, width: int) -> np.nda
 
 
 def reduced(images: np.ndarray, factor: int, height: int, width: int) -> np.ndarray:
-    """Return images of a finer level, (n, H, W), as means over the pixels of a coarser one.
+    """Return images of a finer level, (n, H, W), averaged over the pixels of a coarser level.
 
     Returns
     -------
@@ -158,7 +157,7 @@ def reduced(images: np.ndarray, factor: int, height: int, width: int) -> np.ndar
 
 
 def _fitted(image: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Return an image cut to a size, or with its last row and column repeated up to it."""
+    """Return an image cropped to a size, or extended by repeating its last row and column."""
     below, right = max(0, height - image.shape[0]), max(0, width - image.shape[1])
     if below or right:
         image = cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_REPLICATE)

@@ -1,8 +1,8 @@
-"""Inverse depth with second-order smoothness: planes cost nothing, however slanted.
+"""Inverse depth with second-order smoothness: planes of any slant have no cost.
 
-The energy is that of `tisfm.kernels.solve.second_order`. A level of spacing h takes the contrasts
-times h, the sum of what its pixels hold of data, and all else as it is: then every level has the
-energy of the finest, as far as its grid can tell.
+The energy is that of `tisfm.kernels.solve.second_order`. On a level of spacing h the contrasts are
+multiplied by h and the data of the finer pixels are added up; all else stays the same. The energy
+of a field is then the same on every level, up to discretisation.
 """
 
 import math
@@ -24,34 +24,34 @@ from tisfm.solver.sampling import reduced
 from tisfm.solver.second_order_multigrid import Interpolation, SecondOrderMultigrid
 from tisfm.solver.smoothness import image_edges_in_lanes
 
-COARSEST_SIDE = 40  # px, of the longer side
-QUADRATIC_CYCLES = 12  # there, before anything counts as a jump or as an outlier
-ITERATIONS = 3  # half-quadratic, on the finest level
-MORE_ITERATIONS = 2  # on every coarser one than on the next finer
+COARSEST_SIDE = 40  # px: most for the longer side of the coarsest level
+QUADRATIC_CYCLES = 12  # iterations with quadratic costs on the coarsest level, before robust costs
+ITERATIONS = 3  # half-quadratic iterations on the finest level
+MORE_ITERATIONS = 2  # additional iterations on each coarser level
 
 
 @dataclass(frozen=True, kw_only=True)
 class SecondOrderSettings:
-    """How smooth inverse depth is, and how far anchors are believed.
+    """Weights of the smoothness of inverse depth, and the scale of robust anchors.
 
     Attributes
     ----------
     alpha, beta, gamma : float
-        What r (D against its slopes), Δv and ΔD weigh, against anchors of weight 1 at a pixel.
-        √(β/α) px is how far apart anchors may lie before slopes are carried over as they are;
-        γ > 0 keeps D from going on along a slope for ever, and may be 0.
+        Weights of r (ΔD minus the slopes), Δv and ΔD, relative to an anchor of weight 1 at a pixel.
+        √(β/α) px is the distance of anchors beyond which slopes are extrapolated unchanged.
+        γ > 0 limits how far D continues along a slope; it may be 0.
     bend, turn, step : float
-        Contrasts of r and ΔD, px, and of Δv, px per px: what is larger is taken for a jump or a
-        crease. Infinite for none.
+        Contrasts of r, px, of Δv, px per px, and of ΔD, px: a larger value counts as a jump or a
+        crease. Infinite for no jumps and creases.
     anchor_scale : float
-        σ, px: anchors farther off count less. Infinite for none.
+        σ, px: anchors with a larger residual have less weight. Infinite for full weight.
     image_edges : float
         κ of the image-driven factor (`tisfm.solver.smoothness`).
 
     Raises
     ------
     ValueError
-        If one is out of its range.
+        If a value is out of its range.
     """
 
     alpha: float = 6.0
@@ -64,7 +64,7 @@ class SecondOrderSettings:
     image_edges: float = 5.0
 
     def quadratic(self) -> "SecondOrderSettings":
-        """Return these settings with penalties that grow as squares, without a local minimum."""
+        """Return these settings with quadratic costs, whose energy has a single minimum."""
         return replace(self, bend=math.inf, turn=math.inf, step=math.inf, anchor_scale=math.inf)
 
     def __post_init__(self) -> None:
@@ -83,33 +83,33 @@ class SecondOrderSettings:
 
 
 class SecondOrderMinimiser:
-    """Alternates weights, and D with its slopes, on one level.
+    """Alternates the weights and the unknowns, D with its slopes, on one level.
 
-    `update` has to come before `minimise` whenever ρ, anchors or constraints were changed by
-    others. `minimise` leaves the weights those of ρ.
+    If other code changes ρ, anchors or constraints, call `update` before `minimise`. `minimise`
+    itself keeps the weights up to date.
 
     Parameters
     ----------
     grid : LaneGrid
     anchors : lane array, 2 components
-        w and D*, read where they lie; 0 in padding.
+        w and D*, used without a copy; 0 in padding.
     edges : lane array, 2 components
         g; 0 across the border.
     settings : SecondOrderSettings
     spacing : float
         h, px of the finest level.
     constraints : lane array, 3 components for each of 1 to 3 constraints, optional
-        (p, 0, c) of p D + c = 0, read where they lie; 0 in padding.
+        (p, 0, c) of p D + c = 0, used without a copy; 0 in padding.
     scales : sequence of float
-        Of their terms (`tisfm.kernels.model.robust`).
+        Scales of their terms (`tisfm.kernels.model.robust`).
     cycles : int
-        Of multigrid in each iteration.
+        Multigrid cycles in each iteration.
 
     Attributes
     ----------
     rho : lane array, 3 components
-        D, px/frame of the finest level, and v₁ and v₂, per px of it; zero at first, modified in
-        place by `minimise`.
+        D, px/frame of the finest level, and its slopes v₁ and v₂, px/frame per px of the finest
+        level. Zero at first; `minimise` modifies it in place.
     system : SecondOrderSystem
     """
 
@@ -152,21 +152,22 @@ class SecondOrderMinimiser:
         )
 
     def start_from(self, coarse: "SecondOrderMinimiser") -> None:
-        """Set ρ, which must be zero, from that of the level of half the density."""
+        """Interpolate ρ, which must be zero, from the level of half the density."""
         Interpolation(self.grid, coarse.rho, self.rho, self._spacing)()
 
     def update(self) -> Sums:
-        """Compute the weights of the current ρ, anchors and constraints."""
+        """Compute the weights for the current ρ, anchors and constraints."""
         return self._update()
 
     def minimise(self, iterations: int, *, tolerance: float = 0.0) -> tuple[list[Iteration], bool]:
-        """Iterate until D ceases to evolve, or to the limit of iterations.
+        """Iterate until D hardly changes or the iterations run out.
 
         Parameters
         ----------
         iterations : int
+            Most iterations.
         tolerance : float
-            Of ‖change of D‖ / ‖D‖.
+            Bound of ‖change of D‖ / ‖D‖.
 
         Returns
         -------
@@ -207,32 +208,32 @@ def fill(
     *,
     iterations: int = ITERATIONS,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Carry inverse depth from where it is known to the whole frame.
+    """Extend inverse depth from pixels with a measurement to the whole frame.
 
     Parameters
     ----------
     target : (H, W) float32
-        D*, px/frame; anything where `weight` is 0.
+        Measurements D*, px/frame; any value where `weight` is 0.
     weight : (H, W) float32
-        How far it is believed: 0 where nothing is known, 1 for one good measurement.
+        Weights of the measurements: 0 without a measurement, 1 for a single good measurement.
     frame : (H, W) float32
-        Grey levels, by whose edges depth may jump or bend.
+        Grey levels; depth may jump or bend at their edges.
     settings : SecondOrderSettings, optional
     iterations : int
-        Half-quadratic ones on the finest level; coarser levels, which are cheap, have more.
+        Half-quadratic iterations on the finest level; coarser levels, which are cheap, have more.
 
     Returns
     -------
     depth : (H, W) float32
-        D, px/frame; 0 everywhere where nothing is known at all.
+        D, px/frame; 0 everywhere if there is no measurement.
     slopes : (2, H, W) float32
         v₁ and v₂, px/frame per px.
 
     Raises
     ------
     TypeError, ValueError
-        If the arrays are not float32 of one size, or a weight is negative or not finite, or a
-        target of weight above 0 is not finite, or there is to be no iteration.
+        If the arrays are not float32 of one size, if a weight is negative or not finite, if a
+        target of weight above 0 is not finite, or if `iterations` is below 1.
     """
     if iterations < 1:
         raise InputError(f"iterations is {iterations}: expected at least 1")
@@ -271,7 +272,7 @@ def fill(
 
 
 def anchors_in_lanes(grid: LaneGrid, anchors: np.ndarray) -> LaneData:
-    """Return w and D*, (2, H, W) float32, as a lane array, 0 in padding."""
+    """Return w and D*, (2, H, W) float32, as a lane array with 0 in padding."""
     out = grid.allocate(2)
     for component, values in enumerate(anchors):
         image_to_lanes(grid, np.ascontiguousarray(values), out, component=component)
@@ -280,10 +281,10 @@ def anchors_in_lanes(grid: LaneGrid, anchors: np.ndarray) -> LaneData:
 
 
 def _coarser(anchors: np.ndarray, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return anchors and frame of the level of half the density.
+    """Return anchors and frame for the level of half the density.
 
-    Weights are added up, so that the data of a field are what they were; targets are the mean of
-    those below, with their weights.
+    A coarse weight is the sum of the finer weights, so that the data energy of a field stays the
+    same. A coarse target is the weighted mean of the finer targets.
     """
     height, width = (-(-side // 2) for side in frame.shape)
     weight, target = anchors
@@ -302,7 +303,7 @@ def _coarser(anchors: np.ndarray, frame: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def _checked(target: np.ndarray, weight: np.ndarray, frame: np.ndarray) -> np.ndarray:
-    """Return weight and target, (2, H, W), the target 0 where nothing is known."""
+    """Return weight and target, (2, H, W), with target 0 where the weight is 0; raise if wrong."""
     for name, array in (("target", target), ("weight", weight), ("frame", frame)):
         if not isinstance(array, np.ndarray) or array.dtype != np.float32:
             kind = getattr(array, "dtype", type(array).__name__)

@@ -1,9 +1,10 @@
 """Multigrid for inverse depth and its slopes (`tisfm.kernels.solve.second_order`).
 
-Second-order smoothness takes a correction over a wide bare region only through coarse grids, and
-there a sweep does less than on fine ones: D and its slopes must change together, and a pixel has
-the three of its own alone. So from the second coarse grid on each sweeps twice as often as the one
-before, which all together costs as much as three sweeps of the finest.
+With second-order smoothness, only coarse grids carry a correction across a wide region without
+data. A sweep is less effective there than on fine grids: D and its slopes must change together over
+many pixels, but a sweep solves for the three unknowns of one pixel at a time. So from the second
+coarse grid on, each grid has twice as many sweeps as the next finer grid. All sweeps together cost
+as much as three sweeps of the finest grid.
 """
 
 from collections.abc import Callable
@@ -21,9 +22,9 @@ from tisfm.kernels.solve.second_order.coarsening import correct, offset_columns
 from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
 from tisfm.kernels.solve.second_order.system import SecondOrderSystem
 
-COARSEST_GRID_SIDE = 4  # px, of the longer side
+COARSEST_GRID_SIDE = 4  # px: most for the longer side of the coarsest grid
 COARSEST_SWEEPS = 32
-MOST_SWEEPS = 32  # before and after a correction
+MOST_SWEEPS = 32  # on a grid, before and again after a correction
 RELAXATION = 1.2  # of the smoother
 
 
@@ -33,11 +34,11 @@ class SecondOrderMultigrid:
     Parameters
     ----------
     system : SecondOrderSystem
-        Whose solution is sought; its tensor and weights are read where they lie.
+        The system to solve; its tensor and weights are used without a copy.
     rho : lane array, 3 components
-        D, v₁, v₂; modified in place by `cycle` and `descend`.
+        D, v₁, v₂; `cycle` and `descend` modify it in place.
     relaxation : float
-        Of the sweeps, in (0, 2).
+        Over-relaxation of the sweeps, in (0, 2).
     """
 
     def __init__(
@@ -58,19 +59,19 @@ class SecondOrderMultigrid:
         self.restart()
 
     def coarsen(self) -> None:
-        """Derive the coarse systems: due whenever tensor or weights have changed."""
+        """Compute the coarse systems; necessary whenever tensor or weights have changed."""
         for transfer in self._transfers:
             transfer.coarsen()
 
     def restart(self) -> None:
-        """Forget the last step, and take ρ as it is now: due whenever others have changed it."""
+        """Drop the last step and start at the present ρ; necessary if other code changed it."""
         self._system.grid.copy(self._rho, self._before)
         self._step.fill(0)
 
     def descend(self) -> None:
-        """Run one V-cycle, then go to the least energy in the plane of its correction and the last.
+        """Run one V-cycle, then minimise the energy over its correction and the last step.
 
-        The energy of the system does not rise, whatever it is.
+        The minimum is taken in the plane of these two directions. The energy never rises.
         """
         self.cycle()
         self._search()
@@ -87,20 +88,21 @@ class SecondOrderMultigrid:
 
 
 class Interpolation:
-    """What brings D and its slopes from a grid of half the density, where they are kept.
+    """Interpolation of D and its slopes from a grid of half the density.
 
     Parameters
     ----------
     grid : LaneGrid
         The fine grid.
     coarse, rho : lane arrays, 3 components
-        Of `coarse_grid` of it, and of itself; a call adds the former to the latter.
+        Arrays of the coarse grid, `coarse_grid(grid)`, and of the fine grid. A call adds the
+        interpolated `coarse` to `rho`.
     spacing : float
         h, of the fine grid.
     """
 
     def __init__(self, grid: LaneGrid, coarse: LaneData, rho: LaneData, spacing: float) -> None:
-        # Strips of the coarse grid are even: half of the fine ones may not be.
+        # Strips of the coarse grid have an even length; half of a fine strip may be odd.
         given = coarse if fits(grid) else halved(grid, COMPONENTS)
         _, outer = offset_columns(grid)
         tables = (*interpolation_columns(grid), outer)
@@ -110,12 +112,12 @@ class Interpolation:
         self._run = in_turn(relayout.bind(coarse_grid(grid), coarse, given), add) if moved else add
 
     def __call__(self) -> None:
-        """Add what lies on the coarse grid."""
+        """Add the interpolated coarse values."""
         self._run()
 
 
 class _Level:
-    """A grid, its system and its unknown: ρ on the finest, a correction of it on the others."""
+    """A grid, its system and its unknown: ρ on the finest grid, a correction on the others."""
 
     def __init__(
         self,
@@ -133,13 +135,13 @@ class _Level:
         self.smooth = self.bind_smooth(sweeps)
 
     def bind_smooth(self, sweeps: int) -> Callable[[], None]:
-        """Return what runs so many sweeps."""
+        """Return a function that runs `sweeps` sweeps."""
         return self.system.bind_sweep(
             self.rho, relaxation=self._relaxation, sweeps=sweeps, source=self.source
         )
 
     def coarser(self, sweeps: int) -> "_Level":
-        """Return the level of half the density, whose system a transfer derives."""
+        """Return the level of half the density; a `_Transfer` computes its system."""
         fine = self.system
         grid = coarse_grid(fine.grid)
         system = replace(
@@ -160,7 +162,7 @@ class _Level:
 
 
 class _Transfer:
-    """The ways between a level and the next coarser one."""
+    """The transfers between a level and the next coarser level."""
 
     def __init__(self, fine: _Level, coarse: _Level) -> None:
         self._coarse, grid = coarse, fine.system.grid
@@ -182,16 +184,16 @@ class _Transfer:
         self.correct = Interpolation(grid, coarse.rho, fine.rho, fine.system.spacing)
 
     def restrict(self) -> None:
-        """Hand the residual to the coarser level, whose correction starts from zero."""
+        """Restrict the residual to the coarser level, and set its correction to zero."""
         self._restrict()
         self._coarse.rho.fill(0)
 
 
 def fits(grid: LaneGrid) -> bool:
-    """Return whether halved arrays of a grid are lane arrays of the coarser one."""
+    """Return whether halved arrays of a grid have the layout of the coarser grid."""
     return grid.strip // 2 == coarse_grid(grid).strip
 
 
 def halved(grid: LaneGrid, components: int) -> LaneData:
-    """Return a halved array of zeros."""
+    """Return an array of zeros with the halved layout of a grid."""
     return grid.place(aligned_zeros(halved_shape(grid, components)))

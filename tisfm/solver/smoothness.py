@@ -1,6 +1,6 @@
-"""The smoothness of the unknowns: how strong it is, and where it may break.
+"""The smoothness term of the unknowns: its strength, and its image-driven factor.
 
-Where the image has edges, motion may have them: that is the image-driven factor.
+The image-driven factor weakens smoothness across edges of the image, where motion may have edges.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import numpy as np
 from tisfm.kernels.data.image_edges import image_edges
 from tisfm.kernels.layout.lanes import LaneData, LaneGrid
 
-FAINTEST_EDGE = 1e-5  # grey levels: what float32 tells apart, so a uniform frame has no edges
+FAINTEST_EDGE = 1e-5  # grey levels, about the resolution of float32: uniform frames have no edges
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class Smoothness:
     stiffness : tuple of n floats
         s_k of each unknown.
     joint : bool
-        Whether an edge is one for all unknowns.
+        Whether all unknowns share their edges.
     image_edges : float
         κ of the image-driven factor; 0 for g = 1.
     """
@@ -42,7 +42,8 @@ class Smoothness:
 def mean_step(frame: np.ndarray, counted: np.ndarray | None = None) -> float:
     """Return the mean |ΔI| between neighbours of a frame, (H, W): its contrast.
 
-    With `counted`, (H, W) bool, that of neighbours which both count; 0 if there are none.
+    With `counted`, (H, W) bool, the mean is over pairs of neighbours that are both used; 0 if there
+    are none.
     """
     if counted is not None:
         across, down = counted[:, 1:] & counted[:, :-1], counted[1:] & counted[:-1]
@@ -59,10 +60,10 @@ def mean_step(frame: np.ndarray, counted: np.ndarray | None = None) -> float:
 def image_edges_in_lanes(
     grid: LaneGrid, frame: np.ndarray, strength: float, counted: np.ndarray | None = None
 ) -> LaneData:
-    """Return g = c/(1 + κ|ΔI|/m) of every edge, m the mean of |ΔI|, c such that the mean of g is 1.
+    """Return g = c/(1 + κ|ΔI|/m) of every edge, with m the mean |ΔI| and c such that mean g is 1.
 
-    It depends on the contrast of an edge relative to those of the whole frame alone, and leaves
-    the smoothness, on average, as strong as it is without.
+    g depends only on the contrast of an edge relative to the mean contrast of the frame. The mean
+    strength of the smoothness stays the same.
 
     Parameters
     ----------
@@ -72,7 +73,7 @@ def image_edges_in_lanes(
     strength : float
         κ; 0 for g = 1.
     counted : (H, W) bool, optional
-        The pixels that m is a mean over, by default all.
+        The pixels over which m is a mean, by default all.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The data term of a frame with the next one and the one before: one set of constraints."""
+"""The data term of a frame with its next and its previous frame: one set of constraints."""
 
 from collections.abc import Callable
 
@@ -15,23 +15,23 @@ from tisfm.solver.data_term import DataTerm
 
 
 class ThreeFrameData:
-    """The constraints of a pair, joined with those of the frame before.
+    """The constraints of a pair, joined with those of the previous frame.
 
-    With the flow w to the next frame, that to the frame before is bend − w. So what the frame
-    before says of its own flow is a constraint on w as well, and the unknowns stay as they are.
+    If w is the flow to the next frame, the flow to the previous frame is bend − w. A constraint on
+    the flow to the previous frame is therefore a constraint on w, and no unknowns are added.
 
     Parameters
     ----------
     data_term : DataTerm
-        Of the pair. Its constraints become the joint ones.
+        Data term of the pair. Its constraints are overwritten by the joint constraints.
     before : (H, W) float32
-        The frame before, grey levels, smoothed as the others.
+        The previous frame, grey levels, smoothed like the others.
     taps : ((H + 3)·W, 4) float32
-        Its `tisfm.solver.sampling.spline_taps`.
+        `tisfm.solver.sampling.spline_taps` of the previous frame.
     bend : (2, H, W) float32
-        Sum of the flow to the next frame and of that to the frame before, px/frame.
+        Sum of the flows to the next and to the previous frame, px/frame.
     trust : two (H, W) float32
-        In [0, 1]: whether a pixel is seen in the next frame, and in the one before.
+        In [0, 1]: visibility of each pixel in the next frame, and in the previous frame.
     """
 
     def __init__(
@@ -55,14 +55,15 @@ class ThreeFrameData:
             image_to_lanes(grid, trust[component], self._trust, component=component)
 
     def bind_linearise(self, flow: LaneData, tensor: LaneData) -> Callable[[], None]:
-        """Return what warps both frames by a flow, and writes the joint constraints.
+        """Return a function that warps both frames by a flow and writes the joint constraints.
 
         Parameters
         ----------
         flow : lane array, 2 components
             (u, v) to the next frame, px/frame, read at every call.
         tensor : lane array, 6 components
-            Overwritten with their motion tensors, added up with the robust weights of this flow.
+            Overwritten with the sum of the constraints' motion tensors, with the robust weights of
+            this flow.
         """
         pair = self._pair
         grid, constancy = pair.grid, pair.constancy
@@ -70,7 +71,7 @@ class ThreeFrameData:
             pair.bind_linearise(flow),
             backward_flow.bind(grid, flow, self._bend, self._flow),
             warp.bind(grid, self._frame, self._taps, self._flow, self._lanes, self._mask),
-            # From the frame before to this one: the sign of I_t is then that of a forward flow.
+            # From the previous frame to this frame, so that I_t has the sign of a forward flow.
             derivatives.bind(
                 grid, self._lanes, pair.lanes0, self._derivatives, scheme=constancy.derivatives
             ),

@@ -1,4 +1,4 @@
-"""The unknown ρ̂ on one level of the pyramid, in lanes."""
+"""The unknown ρ̂ on one level of the pyramid, as a lane array."""
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -15,7 +15,7 @@ from tisfm.kernels.solve.prolongation import prolong
 
 
 class Unknowns:
-    """ρ̂, zero at first, with the geometry of its level.
+    """The unknown ρ̂, zero at first, with the geometry of its level.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ class Unknowns:
     camera : Camera
         The camera of this level.
     components : {6, 3, 2, 1}
-        Rigid motion, translation, the image motion itself, or that along a known line.
+        For rigid motion, translation, image motion, or image motion along a known line.
 
     Attributes
     ----------
@@ -50,25 +50,25 @@ class Unknowns:
     def edges(self) -> LaneData:
         """Lane array of 2 components: g of the eastern and the southern edge of every pixel.
 
-        1, and 0 across the border, unless it is set to what the image says.
+        By default 1, and 0 across the border; it can be set to the image-driven factor.
         """
         return self.grid.open_edges()
 
     def start_from(self, coarse: "Unknowns", ratio: float) -> None:
-        """Set ρ̂, which must be zero, from that of a coarser level.
+        """Interpolate ρ̂, which must be zero, from a coarser level.
 
         Parameters
         ----------
         coarse : Unknowns
         ratio : float
-            Sampling density of the coarser level over this one's.
+            Sampling density of the coarser level divided by the density of this level.
         """
         grid = self.grid
         even = ratio == 0.5 and grid.height % 2 == grid.width % 2 == 0
         if not (even and grid.lanes > 1 and grid.strip == 2 * coarse.grid.strip):
             prolong(grid, coarse.images(), self.rho, ratio=ratio)
             return
-        # Whole vectors of lanes, where every lane lies over a lane.
+        # Every lane of this grid lies over one coarse lane, so whole vectors are interpolated.
         across = interpolation_columns(grid)
         for table in across:
             table *= 2  # ρ̂ is in pixels of its level
@@ -84,7 +84,7 @@ class Unknowns:
         image_to_lanes(self.grid, np.ascontiguousarray(values), self.rho, component=component)
 
     def move(self, step: Sequence[np.ndarray]) -> None:
-        """Add to the first two unknowns, which move the image alike everywhere.
+        """Add a step to the first two unknowns, which displace a pixel by their own values.
 
         Parameters
         ----------
@@ -95,7 +95,7 @@ class Unknowns:
             self.set_image(component, self.to_image(self.rho, component) + values)
 
     def bind_flow(self, out: LaneData) -> Callable[[], None]:
-        """Return what writes the image motion (eq. 25) to a lane array of 2 components."""
+        """Return a function that writes the image motion (eq. 25) to a 2-component lane array."""
         return flow.bind(self.grid, self.rho, self.x_hat, self.y_hat, out)
 
     def flow(self) -> np.ndarray:
@@ -105,14 +105,14 @@ class Unknowns:
         return self.to_images(out)
 
     def precision(self, system: LinearSystem) -> np.ndarray:
-        """Return what data and neighbours each say of a pixel's flow, (7, H, W) float32.
+        """Return the precision of each pixel's flow from data and from neighbours, (7, H, W).
 
-        See `tisfm.kernels.solve.data_precision`; the residual is the robust one.
+        float32; see `tisfm.kernels.solve.data_precision`. The residual is the robust one.
         """
         return self.to_images(self._precision(system))
 
     def residual(self, system: LinearSystem) -> np.ndarray:
-        """Return the squared residual alone, (H, W) float32."""
+        """Return the squared residual of `precision`, (H, W) float32."""
         return self.to_image(self._precision(system), 3)
 
     def _precision(self, system: LinearSystem) -> LaneData:
