@@ -29,7 +29,7 @@ def file_checksum(path: Path) -> tuple[int, int] | None:
 
 
 def files_digest(files: Iterable[Path]) -> str:
-    """Return a digest of the contents and names of files; their folders do not count."""
+    """Return a digest of the contents and names of files, without their folders."""
     digest = hashlib.sha256()
     for file in files:
         digest.update(f"{file.name} {file_checksum(file)}\n".encode("utf-8", "surrogateescape"))

@@ -1,4 +1,4 @@
-"""Folders for results: one run at a time writes to each, and no result replaces an input file.
+"""Folders for results: one run at a time writes to a folder, and no result replaces an input.
 
 Functions here do not follow links inside a folder for results: such a link may lead out of it. The
 folder itself may be a link.
@@ -21,7 +21,7 @@ from tisfm.formats.atomic import TEMPORARY_PREFIX, TEMPORARY_SUFFIX, is_temporar
 LOCK = ".tisfm.lock"
 """Name of the file whose lock a run holds while it writes to the folder."""
 
-# A process that tests whether a lock is held (`is_locked`) holds it for an instant: wait for that.
+# `is_locked` in another process holds the lock for an instant: wait for its end.
 _LOCK_TIMEOUT = 0.2  # s; a guess
 _LOCK_POLL = 0.02  # s between two attempts; a guess
 _thread_state = threading.local()  # .reentrant: folders that the thread locked as reentrant
@@ -34,7 +34,7 @@ class FolderInUseError(OSError):
 
 
 class InputFiles:
-    """The files that a command reads, none of which a result may replace.
+    """The files that a command reads. No result may replace them.
 
     Files are compared by their identity in the file system, not by their names: symbolic and hard
     links, "..", and names that differ only in case may all lead to one file.
@@ -76,7 +76,7 @@ class InputFiles:
 def locked_folder(folder: str | os.PathLike[str], *, reentrant: bool = False) -> Iterator[None]:
     """Lock a folder within the block, and remove the temporary files of runs that were killed.
 
-    The operating system releases the lock when the process ends, in whatever way it ends.
+    The operating system releases the lock when the process ends, even if it is killed.
 
     Parameters
     ----------
@@ -124,8 +124,8 @@ def locked_folder(folder: str | os.PathLike[str], *, reentrant: bool = False) ->
 def is_locked(folder: str | os.PathLike[str]) -> bool:
     """Return whether another run holds the lock of a folder.
 
-    The lock file alone tells nothing: a run that was killed leaves it behind. True also where the
-    answer is unknown: the file system has no locks, or another user owns the file.
+    The lock file alone is no sign: a killed run leaves it behind. The answer is True as well if it
+    is unknown: the file system has no locks, or another user owns the file.
     """
     path = Path(folder) / LOCK
     if not path.is_file():
@@ -143,7 +143,7 @@ def is_locked(folder: str | os.PathLike[str]) -> bool:
 
 @contextlib.contextmanager
 def presence_file(folder: Path) -> Iterator[Path]:
-    """Make a file that exists within the block: other processes see by it that this one runs.
+    """Make a file that exists within the block, as a sign to other processes that this one runs.
 
     If this process is killed, its file counts as temporary: the next run removes it.
     """

@@ -1,4 +1,4 @@
-"""The account of a run: what it was asked for, which pairs are finished, and by which files."""
+"""The record of a run: its request, its finished pairs, and their files."""
 
 import json
 import math
@@ -20,8 +20,8 @@ from tisfm.trajectory.times import time_fault
 
 RECORD = "run.json"
 TABLE = "run.csv"
-FORMAT = 2  # of `RECORD`, as this version writes and reads it
-# What has to be the same, with the first frame that is taken and how many there are to the next.
+FORMAT = 2  # of `RECORD`, in this version
+# Entries that must be equal for a run to be resumed.
 ASKED = (
     "version", "arch", "lanes", "camera", "source", "settings", "window", "outputs", "figures",
     "start", "step", "disparity", "screen",
@@ -36,9 +36,12 @@ ENDINGS = {
     "pose": "_pose.txt",
     "npz": ".npz",
 }
-"""What names of a pair's files end in, by outputs."""
+"""Endings of the files of a pair, by output."""
 FOUND = ("depth16_values_per_unit", "depth_range", "flow_limit", "screen_at")
-_LEAST_APART, _SHARE = 1.0, 20.0  # s between renewals; and times what the last one took
+_LEAST_APART, _SHARE = (
+    1.0,
+    20.0,
+)  # between two writings: s, and multiples of the time of the last one
 _COLUMNS = (
     "pair", "status", "message", "time0", "time1", "speed", "occluded", "confidence", "tx", "ty",
     "tz", "rx", "ry", "rz",
@@ -46,23 +49,23 @@ _COLUMNS = (
 
 
 class RunRecord:
-    """What ``run.json`` says, from which a run that was interrupted goes on.
+    """The contents of ``run.json``, from which an interrupted run is resumed.
 
-    It is renewed while pairs are finished, never more than a twentieth of the time, and at the end.
-    A pair counts as finished if it is there, and all its files are as it says.
+    The file is written as pairs finish, with at most a twentieth of the time, and at the end. A
+    pair counts as finished if it has an entry, and all its files have the check sums in the entry.
 
     Parameters
     ----------
     folder : Path
     asked : mapping
-        What `ASKED` names.
+        The request: values of the keys in `ASKED`.
     notes : sequence of str
-        On how the source is read.
+        Notes on how the source is read.
 
     Attributes
     ----------
     statuses : Counter
-        How many finished pairs have which status code.
+        Number of finished pairs by status code.
     seconds : dict of str to float
         Times of the pairs that this command interpreted, s, by their names.
     """
@@ -78,7 +81,7 @@ class RunRecord:
         self._before: dict[str, Any] | ValueError | None = None
 
     def look(self) -> list[Path]:
-        """Look at the record of an earlier run; return the files that it says it wrote."""
+        """Read the record of an earlier run; return the files that it lists."""
         before = None
         try:
             before = self._before = _of_any_format(self._folder)
@@ -101,17 +104,17 @@ class RunRecord:
 
     @property
     def pairs(self) -> Mapping[str, Mapping[str, Any]]:
-        """What is known of every finished pair, by its name."""
+        """The entry of every finished pair, by its name."""
         pairs: Mapping[str, Mapping[str, Any]] = self._about["pairs"]
         return pairs
 
     def resume(self) -> None:
-        """Go on from the record that lies in the folder, if there is one.
+        """Continue from the record in the folder, if there is one.
 
         Raises
         ------
         ValueError
-            If it is damaged, or of a run that was asked for something else; it says for what.
+            If the record is damaged, or of another request; the message names the differences.
         """
         before = self._before
         if isinstance(before, ValueError):
@@ -132,14 +135,14 @@ class RunRecord:
         self.statuses.update(pair["status"] for pair in self.pairs.values())
 
     def is_complete(self, name: str, digest: str, endings: Collection[str]) -> bool:
-        """Return whether a pair was finished, as `is_unchanged` says; not if it is not known."""
+        """Return whether a pair has an entry and its files are unchanged (`is_unchanged`)."""
         pair = self.pairs.get(name)
         return pair is not None and is_unchanged(self._folder, name, pair, digest, endings)
 
     def finish(
         self, name: str, about: Mapping[str, Any], files: Mapping[str, tuple[int, int]]
     ) -> None:
-        """Take down that a pair is finished, and the check sums of its files, by their endings."""
+        """Record a pair as finished, with the check sums of its files by their endings."""
         before = self.pairs.get(name)
         self._about["pairs"][name] = {**about, "files": dict(files)}
         self.statuses[about["status"]] += 1
@@ -150,7 +153,7 @@ class RunRecord:
             self.write()
 
     def took(self, name: str, seconds: float) -> None:
-        """Take down how long a pair was interpreted."""
+        """Record the time of the interpretation of a pair, s."""
         self.seconds[name] = seconds
 
     def times_note(self) -> str:
@@ -163,9 +166,9 @@ class RunRecord:
         return ""
 
     def write(self) -> None:
-        """Write ``run.json``, and the table of all pairs and their times, if there is any news."""
+        """Write ``run.json``, the table of all pairs and their times, if anything has changed."""
         pairs = dict(sorted(self.pairs.items(), key=lambda item: item[1]["number"]))
-        self._about["pairs"] = pairs  # those of other processes come in any order
+        self._about["pairs"] = pairs  # other processes finish pairs in any order
         self._about["notes"] = [*self._notes, *filter(None, [self.times_note()])]
         rows = ((name, *_row(pair)) for name, pair in pairs.items())
         if self._is_written:
@@ -189,7 +192,7 @@ def refuse_other_format(path: Path, record: Any) -> None:
     Parameters
     ----------
     path : Path
-        Of the file, for the message.
+        Path of the file, for the message.
     record : object
         Its JSON. JSON that is not a record of any version raises nothing here.
     """
@@ -206,23 +209,23 @@ def refuse_other_format(path: Path, record: Any) -> None:
 def is_unchanged(
     folder: Path, name: str, pair: Mapping[str, Any], digest: str, endings: Collection[str]
 ) -> bool:
-    """Return whether the files of a pair are as they were when it was finished.
+    """Return whether the files of a pair are unchanged since it was finished.
 
     Parameters
     ----------
     folder : Path
     name : str
     pair : mapping
-        What the record says of it.
+        The entry of the pair in the record.
     digest : str
         Hash of the pair's frames, and of its pose and masks if those were given.
     endings : collection of str
-        What the names of its files end in.
+        Endings of its files.
 
     Raises
     ------
     ValueError
-        If the pair that was finished was of other frames, or with another pose or mask.
+        If the finished pair had other frames, or another pose or mask.
     """
     if pair["frames"] != digest:
         raise InputError(
@@ -237,7 +240,7 @@ def is_unchanged(
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
-    """Return the record of a run in a folder, None if there is none.
+    """Return the record of the run in a folder; None if there is none.
 
     Raises
     ------
@@ -272,7 +275,7 @@ def _of_any_format(folder: Path) -> dict[str, Any] | None:
 
 
 def _checked(about: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Return a record of this version whose values are of the kinds that it writes."""
+    """Check the types of the values in a record of this version, and return it."""
     try:
         if missing := set(ASKED) - about.keys():
             raise InputError(f"it has no {sorted(missing)[0]}")
@@ -315,7 +318,7 @@ def _row(pair: Mapping[str, Any]) -> Iterator[Any]:
 
 
 def _write(path: Path, text: str, *, durable: bool = False) -> None:
-    """Write text; where the system's names of files are none, as JSON has such characters."""
+    """Write text; characters that UTF-8 cannot encode, as in file names, are escaped."""
     with atomic_write(path, durable=durable) as file:
         file.write(_encoded(text))
 
@@ -325,7 +328,7 @@ def _encoded(text: str) -> bytes:
 
 
 def _read(path: Path) -> bytes:
-    """Return what a file holds; nothing if it cannot be read."""
+    """Return the contents of a file; empty if it cannot be read."""
     try:
         return path.read_bytes() if path.is_file() else b""
     except OSError:

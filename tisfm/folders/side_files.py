@@ -1,10 +1,10 @@
-"""Files beside a result: its page, ``report.html``, and how long it took, ``timings.csv``."""
+"""Files beside a result: its report, ``report.html``, and its timings, ``timings.csv``."""
 
 from pathlib import Path
 
 REPORT, TIMINGS = "report.html", "timings.csv"
 MARK = '<meta name="generator" content="tisfm">'
-_HEAD = 400  # bytes, in which the mark is found
+_HEAD = 400  # bytes of the file in which the mark is searched
 
 
 def is_report(path: Path) -> bool:

@@ -1,4 +1,4 @@
-"""Work done beside the main thread, one piece after the other."""
+"""A second thread that does jobs, one after the other."""
 
 import contextlib
 import queue
@@ -9,18 +9,18 @@ from types import TracebackType
 from typing import Any
 
 Work = Callable[[], Any]
-_SWITCH = 5e-4  # s: kernels hold Python's lock, and what waits for it asks only so often
+_SWITCH = 5e-4  # s: kernels hold Python's lock, and a waiting thread asks for it at this interval
 
 
 class Background:
-    """A thread that does what it is given, in order, while the block goes on.
+    """A thread that does jobs in order while the block runs.
 
-    One piece is done, and one may wait; who brings a third waits, so that no more than these are
-    held in memory. Leaving the block waits for both, after an error and after Ctrl-C as well: what
-    was given is done whole. A second Ctrl-C leaves out the piece that waits. After an error of a
-    piece none is begun, and it is raised where the next is given, or at the end of the block.
+    One job runs, and one may wait; `submit` blocks on a third job, so that memory holds two at
+    most. Leaving the block waits for both jobs, after an error and after Ctrl-C as well: every
+    submitted job is completed. A second Ctrl-C drops the waiting job. After a job has failed, no
+    other job begins, and its error is raised by the next `submit`, or at the end of the block.
 
-    Within the block threads take turns ten times as often as usual (`sys.setswitchinterval`).
+    Within the block, Python switches threads ten times as often as usual (`sys.setswitchinterval`).
     """
 
     def __init__(self) -> None:
@@ -30,24 +30,24 @@ class Background:
         self._thread = threading.Thread(target=self._work, name="tisfm-writer")
 
     def submit(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> None:
-        """Give a piece of work.
+        """Add a job: a function to call.
 
         Parameters
         ----------
         function : callable
         *arguments, **options
-            What it is called with.
+            Arguments of the function.
 
         Raises
         ------
         BaseException
-            What an earlier piece raised.
+            The error of an earlier job.
         """
         self._raise()
         self._waiting.put(lambda: function(*arguments, **options))
 
     def wait(self) -> None:
-        """Wait until all that was given is done, and raise what it raised."""
+        """Wait until all jobs are done; raise the error of a failed one."""
         self._waiting.join()
         self._raise()
 
@@ -68,11 +68,11 @@ class Background:
             self._thread.join()
         except KeyboardInterrupt:
             self._abandoned = True
-            with contextlib.suppress(queue.Empty):  # what waits makes room for the end
+            with contextlib.suppress(queue.Empty):  # drop the waiting job
                 self._waiting.get_nowait()
-            with contextlib.suppress(queue.Full):  # the end is there already
+            with contextlib.suppress(queue.Full):  # the end mark is in the queue already
                 self._waiting.put_nowait(None)
-            self._thread.join()  # so that nothing is written while the block's others are left
+            self._thread.join()  # so that no file is written while outer contexts close
             raise
         finally:
             sys.setswitchinterval(self._usual)
@@ -90,5 +90,5 @@ class Background:
                     piece()
                 except BaseException as error:
                     self._error = error
-            del piece  # or it would be held while the next is waited for
+            del piece  # or it would stay in memory during the wait for the next
             self._waiting.task_done()

@@ -1,4 +1,4 @@
-"""Chunks of consecutive pairs, which the processes of a pool interpret."""
+"""Chunks of consecutive pairs, interpreted by the processes of a pool."""
 
 import atexit
 import os
@@ -28,8 +28,8 @@ from tisfm.threads import usable_cores
 from tisfm.version import __version__
 
 _NO_END = 2**62  # beyond the number of any pair
-_MOST_PAIRS_WRITTEN = 32  # of a chunk: they are lost when a process is killed; set by hand
-_MOST_PAIRS_RETURNED = 4  # of a chunk: their results are in memory together; set by hand
+_MOST_PAIRS_WRITTEN = 32  # in a chunk: a killed process loses them; set by hand
+_MOST_PAIRS_RETURNED = 4  # in a chunk: memory holds all their results; set by hand
 _CHUNKS_PER_WORKER = 4  # at least, so that no process waits long for the last chunk; set by hand
 
 
@@ -45,22 +45,22 @@ class Chunk:
     first : int
         Number of the first pair.
     end : int
-        Number after that of the last pair. It is beyond all numbers in the last chunk: a video may
-        have more frames than its header says.
+        Number of the last pair plus 1. In the last chunk it is larger than any number: a video may
+        have more frames than its header states.
     arch, threads
         As for `tisfm.runtime.start`.
     ranges : Ranges or None
-        The ranges of values that images of depth and flow show.
+        Ranges of depth and flow in images.
     known : mapping
-        Entries of the record of an earlier run for the pairs that it finished, by their names.
+        Record entries of the pairs that an earlier run finished, by their names.
     listing : Listing
-        The files of the source that the process sees that gives the work.
+        The files of the source, as the parent process sees them.
     alive : Path
-        A file that exists as long as that process waits for the work.
+        A file that exists as long as the parent process waits for the chunk.
     lanes : int
-        Lanes of the vectors of the CPU of that process.
+        Lanes of the vectors of the CPU of the parent process.
     version : str
-        Version of tisfm in that process.
+        Version of tisfm in the parent process.
     """
 
     source: PairSource
@@ -135,7 +135,7 @@ class FinishedChunk:
 
 
 def split_chunk(whole: Chunk, workers: int) -> list[Chunk]:
-    """Return the chunks that processes take in turns, of one chunk with all remaining pairs."""
+    """Split a chunk with all remaining pairs into the chunks that processes take in turns."""
     most = _MOST_PAIRS_RETURNED
     if whole.work.files is not None:
         most = _MOST_PAIRS_WRITTEN
@@ -175,7 +175,7 @@ def interpret_chunk(chunk: Chunk) -> FinishedChunk:
 def interpret_with_workers(
     source: PairSource, *, camera: Camera, workers: int, first: int
 ) -> Iterator[Interpretation | str]:
-    """Let several processes of this machine interpret pairs; yield the results in their order.
+    """Interpret pairs in several processes of this machine; yield the results in order.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def interpret_with_workers(
     Yields
     ------
     Interpretation or str
-        The results, and the reason for each frame that is skipped before the next result.
+        The results. Before a result, the reason for each skipped frame.
 
     Raises
     ------
@@ -246,7 +246,7 @@ def check_sharable(source: Source, pairs: FrameSource) -> int:
         )
     try:
         return len(pairs)
-    except TypeError:  # only reading tells
+    except TypeError:  # the number is known only after reading
         raise InputError(
             f"{pairs.title} does not say how many frames it has: leave out workers"
         ) from None
@@ -269,7 +269,7 @@ def _absolute(source: Source) -> Source:
 
 
 def _finish(chunk: Chunk, pair: FramePair, inputs: InputFiles) -> FinishedPair:
-    """Interpret a pair, and write its files where the chunk has any."""
+    """Interpret a pair, and write its files if the chunk has files."""
     work, name, number = chunk.work, pair.name0, chunk.source.number(pair)
     if work.files is None:
         return FinishedPair(name=name, result=work.interpret(pair))
@@ -286,10 +286,10 @@ def _finish(chunk: Chunk, pair: FramePair, inputs: InputFiles) -> FinishedPair:
 
 
 class _PairReader:
-    """Reads the pairs of a source from one on. A process takes some of them and passes others."""
+    """Reads the pairs of a source in order. A process skips the pairs of other processes."""
 
     def __init__(self, chunk: Chunk) -> None:
-        # The files are compared before anything that depends on them.
+        # The files are compared before anything depends on them.
         seen = FrameSource(chunk.source.source, stop=chunk.source.frames.stop)
         chunk.listing.check(seen.listing, seen.title)
         self._whole = chunk.source
@@ -307,7 +307,7 @@ class _PairReader:
         return self._opened.skipped
 
     def next_of(self, chunk: Chunk) -> FramePair | None:
-        """Return the next pair of a chunk, None after the last."""
+        """Return the next pair of a chunk; None after the last pair."""
         while True:
             pair, self._waiting = self._waiting or next(self._pairs, None), None
             if pair is None:
@@ -330,12 +330,12 @@ _of_thread = threading.local()  # the reader that a thread keeps between two chu
 
 
 def _reader_for(chunk: Chunk) -> _PairReader:
-    """Return a reader that has not passed the chunk: the last one of this thread if possible."""
+    """Return a reader that is not beyond the chunk: this thread's last reader, if possible."""
     last: _PairReader | None = getattr(_of_thread, "reader", None)
     if last is not None and last.alive == chunk.alive and last.position <= chunk.first:
         return last
     _close_reader()
-    atexit.register(_close_reader)  # at exit modules would be gone before it is closed
+    atexit.register(_close_reader)  # modules are unloaded too early to close it at exit
     reader = _of_thread.reader = _PairReader(chunk)
     return reader
 

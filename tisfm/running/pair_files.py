@@ -40,26 +40,26 @@ if TYPE_CHECKING:
 
 
 USUAL = tuple(output for output in ENDINGS if output not in ("flow", "ply"))
-"""What is written by default: what is large and in the ``.npz`` as well is not."""
+"""Default outputs: all except large files whose content is in the ``.npz`` as well."""
 
 Sums = dict[str, tuple[int, int]]  # length, bytes, and CRC-32 of files, by their endings
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ranges:
-    """What pictures are drawn in, one for a whole sequence, so that nothing flickers.
+    """Ranges of values that pictures show: one for a whole sequence, so that nothing flickers.
 
     Attributes
     ----------
     depth : float
         The inverse depth that is shown brightest, in multiples of the mean inverse depth of the
-        pair, or, where poses are given, in the inverse of their unit.
+        pair. If poses are given, in 1/unit of the poses.
     depth16 : float
         Values of a 16-bit picture per unit of depth.
     flow : float
-        px: the speed that is shown in the strongest colour.
+        The speed that is shown in the strongest colour, px/frame.
     screen : float
-        The inverse depth in the plane of the screen, of anaglyphs, in the unit of `depth`.
+        The inverse depth of the screen plane of anaglyphs, in the unit of `depth`.
     """
 
     depth: float
@@ -71,10 +71,10 @@ class Ranges:
     def of(
         cls, result: Interpretation, *, posed: bool, screen: float | None = None
     ) -> "Ranges | None":
-        """Return ranges that suit a pair; None if it shows no depth.
+        """Return the ranges that suit a pair; None if the pair has no depth.
 
-        `screen` is the quantile of the depth in the plane of the screen; by default that plane is
-        half as near as what is shown brightest.
+        `screen` is the quantile of depth at the screen plane. By default the inverse depth of this
+        plane is half of the brightest inverse depth.
         """
         if not shows_depth(result):
             return None
@@ -92,13 +92,13 @@ class Ranges:
         )
 
     def limit(self, result: Interpretation, *, posed: bool) -> float | None:
-        """Return the inverse depth of a pair that is shown brightest; None if it shows none."""
+        """Return the inverse depth that is shown brightest in a pair; None without depth."""
         if not shows_depth(result):
             return None
         return float(self.depth * _level(result, posed))
 
     def screen_depth(self, result: Interpretation, *, posed: bool) -> float | None:
-        """Return the depth of a pair in the plane of the screen; None if it shows none."""
+        """Return the depth of the screen plane in a pair; None without depth."""
         if not shows_depth(result):
             return None
         plane = self.screen * _level(result, posed)
@@ -106,7 +106,7 @@ class Ranges:
 
 
 def shows_depth(result: Interpretation) -> bool:
-    """Return whether a pair shows depth that may be drawn."""
+    """Return whether a pair has depth that may be drawn."""
     wrong = result.status in ("diverged", "pose_mismatch")
     return not wrong and bool((result.inverse_depth > 0).any())
 
@@ -119,16 +119,16 @@ class PairFiles:
     ----------
     folder : Path
     outputs : tuple of str
-        What is written of a pair: keys of `ENDINGS`.
+        The outputs of a pair: keys of `ENDINGS`.
     figures : int
-        Figures are drawn of every so many pairs, from the first on; 0 for none.
+        One pair in this many has a figure, the first pair included; 0 for no figures.
     has_pose : bool
-        Whether pairs have rigid motions.
+        Whether interpretations have rigid motions.
     disparity, screen : float, float or None
-        Of anaglyphs: the budget as a share of the width, and the quantile of the depth in the plane
-        of the screen, in the first pair that shows depth.
+        Parameters of anaglyphs: the disparity range as a share of the width, and the quantile of
+        depth at the screen plane, in the first pair with depth.
     inputs : InputFiles
-        Files that are not to be replaced.
+        Files that no result may replace.
     """
 
     folder: Path
@@ -140,15 +140,15 @@ class PairFiles:
     inputs: InputFiles = field(default_factory=InputFiles, repr=False)
 
     def has_figure(self, number: int) -> bool:
-        """Return whether the figure of a pair, by its number in the run, is drawn."""
+        """Return whether a pair, by its number in the run, has a figure."""
         return bool(self.figures) and number % self.figures == 0
 
     def endings(self, number: int) -> list[str]:
-        """Return what the files of a pair end in, by its number in the run."""
+        """Return the endings of the files of a pair, by its number in the run."""
         return [ENDINGS[output] for output in self._wanted(number)]
 
     def all(self, name: str) -> list[Path]:
-        """Return the files that a pair may have."""
+        """Return all files that a pair may have."""
         return [self.folder / f"{name}{ending}" for ending in ENDINGS.values()]
 
     def write(
@@ -165,7 +165,7 @@ class PairFiles:
         truth_flow: np.ndarray | None = None,
         truth_inverse_depth: np.ndarray | None = None,
     ) -> tuple[dict[str, Any], Sums]:
-        """Write all files of a pair; return what the record says of it, and of its files.
+        """Write all files of a pair; return the record's entry of the pair, and check sums.
 
         Parameters
         ----------
@@ -173,16 +173,16 @@ class PairFiles:
             Beginning of the file names.
         result : Interpretation
         ranges : Ranges or None
-            None if no pair showed depth yet.
+            None before the first pair with depth.
         number : int
-            Of the pair in the run, by which it has a figure or not.
+            Number of the pair in the run; it decides whether the pair has a figure.
         digest : str, optional
             Hash of the pair's frames and pose.
         times : (float, float), optional
-            When its frames were taken, s.
+            Times of its frames, s.
         pose : (4, 4), optional
-            The motion that the interpretation was given: depth has its unit, the same in all
-            pairs.
+            The motion that was given to the interpretation. Depth then has the unit of the poses,
+            the same in all pairs.
         baseline_flow : (H, W, 2), optional
             Horn and Schunck's flow, for the figure of ``motion="field"``.
         truth_flow : (H, W, 2), optional
@@ -195,12 +195,13 @@ class PairFiles:
         OSError
             If a file cannot be written.
         ValueError
-            If one of them is an input.
+            If a file is an input.
         """
         limit = None if ranges is None else ranges.limit(result, posed=pose is not None)
         self.inputs.refuse(*self.all(name))
         path = self.folder / name
-        # Until all is rewritten, an .npz of an earlier run must not mark the pair as complete.
+        # Until all files are rewritten, the .npz of an earlier run must not mark the pair as
+        # complete.
         Path(f"{path}.npz").unlink(missing_ok=True)
         motions = motion_rows(result, pose=pose)
         wanted = self._wanted(number)
@@ -258,14 +259,14 @@ class PairFiles:
         return about, {ending: known for ending, known in files.items() if known is not None}
 
     def _wanted(self, number: int) -> list[str]:
-        """Return what is written of a pair, by its number in the run."""
+        """Return the outputs of a pair, by its number in the run."""
         left_out = set() if self.has_figure(number) else {"figure"}
         left_out |= set() if self.has_pose else {"pose"}
         return [output for output in self.outputs if output not in left_out]
 
 
 def checked_outputs(outputs: Collection[str]) -> tuple[str, ...]:
-    """Return outputs in the order in which they are written, or raise ValueError."""
+    """Return outputs in the order in which they are written; ValueError for unknown ones."""
     unknown = sorted(set(outputs) - set(ENDINGS))
     if unknown or not outputs:
         what = f"{unknown[0]!r} is none{hint(unknown[0], ENDINGS)}" if unknown else "there are none"
@@ -274,7 +275,7 @@ def checked_outputs(outputs: Collection[str]) -> tuple[str, ...]:
 
 
 def _summary(result: Interpretation) -> dict[str, Any]:
-    """Return what the table of a run says of a pair beside its status."""
+    """Return the values of a pair, except its status, for the table of a run."""
     with np.errstate(over="ignore"):
         speed = np.sqrt(result.flow[..., 0] ** 2 + result.flow[..., 1] ** 2)
     finite = np.isfinite(speed)
@@ -288,14 +289,14 @@ def _summary(result: Interpretation) -> dict[str, Any]:
 
 
 def _rounded(value: float) -> float | None:
-    """Return a number with six digits; it is for reading."""
+    """Return a number with six digits, for a reader."""
     return float(f"{value:.6g}") if np.isfinite(value) else None
 
 
 def _figure(
     name: str, result: Interpretation, *, baseline_flow: np.ndarray | None, **shown: Any
 ) -> "Figure":
-    """Draw what suits the motion model; `shown` are truth and limits, the same for all."""
+    """Draw the figure for the motion model; `shown` has the truth and limits."""
     arrays = result.frame, result.inverse_depth, result.flow
     if result.motions is None or result.inverse_depth_std is None:
         return comparison_figure(
@@ -313,16 +314,16 @@ def _figure(
 
 
 def _level(result: Interpretation, posed: bool) -> float:
-    """Return the unit that inverse depth is shown in.
+    """Return the unit in which inverse depth is shown.
 
-    Each pair has a scale of its own, ‖T‖ = 1, which is taken out by the mean inverse depth, in
-    which what is no depth counts as infinitely far: a camera that speeds up would make everything
-    brighter. Not so with known poses.
+    Each pair has a scale of its own, ‖T‖ = 1: a camera that speeds up would make all pictures
+    brighter. Division by the mean inverse depth removes this scale; pixels without depth count as
+    infinitely far. With known poses the unit is 1.
     """
     if posed:
         return 1.0
     mean = np.maximum(result.inverse_depth, 0).mean(dtype=np.float64)
-    return float(f"{mean:.9g}")  # how NumPy adds up depends on where an array lies in memory
+    return float(f"{mean:.9g}")  # rounding of NumPy's sum depends on the address of the array
 
 
 def _finite_list(numbers: np.ndarray | None) -> list[Any] | None:
@@ -337,8 +338,8 @@ def motion_rows(result: Interpretation, *, pose: np.ndarray | None = None) -> np
     ----------
     result : Interpretation
     pose : (4, 4), optional
-        The motion that the interpretation was given. It stands for the first one, because
-        `Interpretation.motions` has lost its length.
+        The motion that was given to the interpretation. It replaces the first motion, because
+        `Interpretation.motions` does not keep the length of the translation.
 
     Returns
     -------
@@ -360,7 +361,7 @@ def motion_rows(result: Interpretation, *, pose: np.ndarray | None = None) -> np
 
 
 def write_motions(path: str | os.PathLike[str], rows: np.ndarray) -> None:
-    """Write motions as text, a line of twelve numbers for each, whole or not at all.
+    """Write motions as text, a line of twelve numbers for each motion; atomically.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The folder that `tisfm run` and `tisfm demo` write to: its record, and ranges of all pairs."""
+"""The folder that `tisfm run` and `tisfm demo` write: its files, its record, and common ranges."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
@@ -24,45 +24,45 @@ _RANGES = ("depth16", "depth", "flow", "screen")  # in the order of `FOUND`
 
 
 class PairWriter:
-    """Writes interpretations into a folder, with one range for all, and keeps its record.
+    """Writes interpretations into a folder, with common ranges of values, and its record.
 
-    For a pair named ``name``: ``name_depth16.png`` (16-bit depth, its scale written in the file
-    and in the record), ``name_depth.png`` (grey levels, near is bright), ``name_flow.flo``,
-    ``name_anaglyph.png``, ``name_figure.png``, ``name.ply``, of rigid motions ``name_pose.txt``,
-    and last ``name.npz``. The record, ``run.json``, holds settings, camera, ranges, and of every
-    finished pair its status, its rigid motions, a hash of its frames, and what its files are; a
-    pair that is not in it is not complete.
+    The files of a pair named ``name`` are ``name_depth16.png`` (16-bit depth, with its scale in the
+    file and in the record), ``name_depth.png`` (grey levels, near is bright), ``name_flow.flo``,
+    ``name_anaglyph.png``, ``name_figure.png``, ``name.ply``, for rigid motions ``name_pose.txt``,
+    and last ``name.npz``. The record, ``run.json``, holds settings, camera and ranges. For every
+    finished pair it holds the status, the rigid motions, a hash of the frames, and the check sums
+    of the files. A pair without an entry is not complete.
 
-    The writer is a context manager. Within the block nobody else writes to the folder. What an
-    earlier run wrote into it is removed with the first pair, unless that run is continued.
+    The writer is a context manager, which locks the folder. The files of an earlier run in it are
+    removed when the first pair is written, unless that run is resumed.
 
     Parameters
     ----------
     folder : path
         Made if it does not exist.
     camera : Camera
-        Of the frames as they are interpreted.
+        The camera of the interpreted frames.
     settings : Settings
     source : (Camera, (int, int)), optional
         The camera of the source's frames, before they are cropped and shrunk, and their height and
         width, px.
     window : int
-        How many frames an interpretation sees.
+        Number of frames of an interpretation.
     outputs : collection of str
-        What is written of a pair: the keys of `ENDINGS`.
+        The outputs of a pair: keys of `ENDINGS`.
     figures : int
-        Figures are drawn of every so many pairs, from the first on; 0 for none.
+        One pair in this many has a figure, the first pair included; 0 for no figures.
     disparity, screen : float, float or None
-        Of anaglyphs, as for `PairFiles`.
+        Parameters of anaglyphs, as for `PairFiles`.
     start, step : int
-        The first frame of the source that is taken, and how many there are to the next.
+        Number of the first selected frame of the source, and the step to the next.
     resume : bool
-        Continue a run that was interrupted: keep its ranges and the pairs it finished.
+        Continue an interrupted run: keep its ranges and its finished pairs.
     inputs : InputFiles
-        Files that are not to be replaced.
+        Files that no result may replace.
     names : iterable of str
-        Names of pairs to come, as far as they are known: their files are compared with `inputs`
-        before anything is written, and all files once more when they are.
+        Names of the coming pairs, as far as they are known. Their files are compared with `inputs`
+        before anything is written, and once more when they are written.
 
     Attributes
     ----------
@@ -74,10 +74,10 @@ class PairWriter:
     Raises
     ------
     OSError
-        If the folder cannot be made or written to; where the block begins, if another run writes to
-        it.
+        If the folder cannot be made or written to; at the beginning of the block, if another run
+        writes to it.
     ValueError
-        If a file to be written is one of `inputs`; where the block begins, if `resume` is set and
+        If an output file is one of `inputs`; at the beginning of the block, if `resume` is set and
         the folder holds a run with another camera or other options.
     """
 
@@ -129,7 +129,7 @@ class PairWriter:
             "figures": self.files.figures,
             "start": start,
             "step": step,
-            # Of runs without anaglyphs it is no matter.
+            # Runs without anaglyphs do not depend on them.
             "disparity": disparity if "anaglyph" in chosen else None,
             "screen": screen if "anaglyph" in chosen else None,
         }
@@ -137,30 +137,30 @@ class PairWriter:
         self._record = RunRecord(self.folder, asked, notes)
         self._with = ExitStack()
         self._resume = self._is_begun = resume
-        self._has_report = True  # as far as is known
+        self._has_report = True  # until it is checked
 
     def result_of(self, name: str) -> Path:
         """Return the file of a pair's interpretation."""
         return self.folder / f"{name}.npz"
 
     def is_complete(self, name: str, digest: str, number: int) -> bool:
-        """Return whether an earlier run finished this pair, as `RunRecord.is_complete` says."""
+        """Return whether an earlier run finished this pair, as in `RunRecord.is_complete`."""
         return self._record.is_complete(name, digest, self.files.endings(number))
 
     def knows(self, name: str) -> bool:
-        """Return whether a pair of this name was written, by this run or the one continued."""
+        """Return whether this run, or the run that it resumes, wrote a pair of this name."""
         return name in self._record.pairs
 
     def took(self, name: str, seconds: float) -> None:
-        """Take down how long a pair was interpreted."""
+        """Record the time of the interpretation of a pair, s."""
         self._record.took(name, seconds)
 
     def write(
         self, name: str, result: Interpretation, *, pose: np.ndarray | None = None, **about: Any
     ) -> None:
-        """Write all files of a pair, as `PairFiles.write` does, and take down that it is finished.
+        """Write all files of a pair, as `PairFiles.write` does, and record it as finished.
 
-        The first pair that shows depth sets the ranges of all.
+        The first pair with depth sets the ranges of all pairs.
         """
         self.begin()
         self._remove_report()
@@ -171,12 +171,12 @@ class PairWriter:
         self._record.finish(name, *written)
 
     def finish(self, name: str, about: Mapping[str, Any], sums: Sums) -> None:
-        """Take down that a pair is finished whose files another process wrote."""
+        """Record a pair as finished whose files another process wrote."""
         self._remove_report()
         self._record.finish(name, about, sums)
 
     def begin(self) -> None:
-        """Remove what an earlier run wrote here, its record last: until then it can be told."""
+        """Remove the files of an earlier run. The record is last, since it names the files."""
         if self._is_begun:
             return
         self._is_begun = True
@@ -187,14 +187,14 @@ class PairWriter:
             file.unlink(missing_ok=True)
 
     def _remove_report(self) -> None:
-        """Remove the page of an earlier command, once: it has no pair of this one."""
+        """Remove the report of an earlier command, once, since this run makes it outdated."""
         report, self._has_report = self._has_report, False
         if report and is_report(self.folder / REPORT):
             (self.folder / REPORT).unlink(missing_ok=True)
 
     @property
     def ranges(self) -> Ranges | None:
-        """What pictures are drawn in; None until a pair shows depth."""
+        """Ranges of values in pictures; None before the first pair with depth."""
         found = [self._record[key] for key in FOUND]
         if any(value is None for value in found):
             return None
@@ -206,14 +206,14 @@ class PairWriter:
             self._record[key] = None if ranges is None else getattr(ranges, name)
 
     def known(self, first: int, end: int) -> dict[str, Mapping[str, Any]]:
-        """Return what the record says of pairs with these numbers, by their names."""
+        """Return the record's entries of pairs with these numbers, by their names."""
         return {
             name: pair for name, pair in self._record.pairs.items() if first <= pair["number"] < end
         }
 
     @property
     def statuses(self) -> Mapping[str, int]:
-        """How many pairs have which status code so far, those of a resumed run included."""
+        """Number of pairs by status code so far, including those of a resumed run."""
         return {code: count for code, count in list(self._record.statuses.items()) if count}
 
     @property
@@ -223,7 +223,7 @@ class PairWriter:
 
     @property
     def times_note(self) -> str:
-        """Why the times of frames cannot serve a path; "" if they can, or no time is known."""
+        """The reason why a path cannot use the times of frames; "" if it can, or without times."""
         return self._record.times_note()
 
     @property
@@ -236,7 +236,7 @@ class PairWriter:
         return messages
 
     def expected_bytes(self, count: int) -> float:
-        """Return how much so many pairs take, by the first one that is finished."""
+        """Return the expected bytes of `count` pairs, from the first finished pair."""
         pair = next(iter(list(self._record.pairs.values())))
         lengths = {ending: length for ending, (length, _) in pair["files"].items()}
         figure = lengths.pop(ENDINGS["figure"], 0)

@@ -1,4 +1,4 @@
-"""The pairs of a source, with their poses, and the interpretation of each pair of a run."""
+"""The pairs of a source, with their poses, and the interpretation of each pair."""
 
 from collections.abc import Generator, Iterable, Sequence, Sized
 from contextlib import closing
@@ -48,7 +48,7 @@ class FrameSelection:
 
 @dataclass(frozen=True, kw_only=True)
 class PairSource:
-    """A source of frames, and all that decides on its pairs.
+    """A source of frames, and all options that determine its pairs.
 
     Attributes
     ----------
@@ -79,13 +79,13 @@ class PairSource:
         return pairs, with_poses(pairs, motions, title=f"the motions of {self.poses}")
 
     def starting_at(self, number: int) -> "PairSource":
-        """Return the source without the pairs before the pair of this number."""
+        """Return the source without the pairs before this number."""
         start = self.frames.start + number * self.frames.step
         motions = None if self.motions is None else self.motions[number:]
         return replace(self, frames=replace(self.frames, start=start), motions=motions)
 
     def number(self, pair: FramePair) -> int:
-        """Return the number of a pair, which is that of its first frame among the selected."""
+        """Return the number of a pair: the number of its first frame among the selected frames."""
         return (pair.index - self.frames.start) // self.frames.step
 
 
@@ -111,7 +111,7 @@ class PairWork:
         return pair.interpret(camera=self.camera, settings=self.settings, window=window)
 
     def about(self, pair: FramePair, number: int) -> dict[str, Any]:
-        """Return the arguments of `PairFiles.write` beside the interpretation of a pair."""
+        """Return the arguments of `PairFiles.write` for a pair, except its interpretation."""
         has_figure = self.files is not None and self.files.has_figure(number)
         compared = self.settings.motion == "field" and has_figure
         return {
@@ -137,9 +137,9 @@ def with_poses(
     ----------
     pairs : FrameSource
     poses : iterable of array_like, or None
-        One for every pair; None for none. They are checked when the pair is interpreted.
+        One pose for every pair; None for no poses. They are checked when the pair is interpreted.
     title : str
-        What errors call them.
+        Name of the poses in error messages.
 
     Returns
     -------
@@ -148,9 +148,9 @@ def with_poses(
     Raises
     ------
     TypeError, ValueError
-        At once if the poses cannot be iterated, are known not to be as many as the pairs, or if
-        frames may be skipped; while iterating if they end too early, or are left over though their
-        number is known.
+        At once, if the poses cannot be iterated, if their number is known and differs from the
+        number of pairs, or if frames may be skipped. During iteration, if the poses end too early,
+        or if poses are left over and their number is known.
     """
     if poses is None:
         return iter(pairs)
@@ -186,7 +186,7 @@ def _posed(
                     "expected one for every pair"
                 ) from None
             yield replace(pair, pose=pose)
-            del pair  # or it would keep its first frame while the next one is read
+            del pair  # or its first frame would stay in memory while the next is read
             done += 1
     if number is not None:
         _check_poses(number, done, title)

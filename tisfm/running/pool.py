@@ -1,7 +1,7 @@
-"""Pieces of work in other processes: of this machine, or of the machines of a Dask cluster.
+"""Pools of worker processes: on this machine, or on the machines of a Dask cluster.
 
-Whoever gives the work holds a file as long as it waits for the results. A worker checks this file
-(`check_worker`), and ends work for which nobody waits any more.
+The parent process keeps a file as long as it waits for results. A worker checks this file
+(`check_worker`), and stops when the file is gone.
 """
 
 import os
@@ -31,7 +31,7 @@ from tisfm.version import __version__
 T = TypeVar("T")
 R = TypeVar("R")
 
-MOST_ATTEMPTS = 3  # at an item whose process was killed; set by hand
+MOST_ATTEMPTS = 3  # for an item whose process was killed; set by hand
 _QUEUED_PER_WORKER = 2  # items: one that the worker computes, and one that waits for it
 _CLUSTER_TIMEOUT = 10  # s for the scheduler of a cluster to answer; set by hand
 
@@ -53,9 +53,9 @@ class WorkerPool:
     def map_unordered(
         self, function: Callable[[T], R], items: Sequence[T]
     ) -> Iterator[tuple[int, R]]:
-        """Call a function with every item, and yield each result as soon as it is there.
+        """Call a function with every item, and yield each result as soon as it is ready.
 
-        Items begin in their order, and only so many at a time that no process waits.
+        Items are submitted in order, and only as many at a time as keep all processes busy.
 
         Parameters
         ----------
@@ -72,9 +72,9 @@ class WorkerPool:
         Raises
         ------
         RunError
-            If processes were killed again and again.
+            If processes were killed repeatedly and no item finished in between.
         Exception
-            The exception that the function raised.
+            The exception of the function.
         """
         waiting, kills = list(reversed(range(len(items)))), 0
         running = self._running = {}
@@ -106,7 +106,7 @@ class WorkerPool:
     def results_of_running(self) -> Iterator[Any]:
         """Wait for the items that are being computed, and yield their results.
 
-        This follows `map_unordered` where that was left early. Items that fail now are left out.
+        To be called after `map_unordered` was left early. Items that fail now are left out.
         """
         running, self._running = self._running, {}
         for future in sorted(running, key=running.__getitem__):
@@ -119,7 +119,7 @@ class WorkerPool:
 
 
 def check_workers(workers: int, cluster: str | None = None) -> None:
-    """Raise InputError if the number of workers is impossible, or given beside a cluster."""
+    """Raise InputError if `workers` is not positive, or is given together with a cluster."""
     if workers < 1:
         raise InputError(f"workers is {workers}: expected a positive number of processes")
     if workers > 1 and cluster is not None:
@@ -140,7 +140,7 @@ def open_pool(workers: int, cluster: str | None = None) -> AbstractContextManage
     workers : int
         Number of processes of this machine.
     cluster : str, optional
-        The address of a scheduler of Dask, such as "tcp://10.0.0.1:8786".
+        The address of a Dask scheduler, such as "tcp://10.0.0.1:8786".
 
     Raises
     ------
@@ -206,16 +206,16 @@ def _end_with(sentinel: Any) -> None:
 
 
 def check_worker(version: str, alive: Path, *, lanes: int, here: int) -> None:
-    """Check, in a worker, that the worker suits the process that gives the work.
+    """Check, in a worker, that the worker fits the parent process.
 
     Parameters
     ----------
     version : str
-        Version of tisfm in the process that gives the work.
+        Version of tisfm in the parent process.
     alive : Path
-        A file that exists as long as that process waits for the work.
+        A file that exists as long as the parent process waits for results.
     lanes : int
-        Lanes of the vectors of the CPU of that process.
+        Lanes of the vectors of the CPU of the parent process.
     here : int
         Lanes of the vectors of the CPU of this worker.
 
@@ -242,7 +242,7 @@ def check_worker(version: str, alive: Path, *, lanes: int, here: int) -> None:
 
 
 def as_sent(error: Exception) -> Exception:
-    """Return an error of a worker as it is sent to the process that gave the work."""
+    """Return an error of a worker in the form that is sent to the parent process."""
     if isinstance(error, MemoryError) and not isinstance(error, TisfmError):
         return OutOfMemoryError(advice())
     return error.with_traceback(None)

@@ -1,4 +1,4 @@
-"""A run: every pair of a source is interpreted, here or by several processes, and written."""
+"""A run: every pair of a source is interpreted, by one or several processes, and written."""
 
 import fnmatch
 import glob
@@ -46,16 +46,16 @@ Tell = Callable[[str], None]
 class RunObserver(Protocol):
     """Receives the progress of a run, such as `tisfm.cli.progress.RunProgress`."""
 
-    last: float  # s that the last stage took
+    last: float  # s: time of the last stage
 
     def begin(self, writer: PairWriter, total: int | None) -> None:
-        """Receive the writer of the run and the number of its pairs, if that is known."""
+        """Receive the writer of the run and the number of its pairs; None if unknown."""
 
     def stage(self, name: str) -> AbstractContextManager[None]:
         """Measure the time of a block for a stage."""
 
     def timed(self, name: str, items: Iterable[T]) -> Iterator[T]:
-        """Yield items, and measure the time that getting each takes."""
+        """Yield items, and measure the time of fetching each of them."""
 
     def finish(self, name: str, statuses: Mapping[str, int], *, count: int = 1) -> None:
         """Receive that pairs are finished, and the number of finished pairs by status."""
@@ -88,15 +88,15 @@ class SequenceRun:
     resume : bool
         Keep the pairs that an earlier run with the same options finished.
     outputs : collection of str
-        The files that are written of a pair: keys of `tisfm.folders.run_record.ENDINGS`.
+        The outputs of a pair: keys of `tisfm.folders.run_record.ENDINGS`.
     figures : int
-        One pair in so many has a figure; 0 for no figures.
+        One pair in this many has a figure; 0 for no figures.
     disparity, screen : float or None
-        Of anaglyphs, as for `PairWriter`.
+        Parameters of anaglyphs, as for `PairWriter`.
     workers : int
         Number of processes that share the pairs.
     cluster : str or None
-        The address of a scheduler of Dask, whose workers share the pairs.
+        The address of a Dask scheduler, whose workers share the pairs.
     arch, threads
         As for `tisfm.runtime.start`.
     """
@@ -191,7 +191,7 @@ class SequenceRun:
         for note in frames.notes:
             tell(f"note: {note}")
         total = check_sharable(self.source, frames) if self.is_shared else _total(frames)
-        first = next(pairs)  # before anything is written: all other frames have its size
+        first = next(pairs)  # before any file is written: all frames have its size
         if "flow" in self.outputs:
             require_writable_flow(f"frame {first.name0}", *first.frame0.shape[:2])
         if self.is_shared:
@@ -249,7 +249,7 @@ class SequenceRun:
     def _chunk(
         self, source: PairSource, work: PairWork, frames: FrameSource, first: int, end: int
     ) -> Chunk:
-        """Return one chunk with all pairs that are left."""
+        """Return one chunk with all remaining pairs."""
         whole = Chunk(
             source=source,
             work=work,
@@ -267,7 +267,7 @@ class SequenceRun:
 
 
 def camera_of_file(file: Path, shape: tuple[int, int] | None, tell: Tell) -> Camera:
-    """Return the camera in a file for frames of a shape; tell if its focal length is doubtful."""
+    """Return the camera in a file for frames of a shape; warn if its focal length is doubtful."""
     camera = read_camera(file, shape)
     if doubt := doubt_of(file):
         tell(f"{file}: {doubt}")
@@ -296,11 +296,11 @@ class _ThisProcess:
     def interpret(self, pairs: Iterable[FramePair], *, until_ranges: bool) -> int:
         """Interpret pairs; return the number of the next pair.
 
-        With `until_ranges` only the pairs up to the first that shows depth are interpreted: it
-        decides on the ranges of values that all images show.
+        With `until_ranges`, interpretation stops after the first pair with depth. This pair sets
+        the ranges of values in all images.
         """
         writer, window, observer = self.writer, self.window, self.observer
-        before, number = None, -1  # the pair before, if it was finished by an earlier run
+        before, number = None, -1  # the pair before, if an earlier run finished it
         with Background() as background:
             for pair in observer.timed("decoding", pairs):
                 name, number = pair.name0, self.source.number(pair)
@@ -338,7 +338,7 @@ def _finished_chunks(whole: Chunk, writer: PairWriter, pool: WorkerPool) -> Iter
     """
     writer.begin()
     error: BaseException | None = None
-    # The path that the workers have: of a cluster an absolute one.
+    # The path for the workers: an absolute one for a cluster.
     folder = writer.folder if whole.work.files is None else whole.work.files.folder
     with presence_file(folder) as alive:
         parts = [
@@ -361,7 +361,7 @@ def _finished_chunks(whole: Chunk, writer: PairWriter, pool: WorkerPool) -> Iter
 
 
 def _add(chunk: FinishedChunk, writer: PairWriter, observer: RunObserver) -> int:
-    """Record the pairs of another process; return how many of them it interpreted."""
+    """Record the pairs of another process; return the number of those that it interpreted."""
     interpreted = 0
     for pair in chunk.pairs:
         if pair.about is not None and pair.sums is not None:
@@ -374,7 +374,7 @@ def _add(chunk: FinishedChunk, writer: PairWriter, observer: RunObserver) -> int
 
 
 def _total(frames: FrameSource) -> int | None:
-    """Return the number of pairs, None if only reading tells."""
+    """Return the number of pairs; None if it is known only after reading."""
     try:
         return len(frames)
     except TypeError:
@@ -384,7 +384,7 @@ def _total(frames: FrameSource) -> int | None:
 def _refuse_mixing(
     source: Source, files: Iterable[Path], folder: Path, *, kind: str = "frames"
 ) -> None:
-    """Raise InputError if results would lie among the frames, and count as frames the next time."""
+    """Raise InputError if results would lie among the frames: the next run would read them."""
     if not isinstance(source, (str, os.PathLike)) or os.path.isfile(source):
         return
     parents = {file.parent for file in files}
@@ -405,7 +405,7 @@ def _matches(folder: Path, pattern: Path) -> bool:
 
 
 def _names(frames: FrameSource, folder: Path) -> list[str]:
-    """Return names of pairs whose results may lie in a folder already."""
+    """Return the names of pairs whose results may already lie in a folder."""
     if frames.names is not None:
         return list(frames.names)
     if not folder.is_dir():
