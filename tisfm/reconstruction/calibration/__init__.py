@@ -1,4 +1,4 @@
-"""The focal length and the radial distortion of a camera, found together with its path.
+"""The focal length and the radial distortion of a camera, estimated together with its path.
 
 May import: `camera`, `camera_file`, `focal_guess`, `sources`, `reconstruction.mapping`,
 `reconstruction.result` and `reconstruction.tracks`.

@@ -27,7 +27,8 @@ from tisfm.reconstruction.tracks.views import View
 
 # Focal lengths that an adjustment starts from, as multiples of the guess.
 START_FACTORS = (1.0, 0.42, 2.4)
-# Mean score per match, 0 to 1: a model with at least this score is not bent.
+# Mean score per match, 0 to 1: a model with at least this score has the right shape: it is not
+# bent.
 MIN_STRAIGHT_SCORE = 0.5
 # Views in each of the two windows on which start values are compared.
 WINDOW_VIEWS = 16

@@ -44,8 +44,8 @@ class SourceCamera:
     used : Camera
         Camera of the frames after crop and reduction.
     rows : float
-        Share of the rows of a frame that are left after the crop: the readout time of the used
-        frame is this share of that of the full frame.
+        Share of a full frame's rows that the crop keeps. The readout time of a used frame is this
+        share of the readout time of the full frame.
     guess : FocalGuess or None
         The guess of the focal length; None if a camera was given.
     stated : Calibration
@@ -96,7 +96,7 @@ class SourceCamera:
         return MAX_EXIF_DEVIATION if is_exif else MAX_USEFUL_DEVIATION
 
     def full_readout(self, readout: float) -> float:
-        """Return the readout time of full frames, at most 1 interval, for that of used frames."""
+        """Return the readout time of full frames, at most 1 interval, from that of used frames."""
         return max(-1.0, min(readout / self.rows, 1.0))
 
     def calibration(

@@ -36,7 +36,7 @@ def find_flow(
     share : float
         Scale of the shrunk frames, from `flow_scale`.
     camera : Camera
-        A pinhole, of the frames.
+        Pinhole camera of the frames.
     settings : Settings
     fast_things : bool
         Whether to search for objects that move far in relation to their size.
@@ -85,7 +85,7 @@ class FlowCache:
     Parameters
     ----------
     camera : Camera
-        A pinhole, of the frames.
+        Pinhole camera of the frames.
     grey : callable
         Returns a frame, (H, W) uint8.
     """

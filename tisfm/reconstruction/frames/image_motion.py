@@ -70,9 +70,9 @@ class ImageMotion:
     Parameters
     ----------
     camera : Camera
-        A pinhole, of the frames.
+        Pinhole camera of the frames.
     settings : Settings
-        Of the image motion.
+        Settings of the image motion.
 
     Attributes
     ----------

@@ -13,7 +13,7 @@ def pinhole_rays(points: np.ndarray, camera: Camera, shape: tuple[int, int]) -> 
     points : (N, 2) float64
         (x, y), px.
     camera : Camera
-        A pinhole.
+        Pinhole camera.
     shape : (int, int)
         Height and width of the frames, px.
     """

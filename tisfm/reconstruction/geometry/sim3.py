@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 # Number of RANSAC trials, each with three points.
 RANSAC_TRIALS = 200
-# Largest error of an inlier, as a share of its distance.
+# Largest error of an inlier, as a share of its distance from the camera.
 INLIER_ERROR = 0.05
 # Rounds of the reweighted fit to inliers.
 FIT_ROUNDS = 5
@@ -148,7 +148,7 @@ def refine_sim3(
 
 
 def _weights(off: np.ndarray) -> np.ndarray:
-    """Return robust weights for residuals, (N,), with outliers among them."""
+    """Return robust weights of residuals, (N,): outliers get small weights."""
     usual = max(float(np.median(off)), 1e-9)
     return np.asarray(1 / (usual**2 + (off / 2) ** 2))
 

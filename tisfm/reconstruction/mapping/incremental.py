@@ -24,7 +24,7 @@ MIN_VIEWS = 3
 OUTLIER_PIXELS = 0.5
 # px: the same bound in the first adjustment from rough poses.
 ROUGH_OUTLIER_PIXELS = 3.0
-# All views are adjusted once views or points have grown by this factor.
+# All views are adjusted when the number of views or points has grown by this factor.
 GROWTH_FACTOR = 1.5
 # Steps of an adjustment of all views while a model grows, and the relative change of the squared
 # residuals that ends it.
@@ -57,13 +57,13 @@ MIN_HOMOGRAPHY_RATIO = 1.5
 # Quantile of the parallax of two views that ranks first pairs.
 PARALLAX_QUANTILE = 0.75
 # Smallest share of pairs with parallax, of the best pairs with a motion, at an estimated focal
-# length. Where the camera rotated and hardly moved it was 0.12 to 0.33 (three sequences), in noise
-# 0, in 20 other sequences 0.71 to 1.
+# length. This share was 0.12 to 0.33 in three sequences where the camera rotated and hardly moved,
+# 0 in noise, and 0.71 to 1 in 20 other sequences.
 MIN_PARALLAX_PAIRS = 0.4
 # Smallest mean score per match of a right model.
 MIN_MEAN_SCORE = 0.65
 # Smallest score of the worst view of a right model, as a share of the median view. Worst views of
-# right models had 0.84 to 1 of it (blurred: 0.67), one of a bent model had 0.53.
+# right models had a share of 0.84 to 1 (blurred: 0.67), the worst view of a bent model 0.53.
 MIN_WORST_VIEW = 0.8
 # Otherwise a model is right if another first pair leads to the same score, within this share.
 MAX_SCORE_DIFFERENCE = 0.02
@@ -208,7 +208,7 @@ def first_pair_tolerance(longer_side: float) -> float:
     Parameters
     ----------
     longer_side : float
-        Of the frames, px.
+        Longer side of the frames, px.
     """
     return FIRST_PAIR_TOLERANCE * max(1.0, longer_side / TOLERANCE_FRAME)
 

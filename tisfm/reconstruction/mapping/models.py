@@ -202,7 +202,7 @@ def find_models(
         For pairs of indices of views, the smaller first: indices of their detected points that
         match.
     camera : Camera
-        A pinhole.
+        Pinhole camera.
     shape : (int, int)
         Height and width of the frames, px.
     focal_known : bool
@@ -242,7 +242,7 @@ def continue_model(
     Returns
     -------
     Model
-        In the axes and the unit of the known poses, which it contains unchanged.
+        In the axes and the unit of the known poses, with the known poses unchanged.
     """
     shared = ViewGraph.of(views, matches, shape)
     model = _model(shared.continue_model(camera, known), shared.views)

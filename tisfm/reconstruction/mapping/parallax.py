@@ -17,8 +17,8 @@ HOMOGRAPHY_ROUNDS = 5
 ROTATION_STEPS = 12
 # A smaller step, in rad and in the logarithm of the focal length, ends this fit.
 MIN_ROTATION_STEP = 1e-5
-# Bounds of the focal length in the fit of a rotation, relative to the stated one. With the stated
-# one alone, 20 % off, 7 of 8 rendered pure rotations passed for parallax.
+# Bounds of the focal length in the fit of a rotation, as multiples of the stated focal length. When
+# only the stated one was allowed, 20 % off, 7 of 8 rendered pure rotations passed for parallax.
 MIN_FOCAL_RATIO = 0.5
 MAX_FOCAL_RATIO = 2.0
 # Smallest z of a unit direction that is projected.
@@ -60,8 +60,9 @@ def beyond_homography(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 def beyond_rotation(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Return the residual angles after the best rotation, fitted together with a focal length.
 
-    The focal length is the same in both views, and 0.5 to 2 times the one that the directions were
-    computed with. So a rotation seen with a wrong focal length shows no parallax.
+    The focal length is the same in both views, and 0.5 to 2 times the stated focal length, with
+    which the directions were computed. So a rotation seen with a wrong focal length shows no
+    parallax.
 
     Parameters and result are those of `beyond_homography`. The angles are computed with the stated
     focal length.

@@ -11,7 +11,8 @@ from tisfm.reconstruction.tracks.views import View
 
 # Share of the focal length: with a larger standard deviation, the motion hardly shows it.
 MAX_SEEN_DEVIATION = 0.05
-# The same: with a larger one, a guess is as good, since lenses of 0.6 to 2 longer sides are common.
+# Share of the focal length: with a larger standard deviation, a guess is as good, since focal
+# lengths of 0.6 to 2 longer sides are common.
 MAX_USEFUL_DEVIATION = 0.3
 
 
@@ -22,7 +23,7 @@ class FocalEstimate:
     Attributes
     ----------
     focal : float
-        px.
+        Focal length, px.
     deviation : float
         Standard deviation, px; infinite if the sequence does not show the focal length.
     radial, radial_deviation : float

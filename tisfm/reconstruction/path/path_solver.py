@@ -75,13 +75,13 @@ class PathSolver:
     ----------
     tracks : SequenceTracks
     camera : Camera
-        A pinhole, of the frames.
+        Pinhole camera of the frames.
     calibrate : {"nothing", "focal", "radial"}
         The part of the camera that is estimated with the path. Except for ``"nothing"``, the focal
         length of `camera` is a guess.
     limit : float
         Share of the focal length: an estimate with a larger standard deviation is dropped, and the
-        guess stays.
+        guess is used.
     readout : float or None
         Readout time of the shutter, as in `tisfm.Camera`; None if it is estimated.
     focal_known : bool
@@ -321,7 +321,7 @@ def add_other_frames(
     frames : iterable of int
         Frames to add.
     camera : Camera
-        A pinhole, of the frames.
+        Pinhole camera of the frames.
     shape : (int, int)
         Height and width of the frames, px.
     """

@@ -87,7 +87,7 @@ def estimate_readout(
     rates : mapping of int to (6,) array
         Motion per interval, by frame, as `tisfm.shutter.rates_of` returns it.
     camera : Camera
-        A pinhole.
+        Pinhole camera.
     shape : (int, int)
         Height and width of the frames, px.
     begun : float

@@ -32,7 +32,7 @@ class TrackUnroller:
     readout, deviation : float
         As in `Rolling`.
     camera : Camera
-        A pinhole.
+        Pinhole camera.
     shape : (int, int)
         Height and width of the frames, px.
 

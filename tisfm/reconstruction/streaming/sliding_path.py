@@ -26,9 +26,9 @@ from tisfm.status import Status
 
 # Values without a stated source were set by hand.
 
-# Views with fixed poses from which the path is continued.
+# Number of the last views with fixed poses that are kept to continue the path.
 FIXED_VIEWS = 16
-# With fewer fixed views, the poses of later views are fixed as well.
+# The fewest fixed views of a piece: with fewer, the poses of later views are fixed too.
 MIN_FIXED_VIEWS = 6
 
 

@@ -69,7 +69,7 @@ def focal_from_submaps(
     *,
     limit: float,
 ) -> FocalEstimate | None:
-    """Return the focal length of the first submap that shows it, or else the most certain one.
+    """Return the focal length of the first submap that shows it, or else the most certain estimate.
 
     Arguments are as for `find_models_and_focal`. None is returned if no submap has a path.
     """

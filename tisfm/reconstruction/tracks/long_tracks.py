@@ -24,7 +24,7 @@ def choose_long_tracks(seen: Sequence[Observations], longer_side: int) -> list[O
     seen : sequence of Observations
         Tracks in views.
     longer_side : int
-        Of the frames, px.
+        Longer side of the frames, px.
     """
     if not seen:
         return []

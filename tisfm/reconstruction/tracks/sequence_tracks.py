@@ -49,7 +49,7 @@ class SequenceTracker:
     Parameters
     ----------
     camera : Camera
-        A pinhole, of the frames.
+        Pinhole camera of the frames.
     focal_known : bool
         Whether matches of views have to fit the focal length of the camera. Otherwise any focal
         length may fit.

@@ -30,15 +30,14 @@ PATCH_SIDE = 7
 # Grey levels: largest mean difference of two patches of a track, after the difference of their
 # means is removed.
 MAX_PATCH_DIFFERENCE = 12.0
-# px: side of the window of the search for the same patch, which starts at the position from the
-# flow.
+# px: side of the window of the search for a patch, which starts at the position from the flow.
 SEARCH_WINDOW = 11
 # Rounds of this search.
 SEARCH_ROUNDS = 10
 # px: a smaller step ends this search.
 SEARCH_TOLERANCE = 0.01
-# px: largest distance of the result from the position from the flow: a farther patch belongs to
-# another point.
+# px: largest distance between the search result and the position from the flow: a farther patch
+# belongs to another point.
 MAX_SEARCH = 1.0
 
 
@@ -80,9 +79,9 @@ class Tracker:
     Parameters
     ----------
     camera : Camera
-        A pinhole, of the frames.
+        Pinhole camera of the frames.
     settings : Settings
-        Of the image motion.
+        Settings of the image motion.
     cells : int
         Cells along the longer side: a new track begins in every cell without a track.
     """
@@ -137,9 +136,9 @@ def carry_points(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions of points of frame 0 in frame 1, and the points that were found.
 
-    The flow gives a first position. If a search by appearance succeeds near it, the searched
-    position is used. A point counts as found if tracking back to frame 0 ends at its start, and the
-    patches in both frames are similar. Few points pass these checks, but these points drift little.
+    The flow gives a first position. If a search by appearance succeeds near it, its result is used.
+    A point counts as found if tracking back to frame 0 ends at its start, and the patches in both
+    frames are similar. Few points pass these checks, but these points drift little.
 
     Parameters
     ----------
@@ -209,7 +208,7 @@ def choose_new_points(
         Existing points.
     ignored : (H, W) bool, or None
     cells : int
-        Along the longer side.
+        Number of cells along the longer side.
 
     References
     ----------

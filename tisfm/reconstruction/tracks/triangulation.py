@@ -28,7 +28,7 @@ class TrackPoints(Mapping[int, np.ndarray]):
     Attributes
     ----------
     tracks : (N,) int64
-        Ascending.
+        Track numbers, ascending.
     positions : (N, 3) float64
     """
 
@@ -97,7 +97,7 @@ def triangulate_tracks(
     poses : mapping of int to (4, 4) array
         Camera to world, by frame.
     camera : Camera
-        A pinhole.
+        Pinhole camera.
     shape : (int, int)
         Height and width of the frames, px.
     """

@@ -50,7 +50,7 @@ class View:
     ----------
     frame : int
     seen : Observations
-        Tracks.
+        Tracks in the frame.
     detected : (M, 2) float64
         Points that are matched by appearance, px.
     """
@@ -78,7 +78,7 @@ class ViewSelection:
     Parameters
     ----------
     camera : Camera
-        A pinhole, of the frames.
+        Pinhole camera of the frames.
     focal_known : bool
         Whether matches have to fit its focal length. Otherwise any focal length may fit.
     on_disk : bool
@@ -87,7 +87,7 @@ class ViewSelection:
     Attributes
     ----------
     chosen : list of View, or DiskCache of View
-        In the order of their frames.
+        Selected views, in the order of their frames.
     matches : dict of (int, int) to (N, 2) int32 array
         For pairs of indices of views: indices of their detected points that match.
     """
