@@ -14,10 +14,8 @@ SMALLEST_SCALE = 0.01  # px: accuracy of the best flow
 SPIN = 0.001  # rad/frame: standard deviation of an object's rotation relative to the background
 CORRELATED = 50  # neighbouring pixels that share an error, a patch of about 7 × 7
 MAD_TO_DEVIATION = 1.4826  # standard deviation of a normal distribution over its median distance
-# Least stiffness of normal equations as a share of their trace, and least trace.
-LEAST_STIFFNESS, LEAST_TRACE = 1e-9, 1e-30
-# Least divisors: lengths and squares of normalised vectors, and the median displacement that a
-# rotation leaves.
+LEAST_STIFFNESS, LEAST_TRACE = 1e-9, 1e-30  # of normal equations; the former of their trace
+# Least divisors: lengths and squares of normalised vectors, and a median normalised displacement.
 LEAST_LENGTH, LEAST_SQUARE, LEAST_DISPLACEMENT = 1e-9, 1e-18, 1e-12
 Pose = tuple[np.ndarray, np.ndarray]  # R and t
 

@@ -28,14 +28,11 @@ LEAST_NOISE, LEAST_SHARE, MOST_NOISE = 0.7, 1 / 150, 15.0
 # sampled for them; and margin on both sides, as a share of the range.
 RANGE, DENSE, SPARE = (0.1, 99.9), 2**16, 0.05
 QUIETEST = 0.7  # levels of 255: least noise of coarser levels
-# Variances of the noise: windows that vary by less have no correlation, or cost too much to be
-# believed.
-SEEN = 1.8
+SEEN = 1.8  # variances of the noise: windows that vary by less have no useful correlation
 QUIET, BLOCK = 0.2, 16  # noise is measured in the quietest fifth of blocks of this side, px
-# A pixel is believed if it costs less, if both directions differ by less (px), and if it belongs to
-# so many connected pixels whose D differs by at most 1 px (in sixteenths, 16).
-COST = 0.35
-AGREEMENT = 0.6
+COST = 0.35  # largest cost of a believed pixel
+AGREEMENT = 0.6  # px: largest difference between both directions at a believed pixel
+# Fewest connected pixels of a believed region; and 1 px in sixteenths, the largest step within it.
 ISLAND, SIXTEENTHS = 200, 16
 
 

@@ -187,8 +187,7 @@ class WindowSearch:
         sought : array of bool, optional
             Pixels that are searched, on any level; by default all.
         tried : int
-            Draws of all pixels together in each round on the first level, if few pixels are
-            sought.
+            Draws of all pixels together in a wide round, if few pixels are sought.
         """
         return _searched([self.windows(k) for k in levels], known, sought, tried, seed=0)
 

@@ -210,8 +210,7 @@ def swept(
     guess, trust : (H, W) float32
         Likely inverse depth, and its trust in [0, 1].
     counted : tuple of two (H, W) bool, optional
-        Pixels of each frame that count, by default all. Other pixels weigh as little as hidden
-        pixels.
+        Pixels of each frame that count, by default all. Others weigh as little as hidden pixels.
 
     Returns
     -------

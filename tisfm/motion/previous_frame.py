@@ -114,8 +114,7 @@ class PreviousFrame:
     used : bool
         Whether the previous frame was used.
     residual : (h, w) float32 or None
-        Residual of a flow near the final flow, on the last level; None if the motion was not
-        steady.
+        Residual of a flow near the final flow, on the last level; None if the frame is not used.
     """
 
     def __init__(self, pyramid: ImagePyramid, previous: PreviousPair, settings: Settings) -> None:
@@ -123,8 +122,7 @@ class PreviousFrame:
         self.used = False
         self.residual: np.ndarray | None = None
         frame = previous.frame0
-        # A second thread is free meanwhile: kernels of coarse levels use one.
-        ahead = runtime.threads() > 1 and frame.size >= BESIDE
+        ahead = runtime.threads() > 1 and frame.size >= BESIDE  # coarse levels leave threads free
         self._taps = start_beside(spline_taps, frame) if ahead else partial(spline_taps, frame)
 
     def joined(self, unknowns: Unknowns, data_term: DataTerm) -> ThreeFrameData | None:

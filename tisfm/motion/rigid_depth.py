@@ -102,7 +102,7 @@ def rigid_depth(
 ) -> RigidSolution:
     """Estimate the inverse depth of every pixel, from coarse to fine.
 
-    The data are those of a flow field, weighted as `settings.depth_brightness`,
+    The data terms are the same as for a flow field, weighted as `settings.depth_brightness`,
     `settings.gradient` and `settings.depth_normalization` say, and restricted to epipolar lines.
     Displacements are exact. The unknown D is in px/frame for every motion, because translations
     are scaled such that D moves a pixel by D px/frame on average. There is no smoothness across

@@ -8,8 +8,7 @@ import numpy as np
 from tisfm import runtime
 from tisfm.threads import start_beside
 
-# Threshold of the detector. It is low because rooms have few and faint points; matching removes
-# wrong points.
+# Threshold of the detector: low, since rooms have few, faint points; matching removes wrong ones.
 CONTRAST = 0.01
 LARGEST = 2**20  # pixels: a larger frame is matched on a coarser level
 CELLS = 16  # cells along a side of a square frame of the same area

@@ -27,19 +27,16 @@ from tisfm.motion.sparse_matches import Matches
 THRESHOLDS = (0.5, 1.0, 2.0, 4.0)  # px: inliers, from the epipolar line or the homography's point
 DRAWS = 10_000  # most random samples for a threshold: half of the matches may be wrong
 # px: largest distances of the matches in each round of refinement, for two refinements of a start.
-# From a poor start, near matches alone miss the least cost. From a good start, far matches lead
-# away.
+# Near matches alone miss the least cost from a poor start; far matches lead away from a good start.
 REACHES = ((16.0, 6.0, 3.0), (3.0, 3.0))
-# Length of a step, rad and of ‖t‖ = 1, that ends the last round and the rounds before it. Those
-# rounds only prepare the last.
+# rad, and of ‖t‖ = 1: length of a step that ends the last round, and the rounds before it.
 SETTLED, NEARLY_SETTLED = 1e-5, 1e-3
 ALIKE = 1e-3  # largest difference of an entry of R or t between two motions that count as the same
 EXPLAINED = 3.0  # px: largest distance of an inlier
 ITERATIONS = 30  # most iterations of a round
 FEWEST = 12  # matches within reach: five fit any motion, and wrong matches add a few by chance
 SMALLEST_RESIDUAL = 0.3  # px: accuracy of a detected point
-# Ratio of robust costs: motions of up to so many times the least cost may be right as well.
-TIED = 1.3
+TIED = 1.3  # ratio to the least robust cost up to which other motions may be right as well
 SAME = 0.2  # rad: smallest angle between the translations of two different motions
 SPREAD_CELLS = 8  # cells along each side of the image
 # The information criterion: coordinates of a match, and the largest squared error of a match, in
@@ -241,7 +238,7 @@ def of_plane(homography: np.ndarray, rays: Rays, *, share: float = 0.5) -> list[
     Parameters
     ----------
     homography : (3, 3)
-        Of normalised coordinates.
+        For normalised coordinates.
     rays : Rays
     share : float
         Least share of the rays that meet the plane before the camera.

@@ -59,7 +59,7 @@ class SparseStart:
 
 
 def sparse_start(pyramid: ImagePyramid, level: int, dense: Pose | None) -> SparseStart | None:
-    """Return the motion of matches that fits the images best, or None to keep the dense motion.
+    """Return the motion of matches that fits the images best; None if there is no better motion.
 
     Parameters
     ----------

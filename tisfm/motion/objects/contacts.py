@@ -55,7 +55,7 @@ def aligned(estimate: Estimate, hidden: np.ndarray) -> Estimate:
 def contact_scale(
     inverse_depth: np.ndarray, labels: np.ndarray, hidden: np.ndarray, label: int
 ) -> float | None:
-    """Return the ratio of the background's to an object's inverse depth at contacts, if any.
+    """Return the ratio of background's to object's inverse depth at contacts, None without them.
 
     Parameters
     ----------

@@ -12,9 +12,8 @@ import numpy as np
 PIXELS = 40_000  # most pixels of the depth map, which is reduced if it has more
 MEDIAN, BRIDGE = 5, 3  # px of that map: windows of a median, and across gaps below an object
 JOINED = 9  # px of that map: window that joins parts
-SURE = 2.0  # standard deviations of the limits of inverse depth
-# Least ratio of inverse depths of a floating part and its surroundings. Rooms have hanging lamps
-# and leaves, but they are hardly so far before everything else.
+SURE = 2.0  # standard deviations between inverse depth and its upper and lower limits
+# Least inverse depth of a part relative to that around it; hanging lamps and leaves have less.
 NEARER = 1.3
 GROUND = 0.9  # least inverse depth at the border below a part, relative to that around the part
 LOWEST = 3  # rows at the lower border that are taken for the ground
