@@ -1,7 +1,6 @@
 """The command line, ``tisfm``.
 
-Here: its arguments, the commands behind them, the files and the text that they leave, the demo
-and the paper's figures.
+Here: the arguments, the commands, their text output, the demo and the paper's figures.
 May import: all of `tisfm`; nothing imports it.
 """
 
@@ -12,13 +11,14 @@ from tisfm.cli.exit_codes import BROKEN_PIPE, INTERRUPTED
 
 
 def main() -> int:
-    """Run the command ``tisfm`` with the arguments of this process; return its exit code.
+    """Run the command ``tisfm`` with the arguments of this process; return the exit code.
 
-    ``tisfm doctor`` answers before any library is imported that may crash or hang, and the limit
-    of the address space is checked before libraries are imported that would.
+    ``tisfm doctor`` runs before the import of any library that may crash or hang. For other
+    commands, the limit of the address space is checked before libraries are imported that would
+    crash below it.
     """
     arguments = sys.argv[1:]
-    # The parser explains other options of the doctor.
+    # The parser handles all other arguments of the doctor, such as --help.
     if arguments[:1] == ["doctor"] and arguments[1:] in ([], ["--json"], ["--no-json"]):
         return _doctor(json=arguments[1:] == ["--json"])
     from tisfm.errors import OutOfMemoryError

@@ -1,4 +1,4 @@
-"""What `tisfm batch` does: many videos, several at a time, none of which stops the others."""
+"""`tisfm batch`: many videos, several at a time; a failed video does not stop the others."""
 
 import csv
 import os
@@ -30,8 +30,8 @@ Command = Literal["run", "reconstruct"]
 
 SOURCE, OUTPUT = "source", "output"
 NOTE = "note: "
-TRIES = 3  # of a job whose process was killed
-_WANTED = (-signal.SIGINT, -signal.SIGTERM)  # a process that was told to end
+TRIES = 3  # for a job whose process was killed
+_WANTED = (-signal.SIGINT, -signal.SIGTERM)  # signals by which a user ends a process
 _CALL = "import sys; sys.path.remove(''); from tisfm.cli.command_line import main; sys.exit(main())"
 _FLAGS = {"yes": "--", "no": "--no-"}
 
@@ -75,10 +75,10 @@ class Job:
     Attributes
     ----------
     line : int
-        Of the file, from 1 on.
+        Number of the line in the file, from 1.
     source, output : str
     options : tuple of str
-        As on the command line.
+        Options of the command, as on the command line.
     """
 
     line: int
@@ -93,10 +93,10 @@ def read_jobs(path: Path) -> list[Job]:
     Raises
     ------
     OSError
-        If it cannot be read.
+        If the file cannot be read.
     ValueError
         If it has no columns ``source`` and ``output``, a line lacks one of them or has too many
-        cells, two have the same output, or there are none.
+        cells, two lines have the same output, or there are no lines.
     """
     jobs: list[Job] = []
     outputs: dict[str, int] = {}
@@ -214,7 +214,7 @@ def _arguments(job: Job, command: Command, threads: int, *, resume: bool) -> lis
 
 
 class _Processes:
-    """The processes of jobs, which end when the block is left by an exception."""
+    """The processes of jobs. They are terminated if an exception leaves the block."""
 
     def __init__(self) -> None:
         self._running: set[subprocess.Popen[bytes]] = set()
@@ -235,7 +235,7 @@ class _Processes:
     def finished(self, arguments: Sequence[str], output: Path) -> tuple[int, str, list[str]]:
         """Run a command in a process of its own.
 
-        Returns its exit code, its last message, and its notes.
+        Return its exit code, its last message, and its notes.
         """
         code, said, call = 1, "", list(arguments)
         notes: list[str] = []
@@ -244,7 +244,8 @@ class _Processes:
             with self._lock:
                 if self._is_over:
                     break
-                # Unlike with -m, no module of the working folder is taken for one of Python's.
+                # Unlike -m, this does not import modules from the working folder instead of
+                # Python's.
                 process = subprocess.Popen(
                     [sys.executable, "-c", _CALL, *call],
                     stdin=subprocess.DEVNULL,
@@ -262,12 +263,12 @@ class _Processes:
             if code >= 0 or code in _WANTED:
                 break
             if "--resume" not in call and _state(output) != before:
-                call.append("--resume")  # its first pairs, or chunks, are written
+                call.append("--resume")  # first pairs or chunks are written
         return code, said, notes
 
 
 def _said(errors: str) -> str:
-    """Return the line that tells of results, or else the last one."""
+    """Return the line that names the results, or else the last line."""
     lines = [line for line in errors.split("\n") if line.strip()]
     results = [line for line in lines if "Results in " in line]
     return (results or lines or [""])[-1].removeprefix("tisfm: ")
@@ -279,7 +280,7 @@ def _notes(errors: str) -> list[str]:
 
 
 def _state(output: Path) -> object:
-    """Return what changes when the record of a run, or what chunks are asked for, is written."""
+    """Return a state that changes when a run's record, or a request of chunks, is written."""
     return [_about(path) for path in (output / RECORD, output / CHUNKS / REQUEST)]
 
 
@@ -293,7 +294,7 @@ def _about(path: Path) -> tuple[int, int, int] | None:
 
 @contextmanager
 def _ending_by_signal() -> Iterator[None]:
-    """Let SIGTERM leave the block as Ctrl-C does, so that nothing runs on alone."""
+    """Let SIGTERM leave the block as Ctrl-C does, so that no process stays behind."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -306,7 +307,7 @@ def _ending_by_signal() -> Iterator[None]:
 
 @contextmanager
 def _workers(count: int) -> Iterator[ThreadPoolExecutor]:
-    """Run so many jobs at a time; what has not begun when the block is left is not begun."""
+    """Run `count` jobs at a time; leaving the block cancels the jobs that have not begun."""
     executor = ThreadPoolExecutor(count, thread_name_prefix="tisfm-batch")
     try:
         yield executor

@@ -27,7 +27,7 @@ from tisfm.settings import Preset, Settings
 from tisfm.version import __version__
 
 SHELLS = ("bash", "zsh", "fish", "tcsh")
-# What the scripts of tyro lack: names of files where no option or value fits.
+# Lines that tyro's scripts lack: complete file names where no option or value fits.
 _COMPLETE_FILES = {
     "bash": "complete -o default -F _tyro_tisfm tisfm",
     "zsh": "(( compstate[nmatches] )) || _files",
@@ -61,16 +61,16 @@ Command = Callable[[], int]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code.
 
-    An error that the user can mend is one line on standard error, with exit code 1, or 2 for a
-    wrong option. Any other error is a bug, and leaves its traceback.
+    An error that the user can correct is one line on standard error, with exit code 1, or 2 for a
+    wrong option. Any other error is a bug, and prints its traceback.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    # FFmpeg prints complaints of its own about a damaged video; ours is the one line below.
+    # Silence FFmpeg about damaged videos: the command prints one line itself.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    # What libraries find odd about names and damaged EXIF data changes no result.
+    # Warnings of libraries about glyphs in names and damaged EXIF data do not concern results.
     warnings.filterwarnings("ignore", r"Glyph \d+", UserWarning)
     warnings.filterwarnings("ignore", category=UserWarning, module=r"PIL\.")
-    if isinstance(sys.stdout, io.TextIOWrapper):  # Greek letters, where the encoding has none
+    if isinstance(sys.stdout, io.TextIOWrapper):  # for Greek letters in other encodings
         sys.stdout.reconfigure(errors="replace")
     if arguments == ["--version"]:
         print(__version__)
@@ -86,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("tisfm: interrupted", file=sys.stderr)
         return INTERRUPTED
-    except BrokenPipeError:  # what read our output, such as head, has had enough
+    except BrokenPipeError:  # the reader of the output, such as head, has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except MemoryError as error:
@@ -104,14 +104,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parse_command(arguments: Sequence[str]) -> Command:
-    """Return the command that arguments ask for.
+    """Return the command that the arguments call.
 
     Raises
     ------
     WrongOptionError
         If the command or an option does not exist, or a value is wrong or missing.
     SystemExit
-        After the help, if the arguments ask for it.
+        After the help text, if --help is given.
     """
     if not arguments:
         raise WrongOptionError(
@@ -140,14 +140,14 @@ def parse_command(arguments: Sequence[str]) -> Command:
 
 
 def _command(name: str, arguments: Sequence[str] = ()) -> tuple[type, Any]:
-    """Return the class of a command, and an instance with defaults that the arguments choose."""
+    """Return the class of a command, and an instance with the defaults of the given preset."""
     module, kind = COMMANDS[name]
     command = getattr(import_module(module), kind)
     if name not in ("run", "eval"):
         return command, None
     preset = _preset(arguments)
     settings = Settings.preset(preset)
-    if "--sequence" in arguments:  # the path of a sequence needs one motion, that of the camera
+    if "--sequence" in arguments:  # the path of a sequence needs a rigid camera motion
         settings = Settings.preset(preset, motion="camera")
     required = ("source", "output") if name == "run" else ("folders",)
     options = SettingsOptions(**asdict(settings))
@@ -156,7 +156,7 @@ def _command(name: str, arguments: Sequence[str] = ()) -> tuple[type, Any]:
 
 
 def _all_commands(arguments: list[str]) -> None:
-    """Let tyro print what concerns all commands: the help, or a script for a shell."""
+    """Let tyro print the help of all commands, or a completion script for a shell."""
     kinds = []
     for name in COMMANDS:
         command, default = _command(name)
@@ -166,7 +166,7 @@ def _all_commands(arguments: list[str]) -> None:
 
 
 def _print_completion(shells: Sequence[str]) -> int:
-    """Print the script by which a shell completes commands and options; return the exit code."""
+    """Print the script for completion in a shell; return the exit code."""
     if len(shells) != 1:
         raise WrongOptionError(f"--completion takes one shell: {', '.join(SHELLS)}")
     shell = shells[0]
@@ -192,7 +192,7 @@ def _fail(text: str, code: int = 1) -> int:
 
 
 def _preset(arguments: Sequence[str]) -> Preset:
-    """Find the preset before the rest is parsed, so that help shows its values as defaults."""
+    """Return the given preset, before parsing, so that help shows its values as defaults."""
     preset: Preset = "balanced"
     for index, argument in enumerate(arguments):
         name, equals, value = argument.partition("=")

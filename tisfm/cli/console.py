@@ -20,7 +20,7 @@ from tisfm.runtime import Arch
 
 
 def tell(line: str) -> None:
-    """Print one line on standard error, as it is."""
+    """Print one line on standard error, unwrapped and without markup."""
     Console(stderr=True, highlight=False).print(Text(printable(line)), soft_wrap=True)
 
 
@@ -47,7 +47,7 @@ def notes_as_lines() -> Iterator[None]:
 
 
 def print_whole(table: Table) -> None:
-    """Print a table with all its columns, were it wider than the terminal."""
+    """Print a table with all its columns, even if it is wider than the terminal."""
     console = Console(markup=False, emoji=False)
     wanted = Measurement.get(console, console.options.update(max_width=1000), table).maximum
     width = max(console.width, wanted)
@@ -67,7 +67,7 @@ class _Printable:
 
 
 def start_kernels(arch: Arch | None, *, threads: int | None) -> None:
-    """Start Taichi as `tisfm.runtime.start` does, and say which device Vulkan runs on."""
+    """Start Taichi as `tisfm.runtime.start` does, and print the device of Vulkan."""
     tell_device(arch)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", runtime.SoftwareVulkanWarning)  # tell_device printed it
@@ -75,7 +75,7 @@ def start_kernels(arch: Arch | None, *, threads: int | None) -> None:
 
 
 def tell_device(arch: Arch | None) -> None:
-    """Print which device Vulkan runs on, if kernels run on Vulkan."""
+    """Print the device of Vulkan, if kernels run on Vulkan."""
     if (arch or os.environ.get("TI_ARCH")) != "vulkan":
         return
     device = vulkan_device()

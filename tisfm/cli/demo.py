@@ -1,4 +1,4 @@
-"""``tisfm demo``: rendered scenes whose truth is known, interpreted and compared with it."""
+"""``tisfm demo``: rendered scenes, interpreted and compared with the known truth."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -64,7 +64,7 @@ class Demo:
         )
 
 
-MOST_PIXELS = 10_000_000  # of a scene: its ray casting takes about 5 s a million
+MOST_PIXELS = 10_000_000  # in a scene: ray casting takes about 5 s per million
 
 
 def demo(output: Path, *, height: int, width: int, seed: int, threads: int | None) -> int:
@@ -137,7 +137,7 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
 
 
 def _shares(threads: int | None) -> tuple[int, int]:
-    """Return how many parts are done at a time, each by a process, and the threads of each."""
+    """Return the number of processes, which do one part each, and the threads of each."""
     if threads is not None and threads < 1:
         raise InputError(f"threads is {threads}: expected a positive integer")
     cores = usable_cores()
@@ -147,7 +147,7 @@ def _shares(threads: int | None) -> tuple[int, int]:
 
 
 def _refuse_foreign(folders: Iterable[Path]) -> None:
-    """Refuse to replace a run, and files where nothing says that a demo wrote them."""
+    """Raise InputError if the demo would replace a run, or files without a record of a demo."""
     for folder in folders:
         record = read_record(folder)
         if record is not None:
@@ -156,7 +156,7 @@ def _refuse_foreign(folders: Iterable[Path]) -> None:
                     f"the demo would replace the run in {folder}: give another folder with -o"
                 )
             continue
-        if (folder / LOCK).exists():  # one was killed here before there was a record
+        if (folder / LOCK).exists():  # a demo was killed here before it wrote a record
             continue
         pairs = (f"{NAME}{ending}" for ending in ENDINGS.values())
         for name in (*pairs, *PAPER_FIGURES, ANIMATION):

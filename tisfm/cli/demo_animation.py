@@ -1,4 +1,4 @@
-"""The demonstration's animation: a camera that circles before the depth that was found."""
+"""The animation of the demo: a virtual camera circles before the estimated depth."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ ANIMATION = "demo.webp"
 FRAMES = 30
 _DURATION = 100  # ms a frame
 _QUALITY = 50  # of WebP
-_SWING = 0.12  # of the width: how far the nearest moves against the farthest, to and fro
+_SWING = 0.12  # share of the width: motion of the nearest against the farthest point
 _FLATNESS = 0.6  # height of the ellipse over its width
-_SHADE = 0.45  # how much of the frame's light and dark remains in the colours of depth
-_DARKEST = 25  # code of what is far, of 255: it is not black
-_BEHIND = 0.8  # brightness of what the frame does not show
-_STEP = 0.08  # of the range of nearness within 5 px: an edge
-_FINE = 2  # places per pixel side, which a pixel averages
-_POINTS = 3  # per pixel side: more than places, for surfaces grow as they come into view
+_SHADE = 0.45  # share of the frame's brightness in the colours of depth
+_DARKEST = 25  # of 255: colour code of the farthest points, which are not black
+_BEHIND = 0.8  # factor of brightness in gaps, which the frame does not show
+_STEP = 0.08  # share of the range of nearness: a larger change within 5 px is an edge
+_FINE = 2  # samples per pixel side, which a pixel averages
+_POINTS = 3  # per pixel side: more than samples, since visible surfaces can be stretched
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
 
 def write_animation(path: Path, result: Interpretation, *, width: int = 360) -> None:
-    """Write an endless animation: the frame in its depth, then the depth in colours, near bright.
+    """Write an endless animation of the frame in 3D, which fades into colours of depth.
 
-    A virtual camera goes once around an ellipse across its optical axis, and looks at the middle
-    of the range of inverse depth. Where it sees what the frame hides, what is farther goes on,
-    somewhat darker.
+    A virtual camera moves once around an ellipse across its optical axis, and looks at the middle
+    of the range of inverse depth. Gaps, which the frame hides, are filled by the farther surface,
+    somewhat darker. Near depth has bright colours.
 
     Parameters
     ----------
@@ -85,19 +85,19 @@ def animation_frames(result: Interpretation, *, width: int = 360) -> list[Pictur
     limit = inverse_depth_limit(result.inverse_depth) or 1.0
     nearness = np.clip(np.nan_to_num(result.inverse_depth / limit), 0, 1).astype(np.float32)
     larger = cv2.resize(_with_steps(nearness), points, interpolation=cv2.INTER_NEAREST)
-    nearness = np.asarray(cv2.medianBlur(larger, 5), np.float32)  # rounds the stairs of this
+    nearness = np.asarray(cv2.medianBlur(larger, 5), np.float32)  # rounds enlarged pixels
     paints = [
         cv2.resize(paint, points, interpolation=cv2.INTER_LINEAR).reshape(-1, 3)
         for paint in _paints(result)
     ]
-    order = np.argsort(nearness, axis=None, kind="stable").astype(np.int32)  # the nearest last
+    order = np.argsort(nearness, axis=None, kind="stable").astype(np.int32)  # far to near
     places = _places(nearness, order, height, width)
     pictures = []
     for number in range(FRAMES):
         turn = 2 * math.pi * number / FRAMES
         seen, behind = _view(places, order, turn, height, width)
         grey, colors = (np.take(paint, seen, axis=0) for paint in paints)
-        share = min(1.0, max(0.0, 0.5 - 1.5 * math.cos(turn)))  # of the colours
+        share = min(1.0, max(0.0, 0.5 - 1.5 * math.cos(turn)))  # weight of the colours
         both = cv2.addWeighted(grey, 1 - share, colors, share, 0)
         both[behind] = (both[behind] * _BEHIND).astype(np.uint8)
         picture = cv2.resize(both, (width, height), interpolation=cv2.INTER_AREA)
@@ -106,7 +106,7 @@ def animation_frames(result: Interpretation, *, width: int = 360) -> list[Pictur
 
 
 def _with_steps(nearness: Floats) -> Floats:
-    """Let an edge be a step: what is between two surfaces would be seen as threads between them."""
+    """Make edges steps: points between two surfaces would look like threads between them."""
     around = np.ones((5, 5), np.uint8)
     far, near = cv2.erode(nearness, around), cv2.dilate(nearness, around)
     nearer = np.where(nearness - far < near - nearness, far, near)
@@ -114,7 +114,7 @@ def _with_steps(nearness: Floats) -> Floats:
 
 
 def _paints(result: Interpretation) -> tuple[Picture, Picture]:
-    """Return the frame, and its depth in colours with something of the frame's light and dark."""
+    """Return the frame, and its depth in colours, shaded by the brightness of the frame."""
     frame = result.frame if result.frame.ndim == 3 else np.dstack([result.frame] * 3)
     codes = np.maximum(depth_grey(result.inverse_depth), _DARKEST)
     colors = color_ramp("depth")[codes]
@@ -126,9 +126,9 @@ def _paints(result: Interpretation) -> tuple[Picture, Picture]:
 def _places(
     nearness: Floats, order: NDArray[np.int32], height: int, width: int
 ) -> tuple[Floats, Floats, Floats]:
-    """Return where points are, right and down, in fine pixels, and how they move.
+    """Return positions of points, right and down, and their motion, in sample units.
 
-    A margin lies out of the picture: it comes into view as the camera moves.
+    A margin outside the picture comes into view as the camera moves.
     """
     y, x = np.divmod(order, nearness.shape[1])
     scale = _FINE / _POINTS * (1 + 1.1 * _SWING)
@@ -145,15 +145,15 @@ def _view(
     height: int,
     width: int,
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """Return which point a virtual camera sees in each fine pixel, and where it sees a gap.
+    """Return the visible point at each sample, and the mask of gaps.
 
-    There, the farther of the two points at the ends of the gap's row goes on.
+    A gap has the farther one of the two points beside it in its row.
     """
     x, y, move = places
-    high, wide = _FINE * height + 2, _FINE * width + 2  # with a rim for what is outside
+    high, wide = _FINE * height + 2, _FINE * width + 2  # with a rim for points outside
     column = np.clip(x + move * np.float32(math.cos(turn)) + 1, 0, wide - 1).astype(np.int32)
     row = np.clip(y + move * np.float32(_FLATNESS * math.sin(turn)) + 1, 0, high - 1)
-    rank = np.full(high * wide, -1, np.int32)  # of the point in the order from far to near
+    rank = np.full(high * wide, -1, np.int32)  # of the visible point, in the order from far to near
     rank[row.astype(np.int32) * wide + column] = np.arange(len(order), dtype=np.int32)
     rank = rank.reshape(high, wide)[1:-1, 1:-1]
     gap = rank < 0

@@ -1,4 +1,4 @@
-"""The parts of the demonstration: a scene interpreted, compared with its truth, and drawn."""
+"""The parts of the demo: each interprets a scene, compares it with the truth, and draws it."""
 
 import os
 import threading
@@ -32,30 +32,30 @@ from tisfm.running.pool import as_sent
 from tisfm.scenes import SyntheticPair, static_scene, two_blocks
 from tisfm.settings import Settings
 
-NAME = "demo"  # of its pairs
+NAME = "demo"  # of the demo's pairs
 NONE = "–"
 PAPER, BALANCED, BASELINE = "preset paper", "balanced (default)", "Horn–Schunck"
 FIELD, CAMERA, OBJECTS = "field, at rest", "camera, at rest", "objects, moving"
-WORKS = "objects", "blocks", "camera"  # what takes longest comes first
-_CROP = 144, 96  # px: small, and yet it makes use of the kernels that the whole frame does
-_LOOK = 0.1  # s, from one look at whether the command goes on to the next
+WORKS = "objects", "blocks", "camera"  # the slowest first
+_CROP = 144, 96  # px: small, but it uses the same kernels as the whole frame
+_LOOK = 0.1  # s between two checks whether the command still runs
 
 Rows = dict[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """What one process does at a time.
+    """A part of the demo, done by one process.
 
     Attributes
     ----------
     work : {"blocks", "camera", "objects"}
     output : Path
-        Folder of the demonstration.
+        Folder of the demo.
     height, width, seed, threads
         As for `tisfm.cli.demo.demo`.
     alive : Path
-        A file that is there as long as the command.
+        A file that exists as long as the command runs.
     """
 
     work: str
@@ -68,17 +68,17 @@ class Part:
 
     @property
     def folder(self) -> Path:
-        """The folder that receives what is written of a pair."""
+        """The folder for the files of the pair."""
         return self.output if self.work == "blocks" else self.output / self.work
 
 
 def done(part: Part) -> Rows | Exception:
-    """Interpret a scene and write everything.
+    """Interpret a scene and write its files.
 
     Returns
     -------
     dict or Exception
-        Rows of the tables by their names, or the error that is to be told.
+        Rows of the tables by their names, or an error of the user's input.
     """
     try:
         runtime.start_worker(threads=part.threads)
@@ -90,7 +90,7 @@ def done(part: Part) -> Rows | Exception:
 
 
 def _blocks(part: Part) -> Rows:
-    """Interpret moving blocks by a field of motion, and by Horn and Schunck."""
+    """Interpret moving blocks under ``motion="field"``, and by Horn and Schunck."""
     moving = two_blocks(part.height, part.width, seed=part.seed)
     paper, settings = Settings.preset("paper"), Settings()
     writer = _writer(part, moving, settings)
@@ -116,7 +116,7 @@ def _blocks(part: Part) -> Rows:
 
 
 def _camera(part: Part) -> Rows:
-    """Interpret blocks at rest under ``motion="camera"``, and by a field."""
+    """Interpret static blocks under ``motion="camera"`` and ``motion="field"``."""
     still = static_scene("forward+rotation", part.height, part.width, seed=part.seed)
     settings = Settings(motion="camera")
     writer = _writer(part, still, settings)
@@ -147,7 +147,7 @@ def _writer(part: Part, scene: SyntheticPair, settings: Settings) -> PairWriter:
 def _interpreted(
     part: Part, scene: SyntheticPair, settings: Settings
 ) -> tuple[Interpretation, str]:
-    """Return an interpretation, and the seconds it took once its kernels are compiled."""
+    """Return an interpretation, and its time, s, without the compilation of kernels."""
     with _ended_without(part.alive):
         interpret(*_crops(scene), camera=scene.camera, settings=settings)
         return _timed(
@@ -157,7 +157,7 @@ def _interpreted(
 
 @contextmanager
 def _ended_without(alive: Path) -> Iterator[None]:
-    """End this process where the command is gone, as after Ctrl-C, while it writes nothing."""
+    """Within the block, which writes nothing, end this process if the command ends."""
     over = threading.Event()
 
     def watch() -> None:
@@ -180,7 +180,7 @@ def _crops(scene: SyntheticPair) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _timed(work: Callable) -> tuple:
-    """Return what a function returns, and the seconds it took, as text."""
+    """Return the result of a function, and its time, s, as text."""
     begin = time.perf_counter()
     result = work()
     return result, f"{time.perf_counter() - begin:.2f}"
@@ -210,7 +210,7 @@ def _flow_cells(flow: np.ndarray, scene: SyntheticPair) -> tuple[str, str]:
 
 
 def _model_cells(result: Interpretation, scene: SyntheticPair) -> tuple[str, ...]:
-    """Return errors of depth, flow and motion; what moves alike shares one scale of depth."""
+    """Return errors of depth, flow and motion; surfaces with one motion share a scale of depth."""
     _, part = np.unique(scene.motions, axis=0, return_inverse=True)
     parts = part.reshape(-1)[scene.labels]
     covered = None
@@ -230,7 +230,7 @@ def _cell(value: float | None, digits: int) -> str:
     return NONE if value is None else f"{value:.{digits}f}"
 
 
-Measure = Callable[[np.ndarray, np.ndarray], float]  # of the true depth, where a mask is set
+Measure = Callable[[np.ndarray, np.ndarray], float]  # error from the true depth within a mask
 
 
 def _relative_error(result: Interpretation) -> Measure:
@@ -242,9 +242,9 @@ def _coverage(result: Interpretation, deviation: np.ndarray) -> Measure:
 
 
 def _by_part(scene: SyntheticPair, parts: np.ndarray, measure: Measure) -> float | None:
-    """Return the mean over all visible pixels of what is measured in each part of the scene.
+    """Return the mean of a measure over the parts of a scene, weighted by their visible pixels.
 
-    None if there is no depth to be measured in one of them.
+    None if a part has no depth to measure.
     """
     total, pixels = 0.0, 0
     for part in np.unique(parts):
@@ -262,13 +262,13 @@ def _by_part(scene: SyntheticPair, parts: np.ndarray, measure: Measure) -> float
 
 
 def _pose_errors(result: Interpretation, scene: SyntheticPair) -> PoseErrors | None:
-    """Compare the motion of the background; None if a flow field does not tell it."""
+    """Return the errors of the background's motion; None if a flow field does not determine it."""
     if result.motions is not None:
         pose = pose_matrix(result.motions[0])
     else:
         try:
             motion = camera_motion(result.flow, result.confidence, result.camera)
-        except TooFewPixelsError:  # too little of it is trusted
+        except TooFewPixelsError:  # too few pixels with confidence
             return None
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = motion.rotation, motion.translation

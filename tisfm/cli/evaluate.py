@@ -212,5 +212,5 @@ def evaluate(
 
 
 def _require_writable(loaded: LoadedPair) -> None:
-    """Refuse frames that are too large for the files of `tisfm eval`."""
+    """Raise an error for frames that are too large for the files of `tisfm eval`."""
     require_writable_flow("frame0", *loaded.frame0.shape[:2])

@@ -126,7 +126,7 @@ def _found(folders: Sequence[str], layout: str | None) -> list[DatasetSequence]:
 
 
 def _paths(sequences: Sequence[DatasetSequence], output: Path) -> dict[DatasetSequence, Path]:
-    """Return the file of each sequence's path; no two are one."""
+    """Return the file for the path of each sequence, all different."""
     paths: dict[DatasetSequence, Path] = {}
     taken: set[str] = set()
     for sequence in sequences:
@@ -183,20 +183,20 @@ def _evaluate(
 
 
 def _estimate(name: str) -> Progress:
-    """Return what says how long a sequence takes, where that is long."""
+    """Return a progress callback that prints the expected time of a long sequence."""
     estimates = {stage: TimeEstimate(f"frames of {name}, {text}") for stage, text in STAGES.items()}
     return lambda stage, done, total: estimates[stage].update(done, total)
 
 
 def _read(path: Path, loaded: LoadedSequence) -> tuple[SequenceResult, bool]:
-    """Return what was saved, and whether it has depth."""
+    """Return the saved result, and whether it has depth."""
     if path.is_dir():
         return tisfm.Reconstruction.load(path), True
     return TrajectoryResult(read_trajectory(path), loaded, path), False
 
 
 def _write_paths(path: Path, loaded: LoadedSequence, found: SequenceResult) -> None:
-    """Write the poses of a sequence; those of another world, a piece, to a file of their own."""
+    """Write the poses of a sequence, each piece, which has its own world, to its own file."""
     known = [None] * len(loaded.frames) if loaded.times is None else list(loaded.times)
     times = times_or_numbers(known)
     numbers, counts = np.unique(found.piece[found.piece >= 0], return_counts=True)

@@ -21,7 +21,7 @@ from tisfm.reconstruction.result.folder import DEPTH, RECORD
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.show.stereo import check_disparity, check_screen
 
-if TYPE_CHECKING:  # their import takes seconds: it imports Taichi and SciPy
+if TYPE_CHECKING:  # their import takes seconds, since it imports Taichi and SciPy
     from tisfm.exports.export_request import ExportRequest
     from tisfm.exports.formats import Format
     from tisfm.results.pair_frames import PairFrames
@@ -91,7 +91,7 @@ class Export:
 
 
 _WITH_SCREEN = {"video-anaglyph", "video-wiggle"}
-_LONG, _SOON = 20.0, 1.0  # s: what takes longer says so, after so long
+_LONG, _SOON = 20.0, 1.0  # s: exports that take longer print their time; when they do
 
 
 def export(
@@ -168,7 +168,7 @@ def export(
 
 
 def _formats(names: Sequence[str]) -> "dict[str, Format]":
-    """Return formats by their names, each once, or raise ValueError."""
+    """Return formats by their names, each once; ValueError for unknown names."""
     from tisfm.exports.formats import FORMATS
 
     unknown = [name for name in names if name not in FORMATS]
@@ -183,7 +183,7 @@ def _formats(names: Sequence[str]) -> "dict[str, Format]":
 def _opened(
     folder: Path, scale: tuple[int, int, float] | None
 ) -> "tuple[Reconstruction | None, SequenceFrames | PairFrames]":
-    """Return the reconstruction in a folder, if it is one, and the frames in it."""
+    """Return the reconstruction in a folder, None for a run, and its frames."""
     from tisfm.folders.run_record import RECORD as RUN
     from tisfm.results.pair_frames import PairFrames
     from tisfm.results.sequence_frames import SequenceFrames
@@ -208,7 +208,7 @@ def _opened(
 
 
 def _chosen(count: int, start: int, stop: int | None, step: int) -> range:
-    """Return the numbers of the frames that are taken, or raise ValueError if they are none."""
+    """Return the numbers of the selected frames; ValueError if there are none."""
     if start < 0 or step < 1 or (stop is not None and stop < 0):
         raise InputError(
             f"--start {start}, --stop {stop}, --step {step}: expected 0 or more, and a step of 1 "
@@ -221,14 +221,14 @@ def _chosen(count: int, start: int, stop: int | None, step: int) -> range:
 
 
 def _refuse_inside(output: Path, folder: Path) -> None:
-    """Refuse to write into the folder of the result, whose files are its own."""
+    """Raise InputError if the output lies in the folder of the result."""
     place, result = output.resolve(), folder.resolve()
     if result in (place, *place.parents):
         raise InputError(f"{output} lies in {folder}, which is read: give another folder with -o")
 
 
 def _announce(wanted: "dict[str, Format]", asked: "ExportRequest") -> None:
-    """Say how much will be written, where it is much, and whether the disk has room for it."""
+    """Print the expected size of a large export, and whether the disk has space for it."""
     height, width = asked.frames.shape
     pixels = len(asked.chosen) * height * width
     expected = sum(form.bytes_per_pixel for form in wanted.values()) * pixels
@@ -241,7 +241,7 @@ def _announce(wanted: "dict[str, Format]", asked: "ExportRequest") -> None:
 
 
 def _told(name: str, bar: Progress) -> Callable[[int, int], None]:
-    """Return what shows how far a format is, and says once how long it takes if that is long."""
+    """Return a callback for the progress of a format; it prints the expected time of a long one."""
     task, is_said = bar.add_task(name, total=None), False
     begin, before = 0.0, 0
 
@@ -249,7 +249,7 @@ def _told(name: str, bar: Progress) -> Callable[[int, int], None]:
         nonlocal begin, before, is_said
         bar.update(task, completed=done, total=total)
         now = time.monotonic()
-        if not before or done <= before:  # a first pass tells nothing of the rest
+        if not before or done <= before:  # the first pass gives no speed
             begin, before = now, done
         elif not is_said and now - begin > _SOON:
             is_said = True
@@ -261,7 +261,7 @@ def _told(name: str, bar: Progress) -> Callable[[int, int], None]:
 
 
 def _named(files: Sequence[Path]) -> str:
-    """Return where files are: each, or how many of a folder."""
+    """Return the paths of files, or their number in each folder if there are more than four."""
     folders = Counter(file.parent for file in files)
     if len(files) <= 4:
         return ", ".join(map(str, files))

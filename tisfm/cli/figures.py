@@ -72,7 +72,7 @@ def figures(
 
 
 PAPER_FIGURES = ("figure_lambda.png", "figure_presmoothing.png", "figure_contrast.png")
-PRESMOOTHING = 1.5  # px; the paper does not say which Gaussian it used
+PRESMOOTHING = 1.5  # px; the paper does not state its Gaussian
 
 
 def write_paper_figures(
@@ -88,9 +88,9 @@ def write_paper_figures(
 
     ``figure_lambda.png``: the preset ``"paper"`` with λ = 1e8 and 1e9 at f = 600 (Fig. 6).
     ``figure_presmoothing.png``: without and with a Gaussian applied to the frames first (Fig. 8).
-    ``figure_contrast.png``: the default preset with the paper's contrast, δ = 1 in the units of
-    τ, and with the default one: under the paper's, b stays at 1 and no edge is preserved.
-    Both panels of a figure have one grey scale.
+    ``figure_contrast.png``: the default preset with the paper's contrast, δ = 1 in the units of τ,
+    and with the default contrast. With the paper's contrast, b stays at 1 and no edge is preserved.
+    Both panels of a figure have the same grey scale.
 
     Parameters
     ----------
@@ -99,9 +99,9 @@ def write_paper_figures(
     frame0, frame1, camera
         As for `tisfm.interpret`.
     known : mapping of Settings to (H, W), optional
-        Inverse depth of these frames under settings that need not be interpreted again.
+        Known inverse depth of these frames, by settings, which is not computed again.
     inputs : InputFiles, optional
-        Files that are not to be replaced.
+        Files that no figure may replace.
 
     Returns
     -------
@@ -111,9 +111,9 @@ def write_paper_figures(
     Raises
     ------
     OSError
-        If they cannot be written.
+        If a file cannot be written.
     TypeError, ValueError
-        As `tisfm.interpret`; if one of them is an input.
+        As `tisfm.interpret`; if a figure would replace an input.
     """
     (inputs or InputFiles()).refuse(*(Path(folder) / name for name in PAPER_FIGURES))
     folder = make_result_folder(folder)

@@ -20,7 +20,7 @@ class FrameOptions(FrameSelection):
     """Use this part of the frames alone, px. It is cut out before the rest is shrunk."""
 
     def selection(self) -> FrameSelection:
-        """Return the selection itself, which other processes read without the command line."""
+        """Return a plain selection, which other processes can load without the command line."""
         return FrameSelection(**asdict(self))
 
 
@@ -47,7 +47,7 @@ class CameraOptions:
     it counts as 0. What it moves is undone by reconstruct, and in pairs for motion 'camera'."""
 
     def guess(self, motion: Motion) -> bool:
-        """Tell whether the focal length is to be guessed."""
+        """Return whether the focal length has to be guessed."""
         if self.file is not None:
             return False
         return self.focal == "guess" or (self.focal is None and motion != "field")
@@ -78,7 +78,7 @@ class SettingsOptions(Settings):
     """What is minimised, and how. The defaults shown are those of --preset."""
 
     def __post_init__(self) -> None:
-        """Check nothing: the parser would report it in words of its own."""
+        """Skip the checks: the parser would report their errors in its own words."""
 
     def settings(self) -> Settings:
         """Return the settings, or raise as `Settings` does."""
@@ -95,7 +95,7 @@ class StatedCameraOptions:
     """Principal point (cx, cy) that goes with --focal, px. By default the centre of the image."""
 
     def camera(self) -> Camera | None:
-        """Return the camera of every pair, or None for those that the dataset states."""
+        """Return the camera of every pair; None if each dataset states its own."""
         if self.focal is None:
             if self.center is not None:
                 raise InputError("center is given without focal: give --focal as well")

@@ -1,4 +1,4 @@
-"""Parsing of arguments by tyro, with an error of one line for each argument that tyro refuses.
+"""Parsing of arguments by tyro, with an error of one line if tyro refuses an argument.
 
 The errors are made from the events of `tyro._errors`, a private module: pyproject.toml bounds
 tyro by its minor version, and tests/cli/test_wrong_options.py checks every kind of event.
@@ -29,7 +29,7 @@ from tisfm.errors import InputError
 T = TypeVar("T")
 SEVERAL = {"export": ("--to",), "run": ("--outputs",)}
 """Options that may have several values with commas between, by commands."""
-_LISTED = 12  # values of an option that an error lists although it names the nearest; set by hand
+_LISTED = 12  # an error with a suggestion lists no more values than this; set by hand
 
 
 class WrongOptionError(InputError):
@@ -37,7 +37,7 @@ class WrongOptionError(InputError):
 
 
 def parse(name: str, command: type[T], arguments: Sequence[str], default: T | None = None) -> T:
-    """Return a command with the values that its arguments give.
+    """Return a command with the values of its arguments.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def parse(name: str, command: type[T], arguments: Sequence[str], default: T | No
     WrongOptionError
         If an argument is wrong, or one is missing.
     SystemExit
-        After the help, if the arguments ask for it.
+        After the help text, if --help is given.
     """
     words = _with_commas_split(arguments, SEVERAL.get(name, ()))
     options = option_types(command)
@@ -114,7 +114,7 @@ def _with_commas_split(arguments: Sequence[str], several: Sequence[str]) -> list
 def _refuse_unknown(name: str, words: Sequence[str], options: dict[str, Any]) -> None:
     for word in takewhile(lambda one: one != "--", words):
         option = word.partition("=")[0]
-        # tyro takes underscores for dashes.
+        # tyro accepts underscores instead of dashes.
         if option.startswith("--") and option.replace("_", "-") not in options:
             raise WrongOptionError(
                 f"tisfm {name} has no option {option}{suggestion(option, options)}; see tisfm "
@@ -123,7 +123,7 @@ def _refuse_unknown(name: str, words: Sequence[str], options: dict[str, Any]) ->
 
 
 def _explanation(name: str, event: _errors.ParseErrorEvent, words: Sequence[str]) -> str:
-    """Return in words why tyro refuses the arguments of a command."""
+    """Return the reason, in words, why tyro refuses the arguments of a command."""
     if isinstance(event, _errors.InvalidChoice):
         known = [choice for choice in _choices(event.argument) if choice != "None"]
         meant = suggestion(event.value, known)
@@ -197,7 +197,7 @@ def _expected(argument: Any) -> str:
 
 
 def _values_of(names: Sequence[str], words: Sequence[str]) -> list[str]:
-    """Return the words that are given to an option, where it is given last."""
+    """Return the values of an option at its last occurrence."""
     values: list[str] = []
     is_open = False
     for word in words:

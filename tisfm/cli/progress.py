@@ -26,8 +26,8 @@ from tisfm.running.pair_writer import PairWriter
 
 STAGES: dict[Stage, str] = {"reading": "reading, tracking", "path": "path", "depth": "depth"}
 """The stages of a reconstruction, as a progress bar names them."""
-MUCH = 2e8  # bytes: a command that will write more says so beforehand; set by hand
-_LONG = 60.0  # s: a shorter time that is left is not told; set by hand
+MUCH = 2e8  # bytes: a command that will write more prints this beforehand; set by hand
+_LONG = 60.0  # s: a shorter remaining time is not printed; set by hand
 _LEAST_TIME = 5.0  # s over which the speed is measured; set by hand
 _FIRST_MEASURED = 2  # item: the first one takes longer, because kernels are compiled
 _RECENT = 20  # pairs over which the speed and the slowest stage are measured; set by hand
@@ -41,7 +41,7 @@ T = TypeVar("T")
 
 
 class TimeEstimate:
-    """Tells once how long a command will take, as soon as its speed is known.
+    """Prints the remaining time of a long command once, as soon as its speed is known.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class TimeEstimate:
         self._is_told = False
 
     def update(self, count: int, total: int | None) -> None:
-        """Receive how many items this command has finished, of how many; None if not known."""
+        """Receive the numbers of finished items and of all items; None if unknown."""
         if self._is_told or total is None or count < _FIRST_MEASURED:
             return
         now = time.monotonic()
@@ -84,12 +84,12 @@ def progress_bar() -> Progress:
         TimeRemainingColumn(),
         console=console,
         transient=True,
-        disable=not console.is_terminal,  # it would leave blank lines in a log
+        disable=not console.is_terminal,  # a log would get blank lines
     )
 
 
 class _Description(ProgressColumn):
-    """The description of a task, without characters that a terminal would obey."""
+    """The description of a task, without control characters of terminals."""
 
     def render(self, task: Task) -> Text:
         return Text(printable(task.description))
@@ -125,7 +125,7 @@ class RunProgress:
         self._bar.stop()
 
     def begin(self, writer: PairWriter, total: int | None) -> None:
-        """Receive the writer of the run and the number of its pairs, if that is known."""
+        """Receive the writer of the run and the number of its pairs; None if unknown."""
         self.writer, self._total = writer, total
         self._bar.update(self._task, total=total)
         self._bar.start()
@@ -142,7 +142,7 @@ class RunProgress:
             self._spent[name] = self._spent.get(name, 0.0) + self.last
 
     def timed(self, name: str, items: Iterable[T]) -> Iterator[T]:
-        """Yield items, and measure the time that getting each takes for a stage."""
+        """Yield items, and measure the time of fetching each of them for a stage."""
         waiting = iter(items)
         while True:
             with self.stage(name):
@@ -156,7 +156,7 @@ class RunProgress:
     def finish(self, name: str, statuses: Mapping[str, int], *, count: int = 1) -> None:
         """Show the last finished pair and the number of finished pairs by status.
 
-        Other processes finish several pairs at a time, `count`, in stages that are not known here.
+        Other processes finish `count` pairs at a time; their stages are not known here.
         """
         self._steps.append((time.perf_counter(), count, dict(self._spent)))
         (begin, _, before), (end, _, after) = self._steps[0], self._steps[-1]
@@ -169,7 +169,7 @@ class RunProgress:
         self._bar.update(self._task, advance=count, description=text)
 
     def estimate(self, interpreted: int) -> None:
-        """Tell how long the run will take, from the pairs that this command interpreted."""
+        """Print the remaining time of the run, from the pairs that this command interpreted."""
         if self._total is None or self.writer is None:
             return
         left = self._total - sum(self.writer.statuses.values())
@@ -180,7 +180,7 @@ class RunProgress:
 
 
 def _announce(writer: PairWriter, count: int) -> None:
-    """Tell how much a long run will write, and whether the disk has room for it."""
+    """Print the expected size of a large run, and whether the disk has space for it."""
     expected, free = writer.expected_bytes(count), shutil.disk_usage(writer.folder).free
     if expected > free:
         tell(

@@ -162,7 +162,7 @@ class Reconstruct:
 
 
 def _sizes(given: Sequence[str]) -> dict[int, float]:
-    """Return lengths by ids, of words such as 3=4.5."""
+    """Return lengths by ids, from words such as 3=4.5."""
     sizes = {}
     for word in given:
         number, _, length = word.partition("=")
@@ -176,7 +176,7 @@ def _sizes(given: Sequence[str]) -> dict[int, float]:
 
 
 POSES, TRAJECTORY, POINTS = "poses.txt", "trajectory.txt", "points.ply"
-_PICTURE, _DEPTH = 0.2, 4.0  # bytes: of a level of a picture, and of a pixel of depth
+_PICTURE, _DEPTH = 0.2, 4.0  # bytes per value of a picture, and per pixel of depth
 
 
 def reconstruct(
@@ -223,7 +223,7 @@ def reconstruct(
             _refuse_inside(file, output)
     if depth_of == "none" and (ply or mesh is not None):
         raise InputError("--depth-of none leaves nothing to fuse: drop --ply and --mesh, or it")
-    # What comes at the end may be refused now: the rest takes long.
+    # Check now whether the last steps are possible: the steps before take long.
     if scale is not None and object_sizes:
         raise InputError(
             "--scale would change the unit that --object-sizes are in: give one of them, or --poses"
@@ -263,7 +263,7 @@ def reconstruct(
         else None,
     )
     if resume and run.is_done():
-        run.finish()  # what a killed command left is removed
+        run.finish()  # remove the leftovers of a killed command
         tell(f"{output} is complete: nothing is left to do. Results in {output}.")
         if report:
             report_reconstruction(Reconstruction.load(output), output, source=source)
@@ -281,7 +281,7 @@ def reconstruct(
         interrupted(endless) as is_interrupted,
         notes_as_lines(),
     ):
-        warnings.simplefilter("ignore", GuessedFocalWarning)  # a line at the end tells it
+        warnings.simplefilter("ignore", GuessedFocalWarning)  # printed at the end
         warnings.simplefilter("ignore", SoftwareVulkanWarning)  # tell_device printed it
         task = bar.add_task("", total=None)
 
@@ -294,8 +294,8 @@ def reconstruct(
 
         result = run.result(resume=resume, progress=tell_progress)
         stages.end()
-    # What was found is written and told before anything that may not be possible with it.
-    with locked_folder(output, reentrant=True):  # fusing takes long
+    # The result is written and summarised before steps that may fail.
+    with locked_folder(output, reentrant=True):  # fusion takes long
         write_trajectories(result, output)
         _tell(result, output)
         if scale is not None:
@@ -321,21 +321,21 @@ def _run_of(
     in_chunks: Mapping[str, Any] | None,
     **others: Any,
 ) -> ReconstructRun:
-    """Return what makes the result, at once or in chunks."""
+    """Return the run, whole or in chunks."""
     if in_chunks is None:
         return WholeRun(source, output, options, **others)
     return ChunksRun(source, output, options, **others, **in_chunks)
 
 
 def _announce(source: Source, output: Path, frames: FrameSelection, depth_of: DepthOf) -> None:
-    """Say how much a long sequence will write, and whether the disk has room for it."""
+    """Print the expected size of a large result, and whether the disk has space for it."""
     if isinstance(source, str) and webcam_number(source) is not None:
         return
     try:
         count = len(frames.open(source)) + 1
-    except TypeError:  # only reading tells
+    except TypeError:  # the number is known only after reading
         return
-    # Before --start a video would have to be decoded, only to see the same size.
+    # Read the first frame of a video: decoding up to --start would only show the same size.
     pairs = frames.open(source)
     if pairs.names is None:
         pairs = replace(frames, start=0, stop=None, step=1).open(source)
@@ -344,7 +344,7 @@ def _announce(source: Source, output: Path, frames: FrameSelection, depth_of: De
     try:
         with closing(pairs.frames()) as found:
             first = next(found, None)
-    except (OSError, ValueError):  # it is told where it is read
+    except (OSError, ValueError):  # reading the source will report it
         return
     if first is None or folder is None:
         return
@@ -358,8 +358,8 @@ def _announce(source: Source, output: Path, frames: FrameSelection, depth_of: De
 
 
 def _check_fits(file: Path, source: Source, frames: FrameSelection) -> None:
-    """Refuse a file that is no camera, or none of the frames of a source."""
-    read_camera(file)  # before the source is looked at
+    """Raise an error if a file is no camera, or does not fit the frames of a source."""
+    read_camera(file)  # before the source is read
     with closing(frames.open(source).frames()) as found:
         first = next(found, None)
     if first is not None:
@@ -367,14 +367,14 @@ def _check_fits(file: Path, source: Source, frames: FrameSelection) -> None:
 
 
 def _refuse_inside(file: Path, output: Path) -> None:
-    """Refuse a file in the folder that is written to: what lies there is replaced."""
+    """Raise InputError for a file in the output folder, whose contents are replaced."""
     place = output.resolve()
     if place in (file.resolve(), *file.resolve().parents):
         raise InputError(f"{file} lies in {output}, which is written to: give another folder")
 
 
 def _count(source: Source, frames: FrameSelection) -> int | None:
-    """Return the largest possible number of frames, None if it is not known before reading."""
+    """Return the largest possible number of frames; None if it is unknown before reading."""
     if isinstance(source, str) and webcam_number(source) is not None:
         chosen = slice(frames.start, frames.stop, frames.step)
         return None if frames.stop is None else len(range(frames.stop)[chosen])
@@ -397,7 +397,7 @@ def _check_scale(frame0: int, frame1: int, distance: float, *, count: int | None
 
 @contextmanager
 def interrupted(watched: bool) -> Iterator[Callable[[], bool]]:
-    """Give what tells whether Ctrl-C was pressed; the first one interrupts nothing if `watched`."""
+    """Yield a function: was Ctrl-C pressed? If `watched`, the first Ctrl-C interrupts nothing."""
     told = False
 
     def note(number: int, frame: FrameType | None) -> None:
@@ -416,9 +416,9 @@ def interrupted(watched: bool) -> Iterator[Callable[[], bool]]:
 
 
 def write_trajectories(result: Reconstruction, folder: Path) -> None:
-    """Write the poses of the largest piece as TUM and as KITTI have them.
+    """Write the poses of the largest piece in the formats of TUM and KITTI.
 
-    Where the times of frames do not rise, the TUM file has their numbers.
+    If the times of frames do not increase, the TUM file has their numbers.
     """
     largest = result.largest_piece
     poses = np.where((result.piece == largest)[:, None, None], result.poses, np.nan)
@@ -429,9 +429,9 @@ def write_trajectories(result: Reconstruction, folder: Path) -> None:
 
 
 def write_timings(folder: Path, seconds: Mapping[str, float]) -> None:
-    """Write how long each stage took.
+    """Write the time of each stage.
 
-    No other file has timings, so the others are the same each time.
+    Only this file has timings, so that all other files are equal each time.
     """
     with atomic_write(folder / TIMINGS) as file:
         file.write(csv_table(("stage", "seconds"), seconds.items()).encode())

@@ -47,7 +47,7 @@ def report(folder: Path) -> int:
 
 
 def report_run(folder: Path, source: Source | None = None) -> None:
-    """Write the report of a run, and say what to open."""
+    """Write the report of a run, and print its path."""
     record = read_record(folder)
     if record is None:
         raise FileNotFoundError(f"{folder} holds no {RECORD}: the run wrote nothing")
@@ -58,13 +58,13 @@ def report_run(folder: Path, source: Source | None = None) -> None:
 def report_reconstruction(
     result: Reconstruction, folder: Path, *, source: Source | None = None
 ) -> None:
-    """Write the report of a reconstruction, and say what to open."""
+    """Write the report of a reconstruction, and print its path."""
     path = write_reconstruction_report(result, folder, source=title_of(source))
     tell(f"Open {path} in a browser.")
 
 
 def title_of(source: Source | None) -> str | None:
-    """Return what a source is called in a report: without the folders above it."""
+    """Return the name of a source in a report: without the folders above it."""
     if source is None:
         return None
     if isinstance(source, (str, os.PathLike)):

@@ -120,7 +120,7 @@ class Run:
         )
 
     def _outputs(self) -> tuple[str, ...]:
-        """Return what is written, or raise ValueError."""
+        """Return the outputs of a pair, or raise ValueError."""
         if self.figures < 0:
             raise InputError(f"figures is {self.figures}: expected a number of pairs, or 0")
         chosen = self.outputs or USUAL
@@ -151,7 +151,7 @@ def run(sequence: SequenceRun, *, report: bool) -> int:
 
 
 def _tell_result(writer: PairWriter) -> None:
-    """Tell how many pairs have which status, and the advice for each status."""
+    """Print the number of pairs for each status, and its advice."""
     statuses = ", ".join(f"{count} {code}" for code, count in writer.statuses.items())
     seconds = sorted(writer.seconds)
     typical = f", {seconds[len(seconds) // 2]:.2f} s each (median)" if seconds else ""

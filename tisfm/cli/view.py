@@ -70,7 +70,7 @@ class View:
         )
 
 
-_PATIENCE = 10.0  # s for a browser to come, before more than a first picture is made
+_PATIENCE = 10.0  # s: wait for a browser, before more than a first picture is made
 
 
 def view(folder: Path, *, host: str, port: int, browser: bool, frame: int, points: int) -> int:
@@ -128,9 +128,9 @@ def write_static(folder: Path, path: Path, *, frames: int, points: int) -> int:
 def _opened(
     folder: Path, frame: int, *, host: str, port: int, browser: bool
 ) -> "tuple[ResultFrames, ViserServer | None]":
-    """Open a result; wait for its first frame where one is being made, and say so on a page.
+    """Open a result. If it is still being made, show a waiting page until its first frame.
 
-    That page's server is returned as well.
+    The server of this page is returned as well.
     """
     try:
         result = open_result(folder)

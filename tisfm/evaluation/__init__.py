@@ -1,4 +1,4 @@
-"""Evaluation: pairs and sequences compared with known flow, depth and motion.
+"""Evaluation: results for pairs and sequences, compared with known flow, depth and motion.
 
 Here: errors of pairs and sequences of datasets, their means, tables and files.
 May import: all of `tisfm` but `tisfm.cli`.

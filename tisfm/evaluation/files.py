@@ -30,7 +30,7 @@ from tisfm.show import (
 from tisfm.version import __version__
 
 EVALUATION_RECORD = "eval.json"
-_DPI = 250  # px per inch, the resolution up to which panels of a figure are not reduced
+_DPI = 250  # px per inch: high enough to keep all pixels of a panel
 _ENDINGS = ("_flow.flo", "_flow.png", "_error.png", "_depth_error.png")
 _PACKAGES = ("numpy", "opencv-python-headless", "taichi")
 
@@ -53,7 +53,7 @@ class EvaluationWriter:
         The camera of every pair, if the user gave one.
     settings : Settings
     pairs : iterable of DatasetPair
-        The pairs to evaluate, whose own files must not be replaced.
+        The pairs to evaluate. No output may replace their files.
 
     Raises
     ------
@@ -197,5 +197,5 @@ class EvaluationWriter:
 def _version(package: str) -> str | None:
     try:
         return version(package)
-    except ModuleNotFoundError:  # the package has another name, as other builds of OpenCV do
+    except ModuleNotFoundError:  # other builds of OpenCV have other package names
         return None

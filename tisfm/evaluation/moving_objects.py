@@ -47,16 +47,16 @@ def compare_masks(
     Returns
     -------
     LabelScores
-        If the frames of the result were undistorted, the true masks are undistorted as well, and
-        pixels outside count in neither.
+        If the frames of the result were undistorted, the true masks are undistorted as well. Pixels
+        outside the undistorted image then count as static in both.
 
     Raises
     ------
     FileNotFoundError
         If a folder does not exist, or has no pictures.
     ValueError
-        If numbers or sizes of masks differ, no true mask has an object, or `step` is not a positive
-        whole number.
+        If numbers or sizes of masks differ, if no true mask has an object, or if `step` is not a
+        positive whole number.
     tisfm.formats.FormatError
         If a picture is damaged, or is no picture of labels.
 

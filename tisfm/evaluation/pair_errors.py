@@ -16,14 +16,14 @@ LITTLE_PARALLAX = ("little_parallax", "pure_rotation", "no_motion")
 
 @dataclass(frozen=True, kw_only=True)
 class PairEvaluation:
-    """The errors of one pair, or why there are none.
+    """The errors of one pair, or the reason why there are none.
 
     Attributes
     ----------
     pair : DatasetPair
         The pair and its files.
     fault : str or None
-        Why the pair has no errors, in one line; None if it was evaluated.
+        The reason why the pair has no errors, in one line; None if it was evaluated.
     size : (int, int) or None
         Height and width, px.
     camera : Camera or None
@@ -35,13 +35,14 @@ class PairEvaluation:
     errors : FlowErrors or None
         Errors of the flow where the truth is known; None without a true flow.
     visible : FlowErrors or None
-        The same without pixels that are occluded in frame 1, if the dataset marks them.
+        The same errors without pixels that are occluded in frame 1, if the dataset marks them.
     without_sky : FlowErrors or None
-        The same without the sky, if the dataset marks it.
+        The same errors without the sky, if the dataset marks it.
     occlusion : OcclusionScores or None
-        Agreement of the occlusion map with that of the dataset and with pixels that leave the
-        image, where the true flow is known; None if the dataset has no map. If no pixel is
-        occluded, its count of marked pixels is the number of false alarms.
+        Agreement of the occlusion map with the truth, where the true flow is known. In the truth,
+        the pixels are occluded that the dataset marks or that leave the image. None if the dataset
+        has no map. If no pixel is occluded, the count of marked pixels is the number of false
+        alarms.
     depth : DepthErrors or None
         Errors of the depth, scaled by the median, where the truth is known; None without a true
         depth or a recovered depth.
@@ -101,7 +102,7 @@ class ErrorSummary(Generic[_Errors]):
     pairs : int
         Pairs with such errors.
     mean, median : FlowErrors, DepthErrors or PoseErrors, or None
-        Of every error separately, over the pairs that have it; None if `pairs` is 0.
+        Mean and median of each error over the pairs that have it; None if `pairs` is 0.
     """
 
     pairs: int
@@ -137,7 +138,7 @@ class PoseMeans(ErrorSummary[PoseErrors]):
 
 @dataclass(frozen=True, kw_only=True)
 class MeanErrors:
-    """Means over pairs. Every pair has the same weight, whatever its size (but see `occlusion`).
+    """Means over pairs. Pairs of all sizes have the same weight (except in `occlusion`).
 
     Attributes
     ----------
@@ -148,18 +149,18 @@ class MeanErrors:
     flow_pairs : int
         Pairs among these with a true flow.
     errors : FlowErrors or None
-        Over the pairs with a true flow; `pixels` is the total of all pairs. None without such
+        Means over the pairs with a true flow; `pixels` is the total of all pairs. None without such
         pairs.
     visible, without_sky : FlowErrors or None
-        As in `PairEvaluation`; None unless every pair with a true flow has them, because means over
-        different pairs cannot be compared.
+        As in `PairEvaluation`. None unless every pair with a true flow has them, because means over
+        different sets of pairs cannot be compared.
     occlusion : OcclusionScores or None
-        Not a mean: scores of the pixels of all pairs together, so that false alarms count in pairs
-        without occlusion. None unless every pair with a true flow has them.
+        Scores of the pixels of all pairs together, not a mean: false alarms in pairs without
+        occlusion count as well. None unless every pair with a true flow has scores.
     depth : DepthMeans or None
-        Over the pairs with a true depth; None without such pairs.
+        Means over the pairs with a true depth; None without such pairs.
     pose : PoseMeans or None
-        Over the pairs whose pose is compared; None without such pairs.
+        Means over the pairs whose pose is compared; None without such pairs.
     """
 
     pairs: int

@@ -63,9 +63,10 @@ def evaluation_tables(evaluation: Evaluation) -> list[Table]:
     Returns
     -------
     list of rich.table.Table
-        Each table has a row per pair; the mean, for depth and pose also the median, of each dataset
-        with several pairs; and of all pairs if there are several datasets. Poses have a table if
-        one was compared, or if only the pose of a pair is known.
+        Each table has a row for each pair, and rows for the mean (for depth and pose also the
+        median) of each dataset with several pairs. If there are several datasets, rows for all
+        pairs follow. There is a table of poses if a pose was compared, or if only the pose of a
+        pair is known.
     """
     flows = [pair for pair in evaluation.pairs if pair.pair.knows_flow]
     depths = [pair for pair in evaluation.pairs if pair.pair.knows_depth]
@@ -164,7 +165,7 @@ def _errors_table(
     of_pair: Callable[[PairEvaluation], _Errors | None],
     of_means: Callable[[MeanErrors], ErrorSummary[_Errors] | None],
 ) -> Table:
-    """Return a table with means, medians, and the numbers of pairs without errors by reason."""
+    """Return a table with means, medians, and counts of pairs without errors by reason."""
 
     def cells(errors: _Errors | None) -> list[str]:
         return [text(errors) if errors else _NOTHING for text in columns.values()]
@@ -229,7 +230,7 @@ def _table(
 
 
 def _missing_depth(pair: PairEvaluation) -> str:
-    """Return why an interpretation has no depth; empty if it has depth."""
+    """Return the reason why an interpretation has no depth; empty if it has depth."""
     if pair.little_parallax:
         return "too little parallax"
     return "no depth" if pair.without_depth else ""

@@ -29,7 +29,7 @@ from tisfm.rigid import pose_matrix
 from tisfm.settings import Settings, check_settings
 from tisfm.visibility.occlusion import leaves_image
 
-_WARM_UP_SIDE = 64  # px, of the frames that compile the kernels; set by hand
+_WARM_UP_SIDE = 64  # px: side of the frames for which kernels are compiled; set by hand
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,7 +223,7 @@ def _evaluate_pair(
 def _prepared(
     loaded: LoadedPair, camera: Camera, *, give_poses: bool, max_depth: float | None
 ) -> LoadedPair:
-    """Return a pair with the depth of its pinhole frames, and the choice whether its pose is given.
+    """Return a pair with undistorted true depth, and the decision whether its pose is given.
 
     Raises
     ------

@@ -62,8 +62,8 @@ class SequenceDepthErrors:
     without : int
         Frames among these without depth.
     scale : float
-        Factor of all depth: the median of d*/d over the pixels of all frames, or 1 if the poses
-        were given.
+        Factor for all depth: the median of d*/d over the pixels of all frames, or 1 if the poses
+        were given. d is the found inverse depth, d* the true one.
     error : float
         Median over frames, see `FrameDepthErrors`.
     certain : float or None

@@ -26,8 +26,8 @@ from tisfm.metrics import (
 from tisfm.reconstruction.progress import Progress
 from tisfm.settings import Settings
 
-STEP = 10  # frames, of the second relative error; set by hand
-MIN_POSES = 3  # of a piece: an alignment fits fewer poses exactly
+STEP = 10  # frames: distance for `relative_step`; set by hand
+MIN_POSES = 3  # in a piece: an alignment fits fewer poses exactly
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,8 @@ class PieceErrors:
     rigid_share : float or None
         `absolute.rigid` over the same length.
     relative, relative_step : RelativeErrors or None
-        From each frame to the next, and to the tenth after it, in the scale of the alignment.
+        Errors of the motion from each frame to the next, and to the tenth frame after it, in the
+        scale of the alignment.
     drift : Drift or None
         In the same scale.
 
@@ -76,7 +77,7 @@ class PieceErrors:
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceEvaluation:
-    """The errors of one sequence, or why there are none.
+    """The errors of one sequence, or the reason why there are none.
 
     Attributes
     ----------
@@ -84,7 +85,7 @@ class SequenceEvaluation:
     step : int
         Step of the evaluated frames.
     fault : str or None
-        Why the sequence has no errors, in one line; None if it was evaluated.
+        The reason why the sequence has no errors, in one line; None if it was evaluated.
     frames, posed : int
         Numbers of frames, and of frames with a pose.
     path : float or None

@@ -1,4 +1,4 @@
-"""A run or a reconstruction on one page of HTML, which needs no network and no other file.
+"""Reports: a run or a reconstruction on one HTML page, which needs no network and no other file.
 
 Here: the contents of a report, its pictures and drawings, the meaning of statuses, and the page.
 May import: `tisfm.folders`, `tisfm.formats`, `tisfm.reconstruction`, `tisfm.results`, `tisfm.show`,

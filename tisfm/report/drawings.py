@@ -17,8 +17,8 @@ from tisfm.show.palette import ESTIMATE, FAINT, INK
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_MAX_POINTS = 400  # of a curve, set by hand
-MAX_PIECES = 4  # whose paths are drawn, set by hand
+_MAX_POINTS = 400  # points of a curve at most, set by hand
+MAX_PIECES = 4  # pieces with a drawn path at most, set by hand
 _VIEWS: dict[PathView, str] = {"above": "from above", "side": "from the side"}
 
 
@@ -57,7 +57,7 @@ def path_drawing(poses: NDArray[np.float64], piece: NDArray[np.int32]) -> Markup
 
 
 def curves_drawing(curves: Sequence[tuple[str, Sequence[float | None]]]) -> Markup:
-    """Draw numbers over the pairs of a run.
+    """Draw curves of numbers over the pairs of a run.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ from tisfm.report.statuses import StatusCount, color_of
 from tisfm.templates import render
 from tisfm.version import __version__
 
-# Set by hand: a picture is at least so large, where the screen has space for it.
+# Smallest picture, if the screen has space for it. Set by hand.
 _MIN_PICTURE_WIDTH = 200  # px
 _MIN_PICTURE_HEIGHT = 110  # px
 
@@ -58,14 +58,14 @@ class Report:
     ----------
     title : str
     kind : str
-        What the report is about.
+        The kind of result, in a sentence.
     summary : sequence of (str, str)
         Names and values.
     statuses : sequence of StatusCount
     spans : sequence of (float, float, str)
         Consecutive frames with one status: begin and end as shares of the sequence, and the code.
     unit : str
-        What is counted: "frame" or "pair".
+        The counted items: "frame" or "pair".
     drawing : Markup
         Paths or curves as ``svg`` elements; empty if there are none.
     drawing_title, drawing_text : str
@@ -104,7 +104,7 @@ class Report:
 
     @property
     def changed_settings(self) -> int:
-        """How many settings differ from the preset."""
+        """Number of settings that differ from the preset."""
         return sum(row.preset_value is not None for row in self.settings)
 
     @property

@@ -26,9 +26,9 @@ from tisfm.show import (
 
 _DEPTH, _MOTION = "Depth, near is bright", "Image motion to the next frame"
 _DEVIATION = "Relative deviation of depth"
-_MAX_PICTURES = 5  # of a frame, with labels
+_MAX_PICTURES = 5  # pictures of a frame, including labels
 _CONVERGED = "The frame has a pose, and depth if it was requested."
-_MAX_ROWS = 40  # of a table of moving objects, or of frames that could not be read; set by hand
+_MAX_ROWS = 40  # rows of a table at most; set by hand
 
 
 def write_reconstruction_report(

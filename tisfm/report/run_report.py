@@ -29,7 +29,7 @@ from tisfm.show import (
 from tisfm.status import Status
 
 _DEPTH, _MOTION, _CONFIDENCE = "Depth, near is bright", "Image motion", "Confidence"
-_PICTURES = 4  # of a pair, without labels
+_PICTURES = 4  # pictures of a pair, without labels
 
 
 def write_run_report(

@@ -26,7 +26,7 @@ MEANINGS = {
     "pose_mismatch": "The given pose contradicts the images.",
     "diverged": "The iterations diverged: the result is useless.",
 }
-# Colours of Okabe and Ito, which differ with a colour vision deficiency as well.
+# Colours of Okabe and Ito, which people with a colour vision deficiency can tell apart.
 _COLORS = {
     "converged": "#009e73",
     "iteration_limit": "#56b4e9",
@@ -40,7 +40,7 @@ _COLORS = {
     "unrelated": "#cc79a7",
 }
 _WRONG = "#d55e00"
-_MAX_NAMES = 4  # of frames with a status, set by hand
+_MAX_NAMES = 4  # names of frames for a status at most, set by hand
 _MAX_MESSAGE = 600  # characters, set by hand
 
 

@@ -1,6 +1,6 @@
 """Runs: the pairs of a sequence are interpreted, by one or several processes, and written.
 
 Here: the pool of processes (of this machine or of a Dask cluster), the thread that writes results
-during the computation, chunks of pairs, and the files and the record of a run. May import: all of
-`tisfm` but `tisfm.cli` and `tisfm.evaluation`.
+during the computation, chunks of pairs, and the files and the record of a run.
+May import: all of `tisfm` but `tisfm.cli` and `tisfm.evaluation`.
 """
