@@ -41,7 +41,7 @@ class Score:
         As `tisfm.metrics.certain_error`, in the unit of the pose, where pose and deviations are
         given.
     parallax : float or None
-        Median displacement of pixels of known depth, minus that of the rotation, px.
+        Median length, px, of the displacement minus that of the rotation, over known depth.
     within : float or None
         Share of the visible pixels with an error of inverse depth below the standard deviation,
         in the common scale.
@@ -138,7 +138,7 @@ def limited(depth: NDArray) -> NDArray[np.float64]:
 
 
 def parallax_of(pair: DepthPair) -> float | None:
-    """Return the median displacement, px, that the true motion adds to that of its rotation."""
+    """Return the median length, px, of the true displacement minus that of its rotation alone."""
     if pair.depth is None or pair.pose is None:
         return None
     height, width = pair.depth.shape

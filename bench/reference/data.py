@@ -36,7 +36,7 @@ def brightness_tensor(
     flow0: np.ndarray,
     mask: np.ndarray,
 ) -> np.ndarray:
-    """Return J11, J12, J22, j1, j2, J_tt, (6, H, W): eq. 3 squared in the total flow.
+    """Return J11, J12, J22, j1, j2, J_tt, (6, H, W): eq. 3 squared, for the total flow.
 
     `flow0`, (2, H, W), is the flow that warped frame 1 of the gradients.
     """

@@ -62,7 +62,7 @@ def motion_system(
     inverse_depth : (H, W)
         D = f·d.
     hold : (H, W)
-        Weight that keeps D.
+        Weight of the squared change of D.
 
     Returns
     -------

@@ -125,7 +125,7 @@ def integrate(
     distance : (B, 512) float64
         Signed distance to the surface, in truncations, at most 1.
     weight : (B, 512) float64
-        0 for voxels that the view does not see.
+        0 outside the view, without depth, or too far behind the surface.
     near : (B, 512) bool
         Voxels within the truncation of the surface.
     """

@@ -41,7 +41,7 @@ def minimise(
     `terms` are motion tensors, (6, H, W), with the scales of `robust_tensor`. With `thorough`, the
     energy is also minimised over rigid motions without image motion after the sweeps. Iterations
     stop by the last change in either case, so ρ̂ may be further from the minimum than `tolerance`.
-    The solver and multigrid instead estimate the remaining error; this reference does not.
+    Only the solver of tisfm has multigrid and an estimate of the remaining error.
     """
     energies: list[float] = []
     half: list[float] = []

@@ -102,7 +102,7 @@ def plane_cost(
 def best_mean(costs: np.ndarray, best: int, *, absent: float) -> np.ndarray:
     """Return the mean of the `best` lowest costs of several frames, (M, …).
 
-    A frame that does not show a hypothesis has cost 1; if another frame does, its cost is `absent`.
+    If fewer frames show a hypothesis, the missing costs are `absent`; if none shows it, they are 1.
     """
     shown = costs != NOWHERE
     some = np.where(shown.any(axis=0), absent, NOWHERE)

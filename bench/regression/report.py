@@ -25,8 +25,8 @@ class Difference:
         Of the absolute differences of u and v, px/frame.
     visible : float
         Share of the pixels whose flow differs by more than `VISIBLE`.
-        Of the differences of inverse depth, relative to its earlier value.
-        Of the differences of inverse depth, relative to the one before.
+    depth_max, depth_median : float
+        Of the differences of inverse depth, relative to its value before.
     labels, occlusion : float
         Share of the pixels that differ.
     same : bool
@@ -63,7 +63,7 @@ def difference(before: Path, after: Path) -> Difference:
 
 
 def relative(before: NDArray, after: NDArray) -> NDArray:
-    """Return |after − before| over |before|, which is at least `FLOOR` of its median."""
+    """Return |after − before| over the larger of |before| and `FLOOR` of its median."""
     apart = _apart(before, after)
     known = np.abs(before[np.isfinite(before)])
     floor = FLOOR * float(np.median(known)) if known.size else 0.0

@@ -1,1 +1,1 @@
-"""Path and depth of whole sequences beside other methods, in chunks, in memory, and in exports."""
+"""Path and depth of whole sequences: compared with other methods, in chunks, and exported."""

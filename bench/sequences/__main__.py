@@ -1,8 +1,8 @@
-"""``python -m bench.sequences``: path and depth of whole sequences, beside other methods.
+"""``python -m bench.sequences``: path and depth of whole sequences, compared with other methods.
 
-`tisfm.reconstruct`, pairs chained by the overlap of their depths, and pycolmap, each in a process
-of its own. ``--peer-python`` names an interpreter with another version of pycolmap. The tables and
-all figures are left in bench/results.
+The methods are `tisfm.reconstruct`, pairs chained by the overlap of their depths, and pycolmap.
+Each runs in its own process. ``--peer-python`` names an interpreter with another version of
+pycolmap. The tables and all figures are left in bench/results.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from bench.shared.command import choose, options_parser, progress, words_of
 from bench.shared.results import RESULTS, machine, wide_console
 from bench.shared.sequences import data_folder
 
-# Options that the results name.
+# Options that appear in the results.
 WORDS = (
     "preset", "rounds", "threads", "sequences", "methods", "folder", "poses-given",
     "camera-unknown", "peer-python",

@@ -1,10 +1,10 @@
-"""``python -m bench.sequences.blender``: an exported reconstruction as seen by Blender.
+"""``python -m bench.sequences.blender``: an exported reconstruction, opened in Blender.
 
-A sequence is reconstructed from whole frames, and from a part of each frame that has the optical
-axis outside its middle. Both are exported as a moving camera and as points. Blender reads the files
-as docs/exports.md tells a user to do, and projects the points. The table, left in bench/results,
-has the differences from the reconstruction. Blender is a Python with bpy (``pip install bpy``) in
-an environment of its own, since it needs another NumPy.
+A sequence is reconstructed from whole frames, and from a part of each frame whose middle is not on
+the optical axis. Both are exported as a moving camera and as points. Blender reads the files as
+docs/exports.md describes, and projects the points. The table, left in bench/results, has the
+differences from the reconstruction. Blender runs as a Python with bpy (``pip install bpy``) in its
+own environment, because it needs another NumPy.
 """
 
 import subprocess

@@ -1,4 +1,4 @@
-"""A chain of pairs, each scaled by the depth of the pairs before."""
+"""A chain of pairs; the depth of earlier pairs gives the scale of each pair."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -10,11 +10,13 @@ from tisfm.evaluation.pair_errors import LITTLE_PARALLAX
 from tisfm.interpretation import Interpretation
 from tisfm.rigid import pose_matrix
 
-STRIDE = 4  # px between the pixels whose points are carried on
-FEWEST = 0.003  # share of those pixels with both depths, below which the scale is lost; set by hand
+STRIDE = 4  # px between the pixels whose points are passed to the next pair
+FEWEST = 0.003  # share of these pixels with both depths, below which the scale is lost; set by hand
 
-Interpret = Callable[[int, int], Interpretation]  # of a frame and the other frame of its pair
-Keep = Callable[[int, Interpretation], None]  # of a frame and the interpretation with its depth
+# Arguments: a frame, and the other frame of its pair.
+Interpret = Callable[[int, int], Interpretation]
+# Arguments: a frame, and the interpretation with its depth.
+Keep = Callable[[int, Interpretation], None]
 
 
 @dataclass(kw_only=True)
@@ -43,9 +45,9 @@ def chain(
 ) -> Chain:
     """Chain the pairs of consecutive frames.
 
-    The points of the frame before, moved by its pair, have the scale of the segment; the median
+    The points of the previous frame, moved by its pair, have the scale of the segment. The median
     ratio of their depth to the depth of this frame's pair is the unit of the pair. A pair without
-    depth only turns the camera, and the points are carried on. The last frame has the depth of the
+    depth only turns the camera, and the points are passed on. The last frame has the depth of the
     reversed pair.
 
     Parameters
@@ -67,7 +69,8 @@ def chain(
     """
     found = Chain()
     pose, piece = np.eye(4), 0
-    points: NDArray[np.float64] | None = None  # (3, K), in the axes of this frame, scaled
+    # (3, K), in the axes of this frame and the scale of the segment.
+    points: NDArray[np.float64] | None = None
     for index in range(count):
         last = index == count - 1
         result = interpret(index, index - 1) if last else interpret(index, index + 1)
@@ -113,9 +116,9 @@ def _points(
 def _unit(
     points: NDArray | None, inverse_depth: NDArray, focal: float, center: Sequence[float]
 ) -> float | None:
-    """Return the median of carried depth over depth of this pair; None if the overlap is too small.
+    """Return the median of earlier depth over depth of this pair; None for too little overlap.
 
-    It is 1 without carried points: the first pair with depth defines the unit.
+    It is 1 without earlier points: the first pair with depth defines the unit.
     """
     if points is None:
         return 1.0

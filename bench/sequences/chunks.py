@@ -1,9 +1,9 @@
-"""``python -m bench.sequences.chunks``: reconstruction in chunks of frames, beside that at once.
+"""``python -m bench.sequences.chunks``: reconstruction in chunks, compared with one at once.
 
-Real sequences, in chunks that are shorter than the default, since they have at most 100 frames; and
-a rendered film in which a camera goes round in a room and looks outward, 225 frames a round. The
-table and all figures are left in bench/results. With ``--folder``, results are kept there, and a
-second run takes the complete ones.
+Real sequences have at most 100 frames, so their chunks are shorter than the default. In a rendered
+film, a camera circles in a room and looks outward, 225 frames a round. The table and all figures
+are left in bench/results. With ``--folder``, results are kept there, and a second run uses the
+complete results.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""``python -m bench.sequences.colmap_model``: an exported reconstruction as read by COLMAP.
+"""``python -m bench.sequences.colmap_model``: an exported reconstruction, read by COLMAP.
 
 A sequence is reconstructed and exported as a model of COLMAP. pycolmap reads the model and
 triangulates every point again from its image positions and poses. The table is left in
@@ -23,7 +23,7 @@ from tisfm.exports import write_colmap
 from tisfm.settings import Preset
 
 SEQUENCE = "tartanair"
-# Bars of that sequence, set by hand.
+# Bounds for that sequence, set by hand.
 LEAST_IMAGES = 30
 LEAST_POINTS = 5000
 MOST_REPROJECTION = 1.0  # px
@@ -71,7 +71,7 @@ def figures(model: Any) -> dict[str, float]:
 
 
 def bars(found: dict[str, float], frames: int) -> list[Bar]:
-    """Return the figures that have a bar."""
+    """Return the figures that have a bound."""
     least = f"least tracks of {LEAST_TRACK} frames in an image"
     return [
         Bar(f"images of {frames}", found["images"], LEAST_IMAGES, at_most=False),

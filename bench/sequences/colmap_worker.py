@@ -4,8 +4,8 @@ It needs pycolmap and NumPy, but neither tisfm nor the rest of the bench.
 ``colmap_worker.py survey`` prints the version of pycolmap as JSON, or why it is missing.
 ``colmap_worker.py`` reads a line of JSON, ``{"images": FOLDER, "output": FOLDER, "camera":
 [f, cx, cy], "names": [NAME, …], "threads": N}``, and prints one: the poses of the frames, camera to
-world, the segment of each frame, the seconds, and the peak memory in bytes. SIFT of every frame,
-sequential matching, and the incremental mapper with its defaults, but with given, fixed intrinsics.
+world, the segment of each frame, the seconds, and the peak memory in bytes. It uses SIFT of every
+frame, sequential matching, and the incremental mapper with default options and fixed intrinsics.
 """
 
 import json
@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 STATUS = Path("/proc/self/status")
-HALF = 0.5  # px: coordinates of the centre of a pixel in pycolmap
+HALF = 0.5  # px: centre of the first pixel in pycolmap
 
 
 def survey() -> dict[str, str]:
-    """Return the version, or the reason why it cannot run."""
+    """Return the version, or the reason why pycolmap cannot run."""
     try:
         import pycolmap
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""Methods on sequences, each in a process of its own, and their scores."""
+"""Methods on sequences, each in its own process, and their scores."""
 
 import json
 import os
@@ -34,7 +34,7 @@ TIMEOUT = 3600.0  # s for a method on a sequence
 class Outcome:
     """One run of a method: name of a result → NAME of `Stored`, s, and peak memory in bytes.
 
-    `focal` is an estimated focal length, px: its value, its deviation, and whether it is reliable.
+    `focal` is an estimated focal length, px: value, standard deviation, and whether it is reliable.
     """
 
     results: dict[str, str]
@@ -56,7 +56,7 @@ class Method(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Own:
-    """`tisfm.reconstruct`, or chained pairs, in a process of its own.
+    """`tisfm.reconstruct`, or chained pairs, in its own process.
 
     `poses_given`: whether it gets the true poses; `camera_given`: whether it gets the camera.
     """
@@ -148,13 +148,13 @@ class Score:
     ----------
     method, sequence : str
     evaluation : SequenceEvaluation or None
-        Of the first round; None if it failed.
+        Of the first round; None if the method failed.
     seconds : tuple of float
         Of every round, for the whole sequence.
     peak : int or None
         Peak resident memory of its process, bytes.
     focal : (float, float, bool) or None
-        Of an estimated focal length: its error and its deviation, both as shares of the true one,
+        Estimated focal length: error and standard deviation, as shares of the true focal length,
         and whether it is reliable.
     failure : str
     """
@@ -230,13 +230,13 @@ def hold(
     ----------
     methods, entries : sequence
     rounds : int
-        Runs of each; the first is scored, all are timed.
+        Runs of each method; the first run is scored, all runs are timed.
     conditions, missing : dict
         As in `SequenceContest`.
     step : callable
         Called before every run with the names of sequence and method.
     keep : callable
-        Called after every sequence with all scores so far, so that none is lost.
+        Called after every sequence with all scores so far, so that a crash loses none.
 
     Raises
     ------

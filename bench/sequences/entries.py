@@ -9,7 +9,7 @@ from bench.shared.command import Parser
 from bench.shared.sequences import data_folder
 from tisfm.datasets import DatasetSequence, LoadedSequence, find_sequences
 
-# Folder, and the step from frame to frame.
+# Folder, and the step from frame to frame
 SELECTED = (
     ("new_tsukuba", 1),
     ("tartanair", 1),
@@ -21,7 +21,7 @@ SELECTED = (
     ("fountain", 1),
     ("kitti_odometry_06", 1),
 )
-# Folder, and the frame from which on every second one is left out, as if the car became faster.
+# Folder, and the frame from which every second frame is left out, as if the car drove faster.
 THINNED = (("kitti_odometry_06", 25),)
 FARTHEST = 40.0  # m: larger true depths do not count
 
@@ -36,7 +36,7 @@ class Entry:
     step : int
         From frame to frame.
     thinned : int or None
-        From this frame on, every second one is left out.
+        From this frame on, every second frame is left out.
     """
 
     sequence: DatasetSequence
@@ -45,7 +45,7 @@ class Entry:
 
     @property
     def name(self) -> str:
-        """Name of the folder, and the choice of frames."""
+        """Name of the folder, and of the choice of frames."""
         name = self.sequence.name
         if self.step > 1:
             name += f", every {self.step}"

@@ -1,11 +1,11 @@
 """``python -m bench.sequences.long_runs``: speed of workers, long runs, and killed runs.
 
-Workers: a video on a local Dask cluster of one worker with one thread, and of two, in turns. The
-speed counts from the pair after which every worker has begun to the last pair, which leaves out the
-start. Frames: resident memory and speed of a run over many small frames, after a hundred pairs and
-at the end. Kills: a run, a run of two workers, a run on a local Dask cluster of two workers, and a
-reconstruction in chunks by two workers are each killed by SIGKILL at random moments and resumed;
-the files are compared with those of a command without interruption. The tables are left in
+Workers: a video on a local Dask cluster, of one worker with one thread and of two, in turns. The
+speed is measured from the pair after which every worker has begun, to leave out the start, to the
+last pair. Frames: resident memory and speed of a run over many small frames, after a hundred pairs
+and at the end. Kills: four commands are killed by SIGKILL at random moments and resumed: a run, a
+run of two workers, a run on a local Dask cluster of two workers, and a reconstruction in chunks by
+two workers. Their files are compared with those of an uninterrupted command. The tables are left in
 bench/results/long_runs.md.
 """
 
@@ -32,14 +32,14 @@ from bench.writing import rendered
 from tisfm.formats import write_png
 from tisfm.scenes import room_film, static_scene
 
-FASTER = 1.7  # bar of the speed of two workers over one; set by hand
-APART = 0.05  # bar of the change of memory and speed in a long run, a share; set by hand
-ROUNDS = 3  # of workers
-PAIRS = 120  # of the video of workers
-FRAMES = 10_000  # of the long run
-KILLS = 20  # of each command
-BEGUN = 12  # pairs, after which every worker has begun
-EARLY = 100  # pairs, after which memory and speed count as those of the start
+FASTER = 1.7  # least speed of two workers over that of one; set by hand
+APART = 0.05  # largest relative change of memory and speed in a long run; set by hand
+ROUNDS = 3  # rounds of the speed of workers
+PAIRS = 120  # pairs of the video for workers
+FRAMES = 10_000  # frames of the long run
+KILLS = 20  # kills of each command
+BEGUN = 12  # pairs after which every worker has begun
+EARLY = 100  # pairs after which memory and speed are first measured
 STRETCH = 1000  # pairs over which a speed is measured
 SMALL = (48, 64)  # px, height and width of the frames of the long run
 COMMAND = [sys.executable, "-c", "import sys; from tisfm.cli.command_line import main; "
@@ -50,7 +50,7 @@ RECONSTRUCT = ("reconstruct", "--preset", "fast", "--workers", "2", "--chunk", "
 
 @dataclass
 class Found:
-    """The figures; those of a part that was left out are empty."""
+    """The figures; figures of skipped parts are empty."""
 
     workers: list[tuple[float, float]] = field(default_factory=list)  # pairs/s of one and two
     frames: dict[str, float] = field(default_factory=dict)
@@ -58,7 +58,7 @@ class Found:
 
 
 def start(*options: str, command: Sequence[str] = RUN) -> subprocess.Popen[bytes]:
-    """Start a run, or another command, in a process of its own."""
+    """Start a run, or another command, in its own process."""
     call = [*COMMAND, *command, *options]
     return subprocess.Popen(call, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
@@ -81,7 +81,7 @@ def speed(times: Sequence[float], first: int, last: int) -> float:
 
 
 def measure_workers(source: Path, rounds: int, begun: int) -> list[tuple[float, float]]:
-    """Return pairs per second of one worker and of two, each of one thread, in every round."""
+    """Return pairs per second of one and of two workers with one thread each, for every round."""
     found = []
     for _ in range(rounds):
         both = []
@@ -95,7 +95,7 @@ def measure_workers(source: Path, rounds: int, begun: int) -> list[tuple[float, 
 
 
 def many_frames(folder: Path, count: int) -> Path:
-    """Make a folder of small frames: the two frames of a scene in turns, as hard links."""
+    """Make a folder of small frames: two frames of a scene alternate, as hard links."""
     scene = static_scene("sideways", *SMALL)
     kinds = []
     for number, frame in enumerate((scene.frame0, scene.frame1)):
@@ -143,7 +143,7 @@ def cluster(workers: int = 2) -> Iterator[str]:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Return the content of every file of a run but its times."""
+    """Return the content of every file of a run, without times."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in folder.rglob("*")
@@ -154,7 +154,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def measure_kills(
     source: Path, kills: int, *options: str, command: Sequence[str] = RUN
 ) -> dict[str, int]:
-    """Kill a command at random moments and resume it; count results with other bytes."""
+    """Kill a command at random moments and resume it; count the results that differ."""
     with tempfile.TemporaryDirectory() as folder:
         whole, output = Path(folder, "whole"), Path(folder, "out")
         begin = time.monotonic()
@@ -181,7 +181,7 @@ def measure_kills(
 
 
 def bars(found: Found) -> list[Bar]:
-    """Return figures and their bars."""
+    """Return the figures with their bounds."""
     result = []
     if found.workers:
         ratio = float(np.median([two / one for one, two in found.workers]))

@@ -1,9 +1,9 @@
-"""``python -m bench.sequences.memory``: peak memory of `tisfm.reconstruct` over the frames.
+"""``python -m bench.sequences.memory``: peak memory of `tisfm.reconstruct` by number of frames.
 
-A camera goes round in a rendered room and looks outward, 225 frames a round, so that most frames
-show new surfaces. Each film is read from files and reconstructed by a process of its own, whose
-peak resident memory counts, libraries included. Rendered frames are kept in a temporary folder.
-The table and all figures are left in bench/results.
+A camera circles in a rendered room and looks outward, 225 frames a round, so that most frames show
+new surfaces. Each film is read from files and reconstructed in its own process. Its peak resident
+memory, with libraries, counts. Rendered frames are kept in a temporary folder. The table and all
+figures are left in bench/results.
 """
 
 import argparse
@@ -30,7 +30,7 @@ from tisfm.settings import Preset
 
 HEIGHT = 120  # px
 WIDTH = 160  # px
-LOT = 50  # frames that are rendered at a time
+LOT = 50  # frames that are rendered together
 FIGURES = {  # name of a figure → its format
     "frames": "g",
     "peak memory, MB": ".0f",

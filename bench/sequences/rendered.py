@@ -1,4 +1,4 @@
-"""``python -m bench.sequences.rendered``: sequences with exact truth, and the bars of their errors.
+"""``python -m bench.sequences.rendered``: sequences with exact truth, and bounds of their errors.
 
 Films of a rendered room, with patterned and with bare walls: a round trip, blanked frames, a turn
 without parallax, a mesh, depth from an increasing number of frames, a rolling shutter. Rendered
@@ -56,7 +56,7 @@ Errors = dict[str, list[float]]  # room → error of depth for each number of fr
 
 
 class Checks:
-    """Renders films, reconstructs them, and measures the figures with their bars.
+    """Renders films, reconstructs them, and measures the figures that have bounds.
 
     Parameters
     ----------
@@ -81,7 +81,8 @@ class Checks:
             "frames": self._frames,
             "shutter": self._shutter,
         }
-        seeds = self._seeds[:1] if kind == "trip" else self._seeds  # a long film
+        # A single seed, because the film is long.
+        seeds = self._seeds[:1] if kind == "trip" else self._seeds
         for seed in seeds:
             yield from makers[kind](room, seed)
 

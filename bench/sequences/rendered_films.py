@@ -1,4 +1,4 @@
-"""Films of a rendered room with exact truth; each tests one ability."""
+"""Films of a rendered room with exact truth; each film tests one ability."""
 
 import hashlib
 import tempfile
@@ -74,9 +74,9 @@ def walked(count: int) -> np.ndarray:
 
 
 def round_trip(count: int) -> np.ndarray:
-    """Return the poses of a camera that goes round in the room, back to its first position.
+    """Return the poses of a camera that circles in the room and ends at its first position.
 
-    It looks at one corner of the room, and to the left and the right of it.
+    It looks at one corner of the room, and to the left and right of the corner.
     """
     at = np.linspace(0, 2 * np.pi, count)
     positions = np.stack([0.6 * np.sin(at), 0.08 * np.sin(2 * at), 0.5 * (1 - np.cos(at))], axis=1)
@@ -84,9 +84,9 @@ def round_trip(count: int) -> np.ndarray:
 
 
 def rounds(count: int, of_round: int = 225) -> np.ndarray:
-    """Return the poses of a camera that goes round repeatedly and looks outward.
+    """Return the poses of a camera that circles repeatedly and looks outward.
 
-    Rounds differ in radius and height.
+    Rounds have different radii and heights.
     """
     at = 2 * np.pi * np.arange(count) / of_round
     radius = 0.7 + 0.15 * np.sin(at / 3.1)
@@ -111,7 +111,7 @@ def shaken(count: int) -> np.ndarray:
 
 
 def around_one(count: int) -> np.ndarray:
-    """Return the poses of a keyframe, and of frames on both sides at increasing distances."""
+    """Return the poses of a keyframe, and of frames on both sides at growing distances."""
     factors = [0, *(sign * k for k in range(1, count) for sign in (1, -1))][:count]
     motion = np.array([0.12, 0.0, 0.08, 0.003, 0.01, 0.006])
     return np.array([pose_matrix(factor * motion) for factor in factors])

@@ -9,9 +9,9 @@ from tisfm.metrics import absolute_errors, align, path_length
 from tisfm.reconstruction.depth.window_depth import window_depth
 from tisfm.scenes import Film
 
-COUNTS = (2, 3, 4, 6, 8)  # frames for the depth of a keyframe
-WITHIN = 0.02  # of the true depth: error up to which a vertex counts as right
-HIDDEN = 0.05  # of the visible depth: points further behind are hidden
+COUNTS = (2, 3, 4, 6, 8)  # numbers of frames for the depth of a keyframe
+WITHIN = 0.02  # share of the true depth: largest error of a correct vertex
+HIDDEN = 0.05  # share of the visible depth: points farther behind are hidden
 
 Poses = np.ndarray  # (N, 4, 4), camera to world
 
@@ -40,7 +40,7 @@ def gap(found: Poses, true: Poses) -> float:
 
 
 def scale_change(found: Poses, true: Poses, before: slice, after: slice) -> float:
-    """Return the difference of the scales of two parts of a path, %."""
+    """Return the difference between the scales of two parts of a path, %."""
     one, other = (
         align(centres(found[part]), centres(true[part])).scale for part in (before, after)
     )
@@ -48,7 +48,7 @@ def scale_change(found: Poses, true: Poses, before: slice, after: slice) -> floa
 
 
 def flicker(film: Film, result: tisfm.Reconstruction, settings: tisfm.Settings) -> float:
-    """Return the spread of the scale of depth over frames, divided by that of single pairs.
+    """Return the spread of the scale of depth over frames, divided by the spread of single pairs.
 
     Pairs without depth are left out.
     """
@@ -116,9 +116,9 @@ def _log_scale(true: np.ndarray, found: np.ndarray) -> float:
 
 
 def _distance(points: np.ndarray, film: Film) -> np.ndarray:
-    """Return the distance of points, (N, 3), from the visible surface, relative to the depth, (N,).
+    """Return the relative distance of points, (N, 3), from the visible surface, (N,).
 
-    Mean over the frames in which a point is not hidden; infinite if it is hidden in all.
+    It is a share of the depth, the mean over frames that do not hide the point; infinite if all do.
     """
     total, count = np.zeros((2, len(points)))
     height, width = film.depth.shape[1:]
@@ -129,7 +129,7 @@ def _distance(points: np.ndarray, film: Film) -> np.ndarray:
         u, v = (film.camera.focal * a / ahead + c for a, c in zip((x, y), center, strict=True))
         on = np.flatnonzero((z > 0) & (u >= 0) & (u < width - 1) & (v >= 0) & (v < height - 1))
         column, row = u[on].astype(np.intp), v[on].astype(np.intp)
-        # At an edge, the nearest of the surfaces of four pixels counts.
+        # At an edge, the nearest surface of four pixels counts.
         each = np.stack(
             [z[on] / depth[row + j, column + i] - 1 for i, j in itertools.product((0, 1), (0, 1))]
         )

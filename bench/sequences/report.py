@@ -1,4 +1,4 @@
-"""Tables of a comparison on sequences: one of each figure, and one of each sequence."""
+"""Tables of a comparison on sequences: one for each figure, and one for each sequence."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -150,7 +150,7 @@ def write(contest: SequenceContest, path: Path) -> None:
 
 
 def _summaries(contest: SequenceContest) -> dict[str, Table]:
-    """Return the tables of one figure each that have any."""
+    """Return the tables of single figures that are not empty."""
     tables = {heading: summary(contest, heading) for heading in SUMMARY}
     return {heading: table for heading, table in tables.items() if table.rows}
 

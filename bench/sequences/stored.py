@@ -1,4 +1,4 @@
-"""Results of a method on a sequence, as files between its process and the comparison."""
+"""Results of a method on a sequence, as files that its process leaves for the comparison."""
 
 import json
 from pathlib import Path
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 class Stored:
-    """A result on disk, as `tisfm.evaluation.compare_sequence` takes it.
+    """A stored result with the interface that `tisfm.evaluation.compare_sequence` needs.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ def run(request: dict[str, Any]) -> dict[str, Any]:
     camera = tisfm.Camera(**request["camera"])
     frames = tuple(map(Path, request["frames"]))
     first = [undistort(read_image(path), camera) for path in frames[:2]]
-    tisfm.interpret(*first, camera=camera.pinhole(), settings=settings)  # compiles
+    tisfm.interpret(*first, camera=camera.pinhole(), settings=settings)  # compiles kernels
     del first
     gc.collect()
     restart()
@@ -52,7 +52,7 @@ def _reconstructed(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GuessedFocalWarning)
         result = tisfm.reconstruct(frames, camera=known, settings=settings, poses=poses)
-    for index in range(len(frames)):  # some depths may be computed only now
+    for index in range(len(frames)):  # some depth maps are only computed when they are read
         result.inverse_depth(index)
     seconds = time.perf_counter() - started
     for index in range(len(frames)):
@@ -67,7 +67,7 @@ def _reconstructed(
         status=[str(status) for status in result.status],
     )
     found = result.calibration
-    length = found.focal or result.camera.focal  # px of the frames of the source, as the deviation
+    length = found.focal or result.camera.focal  # in px of the source, like the deviation
     deviation = found.focal_std if found.origin == "estimated" else length
     focal = length, deviation, found.seen
     return {"results": {"": "result"}, "seconds": seconds, "focal": focal}

@@ -8,7 +8,7 @@ from typing import Literal
 from bench.shared.contest import Contest, Measurement, PairInfo
 
 Metric = Literal["epe", "aae", "outliers"]
-STANDARD_SIZE = (480, 640)  # px, height and width of the pairs whose time is compared
+STANDARD_SIZE = (480, 640)  # px, height and width of the pairs with compared times
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def standard_time(contest: Contest, method: str) -> Spread | None:
 
 
 def ratio(contest: Contest, method: str) -> Spread | None:
-    """Return the time as a multiple of the reference's in the same round."""
+    """Return the time as a multiple of that of the reference in the same round."""
     own, unit = _by_round(contest, method), _by_round(contest, contest.reference)
     return Spread.of([own[turn] / unit[turn] for turn in own if turn in unit])
 

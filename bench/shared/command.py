@@ -17,10 +17,10 @@ from bench.shared.sequences import FlowPair, data_folder, find_pairs, scene_pair
 from tisfm.settings import Preset
 
 SMOKE_SIZE = (96, 128)  # px, height and width of scenes in a smoke run
-SCENE_SIZE = (480, 640)  # px, of scenes where no folder of sequences is named
+SCENE_SIZE = (480, 640)  # px, of scenes without a folder of sequences
 COUNTS = ("threads", "rounds", "repetitions", "frames")  # options that are 1 or more
 
-# Option → what argparse is told of it.
+# Option → arguments for argparse
 OPTIONS: dict[str, dict[str, Any]] = {
     "data": {"type": Path, "metavar": "DIR", "help": "sequences; default: TISFM_DATA"},
     "pairs": {"nargs": "+", "metavar": "WORD", "help": "pairs with a WORD in the name"},
@@ -84,7 +84,7 @@ def output_name(options: argparse.Namespace, name: str) -> str:
 
 @dataclass(frozen=True)
 class Pairs:
-    """The pairs of a run, why others are missing, and a word on where they come from."""
+    """The pairs of a run, why others are missing, and a note on their source."""
 
     pairs: list[FlowPair]
     missing: dict[str, str]
@@ -162,7 +162,7 @@ class Peers:
 def running_peers(
     options: argparse.Namespace, names: Sequence[str] | None = None
 ) -> Iterator[Peers]:
-    """Yield the named methods of other libraries, or all, as far as they can run here."""
+    """Yield the named methods of other libraries, or all, if they can run here."""
     python, survey = find_peers(options.peer_python)
     if names is not None:
         kept = {name: why for name, why in survey.reasons.items() if name in (*names, "all peers")}

@@ -1,6 +1,6 @@
 """Methods of flow that are timed and scored on the same pairs, in turns.
 
-Turns expose every method to the same speed of the machine, which drifts.
+The speed of the machine drifts; in turns, it changes for all methods alike.
 """
 
 import math
@@ -19,7 +19,8 @@ from tisfm.metrics import angular_error, endpoint_error, outlier_rate
 from tisfm.settings import Preset, Settings
 
 WARM_UP = (96, 128)  # px, of the first call of every method
-QUICK = 0.5  # s: a faster call runs untimed before each timed one, so that caches are warm
+# S: before a timed call that is faster, the method runs once untimed, so that caches are warm.
+QUICK = 0.5
 SLOW = 3.0  # s: a slower call has no warm-up on each pair
 SLOW_ROUNDS = 3  # rounds of such a slow method, at most
 

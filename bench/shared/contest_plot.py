@@ -17,7 +17,7 @@ from bench.shared.figures import BLUE, VERMILION, tidy
 
 OURS = VERMILION
 THEIRS = BLUE
-DIRECTIONS = 16  # in which a label is tried around its mark
+DIRECTIONS = 16  # directions from a mark in which its label is tried
 DISTANCES = (7, 10, 14, 20, 28, 38, 50)  # points, at which a label is tried
 LEADER_FROM = 14  # points: a label at this distance or more has a line to its mark
 LOGARITHMIC_FROM = 4  # ratio of largest to smallest error: above, the axis is logarithmic

@@ -1,4 +1,4 @@
-"""Processes that run methods of other libraries, and the environment that they need."""
+"""Processes that run methods of other libraries, and their environment."""
 
 import json
 import os
@@ -34,7 +34,7 @@ def prepare(folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class Survey:
-    """Methods that an interpreter can run: library → version, and method → why not, or ""."""
+    """Methods of an interpreter: library → version, and method → why it cannot run, or ""."""
 
     versions: dict[str, str]
     reasons: dict[str, str]
@@ -65,7 +65,7 @@ def survey(python: Path) -> Survey:
 
 
 def find_peers(python: Path | None) -> tuple[Path, Survey]:
-    """Return an interpreter, by default this one, and its methods; none if the worker fails."""
+    """Return an interpreter, by default this one, and its methods; no methods if it fails."""
     python = python or Path(sys.executable)
     try:
         return python, survey(python)

@@ -1,12 +1,12 @@
 """Process that runs one method of another library in an environment of its own.
 
 It needs NumPy and the library of the method, but neither tisfm nor the rest of the bench. OpenCV's
-contrib build has the same name cv2 as the plain one, so a process cannot have both.
+contrib build has the same name cv2 as the plain build, so a process cannot load both.
 
 ``peer_worker.py survey`` prints the methods that can run, as JSON. ``peer_worker.py serve NAME
 THREADS`` prints ``{"ready": true}``, then answers each line of JSON on standard input,
-``{"frames": [PATH, PATH], "flow": PATH}``, with one of its own: the flow is written to its path,
-and the wall and processor time of the call are returned, or an error. Frames are (H, W) uint8 in
+``{"frames": [PATH, PATH], "flow": PATH}``, with a line: the flow is written to its path, and the
+line has the wall and processor time of the call, or an error. Frames are (H, W) uint8 in
 .npy files.
 """
 

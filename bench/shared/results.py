@@ -1,4 +1,4 @@
-"""Results of a run: tables, bounds that figures are held to, and their files in bench/results."""
+"""Results of a run: tables, figures with their bounds, and files in bench/results."""
 
 import json
 import platform
@@ -62,7 +62,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Bar:
-    """A figure and the bound it is held to.
+    """A figure and its bound.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Bar:
 
     @property
     def met(self) -> bool:
-        """Whether the figure was measured and keeps to its bound."""
+        """Whether the figure was measured and is within its bound."""
         if self.value is None:
             return False
         if self.bound is None:

@@ -1,4 +1,4 @@
-"""A process that answers each line of JSON on its standard input with one of its own."""
+"""A process that answers each line of JSON on its standard input with a line of JSON."""
 
 import contextlib
 import json
@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-LAST_WORDS = 3  # lines of the messages of a dead worker that are shown
+LAST_WORDS = 3  # last lines of the messages of a dead worker, which are shown
 PATIENCE = 20.0  # s until a worker that should end is killed
 
 

@@ -45,9 +45,9 @@ class ResultFrame:
         (τ, ω)·f of the model in which every pixel has its own motion.
     stored_flow : (H, W, 2) float32 or None
         Image motion to the next frame, px, if the result stores it.
+    motions : dict of int to ((6,) twist, (4, 4) pose)
         By label, the motion relative to the camera until the next frame, in the unit of depth;
         empty if unknown.
-        unknown.
     """
 
     number: int

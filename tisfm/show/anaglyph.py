@@ -50,9 +50,9 @@ def dubois(
         Least-squares matrices: the set of 2009, or the original set for CRT displays.
     linear : bool
         Whether to undo the sRGB transfer curve before the matrices and apply it after them. The
-        default is True because the matrices were fitted to linear light: part of the view of one
-        eye leaks through the filter of the other, adds up as light, and the negative entries cancel
-        it. False applies the matrices to coded values, as much software does.
+        default is True because the matrices were fitted to linear light. Part of the view of one
+        eye leaks through the filter of the other eye and adds up as light; the negative entries
+        cancel it. False applies the matrices to coded values, as much software does.
 
     Returns
     -------

@@ -186,7 +186,7 @@ def draw_bar(
     sizes: Sizes,
     below: bool,
 ) -> Axes:
-    """Draw a colour bar beside or below a picture; the picture gives way within its axes.
+    """Draw a colour bar beside or below a picture; the picture shrinks within its axes.
 
     Parameters
     ----------

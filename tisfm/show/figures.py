@@ -54,7 +54,7 @@ _TITLES = {
     "truth": "True flow",
 }
 _SUFFIXES = (".jpeg", ".jpg", ".pdf", ".png", ".svg", ".tif", ".tiff")
-# Without these a file states its time, and two runs never write the same file.
+# Without these entries, a file contains its time, and no two runs write the same file.
 _UNDATED = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
 _PANEL_FIGURE_RATIO = 1.6  # width over height of a figure of panels, set by hand
 

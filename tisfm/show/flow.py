@@ -12,8 +12,8 @@ from tisfm.metrics.valid_pixels import is_known
 from tisfm.show.arrays import as_flow, check_limit
 from tisfm.show.palette import FLOW_PERCENTILE
 
-# Hues of the wheel (Baker et al.): steps from each corner of the colour cube to the next. There are
-# more steps where the eye distinguishes more hues.
+# Hues of the wheel (Baker et al.): number of steps from each corner of the colour cube to the next.
+# There are more steps where the eye distinguishes more hues.
 _HUE_STEPS = (
     ((255, 0, 0), 15),  # red to yellow
     ((255, 255, 0), 6),  # yellow to green

@@ -227,7 +227,7 @@ def arrange(
     letters = int((width - 2 * _MARGIN) / _CHARACTER * _TITLE_SIZE / _HEADING_SIZE)
     heading_lines = textwrap.wrap(heading or "", letters)
 
-    # In inches from the top down. Matplotlib counts from below: y is turned round at the end.
+    # Inches from the top down. Matplotlib counts from below, so y is flipped at the end.
     y = _MARGIN + len(heading_lines) * _HEADING_LINE
     boxes = []
     middles = []

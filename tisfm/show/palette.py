@@ -35,7 +35,7 @@ FLOW_PERCENTILE = 98.0
 INK = "#0a0b0c"  # lines and text
 FAINT = "#8c8c8c"  # grids and frames
 ESTIMATE = "#0072b2"  # curves of results
-OTHER = "#d55e00"  # curves in contrast to these
+OTHER = "#d55e00"  # curves that contrast with results
 HIDDEN = (255, 0, 60)  # pixels that are not visible in the next frame
 
 _MAPS = {

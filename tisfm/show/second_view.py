@@ -104,7 +104,7 @@ def _shifts(inverse_depth: NDArray[Any], displacement: float) -> NDArray[np.int3
 
 
 def _nearest_source(shifts: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return, for each place of the second view, the column it shows, or -1 for none.
+    """Return the column that each pixel of the second view shows, or -1 for none.
 
     Parameters
     ----------
@@ -117,15 +117,15 @@ def _nearest_source(shifts: NDArray[np.int32]) -> NDArray[np.int32]:
         Column of the nearest of the pixels that land here.
     """
     height, width = shifts.shape
-    margin = int(shifts.max(initial=0))  # what leaves the picture lands there, and is cut off
+    margin = int(shifts.max(initial=0))  # pixels that leave the picture land there, and are cut off
     columns = np.tile(np.arange(width, dtype=np.int32), (height, 1))
     starts = (margin + width) * np.arange(height)[:, None]
     targets = margin + columns - shifts
     source = np.full((height, margin + width), -1, dtype=np.int32)
-    # Columns come in order, so that the last one stays: it is the greatest.
+    # Columns are written in ascending order, so the greatest column stays.
     source.reshape(-1)[(starts + targets).reshape(-1)] = columns.reshape(-1)
-    # A surface that turns away is stretched: neighbours land two places apart. The place between
-    # them belongs to that surface, and nothing behind it may shine through.
+    # A surface that turns away is stretched: neighbours land two columns apart. The column between
+    # them belongs to that surface; nothing behind may show through.
     stretched = np.flatnonzero(shifts[:, 1:] - shifts[:, :-1] == -1)
     row, column = np.divmod(stretched, max(1, width - 1))
     between = row, targets[row, column] + 1
@@ -151,8 +151,8 @@ def _fill_rows(source: NDArray[np.int32]) -> NDArray[np.int32]:
 def _fill_from_behind(source: NDArray[np.int32], shifts: NDArray[np.int32]) -> NDArray[np.int32]:
     """Give each empty column (−1) the mirror image of the farther of both sides of its row.
 
-    If both sides are equally far, the nearer column decides. The pixel at the side itself is taken
-    if the mirror image is nearer to the camera or lies outside the picture.
+    If both sides are equally far, the nearer column decides. If the mirror image is nearer to the
+    camera or outside the picture, the pixel at the side itself is used.
     """
     height, width = source.shape
     flat = source.reshape(-1)

@@ -38,8 +38,8 @@ def stereo_view(
 ) -> NDArray[np.uint8]:
     """Make the view of another eye from one picture and its depth.
 
-    The picture is the view of the left eye, ``eye=0``. Points nearer than the screen stand out
-    before it, farther points lie behind. Parts that only the other eye would see are filled by the
+    The picture is the view of the left eye, ``eye=0``. Points nearer than the screen appear in
+    front of it, farther points behind. Parts that only the other eye would see are filled by the
     mirror image of the background.
 
     Parameters
@@ -106,7 +106,7 @@ def stereo_view(
     (shown,) = as_uint8(picture)
     seen = shown if eye == 0 else _view_beside(shown, parallax, eye)
     view = _inner_part(seen, parallax) if crop else seen
-    return view.copy() if view is shown else view  # never the given picture itself
+    return view.copy() if view is shown else view  # not the array of the caller
 
 
 def check_disparity(disparity: float) -> float:

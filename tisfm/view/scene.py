@@ -303,7 +303,7 @@ class ViewerScene:
 
 
 def _spread(centers: NDArray[np.float64], apart: float) -> NDArray[np.int_]:
-    """Return indices of the positions that get a frustum: at most `MAX_FRUSTA`, `apart` or more."""
+    """Return indices of the positions that get a frustum: few, and at least `apart` apart."""
     every = np.unique(np.linspace(0, len(centers) - 1, MAX_FRUSTA).astype(int))
     taken = [int(every[0])]
     for k in every[1:]:
