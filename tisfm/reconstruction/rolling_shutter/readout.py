@@ -30,8 +30,8 @@ OUTLIER_PIXELS = (3.0, 1.0)
 STEPS_PER_SCALE = 4
 # Damping of the steps, as a share of the diagonal.
 DAMPING = 1e-4
-# Damping of the system that gives the standard deviation, as a share of the diagonal. A larger one
-# would act as a prior, and hide that the focal length or poses explain the same effect.
+# Damping of the system that gives the standard deviation, as a share of the diagonal. Larger
+# damping would act as a prior, and hide that the focal length or poses explain the same effect.
 MIN_DAMPING = 1e-10
 # Depth, in the unit of the poses: nearer points are not visible.
 MIN_DEPTH = 1e-6

@@ -43,10 +43,10 @@ class SlidingSolution:
     held : dict of int to (4, 4) float64
         Fixed poses, by frame.
     lost : dict of int to Status
-        Frames without a pose, of those that are not final yet.
+        Reason for each frame that is not settled yet and has no pose.
     rolling : Rolling or None
-        With a rolling shutter: the motion of frames that are not final yet while their rows were
-        read. Poses and points are those of middle rows then.
+        With a rolling shutter: the motion of unsettled frames while their rows were read. Poses and
+        points are those of middle rows then.
     """
 
     pieces: dict[int, Piece]
@@ -95,7 +95,7 @@ class RecentObservations(Sequence[Observations]):
 class SlidingPath:
     """Finds the camera path of an endless sequence, frame by frame.
 
-    Settled poses are final. The path of later frames starts from the last views with settled poses:
+    Settled poses are final. The path of later frames continues the last views with settled poses:
     so it has the same axes and scale.
 
     Parameters

@@ -38,8 +38,8 @@ from tisfm.sources.frame_reader import warn_notes
 from tisfm.status import Status
 from tisfm.trajectory.times import time_fault
 
-# The delay divided by this number: frames at the end that the path uses already, and that are
-# yielded with later ones.
+# The delay divided by this number: number of the last frames that help to find the path, but are
+# yielded in a later call.
 LOOKAHEAD_DIVISOR = 3
 
 
@@ -77,7 +77,7 @@ class Stream:
         self._keys: dict[int, tuple[int, WindowDepth]] = {}  # last keyframe of each piece
         self._begun: set[int] = set()  # pieces with yielded frames
         self._told = 0
-        self._notes: list[str] = list(source.notes)  # that have no warning yet
+        self._notes: list[str] = list(source.notes)  # notes without a warning yet
         self._have_times_fault = False
 
     def frames(self) -> Iterator[StreamedFrame]:
@@ -296,7 +296,7 @@ class Stream:
 
 
 class _InOrder:
-    """Depth of the frames of a piece in order of frames; keyframes come earlier from `PieceDepths`.
+    """Depth of frames in order; `PieceDepths` yields keyframes before the frames between them.
 
     Attributes
     ----------
