@@ -46,7 +46,7 @@ def write_animation(path: Path, result: Interpretation, *, width: int = 360) -> 
     result : Interpretation
         The frame and its inverse depth.
     width : int, default 360
-        Of the pictures, px.
+        Width of the pictures, px.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def animation_frames(result: Interpretation, *, width: int = 360) -> list[Pictur
     result : Interpretation
         The frame and its inverse depth.
     width : int, default 360
-        Of the pictures, px.
+        Width of the pictures, px.
     """
     rows, columns = result.inverse_depth.shape
     height = max(1, round(rows * width / columns))

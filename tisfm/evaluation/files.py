@@ -42,8 +42,8 @@ class EvaluationWriter:
     ``DATASET/NAME_flow.png`` (recovered beside true flow) and ``DATASET/NAME_error.png`` (end-point
     error, on one scale for all pairs); with a true and a recovered depth,
     ``DATASET/NAME_depth_error.png`` (both on one scale, and the relative error). The record,
-    ``eval.json``, is written first and replaced after every pair: it always lists the pairs whose
-    files are complete. Its "complete" turns true at the end.
+    ``eval.json``, is written first and replaced after every pair: it always lists the pairs with
+    complete files. At the end, its "complete" becomes true.
 
     Parameters
     ----------

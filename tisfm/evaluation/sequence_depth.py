@@ -40,7 +40,7 @@ class FrameDepthErrors:
     scale : float or None
         Best scale for this frame alone: the median of d*/d. None without depth.
     flicker : float or None
-        As `tisfm.metrics.flicker`, from this frame to the next; None if one of them is missing.
+        As `tisfm.metrics.flicker`, from this frame to the next; None if a depth map is missing.
     """
 
     frame: int
@@ -63,7 +63,7 @@ class SequenceDepthErrors:
         Frames among these without depth.
     scale : float
         Factor for all depth: the median of d*/d over the pixels of all frames, or 1 if the poses
-        were given. d is the found inverse depth, d* the true one.
+        were given. d is the estimated depth, d* the true depth.
     error : float
         Median over frames, see `FrameDepthErrors`.
     certain : float or None

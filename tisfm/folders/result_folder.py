@@ -113,7 +113,7 @@ def locked_folder(folder: str | os.PathLike[str], *, reentrant: bool = False) ->
     try:
         remove_temporaries(path)
         yield
-        remove_temporaries(path)  # of worker processes of this run that were killed
+        remove_temporaries(path)  # files of killed worker processes of this run
     finally:
         reentrant_folders.discard(name)
         with contextlib.suppress(OSError):  # Windows does not remove an open file

@@ -344,9 +344,8 @@ def motion_rows(result: Interpretation, *, pose: np.ndarray | None = None) -> np
     Returns
     -------
     (K, 12) float64 or None
-        The rows of (R | t), one after the other: P₁ = R P₀ + t, with t in the unit of
-        `Interpretation.depth`; NaN where the interpretation diverged. None for
-        ``motion="field"``.
+        Each row holds the three rows of (R | t): P₁ = R P₀ + t, with t in the unit of
+        `Interpretation.depth`; NaN where the interpretation diverged. None for ``motion="field"``.
     """
     if result.motions is None:
         return None

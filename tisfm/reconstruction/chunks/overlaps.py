@@ -62,7 +62,7 @@ class ChunkOverlap:
 def overlap_sim3(
     first: Reconstruction, second: Reconstruction, shared: Shared
 ) -> np.ndarray | None:
-    """Return the similarity from one piece's coordinates to another's; None if it is unknown.
+    """Return the similarity between two pieces; None if it is unknown.
 
     Parameters
     ----------

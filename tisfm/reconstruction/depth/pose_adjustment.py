@@ -102,7 +102,7 @@ def make_keyframe_window(
     frame : (H, W) float32
         Grey levels of the keyframe.
     inverse_depth, deviation : (H, W) float32
-        Its inverse depth and the standard deviation. Pixels with a large deviation have a small
+        Its inverse depth and the standard deviation. A pixel with a large deviation gets a small
         weight.
     counted : (H, W) bool, optional
         Pixels that are used; by default all.

@@ -73,7 +73,7 @@ MAX_DEPTH_FACTOR = 2.0
 FAR_SHARE = 0.01
 # Smallest standard deviation of D, in cells.
 MIN_DEVIATION = 0.005
-# The share of the residuals of nearby constraints that is added to it,
+# The share of the residuals of nearby data terms that is added to it,
 RESIDUAL_SHARE = 0.07
 # and the largest residual that counts, in cells.
 MAX_RESIDUAL = 2.5
@@ -100,7 +100,7 @@ class WindowDepth:
     inverse_depth : (H, W) float32
         1/unit of the poses; positive.
     deviation : (H, W) float32
-        Its standard deviation.
+        Standard deviation of the inverse depth.
     believed : (h, w) bool
         Cells, 2^`level` px a side, with a reliable match.
     level : int
@@ -143,7 +143,7 @@ def window_depth(
     key_mask : (H, W) bool, optional
         Pixels of the keyframe that count; the others get propagated depth.
     masks : sequence of (H, W) bool or None, optional
-        The same of every other frame.
+        Pixels of each other frame that count.
     whole : (int, int), optional
         H and W of the uncropped frames, as for `Window`.
 

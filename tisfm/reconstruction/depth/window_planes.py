@@ -343,7 +343,7 @@ def _hide(levels: np.ndarray, mask: np.ndarray) -> None:
 
 
 def _share_of_cells(mask: np.ndarray, side: int) -> np.ndarray:
-    """Return the covered share of every cell, `side` px wide, by a mask, (h, w) float32."""
+    """Return the share of every cell, `side` px wide, that a mask covers, (h, w) float32."""
     height, width = (-(-length // side) for length in mask.shape)
     below, right = side * height - mask.shape[0], side * width - mask.shape[1]
     padded = cv2.copyMakeBorder(

@@ -10,7 +10,7 @@ from tisfm.reconstruction.frames.image_motion import ImageMotion, pixel_grid, sa
 
 # px: largest shift of a boundary.
 MAX_SHIFT = 10
-# px: width of the rim of an object whose motion is unreliable.
+# px: width of the rim of an object, where its motion is unreliable.
 RIM_WIDTH = 5
 # Pixels of an object inside this rim; with fewer, the whole object is used.
 MIN_CORE = 30

@@ -42,8 +42,7 @@ REACH_SHARE = 0.1
 MIN_QUADRATIC = 0.5
 # Visible share of an object that is needed for an affine motion; with less, one velocity is fitted.
 MIN_AFFINE = 0.15
-# Standard deviations: pixels that differ by more from the motion of an object belong to another
-# one.
+# Standard deviations from the motion of an object beyond which pixels belong to another object.
 MAX_MOTION_DEVIATIONS = 4.0
 # Largest error of such pixels from a motion fitted to them, as a share of their error from the
 # known motions.
@@ -64,12 +63,12 @@ UNKNOWN_WEIGHT = 0.02
 MAX_OBJECTS = 254
 # Frames in which an object has to be seen.
 MIN_FRAMES = 4
-# A smaller object is a part of a larger one if it touches it in this share of its frames, and
-# their motions differ by less than MAX_SAME_MOTION,
+# An object is a part of a larger object if they touch in this share of the frames of the smaller
+# one, and their motions differ by less than MAX_SAME_MOTION,
 MIN_TOUCHING = 0.7
-# or if it touches it in this share of its frames,
+# or if they touch in this share of the frames of the smaller one,
 MIN_TOUCHING_LOOSE = 0.3
-# and in this share of the frames that show both, and their motions differ by less than
+# and in this share of the frames with both objects, and their motions differ by less than
 # MAX_SIMILAR_MOTION.
 MIN_TOUCHING_OF_BOTH = 0.6
 # Difference of two motions, as a share of the faster one.
@@ -97,9 +96,9 @@ class _Object:
     pixels : int
         Its labelled pixels in all frames.
     motions : dict of int to (2,) float64
-        By frame: its mean motion minus that of its surroundings, px/frame.
+        By frame: its mean motion minus the motion of its surroundings, px/frame.
     places : dict of int to (3,) float64
-        By frame: its centre, (x, y), and its size, the root of its area, px.
+        By frame: its centre, (x, y), and its size, the square root of its area, px.
     """
 
     id: int
@@ -124,7 +123,7 @@ class ObjectTracker:
     ----------
     motion : ImageMotion
     evidence : sequence of Evidence
-        Of every frame, accumulated over the frames around it.
+        Evidence of every frame, accumulated over the frames around it.
     """
 
     def __init__(self, motion: ImageMotion, evidence: Sequence[Evidence]) -> None:
@@ -147,7 +146,7 @@ class ObjectTracker:
             yield table[labels]
 
     def _label_frame(self, frame: int, before: np.ndarray | None) -> np.ndarray:
-        """Return the labels of a frame, (H, W) int32, given those of the previous one."""
+        """Return the labels of a frame, (H, W) int32, from the labels of the previous frame."""
         grey = self._motion.grey(frame)
         labels = np.zeros(grey.shape, np.int32)
         carried = np.zeros_like(labels) if before is None else self._propagate(frame, before)

@@ -24,9 +24,9 @@ FRAME_STEPS = (1, 3)
 MIN_DEVIATION = 1.5e-4
 # Standard deviations from the motion of the camera at which evidence is neutral.
 NEUTRAL_DEVIATIONS = 3.0
-# Evidence of one frame for a static pixel, at most.
+# Evidence of one frame for a clearly static pixel.
 STATIC_EVIDENCE = -1.0
-# Evidence of one frame for a moving pixel, at most.
+# Largest evidence of one frame for a moving pixel.
 MOVING_EVIDENCE = 3.0
 # Weight, in frames, of the prior that a pixel is static.
 STATIC_PRIOR = 0.3
@@ -44,7 +44,7 @@ TRIED_DEPTH_FACTOR = 3.0
 TRIED_STEP = 2.0
 # Smallest and largest number of static positions that are tried.
 TRIED_COUNTS = (8, 32)
-# Smallest depth, in the unit of depth.
+# Smallest depth of a point in another frame, as a share of its depth in this frame.
 MIN_DEPTH = 0.05
 
 

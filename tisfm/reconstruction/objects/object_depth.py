@@ -35,7 +35,7 @@ def objects_with_depth(
     folder : Path
         The folder of the depth files.
     poses : (N, 4, 4) array
-        Camera to world; NaN for a frame without one.
+        Camera to world; NaN for a frame without a pose.
     piece : (N,) int array
         The piece of each frame; −1 for none. Objects are placed in the largest piece.
     settings : Settings
@@ -99,7 +99,7 @@ def place_object(
     obj : MovingObject
     found_path : ObjectPath
     poses : (N, 4, 4) array
-        Of the camera, camera to world.
+        Poses of the camera, camera to world.
     scale : float
         Length of the unit of `found_path`, in the unit of the world.
     scale_from : {"size", "contact", "around", "none"}

@@ -25,7 +25,7 @@ from tisfm.settings import Settings
 MIN_FRAMES = 3
 # Pixels of the object in each of these frames.
 MIN_PIXELS = 400
-# px: width of the rim of an object without tracks.
+# px: width of the rim of an object in which there are no tracks.
 RIM_WIDTH = 5
 # px: smallest distance between tracks.
 MIN_TRACK_DISTANCE = 6

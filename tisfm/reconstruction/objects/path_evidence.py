@@ -78,9 +78,7 @@ def path_evidence(
     usual += MIN_DEVIATION / 2 * max(shape)  # many frames are more certain than one
     says = np.clip((far / (usual * NEUTRAL_DEVIATIONS)) ** 2 - 1, STATIC_EVIDENCE, MOVING_EVIDENCE)
     near = inverse_depth[resting & (says < 0)]
-    last = {
-        led.frame > frame: (led, at_rest) for led, at_rest in views
-    }  # the last view on each side
+    last = {led.frame > frame: (led, at_rest) for led, at_rest in views}  # by side
     compared = [
         (motion.grey(led.frame), led.places, led.found, at_rest) for led, at_rest in last.values()
     ]
