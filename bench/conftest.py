@@ -35,7 +35,7 @@ def pytest_generate_tests(metafunc):
     sizes = metafunc.config.getoption("sizes").split(",")
     lanes = [int(count) for count in metafunc.config.getoption("lanes").split(",")]
     if "problem" in metafunc.fixturenames:
-        # by session, so that all benchmarks of one size run before the next size
+        # By session, so that all benchmarks of one size run before the next size.
         metafunc.parametrize("problem", sizes, indirect=True, scope="session")
     if "lanes" in metafunc.fixturenames:
         metafunc.parametrize("lanes", lanes, ids=[f"lanes{count}" for count in lanes])

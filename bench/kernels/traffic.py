@@ -49,7 +49,7 @@ TRAFFIC = {
     "sweep separate": Traffic(read=(5, 3), written=(0, 1)),  # tensor without J_tt, b, ρ̂ | ρ̂
     "sweep joint": Traffic(read=(7, 1), written=(0, 1)),
     "sweep line": Traffic(read=(5, 0), written=(1, 0)),  # J11, j1, b, D | D
-    # For red and for black: tensor, b, ρ̂ | ρ̂. Lines of the own color alone: tensor | ρ̂.
+    # For red and for black: tensor, b, ρ̂ | ρ̂. Lines of one color spare tensor | ρ̂ of the other.
     "sweep_unfused joint": Traffic(read=(14, 2), written=(0, 2), spared=(5, 1)),
     # constraints, g, tensor, b, ρ̂, previous | tensor, b, previous
     "update separate": Traffic(read=(17, 4), written=(6, 3)),

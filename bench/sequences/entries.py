@@ -9,7 +9,7 @@ from bench.shared.command import Parser
 from bench.shared.sequences import data_folder
 from tisfm.datasets import DatasetSequence, LoadedSequence, find_sequences
 
-# Folder, and the step from frame to frame
+# Folder, and the step from frame to frame.
 SELECTED = (
     ("new_tsukuba", 1),
     ("tartanair", 1),

@@ -20,7 +20,7 @@ SMOKE_SIZE = (96, 128)  # px, height and width of scenes in a smoke run
 SCENE_SIZE = (480, 640)  # px, of scenes without a folder of sequences
 COUNTS = ("threads", "rounds", "repetitions", "frames")  # options that are 1 or more
 
-# Option → arguments for argparse
+# Option → arguments for argparse.
 OPTIONS: dict[str, dict[str, Any]] = {
     "data": {"type": Path, "metavar": "DIR", "help": "sequences; default: TISFM_DATA"},
     "pairs": {"nargs": "+", "metavar": "WORD", "help": "pairs with a WORD in the name"},

@@ -19,8 +19,8 @@ from tisfm.metrics import angular_error, endpoint_error, outlier_rate
 from tisfm.settings import Preset, Settings
 
 WARM_UP = (96, 128)  # px, of the first call of every method
-# S: before a timed call that is faster, the method runs once untimed, so that caches are warm.
-QUICK = 0.5
+# A method that takes less runs once untimed before each timed call, so that caches are warm.
+QUICK = 0.5  # s
 SLOW = 3.0  # s: a slower call has no warm-up on each pair
 SLOW_ROUNDS = 3  # rounds of such a slow method, at most
 

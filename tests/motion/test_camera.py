@@ -47,7 +47,7 @@ def test_rho_is_the_field_of_the_flow(result, scene):
     height, width = scene.depth.shape
     expected = flow_of(motion_matrix(scene.camera, height, width, 6), result.rho.astype(float))
     np.testing.assert_allclose(np.moveaxis(result.flow, -1, 0), expected, atol=2e-5)
-    # Except for the finite motion, it is the field of the twist.
+    # To first order in the motion, it is the field of the twist.
     first_order = result.motions[0][:3, None, None] * result.inverse_depth
     assert np.abs(result.tau - first_order).max() * scene.camera.focal < 0.6
     np.testing.assert_allclose(result.tau[2], first_order[2], atol=1e-7)

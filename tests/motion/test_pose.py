@@ -20,7 +20,7 @@ def test_known_pose_gives_metric_depth(small):
     found = pose_errors(pose_matrix(result.motions[0]), pose)
     assert found.direction < 1e-4 and found.rotation < 1e-4
     assert np.linalg.norm(result.motions[0][:3]) == pytest.approx(1)
-    # in another unit, depth scales and the motion stays
+    # In another unit, depth scales and the motion stays.
     pose[:3, 3] *= 1000
     again = interpreted(small, pose=pose)
     np.testing.assert_allclose(again.depth, 1000 * result.depth, rtol=1e-4)

@@ -1,7 +1,7 @@
 """Boxes of the cars in the 24 frames of KITTI's `kitti_cars`, drawn by hand.
 
-The camera moves 3.8 m in 16 frames: the traffic light, and all at rest, comes 3.8 m nearer. A car
-whose distance changes otherwise moves. Distances are from the laser scanner.
+The camera moves 3.8 m in 16 frames: everything at rest, such as the traffic light, comes 3.8 m
+nearer. A car moves if it comes nearer by less. Distances are from the laser scanner.
 """
 
 from dataclasses import dataclass
@@ -87,7 +87,7 @@ CARS = (
             23: (587, 179, 641, 194),
         },
     ),
-    # All cars below stand. The front wheel comes nearer by as much as the lines on the road.
+    # The cars below stand. The front wheel of this car comes nearer like the lines on the road.
     Car(
         name="hatchback on the left",
         distance=5.4,

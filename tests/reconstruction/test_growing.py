@@ -66,7 +66,7 @@ EVEN, BENT = 0.9, 0.5  # scores of the worst view, over the median
     [
         ([(0.83, BENT), (0.99, EVEN)], 1, 2),  # a bent model with a high score
         ([(0.7, EVEN), (0.99, EVEN)], 0, 1),
-        # The scores differ by noise: two lead to the same.
+        # The scores differ by noise: two first pairs lead to the same model.
         ([(0.55, EVEN), (0.551, EVEN), (0.9, EVEN)], 1, 2),
         ([(0.83, BENT), (0.55, EVEN), (0.83, BENT)], 0, 3),
         ([(0.3, BENT), (0.83, BENT), (0.5, EVEN), (0.99, EVEN)], 1, 3),  # at most three are grown

@@ -12,7 +12,7 @@ from tisfm.datasets import find_sequences
 pytestmark = pytest.mark.nightly  # test_below_ground.py tests a rendered street
 
 MEASURED = (0, 8, 16)  # frames in which moving cars must be labelled
-# Cars that are more than half hidden do not count as moving; parked cars count at any distance.
+# Moving cars count if they are near and at least half visible; parked cars at any distance.
 MOVING = [car for car in CARS if car.moves and not car.hidden and car.distance <= NEAR]
 STANDING = [car for car in CARS if not car.moves]
 

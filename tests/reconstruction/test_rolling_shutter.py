@@ -135,7 +135,7 @@ def test_one_thread_gives_the_same_bits():
 @pytest.mark.parametrize(
     ("readout", "deviation", "seen"),
     [(0.8, 0.1, True), (-0.8, 0.1, True), (0.3, 0.1, False), (1.3, 0.1, True), (1.5, 0.1, False),
-     (-2.1, 0.49, False)],  # nothing that a camera has could be told from 0
+     (-2.1, 0.49, False)],  # with this deviation, no possible readout time differs from 0
 )  # fmt: skip
 def test_a_readout_is_taken_where_it_differs_from_none_and_a_camera_may_have_it(
     readout, deviation, seen

@@ -148,7 +148,7 @@ class PairFrames:
         return self.result(number).inverse_depth
 
     def has_depth(self, number: int) -> bool:
-        """Return whether a pair has depth, and no status that says that its depth is wrong."""
+        """Return whether a pair has depth that its status does not call wrong."""
         if self.statuses[number] in ("diverged", "pose_mismatch"):
             return False
         if number not in self._depth_known:

@@ -1,7 +1,7 @@
 """Pictures of depth and motion, as arrays and as figures.
 
-Here: one visual language, whose colours differ with a colour vision deficiency as well. Functions
-take arrays. ``…_to_color`` and similar functions return uint8 pictures, red, green, blue.
+Here: pictures in common colours, which people with a colour vision deficiency can tell apart.
+Functions take arrays. ``…_to_color`` and similar functions return uint8 pictures, red, green, blue.
 ``draw_…`` draw into axes of Matplotlib, which are emptied first, with a legend and units, and
 return the axes. ``…_figure`` return a figure, which is a mosaic of panels drawn by ``draw_…``.
 Ranges are given as `limit`, so that all pictures of a sequence can share one. Arrays with masked

@@ -16,7 +16,7 @@ _WIDTH_OF_THIN_LINE = 400  # px, width of a picture with outlines of 1 px; set b
 def label_colors(count: int) -> NDArray[np.uint8]:
     """Return a colour for each label: light grey for 0, the background.
 
-    The colours differ with a colour vision deficiency as well.
+    People with a colour vision deficiency can tell the colours apart.
 
     Parameters
     ----------

@@ -61,7 +61,7 @@ def reading_html(reading: PixelReading | None, unit: str) -> Markup:
 
 
 def outside_html(row: int, column: int, shape: tuple[int, int]) -> Markup:
-    """Return that a pixel lies outside the frame, and the size of the frame."""
+    """Return a note that a pixel lies outside the frame, with the size of the frame."""
     height, width = shape
     text = f"Column {column}, row {row} is outside: the frame has {height} × {width}"
     return _lines("outside", [f"{text}, rows by columns."])
@@ -95,7 +95,7 @@ def note_html(text: str) -> Markup:
 
 
 def waiting_html(reason: str, progress: str = "", *, is_running: bool = True) -> Markup:
-    """Return why there is nothing to look at, how far the run is, and whether it goes on."""
+    """Return the reason of waiting, the progress of the run, and whether it goes on."""
     lines = ["", f"{progress}."] if progress else [""]
     if is_running:
         lines.append("This page shows the result as soon as there is one.")

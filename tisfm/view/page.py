@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 COARSE = 15_000  # points of a frame right after a change
 _GROWTH = 1.2  # ratio of frame counts from which path and ranges of a growing result are renewed
 _RANGE_CHANGE = 1.25  # ratio of ranges up to which colours stay as they are
-_SIZE_CHANGE = 1.5  # ratio of scene depths from which browsers look from elsewhere
+_SIZE_CHANGE = 1.5  # ratio of scene depths from which browsers get a new viewpoint
 _PICTURE_WIDTH = 420  # px, of pictures beside the scene
 
 
@@ -101,7 +101,7 @@ class ViewerPage:
         self.server.scene.on_click()(lambda event: self._clicked(event))
         self.server.on_client_connect(self.browsers.welcome)
         self.draw(coarse=True)
-        self.browsers.go_all()  # browsers of a server that was taken over look elsewhere
+        self.browsers.go_all()  # browsers of a server that was taken over have another viewpoint
         self.thread.start()
 
     @property
@@ -260,7 +260,7 @@ class ViewerPage:
         self.thread.put(self._renew_ranges)
 
     def _begin_again(self, number: int) -> None:
-        """Show another result; settings of the controls stay where it has them too."""
+        """Show another result; controls that it also has keep their settings."""
         depth = self.scene.depth
         self.cache.clear()
         self.fused.clear()

@@ -20,8 +20,8 @@ def picked_point(
 ) -> int | None:
     """Return the index of the point that a ray hits; None without a hit.
 
-    Of the points near the ray, those of the nearest surface count, and the one nearest to the ray
-    is hit.
+    Only points of the nearest surface near the ray count; of these, the point nearest to the ray is
+    hit.
 
     Parameters
     ----------

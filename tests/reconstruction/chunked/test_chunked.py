@@ -140,7 +140,7 @@ def test_given_poses_are_those_of_the_result(frames, tmp_path):
 
 
 def test_a_camera_is_guessed_once(tmp_path):
-    """By the first file, though those of later chunks state another focal length."""
+    """The first file gives the guess, although files of later chunks state another focal length."""
     source = write_frames(tmp_path / "film", film().frames)
     for k in range(COUNT):
         exif = PIL.Image.Exif()
