@@ -38,10 +38,7 @@ ENDINGS = {
 }
 """Endings of the files of a pair, by output."""
 FOUND = ("depth16_values_per_unit", "depth_range", "flow_limit", "screen_at")
-_LEAST_APART, _SHARE = (
-    1.0,
-    20.0,
-)  # between two writings: s, and multiples of the time of the last one
+_LEAST_APART, _SHARE = 1.0, 20.0  # between writings: s, and durations of the last writing
 _COLUMNS = (
     "pair", "status", "message", "time0", "time1", "speed", "occluded", "confidence", "tx", "ty",
     "tz", "rx", "ry", "rz",
@@ -51,8 +48,9 @@ _COLUMNS = (
 class RunRecord:
     """The contents of ``run.json``, from which an interrupted run is resumed.
 
-    The file is written as pairs finish, with at most a twentieth of the time, and at the end. A
-    pair counts as finished if it has an entry, and all its files have the check sums in the entry.
+    The file is written while pairs finish, which takes at most a twentieth of the time, and at the
+    end. A pair counts as finished if it has an entry, and all its files have the check sums in the
+    entry.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ class PairWriter:
     folder : Path
     camera : Camera
     files : PairFiles
-        Writes the files of a pair alone.
+        Writes the files of a pair without the record.
 
     Raises
     ------

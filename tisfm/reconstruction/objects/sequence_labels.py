@@ -20,10 +20,8 @@ from tisfm.reconstruction.objects.motion_evidence import (
 from tisfm.reconstruction.objects.moving_regions import REGION_EVIDENCE
 from tisfm.reconstruction.objects.path_evidence import path_evidence
 
-KNOWN, HALF = (
-    0.3,
-    STATIC_EVIDENCE / 2,
-)  # static depth needs evidence of more than KNOWN frames, with a mean below HALF
+# Static depth needs evidence of more than KNOWN frames, with a mean below HALF.
+KNOWN, HALF = 0.3, STATIC_EVIDENCE / 2
 
 
 class SequenceLabels:

@@ -36,7 +36,7 @@ class MovingObject:
         roughly, the depth around it; ``"none"``: it has no poses, or there is no depth to scale it
         by.
     message : str
-        Why it has no poses or only a few.
+        The reason why it has no poses or only a few.
 
     Examples
     --------
