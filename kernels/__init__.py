@@ -1,7 +1,7 @@
 """Taichi kernels of tisfm, installed as ``tisfm.kernels``.
 
-Every kernel is reached through the function that wraps it: the wrapper checks dtype, shape and
-writability, because a kernel that writes outside an array corrupts memory silently.
+Call kernels only through their wrapper functions. A wrapper checks dtype, shape and writability,
+because a kernel that writes outside an array corrupts memory without an error.
 """
 
 import os
@@ -12,6 +12,6 @@ if __name__ != "tisfm.kernels":
         "import it as tisfm.kernels"
     )
 
-# Read by Taichi while it is imported: no banner, and no network thread asking for a new version.
+# Taichi reads these during its import: no banner, and no network thread that checks for updates.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
 os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")

@@ -1,9 +1,9 @@
-"""The data term as linear constraints on the flow: all that the solver needs to know of the images.
+"""The data term as linear constraints on the flow; the solver needs nothing else from the images.
 
-A constraint p u + q v + c = 0 is stored as (p, q, c), times the root of its weight. Brightness
-has one, its gradient two; a term is the sum of its constraints squared, and its motion tensor
-(J11, J12, J22, j1, j2, J_tt) that of (p², p q, q², p c, q c, c²). The number of constraints tells
-the terms: 1 is brightness, 2 its gradient, 3 both, in this order.
+A constraint p u + q v + c = 0 is stored as (p, q, c), times the root of its weight. The brightness
+term has one constraint, the gradient term two. A term is the sum of its squared constraints; its
+motion tensor (J11, J12, J22, j1, j2, J_tt) is the sum of their (p², p q, q², p c, q c, c²). The
+number of constraints determines the terms: 1 is brightness, 2 gradient, 3 brightness and gradient.
 """
 
 from collections.abc import Sequence
@@ -37,10 +37,10 @@ def constancy_constraints(
 
     With frame 1 warped by (u₀, v₀), constancy is I_t + ∇I·(u − u₀, v − v₀) = 0, or p u + q v + c
     = 0 in the whole flow (u, v), with (p, q) = ∇I and c = I_t − ∇I·(u₀, v₀). With (u₀, v₀) = 0 it
-    is the paper's eq. 3. Gradient constancy is the same for I_x and for I_y in place of I.
+    is the paper's eq. 3. Gradient constancy is the same with I_x and with I_y in place of I.
 
-    Normalised, each constraint squared is divided by |∇I|² + ζ²: it is then the squared distance,
-    in px, of (u, v) from the line on which it holds, whatever the contrast of the image.
+    With normalisation, each squared constraint is divided by |∇I|² + ζ². It is then the squared
+    distance, in px, of (u, v) from the line of its solutions, for any contrast of the image.
 
     Parameters
     ----------
@@ -53,13 +53,13 @@ def constancy_constraints(
         Weight of the constraints at each pixel; 0 outside the image.
     out : lane array, 3, 6 or 9 components
         (p, q, c) of brightness, if its weight is above 0, then of both derivatives of the image,
-        if the gradient's is.
+        if the weight of the gradient is above 0.
     tensor : lane array, 6 components, optional
         Σ w_i J_i with the robust weights at (u₀, v₀) (`tisfm.kernels.solve.weight_update`).
     brightness, gradient : float
         Weights of the two terms; at least one above 0.
     normalization : float or None
-        ζ, grey levels per px; None for constraints as they are.
+        ζ, grey levels per px; None for constraints without normalisation.
     scales : sequence of float
         m_i ε² of each term in use (`tisfm.kernels.model.robust`).
 
@@ -99,7 +99,7 @@ def constancy_constraints(
 
 
 def constraint_count(brightness: float, gradient: float) -> int:
-    """Return how many constraints a pixel has."""
+    """Return the number of constraints per pixel."""
     return int(brightness > 0) + 2 * int(gradient > 0)
 
 
@@ -110,7 +110,7 @@ def _constancy_constraints(
     mask: LaneArray(3),  # (1, H+2, S+2)
     brightness: ti.f32,
     gradient: ti.f32,
-    noise: ti.f32,  # ζ²; 1 for constraints as they are
+    noise: ti.f32,  # ζ²; 1 without normalisation
     normalized: ti.f32,  # 1 or 0
     inverse0: ti.f32,
     scale0: ti.f32,
@@ -126,13 +126,13 @@ def _constancy_constraints(
     for row, position in ti.ndrange(out.shape[1] - 2, out.shape[2] - 2):
         y, s = row + 1, position + 1
         u, v = flow[0, y, s], flow[1, y, s]
-        # Of these, what is not in use is not compiled.
+        # Taichi does not compile those of the following values that are not used.
         ix, iy = derivatives[0, y + 1, s + 1], derivatives[1, y + 1, s + 1]
         it = derivatives[2, y + 1, s + 1]
         ixx = _along_row(derivatives, 0, y + 1, s + 1)
         ixy = _along_row(derivatives, 1, y + 1, s + 1)
         iyy = _along_column(derivatives, 1, y + 1, s + 1)
-        # Differentiation is linear: the change of a derivative is the derivative of I_t.
+        # Differentiation is linear: the temporal change of I_x is the x derivative of I_t.
         itx = _along_row(derivatives, 2, y + 1, s + 1)
         ity = _along_column(derivatives, 2, y + 1, s + 1)
         brightly, steeply = brightness * mask[0, y, s], gradient * mask[0, y, s]
@@ -149,7 +149,7 @@ def _constancy_constraints(
 
 
 def _lines(found: tuple, count: int, noise: Any, normalized: Any, u: Any, v: Any) -> list:
-    """Return (p, q, c) of those constraints that are in use, times the root of the weight."""
+    """Return (p, q, c) of the constraints in use, times the root of the weight."""
     lines = []
     for weight, ix, iy, it in {1: found[:1], 2: found[1:], 3: found}[count]:
         root = bind(ti.sqrt(weight / (noise + normalized * (ix * ix + iy * iy))))

@@ -6,7 +6,7 @@ from tisfm.kernels.layout.images import IMAGE_HALO
 from tisfm.kernels.layout.lanes import LaneArray, LaneData, LaneGrid, lane_kernel
 from tisfm.kernels.layout.launch import Launch, operation
 
-DERIVATIVE_HALO = 2  # second derivatives look two pixels to each side
+DERIVATIVE_HALO = 2  # px: second derivatives read two pixels to each side
 SCHEMES = ("cube", "five_tap")
 
 
@@ -22,14 +22,14 @@ def derivatives(
     frame0, frame1 : lane arrays, 1 component, halo `IMAGE_HALO`
         Frame 0, and frame 1 warped to it.
     out : lane array, 3 components, halo `DERIVATIVE_HALO`
-        I_x, I_y in grey levels per px and I_t in grey levels per frame; in the halo and in the
-        padding those of an image that repeats beyond its border.
+        I_x, I_y in grey levels per px and I_t in grey levels per frame. Halo and padding hold the
+        derivatives of the image with its border repeated.
     scheme : {"cube", "five_tap"}
         ``"cube"``: first differences averaged over the 2×2×2 cube of pixels to the south-east
         (Horn and Schunck 1981, doi 10.1016/0004-3702(81)90024-2), an estimate at
         (x+½, y+½, t+½). ``"five_tap"``: (1, −8, 0, 8, −1)/12 on the mean of both frames and the
         difference of the frames, an estimate at (x, y, t+½) of fourth order in space. I_t is
-        exactly 0 where the frames agree at all the pixels that it is taken from.
+        exactly 0 where the frames agree at all pixels of the stencil.
     """
     grid.check(frame0, 1, "frame0", halo=IMAGE_HALO)
     grid.check(frame1, 1, "frame1", halo=IMAGE_HALO)
@@ -56,7 +56,8 @@ def _cube(
         g, h = frame1[0, y + 1, s], frame1[0, y + 1, s + 1]
         out[0, row, position] = 0.25 * ((b - a) + (d - c) + (f - e) + (h - g))
         out[1, row, position] = 0.25 * ((c - a) + (d - b) + (g - e) + (h - f))
-        # Compiled for speed, sums may be reordered, and then leave rounding of frames that agree.
+        # Fast math may reorder sums and leave a rounding error where both frames agree, so I_t is
+        # set to 0 there.
         none, one = 0.0 * a, 0.0 * a + 1.0
         same = ti.select(e == a, one, none)
         same = ti.select(f == b, same, none)
@@ -73,7 +74,7 @@ def _five_tap(
     serial: ti.template(),
     out: LaneArray(3),  # (3, H+4, S+4)
 ):
-    near, far = ti.static(8.0 / 24.0, 1.0 / 24.0)  # of the sum of two frames, not their mean
+    near, far = ti.static(8.0 / 24.0, 1.0 / 24.0)  # for the sum of both frames, twice their mean
     ti.loop_config(serialize=serial)
     for row, position in ti.ndrange(out.shape[1], out.shape[2]):
         y, s = row + 2, position + 2

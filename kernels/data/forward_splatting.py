@@ -1,4 +1,4 @@
-"""Which pixels of frame 0 go to the same place of frame 1, and which of them is not seen there."""
+"""Forward splatting: finds pixels that move to the same position, and which of them are hidden."""
 
 import numpy as np
 import taichi as ti
@@ -6,14 +6,15 @@ import taichi as ti
 from tisfm.kernels.layout.lanes import CHUNK, check_array, first_row
 from tisfm.kernels.layout.launch import Kernel
 
-SPLATTING_BAND = 96  # rows, at least: those beside it that reach into a band are gone over again
-BLOCK = 64  # pixels of a row that a thread takes at a time
+# Least rows of a band. Rows near the limit of two bands are read for both, so bands must be large.
+SPLATTING_BAND = 96
+BLOCK = 64  # pixels of a row for one task of a thread
 
 
 def splat(
     flow: np.ndarray, residual: np.ndarray, sums: np.ndarray, *, any_order: bool = False
 ) -> None:
-    """Add every pixel, bilinearly, to the four pixels of frame 1 around the place it goes to.
+    """Add every pixel, bilinearly, to the four pixels of frame 1 around its target position.
 
     Parameters
     ----------
@@ -21,15 +22,14 @@ def splat(
         (u, v), px/frame.
     residual : (H, W) float32
     sums : (H, W, 4) float32
-        Sums over the pixels that arrive: Σw, Σw·residual, Σw·u, Σw·v, w the bilinear weight.
+        Sums over the pixels that arrive: Σw, Σw·residual, Σw·u, Σw·v, with w the bilinear weight.
         A pixel whose flow leaves the image adds nothing. Allocated by `aligned_empty`.
     any_order : bool
-        Whether to add up in parallel, as a GPU must: in an order, and with roundings, that differ
-        from run to run.
+        Whether to add in parallel in any order, as a GPU must; rounding then differs between runs.
 
     Notes
     -----
-    Flow and residual must be finite: under fast arithmetic, comparisons with NaN prove nothing.
+    Flow and residual must be finite: with fast math, comparisons with NaN are unreliable.
     """
     _check(flow, residual, sums)
     if any_order:
@@ -37,8 +37,8 @@ def splat(
         return
     height = residual.shape[0]
     farthest = max(flow[1].max(), -flow[1].min())
-    reach = min(int(farthest) + 1, height)  # rows that a pixel can go up or down
-    # Of bands, so that two threads have as many each.
+    reach = min(int(farthest) + 1, height)  # most rows that a pixel moves up or down
+    # An even number of bands, so that two threads have the same number of bands.
     pairs = height // (2 * max(SPLATTING_BAND, 2 * reach))
     bands = max(1, 2 * pairs)
     _splat(flow, residual, bands, reach, sums)
@@ -53,7 +53,7 @@ def defeated(
     density: float,
     apart: float,
 ) -> None:
-    """Mark the pixels that share their place in frame 1 with others that fit better.
+    """Mark the pixels that share their position in frame 1 with other pixels of lower residual.
 
     Parameters
     ----------
@@ -61,16 +61,16 @@ def defeated(
         (u, v), px/frame.
     residual : (H, W) float32
     sums : (H, W, 4) float32
-        Of `splat`.
+        The sums of `splat`.
     out : (H, W) int32
-        1 where more than `density` pixels go to the pixel's place, their mean flow is more than
-        `apart` from the pixel's, and their mean residual is less than the pixel's; else 0. The
-        means include the pixel itself.
+        1 if more than `density` pixels move to the pixel's target position, their mean flow differs
+        from the pixel's by more than `apart`, and their mean residual is less than the pixel's;
+        else 0. The means include the pixel itself.
     density : float
         Pixels of frame 0 per pixel of frame 1.
     apart : float
-        px/frame, from a mean that includes the pixel itself: of two pixels with equal weights,
-        one moves by 2·apart relative to the other.
+        Least difference from the mean flow, px/frame. The mean includes the pixel itself: for two
+        pixels with equal weights, their relative motion is 2·apart.
     """
     _check(flow, residual, sums)
     check_array(out, residual.shape, "out", dtype=np.int32, aligned=False)
@@ -84,7 +84,7 @@ def _check(flow: np.ndarray, residual: np.ndarray, sums: np.ndarray) -> None:
     check_array(sums, (*size, 4), "sums")
 
 
-_Sums = ti.types.vector(4, ti.f32)  # loaded and stored at once, so it must be aligned
+_Sums = ti.types.vector(4, ti.f32)  # one vector load and store each, so it must be aligned
 
 
 @Kernel
@@ -95,7 +95,7 @@ def _splat(
     reach: ti.i32,
     sums: ti.types.ndarray(dtype=_Sums, ndim=2),  # (H, W)
 ):
-    """Add up a band of rows of frame 1 in one thread: the order of every sum is always the same."""
+    """Add the sums of each band of rows in one thread, so that every sum has a fixed order."""
     height, width = residual.shape[0], residual.shape[1]
     for task in range(CHUNK * bands):
         if task % CHUNK == 0:
@@ -131,13 +131,13 @@ def _splat_at(
     last,
     atomic: ti.template(),
 ):
-    """Add one pixel to those of the four around the place it goes to whose rows are asked for."""
+    """Add a pixel to the pixels around its target position, in rows `first` to `last` − 1 only."""
     u, v = flow[0, y, x], flow[1, y, x]
     target_x, target_y = x + u, y + v
     if _is_inside(target_x, target_y, residual):
         column, row = ti.cast(target_x, ti.i32), ti.cast(target_y, ti.i32)
         across, down = target_x - column, target_y - row
-        # The last row and column have no neighbour beyond them, nor any weight for it.
+        # Beyond the last row and column there is no neighbour; its weight would be 0.
         below = ti.min(row + 1, residual.shape[0] - 1)
         right = ti.min(column + 1, residual.shape[1] - 1)
         weighted = _Sums(1.0, residual[y, x], u, v)
@@ -155,7 +155,7 @@ def _add(sums: ti.template(), row, column, value, atomic: ti.template()):
     if ti.static(atomic):
         for k in ti.static(range(4)):
             ti.atomic_add(sums[row, column][k], value[k])
-    else:  # several times faster
+    else:  # several times faster than atomic additions
         sums[row, column] = sums[row, column] + value
 
 
@@ -181,7 +181,7 @@ def _defeated(
                 right = ti.min(column + 1, residual.shape[1] - 1)
                 upper = (1.0 - across) * sums[row, column][0] + across * sums[row, right][0]
                 lower = (1.0 - across) * sums[below, column][0] + across * sums[below, right][0]
-                if (1.0 - down) * upper + down * lower > density:  # as at few pixels
+                if (1.0 - down) * upper + down * lower > density:  # true at few pixels
                     first = (1.0 - across) * sums[row, column] + across * sums[row, right]
                     second = (1.0 - across) * sums[below, column] + across * sums[below, right]
                     total = (1.0 - down) * first + down * second
@@ -194,7 +194,7 @@ def _defeated(
 
 @ti.func
 def _is_inside(x, y, image: ti.template()):
-    """Return whether a place lies between the pixels of the border."""
+    """Return whether a position lies within the centres of the border pixels."""
     across = x >= 0 and x <= image.shape[1] - 1
     down = y >= 0 and y <= image.shape[0] - 1
     return across and down

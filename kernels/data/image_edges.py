@@ -1,4 +1,4 @@
-"""How strong the smoothness of every edge is, by the image's own steps."""
+"""The image-driven factor: smoothness is weaker across edges of the image."""
 
 import numpy as np
 import taichi as ti
@@ -16,7 +16,7 @@ from tisfm.kernels.model.constants import LEAST_DIVISOR
 
 
 def image_edges(grid: LaneGrid, image: np.ndarray, out: LaneData, *, rate: float) -> None:
-    """Compute g = c/(1 + rate·|ΔI|) of every edge, c such that the mean of g is 1.
+    """Compute g = c/(1 + rate·|ΔI|) of every edge, with c such that the mean of g is 1.
 
     Parameters
     ----------
@@ -24,9 +24,10 @@ def image_edges(grid: LaneGrid, image: np.ndarray, out: LaneData, *, rate: float
     image : (H, W) float32
         Grey levels.
     out : lane array, 2 components
-        Eastern and southern edges; 0 across the border and in the padding. Its halo is left alone.
+        g of eastern and southern edges; 0 across the border and in the padding. The halo is not
+        written.
     rate : float
-        Per grey level.
+        Decrease of the smoothness per grey level.
     """
     grid.check_image(image, "image")
     grid.check(out, 2, "out")
@@ -44,7 +45,7 @@ def _image_edges(
     image: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     rate: ti.f32,
     serial: ti.template(),
-    out: LaneArray(3),  # (2, H+2, S+2), finite before
+    out: LaneArray(3),  # (2, H+2, S+2), must be finite on input
     partial: SumArray(3),  # (H, blocks, 1)
 ):
     height, width = image.shape[0], image.shape[1]
@@ -73,7 +74,7 @@ def _image_edges(
 
 @ti.func
 def _columns(image: ti.template(), y, position, strip, zero, lanes: ti.template()):
-    """Return an image at one strip position of every lane; beyond its border it repeats."""
+    """Return the image values at a strip position of all lanes; the image border is repeated."""
     values = zero
     last = image.shape[1] - 1
     if ti.static(lanes > 1):
@@ -86,7 +87,7 @@ def _columns(image: ti.template(), y, position, strip, zero, lanes: ti.template(
 
 @ti.func
 def _before(end, position, strip, zero, lanes: ti.template()):
-    """Return 1 where the column at a strip position of a lane is less than `end`, else 0."""
+    """Return, for each lane, 1 if the column at a strip position is less than `end`, else 0."""
     values = zero
     if ti.static(lanes > 1):
         for lane in range(lanes):

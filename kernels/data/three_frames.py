@@ -1,4 +1,4 @@
-"""Constraints from the frames on both sides of a frame, as one set."""
+"""Constraints of a frame with its next and its previous frame, joined to one set."""
 
 from collections.abc import Sequence
 
@@ -12,13 +12,13 @@ from tisfm.kernels.model.robust import check_constraints, finite_scales, robust_
 
 @operation
 def backward_flow(grid: LaneGrid, flow: LaneData, bend: LaneData, out: LaneData) -> Launch:
-    """Write the flow to the frame before: that to the next one, turned round, and the bend of both.
+    """Write the flow to the previous frame, bend − flow.
 
     Parameters
     ----------
     grid : LaneGrid
     flow, bend : lane arrays, 2 components
-        px/frame.
+        Flow to the next frame, and sum of the flows to the next and the previous frame, px/frame.
     out : lane array, 2 components
         bend − flow.
     """
@@ -53,27 +53,28 @@ def join_constraints(
     out: LaneData,
     tensor: LaneData,
 ) -> Launch:
-    """Join the constraints of the next frame with those of the one before, in place.
+    """Join the constraints of the next frame with those of the previous frame, in place.
 
-    With weights a and b, of the trust in each times its mask, the constraint is (a A + b B) /
-    max(1, a + b): the mean of both where both are seen, which halves the noise of the frame they
-    share, and the one that is seen elsewhere.
+    The joint constraint is (a A + b B) / max(1, a + b), with A and B the constraints of the next
+    and the previous frame, and the weights a and b trust times mask. Where a pixel is visible in
+    both frames, this is the mean, which halves the noise of the frame that both share. Elsewhere it
+    is the constraint of the frame that shows the pixel.
 
     Parameters
     ----------
     grid : LaneGrid
     before : lane array, 3 components for each constraint
-        (p, q, c) of the frame before, as constraints on the flow to the next one.
+        (p, q, c) of the previous frame, as constraints on the flow to the next frame.
     trust : lane array, 2 components
-        In [0, 1]: whether a pixel is seen in the next frame, and in the one before.
+        In [0, 1]: visibility of a pixel in the next frame, and in the previous frame.
     mask, mask_before : lane arrays, 1 component
-        Those of the constraints of each.
+        Masks of the constraints of the next and of the previous frame.
     flow : lane array, 2 components
-        px/frame, at which the tensor is weighted.
+        Flow at which the robust weights of the tensor are computed, px/frame.
     scales : sequence of float
         m_i ε² of each term in use (`tisfm.kernels.model.robust`).
     out : lane array, 3 components for each constraint
-        (p, q, c) of the next frame, which become the joint ones.
+        (p, q, c) of the next frame; overwritten by the joint constraints.
     tensor : lane array, 6 components
         Σ w_i J_i with the robust weights at the flow.
     """

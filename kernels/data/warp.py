@@ -1,4 +1,4 @@
-"""Frame 1 brought to frame 0 by the current image motion."""
+"""Warping of frame 1 to frame 0 by the current image motion."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ from tisfm.kernels.layout.lanes import (
 )
 from tisfm.kernels.layout.launch import Launch, operation
 
-WARP_BAND = 16  # rows, at least
+WARP_BAND = 16  # least rows of a band
 
 
 @operation
@@ -33,21 +33,21 @@ def warp(
 ) -> Launch:
     """Sample an image at x + flow by its cubic B-spline.
 
-    Fourth-order accurate, smooth, and exact at pixels, where the image itself is taken: no motion
-    leaves it as it is, to the last bit. Beyond its border the image repeats.
+    Sampling is smooth and fourth-order accurate. At whole pixels the image value itself is taken,
+    so zero flow returns exactly the image. The border of the image is repeated.
 
     Parameters
     ----------
     grid : LaneGrid
     image : (H, W) float32
     taps : ((H + 3)·W, 4) float32
-        Its `tisfm.solver.sampling.spline_taps`; on a device, placed as vectors.
+        `tisfm.solver.sampling.spline_taps` of the image; on a device, placed as vectors.
     flow : lane array, 2 components
         (u, v), px/frame.
     out : lane array, 1 component, any halo
         The warped image; halo and padding repeat its border.
     mask : lane array, 1 component
-        1 where the pixel lands inside the image, 0 where it leaves it and in the padding.
+        1 where the pixel moves to inside the image, 0 where it leaves the image and in the padding.
     """
     grid.check_image(image, "image")
     check_array(taps, ((grid.height + 3) * grid.width, 4), "taps")
@@ -61,7 +61,7 @@ def warp(
     return _warp[grid.lanes].bind(image, taps, flow, halo, grid.serial, bands, out, mask)
 
 
-_Taps = ti.types.vector(4, ti.f32)  # loaded at once, so it must be aligned
+_Taps = ti.types.vector(4, ti.f32)  # one vector load, so it must be aligned
 
 
 @lane_kernel
@@ -75,7 +75,7 @@ def _warp(
     out: LaneArray(3),  # (1, H+2·halo, S+2·halo)
     mask: LaneArray(3),  # (1, H+2, S+2)
 ):
-    """Warp a band of rows in one thread, whose border is laid while the row is at hand."""
+    """Warp a band of rows in one thread; borders are written while their row is in the cache."""
     height, width = image.shape[0], image.shape[1]
     strip = flow.shape[2] - 2
     lanes = ti.static(lane_count(flow))
@@ -111,7 +111,7 @@ def _warp_sites(
     out: LaneArray(3),  # (1, H+2·halo, S+2·halo)
     mask: LaneArray(3),  # (1, H+2, S+2)
 ):
-    """Warp to every element of `out`, its border included, in a thread of its own: for one lane."""
+    """Warp every element of `out`, border included, in its own thread; for one lane only."""
     height, width = image.shape[0], image.shape[1]
     strip = flow.shape[2] - 2
     for row, position in ti.ndrange(out.shape[1], out.shape[2]):
@@ -126,7 +126,7 @@ def _warp_sites(
 
 @ti.func
 def _sample(image: ti.template(), taps: ti.template(), column, row, u, v, lanes: ti.template()):
-    """Return what pixels of a row go to, and whether it is in the image: one for each lane."""
+    """Return the samples at the targets of a row's pixels, and the mask; a value per lane."""
     height, width = image.shape[0], image.shape[1]
     target_x, target_y = column + u, row + v
     x = ti.max(0.0, ti.min(target_x, width - 1.0))
@@ -138,7 +138,7 @@ def _sample(image: ti.template(), taps: ti.template(), column, row, u, v, lanes:
     left, top = ti.floor(x), ti.floor(y)
     across, down = x - left, y - top
     weights_x, weights_y = ti.static(_weights(across)), ti.static(_weights(down))
-    # Four columns of coefficients, each the sum of its four rows.
+    # Weighted sums over four rows, for each of four columns of coefficients.
     columns = ti.static([bind(none) for _ in range(4)])
     for lane in range(lanes):
         at = _index(top, lane, lanes) * width + _index(left, lane, lanes)
@@ -163,7 +163,7 @@ def _index(value, lane: ti.template(), lanes: ti.template()):
 
 
 def _weights(t: Any) -> list:
-    """Return the four values of the cubic B-spline for samples a fraction t past the second."""
+    """Return the four cubic B-spline weights for a sample a fraction t after the second tap."""
     s = bind(1.0 - t)
     return [
         bind(s * s * s / 6.0),
@@ -175,9 +175,9 @@ def _weights(t: Any) -> list:
 
 @ti.func
 def _repeat_columns(array: ti.template(), row, halo, first, width):
-    """Lay the border of a row that the pixels of the strips are in already.
+    """Write padding and halo of a row whose pixels are already written.
 
-    The padding repeats the image's last column, the halo columns those of the neighbouring strips.
+    The padding repeats the image's last column, the halo the columns of the neighbouring strips.
     """
     strip = array.shape[2] - 2 * halo
     lanes = ti.static(lane_count(array))
@@ -186,7 +186,7 @@ def _repeat_columns(array: ti.template(), row, halo, first, width):
         for s in range(strip):
             value = array[0, row, s + halo]
             array[0, row, s + halo] = ti.select(first + s < width, value, 0.0 * value + last)
-    # From within, because the neighbour may be narrower than the halo.
+    # From the inside outwards: a neighbouring strip may be narrower than the halo.
     for k in range(halo):
         west, east = halo - 1 - k, strip + halo + k
         next_west, next_east = array[0, row, west + strip], array[0, row, east - strip]

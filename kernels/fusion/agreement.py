@@ -1,4 +1,4 @@
-"""Which points of one depth map other views show as well, and which they see through."""
+"""Comparison of a depth map with other views: they agree with a point, or see through it."""
 
 import numpy as np
 import taichi as ti
@@ -21,23 +21,24 @@ def compare(
     projection: np.ndarray,
     tolerance: float,
 ) -> None:
-    """Compare every point of a view with what another view shows where the point lies in it.
+    """Compare every point of a view with the depth map of another view at the same position.
 
-    The point has inverse depth d' = d / g in the other view, of deviation σ |∂d'/∂d|. The other
-    view agrees with it where its own inverse depth differs by at most `tolerance` combined
-    deviations, and sees through it where it sees something farther.
+    In the other view the point has inverse depth d' = d / g, with deviation σ |∂d'/∂d|. The other
+    view agrees with the point if its own inverse depth there differs by at most `tolerance`
+    combined deviations. It sees through the point if its own depth there is larger than that.
 
     Parameters
     ----------
     inverse_depth, deviation : (H, W) float32
-        d and σ; 0 where there is none. No value is NaN or infinite.
+        d and σ; 0 where there is no depth. No value may be NaN or infinite.
     other_inverse_depth, other_deviation : (H', W') float32
     other_colors : (H', W', 3) float32
     sums : (H, W, 4) float32
-        Are added to: Σ 1/σ'², Σ δ/σ'² of the other views that agree, δ and σ' the difference from d
-        that they show and its deviation; the number of views that agree, and that see through.
+        Modified by addition. Over the other views that agree: Σ 1/σ'² and Σ δ/σ'², with δ the
+        difference of their inverse depth from d, as seen from this view, and σ' its deviation. Then
+        the number of views that agree, and the number that see through.
     colors : (H, W, 3) float32
-        The colours of those that agree are added to them.
+        Modified: the colours of views that agree are added.
     projection : (3, 4) float32
         From this view to the other.
     tolerance : float
@@ -72,19 +73,19 @@ def mark_shown(
     projection: np.ndarray,
     tolerance: float,
 ) -> None:
-    """Mark the pixels of a view that show some points: the four around where each point lies.
+    """Mark the pixels of a view that show given points, among the four around each point.
 
     Parameters
     ----------
     points : (N, 3) float32
         In the world's axes.
     relative_deviation : (N,) float32
-        Of their inverse depth.
+        Relative deviation of the inverse depth of each point.
     inverse_depth, deviation : (H, W) float32
-        0 where there is none. No value is NaN or infinite.
+        0 where there is no depth. No value may be NaN or infinite.
     shown : (H, W) int32
-        Becomes 1 where the inverse depth differs from that of a point by at most `tolerance`
-        combined deviations; is left alone elsewhere.
+        Set to 1 where the inverse depth differs from that of a point by at most `tolerance`
+        combined deviations; unchanged elsewhere.
     projection : (3, 4) float32
         (u z, v z, z) of a point is the matrix times (X, Y, Z, 1).
     tolerance : float
@@ -167,7 +168,7 @@ def _mark_shown(
                         theirs = deviation[row, column]
                         apart = inverse_depth[row, column] - 1.0 / z
                         limit = tolerance * ti.sqrt(mine * mine + theirs * theirs)
-                        # Any number of threads may write the same 1.
+                        # Several threads may write here, but all write 1.
                         if inverse_depth[row, column] > 0 and ti.max(apart, 0.0 - apart) <= limit:
                             shown[row, column] = 1
 

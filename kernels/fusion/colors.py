@@ -1,4 +1,4 @@
-"""Colours of points, from a view that shows them."""
+"""Colours of points from the views that show them."""
 
 import numpy as np
 import taichi as ti
@@ -17,21 +17,22 @@ def add_colors(
     projection: np.ndarray,
     near: float,
 ) -> None:
-    """Add the colours of a view to the points that it shows, weighted by 1/Z².
+    """Add the colours of a view to the points that the view shows, weighted by 1/Z².
 
     Parameters
     ----------
     points : (N, 3) float32
         In the world's axes.
     inverse_depth : (H, W) float32
-        0 where there is none. No value is NaN or infinite.
+        0 where there is no depth. No value may be NaN or infinite.
     colors : (H, W, 3) float32
     sums : (N, 4) float32
         Σ w·colour and Σ w; modified.
     projection : (3, 4) float32
         (u z, v z, z) of a point is the matrix times (X, Y, Z, 1).
     near : float
-        How far before or behind the view's surface a point may lie, in the unit of depth.
+        Largest distance of a point from the view's surface, in front or behind, in the unit of
+        depth.
     """
     check_array(points, (len(points), 3), "points", aligned=False)
     check_array(inverse_depth, inverse_depth.shape[:2], "inverse_depth", aligned=False)

@@ -1,4 +1,4 @@
-"""A truncated field of signed distances, in blocks of 8³ voxels near the surface.
+"""A truncated signed distance field, in blocks of 8³ voxels near the surface.
 
 References
 ----------
@@ -13,12 +13,12 @@ from tisfm.kernels.fusion.lookup import STEP, check_map, inverse_depth_at, is_in
 from tisfm.kernels.layout.lanes import LARGEST_INDEX, check_array
 from tisfm.kernels.layout.launch import Kernel
 
-EDGE = 8  # voxels of a block's edge
+EDGE = 8  # voxels along the edge of a block
 VOXELS = EDGE**3
-CORNERS = 8  # around each place of a ray
-BESIDE = 2.0  # truncations: farther from the pixel's own depth it is not interpolated
-SUPPORT = 3  # of the eight pixels around one: fewer alike, and it is a mistake
-_ALIKE = 3.0  # deviations, beyond `STEP`
+CORNERS = 8  # corners of the cube around each sample of a ray
+BESIDE = 2.0  # truncations: a voxel farther from the pixel's own depth needs no interpolated depth
+SUPPORT = 3  # least similar neighbours, of eight; the depth of a pixel with fewer is wrong
+_ALIKE = 3.0  # deviations: pixels that differ by less are similar, even if by more than `STEP`
 
 
 def blocks_near(
@@ -32,33 +32,33 @@ def blocks_near(
     extent: tuple[int, int, int],
     truncation: float,
 ) -> None:
-    """Find the blocks that a depth map comes near to: within the truncation along each ray.
+    """Find the blocks near the surface of a depth map: within the truncation along each ray.
 
-    Some places of each ray are looked at, at equal distances. Blocks up to a voxel beside them
-    count as well, so that every cell that the surface goes through has its eight corners.
+    Each ray is sampled at equal distances. Blocks within one voxel of a sample are included too, so
+    that every cell that the surface crosses has its eight corners.
 
     Parameters
     ----------
     inverse_depth, deviation : (H, W) float32
-        d and σ; 0 where there is none. No value is NaN or infinite. Pixels that differ from all but
-        two of the eight around them are passed over.
+        d and σ; 0 where there is no depth. No value may be NaN or infinite. Pixels with fewer than
+        three similar neighbours, of eight, are skipped.
     out : (rows, ⌈W / stride⌉, places, 8) int32
-        Of the rows that are looked at from the row `top` on: numbers of the blocks at the corners
-        around each place, (bx·n_y + by)·n_z + bz, or −1; those around one place differ.
+        For each sampled row from `top` on, column and sample: the numbers of the blocks at the
+        corners around the sample, (bx·n_y + by)·n_z + bz, each number once, or −1.
     top, stride : int
-        The first row that is looked at, and from each row and column to the next.
+        The first sampled row, and the step of rows and columns.
     rays : (3, 4) float32
-        Coordinates in voxels of the point at depth Z of pixel (x, y), from the lowest corner of the
-        grid: columns 0 to 2 times (x, y, 1) Z, plus column 3.
+        The point of pixel (x, y) at depth Z has the coordinates columns 0 to 2 times (x, y, 1) Z,
+        plus column 3, in voxels from the lowest corner of the grid.
     extent : (int, int, int)
-        Blocks of the grid, (n_x, n_y, n_z); what lies outside is left out.
+        Blocks of the grid, (n_x, n_y, n_z); blocks outside are left out.
     truncation : float
-        Distance before and behind, along the view's axis, in the unit of depth.
+        Distance in front of and behind the surface, along the view's axis, in the unit of depth.
 
     Raises
     ------
     ValueError
-        If the blocks of the grid cannot be counted in 32 bits.
+        If the block numbers of the grid do not fit into 32 bits.
     """
     check_map(inverse_depth, deviation)
     height, width = inverse_depth.shape
@@ -89,26 +89,27 @@ def integrate(
     truncation: float,
     spread: float,
 ) -> None:
-    """Take a depth map into the field: the mean of signed distances, weighted by their precision.
+    """Add a depth map to the field, a mean of signed distances weighted by their precision.
 
-    The distance of a voxel is that to the surface along the view's axis, positive before it, cut
-    off at the truncation; what lies farther behind is hidden, and left alone.
+    The distance of a voxel to the surface is measured along the view's axis, positive in front of
+    the surface, and clipped at the truncation. Voxels farther behind the surface are hidden, and
+    are not changed.
 
     Parameters
     ----------
     inverse_depth, deviation : (H, W) float32
-        d and σ; 0 where there is none. No value is NaN or infinite.
+        d and σ; 0 where there is no depth. No value may be NaN or infinite.
     corners : (B, 3) float32
         (u z, v z, z) of the first voxel of each block, in the view's pixels.
     index : (B,) int32
-        Which block of the field each is; none comes twice.
+        Number of each block in the field; all are different.
     distance, weight : (N, 512) float32
-        Mean distance in truncations, in [−1, 1], and Σ spread² / (σ_Z² + spread²), σ_Z = σ / d²;
-        modified.
+        Mean distance in truncations, in [−1, 1], and its weight Σ spread² / (σ_Z² + spread²), with
+        σ_Z = σ / d²; modified.
     views : (N, 512) int32
-        How many views show the surface within the truncation; modified.
+        Number of views that show the surface within the truncation; modified.
     steps : (3, 3) float32
-        What a voxel further along each axis adds to (u z, v z, z).
+        Change of (u z, v z, z) for one voxel along each axis.
     truncation, spread : float
         In the unit of depth.
     """
@@ -184,7 +185,7 @@ def _blocks_near(
 
 @ti.func
 def _support(inverse_depth: ti.template(), deviation: ti.template(), y, x):
-    """Return how many of the pixels around one show the same surface."""
+    """Return the number of neighbours, of eight, that show the same surface as a pixel."""
     d = inverse_depth[y, x]
     alike = ti.max(STEP * d, _ALIKE * deviation[y, x])
     count = 0
@@ -195,7 +196,7 @@ def _support(inverse_depth: ti.template(), deviation: ti.template(), y, x):
             apart = inverse_depth[row, column] - d
             if ti.max(apart, 0.0 - apart) < alike:
                 count += 1
-    return count - 1  # but for itself
+    return count - 1  # without the pixel itself
 
 
 @ti.func
@@ -222,7 +223,7 @@ def _integrate(
     views: ti.types.ndarray(dtype=ti.i32, ndim=2),  # (N, 512)
 ):
     for task in range(corners.shape[0] * VOXELS):
-        # Shifts: quotients of whole numbers take as long as all the rest.
+        # Shifts, because integer divisions would take as long as everything else here.
         b, voxel = task >> 9, task & (VOXELS - 1)
         i, j, k = voxel >> 6, (voxel >> 3) & (EDGE - 1), voxel & (EDGE - 1)
         z = corners[b, 2] + i * steps[0, 2] + j * steps[1, 2] + k * steps[2, 2]

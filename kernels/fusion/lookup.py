@@ -1,15 +1,15 @@
-"""Depth between the pixels of a map."""
+"""Interpolation of depth between the pixels of a map."""
 
 import numpy as np
 import taichi as ti
 
 from tisfm.kernels.layout.lanes import check_array
 
-STEP = 0.05  # of inverse depth between neighbours: beyond, they are not of one surface
+STEP = 0.05  # relative step of inverse depth between neighbours that show different surfaces
 
 
 def check_map(inverse_depth: np.ndarray, deviation: np.ndarray, name: str = "") -> None:
-    """Raise unless these are a map and its deviation, (H, W) float32."""
+    """Raise unless the arrays are an inverse depth map and its deviation, (H, W) float32."""
     size = inverse_depth.shape[:2]
     check_array(inverse_depth, size, f"{name}inverse_depth", aligned=False)
     check_array(deviation, size, f"{name}deviation", aligned=False)
@@ -17,7 +17,7 @@ def check_map(inverse_depth: np.ndarray, deviation: np.ndarray, name: str = "") 
 
 @ti.func
 def is_inside(x, y, image: ti.template()):
-    """Return whether a place lies on a pixel."""
+    """Return whether a position lies on a pixel of the image."""
     across = x >= -0.5 and x < image.shape[1] - 0.5
     down = y >= -0.5 and y < image.shape[0] - 0.5
     return across and down
@@ -25,16 +25,17 @@ def is_inside(x, y, image: ti.template()):
 
 @ti.func
 def nearest(x, y):
-    """Return column and row of the pixel that a place lies on."""
+    """Return column and row of the pixel nearest to a position."""
     return ti.cast(ti.floor(x + 0.5), ti.i32), ti.cast(ti.floor(y + 0.5), ti.i32)
 
 
 @ti.func
 def inverse_depth_at(image: ti.template(), x, y):
-    """Return the inverse depth at a place inside, 0 where the pixel has none.
+    """Return the inverse depth at a position in the image, 0 if the nearest pixel has no depth.
 
-    It is interpolated where the four pixels around are of one surface: on a plane it is linear.
-    Elsewhere it is the pixel's own, so that no depth lies between two surfaces.
+    If the four pixels around show one surface, the value is interpolated bilinearly, since inverse
+    depth is linear on a plane. Otherwise it is that of the nearest pixel, so that no depth lies
+    between two surfaces.
     """
     column, row = nearest(x, y)
     value = image[row, column]

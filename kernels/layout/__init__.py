@@ -1,5 +1,5 @@
-"""How arrays lie in memory, and how kernels are launched.
+"""Memory layout of arrays, and launches of kernels.
 
-Here: lanes of a vector, images into lanes and back, memory kept for the next pair, launches.
+Here: lane arrays, conversion between images and lane arrays, reuse of memory, launches.
 May import: Taichi and NumPy.
 """

@@ -1,4 +1,4 @@
-"""Taichi's names of where kernels run. They need no Taichi."""
+"""Taichi's names of CPU archs. This module does not import Taichi."""
 
 HOSTS = ("x64", "arm64")
-"""CPUs, which are all called "cpu" here."""
+"""Archs that are CPUs; the project calls them all "cpu"."""

@@ -1,8 +1,8 @@
-"""Memory kept for the next array of the same size.
+"""Reuse of memory for arrays of the same size.
 
-Pairs of a sequence, and the levels of a pyramid, need the same arrays again and again. Fresh
-memory comes in pages that the system hands over one by one, and empty, when they are first
-touched: for longer than a sweep takes to go over them.
+Pairs of a sequence and levels of a pyramid need arrays of the same sizes again and again. The
+system zeroes and maps each page of new memory at the first access, which takes longer than a sweep
+over the array.
 """
 
 import contextlib
@@ -13,17 +13,17 @@ from collections import OrderedDict
 import numpy as np
 
 ALIGNMENT = 64  # bytes: a cache line, and the widest vector
-SMALLEST_KEPT, LARGEST_KEPT = 1 << 16, 1 << 24  # bytes: blocks of other sizes are not kept
-MOST_KEPT = 1 << 25  # bytes that are kept while no array uses them
+SMALLEST_KEPT, LARGEST_KEPT = 1 << 16, 1 << 24  # bytes: sizes of blocks that are reused
+MOST_KEPT = 1 << 25  # bytes of unused blocks that are kept for reuse
 
 
 class Buffers:
-    """Gives memory to arrays, and takes it back when no array and no view of one uses it.
+    """Allocates arrays, and reuses their memory once no array and no view uses it any more.
 
     Parameters
     ----------
     most : int
-        Bytes to keep.
+        Most bytes of unused memory to keep.
     """
 
     def __init__(self, most: int = MOST_KEPT) -> None:
@@ -35,15 +35,15 @@ class Buffers:
 
     @property
     def kept(self) -> int:
-        """Bytes that are kept, and not in use, now."""
+        """Bytes of unused memory kept at present."""
         return self._kept
 
     def floats(self, count: int) -> np.ndarray:
-        """Return an aligned float32 array of `count` elements, of any value."""
+        """Return an aligned float32 array of `count` elements with arbitrary values."""
         size = count * np.dtype(np.float32).itemsize + ALIGNMENT
         block = self._block(size)
         start = -block.ctypes.data % ALIGNMENT
-        # Of a memoryview: views of it have this array as their base, and none behind it.
+        # From a memoryview: this array is then the base of all its views, so they keep it alive.
         array = np.frombuffer(block.data, np.float32, count, start)
         if SMALLEST_KEPT <= size <= LARGEST_KEPT:
             key = id(array)
@@ -56,7 +56,7 @@ class Buffers:
         return array
 
     def _block(self, size: int) -> np.ndarray:
-        """Return a block of a size that is kept, or else a new one, of uint8."""
+        """Return an unused block of this size, or else a new block, as uint8."""
         if SMALLEST_KEPT <= size <= LARGEST_KEPT:
             with self._lock, contextlib.suppress(LookupError):
                 block = self._free[size].pop()
@@ -67,8 +67,8 @@ class Buffers:
         return np.empty(size, np.uint8)
 
     def _keep(self, block: np.ndarray) -> None:
-        """Keep a block, and let go of those of sizes that were not given back for longest."""
-        # Python may call this at any time, from within this class as well: not to wait then.
+        """Keep a block for reuse; if too much is kept, drop the sizes returned least recently."""
+        # Python may call this at any time, even inside this class: never wait for the lock.
         if not self._lock.acquire(blocking=False):
             return
         try:
@@ -86,7 +86,7 @@ class Buffers:
             self._lock.release()
 
     def release(self) -> None:
-        """Keep nothing."""
+        """Free all unused memory."""
         with self._lock:
             self._free.clear()
             self._kept = 0

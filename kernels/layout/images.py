@@ -1,4 +1,4 @@
-"""Images into lanes and back."""
+"""Conversion of images to lane arrays and back."""
 
 import numpy as np
 import taichi as ti
@@ -14,11 +14,11 @@ from tisfm.kernels.layout.lanes import (
 )
 from tisfm.kernels.layout.launch import Launch, operation
 
-IMAGE_HALO = 4  # second derivatives look two pixels to each side, twice
+IMAGE_HALO = 4  # px: second derivatives apply a stencil of two pixels to each side twice
 
 
 def image_to_lanes(grid: LaneGrid, image: np.ndarray, out: LaneData, *, component: int = 0) -> None:
-    """Lay an image into a component of a lane array; halo and padding repeat its border.
+    """Copy an image into a component of a lane array; halo and padding repeat its border.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def lanes_to_images(
     array : lane array
     out : (k, H, W) float32
     component : int
-        The first of k.
+        The first of the k components.
     """
     grid.check(array, array.shape[0], "array")
     grid.check_image(out, "out", components=out.shape[0])
@@ -82,7 +82,7 @@ def _lanes_to_images(
 ):
     strip = array.shape[2] - 2
     lanes = ti.static(lane_count(array))
-    # Every lane has its own columns, the last ones fewer than the others.
+    # Every lane has its own columns; the last lane may have fewer columns than the others.
     whole = ti.max(0, out.shape[2] - (lanes - 1) * strip)
     for k, y in ti.ndrange(out.shape[0], out.shape[1]):
         for s in range(whole):
@@ -98,7 +98,7 @@ def _lanes_to_images(
 
 @operation
 def multiply(grid: LaneGrid, factor: LaneData, out: LaneData) -> Launch:
-    """Multiply a lane array in place, by a factor for each component or one for all.
+    """Multiply a lane array in place, by one factor for each component or one for all.
 
     Parameters
     ----------

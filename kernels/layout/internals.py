@@ -1,7 +1,7 @@
 """All uses of Taichi beyond its documented interface; docs/process.md lists them.
 
-pyproject.toml pins the release that this module was written for. Another release needs a review of
-this module, and the tests `tests/kernels/test_launch.py` and `tests/test_process.py`.
+pyproject.toml pins the release of Taichi for this module. Before using another release, review this
+module and run the tests `tests/kernels/test_launch.py` and `tests/test_process.py`.
 """
 
 from typing import Any
@@ -14,7 +14,7 @@ from taichi.lang.impl import expr_init
 
 from tisfm.kernels.layout.archs import HOSTS
 
-bind = expr_init  # names a value while a kernel is compiled, so that it is computed once
+bind = expr_init  # stores a value in a variable of the kernel, so that it is computed once
 
 _FLOATS, _INTEGERS = (ti.f32, ti.f64), (ti.i32,)
 _NUMPY: dict[str, Any] = {
@@ -31,8 +31,8 @@ _places: dict[tuple, str] = {}
 def _place_described_once(context: Any, node: Any) -> str:
     """Return the source lines of a node, as Taichi shows them in its errors.
 
-    Taichi formats them for every node that it compiles, and for the nodes of unrolled loops many
-    times: that took half of the time of its front end.
+    Taichi formats these lines for every node that it compiles, many times for nodes in unrolled
+    loops. That took half of the time of its front end, so here each node is formatted once.
     """
     place = node.lineno, node.col_offset, node.end_lineno, node.end_col_offset, type(node)
     key = context.file, context.lineno_offset, context.indent, context.func.func.__name__, *place
@@ -50,7 +50,7 @@ def is_running() -> bool:
 
 
 def program() -> Any:
-    """Return the running program, which ``ti.init`` and ``ti.reset`` replace."""
+    """Return the running Taichi program; ``ti.init`` and ``ti.reset`` replace it."""
     return impl.pytaichi.prog
 
 
@@ -60,18 +60,18 @@ def configuration() -> Any:
 
 
 def arch() -> str:
-    """Return where the running program computes: "cpu", or Taichi's name of the arch."""
+    """Return the arch of the running program: "cpu", or Taichi's name of the arch."""
     name: str = impl.current_cfg().arch.name
     return "cpu" if name in HOSTS else name
 
 
 def materialize() -> None:
-    """Finish what ``ti.init`` leaves to the first kernel, in this thread."""
+    """Do the part of the start-up that ``ti.init`` leaves to the first kernel, in this thread."""
     impl.get_runtime().materialize()
 
 
 def checks_indices() -> bool:
-    """Return whether an application had Taichi check every index, while a kernel is compiled."""
+    """Return whether an application started Taichi with index checks; called while compiling."""
     return bool(impl.current_cfg().debug)
 
 
@@ -88,7 +88,7 @@ def element_shape(array: Any) -> tuple[int, ...]:
 
 
 class Arguments:
-    """The arguments of a kernel by kind, each with its place among those of a launch.
+    """The arguments of a kernel by kind: their index, and their slot in a launch context.
 
     Attributes
     ----------
@@ -96,9 +96,10 @@ class Arguments:
     names : list of str
     annotations : list
     constants : list of int
-        Indices of those that are known while compiling (``ti.template()``).
+        Indices of arguments that are known while compiling (``ti.template()``).
     arrays : list of (index, slot, axes, dtype, ndim)
-        `axes` of its shape are no element's: a slice's stop. Its type, and all axes it has.
+        ``shape[:axes]`` is the shape without the axes of vector elements. `dtype` is the type of a
+        scalar, `ndim` the number of all axes.
     floats, integers : list of (index, slot)
     """
 
@@ -131,12 +132,12 @@ class Arguments:
 
 
 def check(kinds: Arguments, arguments: tuple) -> None:
-    """Raise unless the arguments are as many as a kernel takes, and its arrays of its types.
+    """Raise unless the number of arguments and the types of arrays are those of a kernel.
 
     Raises
     ------
     TypeError
-        What a kernel would take for an array of another type, it writes over.
+        If they are not: a kernel would overwrite memory beyond an array of another type.
     """
     if len(arguments) != kinds.count:
         raise TypeError(
@@ -160,7 +161,7 @@ def check(kinds: Arguments, arguments: tuple) -> None:
 
 
 def compiled(kernel: Any, arguments: tuple) -> tuple[Any, Any]:
-    """Compile a kernel for such arguments; return it as contexts and as launches need it."""
+    """Compile a kernel for arguments; return the objects for `context` and for `launcher`."""
     primal = kernel._primal
     found = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
     running = impl.get_runtime().prog
@@ -168,14 +169,14 @@ def compiled(kernel: Any, arguments: tuple) -> tuple[Any, Any]:
 
 
 def launcher(running: Any) -> Any:
-    """Return what takes a compiled kernel and a context, and runs it in a program."""
+    """Return the function of a program that runs a compiled kernel with a context."""
     return running.launch_kernel
 
 
 def context(found: Any, kinds: Arguments, arguments: tuple) -> tuple[Any, bool]:
-    """Return the context of a launch: its arguments, arrays by their address.
+    """Return the context of a launch, with arrays by address, and whether all arrays are NumPy's.
 
-    And whether all arrays are NumPy's.
+    A context holds the arguments of a kernel.
     """
     made, on_host = found.make_launch_context(), True
     for index, slot, axes, _, _ in kinds.arrays:

@@ -1,17 +1,18 @@
-"""Arrays in lanes: the layout that lets one source run as SIMD on a CPU and as plain floats.
+"""Lane arrays: a memory layout with which one source runs as SIMD on a CPU and as plain floats.
 
-Column x of an image lies in lane ``x // strip`` at strip position ``x % strip``. A lane array of
-k components is float32 of shape (k, H + 2·halo, strip + 2·halo, lanes), or without the last axis
-when lanes = 1. Eastern and western neighbours lie in the same lane one strip position away, so a
-kernel loads and stores whole vectors of lanes, and red and black sites alternate along the strip
-in every lane at once (the strip is even).
+An image is cut into `lanes` vertical strips of equal width. Column x of the image lies in lane
+``x // strip`` at strip position ``x % strip``. A lane array of k components is float32 of shape
+(k, H + 2·halo, strip + 2·halo, lanes), without the last axis if lanes = 1. Eastern and western
+neighbours lie in the same lane one strip position away, so a kernel loads and stores whole vectors
+of lanes. Red and black sites alternate along the strip in all lanes together (the strip is even).
 
-The halo columns repeat the border columns of the neighbouring strips; rows and columns outside
-the image are zero unless a function says otherwise. Columns between the image's width and
-``lanes * strip`` are padding: no data and no edge to the image, so the unknowns there stay zero.
+The halo columns repeat the border columns of the neighbouring strips. Rows and columns outside the
+image are zero unless a function says otherwise. Columns from the image's width to
+``lanes * strip`` are padding: they have no data and no edge to the image, so the unknowns there
+stay zero.
 
 On a GPU there is one lane, and the arrays of a grid stay on the device (``ti.ndarray``): `place`
-and `on_host` take them there and back.
+copies an array there, and `on_host` copies it back.
 """
 
 import math
@@ -29,16 +30,14 @@ from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.launch import Kernel
 
 LANES = (1, 8, 16)
-CHUNK = 512  # iterations: Taichi gives no fewer of a parallel loop to a thread
-SERIAL = 8192  # pixels: up to here a thread is done before others have been woken
-SMALL = 2**29 - 1  # elements: no array has more
-# Of the largest arrays, of lanes and of plain images: the weights of 6 components (12), and what
-# data and neighbours say (7).
-MOST_COMPONENTS = 12
-WIDEST_HALO = 4  # px, of frames
-LARGEST_INDEX = 2**31 - 1  # of plain arrays: kernels count in 32 bits
+CHUNK = 512  # iterations: Taichi's smallest share of a parallel loop for a thread
+SERIAL = 8192  # pixels: up to this size, one thread finishes before other threads have started
+SMALL = 2**29 - 1  # most elements of a lane array
+MOST_COMPONENTS = 12  # of lane arrays: edge weights of 6 unknowns; plain images have at most 7
+WIDEST_HALO = 4  # px: the halo of frames
+LARGEST_INDEX = 2**31 - 1  # of plain arrays: kernels have 32-bit indices
 
-LaneData = Any  # a lane array: of NumPy, or ti.ndarray where arrays stay on a device
+LaneData = Any  # a lane array: NumPy's, or ti.ndarray for arrays on a device
 
 
 @dataclass(frozen=True)
@@ -50,19 +49,20 @@ class LaneArray:
 
 @dataclass(frozen=True)
 class SumArray:
-    """Annotation of a kernel argument that holds sums, float64; or, for one lane, float32.
+    """Annotation of a kernel argument that holds sums: float64, or float32 for one lane.
 
-    A block of one lane is summed in float32 anyway, and not every GPU has float64.
+    With one lane, blocks are summed in float32 anyway, and not every GPU has float64.
     """
 
     ndim: int
 
 
 def lane_kernel(function: Callable) -> dict[int, Kernel]:
-    """Make a Taichi kernel for each lane count out of one function.
+    """Make a Taichi kernel for each lane count from one function.
 
-    Arguments annotated with `LaneArray` become arrays of vectors of 8 or 16 lanes or of plain
-    floats, those with `SumArray` of float64 or float32; the kernel for n lanes is ``result[n]``.
+    Arguments annotated with `LaneArray` become arrays of vectors of 8 or 16 lanes, or of plain
+    floats. Arguments annotated with `SumArray` become arrays of float64 or float32. The kernel for
+    n lanes is ``result[n]``.
     """
 
     def typed(element: Any, sums: Any) -> Kernel:
@@ -120,9 +120,9 @@ def store_lane(array: ti.template(), k, y, s, lane: ti.template(), value):
 
 
 def planes_of(array: Any, count: int) -> list:
-    """Return where the components of a lane array begin, for `element`, while compiling.
+    """Return the start indices of the components of a lane array, for `element`, while compiling.
 
-    To be written before loops.
+    Call it before loops, so that they are computed once.
     """
     plane = bind(array.shape[1] * array.shape[2])
     return [bind((k * plane) & SMALL) for k in range(count)]
@@ -131,10 +131,10 @@ def planes_of(array: Any, count: int) -> list:
 def element(array: Any, index: Any) -> Any:
     """Return an element of a lane array by one index, while compiling.
 
-    Three indices take seven instructions to become an address, every time, since in the 32 bits
-    that they have they might overflow. Of an index that is a sum of few parts cut to `SMALL`, such
-    as ``(y * row + s) & SMALL`` with ``row = array.shape[2] & SMALL``, and one of `planes_of`, the
-    compiler knows that it does not, and most of it becomes part of the load.
+    The address from three indices takes seven instructions at each access, because 32-bit indices
+    might overflow. If one index is a sum of few parts masked with `SMALL`, such as
+    ``(y * row + s) & SMALL`` with ``row = array.shape[2] & SMALL``, and a start of `planes_of`, the
+    compiler knows that no overflow is possible, and most of the sum becomes part of the load.
     """
     return internals.subscript(array, _indices(array, index))
 
@@ -148,13 +148,13 @@ def load(array: ti.template(), index):
 
 @ti.func
 def store(array: ti.template(), index, value):
-    """Write an element by one index, as `element` reads it."""
+    """Write an element by one index of the kind that `element` takes."""
     place = ti.static(_indices(array, index))
     array[place[0], place[1], place[2]] = value
 
 
 def _indices(array: Any, index: Any) -> list:
-    """Return one index as three: itself, unless an application lets Taichi check each of them."""
+    """Return three indices for one: (0, 0, index), or true ones if Taichi checks indices."""
     if not internals.checks_indices():
         return [0, 0, index]
     rows, row = array.shape[1], array.shape[2]
@@ -163,8 +163,8 @@ def _indices(array: Any, index: Any) -> list:
 
 @ti.func
 def first_row(band, height, bands):
-    """Return where a band of rows begins, of so many that share the rows of an image evenly."""
-    return ti.cast(ti.cast(band, ti.i64) * height // bands, ti.i32)  # too large for 32 bits
+    """Return the first row of a band, if `bands` bands share the rows of an image evenly."""
+    return ti.cast(ti.cast(band, ti.i64) * height // bands, ti.i32)  # product may need 64 bits
 
 
 @ti.func
@@ -190,9 +190,9 @@ class LaneGrid:
     height, width : int
         Size of the image, px.
     lanes : {8, 16, 1}
-        Strips side by side: 8 or 16 for SIMD on a CPU, 1 for plain floats.
+        Number of strips: 8 or 16 for SIMD on a CPU, 1 for plain floats.
     on_device : bool
-        Whether its arrays stay on the device, for a single lane.
+        Whether arrays stay on the device; only for one lane.
     """
 
     height: int
@@ -221,13 +221,13 @@ class LaneGrid:
 
     @property
     def strip(self) -> int:
-        """Columns per lane: even, so that red and black alternate alike in every lane."""
+        """Columns per lane: even, so that red and black sites alternate equally in all lanes."""
         columns = -(-self.width // self.lanes)
         return columns + columns % 2
 
     @property
     def serial(self) -> bool:
-        """Whether the image is so small that kernels had better run in one thread."""
+        """Whether the image is so small that kernels are faster in one thread."""
         return self.lanes > 1 and self.height * self.width <= SERIAL
 
     def shape(self, components: int, halo: int = 1) -> tuple[int, ...]:
@@ -235,16 +235,16 @@ class LaneGrid:
         return (components, self.height + 2 * halo, *self._strip_shape(halo))
 
     def allocate(self, components: int, halo: int = 1, *, zeros: bool = True) -> LaneData:
-        """Return a lane array of zeros, or of any values, aligned for vector loads."""
+        """Return a lane array of zeros, or of arbitrary values, aligned for vector loads."""
         shape = self.shape(components, halo)
         if self.on_device:
             return ti.ndarray(ti.f32, shape)
         return aligned_zeros(shape) if zeros else aligned_empty(shape)
 
     def place(self, array: np.ndarray, *, vectors: bool = False) -> LaneData:
-        """Return a float32 array where the kernels of this grid want it: itself, or a copy.
+        """Return a float32 array for the kernels of this grid: itself, or a copy on the device.
 
-        `vectors`: whether they take its last axis for vectors.
+        `vectors` says whether the last axis of the array becomes vector elements.
         """
         if not self.on_device:
             return array
@@ -257,14 +257,14 @@ class LaneGrid:
         return copy
 
     def copy(self, source: LaneData, out: LaneData) -> None:
-        """Copy an array that this grid has allocated to another."""
+        """Copy an array of this grid to another array of this grid."""
         if self.on_device:
             out.copy_from(source)
         else:
             out[...] = source
 
     def columns(self, values: np.ndarray, halo: int = 1) -> np.ndarray:
-        """Lay a function of the column into lanes; not placed.
+        """Return a column table from a value per column, as a NumPy array not yet `place`d.
 
         Parameters
         ----------
@@ -285,20 +285,20 @@ class LaneGrid:
         return np.arange(self.lanes * self.strip, dtype=np.float64)
 
     def inside(self) -> np.ndarray:
-        """Return 1 on pixels of the image, else 0, as a lane array of 1 component; not placed."""
+        """Return a NumPy lane array of 1 component: 1 on pixels of the image, else 0."""
         mask = aligned_zeros(self.shape(1))
         mask[0, 1:-1] = self.columns(self.column_index() < self.width)
         return mask
 
     def open_edges(self) -> LaneData:
-        """Return a lane array that is 1 where a pixel has an eastern, a southern neighbour."""
+        """Return a lane array of 2 components: 1 for an eastern, a southern neighbour, else 0."""
         edges = aligned_zeros(self.shape(2))
         edges[0, 1:-1] = self.columns(self.column_index() < self.width - 1)
         edges[1, 1:-2] = self.columns(self.column_index() < self.width)
         return self.place(edges)
 
     def check(self, array: LaneData, components: int, name: str, halo: int = 1) -> None:
-        """Raise unless `array` is a lane array of this grid that a kernel may write to."""
+        """Raise unless `array` is a lane array of this grid that a kernel can write."""
         check_array(array, self.shape(components, halo), name)
 
     def check_columns(self, table: LaneData, name: str, halo: int = 1) -> None:
@@ -327,12 +327,12 @@ def aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def aligned_empty(shape: tuple[int, ...]) -> np.ndarray:
-    """Return a float32 array of any values that is aligned likewise."""
+    """Return a float32 array of arbitrary values, aligned as `aligned_zeros`."""
     return buffers.floats(math.prod(shape)).reshape(shape)
 
 
 def on_host(array: LaneData) -> np.ndarray:
-    """Return an array that a grid has allocated or placed as NumPy's: itself, or a copy."""
+    """Return an array of a grid as a NumPy array: itself, or a copy from the device."""
     return array if isinstance(array, np.ndarray) else array.to_numpy()
 
 
@@ -343,16 +343,16 @@ def check_array(
     dtype: type[np.generic] = np.float32,
     aligned: bool = True,
 ) -> None:
-    """Raise unless `array` can be handed to a kernel.
+    """Raise unless `array` can be an argument of a kernel.
 
-    An array of floats on the device need have the shape alone.
+    For an array of floats on the device, only the shape is checked.
 
     Raises
     ------
     TypeError
         If it is not a NumPy array of this dtype.
     ValueError
-        If its shape differs, or it is not C-contiguous, writable and (if asked) aligned.
+        If its shape differs, or it is not C-contiguous, writable and, if `aligned`, aligned.
     """
     if isinstance(array, ti.Ndarray) and array.dtype is ti.f32 and dtype is np.float32:
         whole = array.shape + array.element_shape

@@ -1,11 +1,11 @@
-"""Launching kernels: arguments are handed over once, and a launch may run again and again.
+"""Launches of kernels: arguments are bound once, and the launch can run many times.
 
-Taichi looks at each argument anew on every launch, for longer than a small grid takes to compute.
-What its look can find, the wrappers of kernels have checked already.
+Taichi itself inspects all arguments at every launch, which takes longer than the computation on a
+small grid. Here the wrappers of kernels check the arguments instead, once.
 
-There is one way: `Kernel.bind` hands arguments to a kernel and returns a `Launch`. A wrapper that
-others want to keep is an `operation`: its `bind` checks the arguments and returns the launch,
-and a call of it runs that at once.
+`Kernel.bind` binds arguments to a kernel and returns a `Launch`. A wrapper function decorated with
+`operation` checks its arguments: its `bind` returns the launch, and calling it runs the launch at
+once.
 """
 
 import functools
@@ -20,14 +20,14 @@ from tisfm.kernels.layout import internals
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_compiling = threading.Lock()  # Taichi does so in one thread at a time
+_compiling = threading.Lock()  # Taichi can compile in one thread at a time only
 
 
 class Launch:
-    """A kernel and its arguments, to be run by a call, any number of times.
+    """A kernel with bound arguments; a call runs it, any number of times.
 
-    Arrays are read and written where they lie, as they are at the time of the call; numbers are
-    those of the time of binding. The arrays live as long as the launch.
+    A call reads and writes the arrays themselves, with their values at the time of the call. Number
+    arguments keep their values from the time of binding. The launch keeps its arrays alive.
     """
 
     __slots__ = ("_arguments", "_context", "_kernel", "_lasting", "_program", "_ready", "_run")
@@ -36,7 +36,7 @@ class Launch:
         self._kernel, self._ready, self._arguments = kernel, ready, arguments
         self._program = internals.program()
         self._run = internals.launcher(self._program)
-        # Elsewhere than on a CPU, and with arrays of a device, a context is good for one launch.
+        # On a GPU, or with arrays on a device, a context is valid for one launch only.
         self._context, on_host = internals.context(ready[0], kernel.arguments, arguments)
         self._lasting = on_host and kernel.on_cpu
 
@@ -66,23 +66,23 @@ class Launch:
 class Kernel:
     """A Taichi kernel.
 
-    Arguments are NumPy arrays, C-contiguous and of the type that their annotation says, arrays of
-    floats on the device (``ti.ndarray``), numbers, and values known while compiling
-    (``ti.template()``). On a GPU, Taichi copies NumPy arrays there and back at every launch; on
-    Vulkan and Metal, those that are only written are not copied there, and come back with anything
-    where the kernel has left them alone.
+    Arguments are NumPy arrays, C-contiguous and of the annotated type, arrays of floats on the
+    device (``ti.ndarray``), numbers, and values known while compiling (``ti.template()``). On a
+    GPU, Taichi copies NumPy arrays to the device and back at every launch. On Vulkan and Metal,
+    arrays that the kernel only writes are not copied to the device, so elements that the kernel
+    does not write come back with arbitrary values.
 
     Parameters
     ----------
     function : callable
-        What ``ti.kernel`` takes.
+        A function for ``ti.kernel``.
 
     Attributes
     ----------
     arguments : tisfm.kernels.layout.internals.Arguments
-        What it takes.
+        The arguments of the kernel.
     on_cpu : bool
-        Whether the program that it was last compiled for runs on a CPU.
+        Whether the program for which the kernel was last compiled runs on a CPU.
     """
 
     def __init__(self, function: Callable) -> None:
@@ -97,12 +97,12 @@ class Kernel:
         self.bind(*arguments)()
 
     def bind(self, *arguments: Any) -> Launch:
-        """Return a launch with these arguments; the first for the same constants compiles it.
+        """Return a launch with these arguments; compile the kernel if its constants are new.
 
         Raises
         ------
         TypeError
-            If there are more or fewer arguments than the kernel takes, or one is of another kind.
+            If the number of arguments or the type of an array is wrong.
         """
         internals.check(self.arguments, arguments)
         program = internals.program()
@@ -118,7 +118,7 @@ class Kernel:
 
 
 class Operation(Generic[P, R]):
-    """A kernel's wrapper: a call runs it at once, and `bind` returns what runs it later."""
+    """A wrapper of a kernel: a call runs the kernel, `bind` returns a launch for later."""
 
     def __init__(self, function: Callable[P, Callable[[], R]]) -> None:
         functools.update_wrapper(self, function)
@@ -129,17 +129,17 @@ class Operation(Generic[P, R]):
         return self._function(*arguments, **options)()
 
     def bind(self, *arguments: P.args, **options: P.kwargs) -> Callable[[], R]:
-        """Check the arguments once; return what runs the kernel with them at every call."""
+        """Check the arguments once; return a launch that runs the kernel with them."""
         return self._function(*arguments, **options)
 
 
 def operation(function: Callable[P, Callable[[], R]]) -> Operation[P, R]:
-    """Make an `Operation` of a function that checks its arguments and returns a launch."""
+    """Make an `Operation` from a function that checks its arguments and returns a launch."""
     return Operation(function)
 
 
 def in_turn(*launches: Callable[[], Any]) -> Callable[[], None]:
-    """Return what runs some launches, one after another."""
+    """Return a function that runs the launches one after another."""
 
     def run() -> None:
         for launch in launches:

@@ -1,7 +1,7 @@
-"""Sums over the image whose bits do not depend on the number of threads.
+"""Sums over the image that are bitwise the same for any number of threads.
 
-A kernel sums blocks of `BLOCK` strip positions of one row, each by one thread in one order; the
-blocks are then added in float64, by one thread.
+A kernel sums blocks of `BLOCK` strip positions of a row. One thread sums each block in a fixed
+order; then one thread adds all blocks in float64.
 """
 
 import numpy as np
@@ -9,11 +9,11 @@ import taichi as ti
 
 from tisfm.kernels.layout.lanes import LaneGrid, lane_of
 
-BLOCK = 16
+BLOCK = 16  # strip positions
 
 
 def block_sums(grid: LaneGrid, terms: int) -> np.ndarray:
-    """Return zeros for the sums of every block, as a kernel takes them: (H, blocks, terms)."""
+    """Return zeros, (H, blocks, terms), into which a kernel writes the sums of all blocks."""
     shape = (grid.height, -(-grid.strip // BLOCK), terms)
     return np.zeros(shape, np.float32 if grid.lanes == 1 else np.float64)
 

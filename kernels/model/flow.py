@@ -1,4 +1,4 @@
-"""Image motion from the scaled unknowns (eq. 25)."""
+"""Image motion from the unknowns ρ̂ (eq. 25)."""
 
 import taichi as ti
 

@@ -1,4 +1,4 @@
-"""What a user reads off the unknowns, on plain images."""
+"""Image motion, inverse depth and ρ̂ for the user, computed from the unknowns as plain images."""
 
 import numpy as np
 import taichi as ti
@@ -9,7 +9,7 @@ from tisfm.kernels.layout.launch import Kernel
 from tisfm.kernels.model.constants import NEAREST
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 
-READOUT_BAND = 16  # rows, at least
+READOUT_BAND = 16  # least rows of a band
 
 
 def motion_fields(
@@ -22,7 +22,7 @@ def motion_fields(
     focal: float,
     by_pixel: bool = False,
 ) -> None:
-    """Compute image motion (eq. 25) and inverse depth (eq. 24 without its sign) of a field.
+    """Compute the image motion (eq. 25) and the unsigned inverse depth (eq. 24) of a field.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def motion_fields(
     focal : float
         px.
     by_pixel : bool
-        Whether every pixel is a thread's own, as a GPU wants it, and not a band of rows.
+        Whether every pixel has its own thread, which is best on a GPU, instead of a band of rows.
     """
     n, height, width = rho.shape
     if n not in (3, 6):
@@ -122,17 +122,17 @@ def rigid_fields(
     focal: float,
     by_pixel: bool = False,
 ) -> None:
-    """Compute the exact flow of rigid motions, and the ρ̂ of their twists with Gρ̂ = that flow.
+    """Compute the exact flow of rigid motions, and a ρ̂ from their twists with Gρ̂ = flow.
 
-    To first order ρ̂ = (D T, f·ω). What the finite displacement has beyond Gρ̂ is added to its
-    first two components, which move a pixel right and down.
+    To first order ρ̂ = (D T, f·ω). The difference of the exact flow from the Gρ̂ of this is added to
+    the first two components of ρ̂, which move a pixel right and down.
 
     Parameters
     ----------
     inverse_depth : (H, W) float32
         D, px/frame.
     labels : (H, W) int32
-        Which motion a pixel has.
+        Index of each pixel's motion.
     x_hat, y_hat : (W,), (H,) float32
         Normalised coordinates.
     flow : (2, H, W) float32
@@ -142,11 +142,11 @@ def rigid_fields(
     motions : (K, 3, 4) array
         R and t.
     twists : (K, 6) array
-        T and f·ω: what is multiplied by D, and what is not.
+        T, which is multiplied by D, and f·ω.
     focal : float
         px.
     by_pixel : bool
-        Whether every pixel is a thread's own.
+        Whether every pixel has its own thread.
     """
     height, width = inverse_depth.shape
     count = len(motions)
@@ -163,7 +163,7 @@ def rigid_fields(
         )
     if labels.min() < 0 or labels.max() >= count:
         raise ValueError(f"labels go from {labels.min()} to {labels.max()}: {count} motions")
-    # Of (R − 1) x̂, so that no motion gives exactly none.
+    # R − 1 instead of R, so that zero motion gives exactly zero flow.
     change = (np.array(motions, np.float64) - np.eye(3, 4)).astype(np.float32)
     where = inverse_depth, labels, x_hat, y_hat, change, twists.astype(np.float32), focal
     if by_pixel:
@@ -247,6 +247,6 @@ def _rigid_at(
 
 @ti.func
 def _moved(change: ti.template(), k, row: ti.template(), x, y, d):
-    """Return by what a motion changes one coordinate of x̂, whose inverse depth is d."""
+    """Return the change of one coordinate of x̂ by a motion, at inverse depth d."""
     still = change[k, row, 0] * x + change[k, row, 1] * y + change[k, row, 2]
     return still + d * change[k, row, 3]

@@ -1,8 +1,8 @@
 """The motion model (eq. 2): image motion as a linear function of ρ̂, unrolled at compile time.
 
-The number of components names the model: 6 rigid motion (τ, ω), 3 translation (τ), 2 the image
-motion itself (G = identity, for Horn and Schunck), 1 the motion along a known line (G = (1, 0)ᵀ,
-see `tisfm.kernels.rigid.epipolar`).
+The number of components determines the model: 6 for rigid motion (τ, ω), 3 for translation (τ),
+2 for the image motion itself (G = identity, for Horn and Schunck), 1 for image motion along a known
+line (G = (1, 0)ᵀ, see `tisfm.kernels.rigid.epipolar`).
 """
 
 from typing import Any

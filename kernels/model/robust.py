@@ -1,12 +1,12 @@
-"""The robust data term: constraints weighted by how well they are met.
+"""The robust data term: a constraint has less weight if its residual is large.
 
-A term of weight m_i, the sum of squares q_i of its constraints (`tisfm.kernels.data.constraints`),
-contributes m_i ψ(q_i/m_i), where ψ(q) = 2ε²(√(1 + q/ε²) − 1) (Charbonnier), written
-2q/(1 + √(1 + q/ε²)). Its half-quadratic form is w q + m ε²(w + 1/w − 2), least for
-w = 1/√(1 + q/(m ε²)).
+A term with weight m_i and q_i, the sum of its squared constraints
+(`tisfm.kernels.data.constraints`), contributes m_i ψ(q_i/m_i) to the energy, where
+ψ(q) = 2ε²(√(1 + q/ε²) − 1) (Charbonnier), computed as 2q/(1 + √(1 + q/ε²)). Its half-quadratic form
+is w q + m ε²(w + 1/w − 2), with its minimum at w = 1/√(1 + q/(m ε²)).
 
-Functions here that are no kernel's are called inside ``ti.static(...)``: they write out their
-arithmetic while a kernel is being compiled.
+Python functions here that take Taichi expressions are called inside ``ti.static(...)``: they
+generate their arithmetic while a kernel is compiled.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from tisfm.kernels.layout.lanes import LaneData, LaneGrid
 
 
 def check_constraints(grid: LaneGrid, terms: LaneData, scales: Sequence[float]) -> int:
-    """Raise unless `terms` are 1, 2 or 3 constraints of as many terms as `scales`; return that."""
+    """Return the number of constraints, 1, 2 or 3; raise unless `scales` has one value per term."""
     if not all(scale > 0 for scale in scales):
         raise ValueError(f"scales is {tuple(scales)}: expected positive values")
     count = int(terms.shape[0]) // 3
@@ -34,14 +34,14 @@ def check_constraints(grid: LaneGrid, terms: LaneData, scales: Sequence[float]) 
 
 
 def terms_of(constraints: Any) -> list:
-    """Return the constraints of each term, from all that a pixel has."""
+    """Return a list of the constraints of each term, from all constraints of a pixel."""
     if len(constraints) < 3:
         return [constraints]
     return [constraints[:1], constraints[1:]]
 
 
 def finite_scales(scales: Sequence[float]) -> tuple[float, ...]:
-    """Return 1/scale and scale of two terms; 0 and 0 for a quadratic one, w = 1 without penalty."""
+    """Return 1/scale and scale of two terms; 0 and 0 for a quadratic term, which has w = 1."""
     pairs = [(1.0 / s, s) if np.isfinite(s) else (0.0, 0.0) for s in (*scales, np.inf)]
     return (*pairs[0], *pairs[1])
 
@@ -67,15 +67,15 @@ def products(lines: list) -> list:
 def robust_data(terms: list, scales: list, u: Any, v: Any) -> tuple[Any, list]:
     """Return the energy of a pixel's terms at a flow, and the tensor of its half-quadratic form.
 
-    `terms` are lists of constraints, `scales` pairs (1/s, s) of `finite_scales`. J_tt contains the
-    penalty, so that the form of the tensor is the half-quadratic one.
+    `terms` are lists of constraints, `scales` pairs (1/s, s) of `finite_scales`. J_tt includes the
+    penalty m ε²(w + 1/w − 2), so the quadratic form of the tensor is the half-quadratic energy.
     """
     energy: Any = 0.0
     tensor: list[Any] = [0.0] * 6
     for lines, (inverse, scale) in zip(terms, scales, strict=False):
         q = squares(lines, u, v)
         root = bind(ti.sqrt(1.0 + inverse * q))
-        both = bind(1.0 / (root * (1.0 + root)))  # one quotient for two
+        both = bind(1.0 / (root * (1.0 + root)))  # one division in place of two
         weight = bind((1.0 + root) * both)
         energy = energy + 2.0 * q * (root * both)
         tensor = [

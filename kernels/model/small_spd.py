@@ -1,8 +1,7 @@
 """Small symmetric positive definite systems, unrolled while a kernel is being compiled.
 
-These are plain Python functions over Taichi expressions: called inside ``ti.static(...)`` they
-write out straight-line code for one pixel (or one vector of lanes). Matrices and vectors are
-Python lists.
+These are plain Python functions of Taichi expressions. Inside ``ti.static(...)`` they generate
+straight-line code for one pixel (or one vector of lanes). Matrices and vectors are Python lists.
 """
 
 from collections.abc import Iterable
@@ -13,8 +12,8 @@ import taichi as ti
 from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.model.constants import LEAST_PIVOT
 
-PIVOT_FLOOR = 1e-6  # relative to the diagonal entry: about ten float32 roundings
-DATA_FLOOR = 1e-6  # of the data: beyond it, differences in the closed form are rounding
+PIVOT_FLOOR = 1e-6  # share of the diagonal entry, about ten float32 roundings
+DATA_FLOOR = 1e-6  # share of J: with a smaller D, rounding dominates the closed form
 
 
 def cholesky_solve(matrix: list[list], rhs: list) -> list:
@@ -29,7 +28,7 @@ def cholesky_solve(matrix: list[list], rhs: list) -> list:
     Returns
     -------
     list of n
-        x, or the solution for a slightly larger matrix where a pivot fell to the floor.
+        x; if a pivot was below its floor, the solution for a slightly larger matrix.
     """
     n = len(rhs)
     lower: list[list[Any]] = [[None] * n for _ in range(n)]
@@ -47,7 +46,7 @@ def cholesky_solve(matrix: list[list], rhs: list) -> list:
             entry = matrix[i][j]
             for k in range(j):
                 entry = entry - lower[i][k] * lower[j][k]
-            lower[i][j] = bind(entry)  # of L D until row i is reached
+            lower[i][j] = bind(entry)  # entry of L D, until row i divides it by the pivot
     x: list[Any] = [None] * n
     for i in range(n):
         entry = rhs[i]
@@ -70,9 +69,9 @@ def woodbury_solve(inverse: list, columns: list, tensor: list, rhs: list) -> lis
         K = (I + J M)⁻¹ J = (J + det J · adj M) / (1 + tr(J M) + det J · det M).
 
     For one channel and the translation model this is the paper's eq. 18 (whose third line must
-    read s3, not s1). The denominator is at least 1: nothing needs a floor but D, which must
-    not be below `DATA_FLOOR` of J. A J
-    of rank 1 has det J = 0 only up to rounding, which costs up to ‖J M‖ roundings of accuracy.
+    read s3, not s1). The denominator is at least 1, so only D needs a floor: it must be at least
+    `DATA_FLOOR` times J. For a J of rank 1, det J = 0 holds only up to rounding, which costs up to
+    ‖J M‖ roundings of accuracy.
 
     Parameters
     ----------
