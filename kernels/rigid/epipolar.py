@@ -1,9 +1,9 @@
-"""Rigid motions: every pixel moves along a known curve, by its inverse depth.
+"""Flow of rigid motions: every pixel moves along its epipolar line, depending on inverse depth.
 
-A pixel at x̂ = (x̂, ŷ, 1) of inverse depth d, on the surface that moves by P₁ = R P₀ + t, goes to
-π(R x̂ + d t), exactly. The unknown of the solver is D = f·d, and about a current D₀ the flow is
-(u, v) = (u₀, v₀) + (D − D₀) a, with a = ∂(u, v)/∂D the direction of the epipolar line. A
-constraint then is one on D.
+A pixel x̂ = (x̂, ŷ, 1) with inverse depth d on a surface that moves by P₁ = R P₀ + t moves exactly
+to π(R x̂ + d t). The unknown of the solver is D = f·d. Near a current D₀ the flow is
+(u, v) = (u₀, v₀) + (D − D₀) a, with a = ∂(u, v)/∂D the direction of the epipolar line. A constraint
+on the flow is then a constraint on D.
 """
 
 import numpy as np
@@ -27,7 +27,7 @@ def displacement(
     motions: np.ndarray,
     focal: float,
 ) -> Launch:
-    """Compute the flow of rigid motions, and how it changes with the inverse depth.
+    """Compute the flow of rigid motions, and its derivative by the inverse depth.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def displacement(
     inverse_depth : lane array, 1 component
         D.
     labels : lane array, 1 component
-        Which motion a pixel has: whole numbers from 0.
+        Index of each pixel's motion, a whole number from 0.
     x_hat : column table
     y_hat : (H + 2,) float32
     flow : lane array, 2 components
@@ -72,12 +72,12 @@ def along(
     terms : lane array, 3 components for each constraint
         (p, q, c) (`tisfm.kernels.data.constraints`).
     flow, direction : lane arrays, 2 components
-        Of `displacement`, at the same D.
+        Results of `displacement` for the same D.
     inverse_depth : lane array, 1 component
         D₀.
     out : lane array, as many components as `terms`
-        (p', 0, c') of a flow (D, 0): p' = (p, q)·a, and c' = (p, q)·(u₀, v₀) + c − p' D₀. The
-        zeros are left alone.
+        (p', 0, c'), a constraint on the flow (D, 0): p' = (p, q)·a, and
+        c' = (p, q)·(u₀, v₀) + c − p' D₀. The zeros are not written.
     """
     count = terms.shape[0] // 3
     grid.check(terms, 3 * count, "terms")
@@ -96,7 +96,7 @@ def check_geometry(
     y_hat: LaneData,
     motions: np.ndarray,
 ) -> None:
-    """Raise unless the arguments of `displacement` that it reads are what it says."""
+    """Raise unless the input arguments of `displacement` have the right types and shapes."""
     grid.check(inverse_depth, 1, "inverse_depth")
     grid.check(labels, 1, "labels")
     grid.check_columns(x_hat, "x_hat")

@@ -92,7 +92,7 @@ class FlowSearch:
             px, odd, so that the neighbours of red pixels are black.
         draws : int
         spans : (float, float)
-            How far the first and the last of these may be in u and in v, px/frame.
+            Largest and smallest range of the draws in u and in v, px/frame.
         seed : int
             Seed of the random numbers.
         """
@@ -186,7 +186,7 @@ def _improve(
             random = ti.cast(2 * (y * width + x), ti.u32) * ti.cast(draws + 1, ti.u32)
             random = mixed(random + mixed(ti.cast(seed, ti.u32)))
             away = span
-            for n in range(8 + draws):  # 8 neighbours, and those drawn
+            for n in range(8 + draws):  # 8 neighbours, then random draws
                 other = best
                 if n < 8:
                     other = _neighbour(state, y, x, n, reach, best)
@@ -207,7 +207,7 @@ def _improve(
 
 @ti.func
 def _neighbour(state: ti.template(), y, x, n, reach, best):
-    """Return `best` with the displacement of one of eight neighbours, or as it is beyond them."""
+    """Return `best` with the displacement of one of eight neighbours, if inside the image."""
     away = ti.select(n < 4, 1, reach)
     way = n % 4
     row = y + ti.select(way == 0, away, ti.select(way == 1, -away, 0))
@@ -262,7 +262,7 @@ def _carry(
         if task % CHUNK == 0:  # a line for each thread
             line = task // CHUNK
             for n in range(2 * length):
-                way = n // length  # there, and back
+                way = n // length  # 0 forward along the line, 1 backward
                 at = n if way == 0 else 2 * length - 1 - n
                 before = at - 1 if way == 0 else at + 1
                 if before >= 0 and before < length:

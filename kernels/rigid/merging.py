@@ -1,7 +1,7 @@
-"""Inverse depth of one view as several others show it: what most of them say, together.
+"""Merging of several inverse depth maps of one view by votes.
 
-Each has a vote for every pixel, of the weight (d/σ)². The one that most votes agree with says
-which surface it is; their mean says where.
+Each source has a vote for every pixel, with the weight (d/σ)². The source with most votes in
+agreement determines the surface of the pixel. The result is the weighted mean of these votes.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ import taichi as ti
 from tisfm.kernels.layout.lanes import check_array
 from tisfm.kernels.layout.launch import Kernel
 
-SUREST = 1e-3  # of the inverse depth: the least deviation that is believed
+SUREST = 1e-3  # share of the inverse depth: smaller deviations count as this value
 
 
 def merged(
@@ -26,14 +26,14 @@ def merged(
     Parameters
     ----------
     inverse_depths : (N, H, W) float32
-        0 where there is none; the first of those that are equally supported counts.
+        0 where a source has no depth. If two sources have equal votes, the first is used.
     deviations : (N, H, W) float32
         Their standard deviations; finite.
     out, out_deviation : (H, W) float32
-        Means of those that agree, of weight (d/σ)²; 0 where there is none. Sources share images,
-        so that their mean is no surer than they are.
+        Means of the sources that agree, with the weights (d/σ)²; 0 where there is no depth. The
+        deviation is a mean too, not smaller than those of the sources, since sources share images.
     alike : float
-        Sources agree that differ by a smaller share of the larger one.
+        Largest relative difference, as a share of the larger value, for two sources to agree.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def merged(
 
     Notes
     -----
-    Values must be finite: under fast arithmetic, comparisons with NaN prove nothing.
+    Values must be finite: with fast math, comparisons with NaN are unreliable.
     """
     shape = np.shape(inverse_depths)
     if len(shape) != 3:

@@ -1,4 +1,4 @@
-"""Normal equations of a rigid motion, every pixel's inverse depth eliminated."""
+"""Normal equations of a rigid motion, with every pixel's inverse depth eliminated."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -28,16 +28,17 @@ def motion_system(
     held: float,
     tolerated: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sum the normal equations of a small change of one motion, inverse depth eliminated.
+    """Sum the normal equations of a small change of one motion, with inverse depth eliminated.
 
-    A change (δt, δω) takes R x̂ + d t to itself plus d δt + δω × (R x̂ + d t), and the flow by B (δt,
-    δω). Every pixel's D may answer it, held by its neighbours alone; that is the Schur complement
-    BᵀJB − BᵀJa (aᵀJa + α b̄)⁻¹ aᵀJB.
+    A change (δt, δω) of the motion adds d δt + δω × (R x̂ + d t) to R x̂ + d t, and B (δt, δω) to the
+    flow. Every pixel's D may change with the motion, against the smoothness term with fixed
+    neighbours. Elimination of D gives the Schur complement BᵀJB − BᵀJa (aᵀJa + α b̄)⁻¹ aᵀJB, with b̄
+    the sum of the edge weights of the pixel.
 
     Parameters
     ----------
     system : LinearSystem
-        Of D: one unknown, whose weights of edges and coordinates are read.
+        The system of D, with one unknown per pixel; its edge weights and coordinates are read.
     constraints : lane array, 3 components for each of 1 to 3 constraints
         (p, q, c) (`tisfm.kernels.data.constraints`), not restricted to epipolar lines.
     inverse_depth : lane array, 1 component
@@ -51,15 +52,15 @@ def motion_system(
     scales : sequence of float
         m_i ε² of each term (`tisfm.kernels.model.robust`).
     held : float
-        α, weight of D's regularisation here; infinity holds D.
+        α, weight of D's regularisation here; with infinity, D is fixed.
     tolerated : float
-        Squared residual that counts for a quarter (Geman–McClure, in the weights of the data):
-        what moves on its own has more, and is hardly seen. Infinity for no such weight.
+        Squared residual at which the weight of the data is a quarter (Geman–McClure). Independently
+        moving objects have larger residuals, and so hardly any weight. Infinity for equal weights.
 
     Returns
     -------
     matrix, vector : (6, 6) and (6,) float64
-        The energy changes by xᵀ matrix x + 2 xᵀ vector, x = (δt, δω).
+        The energy changes by xᵀ matrix x + 2 xᵀ vector, with x = (δt, δω).
     """
     grid = system.grid
     if system.components != 1:
@@ -118,7 +119,7 @@ def _motion_system(
             apart = labels[0, y, s] - label
             mine = ti.max(1.0 - ti.max(apart, 0.0 - apart), 0.0)
             d = inverse_depth[0, y, s] / focal
-            # The point after the motion, in units of its depth.
+            # (x, yy): normalised coordinates of the point after the motion.
             nearness = 1.0 / ti.max(coordinate(motion, 2, x_hat[s], y_hat[y], d), NEAREST)
             x = nearness * coordinate(motion, 0, x_hat[s], y_hat[y], d)
             yy = nearness * coordinate(motion, 1, x_hat[s], y_hat[y], d)
@@ -171,7 +172,7 @@ def coordinate(motion: ti.template(), row: ti.template(), x, y, d):
 
 
 def _trusted(parts: list, square: list, inverses: tuple, trusted: Any) -> list:
-    """Return J11, J12, J22, j1 and j2 of all terms, weighted."""
+    """Return the weighted sums of J11, J12, J22, j1 and j2 over all terms."""
     total: list[Any] = [0.0] * 5
     for lines, q, inverse in zip(parts, square, inverses, strict=False):
         weight = bind(trusted / ti.sqrt(1.0 + inverse * q))
@@ -181,7 +182,7 @@ def _trusted(parts: list, square: list, inverses: tuple, trusted: Any) -> list:
 
 
 def motion_columns(x: Any, y: Any, lever: Any, focal: Any) -> list[tuple[Any, Any]]:
-    """Return the columns of B at a point (x, y, 1) after the motion, lever = f·d/depth there."""
+    """Return the columns of B at a point (x, y, 1) after the motion, with lever = f·d/depth."""
     zero = bind(0.0 * x)
     xy = bind(focal * x * y)
     return [

@@ -1,12 +1,12 @@
-"""PatchMatch: at every pixel the plane by which frame 1 looks most like frame 0.
+"""PatchMatch for planes: the plane at every pixel with which frame 1 matches frame 0 best.
 
-A hypothesis is an inverse depth and its slopes: a surface that is flat within a window, whose
-inverse depth is then linear in the image. It costs what `tisfm.kernels.rigid.windows` says of the
-window of frame 0 and of where frame 1 would show it. Good hypotheses are handed on from pixel to
-pixel, as planes, and others are drawn at random.
+A hypothesis is an inverse depth and its slopes. The surface is a plane within the window, so its
+inverse depth is linear in the image. The cost is that of `tisfm.kernels.rigid.windows` for the
+window in frame 0 and its projection into frame 1. Good hypotheses propagate from pixel to pixel as
+planes, and random hypotheses are drawn.
 
 The state is an (H, W, 4) array: D in px/frame, ∂D/∂x and ∂D/∂y, and the cost, `UNSEEN` where the
-window shows no more than noise.
+window shows only noise.
 
 References
 ----------
@@ -39,17 +39,17 @@ from tisfm.kernels.rigid.windows import (
     with_margin,
 )
 
-# px: how far away neighbours are, odd, so that red pixels look at black ones alone.
+# px: distances of neighbours; odd, so that all neighbours of red pixels are black.
 DISTANCES = (1, 3, 5, 7, 13, 21)
-NONE = -1e30  # a D that no hypothesis has
-ALIKE = 0.03  # px: hypotheses that differ by less within the window are taken for the same
-STEEPEST = 3.0  # of random slopes, D over the focal length: a surface at 72° to the image
+NONE = -1e30  # value of D that means no hypothesis
+ALIKE = 0.03  # px: hypotheses that differ by less within the window count as equal
+STEEPEST = 3.0  # limit of random slopes, in D per focal length: a surface at 72° to the image
 
 _Plane = ti.types.vector(4, ti.f32)
 
 
 class PlaneSearch:
-    """A search for planes that take frame 0 to frame 1, on one level.
+    """A search for planes that map frame 0 to frame 1, on one level.
 
     Parameters
     ----------
@@ -64,9 +64,9 @@ class PlaneSearch:
     noise : float
         Standard deviation of the noise of a frame, levels; above 0.
     seen : float
-        Times the variance of the noise: what a window has to vary by to be compared.
+        Least variance of a window that is compared, over the variance of the noise.
     least, largest : float
-        D is sought between them, px/frame.
+        Bounds of D, px/frame.
     """
 
     def __init__(
@@ -107,21 +107,22 @@ class PlaneSearch:
     def improve(
         self, planes: np.ndarray, *, draws: int, spread: float, tilt: float, seed: int
     ) -> None:
-        """Replace planes by better ones, in place: red pixels, and then black ones.
+        """Replace planes by better planes, in place: first at red, then at black pixels.
 
-        Each compares what it has with four planes of neighbours, in each direction that which
-        costs least where it is, with one drawn from all that are possible, and with `draws` drawn
-        nearby, each from half the range of the one before. No cost rises.
+        Each pixel compares its plane with those of four neighbours, which in each direction is the
+        neighbour of least cost; with a random plane from the whole range; and with `draws` random
+        planes near its own, each from half the range of the previous draw. No cost rises.
 
         Parameters
         ----------
         planes : (H, W, 4) float32
-            Of `score`.
+            State with costs, from `score`.
         draws : int
+            Random planes near the present plane.
         spread, tilt : float
-            How far the first of these may be in D, px/frame, and in its slopes.
+            Range of the first of these draws in D, px/frame, and in the slopes of D.
         seed : int
-            Of the random numbers.
+            Seed of the random numbers.
         """
         self._check(planes)
         for color in range(2):
@@ -152,19 +153,19 @@ def disagreement(
     center: tuple[float, float],
     focal: float,
 ) -> None:
-    """Compute how far what frame 1 says of a pixel of frame 0 is from what that says itself.
+    """Compute the difference of inverse depth between the planes of both frames.
 
     Parameters
     ----------
     planes0 : (H, W, 4) float32
-        Of frame 0, under `motion`.
+        Planes of frame 0 for `motion`.
     planes1 : (H, W, 4) float32
-        Of frame 1, under the inverse motion.
+        Planes of frame 1 for the inverse motion.
     motion : (3, 4) array
         R and t.
     out : (H, W) float32
-        Difference of D in frame 1, px/frame; infinite where the pixel leaves the image, or there
-        is nothing to compare.
+        For each pixel of frame 0, the difference of D in frame 1, px/frame; infinite where the
+        pixel leaves the image, or one of the planes has no cost.
     center : (float, float)
         Principal point, px.
     focal : float
@@ -232,7 +233,7 @@ def _improve(
                 random = ti.cast(4 * (y * width + x), ti.u32) * ti.cast(draws + 1, ti.u32)
                 random = mixed(random + mixed(ti.cast(seed, ti.u32)))
                 span = 1.0
-                for n in range(5 + draws):  # 4 neighbours, one of all, and those nearby
+                for n in range(5 + draws):  # 4 neighbours, 1 draw from the whole range, near draws
                     plane = best
                     if n < 4:
                         plane = neighbour(planes, y, x, n, best)
@@ -255,9 +256,9 @@ def _improve(
 
 @ti.func
 def neighbour(planes: ti.template(), y, x, way, best):
-    """Return the plane of the neighbour on one side that costs least, as it is here.
+    """Return the plane of the neighbour of least cost in one direction, extrapolated to (y, x).
 
-    D is `NONE` if there is none, or it differs by too little to be tried.
+    D is `NONE` if there is no such neighbour.
     """
     cheapest, away = UNSEEN, 0
     down = ti.select(way == 0, 1, ti.select(way == 1, 0 - 1, 0))
@@ -279,7 +280,7 @@ def neighbour(planes: ti.template(), y, x, way, best):
 
 @ti.func
 def drawn(random, least, largest, steepest):
-    """Return a plane drawn at random, whose slopes are of up to `steepest` times D."""
+    """Return a random plane with slopes of at most `steepest` times D."""
     d = least + (largest - least) * unit(random)
     slope = steepest * ti.max(d, 0.0)
     east, south = 2.0 * unit(random + ti.u32(1)) - 1.0, 2.0 * unit(random + ti.u32(2)) - 1.0
@@ -288,7 +289,7 @@ def drawn(random, least, largest, steepest):
 
 @ti.func
 def drawn_near(plane, random, spread, tilt):
-    """Return a plane drawn near another: so far at most in D, and so much in its slopes."""
+    """Return a random plane near a plane: within `spread` in D and within `tilt` in its slopes."""
     near = plane
     near[0] += spread * (2.0 * unit(random) - 1.0)
     near[1] += tilt * (2.0 * unit(random + ti.u32(1)) - 1.0)
@@ -298,7 +299,7 @@ def drawn_near(plane, random, spread, tilt):
 
 @ti.func
 def apart_from(plane, other):
-    """Return whether two planes differ by more than what is too little to try."""
+    """Return whether two planes differ by more than `ALIKE` within the window."""
     apart = ti.abs(plane[0] - other[0])
     apart += RADIUS * (ti.abs(plane[1] - other[1]) + ti.abs(plane[2] - other[2]))
     return apart > ALIKE
@@ -325,7 +326,7 @@ def cost_in(
     x,
     plane,
 ):
-    """Return 1 − c of a hypothesis in one of several frames, whose arrays lie one after another."""
+    """Return 1 − c of a hypothesis in frame `view` of several frames in concatenated arrays."""
     i, j, k = 3 * view, 3 * view + 1, 3 * view + 2
     x_hat, y_hat, d = (x - cx) / focal, (y - cy) / focal, plane[0] / focal
     p1 = motion[i, 0] * x_hat + motion[i, 1] * y_hat + motion[i, 2] + motion[i, 3] * d
@@ -333,7 +334,7 @@ def cost_in(
     p3 = motion[k, 0] * x_hat + motion[k, 1] * y_hat + motion[k, 2] + motion[k, 3] * d
     nearness = 1.0 / ti.max(p3, NEAREST)
     x_there, y_there = p1 * nearness, p2 * nearness
-    # The plane's homography, linear within the window.
+    # The plane's homography, linearised within the window.
     away_x = motion[k, 0] + motion[k, 3] * plane[1]
     away_y = motion[k, 1] + motion[k, 3] * plane[2]
     ux = nearness * (motion[i, 0] + motion[i, 3] * plane[1] - x_there * away_x)

@@ -1,4 +1,4 @@
-"""Costs of hypotheses of inverse depth, by comparing frame 0 with where frame 1 would show it."""
+"""Plane sweep: matching costs of frame 0 and frame 1 for several inverse depths."""
 
 import numpy as np
 import taichi as ti
@@ -28,22 +28,22 @@ def matching_cost(
     step: float,
     near: float,
 ) -> None:
-    """Compare every pixel of frame 0 with frame 1 at some inverse depths.
+    """Compute the matching cost of every pixel of frame 0 for several inverse depths.
 
-    A cost is min(1, |ΔI|) + min(1, |ΔI_x| + |ΔI_y|), in the units that the features have, and 1
-    where a hypothesis takes the pixel out of the image; to which weight·min(1, |D − guess|/near)
-    is added.
+    A cost is min(1, |ΔI|) + min(1, |ΔI_x| + |ΔI_y|), in the units of the features, or 1 if the
+    hypothesis moves the pixel out of the image. weight·min(1, |D − guess|/near) is added.
 
     Parameters
     ----------
     features0, features1 : (H, W, 4) float32
-        Brightness, its derivatives in x and in y, and nothing, of both frames.
+        Brightness and its derivatives in x and in y of both frames; the fourth value is unused.
     guess, weight : (H, W) float32
-        An inverse depth that is likely, px/frame, and how likely.
+        A likely inverse depth, px/frame, and the weight of the cost for a difference from it.
     motion : (3, 4) float32
         R and t.
     out : (H, W, M[, lanes]) float32
-        Of hypothesis n, D = first + n·step; as many lie side by side as the array has lanes.
+        Costs of the hypotheses D = first + n·step. Number n is in vector n // lanes, lane
+        n % lanes.
     center : (float, float)
         Principal point, px.
     focal : float
@@ -51,7 +51,7 @@ def matching_cost(
     first, step : float
         px/frame.
     near : float
-        px/frame.
+        Difference from `guess` at which its cost is full, px/frame.
     """
     height, width = guess.shape
     lanes = 1 if out.ndim == 3 else out.shape[3]
@@ -91,12 +91,12 @@ def _matching_cost(
     inverse_near: ti.f32,
     out: LaneArray(3),  # (H, W, M)
 ):
-    """Compare a vector of hypotheses at a time, each lane with a place of its own."""
+    """Compute the costs of a vector of hypotheses at a time; each lane samples its own position."""
     height, width = guess.shape[0], guess.shape[1]
     lanes = ti.static(lane_count(out))
     for y, x in ti.ndrange(height, width):
         x_hat, y_hat = (x - cx) / focal, (y - cy) / focal
-        # Where the point is, times its depth: p + D t / f, the first two times f.
+        # The moved point is p + D t / f, in units of its depth before; x and y are multiplied by f.
         p1 = focal * (motion[0, 0] * x_hat + motion[0, 1] * y_hat + motion[0, 2])
         p2 = focal * (motion[1, 0] * x_hat + motion[1, 1] * y_hat + motion[1, 2])
         p3 = motion[2, 0] * x_hat + motion[2, 1] * y_hat + motion[2, 2]

@@ -3,8 +3,9 @@
 Each pixel is projected into the other view and splatted to the four pixels around; the nearest
 surface wins. This determines the surface of a pixel, on the grid of pixels. The exact value is then
 looked up: the pixel is projected back to the first view along its ray, and the inverse depth there
-is projected forth again. If more than half of the weight there belongs to another surface, the
-pixel lies beside an edge, and the surface nearest to its centre is looked up instead.
+is projected into the other view again. If more than half of the weight there belongs to another
+surface, the pixel lies beside an edge. Then the nearest surface among the points that round to the
+pixel itself is looked up instead.
 """
 
 import numpy as np
@@ -84,7 +85,7 @@ def _nearest_surfaces(
     nearest: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     central: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
 ):
-    """Keep the largest inverse depth that arrives at each pixel: the order does not matter."""
+    """Keep the largest inverse depth that arrives at each pixel, which is independent of order."""
     height, width = inverse_depth.shape[0], inverse_depth.shape[1]
     for y, x in ti.ndrange(height, width):
         depth = inverse_depth[y, x]
@@ -148,7 +149,7 @@ def _look(
     value,
     least,
 ):
-    """Return what the first view says of a ray that meets its surface at `value`; 0 for nothing."""
+    """Return inverse depth and deviation along a ray, near inverse depth `value`; 0 if none."""
     spread = 0.0
     for _ in ti.static(range(LOOKS)):
         source = _taken_back(motion, ray, value)
@@ -172,7 +173,7 @@ def _look(
 
 @ti.func
 def _mean(inverse_depth: ti.template(), deviation: ti.template(), row, column, expected):
-    """Return Σw, Σw·d and Σw·σ of the four pixels around that show the surface expected."""
+    """Return Σw, Σw·d and Σw·σ over those of the four pixels around that show the surface."""
     sums = ti.Vector([0.0, 0.0, 0.0])
     left, top = ti.cast(ti.floor(column), ti.i32), ti.cast(ti.floor(row), ti.i32)
     for j, i in ti.static(ti.ndrange(2, 2)):
@@ -190,7 +191,7 @@ def _mean(inverse_depth: ti.template(), deviation: ti.template(), row, column, e
 
 @ti.func
 def _moved(motion: ti.template(), ray, depth):
-    """Return R x̂ + d t: the point, times its inverse depth d."""
+    """Return R x̂ + d t: the moved point, multiplied by its inverse depth d before the motion."""
     place = ti.Vector([0.0, 0.0, 0.0])
     for k in ti.static(range(3)):
         turned = motion[k, 0] * ray[0] + motion[k, 1] * ray[1] + motion[k, 2] * ray[2]
@@ -200,7 +201,7 @@ def _moved(motion: ti.template(), ray, depth):
 
 @ti.func
 def _taken_back(motion: ti.template(), ray, depth):
-    """Return Rᵀ(x̂ − d t): the same for the inverse of the motion."""
+    """Return Rᵀ(x̂ − d t): `_moved` for the inverse motion."""
     away = ti.Vector([0.0, 0.0, 0.0])
     for k in ti.static(range(3)):
         away[k] = ray[k] - depth * motion[k, 3]

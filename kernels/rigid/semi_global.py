@@ -1,7 +1,7 @@
-"""Semi-global aggregation: the costs of hypotheses, summed along paths that may change slowly.
+"""Semi-global aggregation: costs of hypotheses are summed along paths, with a cost for changes.
 
-The costs of a pixel's N hypotheses lie side by side, in vectors of as many as a `LaneGrid` has
-lanes: a float32 array of shape (H, W, N / lanes, lanes), without the last axis for one lane.
+The costs of a pixel's N hypotheses lie side by side in vectors of `lanes` values, as in a
+`LaneGrid`: a float32 array of shape (H, W, N / lanes, lanes), without the last axis for one lane.
 """
 
 import numpy as np
@@ -17,9 +17,9 @@ from tisfm.kernels.layout.lanes import (
 )
 from tisfm.kernels.layout.launch import Kernel
 
-FORBIDDEN = 1e6  # the cost of what is no hypothesis; more than any sum along a path
-COLUMNS = 32  # that are followed side by side, for what lies side by side in memory
-LEAST_BEND = 1e-6  # in place of a bend where hypotheses cost the same
+FORBIDDEN = 1e6  # cost of unused places in vectors; more than any sum along a path
+COLUMNS = 32  # columns that a thread processes together, because rows are contiguous in memory
+LEAST_BEND = 1e-6  # least curvature of the parabola, for hypotheses of equal cost
 
 
 def aggregate(
@@ -39,15 +39,15 @@ def aggregate(
     Parameters
     ----------
     cost : (H, W, M[, lanes]) float32
-        C of every pixel and hypothesis, `FORBIDDEN` where the last vector has one too many.
+        C of every pixel and hypothesis; `FORBIDDEN` in unused places of the last vector.
     guide : (H, W) float32
         Grey levels I of frame 0.
     out : like `cost`
         The sum of L over the four paths.
     step, jump : float
-        Cost of a change by one hypothesis, and of any other.
+        Cost of a change by one hypothesis, and of a larger change.
     edge : float
-        Step of grey levels at which a jump costs half.
+        Step of grey levels at which a jump has half its cost.
 
     References
     ----------
@@ -65,15 +65,15 @@ def aggregate(
 
 
 def cheapest(cost: np.ndarray, out: np.ndarray, *, count: int) -> None:
-    """Find the hypothesis that costs least, to a fraction: the vertex of a parabola through three.
+    """Find the hypothesis of least cost, refined by a parabola through three costs.
 
     Parameters
     ----------
     cost : (H, W, N) float32
     out : (H, W) float32
-        Its number, from 0 to count − 1; of equals the first.
+        Number of the hypothesis with its fraction, from 0 to count − 1; the first of equals.
     count : int
-        How many of N are hypotheses; at least 2.
+        Number of hypotheses among the N places; at least 2.
     """
     check_array(cost, cost.shape, "cost")
     check_array(out, cost.shape[:2], "out", aligned=False)
@@ -106,17 +106,17 @@ def _cheapest(
 def _aggregate(
     cost: LaneArray(3),  # (H, W, M)
     guide: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
-    path: LaneArray(2),  # (lines, M): L of the pixel before
-    least: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (lines,): the least of it
+    path: LaneArray(2),  # (lines, M): L of the previous pixel
+    least: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (lines,): its minimum
     step: ti.f32,
     jump: ti.f32,
     inverse_edge: ti.f32,
     across: ti.template(),
     out: LaneArray(3),  # (H, W, M)
 ):
-    """Sum along rows, which writes `out`, or along columns, which adds to it."""
+    """Sum along rows, writing `out`, or along columns, adding to `out`."""
     lines = path.shape[0]
-    if ti.static(lane_count(cost) == 1):  # on a GPU, a thread for every line
+    if ti.static(lane_count(cost) == 1):  # on a GPU: one thread for each line
         for line in range(lines):
             _follow(cost, guide, path, least, step, jump, inverse_edge, across, out, line, line + 1)
     else:
@@ -142,7 +142,7 @@ def _follow(
     first,
     end,
 ):
-    """Sum along some lines of the image, side by side, there and back."""
+    """Sum along lines `first` to `end` − 1 of the image, forward and then backward."""
     count = cost.shape[2]
     lanes = ti.static(lane_count(cost))
     length = cost.shape[1] if ti.static(across) else cost.shape[0]
@@ -178,7 +178,7 @@ def _follow(
                     value = cost[y, x, m] + best - lowest
                     path[line, m] = value
                     if adds:
-                        out[y, x, m] = out[y, x, m] + value  # no atomic sum
+                        out[y, x, m] = out[y, x, m] + value  # not +=, which would be atomic
                     else:
                         out[y, x, m] = value
                     smallest = ti.min(smallest, value)
@@ -188,7 +188,7 @@ def _follow(
 
 @ti.func
 def _shifted_up(before, here, lanes: ti.template()):
-    """Return what lies one hypothesis below each of `here`."""
+    """Return the values of the previous hypothesis for each lane of `here`."""
     result = before
     if ti.static(lanes > 1):
         result = here
@@ -200,7 +200,7 @@ def _shifted_up(before, here, lanes: ti.template()):
 
 @ti.func
 def _shifted_down(here, after, lanes: ti.template()):
-    """Return what lies one hypothesis above each of `here`."""
+    """Return the values of the next hypothesis for each lane of `here`."""
     result = after
     if ti.static(lanes > 1):
         result = here
@@ -212,7 +212,7 @@ def _shifted_down(here, after, lanes: ti.template()):
 
 @ti.func
 def _least(value, lanes: ti.template()):
-    """Return the smallest lane."""
+    """Return the smallest value of all lanes."""
     result = 0.0
     if ti.static(lanes > 1):
         result = value[0]

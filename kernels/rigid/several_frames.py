@@ -1,7 +1,7 @@
-"""The data of several frames, restricted to epipolar lines and added up in one inverse depth.
+"""Sum of the data terms of several frames, as a function of one inverse depth per pixel.
 
-The motion tensor of a frame, in the flow along its own epipolar line (`tisfm.kernels.rigid.
-epipolar`), is A D² + 2 B D + C: three numbers a pixel, which add up over frames.
+For flow along the epipolar line of a frame (`tisfm.kernels.rigid.epipolar`), its data term is
+A D² + 2 B D + C. These three numbers per pixel are added up over the frames.
 """
 
 import taichi as ti
@@ -21,7 +21,7 @@ def add_along(
     weight: LaneData,
     out: LaneData,
 ) -> Launch:
-    """Restrict the motion tensor of a frame to its epipolar line, and add it.
+    """Restrict the motion tensor of a frame to its epipolar line, and add it to A, B and C.
 
     Parameters
     ----------
@@ -33,10 +33,10 @@ def add_along(
     inverse_depth : lane array, 1 component
         D₀.
     weight : lane array, 1 component
-        Of this frame at each pixel.
+        Weight of this frame at each pixel.
     out : lane array, 3 components
-        A, B and C: what is added are aᵀJa, aᵀ(J u + j) and uᵀJu + 2 jᵀu + J_tt, each times the
-        weight, with u = (u₀, v₀) − D₀ a.
+        A, B and C. The values aᵀJa, aᵀ(J u + j) and uᵀJu + 2 jᵀu + J_tt, times the weight, are
+        added, with u = (u₀, v₀) − D₀ a.
     """
     grid.check(tensor, 6, "tensor")
     grid.check(flow, 2, "flow")
@@ -49,7 +49,7 @@ def add_along(
 
 @operation
 def as_constraint(grid: LaneGrid, sums: LaneData, out: LaneData) -> Launch:
-    """Write the one constraint p D + c = 0 whose square is a sum of tensors, but for a constant.
+    """Write the constraint p D + c = 0 whose square is A D² + 2 B D up to a constant.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def as_constraint(grid: LaneGrid, sums: LaneData, out: LaneData) -> Launch:
     sums : lane array, 3 components
         A, B and C of `add_along`.
     out : lane array, 3 components
-        (p, 0, c) = (√A, 0, B/√A). The zero is left alone.
+        (p, 0, c) = (√A, 0, B/√A). The zero is not written.
     """
     grid.check(sums, 3, "sums")
     grid.check(out, 3, "out")

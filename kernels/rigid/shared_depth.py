@@ -1,10 +1,10 @@
-"""What a frame says of its motion, and of the depth that it shares with other frames.
+"""Normal equations of the motions of several frames and of the inverse depth that they share.
 
-The frames of a star are compared with one keyframe, whose pixels have one inverse depth for all of
-them. A small change (δt, δω) of a frame's motion takes R x̂ + d t to itself plus d δt + δω × (R x̂ +
-d t), and its flow by B (δt, δω); a change of D takes it by a δD. With e = J u + j, a frame adds
-BᵀJB and Bᵀe to the equations of its own motion, aᵀJa and aᵀe to those of every pixel's depth, and
-aᵀJB couples the two. Depth can only be eliminated once all frames are known.
+Several frames are compared with one keyframe, whose pixels have one inverse depth for all frames. A
+small change (δt, δω) of a frame's motion adds d δt + δω × (R x̂ + d t) to R x̂ + d t, and B (δt, δω)
+to the flow; a change δD adds a δD to the flow. With e = J u + j, a frame adds BᵀJB and Bᵀe to the
+equations of its own motion, and aᵀJa and aᵀe to those of every pixel's depth; aᵀJB couples the two.
+Depth can be eliminated only after all frames are added.
 """
 
 import numpy as np
@@ -25,14 +25,14 @@ from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store
 from tisfm.kernels.model.constants import NEAREST
 from tisfm.kernels.rigid.motion_system import answers_of, coordinate, motion_columns, pulled_by
 
-SUMS = 27  # of BᵀJB the upper triangle, row by row, and Bᵀe
-PAIR = 42  # sums of a pair of frames: 6 × 6, and 6 of a frame by itself
-ROWS = 8  # of the image, which one thread sums in one order
+SUMS = 27  # the upper triangle of BᵀJB, row by row, then Bᵀe
+PAIR = 42  # sums of a pair of frames: a 6 × 6 block, and a vector of 6 for a frame with itself
+ROWS = 8  # image rows that one thread sums in a fixed order
 
 
 @operation
 def squared_residual(grid: LaneGrid, tensor: LaneData, flow: LaneData, out: LaneData) -> Launch:
-    """Compute what the constraints of a frame leave at a flow.
+    """Compute the squared residual of a frame's constraints at a flow.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def squared_residual(grid: LaneGrid, tensor: LaneData, flow: LaneData, out: Lane
         J11, J12, J22, j1, j2 and J_tt.
     flow : lane array, 2 components
     out : lane array, 1 component
-        uᵀJu + 2 jᵀu + J_tt, or 0 where rounding makes that negative.
+        uᵀJu + 2 jᵀu + J_tt, or 0 if rounding makes this negative.
     """
     grid.check(tensor, 6, "tensor")
     grid.check(flow, 2, "flow")
@@ -64,7 +64,7 @@ def add_frame(
     focal: float,
     tolerated: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sum the equations of a frame's motion, and add what it says of the depth.
+    """Sum the equations of a frame's motion, and add its part to the equations of depth.
 
     Parameters
     ----------
@@ -74,21 +74,21 @@ def add_frame(
     inverse_depth : lane array, 1 component
         D = f·d.
     weight : lane array, 1 component
-        Of the keyframe's pixels; 0 outside the image.
+        Weight of each pixel of the keyframe; 0 outside the image.
     x_hat : column table
     y_hat : (H + 2,) float32
     slopes : lane array, 6 components for each frame
-        aᵀJB, overwritten for this frame.
+        aᵀJB of all frames; the 6 components of this frame are overwritten.
     sums : lane array, 2 components
-        aᵀJa and aᵀe, added to.
+        aᵀJa and aᵀe; those of this frame are added.
     number : int
-        Of the frame among those of the star.
+        Index of the frame.
     motion : (3, 4) float32
         R and t.
     focal : float
         px.
     tolerated : float
-        Squared residual that counts for a quarter (Geman–McClure, in the weights of the data).
+        Squared residual at which the weight of the data is a quarter (Geman–McClure).
 
     Returns
     -------
@@ -117,7 +117,9 @@ def add_frame(
 def answered(
     grid: LaneGrid, slopes: LaneData, sums: LaneData, *, held: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sum what depth answers to the motions of all frames: to be subtracted from their equations.
+    """Sum the Schur complement terms that eliminate depth from the equations of all motions.
+
+    The caller subtracts them from the equations of the motions.
 
     Parameters
     ----------
@@ -127,7 +129,7 @@ def answered(
     sums : lane array, 2 components
         c = aᵀJa and g = aᵀe of all frames.
     held : float
-        What holds depth: positive, in the unit of c.
+        Weight that keeps depth near its present value, in the unit of c; positive.
 
     Returns
     -------
@@ -154,7 +156,7 @@ def answered(
 
 
 def _frames_of(slopes: LaneData, number: int) -> int:
-    """Return how many frames an array has 6 components for; raise if `number` is not of them."""
+    """Return the number of frames, with 6 components each; raise if `number` is not below it."""
     count = slopes.shape[0] // 6
     if not 0 <= number < count:
         raise ValueError(f"slopes has components of {count} frames: expected more than {number}")
@@ -199,7 +201,7 @@ def _add_frame(
         for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
             s = position + 1
             d = inverse_depth[0, y, s] / focal
-            # The point after the motion, in units of its depth.
+            # (x, yy): normalised coordinates of the point after the motion.
             nearness = 1.0 / ti.max(coordinate(motion, 2, x_hat[s], y_hat[y], d), NEAREST)
             x = nearness * coordinate(motion, 0, x_hat[s], y_hat[y], d)
             yy = nearness * coordinate(motion, 1, x_hat[s], y_hat[y], d)
@@ -252,7 +254,7 @@ def _answered(
                     share = inverse * mine
                     for j in ti.static(range(6)):
                         sums[6 * i + j] += share * others[j]
-        for i in ti.static(range(7)):  # in two loops: Taichi warns of long ones that it unrolls
+        for i in ti.static(range(7)):  # two loops, as Taichi warns about long unrolled loops
             for j in ti.static(range(6)):
                 k = ti.static(6 * i + j)
                 store_sum(partial, band, pair, k, sums[k], ti.static(lane_count(slopes)))

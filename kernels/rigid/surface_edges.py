@@ -1,7 +1,7 @@
-"""Which of two surfaces a pixel beside their edge shows, by which of them looks like it.
+"""Assignment of pixels near a depth edge to one of the two surfaces, by grey level.
 
-Pixels around have a vote each for the surface that they show: the more so the nearer they are, and
-the more their grey level is that of the pixel.
+Each pixel around has a vote for the surface that it shows. The vote has more weight if the pixel is
+nearer and if its grey level is more similar.
 """
 
 import numpy as np
@@ -10,8 +10,8 @@ import taichi as ti
 from tisfm.kernels.layout.lanes import check_array
 from tisfm.kernels.layout.launch import Kernel
 
-RADIUS = 3  # px: of the window whose pixels vote
-FADING = 0.1  # a pixel at r px weighs 1/(1 + 0.1 r²)
+RADIUS = 3  # px: radius of the window whose pixels vote
+FADING = 0.1  # 1/px²: a pixel at distance r px has the weight 1/(1 + 0.1 r²)
 
 
 def by_look(
@@ -24,20 +24,21 @@ def by_look(
     *,
     similar: float,
 ) -> None:
-    """Move the edges of surfaces to where the frame has edges.
+    """Move depth edges to edges of the frame.
 
     Parameters
     ----------
     inverse_depth, deviation : (H, W) float32
         Positive; finite.
     middle : (H, W) float32
-        An inverse depth between those of two surfaces nearby; 0 where there is one alone.
+        Inverse depth that separates two surfaces nearby; 0 where there is only one surface.
     frame : (H, W) float32
         Grey levels.
     out, out_deviation : (H, W) float32
-        The same, but for pixels outvoted: they have the mean of those that show the other surface.
+        The same values, but where most votes are for the other surface, the weighted mean over its
+        pixels.
     similar : float
-        Levels: a pixel that differs by so much weighs 1/e.
+        Grey levels: a pixel with this difference has the weight 1/e.
 
     Raises
     ------

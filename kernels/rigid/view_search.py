@@ -1,12 +1,12 @@
-"""PatchMatch in several frames: at every pixel the plane by which the best of them look alike.
+"""PatchMatch with several frames: the plane of best match between a keyframe and other frames.
 
-A hypothesis costs the mean of its costs in the frames that show it best, so many of all: in the
-others the surface may be hidden, or out of sight. A plane may stand for a square of pixels, a cell
-of a grid, of which the window around one is compared. All else is as in
-`tisfm.kernels.rigid.patch_match`.
+The cost of a hypothesis is the mean of its costs in a fixed number of frames, those of least cost:
+in the others the surface may be hidden or outside the image. A plane may represent a square of
+pixels, a cell of a grid; then only the window around one pixel of the cell is compared. All else is
+as in `tisfm.kernels.rigid.patch_match`.
 
-The state is an (h, w, 4) array: D at the centre of a cell, px, how it changes from cell to cell,
-east and south, and the cost.
+The state is an (h, w, 4) array: D at the centre of a cell, px, its change from cell to cell to the
+east and to the south, and the cost.
 
 References
 ----------
@@ -39,29 +39,29 @@ from tisfm.kernels.rigid.windows import (
     with_margin,
 )
 
-MOST_BEST = 4  # frames that take part in a mean
-# What a frame costs that does not show a hypothesis, where others do: as much as what is just
-# believed. So borders are matched in those frames that show them.
+MOST_BEST = 4  # most frames in the mean of a cost
+# Cost of a frame that does not show a hypothesis, if other frames do: about that of a just reliable
+# match. So pixels near the border are matched in the frames that show them.
 ABSENT = 0.25
 
 _Plane = ti.types.vector(4, ti.f32)
 
 
 class ViewSearch:
-    """A search for planes that take a keyframe to several other frames, on one level.
+    """A search for planes that map a keyframe to several other frames, on one level.
 
     Parameters
     ----------
     key : (H, W) float32
         Grey levels of the keyframe, in [0, 255].
     others : sequence of (H, W) float32
-        Those of the other frames, M of them.
+        Grey levels of the M other frames.
     motions : (M, 3, 4) array
-        R and t of each: from the keyframe to there.
+        R and t from the keyframe to each other frame.
     best : int
-        How many frames a cost is the mean of; 1 to `MOST_BEST`, and M at most.
+        Number of frames in the mean of a cost; 1 to `MOST_BEST`, and at most M.
     stride : int
-        Side of a cell, px; cells that reach over the border are left out.
+        Side of a cell, px; cells that extend beyond the border are left out.
     center : (float, float)
         Principal point, px.
     focal : float
@@ -69,14 +69,14 @@ class ViewSearch:
     noise : float
         Standard deviation of the noise of a frame, levels; above 0.
     seen : float
-        Times the variance of the noise: what a window has to vary by to be compared.
+        Least variance of a window that is compared, over the variance of the noise.
     least, largest : float
-        D is sought between them, px.
+        Bounds of D, px.
 
     Attributes
     ----------
     shape : (int, int)
-        h and w: rows and columns of cells.
+        h and w, the numbers of rows and columns of cells.
     count : int
         M.
     """
@@ -131,17 +131,18 @@ class ViewSearch:
     def improve(
         self, planes: np.ndarray, *, draws: int, spread: float, tilt: float, seed: int
     ) -> None:
-        """Replace planes by better ones, in place, as `PlaneSearch.improve`.
+        """Replace planes by better planes, in place, as `PlaneSearch.improve`.
 
         Parameters
         ----------
         planes : (h, w, 4) float32
-            Of `score`.
+            State with costs, from `score`.
         draws : int
+            Random planes near the present plane.
         spread, tilt : float
-            How far the first of these may be in D, px, and in its changes from cell to cell.
+            Range of the first of these draws in D, px, and in its changes from cell to cell.
         seed : int
-            Of the random numbers.
+            Seed of the random numbers.
         """
         self._check(planes)
         for color in range(2):
@@ -160,7 +161,7 @@ class ViewSearch:
             )
 
     def costs(self, planes: np.ndarray, out: np.ndarray) -> None:
-        """Write what planes (h, w, 4) float32 cost in every frame, (M, h, w) float32."""
+        """Write the costs of planes (h, w, 4) float32 in every frame, (M, h, w) float32."""
         self._check(planes)
         check_array(out, (self.count, *self.shape), "out", aligned=False)
         _costs(*self._images, *self._view, planes, out)
@@ -260,7 +261,7 @@ def _improve(
                 random = ti.cast(4 * (row * columns + column), ti.u32) * ti.cast(draws + 1, ti.u32)
                 random = mixed(random + mixed(ti.cast(seed, ti.u32)))
                 span = 1.0
-                for n in range(5 + draws):  # 4 neighbours, one of all, and those nearby
+                for n in range(5 + draws):  # 4 neighbours, 1 draw from the whole range, near draws
                     plane = best
                     if n < 4:
                         plane = neighbour(planes, row, column, n, best)
@@ -284,7 +285,7 @@ def _improve(
 
 @ti.func
 def _at_first(plane, stride):
-    """Return the plane of a cell at the first of its pixels, with slopes per px."""
+    """Return the plane of a cell at its upper left pixel, with slopes per px."""
     first, side = plane, ti.cast(stride, ti.f32)
     first[1] = plane[1] / side
     first[2] = plane[2] / side
@@ -314,8 +315,8 @@ def _cost_of_best(
     x,
     plane,
 ):
-    """Return the mean of 1 − c in the frames where it is least."""
-    lowest = ti.Vector([UNSEEN] * MOST_BEST)  # in order
+    """Return the mean of 1 − c over the frames where it is least."""
+    lowest = ti.Vector([UNSEEN] * MOST_BEST)  # in increasing order
     showing = 0
     for j in range(count):
         cost = cost_in(
@@ -330,7 +331,7 @@ def _cost_of_best(
             lower = ti.min(lowest[n], cost)
             cost = ti.max(lowest[n], cost)
             lowest[n] = lower
-    # A few frames that show it have to do where others do not.
+    # If fewer than `best` frames show the hypothesis, ABSENT replaces the missing costs.
     total = 0.0
     for n in ti.static(range(MOST_BEST)):
         cost = ti.select(n < showing, lowest[n], ti.select(showing > 0, ABSENT, NOWHERE))
