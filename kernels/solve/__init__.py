@@ -1,4 +1,4 @@
-"""The linear system of fixed weights, and the update of the weights.
+"""The linear system with fixed weights, and the update of the weights.
 
 Here: relaxation, coarsening and prolongation, line search, weight update, data precision, sums.
 May import: `tisfm.kernels.layout` and `tisfm.kernels.model`.

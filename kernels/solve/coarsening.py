@@ -1,9 +1,9 @@
-"""A linear system and its unknowns brought to a grid of half the density, and back (multigrid).
+"""Transfers of a linear system and its unknowns to a grid of half the density and back (multigrid).
 
-A coarse pixel stands for 2×2 fine ones, its children, and its centre is theirs. Strips of lanes
-halve with the image, so that children lie in the lane of their parent: arrays of a fine grid
-reduce to its *halved* layout, whose strips are half as long and may be odd. Where those are not
-the strips of the coarse grid, `relayout` moves a halved array there and back.
+A coarse pixel, the parent, covers 2×2 fine pixels, its children, and has the same centre. Strips of
+lanes are halved with the image, so that children lie in the lane of their parent. The coarse arrays
+that result have the *halved* layout of the fine grid; its strips are half as long, and may be odd.
+If the strips of the coarse grid differ, `relayout` converts between the two layouts.
 """
 
 from dataclasses import replace
@@ -32,7 +32,7 @@ from tisfm.kernels.solve.relaxation import edges_at, residual_at
 
 
 def coarse_grid(grid: LaneGrid) -> LaneGrid:
-    """Return the grid of half the density; an odd row or column is a parent's only child."""
+    """Return the grid of half the density; an odd last row or column has parents of its own."""
     return replace(grid, height=-(-grid.height // 2), width=-(-grid.width // 2))
 
 
@@ -50,16 +50,17 @@ def coarsen_system(
 ) -> None:
     """Sum the children's motion tensors, and combine the weights of edges.
 
-    The energy of a coarse field is then that of its bilinear interpolation, nearly: an edge takes
-    half the sum of the two fine ones that it replaces, because the step over it is twice as long,
-    and counts four times, but between twice as many pixels.
+    The energy of a coarse field is then nearly that of its bilinear interpolation. The weight of a
+    coarse edge is half the sum of the weights of two fine edges: the difference across the coarse
+    edge is twice as large, so its square is four times as large, but the coarse edge replaces two
+    fine edges in each of two rows or columns.
 
     Parameters
     ----------
     grid : LaneGrid
         The fine grid.
     arrays : tuple
-        Of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them.
+        Arrays of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them.
     coarse_tensor, coarse_weights : halved arrays, 6 components and as many as the weights
     """
     tensor, weights = arrays[:2]
@@ -82,7 +83,7 @@ def _coarsen_system(
     rows, strip = coarse_tensor.shape[1] - 2, coarse_tensor.shape[2] - 2
     for row, position in ti.ndrange(rows, strip):
         y, s = 2 * row + 1, 2 * position + 1
-        below = ti.min(y + 1, height + 1)  # halo, which is zero, under an odd last row
+        below = ti.min(y + 1, height + 1)  # below an odd last row: the halo, which is zero
         for k in ti.static(range(6)):
             coarse_tensor[k, row + 1, position + 1] = (
                 tensor[k, y, s] + tensor[k, y, s + 1]
@@ -111,7 +112,7 @@ def restrict_residual(
     grid : LaneGrid
         The fine grid.
     arrays : tuple
-        Of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked all arrays.
+        Arrays of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them.
     rho : lane array, n components
     source : lane array, n components, or None
         c in place of −Gᵀj.
@@ -178,10 +179,10 @@ def relayout(coarse: LaneGrid, array: LaneData, out: LaneData) -> Launch:
     Parameters
     ----------
     coarse : LaneGrid
-        The grid: one of the two arrays has its strips.
+        The grid; one of the two arrays has its strips.
     array : lane array, k components
     out : lane array, k components
-        Its padding becomes 0; its halo rows are left as they are.
+        The padding becomes 0; the halo rows are not written.
     """
     for name, given in (("array", array), ("out", out)):
         shape = (array.shape[0], coarse.height + 2, given.shape[2])
@@ -222,9 +223,9 @@ def correct(
     grid : LaneGrid
         The fine grid.
     coarse : halved array, n components
-        With its halo columns; beyond the border of the image it is not read.
+        Its halo columns must be valid; it is not read beyond the border of the image.
     across : column tables of 2
-        Of `interpolation_columns`.
+        Results of `interpolation_columns`.
     rho : lane array, n components
     """
     components = rho.shape[0]
@@ -236,9 +237,9 @@ def correct(
 
 
 def interpolation_columns(grid: LaneGrid) -> tuple[np.ndarray, np.ndarray]:
-    """Return how much every fine column takes of its parent, and of its parent's neighbour.
+    """Return the weights of its parent and of its parent's neighbour for every fine column.
 
-    ¾ and ¼; all of its parent's where the neighbour lies outside; 0 for padding.
+    The weights are ¾ and ¼, or 1 and 0 if the neighbour lies outside the image; 0 for padding.
     """
     column = grid.column_index()
     last = coarse_grid(grid).width - 1
@@ -261,7 +262,7 @@ def _correct(
     rows, strip = coarse.shape[1] - 2, coarse.shape[2] - 2
     for row, position in ti.ndrange(height, strip):
         y = row // 2 + 1
-        beyond = ti.max(1, ti.min(y - 1 + 2 * (row % 2), rows))  # itself at the border
+        beyond = ti.max(1, ti.min(y - 1 + 2 * (row % 2), rows))  # y itself at the border
         for side in ti.static(range(2)):  # both children of a row
             s, parent = 2 * position + 1 + side, position + 1
             neighbour = parent - 1 + 2 * side

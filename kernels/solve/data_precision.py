@@ -1,4 +1,4 @@
-"""What data and neighbours each say about the image motion of a pixel."""
+"""Precision of a pixel's image motion from its data, and its covariance from its neighbours."""
 
 import numpy as np
 import taichi as ti
@@ -12,18 +12,18 @@ from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 def data_precision(
     grid: LaneGrid, arrays: tuple[LaneData, ...], rho: LaneData, out: LaneData
 ) -> None:
-    """Compute the precision and the residual of the data, and the covariance neighbours leave.
+    """Compute precision and residual of the data, and the covariance given the neighbours.
 
     Parameters
     ----------
     grid : LaneGrid
     arrays : tuple
-        Of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked all arrays.
+        Arrays of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them.
     rho : lane array, n components
     out : lane array, 7 components
         J11, J12, J22; the data term at ρ̂, which is the squared residual; and M11, M12, M22 of
-        M = G (diag α_k b̄)⁻¹ Gᵀ, the covariance of the flow of a pixel given its neighbours, in the
-        units in which J is the precision that its data add.
+        M = G (diag α_k b̄)⁻¹ Gᵀ, the covariance of a pixel's flow given its neighbours, in units in
+        which J is the precision of its data.
     """
     sets = arrays[1].shape[0] // 2
     _data_precision[grid.lanes](*arrays, rho, rho.shape[0], sets, out)
@@ -59,7 +59,7 @@ def _data_precision(
             m22 += b * b * variance
         for k in ti.static(range(3)):
             out[k, y, s] = tensor[k, y, s]
-        out[3, y, s] = ti.max(residual, 0.0)  # a square, but for its rounding
+        out[3, y, s] = ti.max(residual, 0.0)  # rounding may make the square negative
         out[4, y, s] = m11
         out[5, y, s] = m12
         out[6, y, s] = m22
@@ -75,9 +75,9 @@ def share_of_data(
     precision : (7, H, W) float32
         J11, J12, J22, squared residual, M11, M12, M22.
     out : (H, W) float32
-        The share of the data in what is known of a pixel's flow.
+        The share of the data in the precision of a pixel's flow.
     tolerated : float
-        The squared residual that halves it; above 0.
+        The squared residual that halves the share; above 0.
     freedom : {2, 1}
         Degrees of freedom of a pixel's flow; if 1, M is of rank 1.
     """
@@ -87,7 +87,7 @@ def share_of_data(
         raise ValueError(f"freedom is {freedom}: expected 1 or 2")
     if not tolerated > 0:
         raise ValueError(f"tolerated is {tolerated}: expected a positive value")
-    flat = precision.reshape(7, -1), out.reshape(-1)  # so that no place has to be computed
+    flat = precision.reshape(7, -1), out.reshape(-1)  # one index: no address from row and column
     _share_of_data(flat[0], 1.0 / tolerated, 1.0 - 1.0 / freedom, flat[1])
 
 

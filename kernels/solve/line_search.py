@@ -1,4 +1,4 @@
-"""The least energy in the plane of two directions: conjugate gradients, one step at a time."""
+"""Minimum of the energy in the plane of two directions: one step of conjugate gradients."""
 
 import numpy as np
 import taichi as ti
@@ -18,8 +18,8 @@ from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 
 INDEPENDENT = 1e-5  # squared sine of the angle between directions, in the norm of the energy
-# Of what the terms of a slope add up to without their signs: no more than so much of it is known,
-# since each term carries a few roundings of float32.
+# Accuracy of a slope, as a share of the sum of the absolute values of its terms: each term has a
+# few rounding errors of float32.
 ROUNDING = 64 * 2.0**-24
 
 
@@ -30,18 +30,19 @@ def line_search(
     before: LaneData,
     step: LaneData,
 ) -> None:
-    """Go to the least energy of before + p (rho − before) + q step.
+    """Move to the minimum of the energy over before + p (rho − before) + q step.
 
-    Where the slope along the correction is all rounding, the correction itself is taken: p is 1
-    and q is 0. At the solution, p would else be a quotient of two roundings, of any size.
+    If the slope along the correction is only rounding error, as at the solution, p = 1 and q = 0:
+    the computed p would be the ratio of two rounding errors, which can have any size.
 
     Parameters
     ----------
     grid : LaneGrid
     arrays : tuple
-        Of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked all arrays.
+        Arrays of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them.
     rho, before, step : lane arrays, n components
-        In place: `rho` and `before` become where that leads, `step` what was moved; halo included.
+        Modified in place, halo included: `rho` and `before` become the minimum, `step` becomes the
+        move to it.
     """
     subtract(grid, before, rho)
     descend(grid, *lowest(*plane(grid, arrays, rho, before, step)), rho, before, step)
@@ -59,8 +60,8 @@ def plane(
     Returns
     -------
     matrix, vector : (2, 2) and (2,) float64
-        The energy changes by zᵀ matrix z + 2 zᵀ vector, z = (p, q). An entry of the vector that
-        is no more than rounding is 0.
+        The energy changes by zᵀ matrix z + 2 zᵀ vector, with z = (p, q). An entry of the vector
+        that is only rounding error is set to 0.
     """
     partial = block_sums(grid, 7)
     sets = arrays[1].shape[0] // 2
@@ -72,9 +73,9 @@ def plane(
 
 
 def lowest(matrix: np.ndarray, vector: np.ndarray) -> tuple[float, float]:
-    """Return the (p, q) of least zᵀ matrix z + 2 zᵀ vector; q is 0 where both are one direction.
+    """Return z = (p, q) of least zᵀ matrix z + 2 zᵀ vector; q is 0 for dependent directions.
 
-    Where the vector does not tell p, that is (1, 0).
+    If the first entry of the vector is 0, it does not determine p, and the result is (1, 0).
     """
     (a, b), (_, c) = matrix
     if not a > 0:
@@ -147,23 +148,23 @@ def _plane(
 
 @ti.func
 def _size(value):
-    """Return |value|; vectors have no other."""
+    """Return |value|, in a form that works for vectors of lanes."""
     return ti.max(value, 0.0 - value)
 
 
 def descend(
     grid: LaneGrid, p: float, q: float, rho: LaneData, before: LaneData, step: LaneData
 ) -> None:
-    """Move from `before` by p rho + q step, `rho` a correction; in place as `line_search` does."""
+    """Move from `before` by p rho + q step, with `rho` a correction; see `line_search`."""
     _descend[grid.lanes](p, q, rho.shape[0], rho, before, step)
 
 
 @operation
 def subtract(grid: LaneGrid, before: LaneData, rho: LaneData) -> Launch:
-    """Make a corrected `rho` the correction itself, in place, halo included.
+    """Replace a corrected `rho` by the correction, in place, halo included.
 
-    In memory: written as a difference within `_plane`, it would be reordered there, and rounded as
-    the unknowns are, not as what is left of them.
+    The difference must be stored in memory. As an expression inside `_plane` it would be reordered,
+    with rounding errors of the size of the unknowns' instead of the correction's.
     """
     return _subtract[grid.lanes].bind(before, rho)
 

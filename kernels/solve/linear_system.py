@@ -1,4 +1,4 @@
-"""The linear system of fixed weights (eq. 16, 22–23), and all that is done with it."""
+"""The linear system with fixed weights (eq. 16, 22–23), and its operations."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,10 +18,9 @@ from tisfm.kernels.solve.weight_update import Sums, bind_update
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinearSystem:
-    """(GᵀJG + diag α_k b̄_k) ρ̂ = Σ α_k b_k,N ρ̂_N − Gᵀj at every pixel, N its four neighbours.
+    """(GᵀJG + diag α_k b̄_k) ρ̂ = Σ α_k b_k,N ρ̂_N − Gᵀj at every pixel, with its four neighbours N.
 
-    Its arrays are checked once, here. They are read where they lie: whoever writes to them changes
-    the system.
+    The arrays are checked once, here. They are not copied: a change of an array changes the system.
 
     Parameters
     ----------
@@ -29,20 +28,20 @@ class LinearSystem:
     tensor : lane array, 6 components
         Motion tensor (J11, J12, J22, j1, j2, J_tt).
     weights : lane array, 2n components, or 2 for all components alike
-        g·b of every edge: the eastern ones, then the southern ones (`tisfm.kernels.model.edges`).
+        g·b of every edge: eastern edges, then southern edges (`tisfm.kernels.model.edges`).
     x_hat : column table
         Normalised column coordinate x/f.
     y_hat : (H + 2,) float32
-        Normalised row coordinate y/f, row 0 being the halo.
+        Normalised row coordinate y/f; row 0 is the halo.
     alpha : float
         α = λ̂β.
     stiffness : sequence of n floats
-        s_k, by which α_k = α s_k: as many as there are unknowns at a pixel.
+        s_k, with α_k = α s_k; one for each unknown of a pixel.
 
     Raises
     ------
     TypeError, ValueError
-        If an array is not one of the grid, or alpha or a stiffness is not positive and finite.
+        If an array does not fit the grid, or alpha or a stiffness is not positive and finite.
     """
 
     grid: LaneGrid
@@ -73,7 +72,7 @@ class LinearSystem:
 
     @property
     def sets(self) -> int:
-        """Weights that an edge has: n, or 1 for all components alike."""
+        """Number of weights per edge: n, or 1 if all components share it."""
         return int(self.weights.shape[0]) // 2
 
     @cached_property
@@ -85,7 +84,7 @@ class LinearSystem:
 
     @cached_property
     def arrays(self) -> tuple[LaneData, ...]:
-        """Tensor, weights, x̂, ŷ and α_k: the first five arguments of every kernel of a system."""
+        """Tensor, weights, x̂, ŷ and α_k, the first five arguments of every kernel of a system."""
         return self.tensor, self.weights, self.x_hat, self.y_hat, self.alphas
 
     def sweep(
@@ -108,7 +107,7 @@ class LinearSystem:
         solver : {"cholesky", "closed_form"}
         sweeps : int
         source : lane array, n components, optional
-            Right-hand side c in place of −Gᵀj: then j is not read.
+            Right-hand side c in place of −Gᵀj; j is then not read.
         """
         self.bind_sweep(rho, relaxation=relaxation, solver=solver, sweeps=sweeps, source=source)()
 
@@ -121,7 +120,7 @@ class LinearSystem:
         sweeps: int = 1,
         source: LaneData | None = None,
     ) -> Callable[[], None]:
-        """Return what runs such sweeps at every call."""
+        """Return a function that runs sweeps as `sweep` does."""
         self._check(rho=rho, source=rho if source is None else source)
         return bind_sweeps(
             self.grid,
@@ -144,7 +143,7 @@ class LinearSystem:
         scales: Sequence[float],
         along_line: bool = False,
     ) -> Callable[[], Sums]:
-        """Return what measures ρ̂, and renews weights and tensor for it, at every call.
+        """Return a function that computes sums over ρ̂, and weights and tensor for ρ̂.
 
         The arguments are those of `tisfm.kernels.solve.weight_update.bind_update`.
         """
@@ -166,9 +165,9 @@ class LinearSystem:
         )
 
     def precision(self, rho: LaneData, out: LaneData) -> None:
-        """Write what data and neighbours each say about the motion of a pixel.
+        """Write precision and residual of the data, and the covariance given the neighbours.
 
-        As `tisfm.kernels.solve.data_precision.data_precision` has it.
+        See `tisfm.kernels.solve.data_precision.data_precision`.
         """
         self._check(rho=rho)
         self.grid.check(out, 7, "out")
@@ -197,13 +196,13 @@ class LinearSystem:
         coarsen_system(self.grid, self.arrays, tensor, weights)
 
     def line_search(self, rho: LaneData, before: LaneData, step: LaneData) -> None:
-        """Go to the least energy in the plane of the last correction and the step before it.
+        """Move to the minimum of the energy in the plane of the correction and the last step.
 
         Parameters
         ----------
         rho, before, step : lane arrays, n components
-            A corrected ρ̂, ρ̂ before the correction, and the step that led there. In place: `rho`
-            and `before` become where the search leads, `step` what it moved.
+            The corrected ρ̂, ρ̂ before the correction, and the last step. Modified in place: `rho`
+            and `before` become the minimum, `step` becomes the move to it.
         """
         self._check(rho=rho, before=before, step=step)
         line_search(self.grid, self.arrays, rho, before, step)

@@ -1,4 +1,4 @@
-"""The unknowns brought from one level of the pyramid to the next."""
+"""Interpolation of the unknowns from one level of the pyramid to the next finer level."""
 
 import numpy as np
 import taichi as ti
@@ -17,8 +17,8 @@ from tisfm.kernels.layout.lanes import (
 def prolong(grid: LaneGrid, coarse: np.ndarray, out: LaneData, *, ratio: float) -> None:
     """Sample a coarse field bilinearly on a finer grid, halo included.
 
-    A pixel x of the fine grid lies at (x + ½)·ratio − ½ on the coarse one. Values are divided by
-    `ratio`, because ρ̂ is in pixels of its level.
+    Pixel x of the fine grid lies at (x + ½)·ratio − ½ on the coarse grid. Values are divided by
+    `ratio`, because the unit of ρ̂ is the pixel of its level.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def prolong(grid: LaneGrid, coarse: np.ndarray, out: LaneData, *, ratio: float) 
     coarse : (n, h, w) float32
     out : lane array, n components
     ratio : float
-        Coarse over fine sampling density, at most 1.
+        Coarse sampling density divided by fine sampling density, at most 1.
     """
     check_array(coarse, coarse.shape, "coarse", aligned=False)
     grid.check(out, coarse.shape[0], "out")

@@ -1,8 +1,8 @@
 """Red–black Gauss–Seidel sweeps with over-relaxation (eq. 16, 22–23).
 
-At each pixel, B = GᵀJG + α·diag(b̄) and the update is ρ̂ ← ρ̂ + ω_r·B⁻¹(c − Bρ̂): the same
-iteration as solving Bρ̂ = c, but with differences of neighbours in place of differences of large
-numbers, and safe where a pivot floor acts.
+At each pixel, B = GᵀJG + α·diag(b̄), and the update is ρ̂ ← ρ̂ + ω_r·B⁻¹(c − Bρ̂). The iteration is
+the same as with the solution of Bρ̂ = c, but it has differences of neighbours in place of
+differences of large numbers, and its limit stays right where a pivot floor is active.
 """
 
 from collections.abc import Callable
@@ -34,8 +34,8 @@ from tisfm.kernels.model.small_spd import (
 )
 
 SOLVERS = ("cholesky", "closed_form")
-RELAXATION_BAND = 32  # rows: a few fit in a core's cache, and borders between bands are few
-AT_ONCE = 64  # sweeps of one band in one launch
+RELAXATION_BAND = 32  # least rows of a band, so that there are few borders between bands
+AT_ONCE = 64  # most sweeps in one launch, for a grid with a single band
 
 
 def bind_sweeps(
@@ -48,13 +48,13 @@ def bind_sweeps(
     solver: str,
     sweeps: int,
 ) -> Callable[[], None]:
-    """Return what runs full red–black sweeps.
+    """Return a function that runs full red–black sweeps.
 
     Parameters
     ----------
     grid : LaneGrid
     arrays : tuple
-        Of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked all arrays.
+        Arrays of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them.
     rho : lane array, n components
         ρ̂, px/frame; modified in place, halo included.
     source : lane array, n components, or None
@@ -75,8 +75,8 @@ def bind_sweeps(
     options = (components, sets, closed_form, sourced)
     if grid.lanes == 1:
         return repeated((_sweep_sites[1].bind(*system, *options, rho), sweeps))
-    # A function of the size alone: with the threads it would move the borders between bands, and
-    # the rows beside them are computed by a loop of their own, which may round otherwise.
+    # The bands must not depend on the number of threads: rows beside borders between bands are
+    # computed in a separate loop, which may round differently.
     bands = max(1, 2 * (grid.height // (2 * RELAXATION_BAND)))
     alone = bands == 1
 
@@ -85,14 +85,14 @@ def bind_sweeps(
 
     if not alone:
         return repeated((launch(1), sweeps))
-    # One band is one thread's, which may as well go on to the next sweep; but not for so long that
-    # nobody could interrupt it.
+    # One thread computes a single band, so it can run several sweeps per launch. Their number is
+    # limited, because a launch cannot be interrupted.
     whole, rest = divmod(sweeps, AT_ONCE)
     return repeated((launch(AT_ONCE), whole), (launch(rest), min(rest, 1)))
 
 
 def repeated(*parts: tuple[Callable[[], None], int]) -> Callable[[], None]:
-    """Return what runs each of some launches so many times."""
+    """Return a function that runs each launch the given number of times."""
 
     def run() -> None:
         for launch, times in parts:
@@ -120,12 +120,12 @@ def _sweep(
     repeats: ti.i32,
     rho: LaneArray(3),  # (n, H+2, S+2), in place
 ):
-    """Sweep in one pass over memory: black follows one row behind red.
+    """Sweep in one pass over memory: black sites follow one row behind red sites.
 
-    A thread takes a band of rows at a time. Black rows that touch another band wait until all red
-    is done, so the result is that of red everywhere and then black everywhere, but for rounding.
-    `repeats` is how often to sweep: once, but where there is one band `alone`, which needs no
-    other thread.
+    A thread processes a band of rows at a time. Black rows that touch another band wait until all
+    red sites are done. So the result equals, up to rounding, a sweep of all red and then of all
+    black sites. `repeats` is the number of sweeps: 1, unless a single band, `alone`, makes the loop
+    independent of other threads.
     """
     height = rho.shape[1] - 2
     pairs = (rho.shape[2] - 2) // 2
@@ -155,7 +155,7 @@ def _sweep(
                         )  # fmt: skip
                     for k in range(n):
                         refresh_halo(rho, k, row + 1)
-    # The black rows on both sides of every border between bands.
+    # Now the black rows on both sides of every border between bands.
     if ti.static(not alone):
         for task in range(CHUNK * 2 * (bands - 1)):
             if task % CHUNK == 0:
@@ -189,7 +189,7 @@ def _sweep_sites(
     sourced: ti.template(),
     rho: LaneArray(3),  # (n, H+2, S+2), in place
 ):
-    """Sweep red everywhere and then black, every site by a thread of its own: for one lane."""
+    """Sweep all red and then all black sites, each site in its own thread; for one lane only."""
     height = rho.shape[1] - 2
     pairs = (rho.shape[2] - 2) // 2
     for color in ti.static(range(2)):
@@ -223,7 +223,7 @@ def relax_at(
     y,
     s,
 ):
-    """Solve one pixel (one vector of lanes) and over-relax."""
+    """Solve one pixel (one vector of lanes) with over-relaxation."""
     i = (y * stride + s) & SMALL
     columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
     center = ti.static([bind(element(rho, i + planes[k])) for k in range(n)])
@@ -241,7 +241,7 @@ def relax_at(
 
 
 def edges_at(weights: Any, planes: list, stride: Any, sets: int, i: Any) -> list:
-    """Return the weights of a pixel's edges, while compiling: lists of `sets`, E, W, S, N."""
+    """Return the weights of a pixel's E, W, S and N edges, lists of `sets`, while compiling."""
     return [
         [bind(element(weights, place + planes[first + k])) for k in range(sets)]
         for first, place in ((0, i), (0, i - 1), (sets, i), (sets, i - stride))
@@ -260,14 +260,14 @@ def residual_at(
     center: list,
     i: Any,
 ) -> list:
-    """Return c − Bρ̂ of a pixel, where ρ̂ is `center`, while compiling; without `source`, c = −Gᵀj.
+    """Return c − Bρ̂ of a pixel, with ρ̂ = `center`, while compiling; without `source`, c = −Gᵀj.
 
-    `i` is the pixel's `element`, `edges` are those of `edges_at`.
+    `i` is the pixel's index for `element`; `edges` are from `edges_at`.
     """
     n = len(center)
     u, v = flow_of(columns, center)
     j11, j12, j22, j1, j2 = (bind(element(tensor, i + planes[k])) for k in range(5))
-    # Gradient of the data term in the flow, J(u, v)ᵀ + j.
+    # Half the gradient of the data term by the flow, J(u, v)ᵀ + j.
     g1, g2 = j11 * u + j12 * v, j12 * u + j22 * v
     if source is None:
         g1, g2 = g1 + j1, g2 + j2
@@ -289,15 +289,15 @@ def residual_at(
 def _solve(
     closed_form: bool, alphas: list, edges: list, columns: list, tensor: list, residual: list
 ) -> list:
-    """Return B⁻¹ residual, written out by the chosen solver."""
+    """Return B⁻¹ residual, generated by the chosen solver."""
     sets = [bind(sum(sides[1:], sides[0])) for sides in zip(*edges, strict=True)]
     totals = spread(sets, len(alphas))
     j11, j12, j22 = tensor
-    # A pixel without an open edge has its data alone. The floor slows a step; what the steps come
-    # to, where the residual is zero, it leaves alone.
+    # A pixel without an open edge has only its data. The floor shortens its steps, but the limit,
+    # where the residual is zero, stays the same.
     floor = bind(DATA_FLOOR * (j11 + j22) + LEAST_DIVISOR)
-    if closed_form and len(alphas) > 1:  # a single equation is solved as it is
-        if len(sets) == 1:  # a single quotient of vectors
+    if closed_form and len(alphas) > 1:  # a single unknown needs no closed form
+        if len(sets) == 1:  # one division of vectors is enough
             softest = alphas[0]
             for alpha in alphas[1:]:
                 softest = ti.min(softest, alpha)

@@ -1,4 +1,4 @@
-"""What a half-quadratic iteration does besides relaxation, in one pass over memory."""
+"""Update of weights and tensor in a half-quadratic iteration, with energies, in a single pass."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -29,8 +29,8 @@ from tisfm.kernels.model.constants import LEAST_PIVOT
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 from tisfm.kernels.model.robust import finite_scales, robust_data, terms_of
 
-LINE = (0, 3, 5)  # J11, j1 and J_tt: what there is of a tensor along a line
-ROWS = 4  # of a band, which one thread takes at a time
+LINE = (0, 3, 5)  # J11, j1 and J_tt: the nonzero entries of a tensor along a line
+ROWS = 4  # rows of a band, which one thread processes at a time
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Sums:
     energy : float
         Energy (eq. 6, 20): robust data term and α Σ g Φ_δ.
     half_quadratic : float
-        Its half-quadratic form (eq. 8, 21), with the weights and the tensor from before.
+        Half-quadratic energy (eq. 8, 21) with the weights and the tensor before the update.
     moved, size : float
         ‖ρ̂ − previous‖ and ‖ρ̂‖, Euclidean norms over the image, px/frame.
     """
@@ -67,20 +67,20 @@ def bind_update(
     scales: Sequence[float],
     along_line: bool,
 ) -> Callable[[], Sums]:
-    """Return what measures ρ̂, and renews the weights for it.
+    """Return a function that computes energies and changes of ρ̂, and the weights for ρ̂.
 
-    An edge contributes g Φ_δ(√s_k Δρ̂_k) for every k, or, joint, g Φ_δ of the length of the vector
-    of all √s_k Δρ̂_k, with Φ_δ(Δ) = 2Δ²/(1 + √(1 + Δ²/δ²)). Its half-quadratic form is
-    g [bΔ² + δ²(b + 1/b − 2)], least for b = 1/√(1 + Δ²/δ²); and likewise the data term
-    (`tisfm.kernels.model.robust`).
+    An edge contributes g Φ_δ(√s_k Δρ̂_k) for every k, or, if joint, g Φ_δ of the length of the
+    vector of all √s_k Δρ̂_k, with Φ_δ(Δ) = 2Δ²/(1 + √(1 + Δ²/δ²)). Its half-quadratic form is
+    g [bΔ² + δ²(b + 1/b − 2)], with its minimum at b = 1/√(1 + Δ²/δ²). The data term is treated in
+    the same way (`tisfm.kernels.model.robust`).
 
     Parameters
     ----------
     grid : LaneGrid
     arrays : tuple
-        Of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked all arrays. Its
-        weights g·b and its tensor Σ w_i J_i, those from before, enter the half-quadratic energy,
-        and are overwritten.
+        Arrays of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them. Its
+        previous weights g·b and tensor Σ w_i J_i give the half-quadratic energy; then both are
+        overwritten.
     rho : lane array, n components
         ρ̂, px/frame.
     previous : lane array, n components
@@ -96,10 +96,10 @@ def bind_update(
     contrast : float
         δ, px/frame; infinite for quadratic smoothness.
     scales : sequence of float
-        m_i ε² of each term; infinite for a quadratic one.
+        m_i ε² of each term; infinite for a quadratic term.
     along_line : bool
-        Whether q is 0 in all constraints, for n = 1: of the tensor only J11, j1 and J_tt are
-        written then, and the others left alone.
+        Whether q is 0 in all constraints, for n = 1. Then only J11, j1 and J_tt of the tensor are
+        written.
     """
     if not contrast > 0:
         raise ValueError(f"contrast is {contrast}: expected a positive value, in px/frame")
@@ -113,7 +113,7 @@ def bind_update(
         rho,
         stiffness,
         (1.0 / contrast) ** 2,
-        # With δ infinite, b is 1 and its penalty vanishes.
+        # With infinite δ, b is 1 and its penalty is 0.
         contrast * contrast if np.isfinite(contrast) else 0.0,
         *finite_scales(scales),
         rho.shape[0],
@@ -196,8 +196,8 @@ def _update(
                             along_line, weights, tensor, previous, partial, stride, planes, row,
                             block,
                         )  # fmt: skip
-                    # The western weight of a strip's first column is the eastern one of its
-                    # neighbour's last.
+                    # The first column of a strip reads its western weight from the halo: the
+                    # eastern weight of the neighbouring strip's last column.
                     for k in range(sets):
                         refresh_halo(weights, k, row + 1)
 
@@ -229,7 +229,7 @@ def _update_block(
     row,
     block,
 ):
-    """Update one block of one row."""
+    """Update one block of a row."""
     y, strip = row + 1, rho.shape[2] - 2
     zero = 0.0 * x_hat[1]
     data, half_data, smooth, half_smooth, moved, size = zero, zero, zero, zero, zero, zero
@@ -258,7 +258,7 @@ def _update_block(
                 place = i + planes[sets * side + k]
                 square, before = lengths[k], load(weights, place)
                 root = ti.sqrt(1.0 + inverse_squared_contrast * square)
-                both = g / (root * (1.0 + root))  # a quotient takes as long as many products
+                both = g / (root * (1.0 + root))  # one division, as slow as many products
                 smooth += 2.0 * square * (root * both)  # g Φ_δ
                 # g [bΔ² + δ²(b + 1/b − 2)], b + 1/b − 2 = (1 − b)²/b, for b = before/g.
                 gap = g - before

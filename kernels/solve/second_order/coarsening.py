@@ -1,12 +1,12 @@
-"""A system and its unknowns brought to a grid of half the density, and back.
+"""Transfers of a system and its unknowns to a grid of half the density and back.
 
-Grids and layouts are those of `tisfm.kernels.solve.coarsening`. D and the slopes keep their units,
-those of the finest level, so that the weights of all three kinds of edges change alike: half the
-sum of the two that they replace.
+Grids and layouts are those of `tisfm.kernels.solve.coarsening`. D and the slopes keep the units of
+the finest level. Therefore the weights of all three kinds of edge terms change in the same way: a
+coarse weight is half the sum of the two fine weights that it replaces.
 
-Corrections are interpolated so that r stays what it is: the slopes bilinearly, and D as their
-integral, which between two coarse pixels H apart is linear interpolation and
-−t(1 − t) H Δv/2, t = ¼ from the nearer one.
+Corrections are interpolated so that r stays the same: the slopes bilinearly, and D as their
+integral. Between two coarse pixels at distance H, this is linear interpolation plus
+−t(1 − t) H Δv/2, with t = ¼ from the nearer pixel.
 """
 
 from typing import Any
@@ -46,10 +46,9 @@ def coarsen_system(
 ) -> Launch:
     """Sum the children's data, and combine the weights of edges.
 
-    The energy of a coarse field is then that of its interpolation, nearly: an edge takes half the
-    sum of the two fine ones that it replaces (`tisfm.kernels.solve.coarsening`). That r is as much
-    larger as the step, and Δv, whose unit is that of the finest level, as well, makes it hold for
-    every kind.
+    The energy of a coarse field is then nearly that of its interpolation: the weight of a coarse
+    edge is half the sum of two fine weights (`tisfm.kernels.solve.coarsening`). This holds for all
+    three kinds of terms, because r, Δv and ΔD all grow with the length of the edge.
 
     Parameters
     ----------
@@ -80,7 +79,7 @@ def _coarsen_system(
     ti.loop_config(serialize=serial)
     for row, position in ti.ndrange(rows, strip):
         y, s = 2 * row + 1, 2 * position + 1
-        below = ti.min(y + 1, height + 1)  # halo, which is zero, under an odd last row
+        below = ti.min(y + 1, height + 1)  # below an odd last row: the halo, which is zero
         for k in ti.static(range(COMPONENTS)):
             coarse_tensor[k, row + 1, position + 1] = (
                 tensor[k, y, s] + tensor[k, y, s + 1]
@@ -97,14 +96,14 @@ def _coarsen_system(
 
 
 def offset_columns(grid: LaneGrid) -> tuple[np.ndarray, np.ndarray]:
-    """Return where children lie beside their parents, in columns of the fine grid.
+    """Return the offsets of children from the centres of their parents, in fine columns.
 
     Returns
     -------
     offsets : column table
         −½ and ½; 0 for a parent's only child, and for padding.
     outer : column table
-        The same where the parent's neighbour on that side lies outside, else 0.
+        The same offset if the parent's neighbour on that side lies outside the image, else 0.
     """
     column = grid.column_index()
     offset = np.where(column % 2 == 0, -0.5, 0.5)
@@ -124,20 +123,20 @@ def restrict_residual(
     source: LaneData | None,
     out: LaneData,
 ) -> Launch:
-    """Sum the children's residuals; those of D, times their offset, count for the slopes as well.
+    """Sum the children's residuals; those of D, times the offsets, are added to the slopes too.
 
-    So a slope of the parent is one of the plane on which its children lie: within them, edges that
-    such a plane leaves as they are contribute nothing.
+    A slope of the parent is then the slope of a plane through its children. A correction by such a
+    plane does not change r on the edges between the children.
 
     Parameters
     ----------
     grid : LaneGrid
         The fine grid.
     arrays, numbers : tuples
-        Of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`, which has checked all
-        arrays.
+        Attributes of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`, which has
+        checked all arrays.
     offsets : column table
-        Of `offset_columns`.
+        The offsets of `offset_columns`.
     rho : lane array, 3 components
     source : lane array, 3 components, or None
         Right-hand side in place of (−B, 0, 0).
@@ -180,7 +179,7 @@ def _restrict_residual(
         stride = rho.shape[2] & SMALL
         planes = ti.static(planes_of(rho, WEIGHTS))
         depth, east, south = 0.0 * offsets[1], 0.0 * offsets[1], 0.0 * offsets[1]
-        pair = ti.cast(2 * row + 1 < height, ti.f32)  # a single child lies on its parent
+        pair = ti.cast(2 * row + 1 < height, ti.f32)  # 0: an only child, at its parent's centre
         for y in range(2 * row + 1, ti.min(2 * row + 2, height) + 1):
             down = pair * (ti.cast(y - 2 * row, ti.f32) - 1.5)
             for side in ti.static(range(2)):
@@ -214,19 +213,20 @@ def correct(
 ) -> Launch:
     """Add a coarse correction to D and the slopes, in place, halo included.
 
-    Beyond the outermost coarse pixels D goes on along its slope.
+    Beyond the outermost coarse pixels D is extrapolated along its slope.
 
     Parameters
     ----------
     grid : LaneGrid
         The fine grid.
     coarse : halved array, 3 components
-        With its halo columns; beyond the border of the image it is not read.
+        Its halo columns must be valid; it is not read beyond the border of the image.
     across : column tables of 3
-        Of `tisfm.kernels.solve.coarsening.interpolation_columns`, and `outer` of `offset_columns`.
+        Results of `tisfm.kernels.solve.coarsening.interpolation_columns`, and `outer` of
+        `offset_columns`.
     rho : lane array, 3 components
     spacing : float
-        h, of the fine grid.
+        h of the fine grid.
     """
     grid.check(rho, COMPONENTS, "rho")
     check_halved(grid, coarse, COMPONENTS, "coarse")
@@ -253,7 +253,7 @@ def _correct(
         planes = ti.static(planes_of(coarse, COMPONENTS))
         y = row // 2 + 1
         sense = 2.0 * ti.cast(row % 2, ti.f32) - 1.0
-        beyond = ti.max(1, ti.min(y - 1 + 2 * (row % 2), rows))  # itself at the border
+        beyond = ti.max(1, ti.min(y - 1 + 2 * (row % 2), rows))  # y itself at the border
         # An outermost row with a sibling lies half a row beyond its parent.
         outside = 0.0
         if beyond == y and (row % 2 == 1 or row + 1 < height):
@@ -281,15 +281,15 @@ def _correct(
 def _row_at(
     coarse: Any, planes: list, first: Any, second: Any, tables: list, side: int, spacing: Any
 ) -> list:
-    """Return the correction on one coarse row, where a fine column lies, while compiling.
+    """Return the correction of a coarse row at a fine column, while compiling.
 
-    `first` and `second` are the `element` of the parent and of its neighbour on that side.
+    `first` and `second` are the indices for `element` of the parent and of its neighbour.
     """
     near, far, outer = tables
     own = [bind(element(coarse, first + planes[k])) for k in range(COMPONENTS)]
     other = [bind(element(coarse, second + planes[k])) for k in range(COMPONENTS)]
     depth, *slopes = (near * a + far * b for a, b in zip(own, other, strict=True))
     sense = 2.0 * side - 1.0
-    # 3/16 of h Δv where there is a neighbour, whose share `far` is ¼.
+    # 3/16 of h Δv if there is a neighbour: its weight `far` is ¼, else 0.
     depth = depth + spacing * (outer * own[1] + (0.75 * sense) * far * (own[1] - other[1]))
     return [bind(depth), *(bind(slope) for slope in slopes)]

@@ -1,4 +1,4 @@
-"""The least energy in the plane of two directions, as `tisfm.kernels.solve.line_search` has it."""
+"""Minimum of the energy in the plane of two directions, as in `tisfm.kernels.solve.line_search`."""
 
 from collections.abc import Callable
 from typing import Any
@@ -23,7 +23,7 @@ from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store
 from tisfm.kernels.solve.line_search import ROUNDING
 from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
 
-TERMS = 7  # of the sums
+TERMS = 7  # number of sums
 
 
 def bind_plane(
@@ -34,7 +34,7 @@ def bind_plane(
     before: LaneData,
     step: LaneData,
 ) -> Callable[[], tuple[np.ndarray, np.ndarray]]:
-    """Return what measures the quadratic energy of before + p correction + q step.
+    """Return a function that computes the quadratic energy of before + p correction + q step.
 
     Parameters
     ----------
@@ -49,9 +49,9 @@ def bind_plane(
     Returns
     -------
     callable
-        Which returns a matrix and a vector, (2, 2) and (2,) float64: the energy changes by
-        zᵀ matrix z + 2 zᵀ vector, z = (p, q). An entry of the vector that is no more than rounding
-        is 0.
+        It returns a matrix and a vector, (2, 2) and (2,) float64: the energy changes by
+        zᵀ matrix z + 2 zᵀ vector, with z = (p, q). An entry of the vector that is only rounding
+        error is set to 0.
     """
     partial = block_sums(grid, TERMS)
     launch = _plane[grid.lanes].bind(*arrays, half, correction, before, step, grid.serial, partial)
@@ -117,7 +117,7 @@ def _plane(
 
 
 def _differences(array: Any, planes: list, i: Any, beyond: Any, side: int, half: Any) -> list:
-    """Return r, Δv₁, Δv₂ and ΔD of an edge, 0 for east and 1 for south, while compiling."""
+    """Return r, Δv₁, Δv₂ and ΔD of an edge, while compiling; `side` is 0 for east, 1 for south."""
     here, there = (
         [bind(element(array, place + planes[k])) for k in range(COMPONENTS)]
         for place in (i, beyond)
@@ -128,5 +128,5 @@ def _differences(array: Any, planes: list, i: Any, beyond: Any, side: int, half:
 
 @ti.func
 def _size(value):
-    """Return |value|; vectors have no other."""
+    """Return |value|, in a form that works for vectors of lanes."""
     return ti.max(value, 0.0 - value)

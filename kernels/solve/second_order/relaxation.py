@@ -38,14 +38,14 @@ def bind_sweeps(
     relaxation: float,
     sweeps: int,
 ) -> Callable[[], None]:
-    """Return what runs full red–black sweeps.
+    """Return a function that runs full red–black sweeps.
 
     Parameters
     ----------
     grid : LaneGrid
     arrays, numbers : tuples
-        Of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`, which has checked all
-        arrays.
+        Attributes of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`, which has
+        checked all arrays.
     rho : lane array, 3 components
         D, v₁, v₂; modified in place, halo included.
     source : lane array, 3 components, or None
@@ -59,7 +59,7 @@ def bind_sweeps(
     system = (*arrays, *numbers, rho if source is None else source, relaxation, source is not None)
     if grid.lanes == 1:
         return repeated((_sweep_sites[1].bind(*system, rho), sweeps))
-    # A function of the size alone, as in `tisfm.kernels.solve.relaxation`.
+    # Independent of the number of threads, as in `tisfm.kernels.solve.relaxation`.
     bands = max(1, 2 * (grid.height // (2 * RELAXATION_BAND)))
     alone = bands == 1
 
@@ -116,7 +116,7 @@ def _sweep(
                         )  # fmt: skip
                     for k in range(COMPONENTS):
                         refresh_halo(rho, k, row + 1)
-    # The black rows on both sides of every border between bands.
+    # Now the black rows on both sides of every border between bands.
     if ti.static(not alone):
         for task in range(CHUNK * 2 * (bands - 1)):
             if task % CHUNK == 0:
@@ -147,7 +147,7 @@ def _sweep_sites(
     sourced: ti.template(),
     rho: LaneArray(3),  # (3, H+2, S+2), in place
 ):
-    """Sweep red everywhere and then black, every site by a thread of its own: for one lane."""
+    """Sweep all red and then all black sites, each site in its own thread; for one lane only."""
     height = rho.shape[1] - 2
     pairs = (rho.shape[2] - 2) // 2
     for color in ti.static(range(2)):
@@ -178,7 +178,7 @@ def _relax_at(
     y,
     s,
 ):
-    """Solve one pixel (one vector of lanes) and over-relax."""
+    """Solve one pixel (one vector of lanes) with over-relaxation."""
     i = (y * stride + s) & SMALL
     center = ti.static(center_at(rho, planes, i))
     edges = ti.static(edges_at(weights, planes, stride, i))

@@ -1,4 +1,4 @@
-"""The local system of a pixel, written out while a kernel is compiled."""
+"""The local system of a pixel, as code that is generated while a kernel is compiled."""
 
 from typing import Any
 
@@ -8,16 +8,16 @@ from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import element
 
 COMPONENTS = 3  # D, v₁, v₂
-WEIGHTS = 6  # a, b and c, each of the eastern and of the southern edge
+WEIGHTS = 6  # a, b and c, each for the eastern and the southern edge
 
 
 def center_at(rho: Any, planes: list, i: Any) -> list:
-    """Return D, v₁ and v₂ of the pixel whose `element` is i."""
+    """Return D, v₁ and v₂ of the pixel with index i (see `element`)."""
     return [bind(element(rho, i + planes[k])) for k in range(COMPONENTS)]
 
 
 def edges_at(weights: Any, planes: list, stride: Any, i: Any) -> list:
-    """Return a, b and c of the edges of a pixel: lists of E, W, S, N."""
+    """Return a, b and c of the edges of a pixel, each a list of E, W, S, N."""
     places = ((0, i), (0, i - 1), (1, i), (1, i - stride))
     return [
         [bind(element(weights, place + planes[2 * kind + side])) for side, place in places]
@@ -26,10 +26,10 @@ def edges_at(weights: Any, planes: list, stride: Any, i: Any) -> list:
 
 
 def stiffness_at(tensor: Any, edges: list, planes: list, i: Any, half: Any, spread: Any) -> list:
-    """Return what holds v₁ and v₂ of a pixel besides r: its edges b, and its data.
+    """Return the stiffness of v₁ and v₂ of a pixel without the part of r: Σ b with a lower bound.
 
-    The data of a coarse pixel lie beside its centre: where its edges are weaker than what the data
-    say about the slope, A times their variance `spread`, that is their lower bound.
+    The data of a coarse pixel lie away from its centre, so they determine the slope with the
+    precision A times the variance `spread`. The stiffness including the part of r is at least that.
     """
     first, second, _ = edges
     total = bind(second[0] + second[1] + second[2] + second[3])
@@ -51,10 +51,10 @@ def residual_at(
     i: Any,
     half: Any,
 ) -> list:
-    """Return the right-hand side less the left one, of D, v₁ and v₂.
+    """Return the right-hand side minus the left-hand side for D, v₁ and v₂.
 
-    `half` is h/2, `held` are those of `stiffness_at`. Without `source`, the right-hand side is −B
-    of the tensor.
+    `half` is h/2, `held` is from `stiffness_at`. Without `source`, the right-hand side is
+    (−B, 0, 0), with B from the tensor.
     """
     depth, *slopes = center
     first, second, third = edges
@@ -91,13 +91,14 @@ def solve_at(
 ) -> list:  # fmt: skip
     """Return the step that makes the residual of a pixel zero, given its neighbours.
 
-    v₁ and v₂ are coupled with D alone. Without them, D has the pivot A + Σc + Σ_k p_k, with
+    v₁ and v₂ are coupled with D, but not with each other. After their elimination, D has the pivot
+    A + Σc + Σ_k p_k, with
 
         p = (h² a a' + (a + a') s) / (h²/4 (a + a') + s),
 
-    a and a' the weights of the two edges along an axis, and s what holds its slope: a sum of
-    positive numbers, without a difference. `floors` of D and of v are added where they could all
-    be zero.
+    a and a' the weights of the two edges along an axis, and s the stiffness of its slope. This is a
+    sum of positive numbers, so no digits cancel. `floors` are added to the pivots of D and of v,
+    whose terms may all be zero.
     """
     first, _, third = edges
     pivot = element(tensor, i + planes[0]) + third[0] + third[1] + third[2] + third[3] + floors[0]

@@ -1,4 +1,4 @@
-"""The linear system of fixed weights in D and its slopes, and all that is done with it."""
+"""The linear system with fixed weights in D and its slopes, and its operations."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,15 +16,14 @@ from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
 from tisfm.kernels.solve.second_order.weight_update import bind_update
 from tisfm.kernels.solve.weight_update import Sums
 
-FLOOR = 1e-6  # of α and β: added to pivots, for pixels without data and without an open edge
+FLOOR = 1e-6  # share of α and β added to pivots, for pixels without data and without open edges
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SecondOrderSystem:
     """The equations of D, v₁ and v₂ at every pixel (`tisfm.kernels.solve.second_order`).
 
-    Its arrays are checked once, here. They are read where they lie: whoever writes to them changes
-    the system.
+    The arrays are checked once, here. They are not copied: a change of an array changes the system.
 
     Parameters
     ----------
@@ -32,19 +31,19 @@ class SecondOrderSystem:
     tensor : lane array, 3 components
         A, B and C of the data, A D² + 2 B D + C.
     weights : lane array, 6 components
-        a, b and c of the eastern and of the southern edge: (a_E, a_S, b_E, b_S, c_E, c_S).
+        a, b and c of the eastern and the southern edge: (a_E, a_S, b_E, b_S, c_E, c_S).
     alpha, beta, gamma : float
-        What r, Δv and ΔD weigh, per px² of D; `gamma` may be 0.
+        Weights of r, Δv and ΔD, per px² of D; `gamma` may be 0.
     spacing : float
         h, px of the finest level.
     spread : float
-        Variance of the place of the data about the centre of their pixel, along an axis, in px² of
-        the finest level: 0 unless the system was coarsened.
+        Variance of the positions of data around the centre of their pixel, along an axis, px² of
+        the finest level; 0 on the finest grid.
 
     Raises
     ------
     TypeError, ValueError
-        If an array is not one of the grid, or a number is not positive and finite.
+        If an array does not fit the grid, or a number is not positive and finite.
     """
 
     grid: LaneGrid
@@ -68,7 +67,7 @@ class SecondOrderSystem:
 
     @property
     def arrays(self) -> tuple[LaneData, LaneData]:
-        """Tensor and weights: the first two arguments of every kernel of a system."""
+        """Tensor and weights, the first two arguments of every kernel of a system."""
         return self.tensor, self.weights
 
     @cached_property
@@ -90,7 +89,7 @@ class SecondOrderSystem:
         sweeps: int = 1,
         source: LaneData | None = None,
     ) -> Callable[[], None]:
-        """Return what runs full red–black sweeps; `rho` is modified in place, halo included.
+        """Return a function that runs full red–black sweeps, in place, halo included.
 
         Parameters
         ----------
@@ -125,7 +124,7 @@ class SecondOrderSystem:
         anchor_scale: float,
         scales: Sequence[float] = (),
     ) -> Callable[[], Sums]:
-        """Return what measures D and its slopes, and renews weights and tensor, at every call.
+        """Return a function that computes sums over D, and weights and tensor for D and slopes.
 
         The arguments are those of `tisfm.kernels.solve.second_order.weight_update.bind_update`.
         """
@@ -165,12 +164,12 @@ class SecondOrderSystem:
         *,
         source: LaneData | None = None,
     ) -> Callable[[], None]:
-        """Return what writes the residuals at `rho`, summed over the children of coarse pixels.
+        """Return a function that writes the residuals at `rho`, summed over children.
 
         Parameters
         ----------
         offsets : column table
-            Of `tisfm.kernels.solve.second_order.coarsening.offset_columns`.
+            The offsets of `tisfm.kernels.solve.second_order.coarsening.offset_columns`.
         rho : lane array, 3 components
         out : halved array, 3 components (`tisfm.kernels.solve.coarsening`)
         source : lane array, 3 components, optional
@@ -182,7 +181,7 @@ class SecondOrderSystem:
         )
 
     def bind_coarsen(self, tensor: LaneData, weights: LaneData) -> Callable[[], None]:
-        """Return what writes the system of the grid of half the density.
+        """Return a function that writes the system of the grid of half the density.
 
         Parameters
         ----------
@@ -193,13 +192,13 @@ class SecondOrderSystem:
     def bind_line_search(
         self, rho: LaneData, before: LaneData, step: LaneData
     ) -> Callable[[], None]:
-        """Return what goes to the least energy in the plane of a correction and the last step.
+        """Return a function that minimises the energy over a correction and the last step.
 
         Parameters
         ----------
         rho, before, step : lane arrays, 3 components
-            A corrected field, the one before the correction, and the step that led there. In
-            place: `rho` and `before` become where the search leads, `step` what it moved.
+            The corrected field, the field before the correction, and the last step. Modified in
+            place: `rho` and `before` become the minimum, `step` becomes the move to it.
         """
         self._check(rho=rho, before=before, step=step)
         difference = subtract.bind(self.grid, before, rho)

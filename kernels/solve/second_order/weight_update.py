@@ -1,4 +1,4 @@
-"""What a half-quadratic iteration does besides relaxation, in one pass over memory."""
+"""Update of weights and tensor in a half-quadratic iteration, with energies, in a single pass."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -45,7 +45,7 @@ def bind_update(
     anchor_scale: float,
     scales: Sequence[float],
 ) -> Callable[[], Sums]:
-    """Return what measures D and its slopes, and renews the weights for them.
+    """Return a function that computes energies and changes of D, and the weights for D and slopes.
 
     An edge contributes α g Φ(r) + β g Φ(|Δv|) + γ g Φ(ΔD), each with its own contrast δ, with
     Φ(s) = 2s²/(1 + √(1 + s²/δ²)) and its half-quadratic form b s² + δ²(b + 1/b − 2)
@@ -57,14 +57,14 @@ def bind_update(
     grid : LaneGrid
     arrays : tuple
         Tensor and weights of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`, which
-        has checked all arrays. As they were, they enter the half-quadratic energy; they are
+        has checked all arrays. Their previous values give the half-quadratic energy; then both are
         overwritten.
     rho : lane array, 3 components
         D, v₁, v₂.
     previous : lane array, 1 component
-        An earlier D; overwritten.
+        An earlier D; overwritten with the present D.
     anchors : lane array, 2 components
-        w and D*, px/frame; D* is finite where w is 0, too.
+        w and D*, px/frame; D* must be finite even where w is 0.
     edges : lane array, 2 components
         g.
     constraints : lane array, 3 components for each of 1 to 3 constraints, or None
@@ -75,7 +75,7 @@ def bind_update(
     contrasts : 3 floats
         δ of r, of |Δv| and of ΔD; infinite for a quadratic penalty.
     anchor_scale : float
-        σ, px/frame; infinite likewise.
+        σ, px/frame; infinite for a quadratic penalty.
     scales : sequence of float
         m_i ε² of each term of the constraints (`tisfm.kernels.model.robust`).
     """
@@ -90,7 +90,7 @@ def bind_update(
         rho,
         half,
         *stiffness,
-        # With δ infinite, b is 1 and its penalty vanishes.
+        # With infinite δ, b is 1 and its penalty is 0.
         *(value for square in squared for value in (1.0 / square, _finite(square))),
         *finite_scales(scales or (np.inf,)),
         count,
@@ -187,8 +187,8 @@ def _update(
                             terms, anchors, edges, rho, half, kinds, scales, count, weights,
                             tensor, previous, partial, stride, planes, row, block,
                         )  # fmt: skip
-                    # The western weight of a strip's first column is the eastern one of its
-                    # neighbour's last.
+                    # The first column of a strip reads its western weight from the halo: the
+                    # eastern weight of the neighbouring strip's last column.
                     for kind in range(3):
                         refresh_halo(weights, 2 * kind, row + 1)
 
@@ -212,7 +212,7 @@ def _update_block(
     row,
     block,
 ):
-    """Update one block of one row."""
+    """Update one block of a row."""
     y, strip = row + 1, rho.shape[2] - 2
     zero = 0.0 * rho[0, y, 1]
     energy, half_energy, moved, size = zero, zero, zero, zero
@@ -276,7 +276,7 @@ def _data_at(
 
 
 def _squares(here: list, there: list, side: int, half: Any) -> list:
-    """Return r², |Δv|² and ΔD² of an edge, 0 for east and 1 for south."""
+    """Return r², |Δv|² and ΔD² of an edge; `side` is 0 for east, 1 for south."""
     step, *turns = (bind(far - near) for far, near in zip(there, here, strict=True))
     bend = bind(step - half * (here[1 + side] + there[1 + side]))
     return [bind(bend * bend), bind(turns[0] * turns[0] + turns[1] * turns[1]), bind(step * step)]
