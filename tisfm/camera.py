@@ -63,7 +63,7 @@ class Camera:
     False
     >>> camera.pinhole()
     Camera(focal=720.0, center=None, distortion=None, aspect=1.0, readout=None)
-    >>> camera.center_for(480, 640)  # the centre of the image, as none is stated
+    >>> camera.center_for(480, 640)  # the centre of the image, the default
     (319.5, 239.5)
     >>> tisfm.Camera(focal=(720.0, 700.0)).focals  # pixels that are not square
     (720.0, 700.0)

@@ -13,8 +13,8 @@ LARGEST_GREY = 1e36  # grey levels: differences of such values still fit into fl
 # Float frames in [0, 1] may overshoot. Each pair is a distance beyond [0, 1], and the largest share
 # of values that may lie farther out. 0.01 allows for rounding; resampling and sharpening take up
 # to a sixth of the values beyond it. 1 allows for strong sharpening, 10 for bright spots. A frame
-# on the 8-bit scale that passes these limits is black but for spots: 99% of its values are at most
-# grey level 2.
+# on the 8-bit scale that passes these limits is black apart from spots: 99% of its values are at
+# most grey level 2.
 OVERSHOOTS = ((0.01, 0.2), (1.0, 0.01), (10.0, 0.001))
 ROWS = 32  # rows converted at a time, few enough to stay in the cache
 

@@ -164,8 +164,9 @@ class Interpretation:
     def save(self, path: str | Path, *, compact: bool = False) -> None:
         """Write the result to an ``.npz`` file without pickles, whole or not at all.
 
-        `load` returns the same values but for two roundings: `rho`, and with it `tau` and `omega`,
-        to 11 significant bits (and to 6e-8 px/frame where it is tiny), and `confidence` to 11 bits.
+        `load` returns the same values, apart from two roundings: `rho`, and with it `tau` and
+        `omega`, to 11 significant bits (and to 6e-8 px/frame where it is tiny), and `confidence` to
+        11 bits.
         If `rho` has values beyond 65504, which happens if a result diverged, it is not rounded.
         `numpy.load` reads the file too; ``docs/formats.md`` describes it.
 

@@ -63,7 +63,7 @@ def interpret_sequence(
         Number of the first frame to use, and of the frame before which to stop; the frames of the
         source count from 0. By default all are used.
     size : int, optional
-        Longer side of the frames, px. Larger ones are shrunk by averaging over areas.
+        Longer side of the frames, px. Larger frames are shrunk by averaging over areas.
     crop : (int, int, int, int), optional
         Left, top, width and height of the part of the frames to use, px. It is cropped before
         shrinking.
@@ -213,7 +213,7 @@ def _interpret_shared(
 
 
 def _warn_of_skipped(source: FrameSource, told: int) -> int:
-    """Warn of skipped frames but for the first `told`; return the number of skipped frames."""
+    """Warn about skipped frames after the first `told`; return the number of skipped frames."""
     for _, reason in source.skipped[told:]:
         warnings.warn(f"{reason}; the frame is skipped", stacklevel=3)
     return len(source.skipped)

@@ -85,8 +85,8 @@ class Settings:
         Weight of the constancy of brightness for these motions, in place of `brightness`.
     depth_normalization : float or None
         ζ for these motions, in place of `normalization`. A rigid motion leaves a pixel little
-        freedom, so noise is the main disturbance, and weak gradients should count less than strong
-        ones.
+        freedom, so noise is the main disturbance, and weak gradients should have less weight than
+        strong gradients.
     max_objects : int
         Most motions that ``motion="objects"`` may find, including the background's; at most 255.
     align_scales : bool

@@ -77,12 +77,12 @@ class FlowSearch:
     def improve(
         self, state: np.ndarray, *, reach: int, draws: int, spans: tuple[float, float], seed: int
     ) -> None:
-        """Replace displacements by better ones, in place: red pixels, and then black ones.
+        """Replace displacements by better ones, in place: first at red, then at black pixels.
 
         Each pixel compares its displacement with those of its neighbours 1 and `reach` px away in
-        four directions, and with `draws` random ones around it. The range of a draw is half that of
-        the one before; after the smallest range, the largest one follows again. No cost rises, and
-        pixels that are not searched stay unchanged.
+        four directions, and with `draws` random displacements around it. Each draw has half the
+        range of the previous draw; after the smallest range, the largest follows again. No cost
+        rises, and pixels that are not searched stay unchanged.
 
         Parameters
         ----------

@@ -17,8 +17,8 @@ from tisfm.kernels.layout.launch import Kernel
 # All of these were set by hand.
 ALIKE = 0.05  # relative difference of inverse depth between pixels of one surface, at most
 LOOKS = 2  # projections back and forth of each pixel
-MOST = 0.5  # share of the weights of the four pixels that the surface needs to be looked up,
-LEAST = 1e-3  # and to be used at all
+MOST = 0.5  # least share of the weights of the four pixels for the nearest surface to be used
+LEAST = 1e-3  # the same share for the surface nearest to the pixel's centre
 NEAREST = 1e-12  # least Z, which is a divisor
 
 
@@ -43,7 +43,7 @@ def rendered(
     motion : (3, 4) array
         R and t from the first view's axes to the other's.
     out, out_deviation : (H, W) float32
-        Those of the other view; 0 where no pixel arrives.
+        Inverse depth and deviation in the other view; 0 where no pixel arrives.
     center : (float, float)
         Principal point of both views, px.
     focal : float
@@ -56,7 +56,7 @@ def rendered(
 
     Notes
     -----
-    Values must be finite: under fast arithmetic, comparisons with NaN give wrong answers.
+    Values must be finite: with fast math, comparisons with NaN are unreliable.
     """
     shape = inverse_depth.shape
     for name, array in (

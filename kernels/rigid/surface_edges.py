@@ -10,7 +10,7 @@ import taichi as ti
 from tisfm.kernels.layout.lanes import check_array
 from tisfm.kernels.layout.launch import Kernel
 
-RADIUS = 3  # px: radius of the window whose pixels vote
+RADIUS = 3  # px: half side of the window whose pixels vote
 FADING = 0.1  # 1/px²: a pixel at distance r px has the weight 1/(1 + 0.1 r²)
 
 

@@ -51,9 +51,8 @@ def coarsen_system(
     """Sum the children's motion tensors, and combine the weights of edges.
 
     The energy of a coarse field is then nearly that of its bilinear interpolation. The weight of a
-    coarse edge is half the sum of the weights of two fine edges: the difference across the coarse
-    edge is twice as large, so its square is four times as large, but the coarse edge replaces two
-    fine edges in each of two rows or columns.
+    coarse edge is half the sum of the two fine weights between its pixels: it replaces four fine
+    edges, two in each of two rows or columns, and its squared difference is four times theirs.
 
     Parameters
     ----------

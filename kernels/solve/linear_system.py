@@ -27,7 +27,7 @@ class LinearSystem:
     grid : LaneGrid
     tensor : lane array, 6 components
         Motion tensor (J11, J12, J22, j1, j2, J_tt).
-    weights : lane array, 2n components, or 2 for all components alike
+    weights : lane array, 2n components, or 2 if all unknowns share them
         g·b of every edge: eastern edges, then southern edges (`tisfm.kernels.model.edges`).
     x_hat : column table
         Normalised column coordinate x/f.

@@ -124,8 +124,8 @@ def _sweep(
 
     A thread processes a band of rows at a time. Black rows that touch another band wait until all
     red sites are done. So the result equals, up to rounding, a sweep of all red and then of all
-    black sites. `repeats` is the number of sweeps: 1, unless a single band, `alone`, makes the loop
-    independent of other threads.
+    black sites. `repeats` is the number of sweeps; it is 1 unless there is a single band (`alone`),
+    which needs no other thread.
     """
     height = rho.shape[1] - 2
     pairs = (rho.shape[2] - 2) // 2

@@ -96,9 +96,10 @@ def occlusion_in(
 ) -> np.ndarray:
     """Return the occlusion, (H, W) bool, for a flow of the finest level, (2, H, W).
 
-    As `occlusion`, and the pixels that a mask ignores in one of the frames are occluded too. The
-    residuals are `residual`, or computed from the frames of `level`; a pyramid whose factor is not
-    ½ uses level 0 instead, since its pixels do not divide into whole numbers of finer ones.
+    As `occlusion`, but pixels that a mask ignores in one of the frames are occluded too. The
+    residuals are `residual`, or they are computed from the frames of `level`. A pyramid with a
+    factor other than ½ uses level 0 instead, since its coarse pixels do not contain a whole number
+    of finest pixels.
     """
     if pyramid.factor != 0.5:
         level = 0
