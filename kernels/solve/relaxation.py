@@ -34,7 +34,7 @@ from tisfm.kernels.model.small_spd import (
 )
 
 SOLVERS = ("cholesky", "closed_form")
-RELAXATION_BAND = 32  # least rows of a band, so that there are few borders between bands
+RELAXATION_BAND = 32  # least rows of a band: a few rows fit in the cache, and borders are few
 AT_ONCE = 64  # most sweeps in one launch, for a grid with a single band
 
 

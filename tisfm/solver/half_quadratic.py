@@ -15,7 +15,7 @@ from tisfm.solver.multigrid import Multigrid
 from tisfm.solver.smoothness import Smoothness
 from tisfm.solver.unknowns import Unknowns
 
-FEWEST_ITERATIONS = 2  # if the limit allows them: one iteration spreads data over short distances
+FEWEST_ITERATIONS = 2  # if the limit allows: the first spreads data over short distances only
 TRANSLATION = 3  # unknowns of the smallest model that has motions without image motion
 CONFIRMED = 2  # consecutive iterations whose estimate of the remaining error must be small
 LEAST_CONTRACTION = 2 / 3  # least contraction assumed for errors: early changes may shrink faster

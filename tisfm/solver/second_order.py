@@ -38,7 +38,7 @@ class SecondOrderSettings:
     ----------
     alpha, beta, gamma : float
         Weights of r (ΔD minus the slopes), Δv and ΔD, relative to an anchor of weight 1 at a pixel.
-        √(β/α) px is the distance of anchors beyond which slopes are extrapolated unchanged.
+        If anchors are farther apart than √(β/α) px, slopes continue unchanged between them.
         γ > 0 limits how far D continues along a slope; it may be 0.
     bend, turn, step : float
         Contrasts of r, px, of Δv, px per px, and of ΔD, px: a larger value counts as a jump or a
