@@ -21,7 +21,7 @@ from tisfm.running.pairs import FrameSelection, PairSource, with_poses
 from tisfm.running.pool import check_workers
 from tisfm.settings import Settings, check_settings
 from tisfm.sources import BadFrames, FramePair, FrameSource, Source
-from tisfm.sources.frame_reader import is_path, warn_notes
+from tisfm.sources.frame_reader import warn_notes
 from tisfm.sources.masks import Mask
 from tisfm.window import Window, WindowSize, window_of
 
@@ -148,11 +148,11 @@ def interpret_sequence(
         raise InputError(
             "window is 3, which needs the result of the pair before: leave out workers"
         )
-    if mask is not None and not is_path(mask):
+    if mask is not None and not isinstance(mask, (str, os.PathLike)):
         raise InputError("mask is no file, which several workers could read: leave out workers")
     check_sharable(source, frames)
     shared = PairSource(
-        source=source if is_path(source) else list(source),
+        source=source if isinstance(source, (str, os.PathLike)) else list(source),
         frames=FrameSelection(
             step=step, start=start, stop=stop, size=size, crop=crop, bad_frames=bad_frames
         ),

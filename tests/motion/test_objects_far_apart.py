@@ -70,7 +70,7 @@ def test_points_are_matched_only_where_a_flow_field_fails(monkeypatch):
     def never(*_):
         raise AssertionError("no points are to be matched")
 
-    monkeypatch.setattr(estimation, "far_apart", never)
+    monkeypatch.setattr(estimation, "wide_baseline_motion", never)
     assert interpreted(two_blocks(90, 120, seed=1)).status != "unrelated"
 
 

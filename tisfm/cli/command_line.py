@@ -157,7 +157,7 @@ def _command(name: str, arguments: Sequence[str] = ()) -> tuple[type, Any]:
 
 def _all_commands(arguments: list[str]) -> None:
     """Let tyro print the help of all commands, or a completion script for a shell."""
-    kinds = []
+    kinds: list[Any] = []
     for name in COMMANDS:
         command, default = _command(name)
         given = {} if default is None else {"default": default}

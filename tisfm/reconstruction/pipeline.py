@@ -28,6 +28,7 @@ from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
 from tisfm.reconstruction.progress import DepthOf, Enough, Progress
 from tisfm.reconstruction.result.calibration import Calibrate, Calibration, as_json
 from tisfm.reconstruction.result.folder import CACHE, PICTURES, write_depth, write_record
+from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.result.object_sizes import refuse_unknown
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, SequenceTracks
@@ -299,7 +300,7 @@ def write_result(
     about = as_json(calibration)
     del about["shape"]  # the file has width and height
     write_camera(job.folder / CAMERA, solved.camera, read.camera.shape, about=about)
-    objects = ()
+    objects: tuple[MovingObject, ...] = ()
     if job.has_objects:
         from tisfm.reconstruction.objects.object_depth import objects_with_depth
 

@@ -8,6 +8,7 @@ from tisfm.folders.run_record import RECORD as RUN
 from tisfm.reconstruction.result.folder import BEGUN, DEPTH, PICTURES
 from tisfm.reconstruction.result.folder import RECORD as RECONSTRUCTION
 from tisfm.results.pair_frames import PairFrames
+from tisfm.results.result_frames import ResultFrames
 from tisfm.results.sequence_frames import SequenceFrames
 
 
@@ -15,7 +16,7 @@ class NotReadyError(InputError):
     """A command still writes the result, and no frame is complete."""
 
 
-def open_result(folder: Path) -> SequenceFrames | PairFrames:
+def open_result(folder: Path) -> ResultFrames:
     """Open the folder of `tisfm run` or `tisfm reconstruct`, also while a run goes on.
 
     Raises

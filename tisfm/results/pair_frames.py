@@ -1,6 +1,7 @@
 """The pairs of a folder of `tisfm run`, also while the run goes on."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +67,7 @@ class PairFrames:
         self.folder = Path(folder)
         self.camera = Camera()
         self.objects: tuple[MovingObject, ...] = ()
-        self.names: list[str] = []
+        self.names: Sequence[str] = []
         self._is_complete = complete
         self._record_stamp: tuple[int, int] | None = None  # modification time and size
         self._files: list[tuple[str, Any]] = []
@@ -194,8 +195,8 @@ class PairFrames:
             self.camera = _camera_of(record["camera"])
         self.names = [name for name, _ in kept]
         self._files = [(name, pair.get("files")) for name, pair in kept]
-        self.statuses = [Status(pair["status"], pair["message"]) for _, pair in kept]
-        self.times = [(pair.get("times") or [None])[0] for _, pair in kept]
+        self.statuses: Sequence[Status] = [Status(pair["status"], pair["message"]) for _, pair in kept]
+        self.times: Sequence[float | None] = [(pair.get("times") or [None])[0] for _, pair in kept]
         motions = [_motion_of(pair) for _, pair in kept]
         numbers = [int(pair["number"]) for _, pair in kept]
         self._lengths = [1.0 if one is None else one[1] for one in motions]

@@ -1,6 +1,7 @@
 """The frames of a reconstruction, in memory or in the folder of `tisfm reconstruct`."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from tisfm.results.frame import ResultFrame
 from tisfm.results.fused_scene import FusedKind, FusedScene, fuse_keyframes, read_fused, thinned
 from tisfm.results.result_frames import Change, as_rgb
 from tisfm.rigid import rigid_twist
+from tisfm.status import Status
 
 
 class SequenceFrames:
@@ -146,8 +148,10 @@ class SequenceFrames:
 
     def _set_result(self, result: Reconstruction) -> None:
         self._result, self.folder = result, result.folder
-        self.names, self.statuses = list(result.names), list(result.status)
-        self.times, self.objects = list(result.times), result.objects
+        self.names: Sequence[str] = list(result.names)
+        self.statuses: Sequence[Status] = list(result.status)
+        self.times: Sequence[float | None] = list(result.times)
+        self.objects = result.objects
         self.poses, self.piece = result.poses, result.piece
         self.quantities: tuple[str, ...] = ("deviation",)
         self.quantities += ("object",) if result.settings.motion == "objects" else ()

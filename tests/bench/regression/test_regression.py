@@ -24,7 +24,7 @@ ALTERED = """
 
 import dataclasses as _dataclasses
 
-_interpret = interpret
+from tisfm.pair import interpret as _interpret
 
 
 def interpret(*frames, **options):

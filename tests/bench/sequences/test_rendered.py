@@ -127,7 +127,7 @@ def test_figures_stand_beside_their_bars(tmp_path):
     text = (tmp_path / "out.md").read_text()
     assert "| gap | 0.2 | ≤ 0.3 | met |" in text
     assert "| mesh | 93 | ≥ 95 | **not met** |" in text
-    assert "| ATE | 1 |  |  |" in text
+    assert "| ATE | 1 | | |" in text
     kept = json.loads((tmp_path / "out.json").read_text())
     assert kept["errors"] == errors and len(kept["bars"]) == 3
     assert len(errors["bare"]) == len(COUNTS)
