@@ -18,7 +18,7 @@ MEANINGS = {
     "little_parallax": "The camera hardly moved: there is no depth.",
     "pure_rotation": "The camera only rotated: there is no depth.",
     "aperture": "The frame varies in one direction only, like stripes.",
-    "unrelated": "The frames show different scenes, as at a cut, or the motion was not result.",
+    "unrelated": "The frames show different scenes, as at a cut, or the motion was not found.",
     "two_motions": "Two motions explain the frames equally well; depth follows from one of them.",
     "behind_camera": "Much of the scene would lie behind the camera: depth is wrong in part.",
     "unexplained": "Motion and depth do not explain the frames: depth is wrong in part.",
