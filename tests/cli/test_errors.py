@@ -13,9 +13,10 @@ import pytest
 from tests.cli.command_line import FRAMES, TISFM, assert_one_line, files, forbid, promised, record
 from tests.draws import nightly_except
 from tisfm import interpretation_file, pair
-from tisfm.cli import demo
+from tisfm.cli import demo, evaluate
+from tisfm.errors import InputError
 from tisfm.evaluation import pairs
-from tisfm.formats import float_maps, write_png
+from tisfm.formats import write_png
 from tisfm.running import pair_files
 
 
@@ -184,17 +185,21 @@ def test_frames_beyond_what_files_can_hold_are_one_line(tisfm_run, place, monkey
     assert set(place.rglob("*")) == before
 
 
+def _refuse_wide_frames(name, height, width):
+    raise InputError(f"{name} is {width} px wide")
+
+
 def test_pairs_beyond_what_files_can_hold_are_faults(tisfm_run, benchmark_folder, monkeypatch):
     with monkeypatch.context() as patched:
-        patched.setattr(float_maps, "LARGEST_SIDE", 39)
+        patched.setattr(evaluate, "require_writable_flow", _refuse_wide_frames)
         patched.setattr(pairs, "interpret", forbid)
         code, _, err = tisfm_run("eval", "flows", "-o", "out", "--preset", "fast")
     assert code == 1
     for name in ("Slow", "Fast"):
-        line = f"tisfm: flows/{name}: frame0 is 24 × 40 px, but its flow goes into a .flo file"
+        line = f"tisfm: flows/{name}: frame0 is 40 px wide"
         assert line in err
     assert [path.name for path in Path("out").rglob("*")] == ["eval.json"]
-    monkeypatch.setattr(float_maps, "LARGEST_SIDE", 39)
+    monkeypatch.setattr(evaluate, "require_writable_flow", _refuse_wide_frames)
     assert tisfm_run("eval", "flows", "--preset", "fast")[0] == 0  # nothing is written
 
 

@@ -45,7 +45,7 @@ def test_progress():
 
     near, far = pty.openpty()
     code = (
-        "from tisfm.cli.console import progress_bar\n"
+        "from tisfm.cli.progress import progress_bar\n"
         "with progress_bar() as bar:\n"
         f"    bar.add_task({ESC + MARKUP!r}, total=2)\n"
     )

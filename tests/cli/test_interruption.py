@@ -186,7 +186,7 @@ def test_outputs_are_chosen(tisfm_run, frames):
     assert files("out") == before
     for wrong in ("depth,color", "", ","):
         code, _, err = tisfm_run(*options, wrong)
-        assert_one_line(code, err, "outputs: ", "expected some of depth, depth16, flow")
+        assert_one_line(code, err, "--outputs ", "expected", "depth16", "flow")
     code, _, err = tisfm_run("run", "frames", "-o", "out", "--figures", "-1")
     assert_one_line(code, err, "figures is -1")
 
