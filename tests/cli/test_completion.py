@@ -56,6 +56,7 @@ def test_bash_completes_commands_options_and_values(complete):
     assert complete("tisfm run x -o y --no-fig") == ["--no-figures"]
     assert complete("tisfm run --preset f") == ["fast"]
     assert {"camera", "objects"} <= set(complete("tisfm reconstruct --motion "))
+    assert complete("tisfm figures a b --fo") == ["--focal"]  # its help has several lines
     assert complete("tisfm eval --seq") == ["--sequence"]
     assert complete("tisfm export x --to mesh-") == ["mesh-ply", "mesh-glb"]
     assert complete("tisfm export x --to ply --to depth-t") == ["depth-tum", "depth-tiff"]

@@ -175,12 +175,16 @@ def _print_completion(shells: Sequence[str]) -> int:
             f"--completion is {shell!r}{hint(shell, SHELLS)}: expected {', '.join(SHELLS)}"
         )
     try:
-        with contextlib.suppress(SystemExit):
+        script = io.StringIO()
+        with contextlib.suppress(SystemExit), contextlib.redirect_stdout(script):
             _all_commands(["--tyro-print-completion", shell])
     except ImportError as error:  # tyro needs shtab for tcsh
         raise MissingPackageError(
             f"completion for {shell} needs shtab, which is not installed: pip install shtab"
         ) from error
+    for line in script.getvalue().splitlines():
+        # A shell would offer the words behind a line break of a help text as values.
+        print(line.replace("\\n", " ") if line.startswith("COMPLETION_SPEC") else line)
     print(_COMPLETE_FILES.get(shell, ""))
     return 0
 

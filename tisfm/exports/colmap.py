@@ -75,7 +75,6 @@ def write_colmap(
     ``sparse/0`` is the model of the largest piece, ``sparse/1`` of the next: each has its own
     scale. Frames without a pose, and pieces of a single frame, are left out. A point begins at a
     corner of a keyframe; its positions in other frames are measured in the images, to a fraction of
-    a pixel, and the point minimises its distance to all of them. The camera is a ``PINHOLE``, as
     a pixel, and the point minimises its distance to all of them. The camera is a ``PINHOLE``,
     because the frames have no distortion; image n + 1 is frame n of the reconstruction.
     With ``motion="objects"``, ``masks/`` has masks for COLMAP, in which moving objects are black,

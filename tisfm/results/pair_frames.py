@@ -195,7 +195,9 @@ class PairFrames:
             self.camera = _camera_of(record["camera"])
         self.names = [name for name, _ in kept]
         self._files = [(name, pair.get("files")) for name, pair in kept]
-        self.statuses: Sequence[Status] = [Status(pair["status"], pair["message"]) for _, pair in kept]
+        self.statuses: Sequence[Status] = [
+            Status(pair["status"], pair["message"]) for _, pair in kept
+        ]
         self.times: Sequence[float | None] = [(pair.get("times") or [None])[0] for _, pair in kept]
         motions = [_motion_of(pair) for _, pair in kept]
         numbers = [int(pair["number"]) for _, pair in kept]
