@@ -156,7 +156,7 @@ def test_snippets_run(path, documented_here):
     if not snippets:
         assert path not in (README, DOCS / "python.md")
         return
-    names = {}
+    names = {"__name__": "__main__"}  # as a script
     for number, (_, code) in enumerate(snippets):
         exec(compile(code, f"{path.name}, snippet {number}", "exec"), names)
 

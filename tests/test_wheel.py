@@ -19,6 +19,7 @@ from tests.imports import sources
 from tests.test_api import PUBLIC
 
 ROOT = Path(__file__).parents[1]
+TEMPLATES = ROOT / "tisfm" / "templates"
 LARGEST = 2_000_000  # bytes; more would be data that nobody meant to give out
 BUILD = "from setuptools import build_meta; print(build_meta.build_wheel('dist'))"
 
@@ -92,7 +93,8 @@ def test_the_wheel_holds_every_module(wheel):
         f"{name.replace('.', '/')}{'/__init__' * (path.name == '__init__.py')}.py"
         for name, path in sources().items()
     }
-    assert held == expected
+    templates = {path.relative_to(ROOT).as_posix() for path in TEMPLATES.glob("[!_]*.*")}
+    assert templates and held == expected | templates
 
 
 def test_the_wheel_has_its_licence_and_metadata(wheel):
