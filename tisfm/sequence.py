@@ -152,7 +152,7 @@ def interpret_sequence(
         raise InputError("mask is no file, which several workers could read: leave out workers")
     check_sharable(source, frames)
     shared = PairSource(
-        source=source if isinstance(source, (str, os.PathLike)) else list(source),
+        source=source if isinstance(source, (str, os.PathLike)) else [*source],
         frames=FrameSelection(
             step=step, start=start, stop=stop, size=size, crop=crop, bad_frames=bad_frames
         ),

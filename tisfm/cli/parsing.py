@@ -64,9 +64,14 @@ def parse(name: str, command: type[T], arguments: Sequence[str], default: T | No
     def refuse(event: _errors.ParseErrorEvent) -> NoReturn:
         raise WrongOptionError(f"{_explanation(name, event, words)}; see tisfm {name} --help")
 
-    given = {} if default is None else {"default": default}
+    given: dict[str, Any] = {} if default is None else {"default": default}
     with _errors.on_parse_error(refuse):
         return tyro.cli(command, prog=f"tisfm {name}", args=words, **given)
+
+
+def _marker(annotated: Any) -> Any:
+    """Return the marker of tyro in an annotated type."""
+    return annotated.__metadata__[0]
 
 
 def option_types(command: type) -> dict[str, Any]:
@@ -79,12 +84,12 @@ def option_types(command: type) -> dict[str, Any]:
         if is_dataclass(kind):
             found |= option_types(kind)  # type: ignore[arg-type]  # it is a class
             continue
-        if tyro.conf.Positional[int].__metadata__[0] in markers:
+        if _marker(tyro.conf.Positional[int]) in markers:
             continue
         labels = [marker for marker in markers if hasattr(marker, "aliases")]
         own = next((label.name for label in labels if label.name), field.name).replace("_", "-")
         found[f"--{own}"] = kind
-        if kind is bool and tyro.conf.FlagCreatePairsOff[bool].__metadata__[0] not in markers:
+        if kind is bool and _marker(tyro.conf.FlagCreatePairsOff[bool]) not in markers:
             found[f"--no-{own}"] = kind
         found |= {alias: kind for label in labels for alias in label.aliases or ()}
     return found

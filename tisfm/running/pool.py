@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     CancelledError,
@@ -52,7 +52,7 @@ class WorkerPool:
 
     def map_unordered(
         self, function: Callable[[T], R], items: Sequence[T]
-    ) -> Iterator[tuple[int, R]]:
+    ) -> Generator[tuple[int, R], None, None]:
         """Call a function with every item, and yield each result as soon as it is ready.
 
         Items are submitted in order, and only as many at a time as keep all processes busy.
