@@ -8,5 +8,5 @@ linear system, `untextured` and `focal` difficult input, `writing` the cost of s
 Packages: `kernels` times kernels and whole pairs against the NumPy `reference` (``bench``), `depth`
 measures depth and motion of the camera, `objects` moving objects, `sequences` whole sequences,
 `scaling` time and memory over size, `view` the viewer, `regression` another checkout, and
-`structure` the source itself. `shared` is their common code, and imports none of them.
+`structure` the source itself. `shared` is their common code; it imports no benchmark.
 """

@@ -93,7 +93,7 @@ class DepthContest:
         return asdict(self) | {"best_thresholds": best}
 
     def _at(self, method: str, threshold: float | None) -> list[Score]:
-        """Return the scores at a threshold, and those of calls that failed before."""
+        """Return the scores at a threshold, also the scores of calls that failed earlier."""
         return [s for s in self._of(method) if s.threshold in (threshold, None)]
 
     def _of(self, method: str) -> list[Score]:

@@ -61,7 +61,7 @@ class TaichiSide:
     def lay(self, stack: np.ndarray, strip: int = 0) -> LaneData:
         """Copy (k, H, W) to a new lane array with halo columns, without a kernel.
 
-        `strip`: columns per lane, by default those of the grid.
+        `strip`: columns per lane, by default the number that the grid has.
         """
         (k, height, width), lanes = stack.shape, self.grid.lanes
         strip = strip or self.grid.strip

@@ -72,7 +72,7 @@ def rendered_clip(*, small: bool = False) -> Clip:
 
 
 def davis_folders(data: Path) -> list[Path]:
-    """Return the folders of the clips of DAVIS; none if there is no folder of them."""
+    """Return the folders of the DAVIS clips; an empty result if DAVIS is absent."""
     folder = data / FOLDER
     if not folder.is_dir():
         return []

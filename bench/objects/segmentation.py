@@ -18,7 +18,7 @@ REACH = 8  # frames before, and as many after, in the mixture of Gaussians
 def homographies(grey: Sequence[NDArray]) -> list[NDArray[np.float64]]:
     """Return the homography of the background from each frame to the next, (3, 3).
 
-    Corners are tracked by the method of Lucas and Kanade; RANSAC keeps those of the largest plane.
+    Corners are tracked by the method of Lucas and Kanade. RANSAC keeps the largest plane's corners.
     """
     found = []
     for frame, following in pairwise(grey):

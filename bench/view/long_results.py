@@ -1,6 +1,6 @@
 """Long results for the viewer: the files of a short run or reconstruction, linked many times.
 
-The viewer then reads files of the same number and size as those of a real long result.
+The viewer then reads as many files, of the same size, as in a real long result.
 """
 
 import json
