@@ -42,18 +42,13 @@ def check_count(poses: int, frames: int) -> None:
         raise InputError(f"poses are {poses}, but there are {frames} frames: expected one for each")
 
 
-def refuse_masked(values: object, name: str, advice: str | None = None) -> None:
-    """Raise ValueError if an array has masked values: NumPy's functions would drop the mask.
-
-    Parameters
-    ----------
-    values : array_like
-        An array, or nested sequences whose rows may be masked arrays.
-    name : str
-        Name of the argument in the error.
-    advice : str, optional
-        Advice in the error; by default to fill the masked values with NaN, which means unknown.
-    """
+def refuse_masked(
+    values: object,  # array_like: an array, or nested sequences whose rows may be masked arrays
+    name: str,  # name of the argument in the error
+    # advice in the error; by default to fill the masked values with NaN, which means unknown
+    advice: str | None = None,
+) -> None:
+    """Raise ValueError if an array has masked values: NumPy's functions would drop the mask."""
     hidden, total = _masked(values)
     if hidden:
         advice = advice or f"fill them first, for instance by {name}.filled(np.nan)"

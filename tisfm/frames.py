@@ -23,32 +23,25 @@ _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 
 def grey_pair(
-    frame0: npt.ArrayLike, frame1: npt.ArrayLike, *, stretch: bool = True
+    # frame0, frame1: (H, W) or (H, W, 3) array: grey or RGB; uint8, uint16 or float, the same type
+    # for both
+    frame0: npt.ArrayLike,
+    frame1: npt.ArrayLike,
+    *,
+    # Whether float frames in [0, 1] are multiplied by 255. False if other frames of the sequence
+    # show that the frames are already on the 8-bit scale.
+    stretch: bool = True,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Validate a pair of frames and convert it to grey levels.
 
-    Parameters
-    ----------
-    frame0, frame1 : (H, W) or (H, W, 3) array
-        Grey or RGB; uint8, uint16 or float, the same type for both.
-    stretch : bool
-        Whether float frames in [0, 1] are multiplied by 255. False if other frames of the
-        sequence show that the frames are already on the 8-bit scale.
+    Returns grey0, grey1, (H, W) float32: on the 8-bit scale, with one factor for both frames: uint8
+    unchanged, uint16 / 257, float × 255 if both frames are in [0, 1] (`in_unit_range`), other float
+    unchanged. Always copies of the input.
 
-    Returns
-    -------
-    grey0, grey1 : (H, W) float32
-        On the 8-bit scale, with one factor for both frames: uint8 unchanged, uint16 / 257,
-        float × 255 if both frames are in [0, 1] (`in_unit_range`), other float unchanged. Always
-        copies of the input.
+    Raises TypeError if a frame is not an array of one of these types, or the two differ in type.
 
-    Raises
-    ------
-    TypeError
-        If a frame is not an array of one of these types, or the two differ in type.
-    ValueError
-        If shapes differ, a side is shorter than 4 px, or a pixel is masked, NaN, infinite or
-        beyond 1e36.
+    Raises ValueError if shapes differ, a side is shorter than 4 px, or a pixel is masked, NaN,
+    infinite or beyond 1e36.
     """
     first, second = check_frame(frame0, "frame0"), check_frame(frame1, "frame1")
     if first.shape != second.shape:

@@ -23,25 +23,14 @@ class PointCloud(NDArrayOperatorsMixin):
     A cloud can be used as the array of its positions: it has their shape, type, length, items and
     arithmetic, and NumPy's functions accept it.
 
-    Attributes
-    ----------
-    positions : (N, 3) float32
-        X right, Y down, Z forward, in the axes of the camera at frame 0 and the relative scale of
-        the depth.
-    colors : (N, 3) uint8
-        Red, green, blue; three equal values for a grey frame.
-    confidence : (N,) float32
-        In [0, 1].
-
-    Raises
-    ------
-    ValueError
-        If the arrays are not of these shapes and types, or a value is masked.
+    Raises ValueError if the arrays are not of these shapes and types, or a value is masked.
     """
 
+    # (N, 3) float32: X right, Y down, Z forward, in the axes of the camera at frame 0 and the
+    # relative scale of the depth
     positions: np.ndarray
-    colors: np.ndarray
-    confidence: np.ndarray
+    colors: np.ndarray  # (N, 3) uint8: red, green, blue; three equal values for a grey frame
+    confidence: np.ndarray  # (N,) float32: in [0, 1]
 
     def __post_init__(self) -> None:
         number = len(self.positions)
@@ -97,22 +86,18 @@ class PointCloud(NDArrayOperatorsMixin):
     def __repr__(self) -> str:
         return f"PointCloud of {len(self)} points"
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(
+        self,
+        # The file. Its customary suffix is ``.ply``; no suffix is added.
+        path: str | os.PathLike[str],
+    ) -> None:
         """Write a binary PLY file, whole or not at all.
 
         Every vertex has x, y, z and confidence (float), and red, green, blue (uchar). Viewers such
         as MeshLab, CloudCompare and Blender read it. Y points down: a viewer whose Y points up
         shows the scene upside down at first.
 
-        Parameters
-        ----------
-        path : path
-            The file. Its customary suffix is ``.ply``; no suffix is added.
-
-        Raises
-        ------
-        OSError
-            If the folder does not exist or cannot be written to.
+        Raises OSError if the folder does not exist or cannot be written to.
         """
         from trimesh import Trimesh  # slow to import
         from trimesh.exchange.ply import export_ply
@@ -127,41 +112,21 @@ class PointCloud(NDArrayOperatorsMixin):
 
 
 def point_cloud(
-    depth: np.ndarray,
-    camera: Camera,
+    depth: np.ndarray,  # (H, W) float32: Z; only pixels with a finite positive depth give a point
+    camera: Camera,  # without distortion
     *,
-    frame: np.ndarray,
-    confidence: np.ndarray,
-    occlusion: np.ndarray,
+    frame: np.ndarray,  # (H, W) or (H, W, 3) uint8: the image that gives the colours
+    confidence: np.ndarray,  # (H, W) float32
+    occlusion: np.ndarray,  # (H, W) bool
+    # min_confidence, max_depth, occluded: as for `tisfm.Interpretation.points`
     min_confidence: float = 0.0,
     max_depth: float | None = FARTHEST_MEDIANS,
     occluded: bool = False,
-) -> PointCloud:
+) -> PointCloud:  # in the order of the pixels, row by row
     """Return the 3D points of the pixels of a depth map.
 
-    Parameters
-    ----------
-    depth : (H, W) float32
-        Z; only pixels with a finite positive depth give a point.
-    camera : Camera
-        Without distortion.
-    frame : (H, W) or (H, W, 3) uint8
-        The image that gives the colours.
-    confidence : (H, W) float32
-    occlusion : (H, W) bool
-    min_confidence, max_depth, occluded
-        As for `tisfm.Interpretation.points`.
-
-    Returns
-    -------
-    PointCloud
-        In the order of the pixels, row by row.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If `min_confidence` is not in [0, 1], or `max_depth` not positive; if a value is masked; if
-        the camera has distortion.
+    Raises TypeError, ValueError if `min_confidence` is not in [0, 1], or `max_depth` not positive;
+    if a value is masked; if the camera has distortion.
     """
     check_pinhole(camera, "give the camera of the frame without it, camera.pinhole()")
     _check_number(min_confidence, "min_confidence", "a number in [0, 1]")

@@ -27,29 +27,14 @@ LARGEST_GREY = 1e15  # grey levels: squares of derivatives must fit into float32
 
 @dataclass(frozen=True, kw_only=True)
 class PreparedPair:
-    """Two frames on the 8-bit scale, without distortion and without rolling shutter.
+    """Two frames on the 8-bit scale, without distortion and without rolling shutter."""
 
-    Attributes
-    ----------
-    pyramid : ImagePyramid
-        Image pyramid of both frames.
-    camera : Camera
-        A pinhole.
-    lens : Undistortion or None
-        The distortion that was undone.
-    frame : (H, W) or (H, W, 3) uint8
-        Frame 0, for display.
-    overflow : Status or None
-        The status of frames that are too bright for float32.
-    greys : tuple of (H, W) float32
-        Both frames for motion ``"objects"``, empty for other motions.
-    """
-
-    pyramid: "ImagePyramid"
-    camera: Camera
-    lens: Undistortion | None
-    frame: np.ndarray
-    overflow: Status | None
+    pyramid: "ImagePyramid"  # image pyramid of both frames
+    camera: Camera  # a pinhole
+    lens: Undistortion | None  # the distortion that was undone
+    frame: np.ndarray  # (H, W) or (H, W, 3) uint8: frame 0, for display
+    overflow: Status | None  # the status of frames that are too bright for float32
+    # tuple of (H, W) float32: both frames for motion ``"objects"``, empty for other motions
     greys: tuple[np.ndarray, ...]
 
 

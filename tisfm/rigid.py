@@ -141,34 +141,24 @@ def is_rotation(matrix: NDArray[np.float64]) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class KnownPose:
-    """The known part of the motion P₁ = R P₀ + t.
+    """The known part of the motion P₁ = R P₀ + t."""
 
-    Attributes
-    ----------
-    rotation : (3, 3) float64
-    translation : (3,) float64 or None
-        None if only the rotation is known.
-    """
-
-    rotation: np.ndarray
-    translation: np.ndarray | None
+    rotation: np.ndarray  # (3, 3) float64
+    translation: np.ndarray | None  # (3,) float64 or None: none if only the rotation is known
 
 
-def check_pose(pose: ArrayLike | None) -> KnownPose | None:
+def check_pose(
+    # array_like, shape (4, 4) or (3, 3), or None: (R, t; 0, 1), which takes points from frame 0's
+    # camera axes to frame 1's; or R alone
+    pose: ArrayLike | None,
+) -> KnownPose | None:
     """Return a checked pose, with the nearest exact rotation; None for None.
 
-    Parameters
-    ----------
-    pose : array_like, shape (4, 4) or (3, 3), or None
-        (R, t; 0, 1), which takes points from frame 0's camera axes to frame 1's; or R alone.
+    Raises TypeError if the pose is not an array of real numbers.
 
-    Raises
-    ------
-    TypeError
-        If the pose is not an array of real numbers.
-    ValueError
-        If it is neither of the two, has a masked value, turns by 90° or more, or translates by a
-        length that is neither 0 nor from 1e-30 to 1e30: float32 cannot hold depth in such a unit.
+    Raises ValueError if it is neither of the two, has a masked value, turns by 90° or more, or
+    translates by a length that is neither 0 nor from 1e-30 to 1e30: float32 cannot hold depth in
+    such a unit.
     """
     if pose is None:
         return None

@@ -25,40 +25,26 @@ STEPS = 4  # iterations to find the row in which a pixel was read
 
 @dataclass(frozen=True, kw_only=True)
 class Rolling:
-    """The camera's motion while frames were read.
+    """The camera's motion while frames were read."""
 
-    Attributes
-    ----------
-    camera : Camera
-        The pinhole camera with which the rates were estimated.
-    readout : float
-        Readout time from the first row to the last, intervals; negative if the last row is read
-        first, 0 if all rows are read at once.
-    deviation : float
-        Standard deviation of the readout; 0 if the readout was given.
-    rates : dict of int to (6,) float64
-        By frame: the twist (T, ω) of the scene relative to the camera, per interval.
-    inverse_depth : dict of int to float
-        By frame: the median inverse depth, 1/unit of the rates.
-    """
-
-    camera: Camera
+    camera: Camera  # the pinhole camera with which the rates were estimated
+    # readout time from the first row to the last, intervals; negative if the last row is read
+    # first, 0 if all rows are read at once
     readout: float
-    deviation: float = 0.0
+    deviation: float = 0.0  # standard deviation of the readout; 0 if the readout was given
+    # dict of int to (6,) float64: by frame: the twist (T, ω) of the scene relative to the camera,
+    # per interval
     rates: Mapping[int, np.ndarray] = field(default_factory=dict)
+    # by frame: the median inverse depth, 1/unit of the rates
     inverse_depth: Mapping[int, float] = field(default_factory=dict)
 
 
-def instants_of(indices: Sequence[int], times: Sequence[float | None]) -> np.ndarray:
-    """Return the times of frames, (N,), in intervals between frames of the source.
-
-    Parameters
-    ----------
-    indices : sequence of int
-        Numbers of the frames in the source, increasing.
-    times : sequence of float or None
-        s; if a time is unknown or does not increase, frames are assumed to be evenly spaced.
-    """
+def instants_of(
+    indices: Sequence[int],  # numbers of the frames in the source, increasing
+    # s; if a time is unknown or does not increase, frames are assumed to be evenly spaced
+    times: Sequence[float | None],
+) -> np.ndarray:
+    """Return the times of frames, (N,), in intervals between frames of the source."""
     number = np.array(indices, np.float64)
     known = np.array([time for time in times if time is not None])
     if len(known) < len(times) or (np.diff(known) <= 0).any() or len(known) < 2:
@@ -67,17 +53,11 @@ def instants_of(indices: Sequence[int], times: Sequence[float | None]) -> np.nda
 
 
 def rates_of(
-    poses: Mapping[int, np.ndarray], instants: Mapping[int, float] | Sequence[float] | np.ndarray
+    poses: Mapping[int, np.ndarray],  # mapping of int to (4, 4) array: camera to world, by frame
+    # time of each frame, in intervals
+    instants: Mapping[int, float] | Sequence[float] | np.ndarray,
 ) -> dict[int, np.ndarray]:
-    """Return the twist of the scene relative to the camera at every frame, (6,), per interval.
-
-    Parameters
-    ----------
-    poses : mapping of int to (4, 4) array
-        Camera to world, by frame.
-    instants : sequence of float, or mapping
-        Time of each frame, in intervals.
-    """
+    """Return the twist of the scene relative to the camera at every frame, (6,), per interval."""
     frames = sorted(poses)
     times = {frame: instants[after] - instants[frame] for frame, after in pairwise(frames)}
     longest = LONGEST * float(np.median(list(times.values()))) if times else 0.0
@@ -95,30 +75,16 @@ def rates_of(
 
 
 def at_middle(
-    points: np.ndarray,
-    depth: np.ndarray,
-    rate: np.ndarray,
+    points: np.ndarray,  # (N, 2) array: px
+    depth: np.ndarray,  # (N,) array: Z of each point, positive
+    rate: np.ndarray,  # (6,) array: rate of the frame, as in `Rolling`
     readout: float,
-    camera: Camera,
-    shape: tuple[int, int],
+    camera: Camera,  # a pinhole
+    shape: tuple[int, int],  # height and width, px
 ) -> np.ndarray:
     """Return points of a frame as if all rows were read with the middle one, (N, 2) px.
 
     Points that would be behind the camera stay unchanged.
-
-    Parameters
-    ----------
-    points : (N, 2) array
-        px.
-    depth : (N,) array
-        Z of each point, positive.
-    rate : (6,) array
-        Rate of the frame, as in `Rolling`.
-    readout : float
-    camera : Camera
-        A pinhole.
-    shape : (int, int)
-        Height and width, px.
     """
     center = np.array(camera.center_for(*shape))
     ray = np.column_stack([(points - center) / camera.focal, np.ones(len(points))])
@@ -150,29 +116,17 @@ def transported(points: np.ndarray, rate: np.ndarray, time: np.ndarray) -> np.nd
 
 
 class UnrolledPixels(Resampling):
-    """The map from a frame to the same frame with all rows read with the middle one.
-
-    Parameters
-    ----------
-    camera : Camera
-        A pinhole.
-    readout : float
-    rate : (6,) array
-        Rate of the frame, as in `Rolling`.
-    inverse_depth : float or (h, w) array
-        Inverse depth of the whole frame, or at its `nodes_of` at the time of the middle row, 1/unit
-        of the rate. Zero and negative values are treated as far.
-    shape : (int, int)
-        Height and width, px.
-    """
+    """The map from a frame to the same frame with all rows read with the middle one."""
 
     def __init__(
         self,
-        camera: Camera,
+        camera: Camera,  # a pinhole
         readout: float,
-        rate: np.ndarray,
+        rate: np.ndarray,  # (6,) array: rate of the frame, as in `Rolling`
+        # float or (h, w) array: inverse depth of the whole frame, or at its `nodes_of` at the time
+        # of the middle row, 1/unit of the rate. Zero and negative values are treated as far.
         inverse_depth: float | np.ndarray,
-        shape: tuple[int, ...],
+        shape: tuple[int, ...],  # height and width, px
     ) -> None:
         height, width = shape
         center = np.array(camera.center_for(height, width))
@@ -198,17 +152,14 @@ class UnrolledFrame(UnrolledPixels):
 
     The whole frame is assumed to have one depth. The correction for the camera's rotation is exact;
     the correction for its translation is that of a point at this depth.
-
-    Parameters
-    ----------
-    rolling : Rolling
-    frame : int
-        A frame with a rate.
-    shape : (int, int)
-        Height and width, px.
     """
 
-    def __init__(self, rolling: Rolling, frame: int, shape: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        rolling: Rolling,
+        frame: int,  # a frame with a rate
+        shape: tuple[int, int],  # height and width, px
+    ) -> None:
         rate, usual = rolling.rates[frame], rolling.inverse_depth[frame]
         super().__init__(rolling.camera, rolling.readout, rate, usual, shape)
 

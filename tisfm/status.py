@@ -87,24 +87,12 @@ class Status(str):
 
 @dataclass(frozen=True, kw_only=True)
 class History:
-    """Record of all half-quadratic iterations, in order; all arrays have the same length.
+    """Record of all half-quadratic iterations, in order; all arrays have the same length."""
 
-    Attributes
-    ----------
-    level : (N,) int32
-        Level of the pyramid, 0 the finest.
-    warp : (N,) int32
-        Linearisation within the level.
-    energy : (N,) float64
-        Energy (eq. 6, 20) after the iteration; it never rises within a warp.
-    half_quadratic : (N,) float64
-        Half-quadratic energy (eq. 8, 21) with the weights that the iteration used.
-    change : (N,) float64
-        ‖change of ρ̂‖ / ‖ρ̂‖.
-    """
-
-    level: np.ndarray
-    warp: np.ndarray
+    level: np.ndarray  # (N,) int32: level of the pyramid, 0 the finest
+    warp: np.ndarray  # (N,) int32: linearisation within the level
+    # (N,) float64: energy (eq. 6, 20) after the iteration; it never rises within a warp.
     energy: np.ndarray
+    # (N,) float64: half-quadratic energy (eq. 8, 21) with the weights that the iteration used.
     half_quadratic: np.ndarray
-    change: np.ndarray
+    change: np.ndarray  # (N,) float64: ‖change of ρ̂‖ / ‖ρ̂‖

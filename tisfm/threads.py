@@ -27,22 +27,14 @@ def thread_ids() -> list[int]:
         return []
 
 
-def bind_newest(count: int, before: list[int]) -> bool:
+def bind_newest(
+    count: int,  # number of newest threads to bind
+    before: list[int],  # `thread_ids` from before these threads were started
+) -> bool:
     """Bind each of the newest threads to its own core, if threads and cores are equally many.
 
-    Parameters
-    ----------
-    count : int
-        Number of newest threads to bind.
-    before : list of int
-        `thread_ids` from before these threads were started.
-
-    Returns
-    -------
-    bool
-        Whether the threads are bound now. False if there are fewer threads than cores of this
-        process, since other processes would bind to the same cores; and on systems without such a
-        call.
+    Returns whether the threads are bound now. False if there are fewer threads than cores of this
+    process, since other processes would bind to the same cores; and on systems without such a call.
     """
     if not hasattr(os, "sched_setaffinity"):
         return False

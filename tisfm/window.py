@@ -16,15 +16,10 @@ class Window:
 
     Pairs come in order. The previous pair is dropped if its flow is unreliable, for example at a
     cut, and if the spacing of the frames changes because frames are left out.
-
-    Attributes
-    ----------
-    previous : PreviousPair or None
-        Data of the previous pair.
     """
 
     def __init__(self) -> None:
-        self.previous: PreviousPair | None = None
+        self.previous: PreviousPair | None = None  # data of the previous pair
         self._apart: int | None = None
 
     def begin(self, apart: int) -> None:
@@ -37,10 +32,8 @@ class Window:
 def window_of(size: WindowSize, settings: Settings) -> Window | None:
     """Return a `Window` for three frames, None for two.
 
-    Raises
-    ------
-    TypeError, ValueError
-        If `size` is not 2 or 3, or is 3 for a motion model that uses pairs only.
+    Raises TypeError, ValueError if `size` is not 2 or 3, or is 3 for a motion model that uses pairs
+    only.
     """
     if isinstance(size, bool) or not isinstance(size, int):
         raise InputTypeError(f"window is {size!r}: expected 2 or 3, a number of frames")

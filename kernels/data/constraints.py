@@ -22,16 +22,23 @@ from tisfm.kernels.model.robust import finite_scales, robust_data, terms_of
 @operation
 def constancy_constraints(
     grid: LaneGrid,
-    derivatives: LaneData,
-    flow: LaneData,
+    derivatives: LaneData,  # lane array, 3 components, halo `DERIVATIVE_HALO`: I_x, I_y, I_t
+    flow: LaneData,  # lane array, 2 components: (u₀, v₀), px/frame
+    # lane array, 1 component: weight of the constraints at each pixel; 0 outside the image
     mask: LaneData,
+    # lane array, 3, 6 or 9 components: (p, q, c) of brightness, if its weight is above 0, then of
+    # both derivatives of the image, if the weight of the gradient is above 0
     out: LaneData,
+    # lane array, 6 components: Σ w_i J_i with the robust weights at (u₀, v₀)
+    # (`tisfm.kernels.solve.weight_update`)
     tensor: LaneData | None = None,
     *,
+    # brightness, gradient: weights of the two terms; at least one above 0
     brightness: float,
     gradient: float,
+    # ζ, grey levels per px; None for constraints without normalisation
     normalization: float | None,
-    scales: Sequence[float],
+    scales: Sequence[float],  # m_i ε² of each term in use (`tisfm.kernels.model.robust`)
 ) -> Launch:
     """Write the constraints of brightness and of gradient constancy, linearised about a flow.
 
@@ -41,27 +48,6 @@ def constancy_constraints(
 
     With normalisation, each squared constraint is divided by |∇I|² + ζ². It is then the squared
     distance, in px, of (u, v) from the line of its solutions, for any contrast of the image.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    derivatives : lane array, 3 components, halo `DERIVATIVE_HALO`
-        I_x, I_y, I_t.
-    flow : lane array, 2 components
-        (u₀, v₀), px/frame.
-    mask : lane array, 1 component
-        Weight of the constraints at each pixel; 0 outside the image.
-    out : lane array, 3, 6 or 9 components
-        (p, q, c) of brightness, if its weight is above 0, then of both derivatives of the image,
-        if the weight of the gradient is above 0.
-    tensor : lane array, 6 components, optional
-        Σ w_i J_i with the robust weights at (u₀, v₀) (`tisfm.kernels.solve.weight_update`).
-    brightness, gradient : float
-        Weights of the two terms; at least one above 0.
-    normalization : float or None
-        ζ, grey levels per px; None for constraints without normalisation.
-    scales : sequence of float
-        m_i ε² of each term in use (`tisfm.kernels.model.robust`).
 
     References
     ----------

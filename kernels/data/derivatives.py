@@ -12,25 +12,23 @@ SCHEMES = ("cube", "five_tap")
 
 @operation
 def derivatives(
-    grid: LaneGrid, frame0: LaneData, frame1: LaneData, out: LaneData, *, scheme: str
+    grid: LaneGrid,
+    # frame0, frame1: lane arrays, 1 component, halo `IMAGE_HALO`: frame 0, and frame 1 warped to it
+    frame0: LaneData,
+    frame1: LaneData,
+    # lane array, 3 components, halo `DERIVATIVE_HALO`: I_x, I_y in grey levels per px and I_t in
+    # grey levels per frame. Halo and padding hold the derivatives of the image with its border
+    # repeated.
+    out: LaneData,
+    *,
+    # ``"cube"``: first differences averaged over the 2×2×2 cube of pixels to the south-east (Horn
+    # and Schunck 1981, doi 10.1016/0004-3702(81)90024-2), an estimate at (x+½, y+½, t+½).
+    # ``"five_tap"``: (1, −8, 0, 8, −1)/12 on the mean of both frames and the difference of the
+    # frames, an estimate at (x, y, t+½) of fourth order in space. I_t is exactly 0 where the frames
+    # agree at all pixels of the stencil.
+    scheme: str,
 ) -> Launch:
-    """Compute (I_x, I_y, I_t).
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    frame0, frame1 : lane arrays, 1 component, halo `IMAGE_HALO`
-        Frame 0, and frame 1 warped to it.
-    out : lane array, 3 components, halo `DERIVATIVE_HALO`
-        I_x, I_y in grey levels per px and I_t in grey levels per frame. Halo and padding hold the
-        derivatives of the image with its border repeated.
-    scheme : {"cube", "five_tap"}
-        ``"cube"``: first differences averaged over the 2×2×2 cube of pixels to the south-east
-        (Horn and Schunck 1981, doi 10.1016/0004-3702(81)90024-2), an estimate at
-        (x+½, y+½, t+½). ``"five_tap"``: (1, −8, 0, 8, −1)/12 on the mean of both frames and the
-        difference of the frames, an estimate at (x, y, t+½) of fourth order in space. I_t is
-        exactly 0 where the frames agree at all pixels of the stencil.
-    """
+    """Compute (I_x, I_y, I_t)."""
     grid.check(frame0, 1, "frame0", halo=IMAGE_HALO)
     grid.check(frame1, 1, "frame1", halo=IMAGE_HALO)
     grid.check(out, 3, "out", halo=DERIVATIVE_HALO)

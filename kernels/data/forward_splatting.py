@@ -12,20 +12,17 @@ BLOCK = 64  # pixels of a row for one task of a thread
 
 
 def splat(
-    flow: np.ndarray, residual: np.ndarray, sums: np.ndarray, *, any_order: bool = False
+    flow: np.ndarray,  # (2, H, W) float32: (u, v), px/frame
+    residual: np.ndarray,  # (H, W) float32
+    # (H, W, 4) float32: sums over the pixels that arrive: Σw, Σw·residual, Σw·u, Σw·v, with w the
+    # bilinear weight. A pixel whose flow leaves the image adds nothing. Allocated by
+    # `aligned_empty`.
+    sums: np.ndarray,
+    *,
+    # whether to add in parallel in any order, as a GPU must; rounding then differs between runs
+    any_order: bool = False,
 ) -> None:
     """Add every pixel, bilinearly, to the four pixels of frame 1 around its target position.
-
-    Parameters
-    ----------
-    flow : (2, H, W) float32
-        (u, v), px/frame.
-    residual : (H, W) float32
-    sums : (H, W, 4) float32
-        Sums over the pixels that arrive: Σw, Σw·residual, Σw·u, Σw·v, with w the bilinear weight.
-        A pixel whose flow leaves the image adds nothing. Allocated by `aligned_empty`.
-    any_order : bool
-        Whether to add in parallel in any order, as a GPU must; rounding then differs between runs.
 
     Notes
     -----
@@ -45,33 +42,20 @@ def splat(
 
 
 def defeated(
-    flow: np.ndarray,
-    residual: np.ndarray,
-    sums: np.ndarray,
+    flow: np.ndarray,  # (2, H, W) float32: (u, v), px/frame
+    residual: np.ndarray,  # (H, W) float32
+    sums: np.ndarray,  # (H, W, 4) float32: the sums of `splat`
+    # (H, W) int32: 1 if more than `density` pixels move to the pixel's target position, their mean
+    # flow differs from the pixel's by more than `apart`, and their mean residual is less than the
+    # pixel's; else 0. The means include the pixel itself.
     out: np.ndarray,
     *,
-    density: float,
+    density: float,  # pixels of frame 0 per pixel of frame 1
+    # Least difference from the mean flow, px/frame. The mean includes the pixel itself: for two
+    # pixels with equal weights, their relative motion is 2·apart.
     apart: float,
 ) -> None:
-    """Mark the pixels that share their position in frame 1 with other pixels of lower residual.
-
-    Parameters
-    ----------
-    flow : (2, H, W) float32
-        (u, v), px/frame.
-    residual : (H, W) float32
-    sums : (H, W, 4) float32
-        The sums of `splat`.
-    out : (H, W) int32
-        1 if more than `density` pixels move to the pixel's target position, their mean flow differs
-        from the pixel's by more than `apart`, and their mean residual is less than the pixel's;
-        else 0. The means include the pixel itself.
-    density : float
-        Pixels of frame 0 per pixel of frame 1.
-    apart : float
-        Least difference from the mean flow, px/frame. The mean includes the pixel itself: for two
-        pixels with equal weights, their relative motion is 2·apart.
-    """
+    """Mark the pixels that share their position in frame 1 with other pixels of lower residual."""
     _check(flow, residual, sums)
     check_array(out, residual.shape, "out", dtype=np.int32, aligned=False)
     _defeated(flow, residual, sums, density, apart, out)

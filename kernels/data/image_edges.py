@@ -15,20 +15,16 @@ from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store
 from tisfm.kernels.model.constants import LEAST_DIVISOR
 
 
-def image_edges(grid: LaneGrid, image: np.ndarray, out: LaneData, *, rate: float) -> None:
-    """Compute g = c/(1 + rate·|ΔI|) of every edge, with c such that the mean of g is 1.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    image : (H, W) float32
-        Grey levels.
-    out : lane array, 2 components
-        g of eastern and southern edges; 0 across the border and in the padding. The halo is not
-        written.
-    rate : float
-        Decrease of the smoothness per grey level.
-    """
+def image_edges(
+    grid: LaneGrid,
+    image: np.ndarray,  # (H, W) float32: grey levels
+    # lane array, 2 components: g of eastern and southern edges; 0 across the border and in the
+    # padding. The halo is not written.
+    out: LaneData,
+    *,
+    rate: float,  # decrease of the smoothness per grey level
+) -> None:
+    """Compute g = c/(1 + rate·|ΔI|) of every edge, with c such that the mean of g is 1."""
     grid.check_image(image, "image")
     grid.check(out, 2, "out")
     if not 0 <= rate < float("inf"):

@@ -11,17 +11,15 @@ from tisfm.kernels.model.robust import check_constraints, finite_scales, robust_
 
 
 @operation
-def backward_flow(grid: LaneGrid, flow: LaneData, bend: LaneData, out: LaneData) -> Launch:
-    """Write the flow to the previous frame, bend − flow.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    flow, bend : lane arrays, 2 components
-        Flow to the next frame, and sum of the flows to the next and the previous frame, px/frame.
-    out : lane array, 2 components
-        bend − flow.
-    """
+def backward_flow(
+    grid: LaneGrid,
+    # flow, bend: lane arrays, 2 components: flow to the next frame, and sum of the flows to the
+    # next and the previous frame, px/frame
+    flow: LaneData,
+    bend: LaneData,
+    out: LaneData,  # lane array, 2 components: bend − flow
+) -> Launch:
+    """Write the flow to the previous frame, bend − flow."""
     for array, name in ((flow, "flow"), (bend, "bend"), (out, "out")):
         grid.check(array, 2, name)
     return _backward_flow[grid.lanes].bind(flow, bend, grid.serial, out)
@@ -44,14 +42,24 @@ def _backward_flow(
 @operation
 def join_constraints(
     grid: LaneGrid,
+    # lane array, 3 components for each constraint: (p, q, c) of the previous frame, as constraints
+    # on the flow to the next frame
     before: LaneData,
+    # lane array, 2 components: in [0, 1]: visibility of a pixel in the next frame, and in the
+    # previous frame
     trust: LaneData,
+    # mask, mask_before: lane arrays, 1 component: masks of the constraints of the next and of the
+    # previous frame
     mask: LaneData,
     mask_before: LaneData,
+    # lane array, 2 components: flow at which the robust weights of the tensor are computed,
+    # px/frame
     flow: LaneData,
-    scales: Sequence[float],
+    scales: Sequence[float],  # m_i ε² of each term in use (`tisfm.kernels.model.robust`)
+    # lane array, 3 components for each constraint: (p, q, c) of the next frame; overwritten by the
+    # joint constraints
     out: LaneData,
-    tensor: LaneData,
+    tensor: LaneData,  # lane array, 6 components: Σ w_i J_i with the robust weights at the flow
 ) -> Launch:
     """Join the constraints of the next frame with those of the previous frame, in place.
 
@@ -59,24 +67,6 @@ def join_constraints(
     and the previous frame, and the weights a and b trust times mask. Where a pixel is visible in
     both frames, this is the mean, which halves the noise of the frame that both share. Elsewhere it
     is the constraint of the frame that shows the pixel.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    before : lane array, 3 components for each constraint
-        (p, q, c) of the previous frame, as constraints on the flow to the next frame.
-    trust : lane array, 2 components
-        In [0, 1]: visibility of a pixel in the next frame, and in the previous frame.
-    mask, mask_before : lane arrays, 1 component
-        Masks of the constraints of the next and of the previous frame.
-    flow : lane array, 2 components
-        Flow at which the robust weights of the tensor are computed, px/frame.
-    scales : sequence of float
-        m_i ε² of each term in use (`tisfm.kernels.model.robust`).
-    out : lane array, 3 components for each constraint
-        (p, q, c) of the next frame; overwritten by the joint constraints.
-    tensor : lane array, 6 components
-        Σ w_i J_i with the robust weights at the flow.
     """
     count = check_constraints(grid, out, scales)
     grid.check(before, 3 * count, "before")

@@ -25,29 +25,21 @@ WARP_BAND = 16  # least rows of a band
 @operation
 def warp(
     grid: LaneGrid,
-    image: LaneData,
+    image: LaneData,  # (H, W) float32
+    # ((H + 3)·W, 4) float32: `tisfm.solver.sampling.spline_taps` of the image; on a device, placed
+    # as vectors
     taps: LaneData,
-    flow: LaneData,
+    flow: LaneData,  # lane array, 2 components: (u, v), px/frame
+    # lane array, 1 component, any halo: the warped image; halo and padding repeat its border
     out: LaneData,
+    # lane array, 1 component: 1 where the pixel moves to inside the image, 0 where it leaves the
+    # image and in the padding
     mask: LaneData,
 ) -> Launch:
     """Sample an image at x + flow by its cubic B-spline.
 
     Sampling is smooth and fourth-order accurate. At whole pixels the image value itself is taken,
     so zero flow returns exactly the image. The border of the image is repeated.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    image : (H, W) float32
-    taps : ((H + 3)·W, 4) float32
-        `tisfm.solver.sampling.spline_taps` of the image; on a device, placed as vectors.
-    flow : lane array, 2 components
-        (u, v), px/frame.
-    out : lane array, 1 component, any halo
-        The warped image; halo and padding repeat its border.
-    mask : lane array, 1 component
-        1 where the pixel moves to inside the image, 0 where it leaves the image and in the padding.
     """
     grid.check_image(image, "image")
     check_array(taps, ((grid.height + 3) * grid.width, 4), "taps")

@@ -10,39 +10,28 @@ from tisfm.kernels.model.constants import NEAREST
 
 
 def compare(
+    # inverse_depth, deviation: (H, W) float32, d and σ; 0 where there is no depth. No value may be
+    # NaN or infinite.
     inverse_depth: np.ndarray,
     deviation: np.ndarray,
+    # other_inverse_depth, other_deviation: (H', W') float32
     other_inverse_depth: np.ndarray,
     other_deviation: np.ndarray,
-    other_colors: np.ndarray,
+    other_colors: np.ndarray,  # (H', W', 3) float32
+    # (H, W, 4) float32: modified by addition. Over the other views that agree: Σ 1/σ'² and Σ δ/σ'²,
+    # with δ the difference of their inverse depth from d, as seen from this view, and σ' its
+    # deviation. Then the number of views that agree, and the number that see through.
     sums: np.ndarray,
-    colors: np.ndarray,
+    colors: np.ndarray,  # (H, W, 3) float32: modified: the colours of views that agree are added
     *,
-    projection: np.ndarray,
-    tolerance: float,
+    projection: np.ndarray,  # (3, 4) float32: from this view to the other
+    tolerance: float,  # deviations
 ) -> None:
     """Compare every point of a view with the depth map of another view at the same position.
 
     In the other view the point has inverse depth d' = d / g, with deviation σ |∂d'/∂d|. The other
     view agrees with the point if its own inverse depth there differs by at most `tolerance`
     combined deviations. It sees through the point if its own depth there is larger than that.
-
-    Parameters
-    ----------
-    inverse_depth, deviation : (H, W) float32
-        d and σ; 0 where there is no depth. No value may be NaN or infinite.
-    other_inverse_depth, other_deviation : (H', W') float32
-    other_colors : (H', W', 3) float32
-    sums : (H, W, 4) float32
-        Modified by addition. Over the other views that agree: Σ 1/σ'² and Σ δ/σ'², with δ the
-        difference of their inverse depth from d, as seen from this view, and σ' its deviation. Then
-        the number of views that agree, and the number that see through.
-    colors : (H, W, 3) float32
-        Modified: the colours of views that agree are added.
-    projection : (3, 4) float32
-        From this view to the other.
-    tolerance : float
-        Deviations.
     """
     check_map(inverse_depth, deviation)
     check_map(other_inverse_depth, other_deviation, "other_")
@@ -64,33 +53,22 @@ def compare(
 
 
 def mark_shown(
-    points: np.ndarray,
+    points: np.ndarray,  # (N, 3) float32: in the world's axes
+    # (N,) float32: relative deviation of the inverse depth of each point
     relative_deviation: np.ndarray,
+    # inverse_depth, deviation: (H, W) float32, 0 where there is no depth. No value may be NaN or
+    # infinite.
     inverse_depth: np.ndarray,
     deviation: np.ndarray,
+    # (H, W) int32: set to 1 where the inverse depth differs from that of a point by at most
+    # `tolerance` combined deviations; unchanged elsewhere
     shown: np.ndarray,
     *,
+    # (3, 4) float32: (u z, v z, z) of a point is the matrix times (X, Y, Z, 1)
     projection: np.ndarray,
-    tolerance: float,
+    tolerance: float,  # deviations
 ) -> None:
-    """Mark the pixels of a view that show given points, among the four around each point.
-
-    Parameters
-    ----------
-    points : (N, 3) float32
-        In the world's axes.
-    relative_deviation : (N,) float32
-        Relative deviation of the inverse depth of each point.
-    inverse_depth, deviation : (H, W) float32
-        0 where there is no depth. No value may be NaN or infinite.
-    shown : (H, W) int32
-        Set to 1 where the inverse depth differs from that of a point by at most `tolerance`
-        combined deviations; unchanged elsewhere.
-    projection : (3, 4) float32
-        (u z, v z, z) of a point is the matrix times (X, Y, Z, 1).
-    tolerance : float
-        Deviations.
-    """
+    """Mark the pixels of a view that show given points, among the four around each point."""
     check_map(inverse_depth, deviation)
     check_array(points, (len(points), 3), "points", aligned=False)
     check_array(relative_deviation, (len(points),), "relative_deviation", aligned=False)

@@ -9,31 +9,18 @@ from tisfm.kernels.layout.launch import Kernel
 
 
 def add_colors(
-    points: np.ndarray,
+    points: np.ndarray,  # (N, 3) float32: in the world's axes
+    # (H, W) float32: 0 where there is no depth. No value may be NaN or infinite.
     inverse_depth: np.ndarray,
-    colors: np.ndarray,
-    sums: np.ndarray,
+    colors: np.ndarray,  # (H, W, 3) float32
+    sums: np.ndarray,  # (N, 4) float32: Σ w·colour and Σ w; modified
     *,
+    # (3, 4) float32: (u z, v z, z) of a point is the matrix times (X, Y, Z, 1)
     projection: np.ndarray,
+    # largest distance of a point from the view's surface, in front or behind, in the unit of depth
     near: float,
 ) -> None:
-    """Add the colours of a view to the points that the view shows, weighted by 1/Z².
-
-    Parameters
-    ----------
-    points : (N, 3) float32
-        In the world's axes.
-    inverse_depth : (H, W) float32
-        0 where there is no depth. No value may be NaN or infinite.
-    colors : (H, W, 3) float32
-    sums : (N, 4) float32
-        Σ w·colour and Σ w; modified.
-    projection : (3, 4) float32
-        (u z, v z, z) of a point is the matrix times (X, Y, Z, 1).
-    near : float
-        Largest distance of a point from the view's surface, in front or behind, in the unit of
-        depth.
-    """
+    """Add the colours of a view to the points that the view shows, weighted by 1/Z²."""
     check_array(points, (len(points), 3), "points", aligned=False)
     check_array(inverse_depth, inverse_depth.shape[:2], "inverse_depth", aligned=False)
     check_array(colors, (*inverse_depth.shape, 3), "colors", aligned=False)

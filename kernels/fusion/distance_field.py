@@ -22,14 +22,24 @@ _ALIKE = 3.0  # deviations: pixels that differ by less are similar, even if by m
 
 
 def blocks_near(
+    # inverse_depth, deviation: (H, W) float32, d and σ; 0 where there is no depth. No value may be
+    # NaN or infinite. Pixels with fewer than three similar neighbours, of eight, are skipped.
     inverse_depth: np.ndarray,
     deviation: np.ndarray,
+    # (rows, ⌈W / stride⌉, places, 8) int32: for each sampled row from `top` on, column and sample:
+    # the numbers of the blocks at the corners around the sample, (bx·n_y + by)·n_z + bz, each
+    # number once, or −1
     out: np.ndarray,
     *,
+    # top, stride: the first sampled row, and the step of rows and columns
     top: int,
     stride: int,
+    # (3, 4) float32: the point of pixel (x, y) at depth Z has the coordinates columns 0 to 2 times
+    # (x, y, 1) Z, plus column 3, in voxels from the lowest corner of the grid
     rays: np.ndarray,
+    # (int, int, int): blocks of the grid, (n_x, n_y, n_z); blocks outside are left out
     extent: tuple[int, int, int],
+    # distance in front of and behind the surface, along the view's axis, in the unit of depth
     truncation: float,
 ) -> None:
     """Find the blocks near the surface of a depth map: within the truncation along each ray.
@@ -37,28 +47,7 @@ def blocks_near(
     Each ray is sampled at equal distances. Blocks within one voxel of a sample are included too, so
     that every cell that the surface crosses has its eight corners.
 
-    Parameters
-    ----------
-    inverse_depth, deviation : (H, W) float32
-        d and σ; 0 where there is no depth. No value may be NaN or infinite. Pixels with fewer than
-        three similar neighbours, of eight, are skipped.
-    out : (rows, ⌈W / stride⌉, places, 8) int32
-        For each sampled row from `top` on, column and sample: the numbers of the blocks at the
-        corners around the sample, (bx·n_y + by)·n_z + bz, each number once, or −1.
-    top, stride : int
-        The first sampled row, and the step of rows and columns.
-    rays : (3, 4) float32
-        The point of pixel (x, y) at depth Z has the coordinates columns 0 to 2 times (x, y, 1) Z,
-        plus column 3, in voxels from the lowest corner of the grid.
-    extent : (int, int, int)
-        Blocks of the grid, (n_x, n_y, n_z); blocks outside are left out.
-    truncation : float
-        Distance in front of and behind the surface, along the view's axis, in the unit of depth.
-
-    Raises
-    ------
-    ValueError
-        If the block numbers of the grid do not fit into 32 bits.
+    Raises ValueError if the block numbers of the grid do not fit into 32 bits.
     """
     check_map(inverse_depth, deviation)
     height, width = inverse_depth.shape
@@ -77,15 +66,22 @@ def blocks_near(
 
 
 def integrate(
+    # inverse_depth, deviation: (H, W) float32, d and σ; 0 where there is no depth. No value may be
+    # NaN or infinite.
     inverse_depth: np.ndarray,
     deviation: np.ndarray,
+    # (B, 3) float32: (u z, v z, z) of the first voxel of each block, in the view's pixels
     corners: np.ndarray,
-    index: np.ndarray,
+    index: np.ndarray,  # (B,) int32: number of each block in the field; all are different
+    # distance, weight: (N, 512) float32, mean distance in truncations, in [−1, 1], and its weight Σ
+    # spread² / (σ_Z² + spread²), with σ_Z = σ / d²; modified
     distance: np.ndarray,
     weight: np.ndarray,
+    # (N, 512) int32: number of views that show the surface within the truncation; modified
     views: np.ndarray,
     *,
-    steps: np.ndarray,
+    steps: np.ndarray,  # (3, 3) float32: change of (u z, v z, z) for one voxel along each axis
+    # truncation, spread: in the unit of depth
     truncation: float,
     spread: float,
 ) -> None:
@@ -94,24 +90,6 @@ def integrate(
     The distance of a voxel to the surface is measured along the view's axis, positive in front of
     the surface, and clipped at the truncation. Voxels farther behind the surface are hidden, and
     are not changed.
-
-    Parameters
-    ----------
-    inverse_depth, deviation : (H, W) float32
-        d and σ; 0 where there is no depth. No value may be NaN or infinite.
-    corners : (B, 3) float32
-        (u z, v z, z) of the first voxel of each block, in the view's pixels.
-    index : (B,) int32
-        Number of each block in the field; all are different.
-    distance, weight : (N, 512) float32
-        Mean distance in truncations, in [−1, 1], and its weight Σ spread² / (σ_Z² + spread²), with
-        σ_Z = σ / d²; modified.
-    views : (N, 512) int32
-        Number of views that show the surface within the truncation; modified.
-    steps : (3, 3) float32
-        Change of (u z, v z, z) for one voxel along each axis.
-    truncation, spread : float
-        In the unit of depth.
     """
     check_map(inverse_depth, deviation)
     check_array(corners, (len(corners), 3), "corners", aligned=False)

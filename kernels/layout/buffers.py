@@ -18,15 +18,12 @@ MOST_KEPT = 1 << 25  # bytes of unused blocks that are kept for reuse
 
 
 class Buffers:
-    """Allocates arrays, and reuses their memory once no array and no view uses it any more.
+    """Allocates arrays, and reuses their memory once no array and no view uses it any more."""
 
-    Parameters
-    ----------
-    most : int
-        Most bytes of unused memory to keep.
-    """
-
-    def __init__(self, most: int = MOST_KEPT) -> None:
+    def __init__(
+        self,
+        most: int = MOST_KEPT,  # most bytes of unused memory to keep
+    ) -> None:
         self.most = most
         self._free: OrderedDict[int, list[np.ndarray]] = OrderedDict()
         self._lock = threading.Lock()

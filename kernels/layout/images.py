@@ -17,16 +17,14 @@ from tisfm.kernels.layout.launch import Launch, operation
 IMAGE_HALO = 4  # px: second derivatives apply a stencil of two pixels to each side twice
 
 
-def image_to_lanes(grid: LaneGrid, image: np.ndarray, out: LaneData, *, component: int = 0) -> None:
-    """Copy an image into a component of a lane array; halo and padding repeat its border.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    image : (H, W) float32
-    out : lane array, any halo
-    component : int
-    """
+def image_to_lanes(
+    grid: LaneGrid,
+    image: np.ndarray,  # (H, W) float32
+    out: LaneData,  # lane array, any halo
+    *,
+    component: int = 0,
+) -> None:
+    """Copy an image into a component of a lane array; halo and padding repeat its border."""
     grid.check_image(image, "image")
     halo = (out.shape[1] - grid.height) // 2
     grid.check(out, out.shape[0], "out", halo=halo)
@@ -53,18 +51,13 @@ def _image_to_lanes(
 
 
 def lanes_to_images(
-    grid: LaneGrid, array: LaneData, out: np.ndarray, *, component: int = 0
+    grid: LaneGrid,
+    array: LaneData,  # lane array
+    out: np.ndarray,  # (k, H, W) float32
+    *,
+    component: int = 0,  # the first of the k components
 ) -> None:
-    """Copy components of a lane array into a stack of images.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    array : lane array
-    out : (k, H, W) float32
-    component : int
-        The first of the k components.
-    """
+    """Copy components of a lane array into a stack of images."""
     grid.check(array, array.shape[0], "array")
     grid.check_image(out, "out", components=out.shape[0])
     if not 0 <= component <= array.shape[0] - out.shape[0]:
@@ -97,15 +90,12 @@ def _lanes_to_images(
 
 
 @operation
-def multiply(grid: LaneGrid, factor: LaneData, out: LaneData) -> Launch:
-    """Multiply a lane array in place, by one factor for each component or one for all.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    factor : lane array, 1 component or as many as `out`
-    out : lane array
-    """
+def multiply(
+    grid: LaneGrid,
+    factor: LaneData,  # lane array, 1 component or as many as `out`
+    out: LaneData,  # lane array
+) -> Launch:
+    """Multiply a lane array in place, by one factor for each component or one for all."""
     grid.check(out, out.shape[0], "out")
     grid.check(factor, factor.shape[0], "factor")
     if factor.shape[0] not in (1, out.shape[0]):

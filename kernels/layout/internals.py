@@ -134,10 +134,8 @@ class Arguments:
 def check(kinds: Arguments, arguments: tuple) -> None:
     """Raise unless the number of arguments and the types of arrays are those of a kernel.
 
-    Raises
-    ------
-    TypeError
-        If they are not: a kernel would overwrite memory beyond an array of another type.
+    Raises TypeError if they are not: a kernel would overwrite memory beyond an array of another
+    type.
     """
     if len(arguments) != kinds.count:
         raise TypeError(

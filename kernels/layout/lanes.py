@@ -183,22 +183,13 @@ def refresh_halo(array: ti.template(), k, y):
 
 @dataclass(frozen=True)
 class LaneGrid:
-    """An image grid of `height` × `width` pixels cut into `lanes` strips.
+    """An image grid of `height` × `width` pixels cut into `lanes` strips."""
 
-    Parameters
-    ----------
-    height, width : int
-        Size of the image, px.
-    lanes : {8, 16, 1}
-        Number of strips: 8 or 16 for SIMD on a CPU, 1 for plain floats.
-    on_device : bool
-        Whether arrays stay on the device; only for one lane.
-    """
-
+    # height, width: size of the image, px
     height: int
     width: int
-    lanes: int = 8
-    on_device: bool = False
+    lanes: int = 8  # {8, 16, 1}: number of strips: 8 or 16 for SIMD on a CPU, 1 for plain floats
+    on_device: bool = False  # whether arrays stay on the device; only for one lane
 
     def __post_init__(self) -> None:
         if self.height < 1 or self.width < 1:
@@ -263,18 +254,12 @@ class LaneGrid:
         else:
             out[...] = source
 
-    def columns(self, values: np.ndarray, halo: int = 1) -> np.ndarray:
-        """Return a column table from a value per column, as a NumPy array not yet `place`d.
-
-        Parameters
-        ----------
-        values : (lanes · strip,) array
-            One value per column, padding included.
-
-        Returns
-        -------
-        (strip + 2·halo[, lanes]) float32, zero in the halo
-        """
+    def columns(
+        self,
+        values: np.ndarray,  # (lanes · strip,) array: one value per column, padding included
+        halo: int = 1,
+    ) -> np.ndarray:  # (strip + 2·halo[, lanes]) float32, zero in the halo
+        """Return a column table from a value per column, as a NumPy array not yet `place`d."""
         table = aligned_zeros(self._strip_shape(halo))
         by_lane = np.asarray(values, np.float32).reshape(self.lanes, self.strip).T
         table[halo : halo + self.strip] = by_lane.reshape(table[halo : halo + self.strip].shape)
@@ -347,12 +332,10 @@ def check_array(
 
     For an array of floats on the device, only the shape is checked.
 
-    Raises
-    ------
-    TypeError
-        If it is not a NumPy array of this dtype.
-    ValueError
-        If its shape differs, or it is not C-contiguous, writable and, if `aligned`, aligned.
+    Raises TypeError if it is not a NumPy array of this dtype.
+
+    Raises ValueError if its shape differs, or it is not C-contiguous, writable and, if `aligned`,
+    aligned.
     """
     if isinstance(array, ti.Ndarray) and array.dtype is ti.f32 and dtype is np.float32:
         whole = array.shape + array.element_shape

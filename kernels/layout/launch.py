@@ -43,10 +43,7 @@ class Launch:
     def __call__(self) -> None:
         """Run the kernel.
 
-        Raises
-        ------
-        RuntimeError
-            If Taichi was started anew since the launch was bound.
+        Raises RuntimeError if Taichi was started anew since the launch was bound.
         """
         if internals.program() is not self._program:
             raise RuntimeError(
@@ -71,26 +68,18 @@ class Kernel:
     GPU, Taichi copies NumPy arrays to the device and back at every launch. On Vulkan and Metal,
     arrays that the kernel only writes are not copied to the device, so elements that the kernel
     does not write come back with arbitrary values.
-
-    Parameters
-    ----------
-    function : callable
-        A function for ``ti.kernel``.
-
-    Attributes
-    ----------
-    arguments : tisfm.kernels.layout.internals.Arguments
-        The arguments of the kernel.
-    on_cpu : bool
-        Whether the program for which the kernel was last compiled runs on a CPU.
     """
 
-    def __init__(self, function: Callable) -> None:
+    def __init__(
+        self,
+        function: Callable,  # a function for ``ti.kernel``
+    ) -> None:
         self._call = ti.kernel(function)
         self._program: Any = None
+        # whether the program for which the kernel was last compiled runs on a CPU
         self.on_cpu = True
         self._compiled: dict[tuple, tuple[Any, Any]] = {}
-        self.arguments = internals.Arguments(self._call)
+        self.arguments = internals.Arguments(self._call)  # the arguments of the kernel
 
     def __call__(self, *arguments: Any) -> None:
         """Run the kernel once with these arguments."""
@@ -99,10 +88,7 @@ class Kernel:
     def bind(self, *arguments: Any) -> Launch:
         """Return a launch with these arguments; compile the kernel if its constants are new.
 
-        Raises
-        ------
-        TypeError
-            If the number of arguments or the type of an array is wrong.
+        Raises TypeError if the number of arguments or the type of an array is wrong.
         """
         internals.check(self.arguments, arguments)
         program = internals.program()

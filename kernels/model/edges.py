@@ -12,17 +12,12 @@ from collections.abc import Sequence
 import numpy as np
 
 
-def component_table(values: Sequence[float] | np.ndarray, components: int, name: str) -> np.ndarray:
-    """Return one value for each component as an array for a kernel, (n,) float32.
-
-    Parameters
-    ----------
-    values : sequence of n floats
-        Above 0 and finite.
-    components : int
-    name : str
-        Name of the values in the error.
-    """
+def component_table(
+    values: Sequence[float] | np.ndarray,  # above 0 and finite
+    components: int,
+    name: str,  # name of the values in the error
+) -> np.ndarray:
+    """Return one value for each component as an array for a kernel, (n,) float32."""
     table = np.asarray(values)
     if table.shape != (components,) or not (np.isfinite(table).all() and (table > 0).all()):
         raise ValueError(f"{name} is {values}: expected {components} positive numbers")

@@ -8,19 +8,14 @@ from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 
 
 @operation
-def flow(grid: LaneGrid, rho: LaneData, x_hat: LaneData, y_hat: LaneData, out: LaneData) -> Launch:
-    """Compute (u, v)ᵀ = G ρ̂.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    rho : lane array, n components
-        ρ̂, px/frame.
-    x_hat : column table
-    y_hat : (H + 2,) float32
-    out : lane array, 2 components
-        (u, v), px/frame.
-    """
+def flow(
+    grid: LaneGrid,
+    rho: LaneData,  # lane array, n components: ρ̂, px/frame
+    x_hat: LaneData,
+    y_hat: LaneData,  # (H + 2,) float32
+    out: LaneData,  # lane array, 2 components: (u, v), px/frame
+) -> Launch:
+    """Compute (u, v)ᵀ = G ρ̂."""
     grid.check(rho, rho.shape[0], "rho")
     grid.check_columns(x_hat, "x_hat")
     grid.check_rows(y_hat, "y_hat")

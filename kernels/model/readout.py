@@ -13,32 +13,18 @@ READOUT_BAND = 16  # least rows of a band
 
 
 def motion_fields(
-    rho: np.ndarray,
+    rho: np.ndarray,  # (n, H, W) float32: ρ̂, px/frame, of 6 or 3 components
+    # x_hat, y_hat: (W,), (H,) float32: normalised coordinates
     x_hat: np.ndarray,
     y_hat: np.ndarray,
-    flow: np.ndarray,
-    inverse_depth: np.ndarray,
+    flow: np.ndarray,  # (2, H, W) float32: (u, v) = G ρ̂, px/frame
+    inverse_depth: np.ndarray,  # (H, W) float32: ‖(τ1, τ2, τ3)‖ = ‖(ρ̂1, ρ̂2, ρ̂3)‖/f
     *,
-    focal: float,
+    focal: float,  # px
+    # whether every pixel has its own thread, which is best on a GPU, instead of a band of rows
     by_pixel: bool = False,
 ) -> None:
-    """Compute the image motion (eq. 25) and the unsigned inverse depth (eq. 24) of a field.
-
-    Parameters
-    ----------
-    rho : (n, H, W) float32
-        ρ̂, px/frame, of 6 or 3 components.
-    x_hat, y_hat : (W,), (H,) float32
-        Normalised coordinates.
-    flow : (2, H, W) float32
-        (u, v) = G ρ̂, px/frame.
-    inverse_depth : (H, W) float32
-        ‖(τ1, τ2, τ3)‖ = ‖(ρ̂1, ρ̂2, ρ̂3)‖/f.
-    focal : float
-        px.
-    by_pixel : bool
-        Whether every pixel has its own thread, which is best on a GPU, instead of a band of rows.
-    """
+    """Compute the image motion (eq. 25) and the unsigned inverse depth (eq. 24) of a field."""
     n, height, width = rho.shape
     if n not in (3, 6):
         raise ValueError(f"rho has {n} components: expected 3 or 6")
@@ -110,43 +96,25 @@ def _motion_at(
 
 
 def rigid_fields(
-    inverse_depth: np.ndarray,
-    labels: np.ndarray,
+    inverse_depth: np.ndarray,  # (H, W) float32: D, px/frame
+    labels: np.ndarray,  # (H, W) int32: index of each pixel's motion
+    # x_hat, y_hat: (W,), (H,) float32: normalised coordinates
     x_hat: np.ndarray,
     y_hat: np.ndarray,
+    # (2, H, W) float32: (u, v), px/frame (`tisfm.kernels.rigid.epipolar`); 0 without motion,
+    # exactly
     flow: np.ndarray,
-    rho: np.ndarray,
+    rho: np.ndarray,  # (6, H, W) float32: ρ̂, px/frame
     *,
-    motions: np.ndarray,
-    twists: np.ndarray,
-    focal: float,
-    by_pixel: bool = False,
+    motions: np.ndarray,  # (K, 3, 4) array: R and t
+    twists: np.ndarray,  # (K, 6) array: T, which is multiplied by D, and f·ω
+    focal: float,  # px
+    by_pixel: bool = False,  # whether every pixel has its own thread
 ) -> None:
     """Compute the exact flow of rigid motions, and a ρ̂ from their twists with Gρ̂ = flow.
 
     To first order ρ̂ = (D T, f·ω). The difference of the exact flow from the Gρ̂ of this is added to
     the first two components of ρ̂, which move a pixel right and down.
-
-    Parameters
-    ----------
-    inverse_depth : (H, W) float32
-        D, px/frame.
-    labels : (H, W) int32
-        Index of each pixel's motion.
-    x_hat, y_hat : (W,), (H,) float32
-        Normalised coordinates.
-    flow : (2, H, W) float32
-        (u, v), px/frame (`tisfm.kernels.rigid.epipolar`); 0 without motion, exactly.
-    rho : (6, H, W) float32
-        ρ̂, px/frame.
-    motions : (K, 3, 4) array
-        R and t.
-    twists : (K, 6) array
-        T, which is multiplied by D, and f·ω.
-    focal : float
-        px.
-    by_pixel : bool
-        Whether every pixel has its own thread.
     """
     height, width = inverse_depth.shape
     count = len(motions)

@@ -16,20 +16,11 @@ PIVOT_FLOOR = 1e-6  # share of the diagonal entry, about ten float32 roundings
 DATA_FLOOR = 1e-6  # share of J: with a smaller D, rounding dominates the closed form
 
 
-def cholesky_solve(matrix: list[list], rhs: list) -> list:
-    """Solve ``matrix · x = rhs`` by square-root-free Cholesky (L D Lᵀ) with floored pivots.
-
-    Parameters
-    ----------
-    matrix : list of n lists
-        Symmetric; only the lower triangle is read.
-    rhs : list of n
-
-    Returns
-    -------
-    list of n
-        x; if a pivot was below its floor, the solution for a slightly larger matrix.
-    """
+def cholesky_solve(
+    matrix: list[list],  # symmetric; only the lower triangle is read
+    rhs: list,
+) -> list:  # x; if a pivot was below its floor, the solution for a slightly larger matrix
+    """Solve ``matrix · x = rhs`` by square-root-free Cholesky (L D Lᵀ) with floored pivots."""
     n = len(rhs)
     lower: list[list[Any]] = [[None] * n for _ in range(n)]
     inverse_pivot: list[Any] = [None] * n
@@ -61,7 +52,13 @@ def cholesky_solve(matrix: list[list], rhs: list) -> list:
     return x
 
 
-def woodbury_solve(inverse: list, columns: list, tensor: list, rhs: list) -> list:
+def woodbury_solve(
+    # inverse, rhs: the diagonal of D⁻¹, and the right-hand side
+    inverse: list,
+    columns: list,  # columns of G
+    tensor: list,  # (J11, J12, J22)
+    rhs: list,
+) -> list:
     """Solve ``(D + Gᵀ J G) x = rhs``, D diagonal, through a 2×2 system (Woodbury).
 
     With M = G D⁻¹ Gᵀ, x = D⁻¹(rhs − Gᵀ K G D⁻¹ rhs), where
@@ -72,14 +69,6 @@ def woodbury_solve(inverse: list, columns: list, tensor: list, rhs: list) -> lis
     read s3, not s1). The denominator is at least 1, so only D needs a floor: it must be at least
     `DATA_FLOOR` times J. For a J of rank 1, det J = 0 holds only up to rounding, which costs up to
     ‖J M‖ roundings of accuracy.
-
-    Parameters
-    ----------
-    inverse, rhs : list of n
-        The diagonal of D⁻¹, and the right-hand side.
-    columns : list of n pairs
-        Columns of G.
-    tensor : (J11, J12, J22)
     """
     j11, j12, j22 = tensor
     m11 = bind(_sum(a * a * d for (a, _), d in zip(columns, inverse, strict=True)))

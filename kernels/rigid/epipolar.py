@@ -17,36 +17,18 @@ from tisfm.kernels.model.constants import NEAREST
 @operation
 def displacement(
     grid: LaneGrid,
-    inverse_depth: LaneData,
+    inverse_depth: LaneData,  # lane array, 1 component: D
+    # lane array, 1 component: index of each pixel's motion, a whole number from 0
     labels: LaneData,
     x_hat: LaneData,
-    y_hat: LaneData,
-    flow: LaneData,
-    direction: LaneData,
+    y_hat: LaneData,  # (H + 2,) float32
+    flow: LaneData,  # lane array, 2 components: (u, v) = f·(π(R x̂ + d t) − x̂), px/frame
+    direction: LaneData,  # lane array, 2 components: a = ∂(u, v)/∂D
     *,
-    motions: np.ndarray,
-    focal: float,
+    motions: np.ndarray,  # (K, 3, 4) float32: R and t of each motion
+    focal: float,  # px
 ) -> Launch:
-    """Compute the flow of rigid motions, and its derivative by the inverse depth.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    inverse_depth : lane array, 1 component
-        D.
-    labels : lane array, 1 component
-        Index of each pixel's motion, a whole number from 0.
-    x_hat : column table
-    y_hat : (H + 2,) float32
-    flow : lane array, 2 components
-        (u, v) = f·(π(R x̂ + d t) − x̂), px/frame.
-    direction : lane array, 2 components
-        a = ∂(u, v)/∂D.
-    motions : (K, 3, 4) float32
-        R and t of each motion.
-    focal : float
-        px.
-    """
+    """Compute the flow of rigid motions, and its derivative by the inverse depth."""
     check_geometry(grid, inverse_depth, labels, x_hat, y_hat, motions)
     grid.check(flow, 2, "flow")
     grid.check(direction, 2, "direction")
@@ -58,27 +40,17 @@ def displacement(
 @operation
 def along(
     grid: LaneGrid,
+    # lane array, 3 components for each constraint: (p, q, c) (`tisfm.kernels.data.constraints`)
     terms: LaneData,
+    # flow, direction: lane arrays, 2 components: results of `displacement` for the same D
     flow: LaneData,
     direction: LaneData,
-    inverse_depth: LaneData,
+    inverse_depth: LaneData,  # lane array, 1 component: D₀
+    # lane array, as many components as `terms`: (p', 0, c'), a constraint on the flow (D, 0): p' =
+    # (p, q)·a, and c' = (p, q)·(u₀, v₀) + c − p' D₀. The zeros are not written.
     out: LaneData,
 ) -> Launch:
-    """Restrict constraints to the epipolar line.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    terms : lane array, 3 components for each constraint
-        (p, q, c) (`tisfm.kernels.data.constraints`).
-    flow, direction : lane arrays, 2 components
-        Results of `displacement` for the same D.
-    inverse_depth : lane array, 1 component
-        D₀.
-    out : lane array, as many components as `terms`
-        (p', 0, c'), a constraint on the flow (D, 0): p' = (p, q)·a, and
-        c' = (p, q)·(u₀, v₀) + c − p' D₀. The zeros are not written.
-    """
+    """Restrict constraints to the epipolar line."""
     count = terms.shape[0] // 3
     grid.check(terms, 3 * count, "terms")
     grid.check(flow, 2, "flow")

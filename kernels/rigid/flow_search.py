@@ -39,17 +39,16 @@ _State = ti.types.vector(4, ti.f32)
 
 
 class FlowSearch:
-    """A search for displacements from frame 0 to frame 1, on one level.
+    """A search for displacements from frame 0 to frame 1, on one level."""
 
-    Parameters
-    ----------
-    levels0, levels1 : (H, W) float32
-        Grey levels of both frames, in [0, 255].
-    noise : float
-        Standard deviation of the noise of a frame, levels; above 0.
-    """
-
-    def __init__(self, levels0: np.ndarray, levels1: np.ndarray, *, noise: float) -> None:
+    def __init__(
+        self,
+        # levels0, levels1: (H, W) float32, grey levels of both frames, in [0, 255]
+        levels0: np.ndarray,
+        levels1: np.ndarray,
+        *,
+        noise: float,  # standard deviation of the noise of a frame, levels; above 0
+    ) -> None:
         self._shape = levels0.shape
         for name, levels in (("levels0", levels0), ("levels1", levels1)):
             check_array(levels, self._shape, name, aligned=False)
@@ -60,22 +59,27 @@ class FlowSearch:
         self._images = with_margin(levels0), packed(levels1)
         self._noise = float(noise) ** 2
 
-    def score(self, state: np.ndarray, *, seen: float) -> None:
-        """Compute the costs of the displacements of a state, in place.
-
-        Parameters
-        ----------
-        state : (H, W, 4) float32
-        seen : float
-            Least variance of a window that is compared, over the variance of the noise.
-        """
+    def score(
+        self,
+        state: np.ndarray,  # (H, W, 4) float32
+        *,
+        seen: float,  # least variance of a window that is compared, over the variance of the noise
+    ) -> None:
+        """Compute the costs of the displacements of a state, in place."""
         self._check(state)
         sought = _sought(state)
         if sought.size:
             _score(*self._images, self._noise, seen, sought, state)
 
     def improve(
-        self, state: np.ndarray, *, reach: int, draws: int, spans: tuple[float, float], seed: int
+        self,
+        state: np.ndarray,  # (H, W, 4) float32: state with costs, from `score`
+        *,
+        reach: int,  # px, odd, so that the neighbours of red pixels are black
+        draws: int,
+        # (float, float): largest and smallest range of the draws in u and in v, px/frame
+        spans: tuple[float, float],
+        seed: int,  # seed of the random numbers
     ) -> None:
         """Replace displacements by better ones, in place: first at red, then at black pixels.
 
@@ -83,18 +87,6 @@ class FlowSearch:
         four directions, and with `draws` random displacements around it. Each draw has half the
         range of the previous draw; after the smallest range, the largest follows again. No cost
         rises, and pixels that are not searched stay unchanged.
-
-        Parameters
-        ----------
-        state : (H, W, 4) float32
-            State with costs, from `score`.
-        reach : int
-            px, odd, so that the neighbours of red pixels are black.
-        draws : int
-        spans : (float, float)
-            Largest and smallest range of the draws in u and in v, px/frame.
-        seed : int
-            Seed of the random numbers.
         """
         self._check(state)
         if reach % 2 != 1:
@@ -110,22 +102,18 @@ class FlowSearch:
         check_array(state, (*self._shape, 4), "state", aligned=False)
 
 
-def carry(guide: np.ndarray, distance: np.ndarray, state: np.ndarray, *, edge: float) -> None:
+def carry(
+    guide: np.ndarray,  # (H, W) float32: grey levels I
+    # (H, W) float32: length of the path from the origin of a pixel's displacement; in place
+    distance: np.ndarray,
+    state: np.ndarray,  # (H, W, 4) float32: u and v first, px/frame; in place
+    *,
+    edge: float,  # step of grey levels that adds the length of a pixel; above 0
+) -> None:
     """Propagate displacements along rows and columns, in both directions, if the path is shorter.
 
     A step from pixel to pixel has the length 1 + |ΔI| / edge. Repeated, this gives every pixel the
     displacement of the pixel of distance 0 that is nearest along such steps.
-
-    Parameters
-    ----------
-    guide : (H, W) float32
-        Grey levels I.
-    distance : (H, W) float32
-        Length of the path from the origin of a pixel's displacement; in place.
-    state : (H, W, 4) float32
-        u and v first, px/frame; in place.
-    edge : float
-        Step of grey levels that adds the length of a pixel; above 0.
     """
     check_array(guide, guide.shape, "guide", aligned=False)
     check_array(distance, guide.shape, "distance", aligned=False)

@@ -14,31 +14,22 @@ SUREST = 1e-3  # share of the inverse depth: smaller deviations count as this va
 
 
 def merged(
+    # (N, H, W) float32: 0 where a source has no depth. If two sources have equal votes, the first
+    # is used.
     inverse_depths: np.ndarray,
-    deviations: np.ndarray,
+    deviations: np.ndarray,  # (N, H, W) float32: their standard deviations; finite
+    # out, out_deviation: (H, W) float32, means of the sources that agree, with the weights (d/σ)²;
+    # 0 where there is no depth. The deviation is a mean too, not smaller than those of the sources,
+    # since sources share images.
     out: np.ndarray,
     out_deviation: np.ndarray,
     *,
+    # largest relative difference, as a share of the larger value, for two sources to agree
     alike: float,
 ) -> None:
     """Merge the inverse depth of several sources, pixel by pixel.
 
-    Parameters
-    ----------
-    inverse_depths : (N, H, W) float32
-        0 where a source has no depth. If two sources have equal votes, the first is used.
-    deviations : (N, H, W) float32
-        Their standard deviations; finite.
-    out, out_deviation : (H, W) float32
-        Means of the sources that agree, with the weights (d/σ)²; 0 where there is no depth. The
-        deviation is a mean too, not smaller than those of the sources, since sources share images.
-    alike : float
-        Largest relative difference, as a share of the larger value, for two sources to agree.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an array is not of these types and sizes.
+    Raises TypeError, ValueError if an array is not of these types and sizes.
 
     Notes
     -----

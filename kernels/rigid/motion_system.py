@@ -16,16 +16,21 @@ from tisfm.kernels.solve.linear_system import LinearSystem
 
 
 def motion_system(
+    # the system of D, with one unknown per pixel; its edge weights and coordinates are read
     system: LinearSystem,
+    # lane array, 3 components for each of 1 to 3 constraints: (p, q, c)
+    # (`tisfm.kernels.data.constraints`), not restricted to epipolar lines
     constraints: LaneData,
-    inverse_depth: LaneData,
-    labels: LaneData,
+    inverse_depth: LaneData,  # lane array, 1 component: D
+    labels: LaneData,  # lane array, 1 component
     *,
-    motions: np.ndarray,
-    label: int,
-    focal: float,
-    scales: Sequence[float],
-    held: float,
+    motions: np.ndarray,  # (K, 3, 4) float32
+    label: int,  # the motion whose pixels are summed
+    focal: float,  # px
+    scales: Sequence[float],  # m_i ε² of each term (`tisfm.kernels.model.robust`)
+    held: float,  # α, weight of D's regularisation here; with infinity, D is fixed
+    # Squared residual at which the weight of the data is a quarter (Geman–McClure). Independently
+    # moving objects have larger residuals, and so hardly any weight. Infinity for equal weights.
     tolerated: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Sum the normal equations of a small change of one motion, with inverse depth eliminated.
@@ -35,32 +40,8 @@ def motion_system(
     neighbours. Elimination of D gives the Schur complement BᵀJB − BᵀJa (aᵀJa + α b̄)⁻¹ aᵀJB, with b̄
     the sum of the edge weights of the pixel.
 
-    Parameters
-    ----------
-    system : LinearSystem
-        The system of D, with one unknown per pixel; its edge weights and coordinates are read.
-    constraints : lane array, 3 components for each of 1 to 3 constraints
-        (p, q, c) (`tisfm.kernels.data.constraints`), not restricted to epipolar lines.
-    inverse_depth : lane array, 1 component
-        D.
-    labels : lane array, 1 component
-    motions : (K, 3, 4) float32
-    label : int
-        The motion whose pixels are summed.
-    focal : float
-        px.
-    scales : sequence of float
-        m_i ε² of each term (`tisfm.kernels.model.robust`).
-    held : float
-        α, weight of D's regularisation here; with infinity, D is fixed.
-    tolerated : float
-        Squared residual at which the weight of the data is a quarter (Geman–McClure). Independently
-        moving objects have larger residuals, and so hardly any weight. Infinity for equal weights.
-
-    Returns
-    -------
-    matrix, vector : (6, 6) and (6,) float64
-        The energy changes by xᵀ matrix x + 2 xᵀ vector, with x = (δt, δω).
+    Returns matrix, vector, (6, 6) and (6,) float64: the energy changes by xᵀ matrix x + 2 xᵀ
+    vector, with x = (δt, δω).
     """
     grid = system.grid
     if system.components != 1:

@@ -49,36 +49,20 @@ _Plane = ti.types.vector(4, ti.f32)
 
 
 class PlaneSearch:
-    """A search for planes that map frame 0 to frame 1, on one level.
-
-    Parameters
-    ----------
-    levels0, levels1 : (H, W) float32
-        Grey levels of both frames, in [0, 255].
-    motion : (3, 4) array
-        R and t.
-    center : (float, float)
-        Principal point, px.
-    focal : float
-        px.
-    noise : float
-        Standard deviation of the noise of a frame, levels; above 0.
-    seen : float
-        Least variance of a window that is compared, over the variance of the noise.
-    least, largest : float
-        Bounds of D, px/frame.
-    """
+    """A search for planes that map frame 0 to frame 1, on one level."""
 
     def __init__(
         self,
+        # levels0, levels1: (H, W) float32, grey levels of both frames, in [0, 255]
         levels0: np.ndarray,
         levels1: np.ndarray,
-        motion: np.ndarray,
+        motion: np.ndarray,  # (3, 4) array: R and t
         *,
-        center: tuple[float, float],
-        focal: float,
-        noise: float,
-        seen: float,
+        center: tuple[float, float],  # (float, float): principal point, px
+        focal: float,  # px
+        noise: float,  # standard deviation of the noise of a frame, levels; above 0
+        seen: float,  # least variance of a window that is compared, over the variance of the noise
+        # least, largest: bounds of D, px/frame
         least: float,
         largest: float,
     ) -> None:
@@ -105,24 +89,20 @@ class PlaneSearch:
         _score(*self._images, self._motion, *self._view, self._noise, self._seen, planes)
 
     def improve(
-        self, planes: np.ndarray, *, draws: int, spread: float, tilt: float, seed: int
+        self,
+        planes: np.ndarray,  # (H, W, 4) float32: state with costs, from `score`
+        *,
+        draws: int,  # random planes near the present plane
+        # spread, tilt: range of the first of these draws in D, px/frame, and in the slopes of D
+        spread: float,
+        tilt: float,
+        seed: int,  # seed of the random numbers
     ) -> None:
         """Replace planes by better planes, in place: first at red, then at black pixels.
 
         Each pixel compares its plane with those of four neighbours, which in each direction is the
         neighbour of least cost; with a random plane from the whole range; and with `draws` random
         planes near its own, each from half the range of the previous draw. No cost rises.
-
-        Parameters
-        ----------
-        planes : (H, W, 4) float32
-            State with costs, from `score`.
-        draws : int
-            Random planes near the present plane.
-        spread, tilt : float
-            Range of the first of these draws in D, px/frame, and in the slopes of D.
-        seed : int
-            Seed of the random numbers.
         """
         self._check(planes)
         for color in range(2):
@@ -145,32 +125,17 @@ class PlaneSearch:
 
 
 def disagreement(
-    planes0: np.ndarray,
-    planes1: np.ndarray,
-    motion: np.ndarray,
+    planes0: np.ndarray,  # (H, W, 4) float32: planes of frame 0 for `motion`
+    planes1: np.ndarray,  # (H, W, 4) float32: planes of frame 1 for the inverse motion
+    motion: np.ndarray,  # (3, 4) array: R and t
+    # (H, W) float32: for each pixel of frame 0, the difference of D in frame 1, px/frame; infinite
+    # where the pixel leaves the image, or one of the planes has no cost
     out: np.ndarray,
     *,
-    center: tuple[float, float],
-    focal: float,
+    center: tuple[float, float],  # (float, float): principal point, px
+    focal: float,  # px
 ) -> None:
-    """Compute the difference of inverse depth between the planes of both frames.
-
-    Parameters
-    ----------
-    planes0 : (H, W, 4) float32
-        Planes of frame 0 for `motion`.
-    planes1 : (H, W, 4) float32
-        Planes of frame 1 for the inverse motion.
-    motion : (3, 4) array
-        R and t.
-    out : (H, W) float32
-        For each pixel of frame 0, the difference of D in frame 1, px/frame; infinite where the
-        pixel leaves the image, or one of the planes has no cost.
-    center : (float, float)
-        Principal point, px.
-    focal : float
-        px.
-    """
+    """Compute the difference of inverse depth between the planes of both frames."""
     shape = planes0.shape[:2]
     for name, planes in (("planes0", planes0), ("planes1", planes1)):
         check_array(planes, (*shape, 4), name, aligned=False)

@@ -15,43 +15,30 @@ from tisfm.kernels.model.constants import NEAREST
 
 
 def matching_cost(
+    # features0, features1: (H, W, 4) float32, brightness and its derivatives in x and in y of both
+    # frames; the fourth value is unused
     features0: np.ndarray,
     features1: np.ndarray,
+    # guess, weight: (H, W) float32, a likely inverse depth, px/frame, and the weight of the cost
+    # for a difference from it
     guess: np.ndarray,
     weight: np.ndarray,
-    motion: np.ndarray,
+    motion: np.ndarray,  # (3, 4) float32: R and t
+    # (H, W, M[, lanes]) float32: costs of the hypotheses D = first + n·step. Number n is in vector
+    # n // lanes, lane n % lanes.
     out: np.ndarray,
     *,
-    center: tuple[float, float],
-    focal: float,
+    center: tuple[float, float],  # (float, float): principal point, px
+    focal: float,  # px
+    # first, step: px/frame
     first: float,
     step: float,
-    near: float,
+    near: float,  # difference from `guess` at which its cost is full, px/frame
 ) -> None:
     """Compute the matching cost of every pixel of frame 0 for several inverse depths.
 
     A cost is min(1, |ΔI|) + min(1, |ΔI_x| + |ΔI_y|), in the units of the features, or 1 if the
     hypothesis moves the pixel out of the image. weight·min(1, |D − guess|/near) is added.
-
-    Parameters
-    ----------
-    features0, features1 : (H, W, 4) float32
-        Brightness and its derivatives in x and in y of both frames; the fourth value is unused.
-    guess, weight : (H, W) float32
-        A likely inverse depth, px/frame, and the weight of the cost for a difference from it.
-    motion : (3, 4) float32
-        R and t.
-    out : (H, W, M[, lanes]) float32
-        Costs of the hypotheses D = first + n·step. Number n is in vector n // lanes, lane
-        n % lanes.
-    center : (float, float)
-        Principal point, px.
-    focal : float
-        px.
-    first, step : float
-        px/frame.
-    near : float
-        Difference from `guess` at which its cost is full, px/frame.
     """
     height, width = guess.shape
     lanes = 1 if out.ndim == 3 else out.shape[3]

@@ -23,36 +23,20 @@ NEAREST = 1e-12  # least Z, which is a divisor
 
 
 def rendered(
-    inverse_depth: np.ndarray,
-    deviation: np.ndarray,
-    motion: np.ndarray,
+    inverse_depth: np.ndarray,  # (H, W) float32: 1/Z; 0 where unknown
+    deviation: np.ndarray,  # (H, W) float32: its standard deviation; finite
+    motion: np.ndarray,  # (3, 4) array: R and t from the first view's axes to the other's
+    # out, out_deviation: (H, W) float32, inverse depth and deviation in the other view; 0 where no
+    # pixel arrives
     out: np.ndarray,
     out_deviation: np.ndarray,
     *,
-    center: tuple[float, float],
-    focal: float,
+    center: tuple[float, float],  # (float, float): principal point of both views, px
+    focal: float,  # focal length of both views, px
 ) -> None:
     """Render the inverse depth of a view, and its deviation, in another view.
 
-    Parameters
-    ----------
-    inverse_depth : (H, W) float32
-        1/Z; 0 where unknown.
-    deviation : (H, W) float32
-        Its standard deviation; finite.
-    motion : (3, 4) array
-        R and t from the first view's axes to the other's.
-    out, out_deviation : (H, W) float32
-        Inverse depth and deviation in the other view; 0 where no pixel arrives.
-    center : (float, float)
-        Principal point of both views, px.
-    focal : float
-        Focal length of both views, px.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an array is not of these types and sizes.
+    Raises TypeError, ValueError if an array is not of these types and sizes.
 
     Notes
     -----

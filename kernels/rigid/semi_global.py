@@ -23,31 +23,21 @@ LEAST_BEND = 1e-6  # least curvature of the parabola, for hypotheses of equal co
 
 
 def aggregate(
+    # (H, W, M[, lanes]) float32: C of every pixel and hypothesis; `FORBIDDEN` in unused places of
+    # the last vector
     cost: np.ndarray,
-    guide: np.ndarray,
-    out: np.ndarray,
+    guide: np.ndarray,  # (H, W) float32: grey levels I of frame 0
+    out: np.ndarray,  # the sum of L over the four paths
     *,
+    # step, jump: cost of a change by one hypothesis, and of a larger change
     step: float,
     jump: float,
-    edge: float,
+    edge: float,  # step of grey levels at which a jump has half its cost
 ) -> None:
     """Sum costs along the four paths through every pixel, from each border of the image.
 
     Along a path, L(p, n) = C(p, n) + min(L(q, n), L(q, n ± 1) + step, min L(q, ·) + jump') −
     min L(q, ·), where q is the pixel before p and jump' = max(step, jump / (1 + |ΔI| / edge)).
-
-    Parameters
-    ----------
-    cost : (H, W, M[, lanes]) float32
-        C of every pixel and hypothesis; `FORBIDDEN` in unused places of the last vector.
-    guide : (H, W) float32
-        Grey levels I of frame 0.
-    out : like `cost`
-        The sum of L over the four paths.
-    step, jump : float
-        Cost of a change by one hypothesis, and of a larger change.
-    edge : float
-        Step of grey levels at which a jump has half its cost.
 
     References
     ----------
@@ -64,17 +54,15 @@ def aggregate(
         _aggregate[lanes](cost, guide, path, least, step, jump, 1 / edge, across, out)
 
 
-def cheapest(cost: np.ndarray, out: np.ndarray, *, count: int) -> None:
-    """Find the hypothesis of least cost, refined by a parabola through three costs.
-
-    Parameters
-    ----------
-    cost : (H, W, N) float32
-    out : (H, W) float32
-        Number of the hypothesis with its fraction, from 0 to count − 1; the first of equals.
-    count : int
-        Number of hypotheses among the N places; at least 2.
-    """
+def cheapest(
+    cost: np.ndarray,  # (H, W, N) float32
+    # (H, W) float32: number of the hypothesis with its fraction, from 0 to count − 1; the first of
+    # equals
+    out: np.ndarray,
+    *,
+    count: int,  # number of hypotheses among the N places; at least 2
+) -> None:
+    """Find the hypothesis of least cost, refined by a parabola through three costs."""
     check_array(cost, cost.shape, "cost")
     check_array(out, cost.shape[:2], "out", aligned=False)
     if not 2 <= count <= cost.shape[2]:

@@ -14,30 +14,17 @@ from tisfm.kernels.model.constants import LEAST_DIVISOR
 @operation
 def add_along(
     grid: LaneGrid,
-    tensor: LaneData,
+    tensor: LaneData,  # lane array, 6 components: J11, J12, J22, j1, j2 and J_tt, at `flow`
+    # flow, direction: lane arrays, 2 components: (u₀, v₀) and a = ∂(u, v)/∂D, at `inverse_depth`
     flow: LaneData,
     direction: LaneData,
-    inverse_depth: LaneData,
-    weight: LaneData,
+    inverse_depth: LaneData,  # lane array, 1 component: D₀
+    weight: LaneData,  # lane array, 1 component: weight of this frame at each pixel
+    # lane array, 3 components: A, B and C. The values aᵀJa, aᵀ(J u + j) and uᵀJu + 2 jᵀu + J_tt,
+    # times the weight, are added, with u = (u₀, v₀) − D₀ a.
     out: LaneData,
 ) -> Launch:
-    """Restrict the motion tensor of a frame to its epipolar line, and add it to A, B and C.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    tensor : lane array, 6 components
-        J11, J12, J22, j1, j2 and J_tt, at `flow`.
-    flow, direction : lane arrays, 2 components
-        (u₀, v₀) and a = ∂(u, v)/∂D, at `inverse_depth`.
-    inverse_depth : lane array, 1 component
-        D₀.
-    weight : lane array, 1 component
-        Weight of this frame at each pixel.
-    out : lane array, 3 components
-        A, B and C. The values aᵀJa, aᵀ(J u + j) and uᵀJu + 2 jᵀu + J_tt, times the weight, are
-        added, with u = (u₀, v₀) − D₀ a.
-    """
+    """Restrict the motion tensor of a frame to its epipolar line, and add it to A, B and C."""
     grid.check(tensor, 6, "tensor")
     grid.check(flow, 2, "flow")
     grid.check(direction, 2, "direction")
@@ -48,17 +35,12 @@ def add_along(
 
 
 @operation
-def as_constraint(grid: LaneGrid, sums: LaneData, out: LaneData) -> Launch:
-    """Write the constraint p D + c = 0 whose square is A D² + 2 B D up to a constant.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    sums : lane array, 3 components
-        A, B and C of `add_along`.
-    out : lane array, 3 components
-        (p, 0, c) = (√A, 0, B/√A). The zero is not written.
-    """
+def as_constraint(
+    grid: LaneGrid,
+    sums: LaneData,  # lane array, 3 components: A, B and C of `add_along`
+    out: LaneData,  # lane array, 3 components: (p, 0, c) = (√A, 0, B/√A). The zero is not written.
+) -> Launch:
+    """Write the constraint p D + c = 0 whose square is A D² + 2 B D up to a constant."""
     grid.check(sums, 3, "sums")
     grid.check(out, 3, "out")
     return _as_constraint[grid.lanes].bind(sums, out)

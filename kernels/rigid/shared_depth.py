@@ -31,18 +31,14 @@ ROWS = 8  # image rows that one thread sums in a fixed order
 
 
 @operation
-def squared_residual(grid: LaneGrid, tensor: LaneData, flow: LaneData, out: LaneData) -> Launch:
-    """Compute the squared residual of a frame's constraints at a flow.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    tensor : lane array, 6 components
-        J11, J12, J22, j1, j2 and J_tt.
-    flow : lane array, 2 components
-    out : lane array, 1 component
-        uᵀJu + 2 jᵀu + J_tt, or 0 if rounding makes this negative.
-    """
+def squared_residual(
+    grid: LaneGrid,
+    tensor: LaneData,  # lane array, 6 components: J11, J12, J22, j1, j2 and J_tt
+    flow: LaneData,  # lane array, 2 components
+    # lane array, 1 component: uᵀJu + 2 jᵀu + J_tt, or 0 if rounding makes this negative
+    out: LaneData,
+) -> Launch:
+    """Compute the squared residual of a frame's constraints at a flow."""
     grid.check(tensor, 6, "tensor")
     grid.check(flow, 2, "flow")
     grid.check(out, 1, "out")
@@ -51,50 +47,25 @@ def squared_residual(grid: LaneGrid, tensor: LaneData, flow: LaneData, out: Lane
 
 def add_frame(
     grid: LaneGrid,
+    # lane array, 6 components: J11, J12, J22, j1, j2 and J_tt, at the flow of `motion`
     tensor: LaneData,
-    inverse_depth: LaneData,
+    inverse_depth: LaneData,  # lane array, 1 component: D = f·d
+    # lane array, 1 component: weight of each pixel of the keyframe; 0 outside the image
     weight: LaneData,
     x_hat: LaneData,
-    y_hat: LaneData,
+    y_hat: LaneData,  # (H + 2,) float32
+    # lane array, 6 components for each frame: aᵀJB of all frames; the 6 components of this frame
+    # are overwritten
     slopes: LaneData,
-    sums: LaneData,
+    sums: LaneData,  # lane array, 2 components: aᵀJa and aᵀe; those of this frame are added
     *,
-    number: int,
-    motion: np.ndarray,
-    focal: float,
+    number: int,  # index of the frame
+    motion: np.ndarray,  # (3, 4) float32: R and t
+    focal: float,  # px
+    # squared residual at which the weight of the data is a quarter (Geman–McClure)
     tolerated: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Sum the equations of a frame's motion, and add its part to the equations of depth.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    tensor : lane array, 6 components
-        J11, J12, J22, j1, j2 and J_tt, at the flow of `motion`.
-    inverse_depth : lane array, 1 component
-        D = f·d.
-    weight : lane array, 1 component
-        Weight of each pixel of the keyframe; 0 outside the image.
-    x_hat : column table
-    y_hat : (H + 2,) float32
-    slopes : lane array, 6 components for each frame
-        aᵀJB of all frames; the 6 components of this frame are overwritten.
-    sums : lane array, 2 components
-        aᵀJa and aᵀe; those of this frame are added.
-    number : int
-        Index of the frame.
-    motion : (3, 4) float32
-        R and t.
-    focal : float
-        px.
-    tolerated : float
-        Squared residual at which the weight of the data is a quarter (Geman–McClure).
-
-    Returns
-    -------
-    matrix, vector : (6, 6) and (6,) float64
-        BᵀJB and Bᵀe.
-    """
+) -> tuple[np.ndarray, np.ndarray]:  # matrix, vector, (6, 6) and (6,) float64: bᵀJB and Bᵀe
+    """Sum the equations of a frame's motion, and add its part to the equations of depth."""
     grid.check(tensor, 6, "tensor")
     grid.check(inverse_depth, 1, "inverse_depth")
     grid.check(weight, 1, "weight")
@@ -115,26 +86,18 @@ def add_frame(
 
 
 def answered(
-    grid: LaneGrid, slopes: LaneData, sums: LaneData, *, held: float
+    grid: LaneGrid,
+    slopes: LaneData,  # lane array, 6 components for each of M frames: s = aᵀJB
+    sums: LaneData,  # lane array, 2 components: c = aᵀJa and g = aᵀe of all frames
+    *,
+    held: float,  # weight that keeps depth near its present value, in the unit of c; positive
 ) -> tuple[np.ndarray, np.ndarray]:
     """Sum the Schur complement terms that eliminate depth from the equations of all motions.
 
     The caller subtracts them from the equations of the motions.
 
-    Parameters
-    ----------
-    grid : LaneGrid
-    slopes : lane array, 6 components for each of M frames
-        s = aᵀJB.
-    sums : lane array, 2 components
-        c = aᵀJa and g = aᵀe of all frames.
-    held : float
-        Weight that keeps depth near its present value, in the unit of c; positive.
-
-    Returns
-    -------
-    matrix, vector : (6 M, 6 M) and (6 M,) float64
-        Σ s sᵀ / (c + held) and Σ s g / (c + held) over the pixels.
+    Returns matrix, vector, (6 M, 6 M) and (6 M,) float64: Σ s sᵀ / (c + held) and Σ s g / (c +
+    held) over the pixels.
     """
     count = _frames_of(slopes, 0)
     grid.check(slopes, 6 * count, "slopes")

@@ -15,35 +15,23 @@ FADING = 0.1  # 1/px²: a pixel at distance r px has the weight 1/(1 + 0.1 r²)
 
 
 def by_look(
+    # inverse_depth, deviation: (H, W) float32, positive; finite
     inverse_depth: np.ndarray,
     deviation: np.ndarray,
+    # (H, W) float32: inverse depth that separates two surfaces nearby; 0 where there is only one
+    # surface
     middle: np.ndarray,
-    frame: np.ndarray,
+    frame: np.ndarray,  # (H, W) float32: grey levels
+    # out, out_deviation: (H, W) float32, the same values, but where most votes are for the other
+    # surface, the weighted mean over its pixels
     out: np.ndarray,
     out_deviation: np.ndarray,
     *,
-    similar: float,
+    similar: float,  # grey levels: a pixel with this difference has the weight 1/e
 ) -> None:
     """Move depth edges to edges of the frame.
 
-    Parameters
-    ----------
-    inverse_depth, deviation : (H, W) float32
-        Positive; finite.
-    middle : (H, W) float32
-        Inverse depth that separates two surfaces nearby; 0 where there is only one surface.
-    frame : (H, W) float32
-        Grey levels.
-    out, out_deviation : (H, W) float32
-        The same values, but where most votes are for the other surface, the weighted mean over its
-        pixels.
-    similar : float
-        Grey levels: a pixel with this difference has the weight 1/e.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an array is not of these types and sizes.
+    Raises TypeError, ValueError if an array is not of these types and sizes.
     """
     shape = inverse_depth.shape
     for name, array in (

@@ -48,58 +48,29 @@ _Plane = ti.types.vector(4, ti.f32)
 
 
 class ViewSearch:
-    """A search for planes that map a keyframe to several other frames, on one level.
-
-    Parameters
-    ----------
-    key : (H, W) float32
-        Grey levels of the keyframe, in [0, 255].
-    others : sequence of (H, W) float32
-        Grey levels of the M other frames.
-    motions : (M, 3, 4) array
-        R and t from the keyframe to each other frame.
-    best : int
-        Number of frames in the mean of a cost; 1 to `MOST_BEST`, and at most M.
-    stride : int
-        Side of a cell, px; cells that extend beyond the border are left out.
-    center : (float, float)
-        Principal point, px.
-    focal : float
-        px.
-    noise : float
-        Standard deviation of the noise of a frame, levels; above 0.
-    seen : float
-        Least variance of a window that is compared, over the variance of the noise.
-    least, largest : float
-        Bounds of D, px.
-
-    Attributes
-    ----------
-    shape : (int, int)
-        h and w, the numbers of rows and columns of cells.
-    count : int
-        M.
-    """
+    """A search for planes that map a keyframe to several other frames, on one level."""
 
     def __init__(
         self,
-        key: np.ndarray,
+        key: np.ndarray,  # (H, W) float32: grey levels of the keyframe, in [0, 255]
+        # sequence of (H, W) float32: grey levels of the M other frames
         others: Sequence[np.ndarray],
-        motions: np.ndarray,
+        motions: np.ndarray,  # (M, 3, 4) array: R and t from the keyframe to each other frame
         *,
-        best: int,
-        stride: int,
-        center: tuple[float, float],
-        focal: float,
-        noise: float,
-        seen: float,
+        best: int,  # number of frames in the mean of a cost; 1 to `MOST_BEST`, and at most M
+        stride: int,  # side of a cell, px; cells that extend beyond the border are left out
+        center: tuple[float, float],  # (float, float): principal point, px
+        focal: float,  # px
+        noise: float,  # standard deviation of the noise of a frame, levels; above 0
+        seen: float,  # least variance of a window that is compared, over the variance of the noise
+        # least, largest: bounds of D, px
         least: float,
         largest: float,
     ) -> None:
         check_array(key, key.shape, "key", aligned=False)
         for number, levels in enumerate(others):
             check_array(levels, key.shape, f"others[{number}]", aligned=False)
-        self.count = len(others)
+        self.count = len(others)  # M
         if key.size > MOST_PIXELS:
             raise ValueError(f"key has {key.size} pixels: expected {MOST_PIXELS} at most")
         if np.shape(motions) != (self.count, 3, 4):
@@ -112,6 +83,7 @@ class ViewSearch:
             raise ValueError(f"noise is {noise}: expected a positive value, in grey levels")
         if not least < largest:
             raise ValueError(f"D is sought from {least} to {largest}: expected from < to")
+        # h and w, the numbers of rows and columns of cells
         self.shape = (key.shape[0] // stride, key.shape[1] // stride)
         height, width = key.shape
         self._images = (
@@ -129,21 +101,17 @@ class ViewSearch:
         _score(*self._images, *self._view, self.count, self._best, self._seen, planes)
 
     def improve(
-        self, planes: np.ndarray, *, draws: int, spread: float, tilt: float, seed: int
+        self,
+        planes: np.ndarray,  # (h, w, 4) float32: state with costs, from `score`
+        *,
+        draws: int,  # random planes near the present plane
+        # spread, tilt: range of the first of these draws in D, px, and in its changes from cell to
+        # cell
+        spread: float,
+        tilt: float,
+        seed: int,  # seed of the random numbers
     ) -> None:
-        """Replace planes by better planes, in place, as `PlaneSearch.improve`.
-
-        Parameters
-        ----------
-        planes : (h, w, 4) float32
-            State with costs, from `score`.
-        draws : int
-            Random planes near the present plane.
-        spread, tilt : float
-            Range of the first of these draws in D, px, and in its changes from cell to cell.
-        seed : int
-            Seed of the random numbers.
-        """
+        """Replace planes by better planes, in place, as `PlaneSearch.improve`."""
         self._check(planes)
         for color in range(2):
             _improve(

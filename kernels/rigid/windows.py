@@ -28,19 +28,12 @@ _PADDED = [[float(offset[axis]) for offset in WINDOW] for axis in (1, 0)]
 ACROSS, DOWN = ([values[:VECTOR], values[VECTOR:]] for values in _PADDED)
 
 
-def packed(levels: np.ndarray) -> np.ndarray:
+def packed(
+    levels: np.ndarray,  # (H, W) float32: in [0, 255]; they are rounded
+) -> np.ndarray:  # (H·W,) int32
     """Return each pixel with its eastern, southern and south-eastern neighbour, one byte each.
 
     One load then gives all values for an interpolation. The border of the image is repeated.
-
-    Parameters
-    ----------
-    levels : (H, W) float32
-        In [0, 255]; they are rounded.
-
-    Returns
-    -------
-    (H·W,) int32
     """
     whole = np.clip(np.rint(levels), 0, LEVELS).astype(np.uint32)
     whole = np.pad(whole, ((0, 1), (0, 1)), "edge")

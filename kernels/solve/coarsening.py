@@ -43,8 +43,10 @@ def halved_shape(grid: LaneGrid, components: int) -> tuple[int, ...]:
 
 
 def coarsen_system(
-    grid: LaneGrid,
+    grid: LaneGrid,  # the fine grid
+    # arrays of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them
     arrays: tuple[LaneData, ...],
+    # coarse_tensor, coarse_weights: halved arrays, 6 components and as many as the weights
     coarse_tensor: LaneData,
     coarse_weights: LaneData,
 ) -> None:
@@ -53,14 +55,6 @@ def coarsen_system(
     The energy of a coarse field is then nearly that of its bilinear interpolation. The weight of a
     coarse edge is half the sum of the two fine weights between its pixels: it replaces four fine
     edges, two in each of two rows or columns, and its squared difference is four times theirs.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-        The fine grid.
-    arrays : tuple
-        Arrays of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them.
-    coarse_tensor, coarse_weights : halved arrays, 6 components and as many as the weights
     """
     tensor, weights = arrays[:2]
     check_halved(grid, coarse_tensor, 6, "coarse_tensor")
@@ -98,25 +92,14 @@ def _coarsen_system(
 
 
 def restrict_residual(
-    grid: LaneGrid,
+    grid: LaneGrid,  # the fine grid
+    # arrays of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them
     arrays: tuple[LaneData, ...],
-    rho: LaneData,
-    source: LaneData | None,
-    out: LaneData,
+    rho: LaneData,  # lane array, n components
+    source: LaneData | None,  # lane array, n components, or None: c in place of −Gᵀj
+    out: LaneData,  # halved array, n components
 ) -> None:
-    """Sum the children's residuals c − Bρ̂.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-        The fine grid.
-    arrays : tuple
-        Arrays of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them.
-    rho : lane array, n components
-    source : lane array, n components, or None
-        c in place of −Gᵀj.
-    out : halved array, n components
-    """
+    """Sum the children's residuals c − Bρ̂."""
     components = rho.shape[0]
     check_halved(grid, out, components, "out")
     _restrict_residual[grid.lanes](
@@ -172,17 +155,12 @@ def _restrict_residual(
 
 
 @operation
-def relayout(coarse: LaneGrid, array: LaneData, out: LaneData) -> Launch:
-    """Copy a lane array of a grid into strips of another length, halo columns included.
-
-    Parameters
-    ----------
-    coarse : LaneGrid
-        The grid; one of the two arrays has its strips.
-    array : lane array, k components
-    out : lane array, k components
-        The padding becomes 0; the halo rows are not written.
-    """
+def relayout(
+    coarse: LaneGrid,  # the grid; one of the two arrays has its strips
+    array: LaneData,  # lane array, k components
+    out: LaneData,  # lane array, k components: the padding becomes 0; the halo rows are not written
+) -> Launch:
+    """Copy a lane array of a grid into strips of another length, halo columns included."""
     for name, given in (("array", array), ("out", out)):
         shape = (array.shape[0], coarse.height + 2, given.shape[2])
         check_array(given, shape if coarse.lanes == 1 else (*shape, coarse.lanes), name)
@@ -213,20 +191,14 @@ def _relayout(
 
 
 def correct(
-    grid: LaneGrid, coarse: LaneData, across: tuple[LaneData, LaneData], rho: LaneData
+    grid: LaneGrid,  # the fine grid
+    # halved array, n components: its halo columns must be valid; it is not read beyond the border
+    # of the image
+    coarse: LaneData,
+    across: tuple[LaneData, LaneData],  # column tables of 2: results of `interpolation_columns`
+    rho: LaneData,  # lane array, n components
 ) -> None:
-    """Add a coarse correction, interpolated bilinearly, to `rho`, in place, halo included.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-        The fine grid.
-    coarse : halved array, n components
-        Its halo columns must be valid; it is not read beyond the border of the image.
-    across : column tables of 2
-        Results of `interpolation_columns`.
-    rho : lane array, n components
-    """
+    """Add a coarse correction, interpolated bilinearly, to `rho`, in place, halo included."""
     components = rho.shape[0]
     grid.check(rho, components, "rho")
     check_halved(grid, coarse, components, "coarse")

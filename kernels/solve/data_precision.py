@@ -10,21 +10,16 @@ from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 
 
 def data_precision(
-    grid: LaneGrid, arrays: tuple[LaneData, ...], rho: LaneData, out: LaneData
+    grid: LaneGrid,
+    # arrays of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them
+    arrays: tuple[LaneData, ...],
+    rho: LaneData,  # lane array, n components
+    # lane array, 7 components: J11, J12, J22; the data term at ρ̂, which is the squared residual;
+    # and M11, M12, M22 of M = G (diag α_k b̄)⁻¹ Gᵀ, the covariance of a pixel's flow given its
+    # neighbours, in units in which J is the precision of its data
+    out: LaneData,
 ) -> None:
-    """Compute precision and residual of the data, and the covariance given the neighbours.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    arrays : tuple
-        Arrays of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them.
-    rho : lane array, n components
-    out : lane array, 7 components
-        J11, J12, J22; the data term at ρ̂, which is the squared residual; and M11, M12, M22 of
-        M = G (diag α_k b̄)⁻¹ Gᵀ, the covariance of a pixel's flow given its neighbours, in units in
-        which J is the precision of its data.
-    """
+    """Compute precision and residual of the data, and the covariance given the neighbours."""
     sets = arrays[1].shape[0] // 2
     _data_precision[grid.lanes](*arrays, rho, rho.shape[0], sets, out)
 
@@ -66,21 +61,13 @@ def _data_precision(
 
 
 def share_of_data(
-    precision: np.ndarray, out: np.ndarray, *, tolerated: float, freedom: int
+    precision: np.ndarray,  # (7, H, W) float32: J11, J12, J22, squared residual, M11, M12, M22
+    out: np.ndarray,  # (H, W) float32: the share of the data in the precision of a pixel's flow
+    *,
+    tolerated: float,  # the squared residual that halves the share; above 0
+    freedom: int,  # {2, 1}: degrees of freedom of a pixel's flow; if 1, M is of rank 1
 ) -> None:
-    """Compute tr[J M (I + J M)⁻¹]/freedom, divided by 1 + residual/tolerated.
-
-    Parameters
-    ----------
-    precision : (7, H, W) float32
-        J11, J12, J22, squared residual, M11, M12, M22.
-    out : (H, W) float32
-        The share of the data in the precision of a pixel's flow.
-    tolerated : float
-        The squared residual that halves the share; above 0.
-    freedom : {2, 1}
-        Degrees of freedom of a pixel's flow; if 1, M is of rank 1.
-    """
+    """Compute tr[J M (I + J M)⁻¹]/freedom, divided by 1 + residual/tolerated."""
     check_array(out, out.shape[:2], "out", aligned=False)
     check_array(precision, (7, *out.shape), "precision", aligned=False)
     if freedom not in (1, 2):

@@ -25,7 +25,10 @@ ROUNDING = 64 * 2.0**-24
 
 def line_search(
     grid: LaneGrid,
+    # arrays of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them
     arrays: tuple[LaneData, ...],
+    # rho, before, step: lane arrays, n components: modified in place, halo included: `rho` and
+    # `before` become the minimum, `step` becomes the move to it
     rho: LaneData,
     before: LaneData,
     step: LaneData,
@@ -34,15 +37,6 @@ def line_search(
 
     If the slope along the correction is only rounding error, as at the solution, p = 1 and q = 0:
     the computed p would be the ratio of two rounding errors, which can have any size.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    arrays : tuple
-        Arrays of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them.
-    rho, before, step : lane arrays, n components
-        Modified in place, halo included: `rho` and `before` become the minimum, `step` becomes the
-        move to it.
     """
     subtract(grid, before, rho)
     descend(grid, *lowest(*plane(grid, arrays, rho, before, step)), rho, before, step)
@@ -57,11 +51,8 @@ def plane(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the quadratic energy of before + p correction + q step, as a function of p and q.
 
-    Returns
-    -------
-    matrix, vector : (2, 2) and (2,) float64
-        The energy changes by zᵀ matrix z + 2 zᵀ vector, with z = (p, q). An entry of the vector
-        that is only rounding error is set to 0.
+    Returns matrix, vector, (2, 2) and (2,) float64: the energy changes by zᵀ matrix z + 2 zᵀ
+    vector, with z = (p, q). An entry of the vector that is only rounding error is set to 0.
     """
     partial = block_sums(grid, 7)
     sets = arrays[1].shape[0] // 2

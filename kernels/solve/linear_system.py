@@ -22,34 +22,19 @@ class LinearSystem:
 
     The arrays are checked once, here. They are not copied: a change of an array changes the system.
 
-    Parameters
-    ----------
-    grid : LaneGrid
-    tensor : lane array, 6 components
-        Motion tensor (J11, J12, J22, j1, j2, J_tt).
-    weights : lane array, 2n components, or 2 if all unknowns share them
-        g·b of every edge: eastern edges, then southern edges (`tisfm.kernels.model.edges`).
-    x_hat : column table
-        Normalised column coordinate x/f.
-    y_hat : (H + 2,) float32
-        Normalised row coordinate y/f; row 0 is the halo.
-    alpha : float
-        α = λ̂β.
-    stiffness : sequence of n floats
-        s_k, with α_k = α s_k; one for each unknown of a pixel.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an array does not fit the grid, or alpha or a stiffness is not positive and finite.
+    Raises TypeError, ValueError if an array does not fit the grid, or alpha or a stiffness is not
+    positive and finite.
     """
 
     grid: LaneGrid
-    tensor: LaneData
+    tensor: LaneData  # lane array, 6 components: motion tensor (J11, J12, J22, j1, j2, J_tt)
+    # lane array, 2n components, or 2 if all unknowns share them: g·b of every edge: eastern edges,
+    # then southern edges (`tisfm.kernels.model.edges`)
     weights: LaneData
-    x_hat: LaneData
-    y_hat: LaneData
-    alpha: float
+    x_hat: LaneData  # normalised column coordinate x/f
+    y_hat: LaneData  # (H + 2,) float32: normalised row coordinate y/f; row 0 is the halo
+    alpha: float  # α = λ̂β
+    # s_k, with α_k = α s_k; one for each unknown of a pixel
     stiffness: Sequence[float] | np.ndarray
 
     def __post_init__(self) -> None:
@@ -89,26 +74,15 @@ class LinearSystem:
 
     def sweep(
         self,
-        rho: LaneData,
+        rho: LaneData,  # lane array, n components: ρ̂, px/frame
         *,
-        relaxation: float,
+        relaxation: float,  # in (0, 2); 1 is Gauss–Seidel
         solver: str = "cholesky",
         sweeps: int = 1,
+        # lane array, n components: right-hand side c in place of −Gᵀj; j is then not read
         source: LaneData | None = None,
     ) -> None:
-        """Run full red–black sweeps; `rho` is modified in place, halo included.
-
-        Parameters
-        ----------
-        rho : lane array, n components
-            ρ̂, px/frame.
-        relaxation : float
-            In (0, 2); 1 is Gauss–Seidel.
-        solver : {"cholesky", "closed_form"}
-        sweeps : int
-        source : lane array, n components, optional
-            Right-hand side c in place of −Gᵀj; j is then not read.
-        """
+        """Run full red–black sweeps; `rho` is modified in place, halo included."""
         self.bind_sweep(rho, relaxation=relaxation, solver=solver, sweeps=sweeps, source=source)()
 
     def bind_sweep(
@@ -173,37 +147,37 @@ class LinearSystem:
         self.grid.check(out, 7, "out")
         data_precision(self.grid, self.arrays, rho, out)
 
-    def restrict(self, rho: LaneData, out: LaneData, *, source: LaneData | None = None) -> None:
-        """Write the residuals at `rho`, summed over the children of every coarse pixel.
-
-        Parameters
-        ----------
-        rho : lane array, n components
-        out : halved array, n components (`tisfm.kernels.solve.coarsening`)
-        source : lane array, n components, optional
-            Right-hand side c in place of −Gᵀj.
-        """
+    def restrict(
+        self,
+        rho: LaneData,  # lane array, n components
+        out: LaneData,  # halved array, n components (`tisfm.kernels.solve.coarsening`)
+        *,
+        # lane array, n components: right-hand side c in place of −Gᵀj
+        source: LaneData | None = None,
+    ) -> None:
+        """Write the residuals at `rho`, summed over the children of every coarse pixel."""
         self._check(rho=rho, source=rho if source is None else source)
         restrict_residual(self.grid, self.arrays, rho, source, out)
 
-    def coarsen(self, tensor: LaneData, weights: LaneData) -> None:
-        """Write the system of the grid of half the density.
-
-        Parameters
-        ----------
-        tensor, weights : halved arrays, 6 components and as many as those of this system
-        """
+    def coarsen(
+        self,
+        # tensor, weights: halved arrays, 6 components and as many as those of this system
+        tensor: LaneData,
+        weights: LaneData,
+    ) -> None:
+        """Write the system of the grid of half the density."""
         coarsen_system(self.grid, self.arrays, tensor, weights)
 
-    def line_search(self, rho: LaneData, before: LaneData, step: LaneData) -> None:
-        """Move to the minimum of the energy in the plane of the correction and the last step.
-
-        Parameters
-        ----------
-        rho, before, step : lane arrays, n components
-            The corrected ρ̂, ρ̂ before the correction, and the last step. Modified in place: `rho`
-            and `before` become the minimum, `step` becomes the move to it.
-        """
+    def line_search(
+        self,
+        # rho, before, step: lane arrays, n components: the corrected ρ̂, ρ̂ before the correction,
+        # and the last step. Modified in place: `rho` and `before` become the minimum, `step`
+        # becomes the move to it.
+        rho: LaneData,
+        before: LaneData,
+        step: LaneData,
+    ) -> None:
+        """Move to the minimum of the energy in the plane of the correction and the last step."""
         self._check(rho=rho, before=before, step=step)
         line_search(self.grid, self.arrays, rho, before, step)
 

@@ -14,20 +14,17 @@ from tisfm.kernels.layout.lanes import (
 )
 
 
-def prolong(grid: LaneGrid, coarse: np.ndarray, out: LaneData, *, ratio: float) -> None:
+def prolong(
+    grid: LaneGrid,  # the fine grid
+    coarse: np.ndarray,  # (n, h, w) float32
+    out: LaneData,  # lane array, n components
+    *,
+    ratio: float,  # coarse sampling density divided by fine sampling density, at most 1
+) -> None:
     """Sample a coarse field bilinearly on a finer grid, halo included.
 
     Pixel x of the fine grid lies at (x + ½)·ratio − ½ on the coarse grid. Values are divided by
     `ratio`, because the unit of ρ̂ is the pixel of its level.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-        The fine grid.
-    coarse : (n, h, w) float32
-    out : lane array, n components
-    ratio : float
-        Coarse sampling density divided by fine sampling density, at most 1.
     """
     check_array(coarse, coarse.shape, "coarse", aligned=False)
     grid.check(out, coarse.shape[0], "out")

@@ -40,30 +40,17 @@ AT_ONCE = 64  # most sweeps in one launch, for a grid with a single band
 
 def bind_sweeps(
     grid: LaneGrid,
+    # arrays of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them
     arrays: tuple[LaneData, ...],
-    rho: LaneData,
+    rho: LaneData,  # lane array, n components: ρ̂, px/frame; modified in place, halo included
+    # lane array, n components, or None: right-hand side c in place of −Gᵀj
     source: LaneData | None,
     *,
-    relaxation: float,
+    relaxation: float,  # in (0, 2); 1 is Gauss–Seidel
     solver: str,
     sweeps: int,
 ) -> Callable[[], None]:
-    """Return a function that runs full red–black sweeps.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    arrays : tuple
-        Arrays of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them.
-    rho : lane array, n components
-        ρ̂, px/frame; modified in place, halo included.
-    source : lane array, n components, or None
-        Right-hand side c in place of −Gᵀj.
-    relaxation : float
-        In (0, 2); 1 is Gauss–Seidel.
-    solver : {"cholesky", "closed_form"}
-    sweeps : int
-    """
+    """Return a function that runs full red–black sweeps."""
     if not 0 < relaxation < 2:
         raise ValueError(f"relaxation is {relaxation}: expected a value in (0, 2)")
     if solver not in SOLVERS:

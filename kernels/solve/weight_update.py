@@ -35,36 +35,35 @@ ROWS = 4  # rows of a band, which one thread processes at a time
 
 @dataclass(frozen=True)
 class Sums:
-    """Sums over the image.
+    """Sums over the image."""
 
-    Attributes
-    ----------
-    energy : float
-        Energy (eq. 6, 20): robust data term and α Σ g Φ_δ.
-    half_quadratic : float
-        Half-quadratic energy (eq. 8, 21) with the weights and the tensor before the update.
-    moved, size : float
-        ‖ρ̂ − previous‖ and ‖ρ̂‖, Euclidean norms over the image, px/frame.
-    """
-
-    energy: float
+    energy: float  # Energy (eq. 6, 20): robust data term and α Σ g Φ_δ.
+    # Half-quadratic energy (eq. 8, 21) with the weights and the tensor before the update.
     half_quadratic: float
+    # moved, size: ‖ρ̂ − previous‖ and ‖ρ̂‖, Euclidean norms over the image, px/frame
     moved: float
     size: float
 
 
 def bind_update(
     grid: LaneGrid,
+    # Arrays of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them. Its
+    # previous weights g·b and tensor Σ w_i J_i give the half-quadratic energy; then both are
+    # overwritten.
     arrays: tuple[LaneData, ...],
-    rho: LaneData,
-    previous: LaneData,
+    rho: LaneData,  # lane array, n components: ρ̂, px/frame
+    previous: LaneData,  # lane array, n components: an earlier ρ̂; overwritten with `rho`
+    # lane array, 3 components for each of 1 to 3 constraints: (p, q, c)
+    # (`tisfm.kernels.data.constraints`)
     constraints: LaneData,
-    edges: LaneData,
+    edges: LaneData,  # lane array, 2 components: g
     *,
-    alpha: float,
-    stiffness: np.ndarray,
-    contrast: float,
-    scales: Sequence[float],
+    alpha: float,  # α = λ̂β
+    stiffness: np.ndarray,  # (n,) float32: s_k
+    contrast: float,  # δ, px/frame; infinite for quadratic smoothness
+    scales: Sequence[float],  # m_i ε² of each term; infinite for a quadratic term
+    # Whether q is 0 in all constraints, for n = 1. Then only J11, j1 and J_tt of the tensor are
+    # written.
     along_line: bool,
 ) -> Callable[[], Sums]:
     """Return a function that computes energies and changes of ρ̂, and the weights for ρ̂.
@@ -73,33 +72,6 @@ def bind_update(
     vector of all √s_k Δρ̂_k, with Φ_δ(Δ) = 2Δ²/(1 + √(1 + Δ²/δ²)). Its half-quadratic form is
     g [bΔ² + δ²(b + 1/b − 2)], with its minimum at b = 1/√(1 + Δ²/δ²). The data term is treated in
     the same way (`tisfm.kernels.model.robust`).
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    arrays : tuple
-        Arrays of a `tisfm.kernels.solve.linear_system.LinearSystem`, which has checked them. Its
-        previous weights g·b and tensor Σ w_i J_i give the half-quadratic energy; then both are
-        overwritten.
-    rho : lane array, n components
-        ρ̂, px/frame.
-    previous : lane array, n components
-        An earlier ρ̂; overwritten with `rho`.
-    constraints : lane array, 3 components for each of 1 to 3 constraints
-        (p, q, c) (`tisfm.kernels.data.constraints`).
-    edges : lane array, 2 components
-        g.
-    alpha : float
-        α = λ̂β.
-    stiffness : (n,) float32
-        s_k.
-    contrast : float
-        δ, px/frame; infinite for quadratic smoothness.
-    scales : sequence of float
-        m_i ε² of each term; infinite for a quadratic term.
-    along_line : bool
-        Whether q is 0 in all constraints, for n = 1. Then only J11, j1 and J_tt of the tensor are
-        written.
     """
     if not contrast > 0:
         raise ValueError(f"contrast is {contrast}: expected a positive value, in px/frame")

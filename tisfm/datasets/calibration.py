@@ -85,39 +85,22 @@ def read_camera(path: Path, frame: Path) -> Camera:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """The camera of a sequence, and the scale of its depth maps.
+    """The camera of a sequence, and the scale of its depth maps."""
 
-    Attributes
-    ----------
-    camera : Camera or None
-        None if unknown.
-    depth_scale : float or None
-        Values of the depth maps per unit of depth; None if unknown.
-    """
-
-    camera: Camera | None
-    depth_scale: float | None = None
+    camera: Camera | None  # none if unknown
+    depth_scale: float | None = None  # values of the depth maps per unit of depth; None if unknown
 
 
-def read_calibration(path: Path) -> Calibration:
+def read_calibration(
+    # the heading names the numbers, in any order: fx, fy, cx and cy, px; optionally the first of
+    # OpenCV's coefficients of distortion k1, k2, p1, p2, k3, …; and optionally depth_scale
+    path: Path,
+) -> Calibration:
     """Read the camera of a sequence from a text with a heading and a line of numbers.
 
-    Parameters
-    ----------
-    path : Path
-        The heading names the numbers, in any order: fx, fy, cx and cy, px; optionally the first
-        of OpenCV's coefficients of distortion k1, k2, p1, p2, k3, …; and optionally depth_scale.
+    Raises FormatError if the file has another structure, or the camera is not valid.
 
-    Returns
-    -------
-    Calibration
-
-    Raises
-    ------
-    FormatError
-        If the file has another structure, or the camera is not valid.
-    OSError
-        If the file does not exist or cannot be read.
+    Raises OSError if the file does not exist or cannot be read.
     """
     lines = read_text(path).splitlines()
     rows = [line.split() for line in lines if line.strip()]

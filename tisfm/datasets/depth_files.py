@@ -22,27 +22,17 @@ MILLIMETRES = 1000.0
 _NO_DEPTH = (0, 65535)  # file values without a depth
 
 
-def read_depth(path: str | os.PathLike[str], scale: float = MILLIMETRES) -> NDArray[np.float32]:
+def read_depth(
+    path: str | os.PathLike[str],  # a 16-bit grey image, 0 or 65535 where there is no depth
+    # float, default 1000: file values per unit of depth. By default the file is in millimetres, the
+    # depth in metres.
+    scale: float = MILLIMETRES,
+) -> NDArray[np.float32]:  # (H, W) float32 ndarray: depth Z; NaN where there is no depth
     """Read a depth map.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        A 16-bit grey image, 0 or 65535 where there is no depth.
-    scale : float, default 1000
-        File values per unit of depth. By default the file is in millimetres, the depth in metres.
+    Raises FormatError if the file is damaged, or not an (H, W) image of 16 bits.
 
-    Returns
-    -------
-    (H, W) float32 ndarray
-        Depth Z; NaN where there is no depth.
-
-    Raises
-    ------
-    FormatError
-        If the file is damaged, or not an (H, W) image of 16 bits.
-    OSError
-        If the file does not exist or cannot be read.
+    Raises OSError if the file does not exist or cannot be read.
     """
     stored = read_image(path)
     if stored.ndim != 2 or stored.dtype != np.uint16:
@@ -56,25 +46,19 @@ def read_depth(path: str | os.PathLike[str], scale: float = MILLIMETRES) -> NDAr
 
 
 def reproject_depth(
-    depth: NDArray[np.float32], source: Camera, target: Camera, offset: float
+    # (H, W) float32: Z in the axes of the source camera, NaN where there is no depth
+    depth: NDArray[np.float32],
+    # source, target: The camera of the map, and the camera beside it, with the same direction and
+    # image size. A target with a longer focal length would get gaps.
+    source: Camera,
+    target: Camera,
+    # X of the target camera in the axes of the source camera, in the unit of the depth
+    offset: float,
 ) -> NDArray[np.float32]:
     """Project a depth map into the image of a camera beside the camera that took it.
 
-    Parameters
-    ----------
-    depth : (H, W) float32
-        Z in the axes of the source camera, NaN where there is no depth.
-    source, target : Camera
-        The camera of the map, and the camera beside it, with the same direction and image size. A
-        target with a longer focal length would get gaps.
-    offset : float
-        X of the target camera in the axes of the source camera, in the unit of the depth.
-
-    Returns
-    -------
-    (H, W) float32 ndarray
-        Depth at the pixels of the target: of the nearest surface that falls on the pixel. NaN where
-        no surface does.
+    Returns (H, W) float32 ndarray: depth at the pixels of the target: of the nearest surface that
+    falls on the pixel. NaN where no surface does.
     """
     height, width = depth.shape
     rows, columns = np.nonzero(np.isfinite(depth) & (depth > 0))
@@ -97,28 +81,21 @@ _HEADERS = {
 }
 
 
-def read_disparity(path: str | os.PathLike[str]) -> NDArray[np.float32]:
+def read_disparity(
+    # An image: uint8 in px, or uint16 in px / 256 as in KITTI, both 0 where unknown; or float in
+    # px. Or an .npy or .npz file with one such array.
+    path: str | os.PathLike[str],
+) -> NDArray[np.float32]:
     """Read the disparity of the left view of a stereo pair.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        An image: uint8 in px, or uint16 in px / 256 as in KITTI, both 0 where unknown; or float in
-        px. Or an .npy or .npz file with one such array.
+    Returns (H, W) float32 ndarray: disparity, x_left - x_right, px; NaN where unknown (0 of
+    integers, floats not finite).
 
-    Returns
-    -------
-    (H, W) float32 ndarray
-        Disparity, x_left - x_right, px; NaN where unknown (0 of integers, floats not finite).
+    Raises FormatError if the file is damaged, or does not hold one (H, W) map of these types.
 
-    Raises
-    ------
-    FormatError
-        If the file is damaged, or does not hold one (H, W) map of these types.
-    OSError
-        If the file does not exist or cannot be read.
-    MemoryError
-        If memory does not suffice for the map.
+    Raises OSError if the file does not exist or cannot be read.
+
+    Raises MemoryError if memory does not suffice for the map.
     """
     name = os.fspath(path)
     stored = _read_array(name) if name.lower().endswith((".npy", ".npz")) else read_image(name)

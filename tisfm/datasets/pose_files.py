@@ -9,24 +9,14 @@ from tisfm.formats import FormatError
 from tisfm.trajectory.text_files import check_pose, pose_of_twelve, read_rows
 
 
-def read_pose(path: Path) -> NDArray[np.float64]:
+def read_pose(
+    path: Path,  # text of four rows of four numbers, camera to world
+) -> NDArray[np.float64]:  # (4, 4) float64 ndarray
     """Read a camera pose from a file that holds this pose alone.
 
-    Parameters
-    ----------
-    path : Path
-        Text of four rows of four numbers, camera to world.
+    Raises FormatError if the file is not a pose, or has values that are not finite.
 
-    Returns
-    -------
-    (4, 4) float64 ndarray
-
-    Raises
-    ------
-    FormatError
-        If the file is not a pose, or has values that are not finite.
-    OSError
-        If the file does not exist or cannot be read.
+    Raises OSError if the file does not exist or cannot be read.
     """
     rows = [numbers for _, numbers in read_rows(path, columns=4)]
     if len(rows) != 4:
@@ -37,26 +27,17 @@ def read_pose(path: Path) -> NDArray[np.float64]:
     return check_pose(pose, str(path))
 
 
-def read_pose_row(path: Path, row: int) -> NDArray[np.float64]:
+def read_pose_row(
+    # text of twelve numbers a row: the upper three rows of a 4 × 4 matrix, camera to world
+    path: Path,
+    row: int,  # number of the row, from 0
+) -> NDArray[np.float64]:  # (4, 4) float64 ndarray
     """Read a camera pose from a file with one row for each frame.
 
-    Parameters
-    ----------
-    path : Path
-        Text of twelve numbers a row: the upper three rows of a 4 × 4 matrix, camera to world.
-    row : int
-        Number of the row, from 0.
+    Raises FormatError if a row of the file does not have twelve numbers, or this row is missing or
+    not a pose.
 
-    Returns
-    -------
-    (4, 4) float64 ndarray
-
-    Raises
-    ------
-    FormatError
-        If a row of the file does not have twelve numbers, or this row is missing or not a pose.
-    OSError
-        If the file does not exist or cannot be read.
+    Raises OSError if the file does not exist or cannot be read.
     """
     rows = [numbers for _, numbers in read_rows(path, columns=12)]
     if row >= len(rows):
@@ -67,25 +48,16 @@ def read_pose_row(path: Path, row: int) -> NDArray[np.float64]:
     return check_pose(pose_of_twelve(rows[row]), f"{path}, row {row}")
 
 
-def read_poses(path: Path) -> list[NDArray[np.float64]]:
+def read_poses(
+    # Text with a line of twelve numbers for every frame, as in KITTI's odometry: the upper three
+    # rows of a 4 × 4 matrix, camera to world. Empty lines are skipped.
+    path: Path,
+) -> list[NDArray[np.float64]]:  # list of (4, 4) float64 ndarray
     """Read the poses of all frames of a sequence.
 
-    Parameters
-    ----------
-    path : Path
-        Text with a line of twelve numbers for every frame, as in KITTI's odometry: the upper three
-        rows of a 4 × 4 matrix, camera to world. Empty lines are skipped.
+    Raises FormatError if a line is not a pose; the message names the line.
 
-    Returns
-    -------
-    list of (4, 4) float64 ndarray
-
-    Raises
-    ------
-    FormatError
-        If a line is not a pose; the message names the line.
-    OSError
-        If the file does not exist or cannot be read.
+    Raises OSError if the file does not exist or cannot be read.
     """
     return [
         check_pose(pose_of_twelve(numbers), f"{path}, line {line}")
@@ -93,18 +65,15 @@ def read_poses(path: Path) -> list[NDArray[np.float64]]:
     ]
 
 
-def motion_between(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+def motion_between(
+    # first, second: (4, 4) ndarray, poses, camera to world
+    first: NDArray[np.float64],
+    second: NDArray[np.float64],
+) -> NDArray[np.float64]:
     """Return the motion of a scene at rest relative to a camera that moves between two poses.
 
-    Parameters
-    ----------
-    first, second : (4, 4) ndarray
-        Poses, camera to world.
-
-    Returns
-    -------
-    (4, 4) float64 ndarray
-        Transforms points from the axes of the first camera to the axes of the second.
+    Returns (4, 4) float64 ndarray: transforms points from the axes of the first camera to the axes
+    of the second.
     """
     motion: NDArray[np.float64] = np.linalg.inv(second) @ first
     motion[3] = 0, 0, 0, 1  # exactly, without rounding errors

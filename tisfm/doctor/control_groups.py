@@ -14,18 +14,10 @@ _OCTAL = re.compile(r"\\([0-7]{3})")  # how spaces are written in the list of mo
 
 @dataclass(frozen=True, kw_only=True)
 class GroupLimits:
-    """Limits that the groups set; None where they set none.
+    """Limits that the groups set; None where they set none."""
 
-    Attributes
-    ----------
-    cores : float or None
-        Number of cores whose time the process may use.
-    memory : float or None
-        Bytes.
-    """
-
-    cores: float | None
-    memory: float | None
+    cores: float | None  # number of cores whose time the process may use
+    memory: float | None  # bytes
 
 
 def group_limits(process: Path = _SELF) -> GroupLimits:

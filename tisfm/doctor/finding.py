@@ -18,24 +18,12 @@ _WIDTH = 100
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """The result of one examination.
+    """The result of one examination."""
 
-    Attributes
-    ----------
-    name : str
-        What was examined, such as "Cores".
-    verdict : {"ok", "warning", "wrong", "absent"}
-        "absent" is an optional part that is not installed.
-    text : str
-        The result in words.
-    advice : str
-        What to do; empty if there is nothing to do.
-    """
-
-    name: str
-    verdict: Verdict
-    text: str
-    advice: str = ""
+    name: str  # what was examined, such as "Cores"
+    verdict: Verdict  # "absent" is an optional part that is not installed
+    text: str  # the result in words
+    advice: str = ""  # what to do; empty if there is nothing to do
 
 
 def is_well(findings: Sequence[Finding]) -> bool:

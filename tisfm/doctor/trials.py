@@ -30,16 +30,14 @@ class Trial:
     """Items that another process tries one after the other, in the background.
 
     If an item crashes or hangs, a new process tries the remaining items.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Items, as `tisfm.doctor.probe` names them.
-    limit : float
-        Seconds after which an item counts as hanging.
     """
 
-    def __init__(self, names: Sequence[str], *, limit: float = LIMIT) -> None:
+    def __init__(
+        self,
+        names: Sequence[str],  # items, as `tisfm.doctor.probe` names them
+        *,
+        limit: float = LIMIT,  # seconds after which an item counts as hanging
+    ) -> None:
         self._limit, self._end = limit, time.monotonic() + IN_ALL
         self._left, self._found = list(names), TrialResults()
         self._start()

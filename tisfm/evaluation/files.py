@@ -45,30 +45,18 @@ class EvaluationWriter:
     ``eval.json``, is written first and replaced after every pair: it always lists the pairs with
     complete files. At the end, its "complete" becomes true.
 
-    Parameters
-    ----------
-    folder : path
-        Made if it does not exist.
-    camera : Camera or None
-        The camera of every pair, if the user gave one.
-    settings : Settings
-    pairs : iterable of DatasetPair
-        The pairs to evaluate. No output may replace their files.
+    Raises OSError if the folder cannot be made or written to.
 
-    Raises
-    ------
-    OSError
-        If the folder cannot be made or written to.
-    ValueError
-        If an output file is an input file of a pair.
+    Raises ValueError if an output file is an input file of a pair.
     """
 
     def __init__(
         self,
-        folder: str | Path,
+        folder: str | Path,  # made if it does not exist
         *,
-        camera: Camera | None,
+        camera: Camera | None,  # the camera of every pair, if the user gave one
         settings: Settings,
+        # The pairs to evaluate. No output may replace their files.
         pairs: Iterable[DatasetPair] = (),
     ) -> None:
         self.folder = Path(folder)
@@ -107,23 +95,12 @@ class EvaluationWriter:
     def write(
         self,
         evaluation: PairEvaluation,
-        result: Interpretation | None,
-        loaded: LoadedPair | None,
+        result: Interpretation | None,  # none for a failed pair, which is only recorded
+        loaded: LoadedPair | None,  # the loaded files; None for a failed pair
     ) -> None:
         """Write all files of a pair, then the record.
 
-        Parameters
-        ----------
-        evaluation : PairEvaluation
-        result : Interpretation or None
-            None for a failed pair, which is only recorded.
-        loaded : LoadedPair or None
-            The loaded files; None for a failed pair.
-
-        Raises
-        ------
-        OSError
-            If a file cannot be written.
+        Raises OSError if a file cannot be written.
         """
         stem = None
         if result is not None and loaded is not None:
@@ -149,18 +126,13 @@ class EvaluationWriter:
             figure = depth_error_figure(result.depth, loaded.depth, title=title)
             save_figure(f"{path}_depth_error.png", figure, _DPI)
 
-    def finish(self, evaluation: Evaluation) -> None:
+    def finish(
+        self,
+        evaluation: Evaluation,  # evaluation of the written pairs
+    ) -> None:
         """Add the means and medians to the record, and mark it as complete.
 
-        Parameters
-        ----------
-        evaluation : Evaluation
-            Evaluation of the written pairs.
-
-        Raises
-        ------
-        OSError
-            If the record cannot be written.
+        Raises OSError if the record cannot be written.
         """
         means = {**evaluation.dataset_means, "": evaluation.mean}
         records = {name: None if mean is None else asdict(mean) for name, mean in means.items()}

@@ -110,10 +110,7 @@ def _in_one_grid(
 def true_masks(folder: str | os.PathLike[str]) -> Path:
     """Return the folder of the masks of a sequence: ``masks`` in a folder, or the folder itself.
 
-    Raises
-    ------
-    FileNotFoundError
-        If the folder does not exist.
+    Raises FileNotFoundError if the folder does not exist.
     """
     path = Path(folder)
     if not path.is_dir():
@@ -170,33 +167,19 @@ def has_true_paths(folder: Path) -> bool:
 
 
 def compare_object_paths(
-    result: Path, truth: Path, labels: Mapping[int, int], *, step: int = 1
-) -> dict[int, ObjectPathErrors]:
+    result: Path,  # folder of the reconstruction
+    # folder with ``objects.json`` of the true objects, in the format of a reconstruction, and
+    # ``poses.txt`` of the camera: rows of (R | t) from camera to world, for every frame
+    truth: Path,
+    labels: Mapping[int, int],  # ids of the objects of the reconstruction, by true ids
+    *,
+    step: int = 1,  # int, default 1: step of the reconstructed frames in the truth
+) -> dict[int, ObjectPathErrors]:  # by true id, for objects with a path of three frames or more
     """Compare the paths of the moving objects of a reconstruction with the true paths.
 
-    Parameters
-    ----------
-    result : Path
-        Folder of the reconstruction.
-    truth : Path
-        Folder with ``objects.json`` of the true objects, in the format of a reconstruction, and
-        ``poses.txt`` of the camera: rows of (R | t) from camera to world, for every frame.
-    labels : mapping of int to int
-        Ids of the objects of the reconstruction, by true ids.
-    step : int, default 1
-        Step of the reconstructed frames in the truth.
+    Raises ValueError if the numbers of frames differ.
 
-    Returns
-    -------
-    dict of int to ObjectPathErrors
-        By true id, for objects with a path of three frames or more.
-
-    Raises
-    ------
-    ValueError
-        If the numbers of frames differ.
-    tisfm.formats.FormatError
-        If a file is damaged.
+    Raises tisfm.formats.FormatError if a file is damaged.
     """
     found = Reconstruction.load(result)
     cameras = read_trajectory(truth / POSES).poses[::step]

@@ -95,82 +95,49 @@ _Errors = TypeVar("_Errors", FlowErrors, DepthErrors, PoseErrors)
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorSummary(Generic[_Errors]):
-    """Mean and median of one kind of errors over pairs.
+    """Mean and median of one kind of errors over pairs."""
 
-    Attributes
-    ----------
-    pairs : int
-        Pairs with such errors.
-    mean, median : FlowErrors, DepthErrors or PoseErrors, or None
-        Mean and median of each error over the pairs that have it; None if `pairs` is 0.
-    """
-
-    pairs: int
+    pairs: int  # pairs with such errors
+    # mean, median: mean and median of each error over the pairs that have it; None if `pairs` is 0
     mean: _Errors | None
     median: _Errors | None
 
 
 @dataclass(frozen=True, kw_only=True)
 class DepthMeans(ErrorSummary[DepthErrors]):
-    """Errors of depth over pairs.
+    """Errors of depth over pairs."""
 
-    Attributes
-    ----------
-    without_depth : int
-        Pairs with a true depth but without a recovered depth. `pairs` does not count them.
-    """
-
+    # Pairs with a true depth but without a recovered depth. `pairs` does not count them.
     without_depth: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class PoseMeans(ErrorSummary[PoseErrors]):
-    """Errors of pose over pairs.
+    """Errors of pose over pairs."""
 
-    Attributes
-    ----------
-    without_direction : int
-        Pairs among `pairs` without a direction of translation to compare.
-    """
-
-    without_direction: int
+    without_direction: int  # pairs among `pairs` without a direction of translation to compare
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeanErrors:
-    """Means over pairs. Pairs of all sizes have the same weight (except in `occlusion`).
+    """Means over pairs. Pairs of all sizes have the same weight (except in `occlusion`)."""
 
-    Attributes
-    ----------
-    pairs : int
-        Evaluated pairs.
-    seconds : float
-        Mean time of their interpretations.
-    flow_pairs : int
-        Pairs among these with a true flow.
-    errors : FlowErrors or None
-        Means over the pairs with a true flow; `pixels` is the total of all pairs. None without such
-        pairs.
-    visible, without_sky : FlowErrors or None
-        As in `PairEvaluation`. None unless every pair with a true flow has them, because means over
-        different sets of pairs cannot be compared.
-    occlusion : OcclusionScores or None
-        Scores of the pixels of all pairs together, not a mean: false alarms in pairs without
-        occlusion count as well. None unless every pair with a true flow has scores.
-    depth : DepthMeans or None
-        Means over the pairs with a true depth; None without such pairs.
-    pose : PoseMeans or None
-        Means over the pairs whose pose is compared; None without such pairs.
-    """
-
-    pairs: int
-    seconds: float
-    flow_pairs: int = 0
+    pairs: int  # evaluated pairs
+    seconds: float  # mean time of their interpretations
+    flow_pairs: int = 0  # pairs among these with a true flow
+    # Means over the pairs with a true flow; `pixels` is the total of all pairs. None without such
+    # pairs.
     errors: FlowErrors | None = None
+    # visible, without_sky: As in `PairEvaluation`. None unless every pair with a true flow has
+    # them, because means over different sets of pairs cannot be compared.
     visible: FlowErrors | None = None
     without_sky: FlowErrors | None = None
+    # Scores of the pixels of all pairs together, not a mean: false alarms in pairs without
+    # occlusion count as well. None unless every pair with a true flow has scores.
     occlusion: OcclusionScores | None = None
+    # means over the pairs with a true depth; None without such pairs
     depth: DepthMeans | None = None
+    # means over the pairs whose pose is compared; None without such pairs
     pose: PoseMeans | None = None
 
 

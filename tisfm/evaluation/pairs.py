@@ -225,10 +225,7 @@ def _prepared(
 ) -> LoadedPair:
     """Return a pair with undistorted true depth, and the decision whether its pose is given.
 
-    Raises
-    ------
-    ValueError
-        If no true depth is left.
+    Raises ValueError if no true depth is left.
     """
     given = loaded.pose_given or (give_poses and loaded.pose is not None)
     loaded = replace(loaded, pose_given=given)

@@ -25,29 +25,16 @@ ERROR_WITHOUT_DEPTH = 1.0  # limited error of a frame without depth
 
 @dataclass(frozen=True, kw_only=True)
 class FrameDepthErrors:
-    """Errors of the depth of one frame, in the scale of the sequence.
-
-    Attributes
-    ----------
-    frame : int
-    error : float
-        As `tisfm.metrics.limited_error`; 1 for a frame without depth.
-    certain : float or None
-        As `tisfm.metrics.certain_error`, over the 40 % of the pixels with the least relative
-        deviation; 1 for a frame without depth, None for a frame without deviations.
-    share : float
-        Share of the pixels of known depth that have depth.
-    scale : float or None
-        Best scale for this frame alone: the median of d*/d. None without depth.
-    flicker : float or None
-        As `tisfm.metrics.flicker`, from this frame to the next; None if a depth map is missing.
-    """
+    """Errors of the depth of one frame, in the scale of the sequence."""
 
     frame: int
-    error: float
+    error: float  # as `tisfm.metrics.limited_error`; 1 for a frame without depth
+    # as `tisfm.metrics.certain_error`, over the 40 % of the pixels with the least relative
+    # deviation; 1 for a frame without depth, None for a frame without deviations
     certain: float | None
-    share: float
-    scale: float | None
+    share: float  # share of the pixels of known depth that have depth
+    scale: float | None  # Best scale for this frame alone: the median of d*/d. None without depth.
+    # as `tisfm.metrics.flicker`, from this frame to the next; None if a depth map is missing
     flicker: float | None
 
 
@@ -104,37 +91,17 @@ class SequenceDepthErrors:
 
 def sequence_depth_errors(
     loaded: LoadedSequence,
-    result: SequenceResult,
+    result: SequenceResult,  # result of the same frames, without distortion
     *,
-    camera: Camera,
-    scale: float | None = None,
-    max_depth: float | None = None,
-) -> SequenceDepthErrors | None:
+    camera: Camera,  # camera of the original frames: true depth is resampled like these
+    scale: float | None = None,  # factor of the depth; by default the median of d*/d of all frames
+    max_depth: float | None = None,  # true depth beyond it counts as unknown
+) -> SequenceDepthErrors | None:  # none if no frame has a true depth
     """Compare the depth of a sequence with the true depth.
 
-    Parameters
-    ----------
-    loaded : LoadedSequence
-    result : SequenceResult
-        Result of the same frames, without distortion.
-    camera : Camera
-        Camera of the original frames: true depth is resampled like these.
-    scale : float, optional
-        Factor of the depth; by default the median of d*/d of all frames.
-    max_depth : float, optional
-        True depth beyond it counts as unknown.
+    Raises ValueError if the size of a map differs from the true map.
 
-    Returns
-    -------
-    SequenceDepthErrors or None
-        None if no frame has a true depth.
-
-    Raises
-    ------
-    ValueError
-        If the size of a map differs from the true map.
-    FormatError, OSError
-        If a true map cannot be read.
+    Raises FormatError, OSError if a true map cannot be read.
     """
     ratios, best = LogMedian(), dict[int, float | None]()
     for index in range(len(loaded.frames)):

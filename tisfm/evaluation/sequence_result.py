@@ -37,22 +37,16 @@ class SequenceResult(Protocol):
 class TrajectoryResult:
     """A trajectory from a file, as a result without depth.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        With times, it has poses of some frames; without times, a pose for every frame.
-    loaded : LoadedSequence
-        The frames. Without times, their numbers 0, 1, 2, … are used.
-    source : Path
-        File of the trajectory, for messages.
-
-    Raises
-    ------
-    ValueError
-        If the number of poses differs from the frames, or no time is that of a frame.
+    Raises ValueError if the number of poses differs from the frames, or no time is that of a frame.
     """
 
-    def __init__(self, trajectory: Trajectory, loaded: LoadedSequence, source: Path) -> None:
+    def __init__(
+        self,
+        # with times, it has poses of some frames; without times, a pose for every frame
+        trajectory: Trajectory,
+        loaded: LoadedSequence,  # The frames. Without times, their numbers 0, 1, 2, … are used.
+        source: Path,  # file of the trajectory, for messages
+    ) -> None:
         count = len(loaded.frames)
         self.poses = trajectory.poses
         if trajectory.times is not None:

@@ -210,32 +210,20 @@ def compare_sequence(
 
 
 def reconstruct_and_compare(
+    # sequence, loaded, camera, step, max_depth: as for `compare_sequence`
     sequence: DatasetSequence,
     loaded: LoadedSequence,
     *,
     camera: Camera,
     settings: Settings,
     step: int = 1,
-    give_poses: bool = False,
+    give_poses: bool = False,  # whether to give the true poses and compare depth alone
     max_depth: float | None = None,
-    progress: Progress | None = None,
+    progress: Progress | None = None,  # as for `tisfm.reconstruct`
 ) -> tuple[SequenceEvaluation, SequenceResult]:
     """Reconstruct a sequence by `tisfm.reconstruct`, and compare it with the truth.
 
-    Parameters
-    ----------
-    sequence, loaded, camera, step, max_depth
-        As for `compare_sequence`.
-    settings : Settings
-    give_poses : bool
-        Whether to give the true poses and compare depth alone.
-    progress : callable, optional
-        As for `tisfm.reconstruct`.
-
-    Raises
-    ------
-    ValueError
-        As `compare_sequence`; and if poses are to be given but some are unknown.
+    Raises ValueError: as `compare_sequence`; and if poses are to be given but some are unknown.
     """
     if give_poses and not loaded.posed.all():
         raise InputError(

@@ -23,18 +23,11 @@ SENSOR = 36.0  # mm, width of the sensor that a focal length in mm refers to: fu
 _MAX_CENTRED = 0.5  # px of the principal point from the middle of the frame; set by hand
 
 
-def y_up(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return poses in a world with Y up, of a camera that looks along −Z with Y up.
-
-    Parameters
-    ----------
-    poses : (N, 4, 4) float64
-        Camera to world; camera and world have X right, Y down, Z forward.
-
-    Returns
-    -------
-    (N, 4, 4) float64
-    """
+def y_up(
+    # (N, 4, 4) float64: camera to world; camera and world have X right, Y down, Z forward
+    poses: NDArray[np.float64],
+) -> NDArray[np.float64]:  # (N, 4, 4) float64
+    """Return poses in a world with Y up, of a camera that looks along −Z with Y up."""
     return np.asarray(FLIP @ poses @ FLIP)
 
 
@@ -50,24 +43,17 @@ def is_centered(camera: Camera, shape: tuple[int, int]) -> bool:
     return max(abs(cx - (width - 1) / 2), abs(cy - (height - 1) / 2)) <= _MAX_CENTRED
 
 
-def lens_record(camera: Camera, shape: tuple[int, int]) -> dict[str, Any]:
+def lens_record(
+    camera: Camera,  # without distortion
+    shape: tuple[int, int],  # height and width of its frames, px
+) -> dict[str, Any]:
     """Return the lens in the units of Blender and Nuke.
 
-    Parameters
-    ----------
-    camera : Camera
-        Without distortion.
-    shape : (int, int)
-        Height and width of its frames, px.
-
-    Returns
-    -------
-    dict
-        ``width``, ``height``, ``focal`` and ``center``, px, in the coordinates of array indices;
-        ``vertical_angle`` and ``horizontal_angle``, degrees; ``blender``: ``sensor_width`` and
-        ``lens``, mm, for the sensor fit HORIZONTAL, with ``shift_x`` and ``shift_y``, in widths;
-        ``nuke``: ``focal``, ``haperture`` and ``vaperture``, mm, and ``win_translate``, right and
-        up, in halves of the width.
+    Returns ``width``, ``height``, ``focal`` and ``center``, px, in the coordinates of array
+    indices; ``vertical_angle`` and ``horizontal_angle``, degrees; ``blender``: ``sensor_width`` and
+    ``lens``, mm, for the sensor fit HORIZONTAL, with ``shift_x`` and ``shift_y``, in widths;
+    ``nuke``: ``focal``, ``haperture`` and ``vaperture``, mm, and ``win_translate``, right and up,
+    in halves of the width.
     """
     height, width = shape
     cx, cy = camera.center_for(height, width)

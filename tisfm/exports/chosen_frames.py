@@ -15,12 +15,9 @@ from tisfm.trajectory.times import are_increasing, times_or_numbers
 def chosen_frames(frames: Iterable[int] | None, count: int) -> list[int]:
     """Return frame numbers in ascending order, by default all.
 
-    Raises
-    ------
-    IndexError
-        If a frame does not exist.
-    ValueError
-        If no frame is chosen.
+    Raises IndexError if a frame does not exist.
+
+    Raises ValueError if no frame is chosen.
     """
     chosen = sorted({index(frame) for frame in (range(count) if frames is None else frames)})
     if not chosen:
@@ -34,12 +31,9 @@ def chosen_frames(frames: Iterable[int] | None, count: int) -> list[int]:
 def pieces_of(result: Reconstruction, frames: Iterable[int] | None = None) -> list[list[int]]:
     """Return the frames with a pose of each piece, the largest piece first.
 
-    Raises
-    ------
-    IndexError
-        If a frame does not exist.
-    ValueError
-        If none of the frames has a pose.
+    Raises IndexError if a frame does not exist.
+
+    Raises ValueError if none of the frames has a pose.
     """
     chosen = chosen_frames(frames, len(result))
     pieces: dict[int, list[int]] = {}
@@ -70,21 +64,12 @@ _MAX_RATE = 1000.0
 
 
 def frame_times(
-    times: Sequence[float | None], frames_per_second: float | None = None
+    times: Sequence[float | None],  # times of all frames of a sequence
+    frames_per_second: float | None = None,  # replaces `times` by evenly spaced times from 0
 ) -> NDArray[np.float64]:
     """Return the times of frames, s, or their numbers if times are unknown.
 
-    Parameters
-    ----------
-    times : sequence of float or None
-        Times of all frames of a sequence.
-    frames_per_second : float, optional
-        Replaces `times` by evenly spaced times from 0.
-
-    Raises
-    ------
-    ValueError
-        If `frames_per_second` is out of range.
+    Raises ValueError if `frames_per_second` is out of range.
     """
     if frames_per_second is not None:
         return np.arange(len(times)) / check_rate(frames_per_second)
@@ -98,10 +83,7 @@ def frame_rate(
 
     By default it is one over the median time between neighbours, or 25 if times are unknown.
 
-    Raises
-    ------
-    ValueError
-        If `frames_per_second` is out of range.
+    Raises ValueError if `frames_per_second` is out of range.
     """
     if frames_per_second is not None:
         return check_rate(frames_per_second)

@@ -155,10 +155,7 @@ def write_colmap(
 def pieces_of(result: Reconstruction) -> dict[int, list[int]]:
     """Return the frames of every piece of at least two, the largest piece first.
 
-    Raises
-    ------
-    ValueError
-        If there is no such piece.
+    Raises ValueError if there is no such piece.
     """
     frames = {k: np.flatnonzero(result.piece == k).tolist() for k in range(len(result.unit))}
     several = {k: few for k, few in frames.items() if len(few) >= MIN_FRAMES}
@@ -220,22 +217,16 @@ def _shifted(
     return lambda done, _: progress(before + done, total)
 
 
-def write_model(model: Any, folder: Path, form: Form) -> None:
+def write_model(
+    model: Any,
+    folder: Path,  # made here
+    form: Form,
+) -> None:
     """Write a reconstruction of pycolmap that has one camera, and check that it is complete.
 
     pycolmap raises no error if the disk is full, and cannot read the incomplete files then.
 
-    Parameters
-    ----------
-    model : pycolmap.Reconstruction
-    folder : Path
-        Made here.
-    form : {"binary", "text", "both"}
-
-    Raises
-    ------
-    OSError
-        If a file is incomplete.
+    Raises OSError if a file is incomplete.
     """
     folder.mkdir(parents=True)
     if form != "text":

@@ -25,16 +25,14 @@ Others = Callable[[int, np.ndarray, np.ndarray], list[int]]
 
 
 class DepthTracks:
-    """Finds points of keyframes, and of frames with few points, in other frames.
+    """Finds points of keyframes, and of frames with few points, in other frames."""
 
-    Parameters
-    ----------
-    frames : PieceFrames
-    cells : int
-        Number of cells along the longer side; a new point begins in each cell without a point.
-    """
-
-    def __init__(self, frames: PieceFrames, cells: int) -> None:
+    def __init__(
+        self,
+        frames: PieceFrames,
+        # number of cells along the longer side; a new point begins in each cell without a point
+        cells: int,
+    ) -> None:
         self._frames, self._cells = frames, cells
         self._observed: dict[int, list[np.ndarray]] = {frame: [] for frame in frames.numbers}
 

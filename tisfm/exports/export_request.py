@@ -16,30 +16,17 @@ from tisfm.results.sequence_frames import SequenceFrames
 
 @dataclass(frozen=True, kw_only=True)
 class ExportRequest:
-    """What to export, and how.
+    """What to export, and how."""
 
-    Attributes
-    ----------
-    result : Reconstruction or None
-        None for a folder of `tisfm run`.
-    frames : SequenceFrames or PairFrames
-    chosen : sequence of int
-        Numbers of the frames to export.
-    folder : Path
-        Folder of the exported files; it exists.
-    frames_per_second : float or None
-    disparity : float or None
-        Of anaglyphs and of the swinging camera, as a share of the width.
-    screen, screen_depth : float or None
-        The plane of the screen of these, as a quantile of the depth or as a depth.
-    """
-
-    result: Reconstruction | None
+    result: Reconstruction | None  # none for a folder of `tisfm run`
     frames: SequenceFrames | PairFrames
-    chosen: Sequence[int]
-    folder: Path
+    chosen: Sequence[int]  # numbers of the frames to export
+    folder: Path  # folder of the exported files; it exists
     frames_per_second: float | None = None
+    # of anaglyphs and of the swinging camera, as a share of the width
     disparity: float | None = None
+    # screen, screen_depth: the plane of the screen of these, as a quantile of the depth or as a
+    # depth
     screen: float | None = None
     screen_depth: float | None = None
 
@@ -63,10 +50,7 @@ def source_camera(export: ExportRequest) -> tuple[Camera, tuple[int, int]]:
 
     For a reconstruction these are the frames of the source, before cropping and shrinking.
 
-    Raises
-    ------
-    FileNotFoundError
-        If the reconstruction has no camera file.
+    Raises FileNotFoundError if the reconstruction has no camera file.
     """
     if isinstance(export.frames, PairFrames):
         return export.frames.camera, export.frames.shape

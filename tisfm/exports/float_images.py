@@ -26,21 +26,16 @@ def check_exr() -> None:
         ) from error
 
 
-def write_exr(path: str | os.PathLike[str], channels: Mapping[str, NDArray[np.float32]]) -> None:
+def write_exr(
+    path: str | os.PathLike[str],
+    # mapping of str to (H, W) float32: channels by name, such as Z, or R, G and B
+    channels: Mapping[str, NDArray[np.float32]],
+) -> None:
     """Write channels of float32 as a scan-line EXR file, without loss, whole or not at all.
 
-    Parameters
-    ----------
-    path : path
-    channels : mapping of str to (H, W) float32
-        Channels by name, such as Z, or R, G and B.
+    Raises ImportError if OpenEXR is not installed.
 
-    Raises
-    ------
-    ImportError
-        If OpenEXR is not installed.
-    OSError
-        If the file cannot be written.
+    Raises OSError if the file cannot be written.
     """
     check_exr()
     import OpenEXR
@@ -62,19 +57,13 @@ def write_exr(path: str | os.PathLike[str], channels: Mapping[str, NDArray[np.fl
         stream.write(content)
 
 
-def write_tiff(path: str | os.PathLike[str], values: NDArray[np.float32]) -> None:
+def write_tiff(
+    path: str | os.PathLike[str],
+    values: NDArray[np.float32],  # (H, W) or (H, W, 3) float32: three channels are red, green, blue
+) -> None:
     """Write float32 as TIFF, deflated, whole or not at all.
 
-    Parameters
-    ----------
-    path : path
-    values : (H, W) or (H, W, 3) float32
-        Three channels are red, green, blue.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
+    Raises OSError if the file cannot be written.
     """
     _write(path, ".tiff", values, [cv2.IMWRITE_TIFF_COMPRESSION, _DEFLATE])
 
@@ -82,10 +71,7 @@ def write_tiff(path: str | os.PathLike[str], values: NDArray[np.float32]) -> Non
 def write_pfm(path: str | os.PathLike[str], values: NDArray[np.float32]) -> None:
     """Write (H, W) float32 as PFM, rows from the bottom, little-endian, whole or not at all.
 
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
+    Raises OSError if the file cannot be written.
     """
     _write(path, ".pfm", values, [])
 

@@ -37,18 +37,13 @@ class _Group:
 
 
 def tracks_along_flow(
-    frames: PieceFrames, cells: int, progress: Callable[[int, int], None]
+    frames: PieceFrames,
+    # number of cells along the longer side; a new point begins in each cell without a point
+    cells: int,
+    # called with the number of finished frames and of all frames
+    progress: Callable[[int, int], None],
 ) -> list[SeenPoints]:
-    """Return points with parallax whose observations follow the image motion.
-
-    Parameters
-    ----------
-    frames : PieceFrames
-    cells : int
-        Number of cells along the longer side; a new point begins in each cell without a point.
-    progress : callable
-        Called with the number of finished frames and of all frames.
-    """
+    """Return points with parallax whose observations follow the image motion."""
     points = []
     for group in _groups(frames, cells, progress):
         points += _points_of(frames, group)

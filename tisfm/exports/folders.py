@@ -23,29 +23,18 @@ NEW, EARLIER = ".tisfm-new", ".tisfm-earlier"
 
 
 @contextmanager
-def renewed_export(folder: str | PathLike[str], about: dict[str, Any]) -> Iterator[Path]:
+def renewed_export(
+    folder: str | PathLike[str],  # made if it does not exist
+    about: dict[str, Any],  # contents of ``export.json``; the block may add to it
+) -> Iterator[Path]:
     """Yield a new folder to write an export to; it replaces the earlier export when the block ends.
 
     If an exception leaves the block, the earlier export stays, or the folder is removed if it is
     new. The next export removes what a killed process has left.
 
-    Parameters
-    ----------
-    folder : path
-        Made if it does not exist.
-    about : dict
-        Contents of ``export.json``; the block may add to it.
+    Raises FileExistsError if the folder holds files that are not of an export.
 
-    Yields
-    ------
-    Path
-
-    Raises
-    ------
-    FileExistsError
-        If the folder holds files that are not of an export.
-    OSError
-        If the folder cannot be made or written to, or another run writes to it.
+    Raises OSError if the folder cannot be made or written to, or another run writes to it.
     """
     is_new = not Path(folder).exists()
     path = make_result_folder(folder)

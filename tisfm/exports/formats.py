@@ -42,24 +42,16 @@ def _no_notes(export: ExportRequest) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Format:
-    """A format of `tisfm export`.
+    """A format of `tisfm export`."""
 
-    Attributes
-    ----------
-    write : callable
-        Takes an `ExportRequest` and a function for progress; returns the files.
-    check : callable
-        Raises errors of `write` that can be known before long work: ImportError if a package is
-        missing, ValueError if the result lacks what the format needs.
-    notes : callable
-        Returns notes on the files for the user.
-    bytes_per_pixel : float
-        Upper bound of the size of a frame in the files; 0 for files that do not grow with frames.
-    """
-
+    # takes an `ExportRequest` and a function for progress; returns the files
     write: Callable[[ExportRequest, Progress], Files]
+    # raises errors of `write` that can be known before long work: ImportError if a package is
+    # missing, ValueError if the result lacks what the format needs
     check: Callable[[ExportRequest], object]
+    # returns notes on the files for the user
     notes: Callable[[ExportRequest], list[str]] = _no_notes
+    # upper bound of the size of a frame in the files; 0 for files that do not grow with frames
     bytes_per_pixel: float = 0.0
 
 

@@ -40,10 +40,8 @@ def write_pictures(
     Links are hard links, which stay valid if the reconstruction is moved, deleted or replaced. The
     file is copied if the file system has no hard links, or the picture is a symbolic link.
 
-    Raises
-    ------
-    FileNotFoundError, tisfm.formats.FormatError
-        If a picture is missing or damaged, or of another size.
+    Raises FileNotFoundError, tisfm.formats.FormatError if a picture is missing or damaged, or of
+    another size.
     """
     folder.mkdir()
     for frame in frames:
@@ -74,10 +72,8 @@ def write_masks(result: Reconstruction, frames: Sequence[int], folder: Path, suf
 def picture_of(result: Reconstruction, frame: int) -> np.ndarray:
     """Return the picture of a frame, (H, W) or (H, W, 3) RGB uint8.
 
-    Raises
-    ------
-    FileNotFoundError, tisfm.formats.FormatError
-        If the file is missing or damaged, or its size is not that of the reconstruction.
+    Raises FileNotFoundError, tisfm.formats.FormatError if the file is missing or damaged, or its
+    size is not that of the reconstruction.
     """
     picture = result.picture(frame)
     if picture.shape[:2] != result.shape:

@@ -100,11 +100,8 @@ def frames_with_depth(frames: ResultFrames, chosen: Iterable[int] | None = None)
 def check_fits(frames: ResultFrames, chosen: list[int], kind: DepthKind) -> float:
     """Return the share of depth that 16 bits cannot hold, estimated from some of the frames.
 
-    Raises
-    ------
-    ValueError
-        If it is more than half, or if the median depth has a value below 10, so that steps are
-        coarse.
+    Raises ValueError if it is more than half, or if the median depth has a value below 10, so that
+    steps are coarse.
     """
     scale = VALUES_PER_UNIT[kind]
     depth = [depth_of(thinned(frames.inverse_depth(frame))) for frame in some_of(chosen)]

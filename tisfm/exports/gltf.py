@@ -16,27 +16,15 @@ _NEAR_PLANE = 0.01  # in the unit of the poses; set by hand
 
 
 def camera_document(
+    # (N, 4, 4) float64: camera to world, Y up, the camera looks along −Z
     poses: NDArray[np.float64],
-    times: NDArray[np.float64],
+    times: NDArray[np.float64],  # (N,) float64: s, strictly rising
     *,
-    vertical_angle: float,
-    aspect: float,
-    about: dict[str, Any],
+    vertical_angle: float,  # vertical field of view, rad
+    aspect: float,  # width of the frames over height
+    about: dict[str, Any],  # further properties of the camera, for its ``extras``
 ) -> bytes:
     """Return a glTF document that contains its binary data.
-
-    Parameters
-    ----------
-    poses : (N, 4, 4) float64
-        Camera to world, Y up, the camera looks along −Z.
-    times : (N,) float64
-        s, strictly rising.
-    vertical_angle : float
-        Vertical field of view, rad.
-    aspect : float
-        Width of the frames over height.
-    about : dict
-        Further properties of the camera, for its ``extras``.
 
     References
     ----------

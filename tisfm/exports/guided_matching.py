@@ -29,25 +29,19 @@ MIN_DEPTH = 1e-6  # least Z of a visible point, as a share of its depth in the f
 
 @dataclass(frozen=True, kw_only=True)
 class Pose:
-    """A camera and its pose.
+    """A camera and its pose."""
 
-    Attributes
-    ----------
-    camera : Camera
-        A pinhole.
-    matrix : (4, 4) float64
-        Camera to world.
-    """
-
-    camera: Camera
-    matrix: Floats
+    camera: Camera  # a pinhole
+    matrix: Floats  # (4, 4) float64: camera to world
 
 
 def measure_points(
+    # grey0, grey1: (H, W) uint8
     grey0: np.ndarray,
     grey1: np.ndarray,
+    # (N, 2) float64: (x, y) in frame 0, px from the centre of the upper left pixel
     points: np.ndarray,
-    inverse_depth: np.ndarray,
+    inverse_depth: np.ndarray,  # (H, W) float32: inverse depth of frame 0; NaN if unknown
     pose0: Pose,
     pose1: Pose,
 ) -> np.ndarray:
@@ -57,15 +51,6 @@ def measure_points(
     between frame 0 and the warped frame, forward and backward; the warp then gives the position in
     frame 1. So depth predicts the position and shapes the window, but the result is measured in the
     images: the measurement corrects errors of depth.
-
-    Parameters
-    ----------
-    grey0, grey1 : (H, W) uint8
-    points : (N, 2) float64
-        (x, y) in frame 0, px from the centre of the upper left pixel.
-    inverse_depth : (H, W) float32
-        Inverse depth of frame 0; NaN if unknown.
-    pose0, pose1 : Pose
 
     References
     ----------
@@ -99,19 +84,18 @@ def measure_points(
 
 
 def are_reliable(
-    grey0: np.ndarray, grey1: np.ndarray, points0: np.ndarray, points1: np.ndarray
+    # grey0, grey1: (H, W) uint8
+    grey0: np.ndarray,
+    grey1: np.ndarray,
+    # points0, points1: (N, 2) float64, the same points in both, px
+    points0: np.ndarray,
+    points1: np.ndarray,
 ) -> np.ndarray:
     """Return which matches look alike and are well localised in both directions, (N,) bool.
 
     The difference of the patches counts as noise. Noise moves a match by its standard deviation
     over the gradient. Along an edge the gradient is small: a match may be far off although the
     patches look alike.
-
-    Parameters
-    ----------
-    grey0, grey1 : (H, W) uint8
-    points0, points1 : (N, 2) float64
-        The same points in both, px.
     """
     if not len(points0):
         return np.zeros(0, bool)

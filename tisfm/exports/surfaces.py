@@ -121,12 +121,9 @@ def write_meshes(
 def save_points(points: PointCloud, path: str | os.PathLike[str]) -> None:
     """Write a cloud of points as PLY or GLB, by the suffix, whole or not at all.
 
-    Raises
-    ------
-    ValueError
-        If the suffix is neither ``.ply`` nor ``.glb``, or a GLB file would be empty.
-    OSError
-        If the file cannot be written.
+    Raises ValueError if the suffix is neither ``.ply`` nor ``.glb``, or a GLB file would be empty.
+
+    Raises OSError if the file cannot be written.
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".ply":

@@ -18,45 +18,26 @@ CACHED_FRAMES = 24  # frames in memory; set by hand
 
 @dataclass(frozen=True, kw_only=True)
 class SeenPoints:
-    """Points, and their observations in M frames.
+    """Points, and their observations in M frames."""
 
-    Attributes
-    ----------
-    frames : list of int
-        Numbers of the M frames.
-    image_points : (N, M, 2) float64
-        (x, y), px from the centre of the upper left pixel; NaN for no observation.
-    positions : (N, 3) float64
-        In the world.
-    residual : (N, M) float64
-        Distance from the projected point, px; NaN for no observation.
-    colors : (N, 3) uint8
-    """
-
-    frames: list[int]
+    frames: list[int]  # numbers of the M frames
+    # (N, M, 2) float64: (x, y), px from the centre of the upper left pixel; NaN for no observation
     image_points: Floats
-    positions: Floats
+    positions: Floats  # (N, 3) float64: in the world
+    # (N, M) float64: distance from the projected point, px; NaN for no observation
     residual: Floats
-    colors: np.ndarray
+    colors: np.ndarray  # (N, 3) uint8
 
 
 class PieceFrames:
-    """The frames of a piece; some pictures stay in memory.
-
-    Attributes
-    ----------
-    result : Reconstruction
-    numbers : list of int
-        Frame numbers, ascending.
-    keyframes : list of int
-    min_observations : int
-        Least number of frames that observe a point.
-    """
+    """The frames of a piece; some pictures stay in memory."""
 
     def __init__(self, result: Reconstruction, piece: int) -> None:
         self.result = result
+        # frame numbers, ascending
         self.numbers: list[int] = np.flatnonzero(result.piece == piece).tolist()
         self.keyframes = [k for k in result.keyframes if result.piece[k] == piece]
+        # least number of frames that observe a point
         self.min_observations = min(MIN_OBSERVATIONS, max(2, len(self.numbers)))
         self.grey = lru_cache(CACHED_FRAMES)(self._read_grey)
         self.usable = lru_cache(CACHED_FRAMES)(self._read_usable)

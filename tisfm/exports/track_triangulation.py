@@ -20,41 +20,23 @@ MIN_DEPTH = 1e-3  # from a camera, in initial depths
 
 @dataclass(frozen=True, kw_only=True)
 class Triangulated:
-    """Points and the residuals of their observations.
+    """Points and the residuals of their observations."""
 
-    Attributes
-    ----------
-    positions : (N, 3) float64
-    residual : (N, M) float64
-        Distance between measured and projected position, px; NaN for no observation.
-    """
-
-    positions: Floats
+    positions: Floats  # (N, 3) float64
+    # (N, M) float64: distance between measured and projected position, px; NaN for no observation
     residual: Floats
 
 
 def triangulate(
+    # (N, M, 2) float64: (x, y), px; NaN for no observation. Frame 0 has the initial depth of the
+    # points.
     image_points: np.ndarray,
-    poses: list[Pose],
-    shape: tuple[int, int],
-    initial: np.ndarray,
-    relative_std: np.ndarray,
+    poses: list[Pose],  # poses of the M frames
+    shape: tuple[int, int],  # height and width of the frames, px
+    initial: np.ndarray,  # (N, 3) float64: points by the depth of frame 0
+    relative_std: np.ndarray,  # (N,) float64: standard deviation of that depth, as a share of it
 ) -> Triangulated:
-    """Return the points of least weighted squared residuals in M frames.
-
-    Parameters
-    ----------
-    image_points : (N, M, 2) float64
-        (x, y), px; NaN for no observation. Frame 0 has the initial depth of the points.
-    poses : list of Pose
-        Poses of the M frames.
-    shape : (int, int)
-        Height and width of the frames, px.
-    initial : (N, 3) float64
-        Points by the depth of frame 0.
-    relative_std : (N,) float64
-        Standard deviation of that depth, as a share of it.
-    """
+    """Return the points of least weighted squared residuals in M frames."""
     matrices = np.array([pose.matrix for pose in poses])
     focal = np.array([pose.camera.focal for pose in poses])
     centers = np.array([pose.camera.center_for(*shape) for pose in poses])
@@ -84,30 +66,18 @@ def triangulate(
 
 
 def consistent_points(
+    # image_points, poses, shape, initial, relative_std: as for `triangulate`
     image_points: np.ndarray,
     poses: list[Pose],
     shape: tuple[int, int],
     initial: np.ndarray,
     relative_std: np.ndarray,
-    min_observations: int,
+    min_observations: int,  # least number of frames that observe a point, frame 0 among them
 ) -> tuple[np.ndarray, np.ndarray, Triangulated]:
     """Drop observations that do not fit their point, and points with too few observations.
 
-    Parameters
-    ----------
-    image_points, poses, shape, initial, relative_std
-        As for `triangulate`.
-    min_observations : int
-        Least number of frames that observe a point, frame 0 among them.
-
-    Returns
-    -------
-    kept : (N,) bool
-        Which points are kept.
-    image_points : (K, M, 2) float64
-        Their observations; NaN for dropped ones.
-    points : Triangulated
-        The same K points.
+    Returns kept, (N,) bool: which points are kept; image_points, (K, M, 2) float64: their
+    observations; NaN for dropped ones; points, the same K points.
     """
     batch = max(1, BATCH // len(poses))
     parts = [

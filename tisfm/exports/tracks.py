@@ -17,30 +17,17 @@ CELLS = 80  # along the longer side: each cell without a point gets a new group;
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tracks:
-    """Points of one piece, and their observations in frames.
+    """Points of one piece, and their observations in frames."""
 
-    Attributes
-    ----------
-    positions : (P, 3) float64
-        In the world, in the unit of the poses.
-    colors : (P, 3) uint8
-        Red, green, blue.
-    points : (O,) int32
-        Point of every observation. Observations of the same point are adjacent.
-    frames : (O,) int32
-        Frame of every observation.
-    image_points : (O, 2) float64
-        Measured position (x, y) in the frame, px from the centre of the upper left pixel.
-    residual : (O,) float64
-        Distance of the measured position from the projected point, px.
-    """
-
-    positions: Floats
-    colors: np.ndarray
+    positions: Floats  # (P, 3) float64: in the world, in the unit of the poses
+    colors: np.ndarray  # (P, 3) uint8: red, green, blue
+    # (O,) int32: point of every observation. Observations of the same point are adjacent.
     points: np.ndarray
-    frames: np.ndarray
+    frames: np.ndarray  # (O,) int32: frame of every observation
+    # (O, 2) float64: measured position (x, y) in the frame, px from the centre of the upper left
+    # pixel
     image_points: Floats
-    residual: Floats
+    residual: Floats  # (O,) float64: distance of the measured position from the projected point, px
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -50,7 +37,9 @@ def measured_tracks(
     result: Reconstruction,
     piece: int,
     *,
+    # distance of new points in a frame, px; by default 1/80 of the longer side
     spacing: float | None = None,
+    # called with the number of finished frames and of all frames
     progress: Callable[[int, int], None] | None = None,
 ) -> Tracks:
     """Return tracks of corners through the frames of a piece.
@@ -64,21 +53,10 @@ def measured_tracks(
     That tracker cannot replace the prediction: its tracks end within tens of frames, while depth
     and poses also find a point in frames that see it again later, and from afar.
 
-    Parameters
-    ----------
-    result : Reconstruction
-    piece : int
-    spacing : float, optional
-        Distance of new points in a frame, px; by default 1/80 of the longer side.
-    progress : callable, optional
-        Called with the number of finished frames and of all frames.
+    Raises ValueError if the piece does not exist, or the spacing is not positive.
 
-    Raises
-    ------
-    ValueError
-        If the piece does not exist, or the spacing is not positive.
-    FileNotFoundError, tisfm.formats.FormatError
-        If files of the reconstruction are missing or damaged.
+    Raises FileNotFoundError, tisfm.formats.FormatError if files of the reconstruction are missing
+    or damaged.
     """
     if not 0 <= piece < len(result.unit):
         raise InputError(f"piece is {piece}: expected 0 to {len(result.unit) - 1}")
@@ -99,10 +77,7 @@ def _ignore(done: int, count: int) -> None:
 def cells_of(shape: tuple[int, int], spacing: float | None) -> int:
     """Return the number of cells along the longer side of the frames.
 
-    Raises
-    ------
-    ValueError
-        If the spacing is not a positive number of px.
+    Raises ValueError if the spacing is not a positive number of px.
     """
     if spacing is None:
         return CELLS

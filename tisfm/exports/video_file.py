@@ -58,10 +58,7 @@ class VideoWriter:
     def add(self, picture: NDArray[np.uint8]) -> None:
         """Add a frame, (H, W, 3) RGB. The last column or row is repeated if a side is odd.
 
-        Raises
-        ------
-        ValueError
-            If its size differs from the first frame, or is too large for H.264.
+        Raises ValueError if its size differs from the first frame, or is too large for H.264.
         """
         from av import VideoFrame
 
@@ -109,19 +106,11 @@ class VideoWriter:
 def video_file(path: str | os.PathLike[str], frames_per_second: float) -> Iterator[VideoWriter]:
     """Yield a writer for a video, which exists only if the block ends without an exception.
 
-    Parameters
-    ----------
-    path : path
-    frames_per_second : float
+    Raises ImportError if PyAV is not installed.
 
-    Raises
-    ------
-    ImportError
-        If PyAV is not installed.
-    ValueError
-        At the end, if there is no frame.
-    OSError
-        If the file cannot be written.
+    Raises ValueError: at the end, if there is no frame.
+
+    Raises OSError if the file cannot be written.
     """
     check_video()
     import av

@@ -38,30 +38,24 @@ class InputFiles:
 
     Files are compared by their identity in the file system, not by their names: symbolic and hard
     links, "..", and names that differ only in case may all lead to one file.
-
-    Parameters
-    ----------
-    files : iterable of paths
-        Files that do not exist are ignored.
     """
 
-    def __init__(self, files: Paths = ()) -> None:
+    def __init__(
+        self,
+        files: Paths = (),  # files that do not exist are ignored
+    ) -> None:
         self._known: dict[Hashable, str] = {
             identity: os.fspath(file) for file in files for identity in _identities(file)
         }
 
-    def refuse(self, *outputs: str | os.PathLike[str]) -> None:
+    def refuse(
+        self,
+        # files that are about to be written, whether they exist or not
+        *outputs: str | os.PathLike[str],
+    ) -> None:
         """Raise an error if a result would replace one of the files.
 
-        Parameters
-        ----------
-        *outputs : path
-            Files that are about to be written, whether they exist or not.
-
-        Raises
-        ------
-        ValueError
-            If an output is one of the input files.
+        Raises ValueError if an output is one of the input files.
         """
         for output in outputs:
             for identity in _identities(output):
@@ -73,23 +67,18 @@ class InputFiles:
 
 
 @contextlib.contextmanager
-def locked_folder(folder: str | os.PathLike[str], *, reentrant: bool = False) -> Iterator[None]:
+def locked_folder(
+    folder: str | os.PathLike[str],  # an existing folder
+    *,
+    # Whether the same thread may lock the folder again within the block. Such inner blocks do
+    # nothing.
+    reentrant: bool = False,
+) -> Iterator[None]:
     """Lock a folder within the block, and remove the temporary files of runs that were killed.
 
     The operating system releases the lock when the process ends, even if it is killed.
 
-    Parameters
-    ----------
-    folder : path
-        An existing folder.
-    reentrant : bool
-        Whether the same thread may lock the folder again within the block. Such inner blocks do
-        nothing.
-
-    Raises
-    ------
-    FolderInUseError
-        An OSError: if another run holds the lock.
+    Raises FolderInUseError: an OSError: if another run holds the lock.
     """
     path = Path(folder)
     reentrant_folders: set[Path] = _thread_state.__dict__.setdefault("reentrant", set())
@@ -158,10 +147,7 @@ def presence_file(folder: Path) -> Iterator[Path]:
 def make_result_folder(folder: str | os.PathLike[str]) -> Path:
     """Make a folder for results, unless it exists, and check that files can be written to it.
 
-    Raises
-    ------
-    OSError
-        If the folder cannot be made or written to.
+    Raises OSError if the folder cannot be made or written to.
     """
     folder = Path(folder)
     try:
@@ -179,10 +165,7 @@ def make_subfolder(path: Path) -> Path:
 
     A link of this name is removed first.
 
-    Raises
-    ------
-    OSError
-        If the folder cannot be made.
+    Raises OSError if the folder cannot be made.
     """
     remove_link(path)
     try:
@@ -199,10 +182,7 @@ def remove(path: Path) -> None:
 
     The target of a link stays.
 
-    Raises
-    ------
-    OSError
-        If the path cannot be removed.
+    Raises OSError if the path cannot be removed.
     """
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)

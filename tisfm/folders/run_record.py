@@ -109,10 +109,8 @@ class RunRecord:
     def resume(self) -> None:
         """Continue from the record in the folder, if there is one.
 
-        Raises
-        ------
-        ValueError
-            If the record is damaged, or of another request; the message names the differences.
+        Raises ValueError if the record is damaged, or of another request; the message names the
+        differences.
         """
         before = self._before
         if isinstance(before, ValueError):
@@ -184,16 +182,11 @@ class RunRecord:
         self._next = end + max(_LEAST_APART, _SHARE * (end - begin))
 
 
-def refuse_other_format(path: Path, record: Any) -> None:
-    """Raise FormatError if a record is of a format that this version does not read.
-
-    Parameters
-    ----------
-    path : Path
-        Path of the file, for the message.
-    record : object
-        Its JSON. JSON that is not a record of any version raises nothing here.
-    """
+def refuse_other_format(
+    path: Path,  # path of the file, for the message
+    record: Any,  # Its JSON. JSON that is not a record of any version raises nothing here.
+) -> None:
+    """Raise FormatError if a record is of a format that this version does not read."""
     if not isinstance(record, dict) or not {"format", "version"} & record.keys():
         return
     found = record.get("format", 1)  # files of format 1 do not state it
@@ -205,25 +198,15 @@ def refuse_other_format(path: Path, record: Any) -> None:
 
 
 def is_unchanged(
-    folder: Path, name: str, pair: Mapping[str, Any], digest: str, endings: Collection[str]
+    folder: Path,
+    name: str,
+    pair: Mapping[str, Any],  # the entry of the pair in the record
+    digest: str,  # hash of the pair's frames, and of its pose and masks if those were given
+    endings: Collection[str],  # endings of its files
 ) -> bool:
     """Return whether the files of a pair are unchanged since it was finished.
 
-    Parameters
-    ----------
-    folder : Path
-    name : str
-    pair : mapping
-        The entry of the pair in the record.
-    digest : str
-        Hash of the pair's frames, and of its pose and masks if those were given.
-    endings : collection of str
-        Endings of its files.
-
-    Raises
-    ------
-    ValueError
-        If the finished pair had other frames, or another pose or mask.
+    Raises ValueError if the finished pair had other frames, or another pose or mask.
     """
     if pair["frames"] != digest:
         raise InputError(
@@ -240,10 +223,7 @@ def is_unchanged(
 def read_record(folder: Path) -> dict[str, Any] | None:
     """Return the record of the run in a folder; None if there is none.
 
-    Raises
-    ------
-    ValueError
-        If it is damaged, or of another format.
+    Raises ValueError if it is damaged, or of another format.
     """
     about = _of_any_format(folder)
     refuse_other_format(folder / RECORD, about)

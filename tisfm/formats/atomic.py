@@ -93,10 +93,7 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = False) -> Iter
 def copy_file(source: str | os.PathLike[str], target: str | os.PathLike[str]) -> None:
     """Copy a file; after an error there is no incomplete copy.
 
-    Raises
-    ------
-    OSError
-        If the source cannot be read, or the target cannot be written.
+    Raises OSError if the source cannot be read, or the target cannot be written.
     """
     with open_file(source) as original, atomic_write(target) as file:
         shutil.copyfileobj(original, file, _BUFFER_SIZE)
@@ -107,10 +104,7 @@ def link_or_copy(source: str | os.PathLike[str], target: str | os.PathLike[str])
 
     The file behind a symbolic link is copied: the target is never a symbolic link.
 
-    Raises
-    ------
-    OSError
-        If the source cannot be read, or the target cannot be written.
+    Raises OSError if the source cannot be read, or the target cannot be written.
     """
     if not os.path.islink(source):
         with contextlib.suppress(OSError):

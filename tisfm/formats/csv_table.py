@@ -10,17 +10,14 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
 _QUOTE = "'"  # it makes a cell text, as in spreadsheets
 
 
-def csv_table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+def csv_table(
+    columns: Sequence[str],
+    rows: Iterable[Sequence[Any]],  # texts, numbers, and None for an empty cell
+) -> str:
     """Return rows as CSV in which a spreadsheet reads no text as a formula.
 
     A text that begins like a formula, or with ``'``, gets a ``'`` in front: remove this ``'`` to
     get the original text. Numbers stay as they are.
-
-    Parameters
-    ----------
-    columns : sequence of str
-    rows : iterable of sequences
-        Texts, numbers, and None for an empty cell.
     """
     return "".join(_line([_quoted(cell) for cell in row]) for row in (columns, *rows))
 

@@ -26,29 +26,18 @@ _TAG = struct.pack("<f", TAG)
 _HEADER = struct.Struct("<4sii")  # tag, width, height
 
 
-def read_tagged(path: str | os.PathLike[str], *, suffix: str, channels: int) -> NDArray[np.float32]:
+def read_tagged(
+    path: str | os.PathLike[str],  # file to read
+    *,
+    suffix: str,  # suffix of such files, such as ".flo", for messages
+    channels: int,  # values per pixel
+) -> NDArray[np.float32]:  # (H, W, channels) float32 ndarray: values as stored
     """Read a file with a tag, int32 width and height, and float32 values, the top row first.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        File to read.
-    suffix : str
-        Suffix of such files, such as ".flo", for messages.
-    channels : int
-        Values per pixel.
+    Raises FormatError if the tag is wrong, the size absurd, or the file shorter or longer than its
+    header says.
 
-    Returns
-    -------
-    (H, W, channels) float32 ndarray
-        Values as stored.
-
-    Raises
-    ------
-    FormatError
-        If the tag is wrong, the size absurd, or the file shorter or longer than its header says.
-    OSError
-        If the file does not exist or cannot be read.
+    Raises OSError if the file does not exist or cannot be read.
     """
     name = os.fspath(path)
     data = read_bytes(name)
@@ -78,29 +67,22 @@ def read_tagged(path: str | os.PathLike[str], *, suffix: str, channels: int) -> 
 
 
 def write_tagged(
-    path: str | os.PathLike[str], name: str, values: ArrayLike, *, channels: int
+    path: str | os.PathLike[str],  # file to write
+    name: str,  # name of the values in messages
+    # (H, W) or (H, W, channels) array_like of real numbers: values, stored as float32; (H, W) for
+    # one channel
+    values: ArrayLike,
+    *,
+    channels: int,  # values per pixel
 ) -> None:
     """Write a file as `read_tagged` reads it; after an error there is no incomplete file.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        File to write.
-    name : str
-        Name of the values in messages.
-    values : (H, W) or (H, W, channels) array_like of real numbers
-        Values, stored as float32; (H, W) for one channel.
-    channels : int
-        Values per pixel.
+    Raises ValueError if `values` has another shape, a side is not from 1 to 99999, or a value is
+    masked.
 
-    Raises
-    ------
-    ValueError
-        If `values` has another shape, a side is not from 1 to 99999, or a value is masked.
-    TypeError
-        If `values` does not hold real numbers.
-    OSError
-        If the file cannot be written.
+    Raises TypeError if `values` does not hold real numbers.
+
+    Raises OSError if the file cannot be written.
     """
     array = as_real(name, values)
     inner = (channels,) if channels > 1 else ()

@@ -24,33 +24,22 @@ UNLIT = "KHR_materials_unlit"
 
 
 def glb_surface(
-    vertices: NDArray[np.floating], faces: NDArray[np.integer], colors: NDArray[np.uint8]
+    vertices: NDArray[np.floating],  # (N, 3) float
+    faces: NDArray[np.integer],  # (M, 3) int
+    colors: NDArray[np.uint8],  # (N, 3) uint8: sRGB
 ) -> bytes:
-    """Return a surface with a colour at each vertex, visible from both sides.
-
-    Parameters
-    ----------
-    vertices : (N, 3) float
-    faces : (M, 3) int
-    colors : (N, 3) uint8
-        sRGB.
-    """
+    """Return a surface with a colour at each vertex, visible from both sides."""
     from trimesh import Trimesh  # slow to import
 
     mesh = Trimesh(vertices=vertices, faces=faces, vertex_colors=colors, process=False)
     return _export(mesh.scene(), colors)
 
 
-def glb_points(positions: NDArray[np.floating], colors: NDArray[np.uint8]) -> bytes:
-    """Return coloured points.
-
-    Parameters
-    ----------
-    positions : (N, 3) float
-        At least one.
-    colors : (N, 3) uint8
-        sRGB.
-    """
+def glb_points(
+    positions: NDArray[np.floating],  # (N, 3) float: at least one
+    colors: NDArray[np.uint8],  # (N, 3) uint8: sRGB
+) -> bytes:
+    """Return coloured points."""
     from trimesh import PointCloud, Scene  # slow to import
 
     opaque = np.column_stack([colors, np.full(len(colors), 255, np.uint8)])

@@ -42,18 +42,12 @@ _STRIP_TAGS = (273, 279)  # StripOffsets, StripByteCounts
 _TILE_TAGS = (324, 325)  # TileOffsets, TileByteCounts
 
 
-def missing_part(data: bytes) -> str | None:
+def missing_part(
+    data: bytes,  # the whole file
+) -> str | None:
     """Name the first part of a PNG or TIFF file that lies beyond the end of the file.
 
-    Parameters
-    ----------
-    data : bytes
-        The whole file.
-
-    Returns
-    -------
-    str or None
-        The part, such as "its end mark"; None if no part is missing, and for other formats.
+    Returns the part, such as "its end mark"; None if no part is missing, and for other formats.
     """
     if data.startswith(SIGNATURE):
         return _missing_part_of_png(data)
@@ -65,18 +59,12 @@ def missing_part(data: bytes) -> str | None:
     return None
 
 
-def refuse_large_image(name: str, data: bytes, pixels: int | None = None) -> None:
-    """Raise FormatError for an image of more than `LARGEST_PICTURE` pixels.
-
-    Parameters
-    ----------
-    name : str
-        Name of the file, for the message.
-    data : bytes
-        The whole file.
-    pixels : int, optional
-        Number of pixels; read from the header of the file if not given.
-    """
+def refuse_large_image(
+    name: str,  # name of the file, for the message
+    data: bytes,  # the whole file
+    pixels: int | None = None,  # number of pixels; read from the header of the file if not given
+) -> None:
+    """Raise FormatError for an image of more than `LARGEST_PICTURE` pixels."""
     pixels = _stated_pixels(data) if pixels is None else pixels
     if pixels is None and data.startswith(FLOAT_SIGNATURES):
         # OpenCV may take other numbers in the file for its size.

@@ -30,22 +30,14 @@ _MIN_STEP = 1e-4  # s; a smaller median step means numbers of frames or versions
 
 @dataclass(frozen=True)
 class ParsedTimes:
-    """Times read from the file names of images.
+    """Times read from the file names of images."""
 
-    Attributes
-    ----------
-    seconds : tuple of float
-        Times in the order of the names.
-    reading : {"decimals", "nanoseconds", "integers"}
-        The notation: seconds with decimals; seconds, a point and nanoseconds without leading
-        zeros; or a whole number of nanoseconds.
-    is_inferred : bool
-        Whether one name alone is ambiguous, and only all names together tell the notation: the
-        digits after the point differ in number, or a name has a minus or an exponent.
-    """
-
-    seconds: tuple[float, ...]
+    seconds: tuple[float, ...]  # times in the order of the names
+    # the notation: seconds with decimals; seconds, a point and nanoseconds without leading zeros;
+    # or a whole number of nanoseconds
     reading: Reading
+    # whether one name alone is ambiguous, and only all names together tell the notation: the digits
+    # after the point differ in number, or a name has a minus or an exponent
     is_inferred: bool
 
     def note(self, stems: Sequence[str]) -> str:
@@ -64,7 +56,11 @@ class ParsedTimes:
         )
 
 
-def parse_times(stems: Sequence[str]) -> ParsedTimes | None:
+def parse_times(
+    # Names without their suffix. They may have a common prefix, such as ``frame_``, if their digits
+    # after the point differ in number.
+    stems: Sequence[str],
+) -> ParsedTimes | None:
     """Return the times in file names; None if the names have no times.
 
     Names of 19 digits are nanoseconds, as in EuRoC. Names with the same number of digits after a
@@ -74,16 +70,6 @@ def parse_times(stems: Sequence[str]) -> ParsedTimes | None:
     takes, and a trailing zero excludes a float. A median step below 0.1 ms excludes times. Of the
     remaining notations, the one with the most even steps is used. Numbers right behind a letter, as
     in ``t0.05``, are times only if their steps are even. Floats may have a minus or an exponent.
-
-    Parameters
-    ----------
-    stems : sequence of str
-        Names without their suffix. They may have a common prefix, such as ``frame_``, if their
-        digits after the point differ in number.
-
-    Returns
-    -------
-    ParsedTimes or None
     """
     if len(stems) < 2:
         return None
@@ -134,19 +120,13 @@ def _prefix_and_numbers(stems: Sequence[str]) -> tuple[str, list[str]] | None:
     return None
 
 
-def increasing_times(stems: Sequence[str]) -> tuple[float, ...] | None:
+def increasing_times(
+    stems: Sequence[str],  # names without their suffix
+) -> tuple[float, ...] | None:
     """Return the times in the names of images, s, if they increase in this order.
 
-    Parameters
-    ----------
-    stems : sequence of str
-        Names without their suffix.
-
-    Returns
-    -------
-    tuple of float or None
-        None if `parse_times` finds no times, or they do not increase: then they may be numbers of
-        frames.
+    Returns none if `parse_times` finds no times, or they do not increase: then they may be numbers
+    of frames.
     """
     found = parse_times(stems)
     if found is None or not all(later > sooner for sooner, later in pairwise(found.seconds)):

@@ -14,25 +14,16 @@ from tisfm.formats.image_headers import PILLOW_FORMATS, missing_part
 from tisfm.formats.reading import FormatError, read_bytes
 
 
-def read_label_picture(path: str | os.PathLike[str]) -> NDArray[np.uint8]:
+def read_label_picture(
+    # file to read: an indexed or grey image of at most 8 bits, or an RGB image whose three channels
+    # are equal
+    path: str | os.PathLike[str],
+) -> NDArray[np.uint8]:  # (H, W) uint8 ndarray
     """Read the labels of pixels: indices of a palette of any colours, or grey levels.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        File to read: an indexed or grey image of at most 8 bits, or an RGB image whose three
-        channels are equal.
+    Raises FormatError if the file is damaged, or is not such an image.
 
-    Returns
-    -------
-    (H, W) uint8 ndarray
-
-    Raises
-    ------
-    FormatError
-        If the file is damaged, or is not such an image.
-    OSError
-        If the file does not exist or cannot be read.
+    Raises OSError if the file does not exist or cannot be read.
     """
     name = os.fspath(path)
     data = _whole(name)
@@ -58,12 +49,9 @@ def has_colour_palette(path: str | os.PathLike[str]) -> bool:
 
     Most images of labels do; an indexed image of grey levels does not.
 
-    Raises
-    ------
-    FormatError
-        If the file is not an image.
-    OSError
-        If the file does not exist or cannot be read.
+    Raises FormatError if the file is not an image.
+
+    Raises OSError if the file does not exist or cannot be read.
     """
     name = os.fspath(path)
     data = _whole(name)
@@ -101,21 +89,15 @@ def label_colours() -> NDArray[np.uint8]:
     return colours
 
 
-def write_label_png(path: str | os.PathLike[str], labels: NDArray[Any]) -> None:
+def write_label_png(
+    path: str | os.PathLike[str],
+    labels: NDArray[Any],  # (H, W) int array: from 0 to 255
+) -> None:
     """Write labels as an indexed PNG image; after an error there is no incomplete file.
 
-    Parameters
-    ----------
-    path : path
-    labels : (H, W) int array
-        From 0 to 255.
+    Raises ValueError if `labels` has another shape or type, or values outside 0 to 255.
 
-    Raises
-    ------
-    ValueError
-        If `labels` has another shape or type, or values outside 0 to 255.
-    OSError
-        If the file cannot be written.
+    Raises OSError if the file cannot be written.
     """
     array = np.asarray(labels)
     if array.ndim != 2 or array.dtype.kind not in "biu":

@@ -49,20 +49,14 @@ DAMAGE_ERRORS = (
 """Errors that zipfile and NumPy's reader of headers raise for damaged files."""
 
 
-def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> None:
+def write_npz(
+    path: str | os.PathLike[str],  # file to write; no suffix is added
+    # mapping of str to ndarray: arrays without Python objects, by their names
+    arrays: Mapping[str, NDArray[Any]],
+) -> None:
     """Write arrays to an .npz file without compression; after an error there is no incomplete file.
 
-    Parameters
-    ----------
-    path : path
-        File to write; no suffix is added.
-    arrays : mapping of str to ndarray
-        Arrays without Python objects, by their names.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
+    Raises OSError if the file cannot be written.
     """
     with (
         atomic_write(path) as file,
@@ -78,10 +72,7 @@ def write_npy(path: str | os.PathLike[str], array: NDArray[Any]) -> None:
 
     Unlike those of `numpy.save`, errors name the file and the reason, such as a full disk.
 
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
+    Raises OSError if the file cannot be written.
     """
     with atomic_write(path) as file:
         _write_array(file, array)
@@ -101,31 +92,18 @@ class NpzFile:
     No array is longer than the file. Compressed parts are refused, unless `read` is given a
     greatest length.
 
-    Parameters
-    ----------
-    path : path
+    Raises FileNotFoundError, IsADirectoryError, OSError if there is no such file, or it cannot be
+    read.
 
-    Attributes
-    ----------
-    name : str
-        Path of the file.
-    length : int
-        Length of the file, bytes.
-
-    Raises
-    ------
-    FileNotFoundError, IsADirectoryError, OSError
-        If there is no such file, or it cannot be read.
-    FormatError
-        If the file is not an .npz file, or is cut off.
+    Raises FormatError if the file is not an .npz file, or is cut off.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.name = os.fspath(path)
+        self.name = os.fspath(path)  # path of the file
         self._opened = contextlib.ExitStack()
         file = self._opened.enter_context(open_file(path))
         try:
-            self.length = os.fstat(file.fileno()).st_size
+            self.length = os.fstat(file.fileno()).st_size  # length of the file, bytes
             self._archive = self._opened.enter_context(self._checked(zipfile.ZipFile, file))
         except BaseException:
             self._opened.close()
@@ -170,25 +148,17 @@ class NpzFile:
             shape, dtype, _ = self._checked(_read_header, name, part)
             return shape, dtype
 
-    def read(self, name: str, *, max_bytes: int | None = None) -> NDArray[Any]:
+    def read(
+        self,
+        name: str,
+        *,
+        # Greatest length of the array. With this bound, the part may be compressed.
+        max_bytes: int | None = None,
+    ) -> NDArray[Any]:  # ndarray: writable
         """Read an array.
 
-        Parameters
-        ----------
-        name : str
-        max_bytes : int, optional
-            Greatest length of the array. With this bound, the part may be compressed.
-
-        Returns
-        -------
-        ndarray
-            Writable.
-
-        Raises
-        ------
-        FormatError
-            If the part is damaged, longer or shorter than its header states, or longer than
-            `max_bytes`.
+        Raises FormatError if the part is damaged, longer or shorter than its header states, or
+        longer than `max_bytes`.
         """
         allowed = ALLOWED_COMPRESSIONS if max_bytes is not None else (zipfile.ZIP_STORED,)
         with self._part(name, allowed) as part:

@@ -35,20 +35,12 @@ _BLOCK_SIZE = 2**17  # bytes that are processed at a time: they stay in the cach
 
 @dataclass(frozen=True, kw_only=True)
 class Packing:
-    """How an array was packed.
-
-    Attributes
-    ----------
-    shape : tuple of int
-    integer_type : str
-        Type of the integers in the stream: uint8, uint16, int16, int32 or uint32.
-    step : float or None
-        Factor from the integers to the values of a float32 array. None if the integers are the
-        array itself, or (uint32 for float32) its sign, exponent and leading bits.
-    """
+    """How an array was packed."""
 
     shape: tuple[int, ...]
-    integer_type: str
+    integer_type: str  # type of the integers in the stream: uint8, uint16, int16, int32 or uint32
+    # Factor from the integers to the values of a float32 array. None if the integers are the array
+    # itself, or (uint32 for float32) its sign, exponent and leading bits.
     step: float | None
 
     @property
@@ -64,10 +56,7 @@ class Packing:
     def from_json(cls, about: Any, kinds: Collection[str]) -> "Packing":
         """Return the packing that `to_json` wrote; its integers must be of one of these types.
 
-        Raises
-        ------
-        ValueError
-            If `about` is anything else.
+        Raises ValueError if `about` is anything else.
         """
         if not isinstance(about, dict) or set(about) != {"shape", "of", "step"}:
             raise InputError(f"is packed as {about!r}, expected shape, of and step")
@@ -85,20 +74,15 @@ class Packing:
 
 
 def pack(
-    array: NDArray[Any], *, row_axis: int, step: float | None = None
+    array: NDArray[Any],  # ndarray of float32, or of integers or booleans of at most 4 bytes
+    *,
+    row_axis: int,  # the axis along which differences are taken
+    # A power of two: float32 values are rounded to multiples of it, or of a smaller power of two
+    # where all values are small: at most 2⁻¹² of the largest one. Without a step, each value is
+    # rounded to 12 significant bits.
+    step: float | None = None,
 ) -> tuple[NDArray[np.uint8], Packing] | None:
-    """Return an array as a zlib stream, and its packing; None if it cannot be packed.
-
-    Parameters
-    ----------
-    array : ndarray of float32, or of integers or booleans of at most 4 bytes
-    row_axis : int
-        The axis along which differences are taken.
-    step : float, optional
-        A power of two: float32 values are rounded to multiples of it, or of a smaller power of two
-        where all values are small: at most 2⁻¹² of the largest one. Without a step, each value is
-        rounded to 12 significant bits.
-    """
+    """Return an array as a zlib stream, and its packing; None if it cannot be packed."""
     if array.dtype != np.float32:
         integers = array.view(np.uint8) if array.dtype == np.bool_ else array
     elif step is None:
@@ -116,24 +100,16 @@ def pack(
 
 
 def unpack(
-    stream: NDArray[np.uint8], packing: Packing, kind: np.dtype, *, row_axis: int
+    stream: NDArray[np.uint8],  # (N,) uint8
+    packing: Packing,
+    kind: np.dtype,  # type of the array
+    *,
+    row_axis: int,  # as for `pack`
 ) -> NDArray[Any]:
     """Return the array that was packed.
 
-    Parameters
-    ----------
-    stream : (N,) uint8
-    packing : Packing
-    kind : dtype
-        Type of the array.
-    row_axis : int
-        As for `pack`.
-
-    Raises
-    ------
-    ValueError
-        If the stream is damaged, or has another number of integers. No more bytes are unpacked
-        than the array has.
+    Raises ValueError if the stream is damaged, or has another number of integers. No more bytes are
+    unpacked than the array has.
     """
     integers = _decompress(stream, packing.shape, packing.kind, row_axis)
     if packing.step is not None:

@@ -26,20 +26,13 @@ _LEVEL = 1
 _MAX_CHUNK = 2**30  # bytes; the format allows 2³¹ - 1
 
 
-def encode_png(image: NDArray[Any], texts: Mapping[str, str] | None = None) -> Iterator[bytes]:
+def encode_png(
+    # (H, W) or (H, W, 3) uint8 or uint16 ndarray: grey levels, or colours in the order red, green,
+    # blue; not empty
+    image: NDArray[Any],
+    texts: Mapping[str, str] | None = None,  # text chunks by their keyword, both in ASCII
+) -> Iterator[bytes]:  # each the parts of the file, in order
     """Encode an image.
-
-    Parameters
-    ----------
-    image : (H, W) or (H, W, 3) uint8 or uint16 ndarray
-        Grey levels, or colours in the order red, green, blue; not empty.
-    texts : mapping of str to str, optional
-        Text chunks by their keyword, both in ASCII.
-
-    Yields
-    ------
-    bytes
-        The parts of the file, in order.
 
     References
     ----------

@@ -19,29 +19,18 @@ class FormatError(InputError):
     """
 
 
-def read_bytes(path: str | os.PathLike[str]) -> bytes:
+def read_bytes(
+    path: str | os.PathLike[str],  # file to read
+) -> bytes:  # its contents, at least one byte
     """Read a whole file.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        File to read.
+    Raises FileNotFoundError if there is no such file.
 
-    Returns
-    -------
-    bytes
-        Its contents, at least one byte.
+    Raises IsADirectoryError if `path` is a folder.
 
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    IsADirectoryError
-        If `path` is a folder.
-    OSError
-        If `path` is a device or a pipe, or the file cannot be read for another reason.
-    FormatError
-        If the file is empty.
+    Raises OSError if `path` is a device or a pipe, or the file cannot be read for another reason.
+
+    Raises FormatError if the file is empty.
     """
     with open_file(path) as file:
         try:
@@ -53,23 +42,12 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
     return data
 
 
-def open_file(path: str | os.PathLike[str]) -> BinaryIO:
+def open_file(
+    path: str | os.PathLike[str],  # file to read
+) -> BinaryIO:  # the caller closes it
     """Open a file for reading bytes.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        File to read.
-
-    Returns
-    -------
-    BinaryIO
-        The caller closes it.
-
-    Raises
-    ------
-    FileNotFoundError, IsADirectoryError, OSError
-        As `read_bytes`.
+    Raises FileNotFoundError, IsADirectoryError, OSError: as `read_bytes`.
     """
     name = os.fspath(path)
     try:
@@ -86,14 +64,10 @@ def open_file(path: str | os.PathLike[str]) -> BinaryIO:
 
 
 @contextlib.contextmanager
-def opencv_memory_errors(name: str) -> Iterator[None]:
-    """Turn OpenCV's error for too little memory into a MemoryError.
-
-    Parameters
-    ----------
-    name : str
-        File that is read or written, for the message.
-    """
+def opencv_memory_errors(
+    name: str,  # file that is read or written, for the message
+) -> Iterator[None]:
+    """Turn OpenCV's error for too little memory into a MemoryError."""
     try:
         yield
     except cv2.error as error:
@@ -118,10 +92,7 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
     Bytes that are not UTF-8 become U+FFFD: that is harmless in a comment, and fails as a number.
 
-    Raises
-    ------
-    OSError, FormatError
-        As `tisfm.formats.reading.read_bytes`.
+    Raises OSError, FormatError: as `tisfm.formats.reading.read_bytes`.
     """
     return read_bytes(path).decode("utf-8-sig", "replace")
 
@@ -129,12 +100,10 @@ def read_text(path: str | os.PathLike[str]) -> str:
 def read_json(path: str | os.PathLike[str]) -> Any:
     """Read JSON.
 
-    Raises
-    ------
-    FormatError
-        If the file is not JSON, is nested too deeply, or has a number of thousands of digits.
-    OSError
-        As `tisfm.formats.reading.read_bytes`.
+    Raises FormatError if the file is not JSON, is nested too deeply, or has a number of thousands
+    of digits.
+
+    Raises OSError: as `tisfm.formats.reading.read_bytes`.
     """
     data = read_bytes(path)
     try:

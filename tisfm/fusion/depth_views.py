@@ -23,31 +23,19 @@ much error. Set by hand."""
 class DepthView:
     """A frame, its depth, and the pose of its camera.
 
-    Attributes
-    ----------
-    inverse_depth : (H, W) float32
-        Inverse depth, per unit of the pose. Unknown where it is not finite or not positive.
-    inverse_depth_std : (H, W) float32
-        Standard deviation of the inverse depth. Pixels where it is not finite are not used.
-    pose : (4, 4) float64
-        Camera to world. A view with NaN in its pose is not used.
-    frame : (H, W) or (H, W, 3) uint8
-        Grey, or red, green and blue.
-    camera : Camera
-        Without distortion.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an array has another shape or type, or a value is masked; if the pose is not a rotation
-        and a translation; if the camera has distortion.
+    Raises TypeError, ValueError if an array has another shape or type, or a value is masked; if the
+    pose is not a rotation and a translation; if the camera has distortion.
     """
 
+    # (H, W) float32: inverse depth, per unit of the pose. Unknown where it is not finite or not
+    # positive.
     inverse_depth: NDArray[np.float32]
+    # (H, W) float32: standard deviation of the inverse depth. Pixels where it is not finite are not
+    # used.
     inverse_depth_std: NDArray[np.float32]
-    pose: Floats
-    frame: NDArray[np.uint8]
-    camera: Camera
+    pose: Floats  # (4, 4) float64: camera to world. A view with NaN in its pose is not used.
+    frame: NDArray[np.uint8]  # (H, W) or (H, W, 3) uint8: grey, or red, green and blue
+    camera: Camera  # without distortion
 
     def __post_init__(self) -> None:
         inverse_depth = unmasked(self.inverse_depth, "inverse_depth", np.float32)
@@ -83,24 +71,15 @@ class DepthView:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PosedDepth:
-    """A view in the form that kernels take, with lengths in the unit of `PosedViews`.
+    """A view in the form that kernels take, with lengths in the unit of `PosedViews`."""
 
-    Attributes
-    ----------
-    inverse_depth, deviation : (H, W) float32
-        Inverse depth and its standard deviation; 0 where depth is unknown or not used.
-    colors : (H, W, 3) float32
-    pose : (4, 4) float64
-        Camera to world.
-    intrinsics : (3, 3) float64
-        From camera axes to pixels.
-    """
-
+    # inverse_depth, deviation: (H, W) float32, inverse depth and its standard deviation; 0 where
+    # depth is unknown or not used
     inverse_depth: NDArray[np.float32]
     deviation: NDArray[np.float32]
-    colors: NDArray[np.float32]
-    pose: Floats
-    intrinsics: Floats
+    colors: NDArray[np.float32]  # (H, W, 3) float32
+    pose: Floats  # (4, 4) float64: camera to world
+    intrinsics: Floats  # (3, 3) float64: from camera axes to pixels
 
     @property
     def to_pixels(self) -> Floats:
@@ -123,28 +102,15 @@ class PosedDepth:
 
 @dataclass(frozen=True, kw_only=True)
 class ViewSummary:
-    """A summary of a view.
+    """A summary of a view."""
 
-    Attributes
-    ----------
-    pose : (4, 4) float64
-        Camera to world.
-    depth, deviation : float
-        Medians of depth Z and of its standard deviation.
-    farthest : float
-        Greatest Z that is used.
-    focal : float
-        Focal length, px.
-    field : float
-        Angle from the optical axis to the farthest corner of the image, rad.
-    """
-
-    pose: Floats
+    pose: Floats  # (4, 4) float64: camera to world
+    # depth, deviation: medians of depth Z and of its standard deviation
     depth: float
     deviation: float
-    farthest: float
-    focal: float
-    field: float
+    farthest: float  # greatest Z that is used
+    focal: float  # focal length, px
+    field: float  # angle from the optical axis to the farthest corner of the image, rad
 
 
 class PosedViews:
@@ -154,37 +120,18 @@ class PosedViews:
     other views. The unit of length is the median of the median depths of the views, so that numbers
     are near 1.
 
-    Parameters
-    ----------
-    views : sequence of DepthView
-        Any object with a length and items, which may read a view from a file at each access.
-    max_relative_std : float
-        Depth with a larger relative standard deviation is not used.
-    max_depth : float or None
-        Depth beyond this multiple of the median depth of its view is not used.
-    held : int
-        Number of views that stay in memory.
-
-    Attributes
-    ----------
-    unit : float
-        The unit of length, in the unit of the poses; 1 without views.
-    seen : list of ViewSummary
-        Summaries of the views, in that unit.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an option or a view is not as above.
+    Raises TypeError, ValueError if an option or a view is not as above.
     """
 
     def __init__(
         self,
+        # any object with a length and items, which may read a view from a file at each access
         views: Sequence[DepthView],
         *,
-        max_relative_std: float,
+        max_relative_std: float,  # depth with a larger relative standard deviation is not used
+        # depth beyond this multiple of the median depth of its view is not used
         max_depth: float | None,
-        held: int = 1,
+        held: int = 1,  # number of views that stay in memory
     ) -> None:
         if not (hasattr(views, "__len__") and hasattr(views, "__getitem__")):
             raise InputTypeError(
@@ -200,7 +147,9 @@ class PosedViews:
         summaries = [(index, self._summarise(index)) for index in range(len(views))]
         self._indices = [index for index, summary in summaries if summary]
         self._unscaled = [summary for _, summary in summaries if summary]
+        # the unit of length, in the unit of the poses; 1 without views
         self.unit = float(np.median([summary.depth for summary in self._unscaled] or [1.0]))
+        # summaries of the views, in that unit
         self.seen = [
             ViewSummary(
                 pose=_scaled(seen.pose, self.unit),

@@ -29,28 +29,15 @@ SUFFIXES = (".ply", ".glb")
 class Mesh:
     """A surface of triangles.
 
-    Attributes
-    ----------
-    vertices : (V, 3) float32
-        In the world's axes.
-    faces : (F, 3) int32
-        Three vertices each, anticlockwise seen from the side of the cameras.
-    colors : (V, 3) uint8
-        Red, green, blue.
-    voxel : float
-        Edge of the voxels of the distance field, in the unit of the vertices.
-
-    Raises
-    ------
-    ValueError
-        If the arrays have other shapes or types, a value is masked, or a face has the number of a
-        vertex that does not exist.
+    Raises ValueError if the arrays have other shapes or types, a value is masked, or a face has the
+    number of a vertex that does not exist.
     """
 
-    vertices: NDArray[np.float32]
+    vertices: NDArray[np.float32]  # (V, 3) float32: in the world's axes
+    # (F, 3) int32: three vertices each, anticlockwise seen from the side of the cameras
     faces: NDArray[np.int32]
-    colors: NDArray[np.uint8]
-    voxel: float
+    colors: NDArray[np.uint8]  # (V, 3) uint8: red, green, blue
+    voxel: float  # edge of the voxels of the distance field, in the unit of the vertices
 
     def __post_init__(self) -> None:
         count = len(self.vertices)
@@ -74,23 +61,19 @@ class Mesh:
     def __repr__(self) -> str:
         return f"Mesh of {len(self.vertices)} vertices and {len(self.faces)} faces"
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(
+        self,
+        path: str | os.PathLike[str],  # the file, with the suffix ``.ply`` or ``.glb``
+    ) -> None:
         """Write a binary PLY or GLB file; after an error there is no incomplete file.
 
         A PLY file has the axes of the world: Y points down if the first camera was upright. GLB
         requires Y up: Y and Z change sign.
 
-        Parameters
-        ----------
-        path : path
-            The file, with the suffix ``.ply`` or ``.glb``.
+        Raises ValueError if the path has another suffix, or the mesh is empty and the suffix is
+        ``.glb``.
 
-        Raises
-        ------
-        ValueError
-            If the path has another suffix, or the mesh is empty and the suffix is ``.glb``.
-        OSError
-            If the folder does not exist or cannot be written to.
+        Raises OSError if the folder does not exist or cannot be written to.
         """
         suffix = Path(path).suffix.lower()
         if suffix not in SUFFIXES:
@@ -126,12 +109,23 @@ _ENLARGEMENT = 1.1  # least factor by which voxels grow if the default is too sm
 
 
 def fused_mesh(
+    # Any object with a length and items. Views are read one by one, four times each.
     views: Sequence[DepthView],
     *,
+    # int, default 3: number of views that must show the surface near a voxel; all views if there
+    # are fewer
     agreeing: int = 3,
+    # float, default 0.05: depth with a larger relative standard deviation is not used
     max_relative_std: float = 0.05,
+    # float, default 5: depth beyond this multiple of the median depth of its view is not used; None
+    # for no bound
     max_depth: float | None = 5.0,
+    # Edge of a voxel, in the unit of the poses. By default the largest of 2 px at the median depth,
+    # half the median deviation of depth, and the edge with which the field fills 1 GB; the result
+    # tells the edge.
     voxel: float | None = None,
+    # Greatest distance from the surface in the field, in the unit of the poses. Objects must be
+    # thicker than it. By default the larger of 4 voxels and 3 median deviations of depth.
     truncation: float | None = None,
 ) -> Mesh:
     """Fuse depth maps into a mesh by a truncated signed distance field (TSDF).
@@ -140,36 +134,13 @@ def fused_mesh(
     precision. Space in front of a surface counts as empty, so that errors of single views vanish.
     The mesh lies where the mean distance is zero, and is open where too few views show the surface.
 
-    Parameters
-    ----------
-    views : sequence of DepthView
-        Any object with a length and items. Views are read one by one, four times each.
-    agreeing : int, default 3
-        Number of views that must show the surface near a voxel; all views if there are fewer.
-    max_relative_std : float, default 0.05
-        Depth with a larger relative standard deviation is not used.
-    max_depth : float, default 5
-        Depth beyond this multiple of the median depth of its view is not used; None for no bound.
-    voxel : float, optional
-        Edge of a voxel, in the unit of the poses. By default the largest of 2 px at the median
-        depth, half the median deviation of depth, and the edge with which the field fills 1 GB; the
-        result tells the edge.
-    truncation : float, optional
-        Greatest distance from the surface in the field, in the unit of the poses. Objects must be
-        thicker than it. By default the larger of 4 voxels and 3 median deviations of depth.
+    Returns in the world's axes and unit; without faces if no surface is found. Colours are means
+    over the views, weighted by 1/Z².
 
-    Returns
-    -------
-    Mesh
-        In the world's axes and unit; without faces if no surface is found. Colours are means over
-        the views, weighted by 1/Z².
+    Raises ModuleNotFoundError if scikit-image is not installed.
 
-    Raises
-    ------
-    ModuleNotFoundError
-        If scikit-image is not installed.
-    TypeError, ValueError
-        If an option or a view is not valid, or voxels of the given size would need too much memory.
+    Raises TypeError, ValueError if an option or a view is not valid, or voxels of the given size
+    would need too much memory.
 
     References
     ----------

@@ -16,21 +16,16 @@ NEAR = 0.7  # views with a smaller difference see much of the same surface
 FARTHEST = 1.5  # views with a larger difference see hardly any of it
 
 
-def choose_neighbours(n: int, seen: Sequence[ViewSummary], count: int) -> list[int]:
+def choose_neighbours(
+    n: int,  # number of the view
+    seen: Sequence[ViewSummary],  # all views
+    count: int,  # greatest number of views returned
+) -> list[int]:
     """Return other views that see the same surface as a view, the most similar ones first.
 
     Of the similar views (difference up to `NEAR`), `count` are chosen evenly from the most to the
     least similar one: neighbours in time alone may share the same errors. If there are fewer, the
     views up to `FARTHEST` follow.
-
-    Parameters
-    ----------
-    n : int
-        Number of the view.
-    seen : sequence of ViewSummary
-        All views.
-    count : int
-        Greatest number of views returned.
     """
     difference = _differences(seen[n], seen)
     difference[n] = math.inf
@@ -71,11 +66,21 @@ TOLERANCE = 3.0
 
 
 def fused_points(
+    # Any object with a length and items. Views are read one by one, several times each; a few at a
+    # time are in memory.
     views: Sequence[DepthView],
     *,
+    # int, default 3: number of views that must show a point, its own view included; all views if
+    # there are fewer
     agreeing: int = 3,
+    # float, default 0.05: depth with a larger relative standard deviation is not used
     max_relative_std: float = 0.05,
+    # float, default 10: depth beyond this multiple of the median depth of its view is not used;
+    # None for no bound
     max_depth: float | None = FARTHEST_MEDIANS,
+    # Edge of cubes, in the unit of the poses: the points of a cube are replaced by their mean,
+    # weighted by precision. By default all points are kept, about one for each pixel of the view
+    # that shows the surface best.
     voxel: float | None = None,
 ) -> PointCloud:
     """Fuse depth maps into the points that several views agree on.
@@ -86,32 +91,11 @@ def fused_points(
     through it. It lies on its ray at the mean of the inverse depths, weighted by precision. Pixels
     that show a point found before are skipped.
 
-    Parameters
-    ----------
-    views : sequence of DepthView
-        Any object with a length and items. Views are read one by one, several times each; a few at
-        a time are in memory.
-    agreeing : int, default 3
-        Number of views that must show a point, its own view included; all views if there are fewer.
-    max_relative_std : float, default 0.05
-        Depth with a larger relative standard deviation is not used.
-    max_depth : float, default 10
-        Depth beyond this multiple of the median depth of its view is not used; None for no bound.
-    voxel : float, optional
-        Edge of cubes, in the unit of the poses: the points of a cube are replaced by their mean,
-        weighted by precision. By default all points are kept, about one for each pixel of the view
-        that shows the surface best.
+    Returns in the world's axes and unit. Colours are means over the views that agree. The
+    confidence is a / (a + s + 1), with a other views that agree and s views that see through the
+    point.
 
-    Returns
-    -------
-    PointCloud
-        In the world's axes and unit. Colours are means over the views that agree. The confidence is
-        a / (a + s + 1), with a other views that agree and s views that see through the point.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an option or a view is not valid.
+    Raises TypeError, ValueError if an option or a view is not valid.
     """
     whole(1, agreeing=agreeing)
     if voxel is not None:
@@ -135,22 +119,14 @@ def fused_points(
 
 
 class _PointList:
-    """The points found so far.
-
-    Attributes
-    ----------
-    positions : (N, 3) float32
-    relative_deviation : (N,) float32
-        Relative standard deviation of the inverse depth.
-    colors : (N, 3) float32
-    confidence : (N,) float32
-    """
+    """The points found so far."""
 
     def __init__(self) -> None:
-        self.positions = np.empty((0, 3), np.float32)
+        self.positions = np.empty((0, 3), np.float32)  # (N, 3) float32
+        # (N,) float32: relative standard deviation of the inverse depth
         self.relative_deviation = np.empty(0, np.float32)
-        self.colors = np.empty((0, 3), np.float32)
-        self.confidence = np.empty(0, np.float32)
+        self.colors = np.empty((0, 3), np.float32)  # (N, 3) float32
+        self.confidence = np.empty(0, np.float32)  # (N,) float32
 
     def add(
         self,

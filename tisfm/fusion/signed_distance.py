@@ -24,40 +24,26 @@ Blocks = NDArray[np.int64]
 
 
 class VoxelTooSmallError(Exception):
-    """The field would need too many voxels of this size.
+    """The field would need too many voxels of this size."""
 
-    Attributes
-    ----------
-    larger : float
-        Estimate of the least factor by which the voxels must be larger.
-    """
-
-    def __init__(self, larger: float) -> None:
+    def __init__(
+        self,
+        larger: float,  # estimate of the least factor by which the voxels must be larger
+    ) -> None:
         super().__init__(f"voxels must be {larger:g} times as large")
         self.larger = larger
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DistanceField:
-    """A truncated signed distance field.
+    """A truncated signed distance field."""
 
-    Attributes
-    ----------
-    voxel : float
-        Edge of a voxel.
-    numbers : (N,) int64
-        Numbers of the blocks, ascending (`block_coordinates`).
-    distance : (N, 512) float32
-        Mean signed distance from the surface, in truncation distances, from −1 (behind the surface)
-        to 1 (in front of it).
-    views : (N, 512) int32
-        Number of views that show the surface near the voxel.
-    """
-
-    voxel: float
-    numbers: Blocks
+    voxel: float  # edge of a voxel
+    numbers: Blocks  # (N,) int64: numbers of the blocks, ascending (`block_coordinates`)
+    # (N, 512) float32: mean signed distance from the surface, in truncation distances, from −1
+    # (behind the surface) to 1 (in front of it)
     distance: NDArray[np.float32]
-    views: NDArray[np.int32]
+    views: NDArray[np.int32]  # (N, 512) int32: number of views that show the surface near the voxel
 
 
 def block_coordinates(numbers: Blocks) -> NDArray[np.int64]:
@@ -73,23 +59,16 @@ def block_numbers(blocks: NDArray[np.int64]) -> Blocks:
 
 
 def integrate_views(
-    views: PosedViews, voxel: float, truncation: float, agreeing: int
+    views: PosedViews,  # they are read twice
+    # voxel, truncation: edge of a voxel and truncation distance, in the unit of the views
+    voxel: float,
+    truncation: float,
+    # number of views whose surface must come near a block; other blocks are left out
+    agreeing: int,
 ) -> DistanceField:
     """Integrate all views into a field.
 
-    Parameters
-    ----------
-    views : PosedViews
-        They are read twice.
-    voxel, truncation : float
-        Edge of a voxel and truncation distance, in the unit of the views.
-    agreeing : int
-        Number of views whose surface must come near a block; other blocks are left out.
-
-    Raises
-    ------
-    VoxelTooSmallError
-        If there would be too many blocks.
+    Raises VoxelTooSmallError if there would be too many blocks.
     """
     from tisfm.kernels.fusion.distance_field import VOXELS
 
@@ -215,17 +194,13 @@ def _integrate(
 
 
 def _in_frustum(
-    view: PosedDepth, corners: Floats, across: Floats, truncation: float
+    view: PosedDepth,
+    corners: Floats,  # (N, 3) float64: (u z, v z, z) of the first voxel of each block
+    # (3, 3) float64: difference of (u z, v z, z) from the first to the last voxel, along each axis
+    across: Floats,
+    truncation: float,
 ) -> NDArray[np.bool_]:
-    """Return which blocks may intersect the frustum of a view.
-
-    Parameters
-    ----------
-    corners : (N, 3) float64
-        (u z, v z, z) of the first voxel of each block.
-    across : (3, 3) float64
-        Difference of (u z, v z, z) from the first to the last voxel, along each axis.
-    """
+    """Return which blocks may intersect the frustum of a view."""
     height, width = view.inverse_depth.shape
     farthest = 1 / view.inverse_depth[view.inverse_depth > 0].min() + truncation
     sides = np.array(  # each is positive inside

@@ -73,21 +73,15 @@ def cache_folder() -> Path | None:
     return Path(os.environ.get("TI_OFFLINE_CACHE_FILE_PATH", f"{base}/taichi/ticache"))
 
 
-def remove_stale_lock(folder: Path) -> None:
+def remove_stale_lock(
+    folder: Path,  # Taichi's cache
+) -> None:
     """Remove the lock of a dead process, and kernels that it may have written incompletely.
 
     Under its lock, Taichi writes kernels and then the list of all. It never rewrites a kernel that
     exists or is listed; it makes an incomplete list anew.
 
-    Parameters
-    ----------
-    folder : Path
-        Taichi's cache.
-
-    Raises
-    ------
-    OSError
-        If files cannot be looked at or removed.
+    Raises OSError if files cannot be looked at or removed.
     """
     lock = folder / LOCK
     try:

@@ -42,20 +42,13 @@ def limit() -> int | None:
     return None if soft == resource.RLIM_INFINITY else soft
 
 
-def require(amount: float, purpose: str) -> None:
+def require(
+    amount: float,  # address space that is reserved, bytes
+    purpose: str,  # the purpose, for the message
+) -> None:
     """Check that the limit leaves enough address space.
 
-    Parameters
-    ----------
-    amount : float
-        Address space that is reserved, bytes.
-    purpose : str
-        The purpose, for the message.
-
-    Raises
-    ------
-    OutOfMemoryError
-        If less is left.
+    Raises OutOfMemoryError if less is left.
     """
     bound = limit()
     if bound is None:
@@ -76,10 +69,8 @@ def require(amount: float, purpose: str) -> None:
 def import_libraries() -> None:
     """Import OpenCV, unless the limit leaves too little for OpenCV or for SciPy after it.
 
-    Raises
-    ------
-    OutOfMemoryError
-        If too little is left: OpenCV would crash while it is imported, and SciPy would hang.
+    Raises OutOfMemoryError if too little is left: OpenCV would crash while it is imported, and
+    SciPy would hang.
     """
     threads = os.environ.get("OPENBLAS_NUM_THREADS") or str(os.cpu_count())
     several = _OPENCV_THREADS if threads != "1" else 0.0
@@ -95,10 +86,7 @@ def require_for_taichi(threads: int) -> None:
     Measured with version 1.7.4: 1 GiB at once, the libraries, and of each thread, four that
     compile included, its stack and its arena.
 
-    Raises
-    ------
-    OutOfMemoryError
-        If less is left.
+    Raises OutOfMemoryError if less is left.
     """
     each = _STACK + _ARENA
     plural = "s" * (threads > 1)

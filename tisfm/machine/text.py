@@ -34,14 +34,6 @@ def printable(text: str) -> str:
     Names of files, and texts that a file supplies, may hold any character. A character that could
     be a command is written as in Python's literals; lone surrogates become question marks.
 
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    str
-
     Examples
     --------
     >>> from tisfm.machine.text import printable

@@ -20,21 +20,11 @@ _MOST_DEVICES = 64
 
 @dataclass(frozen=True, kw_only=True)
 class VulkanDevice:
-    """A device that Vulkan offers.
+    """A device that Vulkan offers."""
 
-    Attributes
-    ----------
-    name : str
-        As its driver calls it.
-    is_software : bool
-        Whether it computes on the CPU: no GPU takes part.
-    score : int
-        Taichi takes the device with the highest score, the first one of several.
-    """
-
-    name: str
-    is_software: bool
-    score: int
+    name: str  # as its driver calls it
+    is_software: bool  # whether it computes on the CPU: no GPU takes part
+    score: int  # Taichi takes the device with the highest score, the first one of several
 
 
 class _InstanceCreateInfo(ctypes.Structure):

@@ -170,13 +170,8 @@ def _depths(
 ) -> tuple[NDArray, NDArray, NDArray, NDArray, float]:
     """Check and align two depths.
 
-    Returns
-    -------
-    depth, truth : (H, W) float64
-        The depth is multiplied by `scale`.
-    valid, known : (H, W) bool
-        Where depth and truth are known, and where the truth is known.
-    scale : float
+    Returns depth, truth, (H, W) float64: the depth is multiplied by `scale`; valid, known, (H, W)
+    bool: where depth and truth are known, and where the truth is known; scale, .
     """
     if align not in ("median", None):
         raise InputError(f"align is {align!r}: expected 'median' or None")

@@ -57,16 +57,11 @@ def error_in_deviations(
     inverse_depth_std: ArrayLike,
     truth: ArrayLike,
     mask: ArrayLike | None = None,
-) -> NDArray[np.float64]:
+) -> NDArray[np.float64]:  # (M,) float64 ndarray: at least 0
     """Return the error of inverse depth in standard deviations, for the pixels that count.
 
     Parameters and exceptions are those of `std_coverage`. The result is 0 for an infinite deviation
     and NaN for a deviation of NaN.
-
-    Returns
-    -------
-    (M,) float64 ndarray
-        At least 0.
     """
     found = unmasked(inverse_depth, "inverse_depth", np.float64)
     deviation = unmasked(inverse_depth_std, "inverse_depth_std", np.float64)

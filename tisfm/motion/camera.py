@@ -24,7 +24,11 @@ BARE_FOR_MOTION = 0.15
 START = 2**14  # least pixels of the flow field that gives the first motion
 
 
-def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose | None) -> Estimate:
+def camera_estimate(
+    pyramid: ImagePyramid,
+    settings: Settings,
+    pose: KnownPose | None,  # known pose, or known rotation alone
+) -> Estimate:
     """Find one rigid motion and the inverse depth of every pixel directly from the images.
 
     A flow field of a coarser level gives a first motion (`tisfm.motion.egomotion`). Then depth and
@@ -32,13 +36,6 @@ def camera_estimate(pyramid: ImagePyramid, settings: Settings, pose: KnownPose |
     is textureless and parallax is large, depth is matched and carried across afterwards
     (`tisfm.motion.textureless_depth`). If even more is textureless, a finer flow field gives the
     motion.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    settings : Settings
-    pose : KnownPose or None
-        Known pose, or known rotation alone.
     """
     camera, level = pyramid.cameras[0], pyramid.last
     labels = np.zeros(pyramid.shape, np.int32)

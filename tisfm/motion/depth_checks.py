@@ -39,8 +39,8 @@ DOUBTS = (
 
 def depth_status(
     pyramid: ImagePyramid,
-    estimate: Estimate,
-    unseen: np.ndarray,
+    estimate: Estimate,  # with inverse depth, its deviation and the flow field
+    unseen: np.ndarray,  # (H, W) bool: pixels that are not visible in frame 1
 ) -> Status | None:
     """Return the status of wrong or uncertain depth of one rigid motion, None for others.
 
@@ -48,14 +48,6 @@ def depth_status(
     first fitted to aligns much of the texture better. If points were matched instead, there is no
     such flow field, and depth itself has to align the frames. Depth is uncertain if its standard
     deviation is large at many pixels.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    estimate : Estimate
-        With inverse depth, its deviation and the flow field.
-    unseen : (H, W) bool
-        Pixels that are not visible in frame 1.
     """
     return (
         _behind(estimate, ~unseen)
@@ -138,18 +130,13 @@ def _worse_than_flow(
     )
 
 
-def pose_status(off: float, best: float, *, inverse: float | None = None) -> Status | None:
-    """Return the status of a given pose that contradicts a flow, None for others.
-
-    Parameters
-    ----------
-    off : float
-        Distance of the flow from the epipolar lines of the pose, px of the finest level.
-    best : float
-        The same for the motion that fits best.
-    inverse : float, optional
-        The same for the inverse of the pose; None for a rotation alone.
-    """
+def pose_status(
+    off: float,  # distance of the flow from the epipolar lines of the pose, px of the finest level
+    best: float,  # the same for the motion that fits best
+    *,
+    inverse: float | None = None,  # the same for the inverse of the pose; None for a rotation alone
+) -> Status | None:
+    """Return the status of a given pose that contradicts a flow, None for others."""
     tolerated = POSE_DISTANCE * max(best, LEAST_DISTANCE)
     if off <= tolerated:
         return None

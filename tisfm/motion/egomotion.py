@@ -172,36 +172,19 @@ def _fitted(rays: Rays, start: Pose, free: Free) -> CameraMotion:
 
 
 def distance_from_rays(
-    flow: np.ndarray,
-    confidence: np.ndarray,
+    flow: np.ndarray,  # (H, W, 2) float32: px/frame
+    confidence: np.ndarray,  # (H, W) float32: weight of each pixel, in [0, 1]
     camera: Camera,
+    # rotation, translation: (3, 3) and (3,): R and t ≠ 0, of any length
     rotation: np.ndarray,
     translation: np.ndarray,
-) -> float:
+) -> float:  # robust standard deviation, px
     """Return the distance of a flow from the points that a known motion allows.
 
     If the nearest point of the epipolar line lies behind the camera, the distance from the line's
     end, the point at infinity, counts.
 
-    Parameters
-    ----------
-    flow : (H, W, 2) float32
-        px/frame.
-    confidence : (H, W) float32
-        Weight of each pixel, in [0, 1].
-    camera : Camera
-    rotation, translation : (3, 3) and (3,)
-        R and t ≠ 0, of any length.
-
-    Returns
-    -------
-    float
-        Robust standard deviation, px.
-
-    Raises
-    ------
-    TooFewPixelsError
-        A ValueError: if too few pixels are trusted.
+    Raises TooFewPixelsError: a ValueError: if too few pixels are trusted.
     """
     rays = correspondences(flow, confidence, camera)
     nearest = nearest_points(rays, rotation, translation / np.linalg.norm(translation))
@@ -211,21 +194,14 @@ def distance_from_rays(
 
 
 def triangulate(
-    before: np.ndarray, after: np.ndarray, rotation: np.ndarray, translation: np.ndarray
-) -> np.ndarray:
-    """Return the inverse depth, in units of 1/‖t‖, that moves a point nearest to its match.
-
-    Parameters
-    ----------
-    before, after : (N, 3)
-        Rays (x̂, ŷ, 1) in frames 0 and 1.
-    rotation, translation : (3, 3) and (3,)
-
-    Returns
-    -------
-    (N,) float64
-        Signed; 0 where the point lies on the epipole.
-    """
+    # before, after: (N, 3): rays (x̂, ŷ, 1) in frames 0 and 1
+    before: np.ndarray,
+    after: np.ndarray,
+    # rotation, translation: (3, 3) and (3,)
+    rotation: np.ndarray,
+    translation: np.ndarray,
+) -> np.ndarray:  # (N,) float64: signed; 0 where the point lies on the epipole
+    """Return the inverse depth, in units of 1/‖t‖, that moves a point nearest to its match."""
     return inverse_depth_of((before @ rotation.T).T, after.T[:2], translation)
 
 

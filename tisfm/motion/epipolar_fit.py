@@ -22,24 +22,12 @@ Pose = tuple[np.ndarray, np.ndarray]  # R and t
 
 @dataclass(frozen=True, kw_only=True)
 class Rays:
-    """Corresponding rays of two frames, a coordinate in each row.
+    """Corresponding rays of two frames, a coordinate in each row."""
 
-    Attributes
-    ----------
-    before : (3, N) float64
-        (x̂, ŷ, 1) in frame 0.
-    after : (2, N) float64
-        (x̂, ŷ) in frame 1.
-    trust : (N,) float64
-        Weight of each ray.
-    focal : float
-        Focal length, px.
-    """
-
-    before: np.ndarray
-    after: np.ndarray
-    trust: np.ndarray
-    focal: float
+    before: np.ndarray  # (3, N) float64: (x̂, ŷ, 1) in frame 0
+    after: np.ndarray  # (2, N) float64: (x̂, ŷ) in frame 1
+    trust: np.ndarray  # (N,) float64: weight of each ray
+    focal: float  # focal length, px
 
     @property
     def confident(self) -> np.ndarray:
@@ -64,27 +52,17 @@ class Rays:
 
 @dataclass(frozen=True, kw_only=True)
 class Nearest:
-    """The points of epipolar lines that are nearest to the rays of frame 1, (N,) each.
+    """The points of epipolar lines that are nearest to the rays of frame 1, (N,) each."""
 
-    Attributes
-    ----------
-    inverse_depth
-        Inverse depth d in frame 0 of the point.
-    x, y, nearness
-        Normalised coordinates of the point R x̂ + d t, and 1 over its third component.
-    normal_x, normal_y
-        Normal of the line, of length 1.
-    distance
-        Signed distance of the ray from the line, px.
-    """
-
-    inverse_depth: np.ndarray
+    inverse_depth: np.ndarray  # inverse depth d in frame 0 of the point
+    # x, y, nearness: normalised coordinates of the point R x̂ + d t, and 1 over its third component
     x: np.ndarray
     y: np.ndarray
     nearness: np.ndarray
+    # normal_x, normal_y: normal of the line, of length 1
     normal_x: np.ndarray
     normal_y: np.ndarray
-    distance: np.ndarray
+    distance: np.ndarray  # signed distance of the ray from the line, px
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,16 +83,13 @@ def spin_prior(rotation: np.ndarray, near: np.ndarray, noise: float) -> tuple[fl
     return CORRELATED * (noise / SPIN) ** 2, offset
 
 
-def hold_scale(normal: np.ndarray, direction: np.ndarray) -> np.ndarray:
+def hold_scale(
+    normal: np.ndarray,  # (6, 6)
+    direction: np.ndarray,  # (3,): direction of t, of length 1
+) -> np.ndarray:
     """Return the normal equations of a step in (t, ω), made regular.
 
     A step along t changes the scale, which the data do not determine, so it is held.
-
-    Parameters
-    ----------
-    normal : (6, 6)
-    direction : (3,)
-        Direction of t, of length 1.
     """
     along = np.concatenate([direction, np.zeros(3)])
     held = np.outer(along, along) + LEAST_STIFFNESS * np.eye(6)
@@ -131,18 +106,16 @@ def inverse_depth_of(turned: np.ndarray, after: np.ndarray, translation: np.ndar
     return pulled / np.maximum(along_x * along_x + along_y * along_y, LEAST_SQUARE)
 
 
-def essential_poses(rays: Rays, thresholds: tuple[float, ...], *, draws: int) -> list[Pose]:
+def essential_poses(
+    rays: Rays,
+    # px: largest distance of an inlier from the epipolar line, for each matrix
+    thresholds: tuple[float, ...],
+    *,
+    draws: int,  # most samples of five rays for a matrix
+) -> list[Pose]:
     """Return the poses of essential matrices by random sampling; all of them may be wrong.
 
     The smaller of the two rotations of a matrix is taken, because frames are close in time.
-
-    Parameters
-    ----------
-    rays : Rays
-    thresholds : tuple of float
-        px: largest distance of an inlier from the epipolar line, for each matrix.
-    draws : int
-        Most samples of five rays for a matrix.
 
     References
     ----------

@@ -12,55 +12,28 @@ from tisfm.status import History, Status
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """The result of a motion model for a pair, before occlusion and confidence.
+    """The result of a motion model for a pair, before occlusion and confidence."""
 
-    Attributes
-    ----------
-    rho : (6, H, W) float32
-        ρ̂, px/frame.
-    flow : (2, H, W) float32
-        (u, v), px/frame.
-    inverse_depth : (H, W) float32
-    precision : (7, h, w) float32
-        As in `tisfm.kernels.solve.data_precision`, on the last level.
-    level : int
-        Level of the pyramid whose frames decide which of two surfaces is hidden.
-    normalized : bool
-        Whether the residual is in squared px.
-    freedom : {1, 2}
-        Number of directions in which the image motion of a pixel was free.
-    history : list of (level, warp, Iteration)
-    status : Status
-        ``"converged"`` or ``"iteration_limit"``, or why no estimate was possible.
-    motions : (K, 6) float64 or None
-    labels : (H, W) int32 or None
-    inverse_depth_std : (H, W) float32 or None
-    widening : float
-        Factor of the deviations for errors that pixels share.
-    matched : bool
-        Whether the first motion came from matched points, as for frames far apart.
-    free_flow : (h, w, 2) float32 or None
-        Flow field that gave the first rigid motion, px of its level; None without depth.
-    free_level : int
-        Level of the flow field.
-    """
-
-    rho: np.ndarray
-    flow: np.ndarray
-    inverse_depth: np.ndarray
+    rho: np.ndarray  # (6, H, W) float32: ρ̂, px/frame
+    flow: np.ndarray  # (2, H, W) float32: (u, v), px/frame
+    inverse_depth: np.ndarray  # (H, W) float32
+    # (7, h, w) float32: as in `tisfm.kernels.solve.data_precision`, on the last level
     precision: np.ndarray
-    level: int
-    normalized: bool
-    freedom: int
-    history: Records
-    status: Status
-    motions: np.ndarray | None = None
-    labels: np.ndarray | None = None
-    inverse_depth_std: np.ndarray | None = None
-    widening: float = 1.0
+    level: int  # level of the pyramid whose frames decide which of two surfaces is hidden
+    normalized: bool  # whether the residual is in squared px
+    freedom: int  # {1, 2}: number of directions in which the image motion of a pixel was free
+    history: Records  # list of (level, warp, Iteration)
+    status: Status  # ``"converged"`` or ``"iteration_limit"``, or why no estimate was possible
+    motions: np.ndarray | None = None  # (K, 6) float64 or None
+    labels: np.ndarray | None = None  # (H, W) int32 or None
+    inverse_depth_std: np.ndarray | None = None  # (H, W) float32 or None
+    widening: float = 1.0  # factor of the deviations for errors that pixels share
+    # whether the first motion came from matched points, as for frames far apart
     matched: bool = False
+    # (h, w, 2) float32 or None: flow field that gave the first rigid motion, px of its level; None
+    # without depth
     free_flow: np.ndarray | None = None
-    free_level: int = 0
+    free_level: int = 0  # level of the flow field
 
 
 def unmoved(solution: Solution, *, textured: bool = True) -> Status | None:

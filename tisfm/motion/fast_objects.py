@@ -35,28 +35,21 @@ Part = tuple[slice, slice]  # rows and columns
 
 
 class FastObjects:
-    """Pixels of objects that move on their own, tracked from level to level.
+    """Pixels of objects that move on their own, tracked from level to level."""
 
-    Parameters
-    ----------
-    mask : (h, w) bool
-        The pixels of the objects, on any level.
-    problem : Problem
-    """
-
-    def __init__(self, mask: np.ndarray, problem: Problem) -> None:
+    def __init__(
+        self,
+        mask: np.ndarray,  # (h, w) bool: the pixels of the objects, on any level
+        problem: Problem,
+    ) -> None:
         self._mask, self._problem = mask, problem
 
-    def set_apart(self, windows: Windows, unknowns: Unknowns) -> None:
-        """Find the outlines on a level, and cut the smoothness along them.
-
-        Parameters
-        ----------
-        windows : Windows
-            Windows of that level.
-        unknowns : Unknowns
-            ρ̂ near the outlines is overwritten, and so are their `edges`.
-        """
+    def set_apart(
+        self,
+        windows: Windows,  # windows of that level
+        unknowns: Unknowns,  # ρ̂ near the outlines is overwritten, and so are their `edges`
+    ) -> None:
+        """Find the outlines on a level, and cut the smoothness along them."""
         self._mask = _resized_mask(self._mask, windows.shape)
         self._update_outlines(windows, unknowns)
         step = max(mean_step(windows.levels0, windows.counted0), FAINTEST_EDGE)

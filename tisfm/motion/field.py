@@ -16,18 +16,11 @@ from tisfm.solver.image_pyramid import ImagePyramid
 
 
 def field_estimate(
-    pyramid: ImagePyramid, settings: Settings, before: PreviousFrame | None = None
+    pyramid: ImagePyramid,  # the splines of its coarse levels are freed
+    settings: Settings,
+    before: PreviousFrame | None = None,  # data of the previous frame
 ) -> Estimate:
-    """Estimate a ρ̂ of its own for every pixel.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-        The splines of its coarse levels are freed.
-    settings : Settings
-    before : PreviousFrame, optional
-        Data of the previous frame.
-    """
+    """Estimate a ρ̂ of its own for every pixel."""
     camera = pyramid.cameras[0]
     problem = flow_problem(settings, camera.focal)
     solution = coarse_to_fine(

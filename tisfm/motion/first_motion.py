@@ -49,42 +49,24 @@ STILL_IN_NOISE = 0.3  # px: the same in noisy frames
 
 @dataclass(frozen=True, kw_only=True)
 class FirstMotion:
-    """The motion that most of a flow field shows, or the pose that is known.
+    """The motion that most of a flow field shows, or the pose that is known."""
 
-    Attributes
-    ----------
-    rotation, translation : (3, 3) and (3,) float64
-        ‖t‖ = 1 unless it was given, or 0 where none is seen.
-    residual : float
-        Robust standard deviation of the displacements from epipolar lines, px of the finest level.
-    status : Status or None
-        Why there is no depth; None if there is.
-    doubt : Status or None
-        Why the given pose may be wrong, why another motion is as likely, or why depth will be
-        rough.
-    history : list of (level, warp, Iteration)
-    flow : (h, w, 2) float32
-        The flow field, px of its level.
-    trust : (h, w) float32
-        Its confidence.
-    level : int
-        Of the flow field.
-    matched : bool
-        Whether the motion is that of matched points, which works for frames far apart, too.
-    is_cut : bool
-        Whether the frames are two pictures of one layout, so that matching points is useless.
-    """
-
+    # rotation, translation: (3, 3) and (3,) float64: ‖t‖ = 1 unless it was given, or 0 where none
+    # is seen
     rotation: np.ndarray
     translation: np.ndarray
+    # robust standard deviation of the displacements from epipolar lines, px of the finest level
     residual: float
-    status: Status | None
+    status: Status | None  # why there is no depth; None if there is
+    # why the given pose may be wrong, why another motion is as likely, or why depth will be rough
     doubt: Status | None
-    history: Records
-    flow: np.ndarray
-    trust: np.ndarray
-    level: int
+    history: Records  # list of (level, warp, Iteration)
+    flow: np.ndarray  # (h, w, 2) float32: the flow field, px of its level
+    trust: np.ndarray  # (h, w) float32: its confidence
+    level: int  # of the flow field
+    # whether the motion is that of matched points, which works for frames far apart, too
     matched: bool = False
+    # whether the frames are two pictures of one layout, so that matching points is useless
     is_cut: bool = False
 
     @property
@@ -97,32 +79,22 @@ def first_motion(
     pyramid: ImagePyramid,
     settings: Settings,
     *,
-    pose: KnownPose | None = None,
+    pose: KnownPose | None = None,  # the known motion; its translation, if any, is not 0
+    # the coarsest level with at least as many pixels is taken, by default the finest
     pixels: float = math.inf,
+    # whether points are matched if the flow field fits no motion well and no pose is known, or if
+    # it does not align the frames and a pose with translation is known
     matches: bool = False,
+    # (rotation, translation): the motion of a coarser level, ‖t‖ = 1, that the fit to the flow
+    # field starts from alone
     coarser: Pose | None = None,
+    # (h, w) bool array: pixels of the level whose flow is not trusted, by default none
     unseen: np.ndarray | None = None,
 ) -> FirstMotion:
     """Fit a motion to the flow field of a level, or judge a known one by it.
 
     A known pose with a translation needs no parallax: with little parallax, depth is large or
     uncertain.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    settings : Settings
-    pose : KnownPose, optional
-        The known motion; its translation, if any, is not 0.
-    pixels : float
-        The coarsest level with at least as many pixels is taken, by default the finest.
-    matches : bool
-        Whether points are matched if the flow field fits no motion well and no pose is known, or
-        if it does not align the frames and a pose with translation is known.
-    coarser : (rotation, translation), optional
-        The motion of a coarser level, ‖t‖ = 1, that the fit to the flow field starts from alone.
-    unseen : (h, w) bool array, optional
-        Pixels of the level whose flow is not trusted, by default none.
     """
     large = [k for k, frame in enumerate(pyramid.frames0) if frame.size >= pixels]
     given = pose or KnownPose(rotation=np.eye(3), translation=None)

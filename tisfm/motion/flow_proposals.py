@@ -64,15 +64,12 @@ FILL_PASSES = 6  # of filling from known pixels, along rows and columns
 EDGE_DISTANCE = 0.33
 
 
-def proposals(pyramid: ImagePyramid, problem: Problem) -> "Proposals | None":
-    """Return the correction of a flow between coarse and fine levels, None where it does not pay.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    problem : Problem
-        Of free motion. Its first two unknowns are the flow, up to a factor of the whole image.
-    """
+def proposals(
+    pyramid: ImagePyramid,
+    # Of free motion. Its first two unknowns are the flow, up to a factor of the whole image.
+    problem: Problem,
+) -> "Proposals | None":
+    """Return the correction of a flow between coarse and fine levels; None if it does not pay."""
     if pyramid.levels == 1 or pyramid.frames0[-1].size > LARGEST_LEVEL:
         # The settings ask for few scales
         return None
@@ -283,17 +280,14 @@ def _supported(new: np.ndarray, supported: np.ndarray) -> np.ndarray:
     return enough[labels]
 
 
-def _consistent(new: np.ndarray, there: np.ndarray, agreed: np.ndarray) -> np.ndarray:
+def _consistent(
+    new: np.ndarray,  # (h, w) bool
+    there: np.ndarray,  # (h, w, 4) float32
+    agreed: np.ndarray,  # (h, w) bool: pixels whose displacement is found in both directions
+) -> np.ndarray:
     """Return new pixels that move like the pixels of their area found in both directions.
 
     Areas without enough such pixels are dropped.
-
-    Parameters
-    ----------
-    new : (h, w) bool
-    there : (h, w, 4) float32
-    agreed : (h, w) bool
-        Pixels whose displacement is found in both directions.
     """
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(new.astype(np.uint8), connectivity=4)
     kept = np.zeros_like(new)

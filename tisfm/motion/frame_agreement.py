@@ -54,29 +54,19 @@ MOST_LEAVING_CONFIRMED = 0.8
 
 
 def unrelated(
+    # frame0, frame1: (H, W) float32, grey levels
     frame0: np.ndarray,
     frame1: np.ndarray,
-    flow: np.ndarray,
-    trust: np.ndarray,
+    flow: np.ndarray,  # (H, W, 2) float32: px/frame
+    trust: np.ndarray,  # (H, W) float32: confidence of the flow; not all 0
     *,
-    free: bool = True,
+    free: bool = True,  # whether the flow is free at every pixel
 ) -> Status | None:
     """Return the status of frames that a flow does not align, None if the flow aligns them.
 
     Frames are aligned if their correlation in windows is high at the median trusted pixel. A flow
     that is free at every pixel also has to keep neighbours in order nearly everywhere: a flow that
     folds the image can align any two frames.
-
-    Parameters
-    ----------
-    frame0, frame1 : (H, W) float32
-        Grey levels.
-    flow : (H, W, 2) float32
-        px/frame.
-    trust : (H, W) float32
-        Confidence of the flow; not all 0.
-    free : bool
-        Whether the flow is free at every pixel.
     """
     if free and (share := _folded(flow, trust)) > FOLDED:
         return Status(
@@ -99,20 +89,19 @@ def unrelated(
 
 
 def replaced(
-    frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray, unseen: np.ndarray | None = None
+    # frame0, frame1, flow: as for `unrelated`
+    frame0: np.ndarray,
+    frame1: np.ndarray,
+    flow: np.ndarray,
+    # (H, W) bool: pixels that are not visible in frame 1; they do not count. By default all pixels
+    # count.
+    unseen: np.ndarray | None = None,
 ) -> Status | None:
     """Return the status of frames with one layout and different contents, None for others.
 
     The parts that such frames share are at rest, and many textured windows differ. A large object
     that moves far also gives windows that differ, but most of them are found elsewhere in the other
     frame.
-
-    Parameters
-    ----------
-    frame0, frame1, flow
-        As for `unrelated`.
-    unseen : (H, W) bool, optional
-        Pixels that are not visible in frame 1; they do not count. By default all pixels count.
     """
     while (
         frame0.size >= 4 * JUDGED_PIXELS and min(frame0.shape) > 4 * BORDER
@@ -188,19 +177,15 @@ def _folded(flow: np.ndarray, trust: np.ndarray) -> float:
         return float(weight[area <= 0].sum()) / total if total > 0 else 0.0
 
 
-def field_status(pyramid: ImagePyramid, flow: np.ndarray, trust: np.ndarray) -> Status | None:
+def field_status(
+    pyramid: ImagePyramid,
+    flow: np.ndarray,  # (2, H, W) float32: px/frame
+    trust: np.ndarray,  # (H, W) float32: confidence of the flow
+) -> Status | None:
     """Return the status of a wrong flow field of the finest level, None for others.
 
     The flow is judged on a coarser level, since motion that is free at every pixel can align fine
     detail of any two frames.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    flow : (2, H, W) float32
-        px/frame.
-    trust : (H, W) float32
-        Confidence of the flow.
     """
     level = _judged_level(pyramid)
     frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
@@ -220,18 +205,15 @@ def _judged_level(pyramid: ImagePyramid) -> int:
     )
 
 
-def confirms_large_motion(pyramid: ImagePyramid, flow: np.ndarray, unseen: np.ndarray) -> bool:
+def confirms_large_motion(
+    pyramid: ImagePyramid,
+    flow: np.ndarray,  # (2, H, W) float32: px/frame of the finest level
+    # (H, W) bool: pixels that leave the image or are occluded; they are not judged
+    unseen: np.ndarray,
+) -> bool:
     """Return whether the images confirm that most of their common part moved far.
 
     A repetitive texture confirms no motion, since it matches at every period.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    flow : (2, H, W) float32
-        px/frame of the finest level.
-    unseen : (H, W) bool
-        Pixels that leave the image or are occluded; they are not judged.
     """
     if unseen.all() or not np.isfinite(flow[:, ~unseen]).all():
         return False
@@ -266,15 +248,12 @@ def _repeats(frame: np.ndarray, seen: np.ndarray) -> bool:
     return bool((alike & (areas != areas[top, left])).any())
 
 
-def aperture_status(frame: np.ndarray) -> Status | None:
+def aperture_status(
+    frame: np.ndarray,  # (H, W) float32: grey levels
+) -> Status | None:
     """Return the status of a frame that varies along one direction only, None for others.
 
     Its motion along the stripes cannot be seen: the aperture problem.
-
-    Parameters
-    ----------
-    frame : (H, W) float32
-        Grey levels.
 
     References
     ----------
@@ -312,21 +291,14 @@ def aperture_status(frame: np.ndarray) -> Status | None:
 
 
 def diverged_status(
-    flow: np.ndarray, leaves: np.ndarray, *, confirmed: bool = False
+    flow: np.ndarray,  # (2, H, W) float32: (u, v), px/frame
+    leaves: np.ndarray,  # (H, W) bool: where the flow leaves the image
+    *,
+    # whether matched points, a pose or the images confirm a large motion (`confirms_large_motion`):
+    # pixels that leave the image may then go far
+    confirmed: bool = False,
 ) -> Status | None:
-    """Return the status of a flow that is too long for any pair of frames, None for others.
-
-    Parameters
-    ----------
-    flow : (2, H, W) float32
-        (u, v), px/frame.
-    leaves : (H, W) bool
-        Where the flow leaves the image.
-    confirmed : bool
-        Whether matched points, a pose or the images confirm a large motion
-        (`confirms_large_motion`): pixels that leave the image may
-        then go far.
-    """
+    """Return the status of a flow that is too long for any pair of frames, None for others."""
     furthest, most = LONGEST_FLOW, MOST_LEAVING
     if confirmed:
         furthest, most = LONGEST_CONFIRMED_FLOW, MOST_LEAVING_CONFIRMED

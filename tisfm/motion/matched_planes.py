@@ -38,33 +38,20 @@ ISLAND, SIXTEENTHS = 200, 16
 
 @dataclass(frozen=True, kw_only=True)
 class MatchedPlanes:
-    """A plane at every pixel of a level, and which pixels are believed.
-
-    Attributes
-    ----------
-    level : int
-    inverse_depth : (h, w) float32
-        D, px/frame of the level.
-    cost : (h, w) float32
-        One minus the correlation of the pixel's window.
-    believed : (h, w) bool
-    """
+    """A plane at every pixel of a level, and which pixels are believed."""
 
     level: int
-    inverse_depth: np.ndarray
-    cost: np.ndarray
-    believed: np.ndarray
+    inverse_depth: np.ndarray  # (h, w) float32: D, px/frame of the level
+    cost: np.ndarray  # (h, w) float32: one minus the correlation of the pixel's window
+    believed: np.ndarray  # (h, w) bool
 
 
-def matched_planes(pyramid: ImagePyramid, motion: np.ndarray) -> MatchedPlanes:
-    """Match planes of frame 0 in frame 1 and of frame 1 in frame 0, and compare the results.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    motion : (3, 4) array
-        R and t, as from `tisfm.motion.rigid_depth.scaled_translations`.
-    """
+def matched_planes(
+    pyramid: ImagePyramid,
+    # (3, 4) array: R and t, as from `tisfm.motion.rigid_depth.scaled_translations`
+    motion: np.ndarray,
+) -> MatchedPlanes:
+    """Match planes of frame 0 in frame 1 and of frame 1 in frame 0, and compare the results."""
     levels = _levels(pyramid)
     finest = levels[-1]
     rotation, translation = motion[:, :3], motion[:, 3]
@@ -101,21 +88,11 @@ def matched_planes(pyramid: ImagePyramid, motion: np.ndarray) -> MatchedPlanes:
 
 @dataclass(frozen=True, kw_only=True)
 class _Search:
-    """A search from coarse to fine; both directions use the same search.
+    """A search from coarse to fine; both directions use the same search."""
 
-    Attributes
-    ----------
-    cameras : list of Camera
-        Camera of each level, the coarsest first.
-    scales : list of float
-        Sampling density of each level over that of the last level.
-    noise : float
-        Standard deviation of the noise of the last level, levels of 255.
-    """
-
-    cameras: list[Camera]
-    scales: list[float]
-    noise: float
+    cameras: list[Camera]  # camera of each level, the coarsest first
+    scales: list[float]  # sampling density of each level over that of the last level
+    noise: float  # standard deviation of the noise of the last level, levels of 255
 
     def run(
         self, first: list[np.ndarray], second: list[np.ndarray], motion: np.ndarray, *, seed: int
@@ -176,29 +153,23 @@ def _drawn(shape: tuple[int, ...], camera: Camera, largest: float, seed: int) ->
     return random
 
 
-def without_islands(depth: np.ndarray, believed: np.ndarray) -> np.ndarray:
-    """Return believed pixels in connected regions of `ISLAND` pixels or more, with steps of ≤ 1 px.
-
-    Parameters
-    ----------
-    depth : (H, W) float32
-        D, px/frame; positive.
-    believed : (H, W) bool
-    """
+def without_islands(
+    depth: np.ndarray,  # (H, W) float32: D, px/frame; positive
+    believed: np.ndarray,  # (H, W) bool
+) -> np.ndarray:
+    """Return believed pixels in connected regions of ≥ `ISLAND` pixels, with steps of ≤ 1 px."""
     fixed = np.where(believed, SIXTEENTHS * depth + 1, 0).clip(0, np.iinfo(np.int16).max)
     fixed = fixed.astype(np.int16)
     cv2.filterSpeckles(fixed, 0, ISLAND, SIXTEENTHS)
     return fixed > 0
 
 
-def grey_scale(frame0: np.ndarray, frame1: np.ndarray) -> tuple[np.float32, np.float32]:
-    """Return (low, gain) that bring gain · (frame − low) of all but 0.2% of the pixels to [0, 255].
-
-    Parameters
-    ----------
-    frame0, frame1 : (H, W) float32
-        Grey levels.
-    """
+def grey_scale(
+    # frame0, frame1: (H, W) float32, grey levels
+    frame0: np.ndarray,
+    frame1: np.ndarray,
+) -> tuple[np.float32, np.float32]:
+    """Return (low, gain): gain · (frame − low) is in [0, 255] for all but 0.2% of the pixels."""
     low, high = np.percentile(np.concatenate([_sampled(frame0), _sampled(frame1)]), RANGE)
     margin = SPARE * (high - low)
     low, high = low - margin, high + margin

@@ -30,24 +30,15 @@ Known = tuple[np.ndarray, float]  # a flow, and the scale of its level
 
 @dataclass(frozen=True, kw_only=True)
 class Windows:
-    """Grey levels of both frames on one level, whose windows are compared.
+    """Grey levels of both frames on one level, whose windows are compared."""
 
-    Attributes
-    ----------
-    levels0, levels1 : (h, w) float32
-        Grey levels of both frames, in [0, 255].
-    noise : float
-        Standard deviation of the noise of the noisier frame, levels.
-    scale : float
-        Sampling density relative to the finest level of the pyramid.
-    counted0, counted1 : (h, w) bool or None
-        Pixels of both frames that count; None for all. Other pixels are not compared.
-    """
-
+    # levels0, levels1: (h, w) float32, grey levels of both frames, in [0, 255]
     levels0: np.ndarray
     levels1: np.ndarray
-    noise: float
-    scale: float
+    noise: float  # standard deviation of the noise of the noisier frame, levels
+    scale: float  # sampling density relative to the finest level of the pyramid
+    # counted0, counted1: (h, w) bool or None, pixels of both frames that count; None for all. Other
+    # pixels are not compared.
     counted0: np.ndarray | None = None
     counted1: np.ndarray | None = None
 
@@ -86,19 +77,13 @@ class Windows:
         return FlowSearch(self.levels0, self.levels1, noise=self.noise)
 
     def scored(
-        self, flow: np.ndarray, *, sought: np.ndarray | None = None, seen: float = SEEN
+        self,
+        flow: np.ndarray,  # (h, w, 2) float32: px/frame
+        *,
+        sought: np.ndarray | None = None,  # (h, w) bool: pixels that are searched, by default all
+        seen: float = SEEN,  # least variance of a window, in variances of the noise
     ) -> np.ndarray:
-        """Return a flow (h, w, 2) as the state of a search (`tisfm.kernels.rigid.flow_search`).
-
-        Parameters
-        ----------
-        flow : (h, w, 2) float32
-            px/frame.
-        sought : (h, w) bool, optional
-            Pixels that are searched, by default all.
-        seen : float
-            Least variance of a window, in variances of the noise.
-        """
+        """Return a flow (h, w, 2) as the state of a search (`tisfm.kernels.rigid.flow_search`)."""
         state = np.zeros((*self.shape, 4), np.float32)
         state[..., :2] = flow
         state[..., 3] = True if sought is None else sought
@@ -114,25 +99,18 @@ class Windows:
 
 
 class WindowSearch:
-    """A search on several levels, each about twice as dense as the previous level.
+    """A search on several levels, each about twice as dense as the previous level."""
 
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    finest : int
-        Level of the result.
-
-    Attributes
-    ----------
-    levels : list of int
-        Levels of the pyramid, the coarsest first.
-    """
-
-    def __init__(self, pyramid: ImagePyramid, finest: int) -> None:
+    def __init__(
+        self,
+        pyramid: ImagePyramid,
+        finest: int,  # level of the result
+    ) -> None:
         self._pyramid = pyramid
         self._windows: dict[int, Windows] = {}
         step = max(1, round(np.log(0.5) / np.log(pyramid.factor)))
         levels = range(finest, pyramid.levels, step)
+        # levels of the pyramid, the coarsest first
         self.levels = [k for k in levels if pyramid.frames0[k].size >= FEWEST][::-1] or [finest]
         # Noise is measured on the finest level: coarser levels have less noise, and more detail
         # that looks like noise. The gain scales to the frames' own range, however small.
@@ -172,23 +150,16 @@ class WindowSearch:
         self,
         levels: list[int],
         *,
+        # sequence of ((…, …, 2) float32, float): initial flows, each in px/frame of a level, with
+        # the scale of that level. The best of them starts the search at every pixel. By default,
+        # displacements are random.
         known: Sequence[Known] = (),
+        # array of bool: pixels that are searched, on any level; by default all
         sought: np.ndarray | None = None,
+        # draws of all pixels together in a wide round, if few pixels are sought
         tried: int = TRIED,
     ) -> np.ndarray:
-        """Match frame 0 in frame 1; return the state (h, w, 4) on the last of the levels.
-
-        Parameters
-        ----------
-        levels : list of int
-        known : sequence of ((…, …, 2) float32, float)
-            Initial flows, each in px/frame of a level, with the scale of that level. The best of
-            them starts the search at every pixel. By default, displacements are random.
-        sought : array of bool, optional
-            Pixels that are searched, on any level; by default all.
-        tried : int
-            Draws of all pixels together in a wide round, if few pixels are sought.
-        """
+        """Match frame 0 in frame 1; return the state (h, w, 4) on the last of the levels."""
         return _searched([self.windows(k) for k in levels], known, sought, tried, seed=0)
 
     def backward(
@@ -204,19 +175,14 @@ class WindowSearch:
         return _searched(turned, known, sought, tried, seed=1)
 
 
-def resized(flow: np.ndarray, shape: tuple[int, int], ratio: float) -> np.ndarray:
-    """Return a flow (h, w, 2) on another level: means on a coarser level, else nearest values.
-
-    Parameters
-    ----------
-    flow : (h', w', 2) float32
-        px/frame.
-    shape : (int, int)
-        Height and width of the other level, px.
-    ratio : float
-        Sampling density of the other level over that of the flow. The ratio of the rounded sizes
-        may differ.
-    """
+def resized(
+    flow: np.ndarray,  # (h', w', 2) float32: px/frame
+    shape: tuple[int, int],  # height and width of the other level, px
+    # Sampling density of the other level over that of the flow. The ratio of the rounded sizes may
+    # differ.
+    ratio: float,
+) -> np.ndarray:
+    """Return a flow (h, w, 2) on another level: means on a coarser level, else nearest values."""
     how = cv2.INTER_AREA if ratio < 1 else cv2.INTER_NEAREST
     return np.float32(ratio) * np.asarray(cv2.resize(flow, shape[::-1], interpolation=how))
 

@@ -20,18 +20,14 @@ SMALLEST = 0.02  # px: smallest distance in real frames
 BEFORE = 0.99  # least share of the rays that meet a visible plane before the camera
 
 
-def plane_status(rays: Rays, residual: float) -> Status | None:
+def plane_status(
+    rays: Rays,  # rays of a flow field
+    residual: float,  # robust deviation of the rays from the epipolar lines of the best motion, px
+) -> Status | None:
     """Return a status if rays show one plane that allows two motions, else None.
 
     In general a homography has two decompositions. If the plane of one decomposition is behind the
     camera for some of the rays, this decomposition is wrong.
-
-    Parameters
-    ----------
-    rays : Rays
-        Rays of a flow field.
-    residual : float
-        Robust deviation of the rays from the epipolar lines of the best motion, px.
 
     References
     ----------

@@ -40,31 +40,18 @@ BEHIND = 1.5  # px of D: a pixel so far behind another surface is hidden by it
 
 
 class PlaneSweep:
-    """A plane sweep on any level of a pyramid, guided by the depth of a flow field.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    motion : (3, 4) array
-        R and t, as from `tisfm.motion.rigid_depth.scaled_translations`.
-    level : int
-        Level of the flow field.
-    flow : (h, w, 2) float32
-        Flow field, px/frame of its level.
-    trust : (h, w) float32
-        Confidence of the flow.
-    is_known : bool
-        Whether the motion was given: the sweep then runs on the finest possible level.
-    """
+    """A plane sweep on any level of a pyramid, guided by the depth of a flow field."""
 
     def __init__(
         self,
         pyramid: ImagePyramid,
+        # (3, 4) array: R and t, as from `tisfm.motion.rigid_depth.scaled_translations`
         motion: np.ndarray,
-        level: int,
-        flow: np.ndarray,
-        trust: np.ndarray,
+        level: int,  # level of the flow field
+        flow: np.ndarray,  # (h, w, 2) float32: flow field, px/frame of its level
+        trust: np.ndarray,  # (h, w) float32: confidence of the flow
         *,
+        # whether the motion was given: the sweep then runs on the finest possible level
         is_known: bool = False,
     ) -> None:
         self._pyramid, self._motion = pyramid, motion
@@ -92,12 +79,8 @@ class PlaneSweep:
         much parallax, it is the result of a sweep that uses the flow field as a guess. Unless the
         motion is known, no sweep is finer than the last level of the pyramid.
 
-        Returns
-        -------
-        level : int
-            Level of the flow, or a finer level.
-        inverse_depth : (H, W) float32
-            D, px/frame of the level.
+        Returns level, level of the flow, or a finer level; inverse_depth, (H, W) float32: D,
+        px/frame of the level.
         """
         if not self.needed:
             return self._level, self._guess
@@ -148,24 +131,14 @@ class PlaneSweep:
         )
 
 
-def triangulated(flow: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:
+def triangulated(
+    flow: np.ndarray,  # (H, W, 2) float32: px/frame
+    motion: np.ndarray,  # (3, 4) array: R and t
+    camera: Camera,  # camera of the flow's level
+) -> np.ndarray:  # (H, W) float32: D = f·d, px/frame
     """Return the inverse depth of every pixel whose epipolar point is nearest to a flow.
 
     Near the epipole, where depth hardly moves a pixel, the surroundings decide.
-
-    Parameters
-    ----------
-    flow : (H, W, 2) float32
-        px/frame.
-    motion : (3, 4) array
-        R and t.
-    camera : Camera
-        Camera of the flow's level.
-
-    Returns
-    -------
-    (H, W) float32
-        D = f·d, px/frame.
     """
     height, width = flow.shape[:2]
     flow = np.nan_to_num(flow.astype(np.float32), nan=0, posinf=0, neginf=0)  # flow may diverge
@@ -185,37 +158,21 @@ def triangulated(flow: np.ndarray, motion: np.ndarray, camera: Camera) -> np.nda
 
 
 def swept(
+    # frame0, frame1: (H, W) float32, grey levels
     frame0: np.ndarray,
     frame1: np.ndarray,
-    motion: np.ndarray,
-    camera: Camera,
-    hypotheses: np.ndarray,
+    motion: np.ndarray,  # (3, 4) array: R and t
+    camera: Camera,  # camera of the frames' level
+    hypotheses: np.ndarray,  # (N,) array: D, px/frame, evenly spaced and positive; at least 2
+    # guess, trust: (H, W) float32, likely inverse depth, and its trust in [0, 1]
     guess: np.ndarray,
     trust: np.ndarray,
     *,
+    # tuple of two (H, W) bool: pixels of each frame that count, by default all. Others weigh as
+    # little as hidden pixels.
     counted: tuple[np.ndarray, np.ndarray] | None = None,
-) -> np.ndarray:
+) -> np.ndarray:  # (H, W) float32: D, interpolated between the hypotheses
     """Return the best inverse depth of every pixel among hypotheses, by semi-global matching.
-
-    Parameters
-    ----------
-    frame0, frame1 : (H, W) float32
-        Grey levels.
-    motion : (3, 4) array
-        R and t.
-    camera : Camera
-        Camera of the frames' level.
-    hypotheses : (N,) array
-        D, px/frame, evenly spaced and positive; at least 2.
-    guess, trust : (H, W) float32
-        Likely inverse depth, and its trust in [0, 1].
-    counted : tuple of two (H, W) bool, optional
-        Pixels of each frame that count, by default all. Others weigh as little as hidden pixels.
-
-    Returns
-    -------
-    (H, W) float32
-        D, interpolated between the hypotheses.
 
     References
     ----------

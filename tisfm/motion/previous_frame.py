@@ -44,34 +44,23 @@ LEAST_DETERMINANT = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class PreviousPair:
-    """The previous pair, on the last level of its flow.
+    """The previous pair, on the last level of its flow."""
 
-    Attributes
-    ----------
-    frame0, frame1 : (h, w) float32
-        Smoothed frames of the previous pair. The second is the first frame of the current pair.
-    flow : (2, h, w) float32
-        px/frame of the level.
-    hidden : (h, w) bool
-        Pixels of its first frame that are not visible in the second.
-    """
-
+    # frame0, frame1: (h, w) float32, smoothed frames of the previous pair. The second is the first
+    # frame of the current pair.
     frame0: np.ndarray
     frame1: np.ndarray
-    flow: np.ndarray
-    hidden: np.ndarray
+    flow: np.ndarray  # (2, h, w) float32: px/frame of the level
+    hidden: np.ndarray  # (h, w) bool: pixels of its first frame that are not visible in the second
 
     @classmethod
-    def of(cls, pyramid: ImagePyramid, flow: np.ndarray, hidden: np.ndarray) -> "PreviousPair":
-        """Return the data that the next pair needs from a pair.
-
-        Parameters
-        ----------
-        pyramid : ImagePyramid
-        flow : (2, H, W) float32
-            px/frame of the finest level.
-        hidden : (H, W) bool
-        """
+    def of(
+        cls,
+        pyramid: ImagePyramid,
+        flow: np.ndarray,  # (2, H, W) float32: px/frame of the finest level
+        hidden: np.ndarray,  # (H, W) bool
+    ) -> "PreviousPair":
+        """Return the data that the next pair needs from a pair."""
         frame0, frame1 = pyramid.frames0[pyramid.last], pyramid.frames1[pyramid.last]
         if frame0.shape != hidden.shape:
             size, scale = frame0.shape[::-1], np.float32(pyramid.scales[pyramid.last])
@@ -83,12 +72,8 @@ class PreviousPair:
     def turned(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the flow from the second frame back to the first, and where it is known.
 
-        Returns
-        -------
-        flow : (2, h, w) float32
-            px/frame; 0 where unknown.
-        seen : (h, w) bool
-            Pixels of the second frame that are visible in the first.
+        Returns flow, (2, h, w) float32: px/frame; 0 where unknown; seen, (h, w) bool: pixels of the
+        second frame that are visible in the first.
         """
         flow = np.where(self.hidden, np.float32(FAR), self.flow)
         sums = aligned_empty((*self.hidden.shape, 4))
@@ -100,26 +85,18 @@ class PreviousPair:
 
 
 class PreviousFrame:
-    """Data of the previous frame for a pair (`tisfm.solver.coarse_to_fine.MoreData`).
+    """Data of the previous frame for a pair (`tisfm.solver.coarse_to_fine.MoreData`)."""
 
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-        Pyramid of the current pair.
-    previous : PreviousPair
-    settings : Settings
-
-    Attributes
-    ----------
-    used : bool
-        Whether the previous frame was used.
-    residual : (h, w) float32 or None
-        Residual of a flow near the final flow, on the last level; None if the frame is not used.
-    """
-
-    def __init__(self, pyramid: ImagePyramid, previous: PreviousPair, settings: Settings) -> None:
+    def __init__(
+        self,
+        pyramid: ImagePyramid,  # pyramid of the current pair
+        previous: PreviousPair,
+        settings: Settings,
+    ) -> None:
         self._pyramid, self._earlier, self._settings = pyramid, previous, settings
-        self.used = False
+        self.used = False  # whether the previous frame was used
+        # (h, w) float32 or None: residual of a flow near the final flow, on the last level; None if
+        # the frame is not used
         self.residual: np.ndarray | None = None
         frame = previous.frame0
         ahead = runtime.threads() > 1 and frame.size >= BESIDE  # coarse levels leave threads free
@@ -185,7 +162,10 @@ def previous_frame(
 
 
 def fitted_bend(
-    flow: np.ndarray, back: np.ndarray, seen: np.ndarray
+    # flow, back: (2, h, w) float32, px/frame, to the next frame and to the previous frame
+    flow: np.ndarray,
+    back: np.ndarray,
+    seen: np.ndarray,  # (h, w) bool: pixels that are visible in both frames
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Return the sum of forward and backward flow as an affine function of the backward flow.
 
@@ -193,24 +173,10 @@ def fitted_bend(
     bend of a steady 3D motion depends on depth, as the flow does, so two surfaces in one window
     have different bends.
 
-    Parameters
-    ----------
-    flow, back : (2, h, w) float32
-        px/frame, to the next frame and to the previous frame.
-    seen : (h, w) bool
-        Pixels that are visible in both frames.
-
-    Returns
-    -------
-    bend : (2, h, w) float32
-        px/frame.
-    off : (h, w) float32
-        Squared deviation from the bend around every pixel, plus the squared excess of the bend
-        over that of a steady motion, px².
-    steady : (h, w) bool
-        Where the bend is small enough for a steady motion.
-    None
-        If less than `KEPT` of the visible pixels fit the bend.
+    Returns bend, (2, h, w) float32: px/frame; off, (h, w) float32: squared deviation from the bend
+    around every pixel, plus the squared excess of the bend over that of a steady motion, px²;
+    steady, (h, w) bool: where the bend is small enough for a steady motion; None: if less than
+    `KEPT` of the visible pixels fit the bend.
     """
     h, w = seen.shape
     first = min(GRID, h, w) // 2

@@ -37,18 +37,11 @@ def pyramid_of(
 
 
 def flow_problem(
-    settings: Settings, focal: float, stiffness: tuple[float, ...] | None = None
+    settings: Settings,
+    focal: float,  # focal length of the finest level, px
+    stiffness: tuple[float, ...] | None = None,  # stiffness of other unknowns than the model's
 ) -> Problem:
-    """Return the problem of free motion, by default with the unknowns of the settings' model.
-
-    Parameters
-    ----------
-    settings : Settings
-    focal : float
-        Focal length of the finest level, px.
-    stiffness : tuple of float, optional
-        Stiffness of other unknowns than the model's.
-    """
+    """Return the problem of free motion, by default with the unknowns of the settings' model."""
     return _problem(
         settings,
         brightness=settings.brightness,
@@ -59,15 +52,11 @@ def flow_problem(
     )
 
 
-def depth_problem(settings: Settings, focal: float) -> Problem:
-    """Return the problem of inverse depth under known motions.
-
-    Parameters
-    ----------
-    settings : Settings
-    focal : float
-        Focal length of the level, px.
-    """
+def depth_problem(
+    settings: Settings,
+    focal: float,  # focal length of the level, px
+) -> Problem:
+    """Return the problem of inverse depth under known motions."""
     return _problem(
         settings,
         brightness=settings.depth_brightness,

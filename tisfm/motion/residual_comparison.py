@@ -10,36 +10,30 @@ LARGEST_RESIDUAL = 5.0  # deviations of the noise, at which residuals are clippe
 
 
 class ResidualComparison:
-    """Residuals of frame 1 along a flow, in standard deviations of the noise.
+    """Residuals of frame 1 along a flow, in standard deviations of the noise."""
 
-    Parameters
-    ----------
-    windows : Windows
-    constancy : Constancy
-        Its weights of brightness and of the gradient are used.
-    """
-
-    def __init__(self, windows: Windows, constancy: Constancy) -> None:
+    def __init__(
+        self,
+        windows: Windows,
+        constancy: Constancy,  # its weights of brightness and of the gradient are used
+    ) -> None:
         weights = (constancy.brightness, constancy.gradient, constancy.gradient)
         self._weights = [weight / sum(weights) for weight in weights]
         self._noise = windows.noise
         self._frames0, self._frames1 = map(_frame_and_slopes, (windows.levels0, windows.levels1))
 
     def better(
-        self, flow: np.ndarray, other: np.ndarray, *, window: int, by: float = 0.0
+        self,
+        # flow, other: (h, w, 2) float32, px/frame
+        flow: np.ndarray,
+        other: np.ndarray,
+        *,
+        # px: side of the square in which residuals are averaged with Gaussian weights, so that a
+        # pixel at the corner of an object takes part in that object
+        window: int,
+        by: float = 0.0,  # least difference, deviations of the noise
     ) -> np.ndarray:
-        """Return where a flow has a smaller residual than another flow, (h, w) bool.
-
-        Parameters
-        ----------
-        flow, other : (h, w, 2) float32
-            px/frame.
-        window : int
-            px: side of the square in which residuals are averaged with Gaussian weights, so that a
-            pixel at the corner of an object takes part in that object.
-        by : float
-            Least difference, deviations of the noise.
-        """
+        """Return where a flow has a smaller residual than another flow, (h, w) bool."""
         mean, others = (
             cv2.GaussianBlur(self._residual(one), (window, window), 0) for one in (flow, other)
         )

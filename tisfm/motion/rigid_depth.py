@@ -28,34 +28,18 @@ Refinement = Literal["none", "translation", "motion"]
 
 @dataclass(frozen=True, kw_only=True)
 class RigidSolution:
-    """Motions and inverse depth, estimated from coarse to fine.
+    """Motions and inverse depth, estimated from coarse to fine."""
 
-    Attributes
-    ----------
-    motions : (K, 3, 4) float64
-        R and t of each motion. The length of t makes D px/frame on average.
-    inverse_depth : (H, W) float32
-        D = f·d, signed.
-    precision : (7, h, w) float32
-        As in `tisfm.kernels.solve.data_precision`, on the last level.
-    level : int
-        The last level.
-    density : float
-        Sampling density of the last level over that of the finest level.
-    history : list of (level, warp, Iteration)
-    converged : bool
-    adjustable : bool
-        Whether the settings determine the number of iterations.
-    """
-
+    # (K, 3, 4) float64: R and t of each motion. The length of t makes D px/frame on average.
     motions: np.ndarray
-    inverse_depth: np.ndarray
+    inverse_depth: np.ndarray  # (H, W) float32: D = f·d, signed
+    # (7, h, w) float32: as in `tisfm.kernels.solve.data_precision`, on the last level
     precision: np.ndarray
-    level: int
-    density: float
-    history: Records
+    level: int  # the last level
+    density: float  # sampling density of the last level over that of the finest level
+    history: Records  # list of (level, warp, Iteration)
     converged: bool
-    adjustable: bool = True
+    adjustable: bool = True  # whether the settings determine the number of iterations
 
     def deviation(self) -> np.ndarray:
         """Return the standard deviation of D, (H, W) float32.
@@ -91,13 +75,19 @@ class RigidSolution:
 def rigid_depth(
     pyramid: ImagePyramid,
     settings: Settings,
-    motions: np.ndarray,
-    labels: np.ndarray,
+    motions: np.ndarray,  # (K, 3, 4) array: R and t of each motion
+    labels: np.ndarray,  # (H, W) int array: index of each pixel's motion
     *,
-    last: int = 0,
+    last: int = 0,  # the last level, unless `start` begins on a finer level
+    # part of the motions that is refined on the finer levels, jointly with depth
     refine: Refinement = "motion",
+    # (H, W) bool array: pixels whose data count, by default all. Depth is continued smoothly to
+    # other pixels.
     support: np.ndarray | None = None,
+    # (int, (h, w) float32): the first level and D on it, for translations scaled by
+    # `scaled_translations`; by default the coarsest level, and zero
     start: tuple[int, np.ndarray] | None = None,
+    # linearisations on the last level, by default `settings.warps * WARPS`
     warps: int | None = None,
 ) -> RigidSolution:
     """Estimate the inverse depth of every pixel, from coarse to fine.
@@ -107,26 +97,6 @@ def rigid_depth(
     Displacements are exact. The unknown D is in px/frame for every motion, because translations
     are scaled such that D moves a pixel by D px/frame on average. There is no smoothness across
     edges between labels.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    settings : Settings
-    motions : (K, 3, 4) array
-        R and t of each motion.
-    labels : (H, W) int array
-        Index of each pixel's motion.
-    last : int
-        The last level, unless `start` begins on a finer level.
-    refine : {"none", "translation", "motion"}
-        Part of the motions that is refined on the finer levels, jointly with depth.
-    support : (H, W) bool array, optional
-        Pixels whose data count, by default all. Depth is continued smoothly to other pixels.
-    start : (int, (h, w) float32), optional
-        The first level and D on it, for translations scaled by `scaled_translations`; by default
-        the coarsest level, and zero.
-    warps : int, optional
-        Linearisations on the last level, by default `settings.warps * WARPS`.
     """
     motions = scaled_translations(motions, labels, pyramid.cameras[0])
     history: Records = []
@@ -168,24 +138,15 @@ def rigid_depth(
 
 
 def motion_residual(
-    pyramid: ImagePyramid, settings: Settings, motion: np.ndarray, inverse_depth: np.ndarray
+    pyramid: ImagePyramid,
+    settings: Settings,
+    motion: np.ndarray,  # (3, 4) array: R and t; the length of t fits `inverse_depth`
+    inverse_depth: np.ndarray,  # (H, W) float32: D
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the residual of one motion and its depth in the images, and their flow.
 
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    settings : Settings
-    motion : (3, 4) array
-        R and t; the length of t fits `inverse_depth`.
-    inverse_depth : (H, W) float32
-        D.
-
-    Returns
-    -------
-    residual : (H, W) float32
-        Squared, px²; 0 where the flow leaves the image.
-    flow : (2, H, W) float32
+    Returns residual, (H, W) float32: squared, px²; 0 where the flow leaves the image; flow, (2, H,
+    W) float32.
     """
     labels = np.zeros(inverse_depth.shape, np.int32)
     state = RigidLevel(pyramid, 0, settings, labels, count=1)
@@ -199,23 +160,14 @@ def motion_residual(
 def motion_precision(
     pyramid: ImagePyramid,
     settings: Settings,
+    # (K, 3, 4) array: R and t of each motion; the lengths of t fit `inverse_depth`
     motions: np.ndarray,
-    labels: np.ndarray,
-    inverse_depth: np.ndarray,
+    labels: np.ndarray,  # (H, W) int array
+    inverse_depth: np.ndarray,  # (H, W) float32: D
 ) -> np.ndarray:
     """Return the precision of data and neighbours for given motions and depth, (7, H, W) float32.
 
     For its own solution, `rigid_depth` returns the same as `RigidSolution.precision`.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    settings : Settings
-    motions : (K, 3, 4) array
-        R and t of each motion; the lengths of t fit `inverse_depth`.
-    labels : (H, W) int array
-    inverse_depth : (H, W) float32
-        D.
     """
     state = RigidLevel(pyramid, 0, settings, labels, count=len(motions))
     state.unknowns.set_images(inverse_depth[None])

@@ -23,32 +23,18 @@ FITTING, MISFIT = 0.016, 1.5
 
 def with_depth(
     solution: RigidSolution,
-    labels: np.ndarray,
+    labels: np.ndarray,  # (H, W) int32: index of each pixel's motion
     camera: Camera,
     settings: Settings,
     *,
-    unit: float | None = None,
-    unseen: int | None = None,
+    unit: float | None = None,  # ‖t‖ of a given motion; depth is then in its unit
+    unseen: int | None = None,  # the label whose parallax is too small to return its depth
+    # Robust deviation of a flow field from the points that the motion allows, px. It shows errors
+    # that pixels share, so all deviations are multiplied by one factor that adds these errors to
+    # the median deviation.
     misfit: float = 0.0,
 ) -> Estimate:
-    """Return the estimate of a solution, with ‖T‖ = 1 and depth in that unit.
-
-    Parameters
-    ----------
-    solution : RigidSolution
-    labels : (H, W) int32
-        Index of each pixel's motion.
-    camera : Camera
-    settings : Settings
-    unit : float, optional
-        ‖t‖ of a given motion; depth is then in its unit.
-    unseen : int, optional
-        The label whose parallax is too small to return its depth.
-    misfit : float
-        Robust deviation of a flow field from the points that the motion allows, px. It shows errors
-        that pixels share, so all deviations are multiplied by one factor that adds these errors to
-        the median deviation.
-    """
+    """Return the estimate of a solution, with ‖T‖ = 1 and depth in that unit."""
     twists = np.empty((len(solution.motions), 6))
     for_twist = np.empty(len(twists), np.float32)  # d / D, for ‖T‖ = 1
     for_output = np.empty(len(twists), np.float32)

@@ -153,18 +153,11 @@ class RigidLevel:
         return motions
 
 
-def median_within(values: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Return the median in a window around every pixel, over pixels of the same label only.
-
-    Parameters
-    ----------
-    values : (H, W) float32
-    labels : (H, W) float32
-
-    Returns
-    -------
-    (H, W) float32
-    """
+def median_within(
+    values: np.ndarray,  # (H, W) float32
+    labels: np.ndarray,  # (H, W) float32
+) -> np.ndarray:  # (H, W) float32
+    """Return the median in a window around every pixel, over pixels of the same label only."""
     medians = cv2.medianBlur(values, MEDIAN)
     mixed = _mixed(labels)
     if mixed.any():

@@ -21,51 +21,30 @@ KNOWN = ("converged", "iteration_limit", "uncertain", "pure_rotation", "little_p
 
 @dataclass(frozen=True, kw_only=True)
 class GlobalShutterPair:
-    """Two frames as if all rows had been read with the middle one.
+    """Two frames as if all rows had been read with the middle one."""
 
-    Attributes
-    ----------
-    grey0, grey1 : (H, W) float32
-    frame : (H, W) or (H, W, 3) uint8
-        Frame 0 as a picture.
-    counted : tuple of two (H, W) bool, or None
-        Pixels that count: they are visible and not ignored.
-    """
-
+    # grey0, grey1: (H, W) float32
     grey0: np.ndarray
     grey1: np.ndarray
-    frame: np.ndarray
+    frame: np.ndarray  # (H, W) or (H, W, 3) uint8: frame 0 as a picture
+    # tuple of two (H, W) bool, or None: pixels that count: they are visible and not ignored
     counted: tuple[np.ndarray, np.ndarray] | None
 
 
 def global_shutter_pair(
+    # grey0, grey1, frame, counted: as in `GlobalShutterPair`, but before the correction
     grey0: np.ndarray,
     grey1: np.ndarray,
     frame: np.ndarray,
     counted: tuple[np.ndarray, np.ndarray] | None,
-    camera: Camera,
+    camera: Camera,  # a pinhole; its readout is a share of the time from frame 0 to frame 1
     settings: Settings,
-    pose: KnownPose | None,
-) -> GlobalShutterPair | None:
+    pose: KnownPose | None,  # the known motion from one middle row to the other
+) -> GlobalShutterPair | None:  # none if no motion is found
     """Return a pair as if all rows of each frame had been read with its middle one.
 
     The camera is assumed to move evenly from before frame 0 until after frame 1. Motion and depth
     are estimated from the given frames, and again from the frames corrected by them.
-
-    Parameters
-    ----------
-    grey0, grey1, frame, counted
-        As in `GlobalShutterPair`, but before the correction.
-    camera : Camera
-        A pinhole; its readout is a share of the time from frame 0 to frame 1.
-    settings : Settings
-    pose : KnownPose or None
-        The known motion from one middle row to the other.
-
-    Returns
-    -------
-    GlobalShutterPair or None
-        None if no motion is found.
     """
     found: GlobalShutterPair | None = None
     for _ in range(ROUNDS):

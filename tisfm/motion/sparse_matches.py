@@ -19,56 +19,34 @@ RANGE = (0.5, 99.5)  # percentiles of frame 0 that are mapped to 0 and 255
 
 @dataclass(frozen=True, kw_only=True)
 class Matches:
-    """Points of frame 0 and their matches in frame 1, px from the upper left pixel's centre.
+    """Points of frame 0 and their matches in frame 1, px from the upper left pixel's centre."""
 
-    Attributes
-    ----------
-    before, after : (N, 2) float64
-        (x, y).
-    """
-
+    # before, after: (N, 2) float64, (x, y)
     before: np.ndarray
     after: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)
 class Described:
-    """Points of a frame and their descriptors.
+    """Points of a frame and their descriptors."""
 
-    Attributes
-    ----------
-    points : (N, 2) float64
-        (x, y), px from the upper left pixel's centre.
-    roots : (N, 128) float32
-        Square roots of the descriptors, which are normalised to sum 1.
-    """
-
-    points: np.ndarray
+    points: np.ndarray  # (N, 2) float64: (x, y), px from the upper left pixel's centre
+    # (N, 128) float32: square roots of the descriptors, which are normalised to sum 1
     roots: np.ndarray
 
 
 def sparse_matches(
+    # frame0, frame1: (H, W) float32, grey levels on any scale
     frame0: np.ndarray,
     frame1: np.ndarray,
+    # tuple of two (H, W) bool: pixels of each frame whose points are matched, by default all
     counted: tuple[np.ndarray, np.ndarray] | None = None,
-) -> Matches:
+) -> Matches:  # always the same for the same frames; there may be none
     """Find points that look alike in two frames.
 
     Detected points are thinned out where they are dense, so a textured corner does not dominate.
     Descriptors are compared by the Hellinger distance (RootSIFT). The two points of a match are
     nearest to each other, and clearly nearer than the second nearest point.
-
-    Parameters
-    ----------
-    frame0, frame1 : (H, W) float32
-        Grey levels on any scale.
-    counted : tuple of two (H, W) bool, optional
-        Pixels of each frame whose points are matched, by default all.
-
-    Returns
-    -------
-    Matches
-        Always the same for the same frames; there may be none.
 
     References
     ----------

@@ -50,41 +50,21 @@ _AnyMotion = TypeVar("_AnyMotion", Pose, _Motion)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SparseMotion:
-    """A rigid motion fitted to matches, P₁ = R P₀ + t.
+    """A rigid motion fitted to matches, P₁ = R P₀ + t."""
 
-    Attributes
-    ----------
-    rotation, translation : (3, 3) and (3,) float64
-        ‖t‖ = 1.
-    rotation_alone : (3, 3) float64
-        The rotation that fits best without translation.
-    model : {"rotation", "plane", "depth"}
-        The simplest model that explains the matches: a rotation, the homography of a plane, or a
-        depth for every point. All motions of a pair have the same model.
-    residual : float
-        Robust standard deviation of the distances from epipolar lines, px.
-    parallax : float
-        Median length of the displacements that `rotation_alone` leaves, px.
-    inliers : int
-        Number of matches that the motion explains.
-    spread : float
-        Share of the image's cells that hold an inlier.
-    cost : float
-        Robust cost of all matches, with one scale for all motions of the pair.
-    rays : Rays
-        The inliers.
-    """
-
+    # rotation, translation: (3, 3) and (3,) float64: ‖t‖ = 1
     rotation: np.ndarray
     translation: np.ndarray
-    rotation_alone: np.ndarray
+    rotation_alone: np.ndarray  # (3, 3) float64: the rotation that fits best without translation
+    # The simplest model that explains the matches: a rotation, the homography of a plane, or a
+    # depth for every point. All motions of a pair have the same model.
     model: Model
-    residual: float
-    parallax: float
-    inliers: int
-    spread: float
-    cost: float
-    rays: Rays
+    residual: float  # robust standard deviation of the distances from epipolar lines, px
+    parallax: float  # median length of the displacements that `rotation_alone` leaves, px
+    inliers: int  # number of matches that the motion explains
+    spread: float  # share of the image's cells that hold an inlier
+    cost: float  # robust cost of all matches, with one scale for all motions of the pair
+    rays: Rays  # the inliers
 
     def scaled(self, factor: float) -> "SparseMotion":
         """Return the motion with its lengths, px, multiplied for another level."""
@@ -92,7 +72,9 @@ class SparseMotion:
 
 
 def sparse_motions(
-    matches: Matches, camera: Camera, shape: tuple[int, int]
+    matches: Matches,
+    camera: Camera,  # without distortion
+    shape: tuple[int, int],  # height and width of the frames, px
 ) -> tuple[list[SparseMotion], "Judge | None"]:
     """Return the motions that explain the matches, the likeliest first.
 
@@ -100,20 +82,8 @@ def sparse_motions(
     random sampling, and decompositions of homographies. If the matches lie on one plane, they
     determine no essential matrix, and the homography gives the motion. Two motions may then remain.
 
-    Parameters
-    ----------
-    matches : Matches
-    camera : Camera
-        Without distortion.
-    shape : (int, int)
-        Height and width of the frames, px.
-
-    Returns
-    -------
-    motions : list of SparseMotion
-        Empty if too few matches agree on a motion.
-    judge : Judge or None
-        The cost of other motions on the same scale; None if no motion was found.
+    Returns motions, empty if too few matches agree on a motion; judge, the cost of other motions on
+    the same scale; None if no motion was found.
 
     References
     ----------
@@ -148,17 +118,13 @@ def sparse_motions(
 
 
 def posed_motion(
-    matches: Matches, camera: Camera, shape: tuple[int, int], pose: Pose
+    # matches, camera, shape: as in `sparse_motions`
+    matches: Matches,
+    camera: Camera,
+    shape: tuple[int, int],
+    pose: Pose,  # (rotation, translation): ‖t‖ = 1
 ) -> SparseMotion | None:
-    """Return a known motion with its inliers, or None if too few matches agree with it.
-
-    Parameters
-    ----------
-    matches, camera, shape
-        As in `sparse_motions`.
-    pose : (rotation, translation)
-        ‖t‖ = 1.
-    """
+    """Return a known motion with its inliers, or None if too few matches agree with it."""
     if len(matches.before) < FEWEST:
         return None
     rays = _rays(matches, camera, shape)
@@ -184,18 +150,10 @@ def posed_residual(rays: Rays, pose: Pose) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Judge:
-    """The robust cost of any motion over all matches.
+    """The robust cost of any motion over all matches."""
 
-    Attributes
-    ----------
-    rays : Rays
-        All matches.
-    scale : float
-        Scale of their distances from epipolar lines, px.
-    """
-
-    rays: Rays
-    scale: float
+    rays: Rays  # all matches
+    scale: float  # scale of their distances from epipolar lines, px
 
     def cost(self, pose: Pose) -> float:
         """Return the robust cost of a motion. A match that it does not explain costs 1."""
@@ -232,17 +190,13 @@ def _homographies(rays: Rays) -> list[np.ndarray]:
     return found
 
 
-def of_plane(homography: np.ndarray, rays: Rays, *, share: float = 0.5) -> list[Pose]:
-    """Return the motions that may have caused a homography: their plane lies before the camera.
-
-    Parameters
-    ----------
-    homography : (3, 3)
-        For normalised coordinates.
-    rays : Rays
-    share : float
-        Least share of the rays that meet the plane before the camera.
-    """
+def of_plane(
+    homography: np.ndarray,  # (3, 3): for normalised coordinates
+    rays: Rays,
+    *,
+    share: float = 0.5,  # least share of the rays that meet the plane before the camera
+) -> list[Pose]:
+    """Return the motions that may have caused a homography: their plane lies before the camera."""
     _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, np.eye(3))
     poses: list[Pose] = []
     for rotation, translation, normal in zip(rotations, translations, normals, strict=True):

@@ -35,41 +35,25 @@ UNDECIDED = 0.01  # difference of mean correlations below which two motions are 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SparseStart:
-    """A motion from matches, and its flow on a level of the pyramid.
+    """A motion from matches, and its flow on a level of the pyramid."""
 
-    Attributes
-    ----------
-    motion : SparseMotion
-        Lengths are in px of the finest level.
-    flow : (h, w, 2) float32
-        Flow of the motion and the depth of a plane sweep, px of the level.
-    trust : (h, w) float32
-        Trust in the flow, in [0, 1].
-    apart : Status or None
-        Set if the frames do not match even along this flow.
-    doubt : Status or None
-        Set if another motion is as likely.
-    """
-
-    motion: SparseMotion
+    motion: SparseMotion  # lengths are in px of the finest level
+    # (h, w, 2) float32: flow of the motion and the depth of a plane sweep, px of the level
     flow: np.ndarray
-    trust: np.ndarray
-    apart: Status | None
-    doubt: Status | None
+    trust: np.ndarray  # (h, w) float32: trust in the flow, in [0, 1]
+    apart: Status | None  # set if the frames do not match even along this flow
+    doubt: Status | None  # set if another motion is as likely
 
 
-def sparse_start(pyramid: ImagePyramid, level: int, dense: Pose | None) -> SparseStart | None:
-    """Return the motion of matches that fits the images best; None if there is no better motion.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    level : int
-        Level on which the images compare motions; the returned flow is on this level.
-    dense : (rotation, translation) or None
-        Motion of a flow field. It is kept if the matches fit it nearly as well as their best
-        motion. It decides between motions that fit the images equally well.
-    """
+def sparse_start(
+    pyramid: ImagePyramid,
+    level: int,  # level on which the images compare motions; the returned flow is on this level
+    # (rotation, translation) or None: motion of a flow field. It is kept if the matches fit it
+    # nearly as well as their best motion. It decides between motions that fit the images equally
+    # well.
+    dense: Pose | None,
+) -> SparseStart | None:
+    """Return the motion of matches that fits the images best; None if there is no better motion."""
     finest, matches = _matches(pyramid)
     motions, judge = sparse_motions(matches, pyramid.cameras[finest], pyramid.frames0[finest].shape)
     if judge is None:
@@ -89,19 +73,14 @@ def sparse_start(pyramid: ImagePyramid, level: int, dense: Pose | None) -> Spars
 
 
 def posed_start(
-    pyramid: ImagePyramid, level: int, pose: Pose
+    pyramid: ImagePyramid,
+    level: int,
+    pose: Pose,  # (rotation, translation): ‖t‖ = 1
 ) -> tuple[SparseStart | None, Status | None]:
     """Return the start for a known motion, and why the motion is wrong.
 
     The first is None if too few matches agree with the motion. The second is None if no other
     motion fits the matches far better.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    level : int
-    pose : (rotation, translation)
-        ‖t‖ = 1.
     """
     finest, matches = _matches(pyramid)
     camera, shape = pyramid.cameras[finest], pyramid.frames0[finest].shape

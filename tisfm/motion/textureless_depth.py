@@ -52,15 +52,9 @@ SPREAD = 0.2  # px²: variance of carried depth, for the share of the data in a 
 
 @dataclass(frozen=True, kw_only=True)
 class TexturelessSolution(RigidSolution):
-    """A rigid solution whose depth was partly carried, with its own deviation.
+    """A rigid solution whose depth was partly carried, with its own deviation."""
 
-    Attributes
-    ----------
-    carried_deviation : (H, W) float32
-        Standard deviation of D.
-    """
-
-    carried_deviation: np.ndarray
+    carried_deviation: np.ndarray  # (H, W) float32: standard deviation of D
 
     def deviation(self) -> np.ndarray:
         """Return the standard deviation of D, (H, W) float32."""
@@ -82,25 +76,16 @@ def textureless_share(frame: np.ndarray, counted: np.ndarray | None = None) -> f
 def textureless_depth(
     pyramid: ImagePyramid,
     settings: Settings,
+    # (3, 4) array: R and t, as from `tisfm.motion.rigid_depth.scaled_translations`
     motion: np.ndarray,
     *,
+    # (H, W) bool array: pixels whose matches and constraints count, by default all. Depth is
+    # carried to the others.
     support: np.ndarray | None = None,
 ) -> TexturelessSolution | None:
     """Estimate the inverse depth of every pixel under a known motion.
 
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    settings : Settings
-    motion : (3, 4) array
-        R and t, as from `tisfm.motion.rigid_depth.scaled_translations`.
-    support : (H, W) bool array, optional
-        Pixels whose matches and constraints count, by default all. Depth is carried to the others.
-
-    Returns
-    -------
-    TexturelessSolution or None
-        None if too few pixels could be matched, or if no level is small enough.
+    Returns none if too few pixels could be matched, or if no level is small enough.
     """
     if pyramid.frames0[-1].size > MOST:
         return None

@@ -8,24 +8,16 @@ from tisfm.visibility.confidence import CONFIDENCE_WINDOW
 FLATTEST = 1e-12  # least product of two window variances, in units of the frame's variance
 
 
-def window_variance(image: np.ndarray, size: int, mean: np.ndarray | None = None) -> np.ndarray:
+def window_variance(
+    image: np.ndarray,  # (H, W) float32
+    size: int,  # side of the window, px, odd
+    # (H, W) float32: mean of every window, for an image whose mean is about 0
+    mean: np.ndarray | None = None,
+) -> np.ndarray:  # (H, W) float32: at least 0; not finite where squares are too large for float32
     """Return the variance of the square window around every pixel.
 
     Squares of values far from 0 lose digits, so the mean of the whole image is subtracted first,
     unless `mean` is given.
-
-    Parameters
-    ----------
-    image : (H, W) float32
-    size : int
-        Side of the window, px, odd.
-    mean : (H, W) float32, optional
-        Mean of every window, for an image whose mean is about 0.
-
-    Returns
-    -------
-    (H, W) float32
-        At least 0; not finite where squares are too large for float32.
     """
     window = (size, size)
     with np.errstate(over="ignore", invalid="ignore"):  # frames may be far too bright
@@ -35,21 +27,13 @@ def window_variance(image: np.ndarray, size: int, mean: np.ndarray | None = None
         return np.maximum(cv2.blur(image * image, window) - mean * mean, 0)
 
 
-def correlation(frame0: np.ndarray, frame1: np.ndarray, flow: np.ndarray) -> np.ndarray:
-    """Return the correlation of frame 0 with frame 1 along a flow, in a window around each pixel.
-
-    Parameters
-    ----------
-    frame0, frame1 : (H, W) float32
-        Grey levels; frame 0 is not uniform.
-    flow : (H, W, 2) float32
-        px/frame.
-
-    Returns
-    -------
-    (H, W) float32
-        In [-1, 1]; 0 where both are flat.
-    """
+def correlation(
+    # frame0, frame1: (H, W) float32, grey levels; frame 0 is not uniform
+    frame0: np.ndarray,
+    frame1: np.ndarray,
+    flow: np.ndarray,  # (H, W, 2) float32: px/frame
+) -> np.ndarray:  # (H, W) float32: in [-1, 1]; 0 where both are flat
+    """Return the correlation of both frames along a flow, in a window around each pixel."""
     # Brightness may be on any scale, and squares of values far from 0 lose digits.
     mean, unit = (np.float32(value(dtype=float)) for value in (frame0.mean, frame0.std))
     frame0, frame1 = (frame0 - mean) / unit, (frame1 - mean) / unit

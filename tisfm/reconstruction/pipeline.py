@@ -57,39 +57,20 @@ def _no_progress(stage: str, done: int, total: int | None) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """A sequence to reconstruct, with the checked arguments of `tisfm.reconstruct`.
-
-    Attributes
-    ----------
-    source : FrameSource
-    camera : Camera, Path or None
-        Camera of the frames of the source, or its file; None for a guess.
-    calibrate : {"nothing", "focal", "radial"}
-        The part of the camera that is found from the frames.
-    settings : Settings
-    poses : Trajectory or None
-        Given poses.
-    folder : Path
-        Folder of the result, ready to be written to.
-    progress : callable
-        As for `tisfm.reconstruct`.
-    depth_of : {"all", "keyframes", "none"}
-        The frames whose depth is found.
-    object_sizes : mapping of int to float
-        Known lengths of moving objects, by their ids.
-    labels_stay : bool
-        Whether given labels already belong to frames without distortion and readout effect.
-    """
+    """A sequence to reconstruct, with the checked arguments of `tisfm.reconstruct`."""
 
     source: FrameSource
+    # camera of the frames of the source, or its file; None for a guess
     camera: Camera | Path | None
-    calibrate: Calibrate
+    calibrate: Calibrate  # the part of the camera that is found from the frames
     settings: Settings
-    poses: Trajectory | None
-    folder: Path
-    progress: Progress = _no_progress
-    depth_of: DepthOf = "all"
+    poses: Trajectory | None  # given poses
+    folder: Path  # folder of the result, ready to be written to
+    progress: Progress = _no_progress  # as for `tisfm.reconstruct`
+    depth_of: DepthOf = "all"  # the frames whose depth is found
+    # known lengths of moving objects, by their ids
     object_sizes: Mapping[int, float] = field(default_factory=dict)
+    # whether given labels already belong to frames without distortion and readout effect
     labels_stay: bool = False
 
     @property
@@ -100,35 +81,20 @@ class Job:
 
 @dataclass(frozen=True, kw_only=True)
 class ReadFrames:
-    """The frames of a sequence after the reading stage.
-
-    Attributes
-    ----------
-    names : tuple of str
-    times : tuple of float or None
-        Times of the frames, s.
-    instants : (N,) array
-        Times of the frames, in intervals between frames of the source.
-    camera : SourceCamera
-    frames : PreparedFrames
-        Later stages correct them for the estimated lens and readout, and label them.
-    tracks : SequenceTracks or None
-        None with moving objects: then static points are tracked later, with known labels.
-    labels : SequenceLabels or None
-        The search for moving objects; None if there are none, or labels are given.
-    labelled : tuple of int
-        Frames with given labels.
-    notes : tuple of str
-    """
+    """The frames of a sequence after the reading stage."""
 
     names: tuple[str, ...]
-    times: tuple[float | None, ...]
+    times: tuple[float | None, ...]  # times of the frames, s
+    # (N,) array: times of the frames, in intervals between frames of the source
     instants: np.ndarray
     camera: SourceCamera
+    # later stages correct them for the estimated lens and readout, and label them
     frames: PreparedFrames
+    # none with moving objects: then static points are tracked later, with known labels
     tracks: SequenceTracks | None
+    # the search for moving objects; None if there are none, or labels are given
     labels: SequenceLabels | None
-    labelled: tuple[int, ...]
+    labelled: tuple[int, ...]  # frames with given labels
     notes: tuple[str, ...]
 
 
@@ -142,20 +108,10 @@ class SolvedPath:
 
 @dataclass(frozen=True, kw_only=True)
 class FoundDepth:
-    """Poses in the unit of depth, after depth was written.
+    """Poses in the unit of depth, after depth was written."""
 
-    Attributes
-    ----------
-    poses : (N, 4, 4) float64
-        Camera to world; NaN for a frame without a pose.
-    piece : (N,) int32
-        The piece of each frame, −1 for none.
-    status : tuple of Status
-    keyframes : tuple of int
-    """
-
-    poses: np.ndarray
-    piece: np.ndarray
+    poses: np.ndarray  # (N, 4, 4) float64: camera to world; NaN for a frame without a pose
+    piece: np.ndarray  # (N,) int32: the piece of each frame, −1 for none
     status: tuple[Status, ...]
     keyframes: tuple[int, ...]
 

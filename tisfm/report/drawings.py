@@ -22,21 +22,11 @@ MAX_PIECES = 4  # pieces with a drawn path at most, set by hand
 _VIEWS: dict[PathView, str] = {"above": "from above", "side": "from the side"}
 
 
-def path_drawing(poses: NDArray[np.float64], piece: NDArray[np.int32]) -> Markup:
-    """Draw the path of the camera from above and from the side, each piece in its own scale.
-
-    Parameters
-    ----------
-    poses : (N, 4, 4) float64
-        Camera to world, NaN without a pose.
-    piece : (N,) int32
-        −1 without a pose.
-
-    Returns
-    -------
-    Markup
-        Two ``svg`` elements for each of the largest pieces; empty if no frame has a pose.
-    """
+def path_drawing(
+    poses: NDArray[np.float64],  # (N, 4, 4) float64: camera to world, NaN without a pose
+    piece: NDArray[np.int32],  # (N,) int32: −1 without a pose
+) -> Markup:  # two ``svg`` elements for each of the largest pieces; empty if no frame has a pose
+    """Draw the path of the camera from above and from the side, each piece in its own scale."""
     numbers, counts = np.unique(piece[piece >= 0], return_counts=True)
     shown = numbers[np.argsort(-counts, kind="stable")][:MAX_PIECES]
     if not len(shown):
@@ -56,19 +46,12 @@ def path_drawing(poses: NDArray[np.float64], piece: NDArray[np.int32]) -> Markup
     return Markup().join(drawings)
 
 
-def curves_drawing(curves: Sequence[tuple[str, Sequence[float | None]]]) -> Markup:
-    """Draw curves of numbers over the pairs of a run.
-
-    Parameters
-    ----------
-    curves : sequence of (str, sequence of float or None)
-        Name of a curve and its numbers; None for a missing number.
-
-    Returns
-    -------
-    Markup
-        An ``svg`` element for each curve with more than one number.
-    """
+def curves_drawing(
+    # sequence of (str, sequence of float or None): name of a curve and its numbers; None for a
+    # missing number
+    curves: Sequence[tuple[str, Sequence[float | None]]],
+) -> Markup:  # an ``svg`` element for each curve with more than one number
+    """Draw curves of numbers over the pairs of a run."""
     known = [
         (name, np.array([np.nan if value is None else value for value in values], np.float64))
         for name, values in curves

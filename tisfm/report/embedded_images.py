@@ -17,17 +17,14 @@ _QUALITIES = (86, 75, 60, 40, 20)  # of JPEG, in the order of trial
 
 
 class Pictures:
-    """Makes pictures whose bytes together stay within a budget.
+    """Makes pictures whose bytes together stay within a budget."""
 
-    Parameters
-    ----------
-    count : int
-        Number of pictures.
-    budget : int
-        Bytes of all pictures.
-    """
-
-    def __init__(self, count: int, *, budget: int = BUDGET) -> None:
+    def __init__(
+        self,
+        count: int,  # number of pictures
+        *,
+        budget: int = BUDGET,  # bytes of all pictures
+    ) -> None:
         self._max_bytes = budget // max(count, 1)
 
     def url(self, picture: NDArray[np.generic]) -> str:
@@ -53,19 +50,14 @@ def png_url(picture: NDArray[np.uint8]) -> str:
     return _address("png", data.getvalue())
 
 
-def choose_slides(count: int, wanted: list[int], most: int = MAX_SLIDES) -> list[int]:
-    """Return the numbers of the frames to show: required frames, and others evenly spread.
-
-    Parameters
-    ----------
-    count : int
-        Number of frames.
-    wanted : list of int
-        Required frames, such as the first of each status, the most important first; at most half of
-        `most`.
-    most : int
-        Limit of the frames to show.
-    """
+def choose_slides(
+    count: int,  # number of frames
+    # required frames, such as the first of each status, the most important first; at most half of
+    # `most`
+    wanted: list[int],
+    most: int = MAX_SLIDES,  # limit of the frames to show
+) -> list[int]:
+    """Return the numbers of the frames to show: required frames, and others evenly spread."""
     if count <= most:
         return list(range(count))
     kept = list(dict.fromkeys(wanted))[: most // 2]

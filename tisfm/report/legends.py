@@ -13,29 +13,14 @@ _WHEEL_PIXELS = 88  # width of the colour wheel, px: twice its width on the page
 
 @dataclass(frozen=True, kw_only=True)
 class Legend:
-    """A bar of colours with texts at both ends, or a colour wheel with a text.
+    """A bar of colours with texts at both ends, or a colour wheel with a text."""
 
-    Attributes
-    ----------
-    picture : str
-        Title of the pictures that have these colours.
-    title : str
-    text : str
-        The text at the end of the bar, or beside the wheel.
-    low : str
-        The text at the beginning of the bar.
-    colors : sequence of str
-        Colours of the bar, ``#rrggbb``.
-    wheel : str
-        Data address of the wheel; empty for a bar.
-    """
-
-    picture: str
+    picture: str  # title of the pictures that have these colours
     title: str
-    text: str
-    low: str = ""
-    colors: Sequence[str] = ()
-    wheel: str = ""
+    text: str  # the text at the end of the bar, or beside the wheel
+    low: str = ""  # the text at the beginning of the bar
+    colors: Sequence[str] = ()  # colours of the bar, ``#rrggbb``
+    wheel: str = ""  # data address of the wheel; empty for a bar
 
 
 def depth_legend(picture: str, unit: str) -> Legend:

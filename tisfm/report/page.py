@@ -52,48 +52,26 @@ class Slide:
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """The contents of a page, as plain texts that the template escapes.
-
-    Attributes
-    ----------
-    title : str
-    kind : str
-        The kind of result, in a sentence.
-    summary : sequence of (str, str)
-        Names and values.
-    statuses : sequence of StatusCount
-    spans : sequence of (float, float, str)
-        Consecutive frames with one status: begin and end as shares of the sequence, and the code.
-    unit : str
-        The counted items: "frame" or "pair".
-    drawing : Markup
-        Paths or curves as ``svg`` elements; empty if there are none.
-    drawing_title, drawing_text : str
-    slides : sequence of Slide
-    slides_text : str
-        A sentence above the slides.
-    legends : sequence of Legend
-    tables : sequence of (str, sequence of str, sequence of sequences of str)
-        Titles, headings and rows of further tables.
-    preset : str
-        Name of the preset that is nearest to the settings.
-    settings : sequence of SettingRow
-    """
+    """The contents of a page, as plain texts that the template escapes."""
 
     title: str
-    kind: str
-    summary: Sequence[tuple[str, str]]
+    kind: str  # the kind of result, in a sentence
+    summary: Sequence[tuple[str, str]]  # sequence of (str, str): names and values
     statuses: Sequence[StatusCount]
+    # sequence of (float, float, str): consecutive frames with one status: begin and end as shares
+    # of the sequence, and the code
     spans: Sequence[tuple[float, float, str]]
-    unit: str
-    drawing: Markup
+    unit: str  # the counted items: "frame" or "pair"
+    drawing: Markup  # paths or curves as ``svg`` elements; empty if there are none
     drawing_title: str
     drawing_text: str
     slides: Sequence[Slide]
-    slides_text: str
+    slides_text: str  # a sentence above the slides
     legends: Sequence[Legend]
+    # sequence of (str, sequence of str, sequence of sequences of str): titles, headings and rows of
+    # further tables
     tables: Sequence[tuple[str, Sequence[str], Sequence[Sequence[str]]]]
-    preset: str
+    preset: str  # name of the preset that is nearest to the settings
     settings: Sequence[SettingRow]
 
     @property
@@ -116,10 +94,7 @@ class Report:
 def check_report(folder: Path) -> Path:
     """Return the path of the report of a folder, if tisfm may write it.
 
-    Raises
-    ------
-    ValueError
-        If a file that tisfm did not write would be replaced.
+    Raises ValueError if a file that tisfm did not write would be replaced.
     """
     path = folder / REPORT
     if path.exists() and not is_report(path):

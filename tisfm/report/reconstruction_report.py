@@ -33,24 +33,14 @@ _MAX_ROWS = 40  # rows of a table at most; set by hand
 
 def write_reconstruction_report(
     result: Reconstruction,
-    folder: Path,
+    folder: Path,  # folder of the report
     *,
-    source: str | None = None,
+    source: str | None = None,  # name of the source, if it is known
 ) -> Path:
     """Write ``report.html`` of a reconstruction into a folder; return its path.
 
-    Parameters
-    ----------
-    result : Reconstruction
-    folder : Path
-        Folder of the report.
-    source : str, optional
-        Name of the source, if it is known.
-
-    Raises
-    ------
-    OSError, ValueError
-        If a file cannot be read or written, or a file that tisfm did not write would be replaced.
+    Raises OSError, ValueError if a file cannot be read or written, or a file that tisfm did not
+    write would be replaced.
     """
     path = check_report(folder)
     write_report(path, _report(result, folder, source))

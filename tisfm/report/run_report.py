@@ -33,26 +33,15 @@ _PICTURES = 4  # pictures of a pair, without labels
 
 
 def write_run_report(
-    folder: Path,
-    record: Mapping[str, Any],
+    folder: Path,  # Folder of `tisfm run`. Pairs with an ``.npz`` file have pictures.
+    record: Mapping[str, Any],  # contents of its ``run.json``
     *,
-    source: str | None = None,
+    source: str | None = None,  # name of the source, if it is known
 ) -> Path:
     """Write ``report.html`` of a run into its folder; return its path.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of `tisfm run`. Pairs with an ``.npz`` file have pictures.
-    record : mapping
-        Contents of its ``run.json``.
-    source : str, optional
-        Name of the source, if it is known.
-
-    Raises
-    ------
-    OSError, ValueError
-        If a file cannot be read or written, or the record is no record of a run.
+    Raises OSError, ValueError if a file cannot be read or written, or the record is no record of a
+    run.
     """
     path = check_report(folder)
     run = _read(folder, record)

@@ -46,22 +46,14 @@ _MAX_MESSAGE = 600  # characters, set by hand
 
 @dataclass(frozen=True, kw_only=True)
 class StatusCount:
-    """The frames with a status, and advice.
+    """The frames with a status, and advice."""
 
-    Attributes
-    ----------
-    code, meaning, advice : str
-        The code, its meaning, and the message of the first frame with it.
-    count : int
-    names : str
-        Names of the first frames with the status.
-    """
-
+    # code, meaning, advice: the code, its meaning, and the message of the first frame with it
     code: str
     meaning: str
     advice: str
     count: int
-    names: str
+    names: str  # names of the first frames with the status
 
 
 def color_of(code: str) -> str:

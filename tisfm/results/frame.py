@@ -17,51 +17,30 @@ _MIN_DEPTH = 1e-9  # Z of a moved ray below which it lies behind the camera; a b
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ResultFrame:
-    """Everything a result has about one frame.
+    """Everything a result has about one frame."""
 
-    Attributes
-    ----------
-    number : int
-        Index in the result.
-    picture : (H, W, 3) uint8
-        Red, green, blue.
-    camera : Camera
-        Pinhole camera of all maps.
-    inverse_depth : (H, W) float32
-        In the inverse unit of the result; NaN if unknown.
-    status : Status
-    scale : float
-        Factor of depth in a common scene: the mean inverse depth if each frame has its own scale,
-        else 1.
-    inverse_depth_std : (H, W) float32 or None
-        Infinite if unknown.
-    confidence : (H, W) float32 or None
-        In [0, 1].
-    labels : (H, W) int or None
-        Moving object of each pixel; 0 for the static scene.
-    hidden : (H, W) bool or None
-        Pixels that are not visible in the next frame.
-    rho : (6, H, W) float32 or None
-        (τ, ω)·f of the model in which every pixel has its own motion.
-    stored_flow : (H, W, 2) float32 or None
-        Image motion to the next frame, px, if the result stores it.
-    motions : dict of int to ((6,) twist, (4, 4) pose)
-        By label, the motion relative to the camera until the next frame, in the unit of depth;
-        empty if unknown.
-    """
-
-    number: int
-    picture: NDArray[np.uint8] = field(repr=False)
-    camera: Camera
+    number: int  # index in the result
+    picture: NDArray[np.uint8] = field(repr=False)  # (H, W, 3) uint8: red, green, blue
+    camera: Camera  # pinhole camera of all maps
+    # (H, W) float32: in the inverse unit of the result; NaN if unknown
     inverse_depth: Floats = field(repr=False)
     status: Status
+    # factor of depth in a common scene: the mean inverse depth if each frame has its own scale,
+    # else 1
     scale: float = 1.0
+    # (H, W) float32 or None: infinite if unknown
     inverse_depth_std: Floats | None = field(default=None, repr=False)
-    confidence: Floats | None = field(default=None, repr=False)
+    confidence: Floats | None = field(default=None, repr=False)  # (H, W) float32 or None: in [0, 1]
+    # (H, W) int or None: moving object of each pixel; 0 for the static scene
     labels: NDArray[np.integer] | None = field(default=None, repr=False)
+    # (H, W) bool or None: pixels that are not visible in the next frame
     hidden: NDArray[np.bool_] | None = field(default=None, repr=False)
+    # (6, H, W) float32 or None: (τ, ω)·f of the model in which every pixel has its own motion
     rho: Floats | None = field(default=None, repr=False)
+    # (H, W, 2) float32 or None: image motion to the next frame, px, if the result stores it
     stored_flow: Floats | None = field(default=None, repr=False)
+    # dict of int to ((6,) twist, (4, 4) pose): by label, the motion relative to the camera until
+    # the next frame, in the unit of depth; empty if unknown
     motions: dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]] = field(
         default_factory=dict, repr=False
     )
@@ -117,20 +96,15 @@ class ResultFrame:
             flow[pixels] = self.flow_of_motion(pose, pixels)
         return flow
 
-    def flow_of_motion(self, pose: NDArray[np.float64], pixels: NDArray[np.bool_]) -> Floats:
+    def flow_of_motion(
+        self,
+        pose: NDArray[np.float64],  # (4, 4) float64: the motion, in the unit of depth
+        pixels: NDArray[np.bool_],  # (H, W) bool: pixels with depth
+    ) -> Floats:
         """Return the image motion of a motion of the scene relative to the camera.
 
-        Parameters
-        ----------
-        pose : (4, 4) float64
-            The motion, in the unit of depth.
-        pixels : (H, W) bool
-            Pixels with depth.
-
-        Returns
-        -------
-        (N, 2) float32
-            px, for each of the pixels; NaN for points that come to lie behind the camera.
+        Returns (N, 2) float32: px, for each of the pixels; NaN for points that come to lie behind
+        the camera.
         """
         rows, columns = np.nonzero(pixels)
         return self._displacement(rows, columns, pose)[0]
@@ -145,10 +119,7 @@ class ResultFrame:
     def reading(self, row: int, column: int) -> "PixelReading":
         """Return the values of a pixel.
 
-        Raises
-        ------
-        IndexError
-            If the pixel lies outside the frame.
+        Raises IndexError if the pixel lies outside the frame.
         """
         height, width = self.shape
         if not (0 <= row < height and 0 <= column < width):
@@ -213,37 +184,24 @@ class ResultFrame:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PixelReading:
-    """The values of a pixel; None for unknown values.
-
-    Attributes
-    ----------
-    row, column : int
-    depth, depth_std : float or None
-        Z and its standard deviation, in the unit of the result.
-    tau, tau_std : (3,) or None
-        τ = T/Z, 1/frame.
-    omega : (3,) or None
-        ω, rad/frame.
-    flow, flow_std : (2,) or None
-        Image motion, and its standard deviation caused by the deviation of depth, px.
-    confidence : float or None
-    label : int or None
-    hidden : bool
-        Whether the pixel is not visible in the next frame.
-    """
+    """The values of a pixel; None for unknown values."""
 
     row: int
     column: int
+    # depth, depth_std: Z and its standard deviation, in the unit of the result
     depth: float | None
     depth_std: float | None
+    # tau, tau_std: (3,) or None: τ = T/Z, 1/frame
     tau: NDArray[np.floating] | None
     tau_std: NDArray[np.floating] | None
-    omega: NDArray[np.floating] | None
+    omega: NDArray[np.floating] | None  # (3,) or None: ω, rad/frame
+    # flow, flow_std: (2,) or None: image motion, and its standard deviation caused by the deviation
+    # of depth, px
     flow: NDArray[np.floating] | None
     flow_std: NDArray[np.floating] | None
     confidence: float | None
     label: int | None
-    hidden: bool
+    hidden: bool  # whether the pixel is not visible in the next frame
 
 
 def mean_inverse_depth(inverse_depth: Floats) -> float:

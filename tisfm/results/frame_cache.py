@@ -10,16 +10,14 @@ MAX_BYTES = 256 * 2**20  # set by hand
 
 
 class FrameCache:
-    """Frames of a result; the least recently used frames are dropped.
+    """Frames of a result; the least recently used frames are dropped."""
 
-    Parameters
-    ----------
-    result : ResultFrames
-    max_bytes : int
-        Bytes of all frames in the cache; the latest frame is kept whatever its size.
-    """
-
-    def __init__(self, result: ResultFrames, max_bytes: int = MAX_BYTES) -> None:
+    def __init__(
+        self,
+        result: ResultFrames,
+        # bytes of all frames in the cache; the latest frame is kept whatever its size
+        max_bytes: int = MAX_BYTES,
+    ) -> None:
         self._result, self._max_bytes = result, max_bytes
         self._frames: OrderedDict[str, ResultFrame] = OrderedDict()
 
@@ -34,10 +32,7 @@ class FrameCache:
     def __getitem__(self, number: int) -> ResultFrame:
         """Return a frame; read it if it is not in the cache.
 
-        Raises
-        ------
-        OSError, ValueError
-            If it cannot be read.
+        Raises OSError, ValueError if it cannot be read.
         """
         name = self._result.names[number]
         frame = self._frames.pop(name, None)

@@ -27,35 +27,19 @@ _COARSENING = 1.3  # factor of the cube side from one attempt to thin a surface 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FusedScene:
-    """Points of several frames in the world, or a surface through them.
+    """Points of several frames in the world, or a surface through them."""
 
-    Attributes
-    ----------
-    positions : (N, 3) float32
-        In the axes and the unit of the poses.
-    colors : (N, 3) uint8
-    faces : (M, 3) int32 or None
-        None for points.
-    origin : str
-        Its source, in words: a file, or keyframes.
-    kept_share : float
-        Share of the points after thinning.
-    """
-
-    positions: NDArray[np.float32]
-    colors: NDArray[np.uint8]
-    faces: NDArray[np.int32] | None
-    origin: str
-    kept_share: float = 1.0
+    positions: NDArray[np.float32]  # (N, 3) float32: in the axes and the unit of the poses
+    colors: NDArray[np.uint8]  # (N, 3) uint8
+    faces: NDArray[np.int32] | None  # (M, 3) int32 or None: none for points
+    origin: str  # its source, in words: a file, or keyframes
+    kept_share: float = 1.0  # share of the points after thinning
 
 
 def read_fused(folder: Path, kind: FusedKind) -> FusedScene | None:
     """Return the points or the surface that `tisfm reconstruct` wrote; None without such a file.
 
-    Raises
-    ------
-    tisfm.formats.FormatError
-        If the file is damaged.
+    Raises tisfm.formats.FormatError if the file is damaged.
     """
     path = next((folder / name for name in FILES[kind] if (folder / name).is_file()), None)
     if path is None:
@@ -96,12 +80,9 @@ def _vertex_colors(visual: Any) -> Any:
 def fuse_keyframes(result: Reconstruction, kind: FusedKind, number: int) -> FusedScene:
     """Fuse the keyframes of a frame's piece that are nearest to it in time.
 
-    Raises
-    ------
-    ImportError
-        If scikit-image is missing, for a surface.
-    OSError, ValueError
-        If there are no keyframes, or a frame cannot be read.
+    Raises ImportError if scikit-image is missing, for a surface.
+
+    Raises OSError, ValueError if there are no keyframes, or a frame cannot be read.
     """
     piece = int(result.piece[number])
     keyframes = [k for k in result.keyframes if result.piece[k] == piece >= 0]

@@ -19,14 +19,12 @@ class NotReadyError(InputError):
 def open_result(folder: Path) -> ResultFrames:
     """Open the folder of `tisfm run` or `tisfm reconstruct`, also while a run goes on.
 
-    Raises
-    ------
-    FileNotFoundError, NotADirectoryError
-        If there is no such folder, or it has no result and no command writes to it.
-    NotReadyError
-        A ValueError: if a command writes to the folder, and no frame is complete.
-    tisfm.formats.FormatError
-        A ValueError: if a file is damaged.
+    Raises FileNotFoundError, NotADirectoryError if there is no such folder, or it has no result and
+    no command writes to it.
+
+    Raises NotReadyError: a ValueError: if a command writes to the folder, and no frame is complete.
+
+    Raises tisfm.formats.FormatError: a ValueError: if a file is damaged.
     """
     if not folder.exists():
         raise FileNotFoundError(f"there is no folder {folder}")

@@ -17,46 +17,22 @@ Change = Literal["grown", "replaced"]
 
 
 class ResultFrames(Protocol):
-    """The frames of a result.
-
-    Attributes
-    ----------
-    folder : Path
-    names : sequence of str
-        Names of the frames in the source.
-    times : sequence of float or None
-        s.
-    statuses : sequence of Status
-    poses : (N, 4, 4) float64
-        Camera to world, NaN for a frame without a pose.
-    piece : (N,) int32
-        Frames of one piece have one scale; −1 without a pose.
-    objects : tuple of MovingObject
-    unit : str
-        Unit of depth, in words.
-    has_one_scale : bool
-        Whether depth of all frames of a piece has the unit of the poses. Otherwise the depth of
-        each frame has its own unit.
-    quantities : tuple of str
-        What points can be coloured by, besides image and depth.
-    can_fuse : bool
-        Whether several frames can be fused.
-    unit_advice : str
-        How to get depth in another unit.
-    """
+    """The frames of a result."""
 
     folder: Path
-    names: Sequence[str]
-    times: Sequence[float | None]
+    names: Sequence[str]  # names of the frames in the source
+    times: Sequence[float | None]  # s
     statuses: Sequence[Status]
-    poses: NDArray[np.float64]
-    piece: NDArray[np.int32]
+    poses: NDArray[np.float64]  # (N, 4, 4) float64: camera to world, NaN for a frame without a pose
+    piece: NDArray[np.int32]  # (N,) int32: frames of one piece have one scale; −1 without a pose
     objects: tuple[MovingObject, ...]
-    unit: str
+    unit: str  # unit of depth, in words
+    # Whether depth of all frames of a piece has the unit of the poses. Otherwise the depth of each
+    # frame has its own unit.
     has_one_scale: bool
-    quantities: tuple[str, ...]
-    can_fuse: bool
-    unit_advice: str
+    quantities: tuple[str, ...]  # what points can be coloured by, besides image and depth
+    can_fuse: bool  # whether several frames can be fused
+    unit_advice: str  # how to get depth in another unit
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -72,10 +48,7 @@ class ResultFrames(Protocol):
     def read(self, number: int) -> ResultFrame:
         """Read everything about a frame.
 
-        Raises
-        ------
-        OSError, ValueError
-            If its file is missing or damaged.
+        Raises OSError, ValueError if its file is missing or damaged.
         """
 
     def picture(self, number: int) -> NDArray[np.uint8]:
@@ -93,37 +66,26 @@ class ResultFrames(Protocol):
     def flow(self, number: int) -> NDArray[np.float32]:
         """Read the image motion to the next frame, (H, W, 2) px.
 
-        Raises
-        ------
-        ValueError
-            If the result does not keep image motion.
+        Raises ValueError if the result does not keep image motion.
         """
 
     def masks(self, number: int) -> dict[str, NDArray[np.bool_]]:
         """Return the masks of a frame, (H, W), by name.
 
-        Raises
-        ------
-        ValueError
-            If the result has no labels.
+        Raises ValueError if the result has no labels.
         """
 
     def fused(self, kind: FusedKind, number: int) -> FusedScene:
         """Return the fused points or surface of the piece of a frame; this can take long.
 
-        Raises
-        ------
-        ImportError, OSError, ValueError
-            If there is nothing to fuse, a package is missing, or a file is damaged.
+        Raises ImportError, OSError, ValueError if there is nothing to fuse, a package is missing,
+        or a file is damaged.
         """
 
     def refresh(self) -> Change | None:
         """Read the record of the folder again if it has changed.
 
-        Returns
-        -------
-        {"grown", "replaced"} or None
-            "grown" if all earlier frames are still the same; None if nothing has changed.
+        Returns "grown" if all earlier frames are still the same; None if nothing has changed.
         """
 
 

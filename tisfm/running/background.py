@@ -29,19 +29,16 @@ class Background:
         self._abandoned = False
         self._thread = threading.Thread(target=self._work, name="tisfm-writer")
 
-    def submit(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> None:
+    def submit(
+        self,
+        function: Callable[..., Any],
+        # arguments, options: arguments of the function
+        *arguments: Any,
+        **options: Any,
+    ) -> None:
         """Add a job: a function to call.
 
-        Parameters
-        ----------
-        function : callable
-        *arguments, **options
-            Arguments of the function.
-
-        Raises
-        ------
-        BaseException
-            The error of an earlier job.
+        Raises BaseException: the error of an earlier job.
         """
         self._raise()
         self._waiting.put(lambda: function(*arguments, **options))

@@ -35,46 +35,25 @@ _CHUNKS_PER_WORKER = 4  # at least, so that no process waits long for the last c
 
 @dataclass(frozen=True, kw_only=True)
 class Chunk:
-    """Consecutive pairs of a source, and all that a process needs to interpret them.
-
-    Attributes
-    ----------
-    source : PairSource
-    work : PairWork
-        Without files, results are returned instead of written.
-    first : int
-        Number of the first pair.
-    end : int
-        Number of the last pair plus 1. In the last chunk it is larger than any number: a video may
-        have more frames than its header states.
-    arch, threads
-        As for `tisfm.runtime.start`.
-    ranges : Ranges or None
-        Ranges of depth and flow in images.
-    known : mapping
-        Record entries of the pairs that an earlier run finished, by their names.
-    listing : Listing
-        The files of the source, as the parent process sees them.
-    alive : Path
-        A file that exists as long as the parent process waits for the chunk.
-    lanes : int
-        Lanes of the vectors of the CPU of the parent process.
-    version : str
-        Version of tisfm in the parent process.
-    """
+    """Consecutive pairs of a source, and all that a process needs to interpret them."""
 
     source: PairSource
-    work: PairWork
-    first: int
+    work: PairWork  # without files, results are returned instead of written
+    first: int  # number of the first pair
+    # Number of the last pair plus 1. In the last chunk it is larger than any number: a video may
+    # have more frames than its header states.
     end: int
+    # arch, threads: as for `tisfm.runtime.start`
     arch: Arch | None
     threads: int | None
-    listing: Listing
-    ranges: Ranges | None = None
+    listing: Listing  # the files of the source, as the parent process sees them
+    ranges: Ranges | None = None  # ranges of depth and flow in images
+    # record entries of the pairs that an earlier run finished, by their names
     known: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    alive: Path = Path()
+    alive: Path = Path()  # a file that exists as long as the parent process waits for the chunk
+    # lanes of the vectors of the CPU of the parent process
     lanes: int = field(default_factory=runtime.cpu_lanes)
-    version: str = __version__
+    version: str = __version__  # version of tisfm in the parent process
 
     def with_absolute_paths(self) -> "Chunk":
         """Return the chunk with paths that do not depend on the working folder."""
@@ -94,44 +73,25 @@ class Chunk:
 
 @dataclass(frozen=True, kw_only=True)
 class FinishedPair:
-    """A pair that a worker finished.
-
-    Attributes
-    ----------
-    name : str
-    about : mapping or None
-        Its entry in the record of the run; None if an earlier run finished it.
-    sums : Sums or None
-        Lengths and check sums of its files.
-    result : Interpretation or None
-        The result, if it is returned instead of written.
-    seconds : float
-        Time of the interpretation.
-    """
+    """A pair that a worker finished."""
 
     name: str
+    # its entry in the record of the run; None if an earlier run finished it
     about: Mapping[str, Any] | None = None
-    sums: Sums | None = None
-    result: Interpretation | None = None
-    seconds: float = 0.0
+    sums: Sums | None = None  # lengths and check sums of its files
+    result: Interpretation | None = None  # the result, if it is returned instead of written
+    seconds: float = 0.0  # time of the interpretation
 
 
 @dataclass(frozen=True, kw_only=True)
 class FinishedChunk:
-    """A chunk that a worker finished, or the part of it before an error.
-
-    Attributes
-    ----------
-    pairs : list of FinishedPair
-    skipped : list of (int, str)
-        Numbers of the frames that the process has skipped so far, with the reasons.
-    error : Exception or None
-        The error that ended the chunk early.
-    """
+    """A chunk that a worker finished, or the part of it before an error."""
 
     pairs: list[FinishedPair]
+    # list of (int, str): numbers of the frames that the process has skipped so far, with the
+    # reasons
     skipped: list[tuple[int, str]]
-    error: Exception | None = None
+    error: Exception | None = None  # the error that ended the chunk early
 
 
 def split_chunk(whole: Chunk, workers: int) -> list[Chunk]:
@@ -173,30 +133,18 @@ def interpret_chunk(chunk: Chunk) -> FinishedChunk:
 
 
 def interpret_with_workers(
-    source: PairSource, *, camera: Camera, workers: int, first: int
+    source: PairSource,  # a source of files, as `check_sharable` requires
+    *,
+    camera: Camera,  # the camera of the frames after they are cropped and shrunk
+    workers: int,  # number of processes
+    first: int,  # number of the first pair
 ) -> Iterator[Interpretation | str]:
     """Interpret pairs in several processes of this machine; yield the results in order.
 
-    Parameters
-    ----------
-    source : PairSource
-        A source of files, as `check_sharable` requires.
-    camera : Camera
-        The camera of the frames after they are cropped and shrunk.
-    workers : int
-        Number of processes.
-    first : int
-        Number of the first pair.
+    Yields each the results. Before a result, the reason for each skipped frame.
 
-    Yields
-    ------
-    Interpretation or str
-        The results. Before a result, the reason for each skipped frame.
-
-    Raises
-    ------
-    Exception
-        As `tisfm.interpret_sequence`, after the results of the pairs before the error.
+    Raises Exception: as `tisfm.interpret_sequence`, after the results of the pairs before the
+    error.
     """
     pairs, reader = source.open()
     reader.close()

@@ -47,25 +47,14 @@ Sums = dict[str, tuple[int, int]]  # length, bytes, and CRC-32 of files, by thei
 
 @dataclass(frozen=True, kw_only=True)
 class Ranges:
-    """Ranges of values that pictures show: one for a whole sequence, so that nothing flickers.
+    """Ranges of values that pictures show: one for a whole sequence, so that nothing flickers."""
 
-    Attributes
-    ----------
-    depth : float
-        The inverse depth that is shown brightest, in multiples of the mean inverse depth of the
-        pair. If poses are given, in 1/unit of the poses.
-    depth16 : float
-        Values of a 16-bit picture per unit of depth.
-    flow : float
-        The speed that is shown in the strongest colour, px/frame.
-    screen : float
-        The inverse depth of the screen plane of anaglyphs, in the unit of `depth`.
-    """
-
+    # The inverse depth that is shown brightest, in multiples of the mean inverse depth of the pair.
+    # If poses are given, in 1/unit of the poses.
     depth: float
-    depth16: float
-    flow: float
-    screen: float
+    depth16: float  # values of a 16-bit picture per unit of depth
+    flow: float  # the speed that is shown in the strongest colour, px/frame
+    screen: float  # the inverse depth of the screen plane of anaglyphs, in the unit of `depth`
 
     @classmethod
     def of(
@@ -113,30 +102,17 @@ def shows_depth(result: Interpretation) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class PairFiles:
-    """Writes the files of pairs into a folder.
-
-    Attributes
-    ----------
-    folder : Path
-    outputs : tuple of str
-        The outputs of a pair: keys of `ENDINGS`.
-    figures : int
-        One pair in this many has a figure, the first pair included; 0 for no figures.
-    has_pose : bool
-        Whether interpretations have rigid motions.
-    disparity, screen : float, float or None
-        Parameters of anaglyphs: the disparity range as a share of the width, and the quantile of
-        depth at the screen plane, in the first pair with depth.
-    inputs : InputFiles
-        Files that no result may replace.
-    """
+    """Writes the files of pairs into a folder."""
 
     folder: Path
-    outputs: tuple[str, ...]
-    figures: int
-    has_pose: bool
+    outputs: tuple[str, ...]  # the outputs of a pair: keys of `ENDINGS`
+    figures: int  # one pair in this many has a figure, the first pair included; 0 for no figures
+    has_pose: bool  # whether interpretations have rigid motions
+    # disparity, screen: parameters of anaglyphs: the disparity range as a share of the width, and
+    # the quantile of depth at the screen plane, in the first pair with depth
     disparity: float = DISPARITY
     screen: float | None = None
+    # files that no result may replace
     inputs: InputFiles = field(default_factory=InputFiles, repr=False)
 
     def has_figure(self, number: int) -> bool:
@@ -153,49 +129,27 @@ class PairFiles:
 
     def write(
         self,
-        name: str,
+        name: str,  # beginning of the file names
         result: Interpretation,
         *,
-        ranges: Ranges | None,
-        number: int = 0,
-        digest: str | None = None,
-        times: tuple[float, float] | None = None,
+        ranges: Ranges | None,  # none before the first pair with depth
+        number: int = 0,  # number of the pair in the run; it decides whether the pair has a figure
+        digest: str | None = None,  # hash of the pair's frames and pose
+        times: tuple[float, float] | None = None,  # (float, float): times of its frames, s
+        # (4, 4): the motion that was given to the interpretation. Depth then has the unit of the
+        # poses, the same in all pairs.
         pose: np.ndarray | None = None,
+        # (H, W, 2): horn and Schunck's flow, for the figure of ``motion="field"``
         baseline_flow: np.ndarray | None = None,
-        truth_flow: np.ndarray | None = None,
+        truth_flow: np.ndarray | None = None,  # (H, W, 2): the true flow, for the figure
+        # (H, W): the true inverse depth, for the figure
         truth_inverse_depth: np.ndarray | None = None,
     ) -> tuple[dict[str, Any], Sums]:
         """Write all files of a pair; return the record's entry of the pair, and check sums.
 
-        Parameters
-        ----------
-        name : str
-            Beginning of the file names.
-        result : Interpretation
-        ranges : Ranges or None
-            None before the first pair with depth.
-        number : int
-            Number of the pair in the run; it decides whether the pair has a figure.
-        digest : str, optional
-            Hash of the pair's frames and pose.
-        times : (float, float), optional
-            Times of its frames, s.
-        pose : (4, 4), optional
-            The motion that was given to the interpretation. Depth then has the unit of the poses,
-            the same in all pairs.
-        baseline_flow : (H, W, 2), optional
-            Horn and Schunck's flow, for the figure of ``motion="field"``.
-        truth_flow : (H, W, 2), optional
-            The true flow, for the figure.
-        truth_inverse_depth : (H, W), optional
-            The true inverse depth, for the figure.
+        Raises OSError if a file cannot be written.
 
-        Raises
-        ------
-        OSError
-            If a file cannot be written.
-        ValueError
-            If a file is an input.
+        Raises ValueError if a file is an input.
         """
         limit = None if ranges is None else ranges.limit(result, posed=pose is not None)
         self.inputs.refuse(*self.all(name))
@@ -331,21 +285,18 @@ def _finite_list(numbers: np.ndarray | None) -> list[Any] | None:
     return None if numbers is None or not np.isfinite(numbers).all() else numbers.tolist()
 
 
-def motion_rows(result: Interpretation, *, pose: np.ndarray | None = None) -> np.ndarray | None:
+def motion_rows(
+    result: Interpretation,
+    *,
+    # (4, 4): the motion that was given to the interpretation. It replaces the first motion, because
+    # `Interpretation.motions` does not keep the length of the translation.
+    pose: np.ndarray | None = None,
+) -> np.ndarray | None:
     """Return the rigid motions of a result as rows of numbers.
 
-    Parameters
-    ----------
-    result : Interpretation
-    pose : (4, 4), optional
-        The motion that was given to the interpretation. It replaces the first motion, because
-        `Interpretation.motions` does not keep the length of the translation.
-
-    Returns
-    -------
-    (K, 12) float64 or None
-        Each row holds the three rows of (R | t): P₁ = R P₀ + t, with t in the unit of
-        `Interpretation.depth`; NaN where the interpretation diverged. None for ``motion="field"``.
+    Returns (K, 12) float64 or None: each row holds the three rows of (R | t): P₁ = R P₀ + t, with t
+    in the unit of `Interpretation.depth`; NaN where the interpretation diverged. None for
+    ``motion="field"``.
     """
     if result.motions is None:
         return None
@@ -359,18 +310,13 @@ def motion_rows(result: Interpretation, *, pose: np.ndarray | None = None) -> np
     return rows
 
 
-def write_motions(path: str | os.PathLike[str], rows: np.ndarray) -> None:
+def write_motions(
+    path: str | os.PathLike[str],
+    rows: np.ndarray,  # (K, 12)
+) -> None:
     """Write motions as text, a line of twelve numbers for each motion; atomically.
 
-    Parameters
-    ----------
-    path : path
-    rows : (K, 12)
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
+    Raises OSError if the file cannot be written.
     """
     lines = (" ".join(f"{number:.9g}" for number in row) for row in rows)
     with atomic_write(path) as file:

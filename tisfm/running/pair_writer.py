@@ -36,73 +36,43 @@ class PairWriter:
     The writer is a context manager, which locks the folder. The files of an earlier run in it are
     removed when the first pair is written, unless that run is resumed.
 
-    Parameters
-    ----------
-    folder : path
-        Made if it does not exist.
-    camera : Camera
-        The camera of the interpreted frames.
-    settings : Settings
-    source : (Camera, (int, int)), optional
-        The camera of the source's frames, before they are cropped and shrunk, and their height and
-        width, px.
-    window : int
-        Number of frames of an interpretation.
-    outputs : collection of str
-        The outputs of a pair: keys of `ENDINGS`.
-    figures : int
-        One pair in this many has a figure, the first pair included; 0 for no figures.
-    disparity, screen : float, float or None
-        Parameters of anaglyphs, as for `PairFiles`.
-    start, step : int
-        Number of the first selected frame of the source, and the step to the next.
-    resume : bool
-        Continue an interrupted run: keep its ranges and its finished pairs.
-    inputs : InputFiles
-        Files that no result may replace.
-    names : iterable of str
-        Names of the coming pairs, as far as they are known. Their files are compared with `inputs`
-        before anything is written, and once more when they are written.
+    Raises OSError if the folder cannot be made or written to; at the beginning of the block, if
+    another run writes to it.
 
-    Attributes
-    ----------
-    folder : Path
-    camera : Camera
-    files : PairFiles
-        Writes the files of a pair without the record.
-
-    Raises
-    ------
-    OSError
-        If the folder cannot be made or written to; at the beginning of the block, if another run
-        writes to it.
-    ValueError
-        If an output file is one of `inputs`; at the beginning of the block, if `resume` is set and
-        the folder holds a run with another camera or other options.
+    Raises ValueError if an output file is one of `inputs`; at the beginning of the block, if
+    `resume` is set and the folder holds a run with another camera or other options.
     """
 
     def __init__(
         self,
-        folder: str | Path,
+        folder: str | Path,  # made if it does not exist
         *,
-        camera: Camera,
+        camera: Camera,  # the camera of the interpreted frames
         settings: Settings,
+        # (Camera, (int, int)): the camera of the source's frames, before they are cropped and
+        # shrunk, and their height and width, px
         source: tuple[Camera, tuple[int, int]] | None = None,
-        window: int = 2,
-        outputs: Collection[str] = USUAL,
+        window: int = 2,  # number of frames of an interpretation
+        outputs: Collection[str] = USUAL,  # the outputs of a pair: keys of `ENDINGS`
+        # one pair in this many has a figure, the first pair included; 0 for no figures
         figures: int = 1,
+        # disparity, screen: parameters of anaglyphs, as for `PairFiles`
         disparity: float = DISPARITY,
         screen: float | None = None,
+        # start, step: number of the first selected frame of the source, and the step to the next
         start: int = 0,
         step: int = 1,
-        resume: bool = False,
-        inputs: InputFiles | None = None,
+        resume: bool = False,  # continue an interrupted run: keep its ranges and its finished pairs
+        inputs: InputFiles | None = None,  # files that no result may replace
+        # Names of the coming pairs, as far as they are known. Their files are compared with
+        # `inputs` before anything is written, and once more when they are written.
         names: Iterable[str] = (),
         notes: Sequence[str] = (),
     ) -> None:
         self.folder, self.camera = Path(folder), camera
         self._inputs = inputs or InputFiles()
         chosen = checked_outputs(outputs)
+        # writes the files of a pair without the record
         self.files = PairFiles(
             folder=self.folder,
             outputs=chosen,

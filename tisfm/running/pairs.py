@@ -48,26 +48,14 @@ class FrameSelection:
 
 @dataclass(frozen=True, kw_only=True)
 class PairSource:
-    """A source of frames, and all options that determine its pairs.
-
-    Attributes
-    ----------
-    source : Source
-    frames : FrameSelection
-    settings : Settings
-    mask : str or None
-        A picture, or a folder or pattern with a picture for every frame.
-    poses : Path or None
-        A file with a pose for every frame of the source, selected or not.
-    motions : sequence of (4, 4) arrays, or None
-        The motion of every pair, instead of `poses`.
-    """
+    """A source of frames, and all options that determine its pairs."""
 
     source: Source
     frames: FrameSelection
     settings: Settings
-    mask: str | None = None
-    poses: Path | None = None
+    mask: str | None = None  # a picture, or a folder or pattern with a picture for every frame
+    poses: Path | None = None  # a file with a pose for every frame of the source, selected or not
+    # sequence of (4, 4) arrays, or None: the motion of every pair, instead of `poses`
     motions: Sequence[np.ndarray] | None = None
 
     def open(self) -> tuple[FrameSource, Generator[FramePair, None, None]]:
@@ -91,19 +79,11 @@ class PairSource:
 
 @dataclass(frozen=True, kw_only=True)
 class PairWork:
-    """Interprets the pairs of a run.
+    """Interprets the pairs of a run."""
 
-    Attributes
-    ----------
-    camera : Camera
-        The camera of the frames after they are cropped and shrunk.
-    settings : Settings
-    files : PairFiles or None
-        The files of the pairs; None if results are returned instead of written.
-    """
-
-    camera: Camera
+    camera: Camera  # the camera of the frames after they are cropped and shrunk
     settings: Settings
+    # the files of the pairs; None if results are returned instead of written
     files: PairFiles | None = field(default=None, repr=False)
 
     def interpret(self, pair: FramePair, window: Window | None = None) -> Interpretation:
@@ -129,28 +109,18 @@ class PairWork:
 
 
 def with_poses(
-    pairs: FrameSource, poses: Iterable[npt.ArrayLike] | None, *, title: str = "poses"
+    pairs: FrameSource,
+    # iterable of array_like, or None: one pose for every pair; None for no poses. They are checked
+    # when the pair is interpreted.
+    poses: Iterable[npt.ArrayLike] | None,
+    *,
+    title: str = "poses",  # name of the poses in error messages
 ) -> Generator[FramePair, None, None]:
     """Give every pair of a source its pose.
 
-    Parameters
-    ----------
-    pairs : FrameSource
-    poses : iterable of array_like, or None
-        One pose for every pair; None for no poses. They are checked when the pair is interpreted.
-    title : str
-        Name of the poses in error messages.
-
-    Returns
-    -------
-    generator of FramePair
-
-    Raises
-    ------
-    TypeError, ValueError
-        At once, if the poses cannot be iterated, if their number is known and differs from the
-        number of pairs, or if frames may be skipped. During iteration, if the poses end too early,
-        or if poses are left over and their number is known.
+    Raises TypeError, ValueError: at once, if the poses cannot be iterated, if their number is known
+    and differs from the number of pairs, or if frames may be skipped. During iteration, if the
+    poses end too early, or if poses are left over and their number is known.
     """
     if poses is None:
         return iter(pairs)

@@ -37,44 +37,31 @@ _CLUSTER_TIMEOUT = 10  # s for the scheduler of a cluster to answer; set by hand
 
 
 class WorkerPool:
-    """Processes that compute items of work. An item whose process was killed is computed again.
+    """Processes that compute items of work. An item whose process was killed is computed again."""
 
-    Attributes
-    ----------
-    workers : int
-        Number of processes.
-    """
-
-    def __init__(self, workers: int, open_executor: Callable[[], Executor]) -> None:
+    def __init__(
+        self,
+        workers: int,  # number of processes
+        open_executor: Callable[[], Executor],
+    ) -> None:
         self.workers = workers
         self._running: dict[Future[Any], int] = {}
         self._open, self._executor = open_executor, open_executor()
 
     def map_unordered(
-        self, function: Callable[[T], R], items: Sequence[T]
+        self,
+        function: Callable[[T], R],  # a function of a module: it is sent by its name
+        items: Sequence[T],
     ) -> Generator[tuple[int, R], None, None]:
         """Call a function with every item, and yield each result as soon as it is ready.
 
         Items are submitted in order, and only as many at a time as keep all processes busy.
 
-        Parameters
-        ----------
-        function : callable
-            A function of a module: it is sent by its name.
-        items : sequence
+        Yields number, number of the item, from 0; result: .
 
-        Yields
-        ------
-        number : int
-            Number of the item, from 0.
-        result
+        Raises RunError if processes were killed repeatedly and no item finished in between.
 
-        Raises
-        ------
-        RunError
-            If processes were killed repeatedly and no item finished in between.
-        Exception
-            The exception of the function.
+        Raises Exception: the exception of the function.
         """
         waiting, kills = list(reversed(range(len(items)))), 0
         running = self._running = {}
@@ -129,25 +116,18 @@ def check_workers(workers: int, cluster: str | None = None) -> None:
         )
 
 
-def open_pool(workers: int, cluster: str | None = None) -> AbstractContextManager[WorkerPool]:
+def open_pool(
+    workers: int,  # number of processes of this machine
+    cluster: str | None = None,  # the address of a Dask scheduler, such as "tcp://10.0.0.1:8786"
+) -> AbstractContextManager[WorkerPool]:
     """Return a pool of processes of this machine, or of a Dask cluster.
 
     Leaving the block waits for the items that are being computed. Processes of this machine end
     with this process, even if this process is killed.
 
-    Parameters
-    ----------
-    workers : int
-        Number of processes of this machine.
-    cluster : str, optional
-        The address of a Dask scheduler, such as "tcp://10.0.0.1:8786".
+    Raises MissingPackageError if a cluster is given and Dask is not installed.
 
-    Raises
-    ------
-    MissingPackageError
-        If a cluster is given and Dask is not installed.
-    OSError
-        If the cluster does not answer, or has no worker.
+    Raises OSError if the cluster does not answer, or has no worker.
     """
     return _local_pool(workers) if cluster is None else _cluster_pool(cluster)
 
@@ -205,24 +185,16 @@ def _end_with(sentinel: Any) -> None:
     os._exit(1)
 
 
-def check_worker(version: str, alive: Path, *, lanes: int, here: int) -> None:
+def check_worker(
+    version: str,  # version of tisfm in the parent process
+    alive: Path,  # a file that exists as long as the parent process waits for results
+    *,
+    lanes: int,  # lanes of the vectors of the CPU of the parent process
+    here: int,  # lanes of the vectors of the CPU of this worker
+) -> None:
     """Check, in a worker, that the worker fits the parent process.
 
-    Parameters
-    ----------
-    version : str
-        Version of tisfm in the parent process.
-    alive : Path
-        A file that exists as long as the parent process waits for results.
-    lanes : int
-        Lanes of the vectors of the CPU of the parent process.
-    here : int
-        Lanes of the vectors of the CPU of this worker.
-
-    Raises
-    ------
-    RunError
-        If the version or the number of lanes differs, or the file does not exist here.
+    Raises RunError if the version or the number of lanes differs, or the file does not exist here.
     """
     if version != __version__:
         raise RunError(

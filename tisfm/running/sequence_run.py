@@ -66,57 +66,27 @@ class RunObserver(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceRun:
-    """A run: its source, its settings, and the folder of its results.
-
-    Attributes
-    ----------
-    source : Source
-    folder : Path
-        The folder of the results.
-    camera : Camera or Path
-        A camera, or the file of one.
-    guess : bool
-        Replace the focal length of the camera by a guess from the first frame.
-    settings : Settings
-    frames : FrameSelection
-    poses : Path or None
-        A file with a pose for every frame of the source, selected or not.
-    mask : str or None
-        A picture, or a folder or pattern with a picture for every frame.
-    window : {2, 3}
-        As for `tisfm.interpret_sequence`.
-    resume : bool
-        Keep the pairs that an earlier run with the same options finished.
-    outputs : collection of str
-        The outputs of a pair: keys of `tisfm.folders.run_record.ENDINGS`.
-    figures : int
-        One pair in this many has a figure; 0 for no figures.
-    disparity, screen : float or None
-        Parameters of anaglyphs, as for `PairWriter`.
-    workers : int
-        Number of processes that share the pairs.
-    cluster : str or None
-        The address of a Dask scheduler, whose workers share the pairs.
-    arch, threads
-        As for `tisfm.runtime.start`.
-    """
+    """A run: its source, its settings, and the folder of its results."""
 
     source: Source
-    folder: Path
-    camera: Camera | Path
-    guess: bool = False
+    folder: Path  # the folder of the results
+    camera: Camera | Path  # a camera, or the file of one
+    guess: bool = False  # replace the focal length of the camera by a guess from the first frame
     settings: Settings
     frames: FrameSelection
-    poses: Path | None = None
-    mask: str | None = None
-    window: WindowSize = 2
-    resume: bool = False
+    poses: Path | None = None  # a file with a pose for every frame of the source, selected or not
+    mask: str | None = None  # a picture, or a folder or pattern with a picture for every frame
+    window: WindowSize = 2  # {2, 3}: as for `tisfm.interpret_sequence`
+    resume: bool = False  # keep the pairs that an earlier run with the same options finished
+    # the outputs of a pair: keys of `tisfm.folders.run_record.ENDINGS`
     outputs: Collection[str] = USUAL
-    figures: int = 1
+    figures: int = 1  # one pair in this many has a figure; 0 for no figures
+    # disparity, screen: parameters of anaglyphs, as for `PairWriter`
     disparity: float | None = None
     screen: float | None = None
-    workers: int = 1
-    cluster: str | None = None
+    workers: int = 1  # number of processes that share the pairs
+    cluster: str | None = None  # the address of a Dask scheduler, whose workers share the pairs
+    # arch, threads: as for `tisfm.runtime.start`
     arch: Arch | None = None
     threads: int | None = None
 
@@ -128,10 +98,7 @@ class SequenceRun:
     def check(self) -> Window | None:
         """Check the options that need no frame; return the window of three frames, if any.
 
-        Raises
-        ------
-        InputError
-            If options are impossible, alone or together.
+        Raises InputError if options are impossible, alone or together.
         """
         if isinstance(self.camera, Path):
             read_camera(self.camera)
@@ -156,25 +123,15 @@ class SequenceRun:
             )
         return window
 
-    def interpret(self, observer: RunObserver, tell: Tell) -> dict[int, str]:
+    def interpret(
+        self,
+        observer: RunObserver,
+        tell: Tell,  # receives each note on the source and the camera, a line of text
+    ) -> dict[int, str]:  # numbers of the frames that were skipped, with the reasons
         """Interpret and write all pairs.
 
-        Parameters
-        ----------
-        observer : RunObserver
-        tell : callable
-            Receives each note on the source and the camera, a line of text.
-
-        Returns
-        -------
-        dict of int to str
-            Numbers of the frames that were skipped, with the reasons.
-
-        Raises
-        ------
-        OSError, TypeError, ValueError
-            As `tisfm.interpret_sequence`; if the folder cannot be written to; if results would
-            replace inputs; as `check`.
+        Raises OSError, TypeError, ValueError: as `tisfm.interpret_sequence`; if the folder cannot
+        be written to; if results would replace inputs; as `check`.
         """
         window = self.check()
         source = PairSource(

@@ -57,22 +57,14 @@ class BodiesFilm(Film):
 
 @dataclass(frozen=True, kw_only=True)
 class _Flight:
-    """The path of a body: it swings along each axis of the world, and rotates steadily.
-
-    Attributes
-    ----------
-    size : edge lengths, m
-    middle, reach : centre and amplitude of the swing along each axis, (3,), m
-    period : period of the swing along each axis, (3,), frames
-    start : frame in which the body passes the centre along each axis, (3,)
-    spin : rotation about the axes right, down and ahead, rad/frame
-    mean : mean grey level of its paint
-    """
+    """The path of a body: it swings along each axis of the world, and rotates steadily."""
 
     size: tuple[float, float, float]
+    # middle, reach: centre and amplitude of the swing along each axis, (3,), m
     middle: tuple[float, float, float]
     reach: tuple[float, float, float]
-    period: tuple[float, float, float]
+    period: tuple[float, float, float]  # period of the swing along each axis, (3,), frames
+    # frame in which the body passes the centre along each axis, (3,)
     start: tuple[float, float, float]
     spin: tuple[float, float, float]
     mean: float

@@ -51,22 +51,13 @@ Triple = tuple[
 
 @dataclass(frozen=True, kw_only=True)
 class _Tiles(Texture):
-    """Square tiles of weakly marbled paint, of varying brightness, with dark joints.
+    """Square tiles of weakly marbled paint, of varying brightness, with dark joints."""
 
-    Parameters
-    ----------
-    side, joint : float
-        Distance from tile to tile, and width of a joint, in the scene's unit of length.
-    spread : float
-        Standard deviation of the grey levels of the tiles.
-    joint_grey : float
-        Grey level of joints.
-    """
-
+    # side, joint: distance from tile to tile, and width of a joint, in the scene's unit of length
     side: float
     joint: float
-    spread: float
-    joint_grey: float
+    spread: float  # standard deviation of the grey levels of the tiles
+    joint_grey: float  # grey level of joints
 
     def _grey(self, s: Floats, t: Floats, footprint: Floats, face: int = 0) -> NDArray:
         random = np.random.default_rng([self.seed, face, _TILE_PERIOD])

@@ -55,21 +55,13 @@ def check_limit(name: str, limit: float) -> float:
     return float(limit)
 
 
-def as_uint8(*images: NDArray[Any]) -> tuple[NDArray[np.uint8], ...]:
-    """Convert pictures to 8 bits, all by one factor.
-
-    Parameters
-    ----------
-    *images : ndarray
-        uint8 stays; uint16 is divided by 257; floats are multiplied by 255 if all are in [0, 1],
-        apart from overshoots (`tisfm.frames.in_unit_range`), else they stay, like other integers.
-        NaN becomes black.
-
-    Returns
-    -------
-    tuple of uint8 ndarray
-        The pictures, rounded and clipped.
-    """
+def as_uint8(
+    # ndarray: uint8 stays; uint16 is divided by 257; floats are multiplied by 255 if all are in [0,
+    # 1], apart from overshoots (`tisfm.frames.in_unit_range`), else they stay, like other integers.
+    # NaN becomes black.
+    *images: NDArray[Any],
+) -> tuple[NDArray[np.uint8], ...]:  # tuple of uint8 ndarray: the pictures, rounded and clipped
+    """Convert pictures to 8 bits, all by one factor."""
     floats = [image for image in images if image.dtype.kind == "f"]
     unit = all(in_unit_range(np.nan_to_num(image, nan=0.0)) for image in floats)
     factors = {"uint16": 1 / 257, "float": 255.0 if unit else 1.0}

@@ -85,18 +85,13 @@ def plot_axes(width: float, height: float) -> Axes:
     return figure.add_subplot()
 
 
-def show_picture(axes: Axes, image: NDArray[np.uint8], title: str | None = None) -> Sizes:
-    """Show a picture in axes whose unit is its pixel, y downwards; return sizes for text and lines.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Modified in place: earlier contents are removed.
-    image : (H, W) or (H, W, 3) uint8 ndarray
-        An image finer than the axes is reduced by averaging pixels.
-    title : str, optional
-        Text above the picture.
-    """
+def show_picture(
+    axes: Axes,  # modified in place: earlier contents are removed
+    # (H, W) or (H, W, 3) uint8 ndarray: an image finer than the axes is reduced by averaging pixels
+    image: NDArray[np.uint8],
+    title: str | None = None,  # text above the picture
+) -> Sizes:
+    """Show a picture in axes in px, y downwards; return sizes for text and lines."""
     _empty(axes)
     sizes = sizes_for(axes)
     rows, columns = image.shape[:2]
@@ -177,39 +172,18 @@ def few_ticks(axes: Axes, sizes: Sizes) -> None:
 
 
 def draw_bar(
-    axes: Axes,
-    ramp: NDArray[np.uint8],
+    axes: Axes,  # axes of the picture
+    ramp: NDArray[np.uint8],  # (N, 3) uint8 ndarray: colours from the least to the greatest value
+    # sequence of (float, str): positions along the bar, rising from 0 to 1, and their labels. The
+    # ends are always written, others where there is space.
     ticks: Sequence[tuple[float, str]],
     *,
-    label: str,
-    short: str,
+    label: str,  # the quantity and its unit
+    short: str,  # a shorter label, for little space
     sizes: Sizes,
-    below: bool,
-) -> Axes:
-    """Draw a colour bar beside or below a picture; the picture shrinks within its axes.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Axes of the picture.
-    ramp : (N, 3) uint8 ndarray
-        Colours from the least to the greatest value.
-    ticks : sequence of (float, str)
-        Positions along the bar, rising from 0 to 1, and their labels. The ends are always written,
-        others where there is space.
-    label : str
-        The quantity and its unit.
-    short : str
-        A shorter label, for little space.
-    sizes : Sizes
-    below : bool
-        Whether the bar lies below the picture, else it is beside it.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-        Axes of the bar.
-    """
+    below: bool,  # whether the bar lies below the picture, else it is beside it
+) -> Axes:  # axes of the bar
+    """Draw a colour bar beside or below a picture; the picture shrinks within its axes."""
     longest = max(len(text) for _, text in ticks)
     character = _CHARACTER_WIDTH * sizes.inch
     width, height = _shown_size(axes)

@@ -156,22 +156,14 @@ def draw_arrows(
     return target
 
 
-def arrow_scale(shape: tuple[int, int], limit: float) -> tuple[int, float]:
+def arrow_scale(
+    shape: tuple[int, int],  # height and width of the picture, px
+    limit: float,  # motion that counts as long, px/frame; above 0
+) -> tuple[int, float]:
     """Choose the grid and the length of the arrows over a picture.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Height and width of the picture, px.
-    limit : float
-        Motion that counts as long, px/frame; above 0.
-
-    Returns
-    -------
-    step : int
-        Distance between arrows, px.
-    magnification : float
-        Drawn length of an arrow, px, per length of motion, px/frame.
+    Returns step, distance between arrows, px; magnification, drawn length of an arrow, px, per
+    length of motion, px/frame.
     """
     pixels_per_inch = shape[1] / panel_size(*shape)[0]
     spacing = _ARROW_SPACING * pixels_per_inch

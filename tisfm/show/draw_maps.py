@@ -326,21 +326,12 @@ def draw_labels(
 
 @dataclass(frozen=True, kw_only=True)
 class Bar:
-    """A bar of colours beside or below a picture.
+    """A bar of colours beside or below a picture."""
 
-    Attributes
-    ----------
-    ramp : (N, 3) uint8
-        Colours from the least to the greatest value.
-    ticks : sequence of (float, str)
-        Positions along the bar, from 0 to 1, and their labels.
-    label : (str, str)
-        Quantity and unit, in a long and a short form.
-    """
-
-    ramp: NDArray[np.uint8]
+    ramp: NDArray[np.uint8]  # (N, 3) uint8: colours from the least to the greatest value
+    # sequence of (float, str): positions along the bar, from 0 to 1, and their labels
     ticks: Sequence[tuple[float, str]]
-    label: tuple[str, str]
+    label: tuple[str, str]  # (str, str): quantity and unit, in a long and a short form
 
 
 def draw_with_bar(

@@ -45,16 +45,11 @@ def wheel_legend(limit: float) -> Legend:
     return _in_inches(_WHEEL_SIZE, partial(_draw_wheel, size=_WHEEL_SIZE, limit=limit))
 
 
-def flow_legend(shape: tuple[int, int], limit: float) -> Legend:
-    """Return the colour wheel of flow, with an arrow of a round length below it.
-
-    Parameters
-    ----------
-    shape : (int, int)
-        Height and width of the pictures with arrows, px.
-    limit : float
-        Motion at the rim of the wheel, px/frame.
-    """
+def flow_legend(
+    shape: tuple[int, int],  # height and width of the pictures with arrows, px
+    limit: float,  # motion at the rim of the wheel, px/frame
+) -> Legend:
+    """Return the colour wheel of flow, with an arrow of a round length below it."""
     size = _WHEEL_AND_ARROW_SIZE
 
     def draw(axes: Axes) -> None:
@@ -70,16 +65,13 @@ def flow_legend(shape: tuple[int, int], limit: float) -> Legend:
     return _in_inches(size, draw)
 
 
-def error_legend(limits: tuple[float, float], unit: str) -> Legend:
-    """Return a vertical bar of the colours of errors, with a logarithmic scale.
-
-    Parameters
-    ----------
-    limits : (float, float)
-        Errors at the bottom and at the top, whose colours smaller and larger errors share.
-    unit : str
-        Unit of the errors.
-    """
+def error_legend(
+    # (float, float): errors at the bottom and at the top, whose colours smaller and larger errors
+    # share
+    limits: tuple[float, float],
+    unit: str,  # unit of the errors
+) -> Legend:
+    """Return a vertical bar of the colours of errors, with a logarithmic scale."""
 
     def draw(axes: Axes) -> None:
         top = _ERROR_BAR_SIZE[1] - _BAR_MARGIN
@@ -88,18 +80,15 @@ def error_legend(limits: tuple[float, float], unit: str) -> Legend:
     return _in_inches(_ERROR_BAR_SIZE, draw)
 
 
-def depth_legend(limit: float, label: str, *, ramp: NDArray[np.uint8] | None = None) -> Legend:
-    """Return a vertical bar of colours that are linear in inverse depth, labelled by round depths.
-
-    Parameters
-    ----------
-    limit : float
-        Inverse depth of the last colour.
-    label : str
-        Quantity and unit, written above the bar in two lines at most.
-    ramp : (256, 3) uint8 ndarray, optional
-        Colours from infinitely far to near, by default those of `tisfm.show.depth_to_color`.
-    """
+def depth_legend(
+    limit: float,  # inverse depth of the last colour
+    label: str,  # quantity and unit, written above the bar in two lines at most
+    *,
+    # (256, 3) uint8 ndarray: colours from infinitely far to near, by default those of
+    # `tisfm.show.depth_to_color`
+    ramp: NDArray[np.uint8] | None = None,
+) -> Legend:
+    """Return a vertical bar of colours, linear in inverse depth, labelled by round depths."""
     colors = color_ramp("depth") if ramp is None else ramp
 
     def draw(axes: Axes) -> None:

@@ -39,36 +39,19 @@ _MIN_SIDE = 0.3  # of a panel
 
 @dataclass(frozen=True, kw_only=True)
 class Panel:
-    """A titled picture of a mosaic.
-
-    Attributes
-    ----------
-    title : str
-    shape : (int, int)
-        Height and width of the picture, px.
-    draw : callable
-        Draws the picture into the axes that it is given.
-    """
+    """A titled picture of a mosaic."""
 
     title: str
-    shape: tuple[int, int]
-    draw: Callable[[Axes], object]
+    shape: tuple[int, int]  # height and width of the picture, px
+    draw: Callable[[Axes], object]  # draws the picture into the axes that it is given
 
 
 @dataclass(frozen=True, kw_only=True)
 class Legend:
-    """A legend of a mosaic.
+    """A legend of a mosaic."""
 
-    Attributes
-    ----------
-    size : (float, float)
-        Width and height, inches.
-    draw : callable
-        Draws the legend into a box of a figure.
-    """
-
-    size: tuple[float, float]
-    draw: Callable[[Figure, Box], object]
+    size: tuple[float, float]  # (float, float): width and height, inches
+    draw: Callable[[Figure, Box], object]  # draws the legend into a box of a figure
 
 
 def stacked(legends: Sequence[Legend]) -> Legend:
@@ -104,27 +87,15 @@ def beside(legends: Sequence[Legend]) -> Legend:
 
 
 def mosaic(
-    rows: Sequence[Sequence[Panel]], *, heading: str | None = None, legend: Legend | None = None
+    rows: Sequence[Sequence[Panel]],  # rows may differ in length
+    *,
+    heading: str | None = None,  # heading above all panels
+    # drawn at the empty end of the lowest row with enough space, else in a column of its own
+    legend: Legend | None = None,
 ) -> Figure:
     """Draw rows of panels in a new figure.
 
-    Parameters
-    ----------
-    rows : sequence of sequences of Panel
-        Rows may differ in length.
-    heading : str, optional
-        Heading above all panels.
-    legend : Legend, optional
-        Drawn at the empty end of the lowest row with enough space, else in a column of its own.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    ImportError
-        If Matplotlib is not installed.
+    Raises ImportError if Matplotlib is not installed.
     """
     layout = arrange(
         [[(panel.title, panel_size(*panel.shape)) for panel in row] for row in rows],
@@ -187,28 +158,16 @@ class Layout:
 
 
 def arrange(
+    # sequence of sequences of (str, (float, float)): rows of panels: title, and width and height in
+    # inches. Rows may differ in length.
     rows: Sequence[Sequence[tuple[str, tuple[float, float]]]],
     *,
-    heading: str | None = None,
+    heading: str | None = None,  # heading above all panels
+    # (float, float): width and height, inches, of a legend. It goes to the empty end of the lowest
+    # row with enough space, else into a narrow column of its own.
     legend: tuple[float, float] | None = None,
-) -> Layout:
-    """Arrange panels in rows.
-
-    Parameters
-    ----------
-    rows : sequence of sequences of (str, (float, float))
-        Rows of panels: title, and width and height in inches. Rows may differ in length.
-    heading : str, optional
-        Heading above all panels.
-    legend : (float, float), optional
-        Width and height, inches, of a legend. It goes to the empty end of the lowest row with
-        enough space, else into a narrow column of its own.
-
-    Returns
-    -------
-    Layout
-        Positions as shares of the figure, the panels of all rows in one list.
-    """
+) -> Layout:  # positions as shares of the figure, the panels of all rows in one list
+    """Arrange panels in rows."""
     cell = max(_MIN_CELL_WIDTH, *(size[0] for row in rows for _, size in row))
     columns = max(len(row) for row in rows)
     heights = [max(size[1] for _, size in row) for row in rows]

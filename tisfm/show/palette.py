@@ -99,16 +99,13 @@ def color_ramp(quantity: Quantity) -> NDArray[np.uint8]:
     return np.ascontiguousarray(cv2.applyColorMap(levels, _MAPS[quantity])[:, 0, ::-1])
 
 
-def colors_of(share: NDArray[np.floating], quantity: Quantity) -> NDArray[np.uint8]:
-    """Return the colours of shares of a range, (H, W, 3).
-
-    Parameters
-    ----------
-    share : (H, W) ndarray
-        From 0 to 1; values beyond have the colour of the nearer end, NaN that of unknown pixels.
-    quantity : str
-        As for `color_ramp`.
-    """
+def colors_of(
+    # (H, W) ndarray: from 0 to 1; values beyond have the colour of the nearer end, NaN that of
+    # unknown pixels
+    share: NDArray[np.floating],
+    quantity: Quantity,  # as for `color_ramp`
+) -> NDArray[np.uint8]:
+    """Return the colours of shares of a range, (H, W, 3)."""
     known = ~np.isnan(share)
     levels = np.zeros(share.shape)
     np.clip(share, 0, 1, out=levels, where=known)

@@ -103,19 +103,11 @@ def _shifts(inverse_depth: NDArray[Any], displacement: float) -> NDArray[np.int3
     return np.rint(shift, out=shift).astype(np.int32)
 
 
-def _nearest_source(shifts: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return the column that each pixel of the second view shows, or -1 for none.
-
-    Parameters
-    ----------
-    shifts : (H, W) int32 ndarray
-        Shift to the left of each pixel, px, at least 0.
-
-    Returns
-    -------
-    (H, W) int32 ndarray
-        Column of the nearest of the pixels that land here.
-    """
+def _nearest_source(
+    # (H, W) int32 ndarray: shift to the left of each pixel, px, at least 0
+    shifts: NDArray[np.int32],
+) -> NDArray[np.int32]:  # (H, W) int32 ndarray: column of the nearest of the pixels that land here
+    """Return the column that each pixel of the second view shows, or -1 for none."""
     height, width = shifts.shape
     margin = int(shifts.max(initial=0))  # pixels that leave the picture land there, and are cut off
     columns = np.tile(np.arange(width, dtype=np.int32), (height, 1))

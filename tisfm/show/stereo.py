@@ -133,21 +133,12 @@ def check_screen(screen: float | None, screen_depth: float | None) -> None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Parallax:
-    """The shifts of pixels to the left for the right eye.
+    """The shifts of pixels to the left for the right eye."""
 
-    Attributes
-    ----------
-    near : (H, W) float32
-        Nearness in [0, 1], from infinitely far to the limit.
-    shift : float
-        Shift of the nearest point against infinity, px.
-    screen : float
-        Nearness, in [0, 1], of points without shift.
-    """
-
+    # (H, W) float32: nearness in [0, 1], from infinitely far to the limit
     near: NDArray[np.float32]
-    shift: float
-    screen: float
+    shift: float  # shift of the nearest point against infinity, px
+    screen: float  # nearness, in [0, 1], of points without shift
 
 
 def _parallax(

@@ -13,19 +13,13 @@ _MAX_DOUBLINGS = 12  # ticks between both ends
 _MIN_SHARE = 0.04  # position of the farthest tick on a scale of depth
 
 
-def depth_ticks(limit: float) -> list[tuple[float, str]]:
+def depth_ticks(
+    limit: float,  # inverse depth at the near end, which nearer pixels share; 0 without depth
+) -> list[tuple[float, str]]:
     """Return ticks of a scale that is linear in inverse depth: both ends, and round depths.
 
-    Parameters
-    ----------
-    limit : float
-        Inverse depth at the near end, which nearer pixels share; 0 without depth.
-
-    Returns
-    -------
-    list of (float, str)
-        Positions on the scale, from 0, infinitely far, to 1, and depths: 1, 2 and 5 times powers of
-        ten, apart from the near end.
+    Returns list of (float, str): positions on the scale, from 0, infinitely far, to 1, and depths:
+    1, 2 and 5 times powers of ten, apart from the near end.
     """
     far = (0.0, "∞")
     if limit == 0:
@@ -41,21 +35,15 @@ def depth_ticks(limit: float) -> list[tuple[float, str]]:
     return [far, *reversed(ticks)]
 
 
-def doublings(limits: tuple[float, float], unit: str) -> list[tuple[float, str]]:
+def doublings(
+    # (float, float): values at both ends, which values beyond them share
+    limits: tuple[float, float],
+    unit: str,  # written after each value
+) -> list[tuple[float, str]]:
     """Return ticks of a logarithmic scale: both ends, and doublings between them.
 
-    Parameters
-    ----------
-    limits : (float, float)
-        Values at both ends, which values beyond them share.
-    unit : str
-        Written after each value.
-
-    Returns
-    -------
-    list of (float, str)
-        Positions on the scale, from 0 to 1, and labels. With more than a dozen doublings only every
-        second one is a tick, and so on.
+    Returns list of (float, str): positions on the scale, from 0 to 1, and labels. With more than a
+    dozen doublings only every second one is a tick, and so on.
     """
     # Denormal numbers count as 0 in a process in which Taichi runs.
     low, high = max(limits[0], sys.float_info.min), min(limits[1], sys.float_info.max)

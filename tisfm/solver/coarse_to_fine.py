@@ -21,21 +21,12 @@ Records = list[tuple[int, int, Iteration]]  # level, warp and record of each ite
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """The unknowns of every pixel and the energy to minimise.
-
-    Attributes
-    ----------
-    constancy : Constancy
-    smoothness : Smoothness
-        Its stiffness has a value for each unknown: 6, 3, 2 or 1.
-    effort : Effort
-    warps : callable
-        Takes the number of finer levels below a level, returns the linearisations on that level.
-    """
+    """The unknowns of every pixel and the energy to minimise."""
 
     constancy: Constancy
-    smoothness: Smoothness
+    smoothness: Smoothness  # its stiffness has a value for each unknown: 6, 3, 2 or 1
     effort: Effort
+    # takes the number of finer levels below a level, returns the linearisations on that level
     warps: Callable[[int], int]
 
     @property
@@ -45,15 +36,9 @@ class Problem:
 
 
 class Amendment(Protocol):
-    """A change of the unknowns between the levels of the pyramid.
+    """A change of the unknowns between the levels of the pyramid."""
 
-    Attributes
-    ----------
-    level : int
-        The level for `apply`, which is called after half of its linearisations.
-    """
-
-    level: int
+    level: int  # the level for `apply`, which is called after half of its linearisations
 
     def apply(self, unknowns: Unknowns) -> bool:
         """Change the unknowns; return whether they changed, so that the level needs more warps."""
@@ -74,50 +59,26 @@ class MoreData(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """The result of coarse-to-fine estimation, on its last level.
+    """The result of coarse-to-fine estimation, on its last level."""
 
-    Attributes
-    ----------
-    unknowns : Unknowns
-        ρ̂, px/frame.
-    system : LinearSystem
-        The system with the weights b of the last iteration.
-    level : int
-    history : list of (level, warp, Iteration)
-        All half-quadratic iterations; level 0 is the finest.
-    converged : bool
-        Whether the iterations of the last warp converged.
-    """
-
-    unknowns: Unknowns
-    system: LinearSystem
+    unknowns: Unknowns  # ρ̂, px/frame
+    system: LinearSystem  # the system with the weights b of the last iteration
     level: int
+    # list of (level, warp, Iteration): all half-quadratic iterations; level 0 is the finest
     history: Records
-    converged: bool
+    converged: bool  # whether the iterations of the last warp converged
 
 
 def coarse_to_fine(
     pyramid: ImagePyramid,
     problem: Problem,
     *,
-    last: int = 0,
-    release: bool = False,
+    last: int = 0,  # the last level to compute
+    release: bool = False,  # whether to free the splines of each level but the last after use
     amendment: Amendment | None = None,
     more: MoreData | None = None,
 ) -> Solution:
-    """Estimate ρ̂ from the coarsest level to the last, starting at zero.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    problem : Problem
-    last : int
-        The last level to compute.
-    release : bool
-        Whether to free the splines of each level but the last after use.
-    amendment : Amendment, optional
-    more : MoreData, optional
-    """
+    """Estimate ρ̂ from the coarsest level to the last, starting at zero."""
     history: Records = []
     unknowns: Unknowns | None = None
     solution: Solution | None = None

@@ -17,24 +17,16 @@ from tisfm.solver.sampling import weight_taps
 
 @dataclass(frozen=True, kw_only=True)
 class Constancy:
-    """The constancy assumptions about both frames, and their weights.
+    """The constancy assumptions about both frames, and their weights."""
 
-    Attributes
-    ----------
-    brightness, gradient : float
-        Weights of the constancy of brightness (eq. 4) and of its gradient.
-    normalization : float or None
-        ζ, as a share of the mean |ΔI| between neighbours of frame 0; None for constraints without
-        normalisation.
-    contrast : float
-        ε, px/frame (grey levels if constraints are not normalised); infinite for a quadratic
-        data term.
-    derivatives : {"cube", "five_tap"}
-    """
-
+    # brightness, gradient: Weights of the constancy of brightness (eq. 4) and of its gradient.
     brightness: float
     gradient: float
+    # ζ, as a share of the mean |ΔI| between neighbours of frame 0; None for constraints without
+    # normalisation
     normalization: float | None
+    # ε, px/frame (grey levels if constraints are not normalised); infinite for a quadratic data
+    # term
     contrast: float = math.inf
     derivatives: str = "five_tap"
 
@@ -51,54 +43,35 @@ class Constancy:
 
 
 class DataTerm:
-    """The constraints of a pair of grey frames.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    frame0, frame1 : (H, W) float32
-        Grey levels.
-    taps1 : ((H + 3)·W, 4) float32
-        `tisfm.solver.sampling.spline_taps` of frame 1.
-    constancy : Constancy
-    unit : float
-        Mean |ΔI| between neighbours of frame 0, grey levels; the unit of ζ.
-    counted : tuple of two (H, W) bool, optional
-        Pixels of each frame that are used, by default all. Ignored pixels of frame 0, and pixels
-        that move to an ignored pixel of frame 1, have no constraints.
-
-    Attributes
-    ----------
-    grid, constancy
-        As given.
-    constraints : lane array, 3 components for each constraint
-        (p, q, c) (`tisfm.kernels.data.constraints`); each linearisation overwrites them.
-    scales : tuple of float
-        `constancy.scales`.
-    lanes0 : lane array, 1 component, halo `IMAGE_HALO`
-        Frame 0.
-    mask : lane array, 1 component
-        1 where a pixel is used and moves to inside frame 1, by the flow of the last linearisation.
-    """
+    """The constraints of a pair of grey frames."""
 
     def __init__(
         self,
         grid: LaneGrid,
+        # frame0, frame1: (H, W) float32, grey levels
         frame0: np.ndarray,
         frame1: np.ndarray,
-        taps1: np.ndarray,
+        taps1: np.ndarray,  # ((H + 3)·W, 4) float32: `tisfm.solver.sampling.spline_taps` of frame 1
         constancy: Constancy,
-        unit: float,
+        unit: float,  # mean |ΔI| between neighbours of frame 0, grey levels; the unit of ζ
+        # tuple of two (H, W) bool: pixels of each frame that are used, by default all. Ignored
+        # pixels of frame 0, and pixels that move to an ignored pixel of frame 1, have no
+        # constraints.
         counted: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:
         self.grid, self.constancy, self._unit = grid, constancy, unit
-        self.scales = constancy.scales
+        self.scales = constancy.scales  # `constancy.scales`
         self._frame1 = grid.place(frame1)
         self._taps1 = grid.place(taps1, vectors=True)
+        # lane array, 1 component, halo `IMAGE_HALO`: frame 0
         self.lanes0 = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
         self._lanes1 = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
         self._derivatives = grid.allocate(3, halo=DERIVATIVE_HALO, zeros=False)
+        # lane array, 1 component: 1 where a pixel is used and moves to inside frame 1, by the flow
+        # of the last linearisation
         self.mask = grid.allocate(1, zeros=False)
+        # lane array, 3 components for each constraint: (p, q, c)
+        # (`tisfm.kernels.data.constraints`); each linearisation overwrites them
         self.constraints = grid.allocate(3 * constancy.count, zeros=False)
         image_to_lanes(grid, frame0, self.lanes0)
         self._counted = None if counted is None else _BothCount(grid, *counted)
@@ -109,17 +82,14 @@ class DataTerm:
         share = self.constancy.normalization
         return None if share is None else share * self._unit
 
-    def bind_linearise(self, flow: LaneData, tensor: LaneData | None = None) -> Callable[[], None]:
-        """Return a function that warps frame 1 by a flow and writes `constraints` for it.
-
-        Parameters
-        ----------
-        flow : lane array, 2 components
-            (u, v), px/frame, read at every call.
-        tensor : lane array, 6 components, optional
-            Overwritten with the sum of the constraints' motion tensors, with the robust weights of
-            this flow.
-        """
+    def bind_linearise(
+        self,
+        flow: LaneData,  # lane array, 2 components: (u, v), px/frame, read at every call
+        # lane array, 6 components: overwritten with the sum of the constraints' motion tensors,
+        # with the robust weights of this flow
+        tensor: LaneData | None = None,
+    ) -> Callable[[], None]:
+        """Return a function that warps frame 1 by a flow and writes `constraints` for it."""
         grid, constancy = self.grid, self.constancy
         ignore = [] if self._counted is None else [self._counted.bind(flow, self.mask)]
         return in_turn(

@@ -23,15 +23,12 @@ BAND = 64  # rows computed at a time, in float64
 
 
 class FlowlessFields:
-    """The fields without image motion on one level.
+    """The fields without image motion on one level."""
 
-    Parameters
-    ----------
-    unknowns : Unknowns
-        With 6 or 3 components; with 3, only the first field exists.
-    """
-
-    def __init__(self, unknowns: Unknowns) -> None:
+    def __init__(
+        self,
+        unknowns: Unknowns,  # with 6 or 3 components; with 3, only the first field exists
+    ) -> None:
         self._unknowns = unknowns
         self._count = 4 if unknowns.components == 6 else 1
         grid, camera = unknowns.grid, unknowns.camera
@@ -39,14 +36,11 @@ class FlowlessFields:
         self._x = (np.arange(grid.width) - cx) / camera.focal
         self._y = (np.arange(grid.height) - cy) / camera.focal
 
-    def minimise(self, system: LinearSystem) -> None:
-        """Add to ρ̂ the multiple of each field that minimises the energy of a system.
-
-        Parameters
-        ----------
-        system : LinearSystem
-            Its weights are fixed; its tensor is not read.
-        """
+    def minimise(
+        self,
+        system: LinearSystem,  # its weights are fixed; its tensor is not read
+    ) -> None:
+        """Add to ρ̂ the multiple of each field that minimises the energy of a system."""
         matrix, vector = self._normal_equations(system)
         if not (np.isfinite(matrix).all() and np.isfinite(vector).all()):
             return  # ρ̂ has diverged; the status of the result will say so
@@ -121,19 +115,17 @@ def _bands(height: int) -> Iterator[slice]:
 
 
 def _sums(
-    weights: np.ndarray, rho: np.ndarray, rows: np.ndarray, columns: np.ndarray, *, axis: int
+    # weights, rho: (H, W) array, b of the edges along an axis, and a component of ρ̂
+    weights: np.ndarray,
+    rho: np.ndarray,
+    # rows, columns: (n, H'), (n, W') array: functions of the row and of the column. Their product
+    # is the step of each field from a pixel to the next along the axis.
+    rows: np.ndarray,
+    columns: np.ndarray,
+    *,
+    axis: int,  # {1, 0}
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return Σ b·step·step for every pair of fields, and Σ b·Δρ̂·step for every field.
-
-    Parameters
-    ----------
-    weights, rho : (H, W) array
-        b of the edges along an axis, and a component of ρ̂.
-    rows, columns : (n, H'), (n, W') array
-        Functions of the row and of the column. Their product is the step of each field from a pixel
-        to the next along the axis.
-    axis : {1, 0}
-    """
+    """Return Σ b·step·step for every pair of fields, and Σ b·Δρ̂·step for every field."""
     n = len(rows)
     products, slopes = np.zeros((n, n)), np.zeros(n)
     for band in _bands(rows.shape[1]):

@@ -23,51 +23,30 @@ LEAST_CONTRACTION = 2 / 3  # least contraction assumed for errors: early changes
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """The number of iterations for a linearisation, and the condition to stop.
+    """The number of iterations for a linearisation, and the condition to stop."""
 
-    Attributes
-    ----------
-    outer_iterations, sweeps : int
-        Most half-quadratic iterations, and sweeps in each.
-    cycles : int
-        Multigrid cycles in place of sweeps; 0 for sweeps.
-    relaxation : float
-        Over-relaxation of the sweeps, in (0, 2).
-    tolerance : float
-        Iterations stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖. If `thorough`, they stop when the
-        estimate of ‖error of ρ̂‖ is at most tolerance · ‖ρ̂‖.
-    thorough : bool
-        Whether to iterate close to the minimum. This is needed with one pyramid level, since no
-        coarser level gives a good start. It takes at least three iterations, or four with sweeps.
-    solver : {"cholesky", "closed_form"}
-    """
-
+    # outer_iterations, sweeps: most half-quadratic iterations, and sweeps in each
     outer_iterations: int
     sweeps: int
-    relaxation: float
+    relaxation: float  # over-relaxation of the sweeps, in (0, 2)
+    # Iterations stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖. If `thorough`, they stop when the
+    # estimate of ‖error of ρ̂‖ is at most tolerance · ‖ρ̂‖.
     tolerance: float
     solver: str
-    cycles: int = 0
+    cycles: int = 0  # multigrid cycles in place of sweeps; 0 for sweeps
+    # Whether to iterate close to the minimum. This is needed with one pyramid level, since no
+    # coarser level gives a good start. It takes at least three iterations, or four with sweeps.
     thorough: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class Iteration:
-    """Record of one half-quadratic iteration.
+    """Record of one half-quadratic iteration."""
 
-    Attributes
-    ----------
-    energy : float
-        Energy (eq. 6, 20) after the iteration; it never rises within a warp.
-    half_quadratic : float
-        Half-quadratic energy (eq. 8, 21) with the weights of the system that was solved.
-    change : float
-        ‖change of ρ̂‖ / ‖ρ̂‖; 0 if ρ̂ is zero.
-    """
-
-    energy: float
+    energy: float  # Energy (eq. 6, 20) after the iteration; it never rises within a warp.
+    # Half-quadratic energy (eq. 8, 21) with the weights of the system that was solved.
     half_quadratic: float
-    change: float
+    change: float  # ‖change of ρ̂‖ / ‖ρ̂‖; 0 if ρ̂ is zero
 
 
 class HalfQuadratic:
@@ -134,12 +113,8 @@ class HalfQuadratic:
     def minimise(self) -> tuple[list[Iteration], bool]:
         """Iterate at least twice, until ρ̂ hardly changes or the iterations run out.
 
-        Returns
-        -------
-        iterations : list of Iteration
-        converged : bool
-            Whether the last relative change was within the tolerance; if thorough, whether the
-            estimated error was.
+        Returns iterations, ; converged, whether the last relative change was within the tolerance;
+        if thorough, whether the estimated error was.
         """
         if self._effort.thorough:
             return self._minimise_thoroughly()

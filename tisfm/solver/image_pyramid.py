@@ -157,18 +157,16 @@ def level_count(height: int, width: int, factor: float, most: int | None = None)
     return count if most is None else min(count, most)
 
 
-def gaussian_pyramid(image: np.ndarray, factor: float, levels: int) -> list[np.ndarray]:
+def gaussian_pyramid(
+    image: np.ndarray,  # (H, W) float32
+    factor: float,
+    levels: int,
+) -> list[np.ndarray]:
     """Return `levels` images, the finest first, each `factor` times as densely sampled.
 
     The scale is exactly `factor` in both directions, however sizes are rounded: pixel x of a level
     lies at (x + ½)/factor − ½ on the next finer level. Before resampling, each level is smoothed by
     a Gaussian of 0.6·√(1/factor² − 1) px, so that all levels are equally sharp.
-
-    Parameters
-    ----------
-    image : (H, W) float32
-    factor : float
-    levels : int
 
     References
     ----------

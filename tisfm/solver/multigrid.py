@@ -30,27 +30,15 @@ RELAXATION = 1.2  # of the smoother; 1 and 1.4 need more cycles, see bench/resul
 
 
 class Multigrid:
-    """V-cycles over the unknowns of one level.
-
-    Parameters
-    ----------
-    unknowns : Unknowns
-        `cycle` and `descend` modify their `rho` in place.
-    system : LinearSystem
-        The system to solve; its tensor and weights are used without a copy.
-    solver : {"cholesky", "closed_form"}
-        How each pixel's system is solved.
-    relaxation : float
-        Over-relaxation of the sweeps, in (0, 2).
-    """
+    """V-cycles over the unknowns of one level."""
 
     def __init__(
         self,
-        unknowns: Unknowns,
-        system: LinearSystem,
+        unknowns: Unknowns,  # `cycle` and `descend` modify their `rho` in place
+        system: LinearSystem,  # the system to solve; its tensor and weights are used without a copy
         *,
-        solver: str,
-        relaxation: float = RELAXATION,
+        solver: str,  # how each pixel's system is solved
+        relaxation: float = RELAXATION,  # over-relaxation of the sweeps, in (0, 2)
     ) -> None:
         grid = unknowns.grid
         self._levels = [_Level(unknowns, system, solver=solver, relaxation=relaxation)]

@@ -17,23 +17,15 @@ MOST_IGNORED = 0.5  # share of a coarse pixel's area that may be ignored
 
 
 class PixelMasks:
-    """The used pixels of a pair, at every level of the pyramid.
-
-    Parameters
-    ----------
-    counted0, counted1 : (H, W) bool
-        Used pixels of each frame.
-    shapes : list of (int, int)
-        Height and width of every level, the finest first, px.
-
-    Attributes
-    ----------
-    whole : tuple of two (H, W) bool
-        As given.
-    """
+    """The used pixels of a pair, at every level of the pyramid."""
 
     def __init__(
-        self, counted0: np.ndarray, counted1: np.ndarray, shapes: list[tuple[int, int]]
+        self,
+        # counted0, counted1: (H, W) bool, used pixels of each frame
+        counted0: np.ndarray,
+        counted1: np.ndarray,
+        # list of (int, int): height and width of every level, the finest first, px
+        shapes: list[tuple[int, int]],
     ) -> None:
         self.whole = counted0, counted1
         self._shapes = shapes
@@ -46,20 +38,12 @@ class PixelMasks:
         )
         return list(zip(first, second, strict=True))
 
-    def missing(self, flow: np.ndarray, level: int | None = None) -> np.ndarray:
-        """Return the pixels that are ignored, or move to an ignored pixel of frame 1.
-
-        Parameters
-        ----------
-        flow : (2, h, w) float32
-            px/frame of the level.
-        level : int, optional
-            By default the finest, with the masks as given.
-
-        Returns
-        -------
-        (h, w) bool
-        """
+    def missing(
+        self,
+        flow: np.ndarray,  # (2, h, w) float32: px/frame of the level
+        level: int | None = None,  # by default the finest, with the masks as given
+    ) -> np.ndarray:  # (h, w) bool
+        """Return the pixels that are ignored, or move to an ignored pixel of frame 1."""
         counted0, counted1 = self.whole if level is None else self.levels[level]
         return ~(counted0 & counted1[goes_to(flow)])
 
@@ -75,19 +59,11 @@ class PixelMasks:
         return other
 
 
-def filled(image: np.ndarray, ignored: np.ndarray) -> np.ndarray:
-    """Return an image whose ignored pixels are means of used pixels, farther inside over more.
-
-    Parameters
-    ----------
-    image : (H, W) float32
-    ignored : (H, W) bool
-
-    Returns
-    -------
-    (H, W) float32
-        0 if all pixels are ignored.
-    """
+def filled(
+    image: np.ndarray,  # (H, W) float32
+    ignored: np.ndarray,  # (H, W) bool
+) -> np.ndarray:  # (H, W) float32: 0 if all pixels are ignored
+    """Return an image whose ignored pixels are means of used pixels, farther inside over more."""
     if ignored.all():
         return np.zeros_like(image)
     weight = (~ignored).astype(np.float32)

@@ -18,17 +18,10 @@ _REACH = 12  # px: farther taps of the filter are below 1e-7, less than float32 
 _INVERSE = math.sqrt(3) * _POLE ** np.abs(np.arange(-_REACH, _REACH + 1))
 
 
-def spline_coefficients(image: np.ndarray) -> np.ndarray:
+def spline_coefficients(
+    image: np.ndarray,  # (H, W) float32: mirrored at the centres of its border pixels
+) -> np.ndarray:  # (H, W) float32
     """Return the coefficients of the cubic B-spline through all pixels of an image.
-
-    Parameters
-    ----------
-    image : (H, W) float32
-        Mirrored at the centres of its border pixels.
-
-    Returns
-    -------
-    (H, W) float32
 
     References
     ----------
@@ -38,32 +31,26 @@ def spline_coefficients(image: np.ndarray) -> np.ndarray:
     return cv2.sepFilter2D(image, -1, _INVERSE, _INVERSE, borderType=cv2.BORDER_REFLECT_101)
 
 
-def spline_taps(image: np.ndarray) -> np.ndarray:
+def spline_taps(
+    image: np.ndarray,  # (H, W) float32
+) -> np.ndarray:
     """Return the coefficients of an image's spline in the layout of the kernels, rows of four.
 
-    Parameters
-    ----------
-    image : (H, W) float32
-
-    Returns
-    -------
-    ((H + 3)·W, 4) float32
-        Row r·W + x holds the coefficients of columns x − 1 to x + 2 in image row r − 1. A sample
-        between rows y and y + 1 and columns x and x + 1 needs r = y to y + 3. Beyond the border,
-        coefficients are mirrored at the centres of the border pixels. The memory is aligned.
+    Returns ((H + 3)·W, 4) float32: row r·W + x holds the coefficients of columns x − 1 to x + 2 in
+    image row r − 1. A sample between rows y and y + 1 and columns x and x + 1 needs r = y to y + 3.
+    Beyond the border, coefficients are mirrored at the centres of the border pixels. The memory is
+    aligned.
     """
     return _taps(spline_coefficients(image))
 
 
-def weight_taps(weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def weight_taps(
+    weight: np.ndarray,  # (H, W) float32
+) -> tuple[np.ndarray, np.ndarray]:
     """Return weights smoothed by a B-spline, (H, W) float32, and the taps of that spline.
 
     The coefficients are the weights themselves. Samples then stay within the range of the weights;
     a spline through the weights would overshoot.
-
-    Parameters
-    ----------
-    weight : (H, W) float32
     """
     smoothing = np.array([1, 4, 1]) / 6
     border = cv2.BORDER_REFLECT_101
@@ -82,21 +69,13 @@ def _taps(coefficients: np.ndarray) -> np.ndarray:
     return taps
 
 
-def sample(image: np.ndarray, flow: np.ndarray, taps: np.ndarray | None = None) -> np.ndarray:
-    """Return an image sampled at the ends of a flow, by its cubic spline with repeated borders.
-
-    Parameters
-    ----------
-    image : (H, W) float32
-    flow : (2, H, W) float32
-        (u, v), px; finite.
-    taps : ((H + 3)·W, 4) float32, optional
-        `spline_taps` of the image, if already computed.
-
-    Returns
-    -------
-    (H, W) float32
-    """
+def sample(
+    image: np.ndarray,  # (H, W) float32
+    flow: np.ndarray,  # (2, H, W) float32: (u, v), px; finite
+    # ((H + 3)·W, 4) float32: `spline_taps` of the image, if already computed
+    taps: np.ndarray | None = None,
+) -> np.ndarray:  # (H, W) float32
+    """Return an image sampled at the ends of a flow, by its cubic spline with repeated borders."""
     grid = runtime.lane_grid(*image.shape)  # first: it starts Taichi before kernels are imported
     from tisfm.kernels.data.warp import warp
     from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images
@@ -126,9 +105,7 @@ def goes_to(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def enlarged(images: np.ndarray, factor: int, height: int, width: int) -> np.ndarray:
     """Return images of a coarser level, (n, h, w), interpolated bilinearly to a finer level.
 
-    Returns
-    -------
-    (n, height, width) float32
+    Returns (n, height, width) float32.
     """
     from tisfm.kernels.layout.lanes import aligned_empty
 
@@ -147,9 +124,7 @@ def enlarged(images: np.ndarray, factor: int, height: int, width: int) -> np.nda
 def reduced(images: np.ndarray, factor: int, height: int, width: int) -> np.ndarray:
     """Return images of a finer level, (n, H, W), averaged over the pixels of a coarser level.
 
-    Returns
-    -------
-    (n, height, width) float32
+    Returns (n, height, width) float32.
     """
     fitted = (_fitted(fine, factor * height, factor * width) for fine in images)
     size = (width, height)

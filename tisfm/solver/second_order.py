@@ -34,34 +34,23 @@ MORE_ITERATIONS = 2  # additional iterations on each coarser level
 class SecondOrderSettings:
     """Weights of the smoothness of inverse depth, and the scale of robust anchors.
 
-    Attributes
-    ----------
-    alpha, beta, gamma : float
-        Weights of r (ΔD minus the slopes), Δv and ΔD, relative to an anchor of weight 1 at a pixel.
-        If anchors are farther apart than √(β/α) px, slopes continue unchanged between them.
-        γ > 0 limits how far D continues along a slope; it may be 0.
-    bend, turn, step : float
-        Contrasts of r, px, of Δv, px per px, and of ΔD, px: a larger value counts as a jump or a
-        crease. Infinite for no jumps and creases.
-    anchor_scale : float
-        σ, px: anchors with a larger residual have less weight. Infinite for full weight.
-    image_edges : float
-        κ of the image-driven factor (`tisfm.solver.smoothness`).
-
-    Raises
-    ------
-    ValueError
-        If a value is out of its range.
+    Raises ValueError if a value is out of its range.
     """
 
+    # alpha, beta, gamma: Weights of r (ΔD minus the slopes), Δv and ΔD, relative to an anchor of
+    # weight 1 at a pixel. If anchors are farther apart than √(β/α) px, slopes continue unchanged
+    # between them. γ > 0 limits how far D continues along a slope; it may be 0.
     alpha: float = 6.0
     beta: float = 3072.0
     gamma: float = 0.02
+    # bend, turn, step: Contrasts of r, px, of Δv, px per px, and of ΔD, px: a larger value counts
+    # as a jump or a crease. Infinite for no jumps and creases.
     bend: float = 0.15
     turn: float = 0.0005
     step: float = 0.1
+    # σ, px: anchors with a larger residual have less weight. Infinite for full weight.
     anchor_scale: float = 0.5
-    image_edges: float = 5.0
+    image_edges: float = 5.0  # κ of the image-driven factor (`tisfm.solver.smoothness`)
 
     def quadratic(self) -> "SecondOrderSettings":
         """Return these settings with quadratic costs, whose energy has a single minimum."""
@@ -87,47 +76,27 @@ class SecondOrderMinimiser:
 
     If other code changes ρ, anchors or constraints, call `update` before `minimise`. `minimise`
     itself keeps the weights up to date.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    anchors : lane array, 2 components
-        w and D*, used without a copy; 0 in padding.
-    edges : lane array, 2 components
-        g; 0 across the border.
-    settings : SecondOrderSettings
-    spacing : float
-        h, px of the finest level.
-    constraints : lane array, 3 components for each of 1 to 3 constraints, optional
-        (p, 0, c) of p D + c = 0, used without a copy; 0 in padding.
-    scales : sequence of float
-        Scales of their terms (`tisfm.kernels.model.robust`).
-    cycles : int
-        Multigrid cycles in each iteration.
-
-    Attributes
-    ----------
-    rho : lane array, 3 components
-        D, px/frame of the finest level, and its slopes v₁ and v₂, px/frame per px of the finest
-        level. Zero at first; `minimise` modifies it in place.
-    system : SecondOrderSystem
     """
 
     def __init__(
         self,
         grid: LaneGrid,
-        anchors: LaneData,
-        edges: LaneData,
+        anchors: LaneData,  # lane array, 2 components: w and D*, used without a copy; 0 in padding
+        edges: LaneData,  # lane array, 2 components: g; 0 across the border
         settings: SecondOrderSettings,
         *,
-        spacing: float = 1.0,
+        spacing: float = 1.0,  # h, px of the finest level
+        # lane array, 3 components for each of 1 to 3 constraints: (p, 0, c) of p D + c = 0, used
+        # without a copy; 0 in padding
         constraints: LaneData | None = None,
-        scales: Sequence[float] = (),
-        cycles: int = 1,
+        scales: Sequence[float] = (),  # scales of their terms (`tisfm.kernels.model.robust`)
+        cycles: int = 1,  # multigrid cycles in each iteration
     ) -> None:
         if cycles < 1:
             raise InputError(f"cycles is {cycles}: expected at least 1")
         self.grid, self._spacing, self._cycles = grid, spacing, cycles
+        # lane array, 3 components: D, px/frame of the finest level, and its slopes v₁ and v₂,
+        # px/frame per px of the finest level. Zero at first; `minimise` modifies it in place.
         self.rho = grid.allocate(COMPONENTS)
         self.system = SecondOrderSystem(
             grid=grid,
@@ -159,21 +128,15 @@ class SecondOrderMinimiser:
         """Compute the weights for the current ρ, anchors and constraints."""
         return self._update()
 
-    def minimise(self, iterations: int, *, tolerance: float = 0.0) -> tuple[list[Iteration], bool]:
+    def minimise(
+        self,
+        iterations: int,  # most iterations
+        *,
+        tolerance: float = 0.0,  # bound of ‖change of D‖ / ‖D‖
+    ) -> tuple[list[Iteration], bool]:
         """Iterate until D hardly changes or the iterations run out.
 
-        Parameters
-        ----------
-        iterations : int
-            Most iterations.
-        tolerance : float
-            Bound of ‖change of D‖ / ‖D‖.
-
-        Returns
-        -------
-        iterations : list of Iteration
-        converged : bool
-            Whether the last relative change was within the tolerance.
+        Returns iterations, ; converged, whether the last relative change was within the tolerance.
         """
         done: list[Iteration] = []
         self._multigrid.restart()
@@ -201,39 +164,23 @@ class SecondOrderMinimiser:
 
 
 def fill(
-    target: np.ndarray,
+    target: np.ndarray,  # (H, W) float32: measurements D*, px/frame; any value where `weight` is 0
+    # (H, W) float32: weights of the measurements: 0 without a measurement, 1 for a single good
+    # measurement
     weight: np.ndarray,
-    frame: np.ndarray,
+    frame: np.ndarray,  # (H, W) float32: grey levels; depth may jump or bend at their edges
     settings: SecondOrderSettings | None = None,
     *,
+    # half-quadratic iterations on the finest level; coarser levels, which are cheap, have more
     iterations: int = ITERATIONS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Extend inverse depth from pixels with a measurement to the whole frame.
 
-    Parameters
-    ----------
-    target : (H, W) float32
-        Measurements D*, px/frame; any value where `weight` is 0.
-    weight : (H, W) float32
-        Weights of the measurements: 0 without a measurement, 1 for a single good measurement.
-    frame : (H, W) float32
-        Grey levels; depth may jump or bend at their edges.
-    settings : SecondOrderSettings, optional
-    iterations : int
-        Half-quadratic iterations on the finest level; coarser levels, which are cheap, have more.
+    Returns depth, (H, W) float32: D, px/frame; 0 everywhere if there is no measurement; slopes, (2,
+    H, W) float32: v₁ and v₂, px/frame per px.
 
-    Returns
-    -------
-    depth : (H, W) float32
-        D, px/frame; 0 everywhere if there is no measurement.
-    slopes : (2, H, W) float32
-        v₁ and v₂, px/frame per px.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If the arrays are not float32 of one size, if a weight is negative or not finite, if a
-        target of weight above 0 is not finite, or if `iterations` is below 1.
+    Raises TypeError, ValueError if the arrays are not float32 of one size, if a weight is negative
+    or not finite, if a target of weight above 0 is not finite, or if `iterations` is below 1.
     """
     if iterations < 1:
         raise InputError(f"iterations is {iterations}: expected at least 1")

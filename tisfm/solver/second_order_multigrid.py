@@ -29,20 +29,16 @@ RELAXATION = 1.2  # of the smoother
 
 
 class SecondOrderMultigrid:
-    """V-cycles over D and its slopes.
-
-    Parameters
-    ----------
-    system : SecondOrderSystem
-        The system to solve; its tensor and weights are used without a copy.
-    rho : lane array, 3 components
-        D, v₁, v₂; `cycle` and `descend` modify it in place.
-    relaxation : float
-        Over-relaxation of the sweeps, in (0, 2).
-    """
+    """V-cycles over D and its slopes."""
 
     def __init__(
-        self, system: SecondOrderSystem, rho: LaneData, *, relaxation: float = RELAXATION
+        self,
+        # the system to solve; its tensor and weights are used without a copy
+        system: SecondOrderSystem,
+        # lane array, 3 components: D, v₁, v₂; `cycle` and `descend` modify it in place
+        rho: LaneData,
+        *,
+        relaxation: float = RELAXATION,  # over-relaxation of the sweeps, in (0, 2)
     ) -> None:
         grid = system.grid
         self._system, self._rho = system, rho

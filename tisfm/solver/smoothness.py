@@ -16,27 +16,13 @@ FAINTEST_EDGE = 1e-5  # grey levels, about the resolution of float32: uniform fr
 
 @dataclass(frozen=True, kw_only=True)
 class Smoothness:
-    """α Σ g Φ_δ over all edges (eq. 6, 14).
+    """α Σ g Φ_δ over all edges (eq. 6, 14)."""
 
-    Attributes
-    ----------
-    alpha : float
-        α = λ̂β.
-    contrast : float
-        δ, px/frame; infinite for quadratic smoothness.
-    stiffness : tuple of n floats
-        s_k of each unknown.
-    joint : bool
-        Whether all unknowns share their edges.
-    image_edges : float
-        κ of the image-driven factor; 0 for g = 1.
-    """
-
-    alpha: float
-    contrast: float
-    stiffness: tuple[float, ...]
-    joint: bool
-    image_edges: float
+    alpha: float  # α = λ̂β
+    contrast: float  # δ, px/frame; infinite for quadratic smoothness
+    stiffness: tuple[float, ...]  # s_k of each unknown
+    joint: bool  # whether all unknowns share their edges
+    image_edges: float  # κ of the image-driven factor; 0 for g = 1
 
 
 def mean_step(frame: np.ndarray, counted: np.ndarray | None = None) -> float:
@@ -58,27 +44,16 @@ def mean_step(frame: np.ndarray, counted: np.ndarray | None = None) -> float:
 
 
 def image_edges_in_lanes(
-    grid: LaneGrid, frame: np.ndarray, strength: float, counted: np.ndarray | None = None
-) -> LaneData:
+    grid: LaneGrid,
+    frame: np.ndarray,  # (H, W) float32: grey levels
+    strength: float,  # κ; 0 for g = 1
+    # (H, W) bool: the pixels over which m is a mean, by default all
+    counted: np.ndarray | None = None,
+) -> LaneData:  # lane array, 2 components: eastern and southern edges; 0 across the border
     """Return g = c/(1 + κ|ΔI|/m) of every edge, with m the mean |ΔI| and c such that mean g is 1.
 
     g depends only on the contrast of an edge relative to the mean contrast of the frame. The mean
     strength of the smoothness stays the same.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    frame : (H, W) float32
-        Grey levels.
-    strength : float
-        κ; 0 for g = 1.
-    counted : (H, W) bool, optional
-        The pixels over which m is a mean, by default all.
-
-    Returns
-    -------
-    lane array, 2 components
-        Eastern and southern edges; 0 across the border.
     """
     out = grid.allocate(2)
     usual = max(mean_step(frame, counted), FAINTEST_EDGE)

@@ -19,27 +19,20 @@ class ThreeFrameData:
 
     If w is the flow to the next frame, the flow to the previous frame is bend − w. A constraint on
     the flow to the previous frame is therefore a constraint on w, and no unknowns are added.
-
-    Parameters
-    ----------
-    data_term : DataTerm
-        Data term of the pair. Its constraints are overwritten by the joint constraints.
-    before : (H, W) float32
-        The previous frame, grey levels, smoothed like the others.
-    taps : ((H + 3)·W, 4) float32
-        `tisfm.solver.sampling.spline_taps` of the previous frame.
-    bend : (2, H, W) float32
-        Sum of the flows to the next and to the previous frame, px/frame.
-    trust : two (H, W) float32
-        In [0, 1]: visibility of each pixel in the next frame, and in the previous frame.
     """
 
     def __init__(
         self,
+        # Data term of the pair. Its constraints are overwritten by the joint constraints.
         data_term: DataTerm,
+        # (H, W) float32: the previous frame, grey levels, smoothed like the others
         before: np.ndarray,
+        # ((H + 3)·W, 4) float32: `tisfm.solver.sampling.spline_taps` of the previous frame
         taps: np.ndarray,
+        # (2, H, W) float32: sum of the flows to the next and to the previous frame, px/frame
         bend: np.ndarray,
+        # two (H, W) float32: in [0, 1]: visibility of each pixel in the next frame, and in the
+        # previous frame
         trust: tuple[np.ndarray, np.ndarray],
     ) -> None:
         grid = data_term.grid
@@ -54,17 +47,15 @@ class ThreeFrameData:
             image_to_lanes(grid, bend[component], self._bend, component=component)
             image_to_lanes(grid, trust[component], self._trust, component=component)
 
-    def bind_linearise(self, flow: LaneData, tensor: LaneData) -> Callable[[], None]:
-        """Return a function that warps both frames by a flow and writes the joint constraints.
-
-        Parameters
-        ----------
-        flow : lane array, 2 components
-            (u, v) to the next frame, px/frame, read at every call.
-        tensor : lane array, 6 components
-            Overwritten with the sum of the constraints' motion tensors, with the robust weights of
-            this flow.
-        """
+    def bind_linearise(
+        self,
+        # lane array, 2 components: (u, v) to the next frame, px/frame, read at every call
+        flow: LaneData,
+        # lane array, 6 components: overwritten with the sum of the constraints' motion tensors,
+        # with the robust weights of this flow
+        tensor: LaneData,
+    ) -> Callable[[], None]:
+        """Return a function that warps both frames by a flow and writes the joint constraints."""
         pair = self._pair
         grid, constancy = pair.grid, pair.constancy
         return in_turn(

@@ -15,27 +15,16 @@ from tisfm.kernels.solve.prolongation import prolong
 
 
 class Unknowns:
-    """The unknown ρ̂, zero at first, with the geometry of its level.
+    """The unknown ρ̂, zero at first, with the geometry of its level."""
 
-    Parameters
-    ----------
-    grid : LaneGrid
-    camera : Camera
-        The camera of this level.
-    components : {6, 3, 2, 1}
-        For rigid motion, translation, image motion, or image motion along a known line.
-
-    Attributes
-    ----------
-    grid, camera, components
-        As given.
-    rho : lane array, `components` components
-        ρ̂, px/frame of this level.
-    x_hat : column table
-    y_hat : (H + 2,) float32
-    """
-
-    def __init__(self, grid: LaneGrid, camera: Camera, components: int) -> None:
+    def __init__(
+        self,
+        grid: LaneGrid,
+        camera: Camera,  # the camera of this level
+        # {6, 3, 2, 1}: for rigid motion, translation, image motion, or image motion along a known
+        # line
+        components: int,
+    ) -> None:
         self.grid = grid
         self.camera = camera
         self.components = components
@@ -43,7 +32,8 @@ class Unknowns:
         self.x_hat = grid.place(grid.columns((grid.column_index() - cx) / camera.focal))
         rows = aligned_zeros((grid.height + 2,))
         rows[1:-1] = (np.arange(grid.height) - cy) / camera.focal
-        self.y_hat = grid.place(rows)
+        self.y_hat = grid.place(rows)  # (H + 2,) float32
+        # lane array, `components` components: ρ̂, px/frame of this level
         self.rho = grid.allocate(components)
 
     @cached_property
@@ -54,15 +44,12 @@ class Unknowns:
         """
         return self.grid.open_edges()
 
-    def start_from(self, coarse: "Unknowns", ratio: float) -> None:
-        """Interpolate ρ̂, which must be zero, from a coarser level.
-
-        Parameters
-        ----------
-        coarse : Unknowns
-        ratio : float
-            Sampling density of the coarser level divided by the density of this level.
-        """
+    def start_from(
+        self,
+        coarse: "Unknowns",
+        ratio: float,  # sampling density of the coarser level divided by the density of this level
+    ) -> None:
+        """Interpolate ρ̂, which must be zero, from a coarser level."""
         grid = self.grid
         even = ratio == 0.5 and grid.height % 2 == grid.width % 2 == 0
         if not (even and grid.lanes > 1 and grid.strip == 2 * coarse.grid.strip):
@@ -83,14 +70,11 @@ class Unknowns:
         """Set a component of ρ̂ from (H, W) float32, px/frame of this level."""
         image_to_lanes(self.grid, np.ascontiguousarray(values), self.rho, component=component)
 
-    def move(self, step: Sequence[np.ndarray]) -> None:
-        """Add a step to the first two unknowns, which displace a pixel by their own values.
-
-        Parameters
-        ----------
-        step : two (H, W) float32
-            px/frame of this level.
-        """
+    def move(
+        self,
+        step: Sequence[np.ndarray],  # two (H, W) float32: px/frame of this level
+    ) -> None:
+        """Add a step to the first two unknowns, which displace a pixel by their own values."""
         for component, values in enumerate(step):
             self.set_image(component, self.to_image(self.rho, component) + values)
 

@@ -42,17 +42,10 @@ class AvVideo:
     Of several video streams the one marked as default is read, or else the largest. Frames are
     resampled to square pixels.
 
-    Parameters
-    ----------
-    path : str
-        Path of the file.
+    Raises ValueError if the file has no frame that PyAV can decode.
 
-    Raises
-    ------
-    ValueError
-        If the file has no frame that PyAV can decode.
-    tisfm.formats.FormatError
-        A ValueError: if it is a playlist, or its frames are larger than `LARGEST_FRAME`.
+    Raises tisfm.formats.FormatError: a ValueError: if it is a playlist, or its frames are larger
+    than `LARGEST_FRAME`.
     """
 
     names: tuple[str, ...] | None = None
@@ -60,7 +53,10 @@ class AvVideo:
     times: tuple[float, ...] | None = None
     ahead = True
 
-    def __init__(self, path: str) -> None:
+    def __init__(
+        self,
+        path: str,  # path of the file
+    ) -> None:
         self.title, self.prefix = path, Path(path).stem
         self.files: tuple[Path, ...] = (Path(path),)
         try:

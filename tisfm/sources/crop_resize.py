@@ -17,21 +17,14 @@ from tisfm.sources.frame_reader import is_integer
 class CropResize:
     """A crop of a frame, and the size that it is shrunk to.
 
-    Parameters
-    ----------
-    crop : (int, int, int, int), optional
-        Left, top, width and height of the crop, px of the frame. By default the whole frame.
-    size : int, optional
-        Longer side of the result, px. A larger crop is shrunk to it by averaging over areas, with
-        the same scale along both axes; a smaller one stays as it is.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If the values are not integers, or are too small.
+    Raises TypeError, ValueError if the values are not integers, or are too small.
     """
 
+    # (int, int, int, int): left, top, width and height of the crop, px of the frame. By default the
+    # whole frame.
     crop: tuple[int, int, int, int] | None = None
+    # Longer side of the result, px. A larger crop is shrunk to it by averaging over areas, with the
+    # same scale along both axes; a smaller one stays as it is.
     size: int | None = None
 
     def __post_init__(self) -> None:
@@ -48,20 +41,15 @@ class CropResize:
         """Whether frames stay as they are."""
         return self.crop is None and self.size is None
 
-    def apply(self, frame: np.ndarray, name: str) -> np.ndarray:
+    def apply(
+        self,
+        frame: np.ndarray,  # (H, W) or (H, W, 3) array: uint8, uint16 or float. Not modified.
+        name: str,  # name of the frame in messages
+    ) -> np.ndarray:
         """Return a frame, cropped and shrunk.
 
-        Parameters
-        ----------
-        frame : (H, W) or (H, W, 3) array
-            uint8, uint16 or float. Not modified.
-        name : str
-            Name of the frame in messages.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If it is not such an array, does not contain the crop, or becomes too small.
+        Raises TypeError, ValueError if it is not such an array, does not contain the crop, or
+        becomes too small.
         """
         image = check_frame(frame, name)
         part = image[self._window(image.shape, name)]
@@ -90,16 +78,14 @@ class CropResize:
         size = _shrunk(np.empty(part.shape, np.uint8), scale).shape[::-1]
         return cv2.resize(part, size, interpolation=cv2.INTER_NEAREST_EXACT).astype(np.uint8)
 
-    def camera_after(self, camera: Camera, height: int, width: int) -> Camera:
-        """Return the camera of the cropped and shrunk frame.
-
-        Parameters
-        ----------
-        camera : Camera
-            Camera of the whole frame. Its distortion stays the same.
-        height, width : int
-            Size of the whole frame, px.
-        """
+    def camera_after(
+        self,
+        camera: Camera,  # Camera of the whole frame. Its distortion stays the same.
+        # height, width: size of the whole frame, px
+        height: int,
+        width: int,
+    ) -> Camera:
+        """Return the camera of the cropped and shrunk frame."""
         rows, columns = self._window((height, width), "the frame")
         cx, cy = camera.center_for(height, width)
         share = (rows.stop - rows.start) / height  # of the readout time of the whole frame

@@ -36,74 +36,41 @@ class BadFrame:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SourceFrame:
-    """A frame of a source.
+    """A frame of a source."""
 
-    Attributes
-    ----------
-    index : int
-        Number in the source, from 0; skipped frames count.
-    name : str
-        Stem of the image file; or the stem of the video, ``frame`` or ``webcam``, and the number.
-    time : float or None
-        Seconds since the first frame of a video or webcam, or the time in the file name.
-    image : (H, W) or (H, W, 3) array
-        The frame, cropped and shrunk if the source does so.
-    ignored : (H, W) bool array, or None
-        True where pixels are ignored; None if the frame has no such pixels.
-    labels : (H, W) uint8 array, or None
-        Given number of the moving object at each pixel, 0 for the background at rest; None if the
-        frame has no given labels.
-    stretch : bool
-        Whether the values of a float frame may be from 0 to 1, to be stretched to 0 to 255. False
-        once a frame of the source had larger values: then all of its frames are on the 8-bit scale.
-    full : (int, int) or None
-        Height and width before cropping and shrinking, px; None if the frame is unchanged.
-    """
-
-    index: int
+    index: int  # number in the source, from 0; skipped frames count
+    # stem of the image file; or the stem of the video, ``frame`` or ``webcam``, and the number
     name: str
+    # seconds since the first frame of a video or webcam, or the time in the file name
     time: float | None
+    # (H, W) or (H, W, 3) array: the frame, cropped and shrunk if the source does so
     image: np.ndarray
+    # (H, W) bool array, or None: true where pixels are ignored; None if the frame has no such
+    # pixels
     ignored: NDArray[np.bool_] | None = None
+    # (H, W) uint8 array, or None: given number of the moving object at each pixel, 0 for the
+    # background at rest; None if the frame has no given labels
     labels: NDArray[np.uint8] | None = None
+    # Whether the values of a float frame may be from 0 to 1, to be stretched to 0 to 255. False
+    # once a frame of the source had larger values: then all of its frames are on the 8-bit scale.
     stretch: bool = True
+    # (int, int) or None: height and width before cropping and shrinking, px; None if the frame is
+    # unchanged
     full: tuple[int, int] | None = None
 
 
 class FrameReader(Protocol):
-    """Reads the frames of one kind of source.
+    """Reads the frames of one kind of source."""
 
-    Attributes
-    ----------
-    title : str
-        Name of the source in messages.
-    files : tuple of Path
-        All files with frames.
-    names : tuple of str or None
-        Names of all frames if each frame has a file, else None.
-    prefix : str
-        Prefix of the names of numbered frames.
-    count : int or None
-        Number of frames, if it is known before reading.
-    announced : int or None
-        Number of frames that a video states; it may be wrong by a few.
-    times : tuple of float or None
-        Times of all frames, s, if they are known before reading.
-    notes : tuple of str
-        Notes to the user on how the source is read.
-    ahead : bool
-        Whether frames may be read ahead in a thread.
-    """
-
-    title: str
-    files: tuple[Path, ...]
-    names: tuple[str, ...] | None
-    prefix: str
-    count: int | None
-    announced: int | None
-    times: tuple[float, ...] | None
-    notes: tuple[str, ...]
-    ahead: bool
+    title: str  # name of the source in messages
+    files: tuple[Path, ...]  # all files with frames
+    names: tuple[str, ...] | None  # names of all frames if each frame has a file, else None
+    prefix: str  # prefix of the names of numbered frames
+    count: int | None  # number of frames, if it is known before reading
+    announced: int | None  # number of frames that a video states; it may be wrong by a few
+    times: tuple[float, ...] | None  # times of all frames, s, if they are known before reading
+    notes: tuple[str, ...]  # notes to the user on how the source is read
+    ahead: bool  # whether frames may be read ahead in a thread
 
     def read(self, chosen: slice) -> Iterator[RawFrame | BadFrame]:
         """Read the frames with these numbers (start, stop or None, step), in order."""

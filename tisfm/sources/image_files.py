@@ -46,26 +46,19 @@ def animations_note(files: Sequence[Path]) -> str:
 class ImageFiles:
     """Image files as frames.
 
-    Parameters
-    ----------
-    files : sequence of Path
-        The files in the order of the frames.
-    title : str
-        Name of the source in messages.
-    notes : sequence of str
-        Notes to the user on the selection of the files.
-
-    Raises
-    ------
-    FileNotFoundError
-        If a file does not exist.
+    Raises FileNotFoundError if a file does not exist.
     """
 
     prefix = ""
     announced: int | None = None
     ahead = True
 
-    def __init__(self, files: Sequence[Path], title: str, notes: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        files: Sequence[Path],  # the files in the order of the frames
+        title: str,  # name of the source in messages
+        notes: Sequence[str] = (),  # notes to the user on the selection of the files
+    ) -> None:
         for file in files:
             if not file.exists():
                 raise FileNotFoundError(f"there is no file {file}: check the path")

@@ -33,55 +33,34 @@ LabelSource = (
 class Labels:
     """The labels of a source: 0 for the background at rest, 1 to 254 for objects, 255 for ignored.
 
-    Parameters
-    ----------
-    labels : path, array, sequence, mapping, or iterable
-        Image files, whose grey levels or palette indices are labels: a folder, a glob pattern, or
-        one file. They are matched with the frames by name: ``a.png`` or ``a.jpg.png`` with
-        ``a.jpg``, ``walk_000012.png`` with frame 12 of ``walk.mp4``; other frames have no labels.
-        If no name matches, there must be one file for each frame, in order.
-        Or a sequence, an (N, H, W) array of integers, or an iterable, with one item for every frame
-        of the source, None for a frame without labels. Or a mapping from numbers or names of
-        frames.
-    names : sequence of str, optional
-        Names of all frames, if known.
-    frame_files : sequence of Path, optional
-        Files of all frames, if each frame has a file.
-    prefix : str, optional
-        Prefix of the names of numbered frames.
-    count : int, optional
-        Number of frames, if known.
+    Raises FileNotFoundError if a path does not exist or a pattern matches nothing.
 
-    Attributes
-    ----------
-    ahead : bool
-        Whether labels may be read ahead in a thread.
-    files : tuple of Path
-        Files of the labels.
+    Raises TypeError if the labels are of another type.
 
-    Raises
-    ------
-    FileNotFoundError
-        If a path does not exist or a pattern matches nothing.
-    TypeError
-        If the labels are of another type.
-    ValueError
-        If there are labels for frames that do not exist, or not as many labels as frames.
+    Raises ValueError if there are labels for frames that do not exist, or not as many labels as
+    frames.
     """
 
     def __init__(
         self,
+        # path, array, sequence, mapping, or iterable: image files, whose grey levels or palette
+        # indices are labels: a folder, a glob pattern, or one file. They are matched with the
+        # frames by name: ``a.png`` or ``a.jpg.png`` with ``a.jpg``, ``walk_000012.png`` with frame
+        # 12 of ``walk.mp4``; other frames have no labels. If no name matches, there must be one
+        # file for each frame, in order. Or a sequence, an (N, H, W) array of integers, or an
+        # iterable, with one item for every frame of the source, None for a frame without labels. Or
+        # a mapping from numbers or names of frames.
         labels: LabelSource,
         *,
-        names: Sequence[str] | None = None,
-        frame_files: Sequence[Path] = (),
-        prefix: str = "",
-        count: int | None = None,
+        names: Sequence[str] | None = None,  # names of all frames, if known
+        frame_files: Sequence[Path] = (),  # files of all frames, if each frame has a file
+        prefix: str = "",  # prefix of the names of numbered frames
+        count: int | None = None,  # number of frames, if known
     ) -> None:
         self._prefix, self._count = prefix, count
         self._numbers = {name: k for k, name in enumerate(names or ())}
         self._numbers |= {file.name: k for k, file in enumerate(frame_files)}
-        self.ahead = True
+        self.ahead = True  # whether labels may be read ahead in a thread
         self._items: Mapping[int, Any] | Iterable[Any]
         if isinstance(labels, (str, os.PathLike)):
             self._items = self._match_files(
@@ -104,6 +83,7 @@ class Labels:
                 f"labels is {labels!r}: expected pictures, or an array for every frame"
             )
         known = self._items.values() if isinstance(self._items, Mapping) else ()
+        # files of the labels
         self.files = tuple(Path(os.fspath(item)) for item in known if is_path(item))
         for file in self.files:
             if not file.exists():
@@ -156,23 +136,18 @@ class LabelReader:
         self._next_index = 0
         self._has_void = self._has_objects = False
 
-    def labels(self, index: int, name: str, shapes: Sequence[tuple[int, ...]]) -> np.ndarray | None:
+    def labels(
+        self,
+        index: int,
+        name: str,  # name of the frame in messages
+        # shapes, (H, W[, 3]), that the labels may have: of the frame as read, and as used
+        shapes: Sequence[tuple[int, ...]],
+    ) -> np.ndarray | None:
         """Return the labels of the frame with this number, (H, W) uint8; None if it has none.
 
-        Parameters
-        ----------
-        index : int
-        name : str
-            Name of the frame in messages.
-        shapes : sequence of tuple of int
-            Shapes, (H, W[, 3]), that the labels may have: of the frame as read, and as used.
+        Raises OSError, tisfm.formats.FormatError if the labels cannot be read.
 
-        Raises
-        ------
-        OSError, tisfm.formats.FormatError
-            If the labels cannot be read.
-        TypeError, ValueError
-            If the item is not an array of labels, or has another size.
+        Raises TypeError, ValueError if the item is not an array of labels, or has another size.
         """
         item = self._item(index, name)
         if item is None:
@@ -238,12 +213,9 @@ def are_labels(mask: Any) -> bool:
     It does if there is one item for every frame, and the items are images with a colour palette, as
     in DAVIS, or arrays of integers with several numbers from 1 to 254. Otherwise it holds masks.
 
-    Raises
-    ------
-    ValueError
-        If both are possible: arrays of integers with a single number from 1 to 254.
-    tisfm.formats.FormatError
-        If an image is damaged.
+    Raises ValueError if both are possible: arrays of integers with a single number from 1 to 254.
+
+    Raises tisfm.formats.FormatError if an image is damaged.
     """
     if isinstance(mask, (str, os.PathLike)):
         path = os.fspath(mask)
@@ -268,10 +240,7 @@ def are_labels(mask: Any) -> bool:
 def refuse_label_values(masks: Iterable[Any]) -> Iterator[Any]:
     """Yield masks from an iterator, whose items `are_labels` cannot check beforehand.
 
-    Raises
-    ------
-    ValueError
-        If an item holds labels of moving objects.
+    Raises ValueError if an item holds labels of moving objects.
     """
     for mask in masks:
         if _numbers_in(mask):

@@ -38,41 +38,29 @@ class Masks:
     Black (zero, False) pixels are ignored, as in COLMAP and other photogrammetry software, and as
     with ``mask=`` in `tisfm.metrics`.
 
-    Parameters
-    ----------
-    mask : path, array, sequence of paths, or iterable of arrays
-        An image file or an (H, W) array for all frames. Or one mask for each frame of the source,
-        skipped frames included: a folder, a glob pattern, a list of files, an (N, H, W) array, or
-        an iterable of (H, W) arrays.
-    frame_files : sequence of Path, optional
-        Files of all frames, if each frame has a file. The masks of a folder or pattern are matched
-        with them by name: the mask of ``a.jpg`` is ``a.png`` or ``a.jpg.png``. If no name matches,
-        the masks belong to the frames in order.
-    count : int, optional
-        Number of frames, if known.
+    Raises FileNotFoundError if a path does not exist or a pattern matches nothing.
 
-    Attributes
-    ----------
-    ahead : bool
-        Whether masks may be read ahead in a thread.
-    files : tuple of Path
-        Files of the masks.
+    Raises TypeError if the mask is of another type.
 
-    Raises
-    ------
-    FileNotFoundError
-        If a path does not exist or a pattern matches nothing.
-    TypeError
-        If the mask is of another type.
-    ValueError
-        If there are not as many masks as frames, or a frame has no mask.
+    Raises ValueError if there are not as many masks as frames, or a frame has no mask.
     """
 
     def __init__(
-        self, mask: Mask, *, frame_files: Sequence[Path] = (), count: int | None = None
+        self,
+        # path, array, sequence of paths, or iterable of arrays: an image file or an (H, W) array
+        # for all frames. Or one mask for each frame of the source, skipped frames included: a
+        # folder, a glob pattern, a list of files, an (N, H, W) array, or an iterable of (H, W)
+        # arrays.
+        mask: Mask,
+        *,
+        # Files of all frames, if each frame has a file. The masks of a folder or pattern are
+        # matched with them by name: the mask of ``a.jpg`` is ``a.png`` or ``a.jpg.png``. If no name
+        # matches, the masks belong to the frames in order.
+        frame_files: Sequence[Path] = (),
+        count: int | None = None,  # number of frames, if known
     ) -> None:
-        self.files: tuple[Path, ...] = ()
-        self.ahead = True
+        self.files: tuple[Path, ...] = ()  # files of the masks
+        self.ahead = True  # whether masks may be read ahead in a thread
         self._items: Iterable[Any]
         number = None
         if isinstance(mask, (str, os.PathLike)):
@@ -124,12 +112,9 @@ class MaskReader:
     def ignored(self, index: int, name: str, shape: tuple[int, ...]) -> NDArray[np.bool_]:
         """Return where a frame with this number and shape, (H, W[, 3]), is ignored.
 
-        Raises
-        ------
-        OSError, tisfm.formats.FormatError
-            If the mask cannot be read.
-        ValueError
-            If there is no mask of this frame, or it has another size.
+        Raises OSError, tisfm.formats.FormatError if the mask cannot be read.
+
+        Raises ValueError if there is no mask of this frame, or it has another size.
         """
         item = next(islice(self._items, index - self._next_index, None), None)
         self._next_index = index + 1

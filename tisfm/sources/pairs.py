@@ -16,43 +16,32 @@ from tisfm.window import Window
 
 @dataclass(frozen=True, kw_only=True)
 class FramePair:
-    """Two consecutive frames of a source.
+    """Two consecutive frames of a source."""
 
-    Attributes
-    ----------
-    name0, name1 : str
-        Names of the frames: file stems, or names with frame numbers.
-    frame0, frame1 : (H, W) or (H, W, 3) array
-    pose : (4, 4) array_like or None
-        Known motion, as for `tisfm.interpret`.
-    stretch : bool
-        Whether the values of float frames may be from 0 to 1, to be stretched to 0 to 255. False
-        once a frame of the source had larger values: then all of its frames are on the 8-bit scale.
-    full : (int, int) or None
-        Height and width before cropping and shrinking, px; None if the frames are unchanged.
-    times : (float, float) or None
-        Times of the frames, s; None if unknown.
-    ignored0, ignored1 : (H, W) bool array or None
-        True where pixels are ignored; None if a frame has no such pixels.
-    interval : int
-        Frames of the source from the first to the second one; the readout time of a camera, which
-        is a share of one frame interval, is divided by it.
-    index : int
-        Number of the first frame in the source.
-    """
-
+    # name0, name1: names of the frames: file stems, or names with frame numbers
     name0: str
     name1: str
+    # frame0, frame1: (H, W) or (H, W, 3) array
     frame0: np.ndarray
     frame1: np.ndarray
+    # (4, 4) array_like or None: known motion, as for `tisfm.interpret`
     pose: npt.ArrayLike | None = None
+    # Whether the values of float frames may be from 0 to 1, to be stretched to 0 to 255. False once
+    # a frame of the source had larger values: then all of its frames are on the 8-bit scale.
     stretch: bool = True
+    # (int, int) or None: height and width before cropping and shrinking, px; None if the frames are
+    # unchanged
     full: tuple[int, int] | None = None
+    # (float, float) or None: times of the frames, s; None if unknown
     times: tuple[float, float] | None = None
+    # ignored0, ignored1: (H, W) bool array or None: true where pixels are ignored; None if a frame
+    # has no such pixels
     ignored0: np.ndarray | None = None
     ignored1: np.ndarray | None = None
+    # frames of the source from the first to the second one; the readout time of a camera, which is
+    # a share of one frame interval, is divided by it
     interval: int = 1
-    index: int = 0
+    index: int = 0  # number of the first frame in the source
     _digests: tuple["Digest", "Digest"] | None = field(default=None, repr=False, compare=False)
 
     def interpret(

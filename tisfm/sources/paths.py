@@ -129,10 +129,7 @@ def _existing_folder(path: str) -> str:
 def list_image_files(path: str, name: str) -> list[Path]:
     """Return the images of a folder or pattern, or a single file as a list.
 
-    Raises
-    ------
-    FileNotFoundError
-        If there are none; the message calls them `name`.
+    Raises FileNotFoundError if there are none; the message calls them `name`.
     """
     if os.path.isdir(path):
         return list_images(path).files

@@ -12,20 +12,13 @@ T = TypeVar("T")
 _END = object()
 
 
-def read_ahead(items: Generator[T, None, None], count: int = AHEAD) -> Generator[T, None, None]:
+def read_ahead(
+    items: Generator[T, None, None],  # it is closed at the end, also if the consumer stops early
+    count: int = AHEAD,  # number of items that are made before the consumer needs them
+) -> Generator[T, None, None]:
     """Yield the items of a generator, which runs in a thread.
 
-    Parameters
-    ----------
-    items : generator
-        It is closed at the end, also if the consumer stops early.
-    count : int
-        Number of items that are made before the consumer needs them.
-
-    Yields
-    ------
-    object
-        The items in order. An error of the generator is raised after the items before it.
+    Yields each the items in order. An error of the generator is raised after the items before it.
     """
     # The thread ends with the interpreter: while idle it only waits for work.
     executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="tisfm-frames")

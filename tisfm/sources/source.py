@@ -244,17 +244,11 @@ class FrameSource:
 
         Exhaust or close the generator to end the thread that reads ahead.
 
-        Yields
-        ------
-        SourceFrame
+        Raises OSError, tisfm.formats.FormatError if a frame cannot be read. A damaged frame raises
+        only with ``bad_frames="raise"``.
 
-        Raises
-        ------
-        OSError, tisfm.formats.FormatError
-            If a frame cannot be read. A damaged frame raises only with ``bad_frames="raise"``.
-        TypeError, ValueError
-            If frames differ in size, do not contain the crop, or have no mask of their size; if
-            labels are of a wrong type; if a video is cut off.
+        Raises TypeError, ValueError if frames differ in size, do not contain the crop, or have no
+        mask of their size; if labels are of a wrong type; if a video is cut off.
         """
         self.skipped = []
         prepared = self._prepare_frames()
@@ -270,16 +264,14 @@ class FrameSource:
                 stretch = stretch and in_unit_range(frame.image)
                 yield replace(frame, stretch=stretch)
 
-    def camera_after(self, camera: Camera, full: tuple[int, int] | None) -> Camera:
-        """Return the camera of the cropped and shrunk frames.
-
-        Parameters
-        ----------
-        camera : Camera
-            Camera of the frames before cropping and shrinking.
-        full : (int, int) or None
-            Height and width of the frames before that, px: the attribute `full` of a frame or pair.
-        """
+    def camera_after(
+        self,
+        camera: Camera,  # camera of the frames before cropping and shrinking
+        # (int, int) or None: height and width of the frames before that, px: the attribute `full`
+        # of a frame or pair
+        full: tuple[int, int] | None,
+    ) -> Camera:
+        """Return the camera of the cropped and shrunk frames."""
         return camera if full is None else self._crop_resize.camera_after(camera, *full)
 
     def _prepare_frames(self) -> Generator[BadFrame | SourceFrame, None, None]:

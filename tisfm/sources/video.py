@@ -41,15 +41,7 @@ class OpenCvVideo:
 
     Of several video streams OpenCV reads the first. Frames are resampled to square pixels.
 
-    Parameters
-    ----------
-    path : str
-        Path of the file.
-
-    Raises
-    ------
-    ValueError
-        If OpenCV cannot decode it, or its frames are larger than `LARGEST_FRAME`.
+    Raises ValueError if OpenCV cannot decode it, or its frames are larger than `LARGEST_FRAME`.
     """
 
     names: tuple[str, ...] | None = None
@@ -57,7 +49,10 @@ class OpenCvVideo:
     times: tuple[float, ...] | None = None
     ahead = True
 
-    def __init__(self, path: str) -> None:
+    def __init__(
+        self,
+        path: str,  # path of the file
+    ) -> None:
         self.title, self.prefix = path, Path(path).stem
         self.files: tuple[Path, ...] = (Path(path),)
         capture = cv2.VideoCapture(path)
@@ -141,24 +136,14 @@ def _finite(time: float) -> float | None:
     return time if math.isfinite(time) else None
 
 
-def open_video(path: str) -> FrameReader:
+def open_video(
+    path: str,  # its file
+) -> FrameReader:
     """Open a video.
 
-    Parameters
-    ----------
-    path : str
-        Its file.
+    Raises ValueError if the file is not a video that can be decoded, or is a playlist.
 
-    Returns
-    -------
-    FrameReader
-
-    Raises
-    ------
-    ValueError
-        If the file is not a video that can be decoded, or is a playlist.
-    OSError
-        If the file cannot be read.
+    Raises OSError if the file cannot be read.
     """
     with open_file(path) as file:
         beginning = file.read(max(map(len, _PLAYLIST_SIGNATURES)))

@@ -15,16 +15,13 @@ def lacks_frames(count: int, announced: int | None) -> bool:
     return announced is not None and count < announced - max(2, announced // 50)
 
 
-def ends_early(count: int, last: float | None, end: float | None) -> bool | None:
-    """Return whether the last frame comes long before the stated end of a video; None if unknown.
-
-    Parameters
-    ----------
-    count : int
-        Number of frames.
-    last, end : float or None
-        Time of the last frame, and the stated end, s, if known.
-    """
+def ends_early(
+    count: int,  # number of frames
+    # last, end: time of the last frame, and the stated end, s, if known
+    last: float | None,
+    end: float | None,
+) -> bool | None:
+    """Return whether the last frame is long before the stated end of a video; None if unknown."""
     if last is None or end is None:
         return None
     # Tolerance, set by hand: 2 % of the length and three frames.
@@ -56,16 +53,13 @@ def refuse_large_frames(path: str, width: int, height: int) -> None:
 _LARGEST_ASPECT = 8.0  # files that state more, or less than the inverse, are damaged
 
 
-def square_size(width: int, height: int, aspect: float) -> tuple[int, int]:
-    """Return width and height of a frame with square pixels, px; no pixel is lost.
-
-    Parameters
-    ----------
-    width, height : int
-        Of the frame, px.
-    aspect : float
-        Width of a pixel over its height. Values outside 1/8 to 8 count as 1.
-    """
+def square_size(
+    # width, height: of the frame, px
+    width: int,
+    height: int,
+    aspect: float,  # Width of a pixel over its height. Values outside 1/8 to 8 count as 1.
+) -> tuple[int, int]:
+    """Return width and height of a frame with square pixels, px; no pixel is lost."""
     if not 1 / _LARGEST_ASPECT <= aspect <= _LARGEST_ASPECT:
         return width, height
     return (round(width * aspect), height) if aspect > 1 else (width, round(height / aspect))

@@ -28,15 +28,7 @@ class Webcam:
 
     Frames that the driver queued meanwhile are dropped and do not count.
 
-    Parameters
-    ----------
-    number : int
-        Number of the camera, from 0.
-
-    Raises
-    ------
-    OSError
-        If the camera cannot be opened.
+    Raises OSError if the camera cannot be opened.
     """
 
     files: tuple[Path, ...] = ()
@@ -48,7 +40,10 @@ class Webcam:
     notes: tuple[str, ...] = ()
     ahead = False  # a frame that is read ahead would be old when it is used
 
-    def __init__(self, number: int) -> None:
+    def __init__(
+        self,
+        number: int,  # number of the camera, from 0
+    ) -> None:
         self.title, self._number = f"webcam:{number}", number
         self._open().release()
 

@@ -51,19 +51,11 @@ class Trajectory:
         return np.asarray(np.isfinite(self.poses[:, 0, 0]))
 
 
-def check_poses(poses: ArrayLike) -> NDArray[np.float64]:
-    """Return poses as float64; raise ValueError unless each is a rigid motion, or has NaN.
-
-    Parameters
-    ----------
-    poses : array_like, shape (N, 4, 4)
-        Camera to world; a matrix with any NaN stands for a missing pose.
-
-    Returns
-    -------
-    (N, 4, 4) float64 ndarray
-        All NaN for a missing pose.
-    """
+def check_poses(
+    # array_like, shape (N, 4, 4): camera to world; a matrix with any NaN stands for a missing pose
+    poses: ArrayLike,
+) -> NDArray[np.float64]:  # (N, 4, 4) float64 ndarray: all NaN for a missing pose
+    """Return poses as float64; raise ValueError unless each is a rigid motion, or has NaN."""
     given = unmasked(poses, "poses", np.float64)
     if given.ndim != 3 or given.shape[1:] != (4, 4):
         raise InputError(f"poses are {given.shape}: expected (N, 4, 4)")

@@ -19,21 +19,18 @@ def read_lines(path: Path) -> list[tuple[int, list[str]]]:
     return [(number, line) for number, line in words if line and not line[0].startswith("#")]
 
 
-def read_rows(path: Path, *, columns: int) -> list[tuple[int, list[float]]]:
+def read_rows(
+    path: Path,
+    *,
+    # Number of values in each line. Empty lines and lines that begin with # are skipped.
+    columns: int,
+) -> list[tuple[int, list[float]]]:
     """Return the line number and the values of each line of a text file.
 
-    Parameters
-    ----------
-    path : Path
-    columns : int
-        Number of values in each line. Empty lines and lines that begin with # are skipped.
+    Raises FormatError if a line has other words or another number of values; the message names the
+    line.
 
-    Raises
-    ------
-    FormatError
-        If a line has other words or another number of values; the message names the line.
-    OSError
-        If the file does not exist or cannot be read.
+    Raises OSError if the file does not exist or cannot be read.
     """
     rows = []
     for number, words in read_lines(path):

@@ -22,19 +22,10 @@ def times_or_numbers(times: Sequence[float | None]) -> NDArray[np.float64]:
     return np.arange(len(times), dtype=np.float64)
 
 
-def times_note(times: Sequence[float | None]) -> str:
-    """Return why a path uses the numbers of frames instead of times.
-
-    Parameters
-    ----------
-    times : sequence of float or None
-        Times of all frames, s.
-
-    Returns
-    -------
-    str
-        "" if the times increase, or no frame has a time.
-    """
+def times_note(
+    times: Sequence[float | None],  # times of all frames, s
+) -> str:  # "" if the times increase, or no frame has a time
+    """Return why a path uses the numbers of frames instead of times."""
     fault = _fault(times)
     if not fault or all(time is None for time in times):
         return ""
@@ -52,16 +43,15 @@ def _fault(times: Sequence[float | None]) -> str:
     return ""
 
 
-def time_fault(before: float | None, after: float | None, first: str, second: str) -> str:
-    """Return why the times of two consecutive frames cannot be used; "" if they can.
-
-    Parameters
-    ----------
-    before, after : float or None
-        Times of the frames, s.
-    first, second : str
-        Names of the frames in the text.
-    """
+def time_fault(
+    # before, after: times of the frames, s
+    before: float | None,
+    after: float | None,
+    # first, second: names of the frames in the text
+    first: str,
+    second: str,
+) -> str:
+    """Return why the times of two consecutive frames cannot be used; "" if they can."""
     if before is None and after is None:
         return ""
     if before is None or after is None:

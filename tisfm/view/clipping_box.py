@@ -25,17 +25,14 @@ _STEPS = 50  # steps of the number fields in a median depth
 
 
 class ClippingBox:
-    """The box that the controls choose.
+    """The box that the controls choose."""
 
-    Parameters
-    ----------
-    server : ViserServer
-    controls : Controls
-        Dragging a handle changes their numbers.
-    scene : ViewerScene
-    """
-
-    def __init__(self, server: "ViserServer", controls: Controls, scene: ViewerScene) -> None:
+    def __init__(
+        self,
+        server: "ViserServer",
+        controls: Controls,  # dragging a handle changes their numbers
+        scene: ViewerScene,
+    ) -> None:
         self._server, self._scene = server, scene
         self._is_on, self._corners = controls.box, (controls.box_low, controls.box_high)
         self._handles: list[Any] = []

@@ -33,39 +33,20 @@ _COVER = 0.75  # share of the colour of a moving object over the grey picture; s
 
 @dataclass(frozen=True, kw_only=True)
 class Legend:
-    """The legend of colours.
+    """The legend of colours."""
 
-    Attributes
-    ----------
-    title : str
-        Quantity and unit.
-    colors : tuple of str
-        ``#rrggbb``, along a bar or one for each of `ticks`.
-    ticks : tuple of str
-        Values along the bar, or the name of each colour.
-    is_bar : bool
-    """
-
-    title: str
-    colors: tuple[str, ...]
-    ticks: tuple[str, ...]
+    title: str  # quantity and unit
+    colors: tuple[str, ...]  # ``#rrggbb``, along a bar or one for each of `ticks`
+    ticks: tuple[str, ...]  # values along the bar, or the name of each colour
     is_bar: bool
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ranges:
-    """Ranges of colours, the same for all frames, so that pictures do not flicker.
+    """Ranges of colours, the same for all frames, so that pictures do not flicker."""
 
-    Attributes
-    ----------
-    inverse_depth : float
-        Inverse depth of the nearest colour, in the scale of the scene.
-    flow : float
-        Motion of the fastest colour, px.
-    """
-
-    inverse_depth: float
-    flow: float
+    inverse_depth: float  # inverse depth of the nearest colour, in the scale of the scene
+    flow: float  # motion of the fastest colour, px
 
 
 def pixel_colors(frame: ResultFrame, quantity: Quantity, ranges: Ranges) -> NDArray[np.uint8]:
@@ -94,18 +75,12 @@ def unknown_picture(shape: tuple[int, int]) -> NDArray[np.uint8]:
 
 
 def legend_of_result(
-    result: ResultFrames, quantity: Quantity, ranges: Ranges, labels: set[int]
+    result: ResultFrames,
+    quantity: Quantity,
+    ranges: Ranges,
+    labels: set[int],  # visible labels, for a result without a list of moving objects
 ) -> Legend | None:
-    """Return the legend of a quantity of a result; None for the colours of the image.
-
-    Parameters
-    ----------
-    result : ResultFrames
-    quantity : str
-    ranges : Ranges
-    labels : set of int
-        Visible labels, for a result without a list of moving objects.
-    """
+    """Return the legend of a quantity of a result; None for the colours of the image."""
     listed = tuple(one.id for one in result.objects) or tuple(sorted(labels))
     unit = result.unit if result.has_one_scale else "harmonic mean depths of the frame"
     return legend(quantity, ranges, unit, listed)
@@ -117,19 +92,12 @@ def object_labels(frame: ResultFrame) -> set[int]:
 
 
 def legend(
-    quantity: Quantity, ranges: Ranges, unit: str, labels: tuple[int, ...] = ()
+    quantity: Quantity,
+    ranges: Ranges,
+    unit: str,  # unit of depth, in words
+    labels: tuple[int, ...] = (),  # labels of moving objects
 ) -> Legend | None:
-    """Return the legend of a quantity; None for the colours of the image.
-
-    Parameters
-    ----------
-    quantity : str
-    ranges : Ranges
-    unit : str
-        Unit of depth, in words.
-    labels : tuple of int
-        Labels of moving objects.
-    """
+    """Return the legend of a quantity; None for the colours of the image."""
     if quantity == "image":
         return None
     if quantity == "object":

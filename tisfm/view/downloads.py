@@ -48,14 +48,11 @@ def save_film(page: "ViewerPage", client: "ClientHandle") -> None:
 
     The browser draws each picture. Frames that cannot be read are left out, with a note.
 
-    Raises
-    ------
-    ImportError
-        If PyAV is not installed.
-    RuntimeError, TimeoutError
-        If the browser does not answer.
-    ValueError
-        If no frame can be read.
+    Raises ImportError if PyAV is not installed.
+
+    Raises RuntimeError, TimeoutError if the browser does not answer.
+
+    Raises ValueError if no frame can be read.
     """
     from tisfm.exports.video_file import check_video, video_file  # it takes a while to load
 

@@ -44,15 +44,15 @@ class DrawingThread:
     """Does all the drawing of a page; every other thread only requests it.
 
     So a browser that is slower than the changes skips some of them.
-
-    Parameters
-    ----------
-    page : Drawn
-    patience : float
-        Time, s, in which only the first coarse picture is drawn, unless a browser connects.
     """
 
-    def __init__(self, page: Drawn, *, patience: float) -> None:
+    def __init__(
+        self,
+        page: Drawn,
+        *,
+        # time, s, in which only the first coarse picture is drawn, unless a browser connects
+        patience: float,
+    ) -> None:
         self._page, self._patience = page, patience
         self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._wake, self._stopping = threading.Event(), threading.Event()

@@ -13,52 +13,27 @@ MAX_DEPTH = 10.0  # in median depths: farther depth is a guess, as in `tisfm.poi
 
 @dataclass(frozen=True, kw_only=True)
 class PointFilter:
-    """Selects the points of a frame.
+    """Selects the points of a frame."""
 
-    Attributes
-    ----------
-    min_confidence : float
-        In [0, 1]. Without confidence all pixels pass.
-    max_deviation : float
-        Relative deviation of depth, as a share; infinite for no limit. With a limit, pixels of
-        unknown deviation are left out, if the result has deviations.
-    box : ((3,), (3,)) or None
-        Least and greatest coordinates, in the world of the scene.
-    most_points : int
-        Limit of the points: every n-th row and column is taken.
-    with_hidden : bool
-        Whether pixels pass that are not visible in the next frame.
-    """
-
-    min_confidence: float = 0.0
+    min_confidence: float = 0.0  # In [0, 1]. Without confidence all pixels pass.
+    # Relative deviation of depth, as a share; infinite for no limit. With a limit, pixels of
+    # unknown deviation are left out, if the result has deviations.
     max_deviation: float = float("inf")
+    # ((3,), (3,)) or None: least and greatest coordinates, in the world of the scene
     box: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
-    most_points: int = 200_000
-    with_hidden: bool = True
+    most_points: int = 200_000  # limit of the points: every n-th row and column is taken
+    with_hidden: bool = True  # whether pixels pass that are not visible in the next frame
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrameCloud:
-    """Points of a frame, in the axes of its camera and the scale of the scene.
+    """Points of a frame, in the axes of its camera and the scale of the scene."""
 
-    Attributes
-    ----------
-    positions : (N, 3) float32
-        X right, Y down, Z forward.
-    colors : (N, 3) uint8
-    pixels : (N, 2) int32
-        Row and column of each point.
-    step : int
-        Distance of the rows and columns that were taken, px.
-    size : float
-        Size of a point at which neighbours touch at the median depth.
-    """
-
-    positions: NDArray[np.float32]
-    colors: NDArray[np.uint8]
-    pixels: NDArray[np.int32]
-    step: int
-    size: float
+    positions: NDArray[np.float32]  # (N, 3) float32: X right, Y down, Z forward
+    colors: NDArray[np.uint8]  # (N, 3) uint8
+    pixels: NDArray[np.int32]  # (N, 2) int32: row and column of each point
+    step: int  # distance of the rows and columns that were taken, px
+    size: float  # size of a point at which neighbours touch at the median depth
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -66,23 +41,13 @@ class FrameCloud:
 
 def frame_cloud(
     frame: ResultFrame,
-    quantity: Quantity,
+    quantity: Quantity,  # gives the colours of the points
     ranges: Ranges,
     points: PointFilter,
+    # (4, 4): camera to world, for the box; by default the world is that of the camera
     pose: NDArray[np.float64] | None = None,
 ) -> FrameCloud:
-    """Return the points of a frame.
-
-    Parameters
-    ----------
-    frame : ResultFrame
-    quantity : str
-        Gives the colours of the points.
-    ranges : Ranges
-    points : PointFilter
-    pose : (4, 4), optional
-        Camera to world, for the box; by default the world is that of the camera.
-    """
+    """Return the points of a frame."""
     kept = _passing(frame, points)
     step = _step(int(kept.sum()), points.most_points)
     rows, columns = np.nonzero(kept[::step, ::step])

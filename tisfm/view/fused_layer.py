@@ -16,23 +16,14 @@ Key = tuple[FusedKind, int]
 
 
 class FusedLayer:
-    """Shows the fused scene that the controls choose; another thread makes it meanwhile.
-
-    Parameters
-    ----------
-    controls : Controls
-    scene : ViewerScene
-    result : ResultFrames
-    do : callable
-        Lets the drawing thread call a function.
-    """
+    """Shows the fused scene that the controls choose; another thread makes it meanwhile."""
 
     def __init__(
         self,
         controls: Controls,
         scene: ViewerScene,
         result: ResultFrames,
-        do: Callable[[Callable[[], None]], None],
+        do: Callable[[Callable[[], None]], None],  # lets the drawing thread call a function
     ) -> None:
         self._controls, self._scene, self._result, self._do = controls, scene, result, do
         self._one_thread = threading.Lock()
@@ -40,17 +31,13 @@ class FusedLayer:
         self._fused: FusedScene | None = None
         self._drawn: object = None
 
-    def update(self, number: int, box: Box | None, size: float) -> None:
-        """Show the fused scene of the piece of a frame, if it is on; make it first if needed.
-
-        Parameters
-        ----------
-        number : int
-        box : ((3,), (3,)) or None
-            Clipping box.
-        size : float
-            Of points, in the unit of the scene.
-        """
+    def update(
+        self,
+        number: int,
+        box: Box | None,  # ((3,), (3,)) or None: clipping box
+        size: float,  # of points, in the unit of the scene
+    ) -> None:
+        """Show the fused scene of the piece of a frame, if it is on; make it first if needed."""
         kind, piece = self._controls.fused.value, int(self._result.piece[number])
         if kind == NOT_FUSED:
             self.clear()

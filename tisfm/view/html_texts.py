@@ -24,10 +24,7 @@ NOTHING = Markup()
 def set_html(control: Any, content: Markup) -> None:
     """Show HTML in a control of viser, which does not escape it.
 
-    Raises
-    ------
-    TypeError
-        If it is plain text, whose characters are not escaped.
+    Raises TypeError if it is plain text, whose characters are not escaped.
     """
     if not isinstance(content, Markup):
         raise InputTypeError(f"content is {content!r}: expected Markup, in which texts are escaped")

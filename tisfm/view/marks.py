@@ -15,28 +15,14 @@ _CLICK_WIDTH = 0.75  # distance of a click to a point, in steps of the points; s
 
 
 class Marks:
-    """Marks in the current frame, which stay in other frames.
-
-    Parameters
-    ----------
-    controls : Controls
-    scene : ViewerScene
-    result : ResultFrames
-
-    Attributes
-    ----------
-    frame : ResultFrame or None
-        The current frame.
-    pixel : (int, int) or None
-        Row and column of the marked pixel.
-    measured : list of (3,) float64
-        Up to two points of the world.
-    """
+    """Marks in the current frame, which stay in other frames."""
 
     def __init__(self, controls: Controls, scene: ViewerScene, result: ResultFrames) -> None:
         self._controls, self._scene, self._result = controls, scene, result
-        self.frame: ResultFrame | None = None
+        self.frame: ResultFrame | None = None  # the current frame
+        # (int, int) or None: row and column of the marked pixel
         self.pixel: tuple[int, int] | None = None
+        # list of (3,) float64: up to two points of the world
         self.measured: list[NDArray[np.float64]] = []
 
     def show_reading(self) -> None:

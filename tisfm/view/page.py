@@ -40,43 +40,23 @@ _PICTURE_WIDTH = 420  # px, of pictures beside the scene
 class ViewerPage:
     """A page that shows a result to all browsers that open it.
 
-    Parameters
-    ----------
-    result : ResultFrames
-        With at least one frame.
-    host : str
-        Address of the server.
-    port : int
-        First port that is tried, 0 for any.
-    number : int
-        Frame that is shown first.
-    most_points : int
-        Initial limit of the points of a frame.
-    max_bytes : int
-        Limit of the frames in memory.
-    patience : float
-        Time, s, in which only the first coarse picture is drawn, unless a browser connects.
-    server : ViserServer, optional
-        A running server to take over, in place of one at `host` and `port`.
+    Raises ImportError if viser is not installed.
 
-    Raises
-    ------
-    ImportError
-        If viser is not installed.
-    OSError
-        If the server cannot listen at the address.
+    Raises OSError if the server cannot listen at the address.
     """
 
     def __init__(
         self,
-        result: ResultFrames,
+        result: ResultFrames,  # with at least one frame
         *,
-        host: str = "127.0.0.1",
-        port: int = 8080,
-        number: int = 0,
-        most_points: int = 200_000,
-        max_bytes: int = MAX_BYTES,
+        host: str = "127.0.0.1",  # address of the server
+        port: int = 8080,  # first port that is tried, 0 for any
+        number: int = 0,  # frame that is shown first
+        most_points: int = 200_000,  # initial limit of the points of a frame
+        max_bytes: int = MAX_BYTES,  # limit of the frames in memory
+        # time, s, in which only the first coarse picture is drawn, unless a browser connects
         patience: float = 0.0,
+        # a running server to take over, in place of one at `host` and `port`
         server: "ViserServer | None" = None,
     ) -> None:
         self.result = result

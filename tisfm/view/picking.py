@@ -12,24 +12,17 @@ _SAME_SURFACE = 1.03  # ratio of distances up to which points are of one surface
 
 
 def picked_point(
+    # origin, direction: (3,) array_like
     origin: ArrayLike,
     direction: ArrayLike,
-    positions: NDArray[np.floating],
+    positions: NDArray[np.floating],  # (N, 3): in the same axes
     *,
-    max_angle: float = CLICK_ANGLE,
+    max_angle: float = CLICK_ANGLE,  # largest angle between the ray and a point, rad
 ) -> int | None:
     """Return the index of the point that a ray hits; None without a hit.
 
     Only points of the nearest surface near the ray count; of these, the point nearest to the ray is
     hit.
-
-    Parameters
-    ----------
-    origin, direction : (3,) array_like
-    positions : (N, 3)
-        In the same axes.
-    max_angle : float
-        Largest angle between the ray and a point, rad.
     """
     if not len(positions):
         return None
@@ -47,22 +40,13 @@ def picked_point(
 
 
 def picked_pixel(
-    origin: ArrayLike, direction: ArrayLike, frame: ResultFrame, distance: float
-) -> tuple[int, int, float] | None:
-    """Return row, column and distance of the pixel in a frustum that a ray hits.
-
-    Parameters
-    ----------
-    origin, direction : (3,) array_like
-        In the axes of the camera.
-    frame : ResultFrame
-    distance : float
-        From the camera to the picture.
-
-    Returns
-    -------
-    (row, column, length) or None
-    """
+    # origin, direction: (3,) array_like, in the axes of the camera
+    origin: ArrayLike,
+    direction: ArrayLike,
+    frame: ResultFrame,
+    distance: float,  # from the camera to the picture
+) -> tuple[int, int, float] | None:  # (row, column, length) or None
+    """Return row, column and distance of the pixel in a frustum that a ray hits."""
     start, along = np.asarray(origin, float), np.asarray(direction, float)
     along = along / np.linalg.norm(along)
     if abs(along[2]) < 1e-9:
@@ -86,15 +70,11 @@ def field_of_view(frame: ResultFrame) -> tuple[float, float]:
     return 2 * math.atan(height / (2 * frame.camera.focal)), width / height
 
 
-def following_fov(frame: ResultFrame, aspect: float) -> float:
-    """Return the vertical field of view, rad, of a window that shows the whole frame.
-
-    Parameters
-    ----------
-    frame : ResultFrame
-    aspect : float
-        Width over height of the window.
-    """
+def following_fov(
+    frame: ResultFrame,
+    aspect: float,  # width over height of the window
+) -> float:
+    """Return the vertical field of view, rad, of a window that shows the whole frame."""
     fov, own = field_of_view(frame)
     return 2 * math.atan(math.tan(fov / 2) * max(1.0, own / aspect))
 

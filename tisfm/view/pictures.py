@@ -17,26 +17,15 @@ _CROSS = (230, 159, 0)  # colour of the mark of a pixel
 
 def picture_of(
     frame: ResultFrame,
-    kind: PictureKind,
+    kind: PictureKind,  # one of `KINDS`; unknown pixels are grey
     ranges: Ranges,
     *,
-    width: int,
-    marked: tuple[int, int] | None = None,
+    width: int,  # largest width, px
+    marked: tuple[int, int] | None = None,  # row and column of the pixel to mark by a cross
 ) -> NDArray[np.uint8]:
     """Return a picture of a frame, (h, w, 3) uint8, of a limited width.
 
     Small pictures are enlarged by a whole number.
-
-    Parameters
-    ----------
-    frame : ResultFrame
-    kind : str
-        One of `KINDS`; unknown pixels are grey.
-    ranges : Ranges
-    width : int
-        Largest width, px.
-    marked : (int, int), optional
-        Row and column of the pixel to mark by a cross.
     """
     picture = _picture(frame, kind, ranges)
     height, full = picture.shape[:2]

@@ -81,17 +81,12 @@ class ViewerScene:
         start.fov = FOV
 
     def overview(
-        self, frame: ResultFrame, points: FrameCloud | None, aspect: float = USUAL_ASPECT
+        self,
+        frame: ResultFrame,
+        points: FrameCloud | None,
+        aspect: float = USUAL_ASPECT,  # width over height of the view
     ) -> tuple[NDArray[np.float64], float]:
-        """Return a viewpoint in the world that shows a frame, and the distance of its points.
-
-        Parameters
-        ----------
-        frame : ResultFrame
-        points : FrameCloud or None
-        aspect : float
-            Width over height of the view.
-        """
+        """Return a viewpoint in the world that shows a frame, and the distance of its points."""
         pose = self.pose_of(frame.number)
         height, width = frame.shape
         corners = frame.rays(np.array([0, 0, height, height]), np.array([0, width, 0, width]))
@@ -101,17 +96,12 @@ class ViewerScene:
         return pose @ seen, distance
 
     def show_surface(
-        self, points: FrameCloud, frame: ResultFrame, colors: NDArray[np.uint8]
+        self,
+        points: FrameCloud,
+        frame: ResultFrame,
+        colors: NDArray[np.uint8],  # (H, W, 3) uint8: of all pixels of the frame
     ) -> None:
-        """Show the surface between the points of a frame.
-
-        Parameters
-        ----------
-        points : FrameCloud
-        frame : ResultFrame
-        colors : (H, W, 3) uint8
-            Of all pixels of the frame.
-        """
+        """Show the surface between the points of a frame."""
         triangles = triangles_between(points, frame.shape)
         if not len(triangles):
             self.remove("points")
@@ -141,15 +131,13 @@ class ViewerScene:
             position=pose[:3, 3],
         )
 
-    def show_fused(self, fused: FusedScene | None, *, size: float) -> None:
-        """Show the points or the surface of several frames; None removes them.
-
-        Parameters
-        ----------
-        fused : FusedScene or None
-        size : float
-            Of points, in the unit of the scene.
-        """
+    def show_fused(
+        self,
+        fused: FusedScene | None,
+        *,
+        size: float,  # of points, in the unit of the scene
+    ) -> None:
+        """Show the points or the surface of several frames; None removes them."""
         if fused is None or not len(fused.positions):
             self.remove("fused")
         elif fused.faces is None:

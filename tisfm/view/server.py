@@ -21,14 +21,11 @@ def start_server(host: str, port: int) -> "ViserServer":
 
     A server at a loopback address also refuses requests of web pages from other hosts.
 
-    Raises
-    ------
-    ImportError
-        If viser is not installed.
-    OSError
-        If this computer does not have the address.
-    ValueError
-        If the number is not a valid port.
+    Raises ImportError if viser is not installed.
+
+    Raises OSError if this computer does not have the address.
+
+    Raises ValueError if the number is not a valid port.
     """
     try:
         import viser

@@ -17,57 +17,30 @@ from tisfm.view.server import start_server, stop_server
 
 @dataclass(frozen=True, kw_only=True)
 class StaticPage:
-    """A page that plays by itself.
+    """A page that plays by itself."""
 
-    Attributes
-    ----------
-    text : str
-        The HTML file.
-    frames : int
-        Frames in it.
-    unread : tuple of str
-        Names of frames that could not be read, each with the reason.
-    """
-
-    text: str
-    frames: int
-    unread: tuple[str, ...]
+    text: str  # the HTML file
+    frames: int  # frames in it
+    unread: tuple[str, ...]  # names of frames that could not be read, each with the reason
 
 
 def static_page(
     result: ResultFrames,
     *,
-    quantity: Quantity,
+    quantity: Quantity,  # what points are coloured by
     ranges: Ranges,
-    points: PointFilter,
-    most_frames: int,
+    points: PointFilter,  # which points of a frame are shown
+    most_frames: int,  # limit of the frames; a longer result is sampled evenly
     frames_per_second: float,
-    size: float = 1.2,
+    size: float = 1.2,  # of points, over their distance
 ) -> StaticPage:
     """Return an HTML file with points, frusta and paths of frames, which any browser plays.
 
     Frames that cannot be read are left out; a line at its foot names them.
 
-    Parameters
-    ----------
-    result : ResultFrames
-    quantity : str
-        What points are coloured by.
-    ranges : Ranges
-    points : PointFilter
-        Which points of a frame are shown.
-    most_frames : int
-        Limit of the frames; a longer result is sampled evenly.
-    frames_per_second : float
-    size : float
-        Of points, over their distance.
+    Raises ImportError if viser is not installed.
 
-    Raises
-    ------
-    ImportError
-        If viser is not installed.
-    ValueError
-        If no frame can be read.
+    Raises ValueError if no frame can be read.
     """
     count = len(result.names)
     numbers = np.unique(np.linspace(0, count - 1, min(count, most_frames)).astype(int))

@@ -13,15 +13,11 @@ _MAX_DEPTH_STEP = 0.05  # relative depth difference of neighbours on one surface
 _JPEG_QUALITY = 92  # of the texture
 
 
-def triangles_between(points: FrameCloud, shape: tuple[int, int]) -> NDArray[np.int32]:
-    """Return triangles between neighbouring points of one surface, (M, 3) indices.
-
-    Parameters
-    ----------
-    points : FrameCloud
-    shape : (int, int)
-        Height and width of the frame.
-    """
+def triangles_between(
+    points: FrameCloud,
+    shape: tuple[int, int],  # height and width of the frame
+) -> NDArray[np.int32]:
+    """Return triangles between neighbouring points of one surface, (M, 3) indices."""
     height, width = (-(-side // points.step) for side in shape)
     index = np.full((height, width), -1, np.int32)
     index[tuple((points.pixels // points.step).T)] = np.arange(len(points), dtype=np.int32)
@@ -36,17 +32,11 @@ def triangles_between(points: FrameCloud, shape: tuple[int, int]) -> NDArray[np.
 
 
 def surface_file(
-    points: FrameCloud, triangles: NDArray[np.int32], colors: NDArray[np.uint8]
+    points: FrameCloud,
+    triangles: NDArray[np.int32],  # (M, 3) int32
+    colors: NDArray[np.uint8],  # (H, W, 3) uint8: of all pixels of the frame
 ) -> bytes:
-    """Return a surface as a GLB file.
-
-    Parameters
-    ----------
-    points : FrameCloud
-    triangles : (M, 3) int32
-    colors : (H, W, 3) uint8
-        Of all pixels of the frame.
-    """
+    """Return a surface as a GLB file."""
     from trimesh import Trimesh
     from trimesh.exchange.gltf import export_glb
     from trimesh.visual import TextureVisuals

@@ -18,31 +18,17 @@ _FILLED = 0.9  # share of the view that points may fill
 
 
 def overview(
+    # (N, 3): in the axes of the camera. Far points, and a few others, may be outside the view.
     points: NDArray[np.floating],
-    whole: NDArray[np.floating],
+    whole: NDArray[np.floating],  # (M, 3): further points, all of which are inside the view
     *,
-    up: ArrayLike = (0.0, -1.0, 0.0),
-    aspect: float = USUAL_ASPECT,
+    up: ArrayLike = (0.0, -1.0, 0.0),  # (3,) array_like: upward direction in the same axes
+    aspect: float = USUAL_ASPECT,  # width over height of the view
 ) -> tuple[NDArray[np.float64], float]:
     """Return a viewpoint that shows a camera and its points, and the distance of the points.
 
-    Parameters
-    ----------
-    points : (N, 3)
-        In the axes of the camera. Far points, and a few others, may be outside the view.
-    whole : (M, 3)
-        Further points, all of which are inside the view.
-    up : (3,) array_like
-        Upward direction in the same axes.
-    aspect : float
-        Width over height of the view.
-
-    Returns
-    -------
-    pose : (4, 4) float64
-        In the axes of the points; X right, Y down, Z forward.
-    distance : float
-        From the viewpoint to the median of the points.
+    Returns pose, (4, 4) float64: in the axes of the points; X right, Y down, Z forward; distance,
+    from the viewpoint to the median of the points.
     """
     forward = np.array(_DIRECTION) / np.linalg.norm(_DIRECTION)
     across = np.cross(forward, np.asarray(up, float))

@@ -22,16 +22,13 @@ _LAST_MESSAGE = 0.3  # s for browsers to receive the last message
 
 
 class WaitingPage:
-    """Shows browsers the progress of a command that writes a result.
+    """Shows browsers the progress of a command that writes a result."""
 
-    Parameters
-    ----------
-    server : ViserServer
-        `ViewerPage` takes it over, and removes the texts of this page.
-    folder : Path
-    """
-
-    def __init__(self, server: "ViserServer", folder: Path) -> None:
+    def __init__(
+        self,
+        server: "ViserServer",  # `ViewerPage` takes it over, and removes the texts of this page
+        folder: Path,
+    ) -> None:
         self._folder, self._server = folder, server
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
@@ -44,10 +41,7 @@ class WaitingPage:
     def wait(self) -> ResultFrames:
         """Return the result as soon as it has a complete frame.
 
-        Raises
-        ------
-        OSError, ValueError
-            If the command has ended without a result, or a file is damaged.
+        Raises OSError, ValueError if the command has ended without a result, or a file is damaged.
         """
         while True:
             try:

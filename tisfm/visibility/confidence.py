@@ -14,7 +14,14 @@ QUIET, QUIET_GREY = 0.05, 0.5
 
 
 def confidence(
-    precision: np.ndarray, occlusion: np.ndarray, *, normalized: bool, freedom: int = 2
+    # (7, h, w) float32: J11, J12, J22, squared residual, M11, M12, M22 (`data_precision`).
+    # Modified. It belongs to the frame, or to a coarser level of its pyramid; confidence is then
+    # interpolated.
+    precision: np.ndarray,
+    occlusion: np.ndarray,  # (H, W) bool: where a pixel is not visible in frame 1
+    *,
+    normalized: bool,  # whether the data constraints are distances in px
+    freedom: int = 2,  # {2, 1}: degrees of freedom of a pixel's flow
 ) -> np.ndarray:
     """Return the confidence from the precision of the data and from their residuals.
 
@@ -28,22 +35,7 @@ def confidence(
     median over the pixels with a gradient, but at least QUIET². Where the data constraints are
     violated, mostly at occlusions, texture alone does not make the motion reliable.
 
-    Parameters
-    ----------
-    precision : (7, h, w) float32
-        J11, J12, J22, squared residual, M11, M12, M22 (`data_precision`). Modified. It belongs to
-        the frame, or to a coarser level of its pyramid; confidence is then interpolated.
-    occlusion : (H, W) bool
-        Where a pixel is not visible in frame 1.
-    normalized : bool
-        Whether the data constraints are distances in px.
-    freedom : {2, 1}
-        Degrees of freedom of a pixel's flow.
-
-    Returns
-    -------
-    (H, W) float32
-        In [0, 1]; 0 for occluded pixels, and where the motion diverged to NaN.
+    Returns (H, W) float32: in [0, 1]; 0 for occluded pixels, and where the motion diverged to NaN.
     """
     runtime.start()  # before kernels are imported
     from tisfm.kernels.solve.data_precision import share_of_data

@@ -23,16 +23,24 @@ _FIVE_TAP = np.array([[1, -8, 0, 8, -1]], np.float32) / 12
 
 
 def occlusion(
+    # frame0, frame1: (h, w) float32, grey levels on the 8-bit scale, smoothed as the settings say.
+    # They have the size of the flow, or that of a coarser level of the pyramid, which then gives
+    # the residuals.
     frame0: np.ndarray,
     frame1: np.ndarray,
+    # (2, H, W) float32: (u, v), px/frame. A pixel whose flow is not finite counts as leaving the
+    # image.
     flow: np.ndarray,
-    settings: Settings,
+    settings: Settings,  # for the weights of the data constraints
     *,
-    factor: int = 1,
+    factor: int = 1,  # number of flow pixels per frame pixel, along a side
+    # ((h + 3)·w, 4) float32: `tisfm.solver.sampling.spline_taps` of frame 1, if already computed
     taps1: np.ndarray | None = None,
+    # (H, W) bool: `leaves_image` of the flow, if already computed
     leaves: np.ndarray | None = None,
+    # (H, W) float32: `residual_of` the flow or of nearly the same flow, if already computed
     residual: np.ndarray | None = None,
-) -> np.ndarray:
+) -> np.ndarray:  # (H, W) bool
     """Find the pixels that leave the image or are hidden, by the uniqueness of the mapping.
 
     Each position of frame 1 shows one surface only. If the flow moves two surfaces to the same
@@ -40,28 +48,6 @@ def occlusion(
     usual check of forward against backward flow costs a second interpretation. With the usual
     thresholds that check has a lower F1 on scenes with exact truth; with looser thresholds it
     finds more occlusions on some sequences, at a lower precision (bench/results/tried.md).
-
-    Parameters
-    ----------
-    frame0, frame1 : (h, w) float32
-        Grey levels on the 8-bit scale, smoothed as the settings say. They have the size of the
-        flow, or that of a coarser level of the pyramid, which then gives the residuals.
-    flow : (2, H, W) float32
-        (u, v), px/frame. A pixel whose flow is not finite counts as leaving the image.
-    settings : Settings
-        For the weights of the data constraints.
-    factor : int
-        Number of flow pixels per frame pixel, along a side.
-    taps1 : ((h + 3)·w, 4) float32, optional
-        `tisfm.solver.sampling.spline_taps` of frame 1, if already computed.
-    leaves : (H, W) bool, optional
-        `leaves_image` of the flow, if already computed.
-    residual : (H, W) float32, optional
-        `residual_of` the flow or of nearly the same flow, if already computed.
-
-    Returns
-    -------
-    (H, W) bool
 
     References
     ----------

@@ -39,8 +39,11 @@ from tisfm.kernels.solve.second_order.stencil import (
 
 @operation
 def coarsen_system(
-    grid: LaneGrid,
+    grid: LaneGrid,  # the fine grid
+    # tensor and weights of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`, which has
+    # checked them
     arrays: tuple[LaneData, ...],
+    # coarse_tensor, coarse_weights: halved arrays, 3 and 6 components
     coarse_tensor: LaneData,
     coarse_weights: LaneData,
 ) -> Launch:
@@ -49,15 +52,6 @@ def coarsen_system(
     The energy of a coarse field is then nearly that of its interpolation: the weight of a coarse
     edge is half the sum of two fine weights (`tisfm.kernels.solve.coarsening`). This holds for all
     three kinds of terms, because r, Δv and ΔD all grow with the length of the edge.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-        The fine grid.
-    arrays : tuple
-        Tensor and weights of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`, which
-        has checked them.
-    coarse_tensor, coarse_weights : halved arrays, 3 and 6 components
     """
     check_halved(grid, coarse_tensor, COMPONENTS, "coarse_tensor")
     check_halved(grid, coarse_weights, WEIGHTS, "coarse_weights")
@@ -98,12 +92,8 @@ def _coarsen_system(
 def offset_columns(grid: LaneGrid) -> tuple[np.ndarray, np.ndarray]:
     """Return the offsets of children from the centres of their parents, in fine columns.
 
-    Returns
-    -------
-    offsets : column table
-        −½ and ½; 0 for a parent's only child, and for padding.
-    outer : column table
-        The same offset if the parent's neighbour on that side lies outside the image, else 0.
+    Returns offsets, −½ and ½; 0 for a parent's only child, and for padding; outer, the same offset
+    if the parent's neighbour on that side lies outside the image, else 0.
     """
     column = grid.column_index()
     offset = np.where(column % 2 == 0, -0.5, 0.5)
@@ -115,32 +105,21 @@ def offset_columns(grid: LaneGrid) -> tuple[np.ndarray, np.ndarray]:
 
 @operation
 def restrict_residual(
-    grid: LaneGrid,
+    grid: LaneGrid,  # the fine grid
+    # arrays, numbers: attributes of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`,
+    # which has checked all arrays
     arrays: tuple[LaneData, ...],
     numbers: tuple[float, ...],
-    offsets: LaneData,
-    rho: LaneData,
+    offsets: LaneData,  # the offsets of `offset_columns`
+    rho: LaneData,  # lane array, 3 components
+    # lane array, 3 components, or None: right-hand side in place of (−B, 0, 0)
     source: LaneData | None,
-    out: LaneData,
+    out: LaneData,  # halved array, 3 components
 ) -> Launch:
     """Sum the children's residuals; those of D, times the offsets, are added to the slopes too.
 
     A slope of the parent is then the slope of a plane through its children. A correction by such a
     plane does not change r on the edges between the children.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-        The fine grid.
-    arrays, numbers : tuples
-        Attributes of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`, which has
-        checked all arrays.
-    offsets : column table
-        The offsets of `offset_columns`.
-    rho : lane array, 3 components
-    source : lane array, 3 components, or None
-        Right-hand side in place of (−B, 0, 0).
-    out : halved array, 3 components
     """
     grid.check_columns(offsets, "offsets")
     check_halved(grid, out, COMPONENTS, "out")
@@ -204,29 +183,20 @@ def _restrict_residual(
 
 @operation
 def correct(
-    grid: LaneGrid,
+    grid: LaneGrid,  # the fine grid
+    # halved array, 3 components: its halo columns must be valid; it is not read beyond the border
+    # of the image
     coarse: LaneData,
+    # column tables of 3: results of `tisfm.kernels.solve.coarsening.interpolation_columns`, and
+    # `outer` of `offset_columns`
     across: tuple[LaneData, LaneData, LaneData],
-    rho: LaneData,
+    rho: LaneData,  # lane array, 3 components
     *,
-    spacing: float,
+    spacing: float,  # h of the fine grid
 ) -> Launch:
     """Add a coarse correction to D and the slopes, in place, halo included.
 
     Beyond the outermost coarse pixels D is extrapolated along its slope.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-        The fine grid.
-    coarse : halved array, 3 components
-        Its halo columns must be valid; it is not read beyond the border of the image.
-    across : column tables of 3
-        Results of `tisfm.kernels.solve.coarsening.interpolation_columns`, and `outer` of
-        `offset_columns`.
-    rho : lane array, 3 components
-    spacing : float
-        h of the fine grid.
     """
     grid.check(rho, COMPONENTS, "rho")
     check_halved(grid, coarse, COMPONENTS, "coarse")

@@ -28,30 +28,20 @@ TERMS = 7  # number of sums
 
 def bind_plane(
     grid: LaneGrid,
+    # tensor and weights of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`, which has
+    # checked all arrays
     arrays: tuple[LaneData, ...],
-    half: float,
+    half: float,  # h/2
+    # correction, before, step: lane arrays, 3 components
     correction: LaneData,
     before: LaneData,
     step: LaneData,
 ) -> Callable[[], tuple[np.ndarray, np.ndarray]]:
     """Return a function that computes the quadratic energy of before + p correction + q step.
 
-    Parameters
-    ----------
-    grid : LaneGrid
-    arrays : tuple
-        Tensor and weights of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`, which
-        has checked all arrays.
-    half : float
-        h/2.
-    correction, before, step : lane arrays, 3 components
-
-    Returns
-    -------
-    callable
-        It returns a matrix and a vector, (2, 2) and (2,) float64: the energy changes by
-        zᵀ matrix z + 2 zᵀ vector, with z = (p, q). An entry of the vector that is only rounding
-        error is set to 0.
+    Returns it returns a matrix and a vector, (2, 2) and (2,) float64: the energy changes by zᵀ
+    matrix z + 2 zᵀ vector, with z = (p, q). An entry of the vector that is only rounding error is
+    set to 0.
     """
     partial = block_sums(grid, TERMS)
     launch = _plane[grid.lanes].bind(*arrays, half, correction, before, step, grid.serial, partial)

@@ -30,30 +30,18 @@ from tisfm.kernels.solve.second_order.stencil import (
 
 def bind_sweeps(
     grid: LaneGrid,
+    # arrays, numbers: attributes of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`,
+    # which has checked all arrays
     arrays: tuple[LaneData, ...],
     numbers: tuple[float, ...],
-    rho: LaneData,
+    rho: LaneData,  # lane array, 3 components: D, v₁, v₂; modified in place, halo included
+    # lane array, 3 components, or None: right-hand side in place of (−B, 0, 0)
     source: LaneData | None,
     *,
-    relaxation: float,
+    relaxation: float,  # in (0, 2); 1 is Gauss–Seidel
     sweeps: int,
 ) -> Callable[[], None]:
-    """Return a function that runs full red–black sweeps.
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    arrays, numbers : tuples
-        Attributes of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`, which has
-        checked all arrays.
-    rho : lane array, 3 components
-        D, v₁, v₂; modified in place, halo included.
-    source : lane array, 3 components, or None
-        Right-hand side in place of (−B, 0, 0).
-    relaxation : float
-        In (0, 2); 1 is Gauss–Seidel.
-    sweeps : int
-    """
+    """Return a function that runs full red–black sweeps."""
     if not 0 < relaxation < 2:
         raise ValueError(f"relaxation is {relaxation}: expected a value in (0, 2)")
     system = (*arrays, *numbers, rho if source is None else source, relaxation, source is not None)

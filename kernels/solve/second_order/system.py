@@ -25,34 +25,22 @@ class SecondOrderSystem:
 
     The arrays are checked once, here. They are not copied: a change of an array changes the system.
 
-    Parameters
-    ----------
-    grid : LaneGrid
-    tensor : lane array, 3 components
-        A, B and C of the data, A D² + 2 B D + C.
-    weights : lane array, 6 components
-        a, b and c of the eastern and the southern edge: (a_E, a_S, b_E, b_S, c_E, c_S).
-    alpha, beta, gamma : float
-        Weights of r, Δv and ΔD, per px² of D; `gamma` may be 0.
-    spacing : float
-        h, px of the finest level.
-    spread : float
-        Variance of the positions of data around the centre of their pixel, along an axis, px² of
-        the finest level; 0 on the finest grid.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an array does not fit the grid, or a number is not positive and finite.
+    Raises TypeError, ValueError if an array does not fit the grid, or a number is not positive and
+    finite.
     """
 
     grid: LaneGrid
-    tensor: LaneData
+    tensor: LaneData  # lane array, 3 components: A, B and C of the data, A D² + 2 B D + C
+    # lane array, 6 components: a, b and c of the eastern and the southern edge: (a_E, a_S, b_E,
+    # b_S, c_E, c_S)
     weights: LaneData
+    # alpha, beta, gamma: weights of r, Δv and ΔD, per px² of D; `gamma` may be 0
     alpha: float
     beta: float
     gamma: float = 0.0
-    spacing: float = 1.0
+    spacing: float = 1.0  # h, px of the finest level
+    # variance of the positions of data around the centre of their pixel, along an axis, px² of the
+    # finest level; 0 on the finest grid
     spread: float = 0.0
 
     def __post_init__(self) -> None:
@@ -83,24 +71,14 @@ class SecondOrderSystem:
 
     def bind_sweep(
         self,
-        rho: LaneData,
+        rho: LaneData,  # lane array, 3 components: D, v₁, v₂
         *,
-        relaxation: float,
+        relaxation: float,  # in (0, 2); 1 is Gauss–Seidel
         sweeps: int = 1,
+        # lane array, 3 components: right-hand side in place of (−B, 0, 0)
         source: LaneData | None = None,
     ) -> Callable[[], None]:
-        """Return a function that runs full red–black sweeps, in place, halo included.
-
-        Parameters
-        ----------
-        rho : lane array, 3 components
-            D, v₁, v₂.
-        relaxation : float
-            In (0, 2); 1 is Gauss–Seidel.
-        sweeps : int
-        source : lane array, 3 components, optional
-            Right-hand side in place of (−B, 0, 0).
-        """
+        """Return a function that runs full red–black sweeps, in place, halo included."""
         self._check(rho=rho, source=rho if source is None else source)
         return bind_sweeps(
             self.grid,
@@ -158,48 +136,39 @@ class SecondOrderSystem:
 
     def bind_restrict(
         self,
+        # the offsets of `tisfm.kernels.solve.second_order.coarsening.offset_columns`
         offsets: LaneData,
-        rho: LaneData,
-        out: LaneData,
+        rho: LaneData,  # lane array, 3 components
+        out: LaneData,  # halved array, 3 components (`tisfm.kernels.solve.coarsening`)
         *,
+        # lane array, 3 components: right-hand side in place of (−B, 0, 0)
         source: LaneData | None = None,
     ) -> Callable[[], None]:
-        """Return a function that writes the residuals at `rho`, summed over children.
-
-        Parameters
-        ----------
-        offsets : column table
-            The offsets of `tisfm.kernels.solve.second_order.coarsening.offset_columns`.
-        rho : lane array, 3 components
-        out : halved array, 3 components (`tisfm.kernels.solve.coarsening`)
-        source : lane array, 3 components, optional
-            Right-hand side in place of (−B, 0, 0).
-        """
+        """Return a function that writes the residuals at `rho`, summed over children."""
         self._check(rho=rho, source=rho if source is None else source)
         return restrict_residual.bind(
             self.grid, self.arrays, self.numbers, offsets, rho, source, out
         )
 
-    def bind_coarsen(self, tensor: LaneData, weights: LaneData) -> Callable[[], None]:
-        """Return a function that writes the system of the grid of half the density.
-
-        Parameters
-        ----------
-        tensor, weights : halved arrays, 3 and 6 components
-        """
+    def bind_coarsen(
+        self,
+        # tensor, weights: halved arrays, 3 and 6 components
+        tensor: LaneData,
+        weights: LaneData,
+    ) -> Callable[[], None]:
+        """Return a function that writes the system of the grid of half the density."""
         return coarsen_system.bind(self.grid, self.arrays, tensor, weights)
 
     def bind_line_search(
-        self, rho: LaneData, before: LaneData, step: LaneData
+        self,
+        # rho, before, step: lane arrays, 3 components: the corrected field, the field before the
+        # correction, and the last step. Modified in place: `rho` and `before` become the minimum,
+        # `step` becomes the move to it.
+        rho: LaneData,
+        before: LaneData,
+        step: LaneData,
     ) -> Callable[[], None]:
-        """Return a function that minimises the energy over a correction and the last step.
-
-        Parameters
-        ----------
-        rho, before, step : lane arrays, 3 components
-            The corrected field, the field before the correction, and the last step. Modified in
-            place: `rho` and `before` become the minimum, `step` becomes the move to it.
-        """
+        """Return a function that minimises the energy over a correction and the last step."""
         self._check(rho=rho, before=before, step=step)
         difference = subtract.bind(self.grid, before, rho)
         measure = bind_plane(self.grid, self.arrays, self.spacing / 2, rho, before, step)

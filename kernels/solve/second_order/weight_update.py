@@ -32,17 +32,24 @@ from tisfm.kernels.solve.weight_update import ROWS, Sums
 
 def bind_update(
     grid: LaneGrid,
+    # Tensor and weights of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`, which has
+    # checked all arrays. Their previous values give the half-quadratic energy; then both are
+    # overwritten.
     arrays: tuple[LaneData, ...],
-    rho: LaneData,
-    previous: LaneData,
+    rho: LaneData,  # lane array, 3 components: D, v₁, v₂
+    previous: LaneData,  # lane array, 1 component: an earlier D; overwritten with the present D
+    # lane array, 2 components: w and D*, px/frame; D* must be finite even where w is 0
     anchors: LaneData,
-    edges: LaneData,
+    edges: LaneData,  # lane array, 2 components: g
+    # lane array, 3 components for each of 1 to 3 constraints, or None: (p, 0, c) of p D + c = 0
     constraints: LaneData | None,
     *,
-    half: float,
-    stiffness: tuple[float, float, float],
+    half: float,  # h/2
+    stiffness: tuple[float, float, float],  # (α, β, γ)
+    # 3 floats: δ of r, of |Δv| and of ΔD; infinite for a quadratic penalty
     contrasts: tuple[float, float, float],
-    anchor_scale: float,
+    anchor_scale: float,  # σ, px/frame; infinite for a quadratic penalty
+    # m_i ε² of each term of the constraints (`tisfm.kernels.model.robust`)
     scales: Sequence[float],
 ) -> Callable[[], Sums]:
     """Return a function that computes energies and changes of D, and the weights for D and slopes.
@@ -51,33 +58,6 @@ def bind_update(
     Φ(s) = 2s²/(1 + √(1 + s²/δ²)) and its half-quadratic form b s² + δ²(b + 1/b − 2)
     (`tisfm.kernels.solve.weight_update`). An anchor contributes w ψ(D − D*), where
     ψ(s) = 2s²/(1 + √(1 + s²/σ²)).
-
-    Parameters
-    ----------
-    grid : LaneGrid
-    arrays : tuple
-        Tensor and weights of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`, which
-        has checked all arrays. Their previous values give the half-quadratic energy; then both are
-        overwritten.
-    rho : lane array, 3 components
-        D, v₁, v₂.
-    previous : lane array, 1 component
-        An earlier D; overwritten with the present D.
-    anchors : lane array, 2 components
-        w and D*, px/frame; D* must be finite even where w is 0.
-    edges : lane array, 2 components
-        g.
-    constraints : lane array, 3 components for each of 1 to 3 constraints, or None
-        (p, 0, c) of p D + c = 0.
-    half : float
-        h/2.
-    stiffness : (α, β, γ)
-    contrasts : 3 floats
-        δ of r, of |Δv| and of ΔD; infinite for a quadratic penalty.
-    anchor_scale : float
-        σ, px/frame; infinite for a quadratic penalty.
-    scales : sequence of float
-        m_i ε² of each term of the constraints (`tisfm.kernels.model.robust`).
     """
     tensor, weights = arrays
     partial = block_sums(grid, 4)

@@ -22,7 +22,9 @@ def with_carried_background(
     pyramid: ImagePyramid,
     settings: Settings,
     solution: RigidSolution,
-    labels: np.ndarray,
+    labels: np.ndarray,  # (H, W) int32: 0 for the background
+    # (3, 4) array: R and t of the background's layer, because wrong depth of textureless surfaces
+    # spoils the refined motion
     motion: np.ndarray,
 ) -> TexturelessSolution | None:
     """Return a solution with carried depth of the background, if this is partly textureless.
@@ -30,22 +32,8 @@ def with_carried_background(
     Pixels of other labels keep their motion and depth. They are neither matched nor constrained
     under the background's motion.
 
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    settings : Settings
-    solution : RigidSolution
-    labels : (H, W) int32
-        0 for the background.
-    motion : (3, 4) array
-        R and t of the background's layer, because wrong depth of textureless surfaces spoils the
-        refined motion.
-
-    Returns
-    -------
-    TexturelessSolution or None
-        None if little of the frame is textureless, if the background's parallax differs too little
-        between near and far, or if too little of the background could be matched.
+    Returns none if little of the frame is textureless, if the background's parallax differs too
+    little between near and far, or if too little of the background could be matched.
     """
     if (
         textureless_share(pyramid.frames0[pyramid.last], pyramid.counted0(pyramid.last))

@@ -38,9 +38,10 @@ Corner = tuple[np.ndarray, np.ndarray]  # indices of pixels, and their weights
 
 
 def sharpen_labels(
-    labels: np.ndarray,
-    flows: np.ndarray,
-    reach: np.ndarray,
+    labels: np.ndarray,  # (H, W) int32
+    flows: np.ndarray,  # (K, 2, H, W) float32: flow of each label's surface, at every pixel
+    reach: np.ndarray,  # (K, H, W) bool: where a label is allowed
+    # frame0, frame1: (H, W) float32, grey levels
     frame0: np.ndarray,
     frame1: np.ndarray,
 ) -> np.ndarray:
@@ -52,16 +53,6 @@ def sharpen_labels(
     the target of a surface in front, its grey level counts little. A surface in front cannot be
     where a surface behind it is still visible. Where two surfaces go to the same target, the one
     whose grey levels match there is in front.
-
-    Parameters
-    ----------
-    labels : (H, W) int32
-    flows : (K, 2, H, W) float32
-        Flow of each label's surface, at every pixel.
-    reach : (K, H, W) bool
-        Where a label is allowed.
-    frame0, frame1 : (H, W) float32
-        Grey levels.
     """
     window = np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8)
     near = np.stack(
@@ -99,14 +90,8 @@ def _label_costs(
     takes the least cost of the others. An occluded pixel costs less the more uniform its
     neighbourhood is.
 
-    Returns
-    -------
-    seen : (K, N) float32
-        Cost of every label at the free pixels.
-    own : (H, W) float32
-        Cost of each pixel's own label.
-    hidden : (H, W) float32
-        Cost of an occluded pixel.
+    Returns seen, (K, N) float32: cost of every label at the free pixels; own, (H, W) float32: cost
+    of each pixel's own label; hidden, (H, W) float32: cost of an occluded pixel.
     """
     taps = spline_taps(frame1)
     flow = _flow_of_labels(flows, labels)

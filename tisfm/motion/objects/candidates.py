@@ -24,14 +24,14 @@ LEAST_WEIGHT = 0.02  # of a pixel while labels are assigned
 
 
 def motion_candidates(
-    flow: np.ndarray,
-    trust: np.ndarray,
+    flow: np.ndarray,  # (H, W, 2) float32
+    trust: np.ndarray,  # (H, W) float32: confidence, 0 where occluded
     camera: Camera,
-    frame: np.ndarray,
-    background: np.ndarray,
-    residual: float,
+    frame: np.ndarray,  # (H, W) float32: grey levels, for the boundaries
+    background: np.ndarray,  # (3, 4) array: R and t of the largest motion
+    residual: float,  # its residual, px
     *,
-    most: int,
+    most: int,  # largest number of motions
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Find motions one after another, each in the pixels that the previous ones do not explain.
 
@@ -39,26 +39,7 @@ def motion_candidates(
     at depths in front of the camera. A further label stands for pixels that no motion explains; its
     largest connected part gives the next motion.
 
-    Parameters
-    ----------
-    flow : (H, W, 2) float32
-    trust : (H, W) float32
-        Confidence, 0 where occluded.
-    camera : Camera
-    frame : (H, W) float32
-        Grey levels, for the boundaries.
-    background : (3, 4) array
-        R and t of the largest motion.
-    residual : float
-        Its residual, px.
-    most : int
-        Largest number of motions.
-
-    Returns
-    -------
-    motions : list of (3, 4) array
-        The background first.
-    labels : (H, W) int32
+    Returns motions, list of (3, 4) array: the background first; labels, (H, W) int32.
     """
     height, width = trust.shape
     scale = min(1.0, (PIXELS / (height * width)) ** 0.5)

@@ -11,7 +11,10 @@ FEWEST_COLUMNS = 8  # least number of columns of a contact
 LOWEST = 0.5  # of an object's rows: only the lower half touches the floor
 
 
-def aligned(estimate: Estimate, hidden: np.ndarray) -> Estimate:
+def aligned(
+    estimate: Estimate,  # with motions, labels and inverse depth; the background is label 0
+    hidden: np.ndarray,  # (H, W) bool: pixels whose depth is not used
+) -> Estimate:
     """Bring objects to the scale of the background on which they stand.
 
     From motion alone, every object has a scale of its own. In each column of an object, the lowest
@@ -20,18 +23,8 @@ def aligned(estimate: Estimate, hidden: np.ndarray) -> Estimate:
     median ratio over the columns. Objects without contact keep their own scale, and so do all
     objects if the background has no depth.
 
-    Parameters
-    ----------
-    estimate : Estimate
-        With motions, labels and inverse depth; the background is label 0.
-    hidden : (H, W) bool
-        Pixels whose depth is not used.
-
-    Returns
-    -------
-    Estimate
-        Inverse depth, its deviation and T of objects are in the background's unit, so the length of
-        an object's T is no longer 1.
+    Returns inverse depth, its deviation and T of objects are in the background's unit, so the
+    length of an object's T is no longer 1.
     """
     motions, labels = estimate.motions, estimate.labels
     if motions is None or labels is None or estimate.inverse_depth_std is None:
@@ -53,21 +46,13 @@ def aligned(estimate: Estimate, hidden: np.ndarray) -> Estimate:
 
 
 def contact_scale(
-    inverse_depth: np.ndarray, labels: np.ndarray, hidden: np.ndarray, label: int
+    # (H, W) float32: in the object's own unit at its pixels, and in the background's unit elsewhere
+    inverse_depth: np.ndarray,
+    labels: np.ndarray,  # (H, W) int array: 0 for the background
+    hidden: np.ndarray,  # (H, W) bool: pixels whose depth is not used
+    label: int,  # the object's label
 ) -> float | None:
-    """Return the ratio of background's to object's inverse depth at contacts, None without them.
-
-    Parameters
-    ----------
-    inverse_depth : (H, W) float32
-        In the object's own unit at its pixels, and in the background's unit elsewhere.
-    labels : (H, W) int array
-        0 for the background.
-    hidden : (H, W) bool
-        Pixels whose depth is not used.
-    label : int
-        The object's label.
-    """
+    """Return the ratio of background's to object's inverse depth at contacts, None without them."""
     height = len(labels)
     mine = labels == label
     columns = np.flatnonzero(mine.any(axis=0))

@@ -28,7 +28,11 @@ PIXELS = 2**16  # least pixels of the level on which motions and their pixels ar
 
 
 def objects_estimate(
-    pyramid: ImagePyramid, settings: Settings, grey0: np.ndarray, grey1: np.ndarray
+    pyramid: ImagePyramid,
+    settings: Settings,
+    # grey0, grey1: (H, W) float32, grey levels of the frames on the 8-bit scale
+    grey0: np.ndarray,
+    grey1: np.ndarray,
 ) -> Estimate:
     """Find rigid motions, a label for each pixel, and inverse depth in the unit of each motion.
 
@@ -40,13 +44,6 @@ def objects_estimate(
     estimated jointly, as for one motion (`tisfm.motion.rigid_depth`), and diverged labels and
     pixels are restored (`unstable_depth`). If much of the frame has no texture, depth of the
     background is carried across (`background`).
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    settings : Settings
-    grey0, grey1 : (H, W) float32
-        Grey levels of the frames on the 8-bit scale.
     """
     # A wrong label is worse than a wrong depth, so flow and surfaces get more iterations.
     settings = replace(

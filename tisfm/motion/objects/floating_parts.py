@@ -21,7 +21,11 @@ MOST_PARTS = 255  # parts
 FAINTEST_DEPTH = 0.05  # of the median: least inverse depth of the surroundings
 
 
-def floating_parts(inverse_depth: np.ndarray, deviation: np.ndarray, smallest: int) -> np.ndarray:
+def floating_parts(
+    inverse_depth: np.ndarray,  # (H, W) float32: in any unit; positive before the camera
+    deviation: np.ndarray,  # (H, W) float32: its standard deviation
+    smallest: int,  # fewest pixels of a part
+) -> np.ndarray:  # (H, W) int32: parts in order of size, the largest first
     """Return the connected parts of a depth map that float, numbered from 1; 0 elsewhere.
 
     From each point of a standing object, a path over the object and the ground leads to the border
@@ -31,20 +35,6 @@ def floating_parts(inverse_depth: np.ndarray, deviation: np.ndarray, smallest: i
     large, by lower and upper limits of `SURE` deviations, and if the ground below it comes nearer
     or at least does not recede. Objects that touch the border never float. Objects that hang from
     above, or are tall and seen from straight above, wrongly seem to float.
-
-    Parameters
-    ----------
-    inverse_depth : (H, W) float32
-        In any unit; positive before the camera.
-    deviation : (H, W) float32
-        Its standard deviation.
-    smallest : int
-        Fewest pixels of a part.
-
-    Returns
-    -------
-    (H, W) int32
-        Parts in order of size, the largest first.
 
     References
     ----------
@@ -77,15 +67,13 @@ def floating_parts(inverse_depth: np.ndarray, deviation: np.ndarray, smallest: i
     return cv2.resize(floats, (width, height), interpolation=cv2.INTER_NEAREST).astype(np.int32)
 
 
-def without_domes(image: np.ndarray) -> np.ndarray:
+def without_domes(
+    image: np.ndarray,  # (H, W) float32
+) -> np.ndarray:
     """Return an image with all maxima that do not touch its border cut off.
 
     Each pixel takes the largest, over all 8-connected paths to the border, of the least value on
     the path. This is the morphological reconstruction of the image by dilation from its border.
-
-    Parameters
-    ----------
-    image : (H, W) float32
     """
     window = np.ones((3, 3), np.uint8)
     reached = np.full_like(image, image.min())

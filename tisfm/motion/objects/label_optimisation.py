@@ -36,15 +36,6 @@ class Potts:
     edge-preserving regularisation, which edges of the image interrupt. Each pixel takes the label
     of the largest smoothed share.
 
-    Parameters
-    ----------
-    frame : (H, W) float32
-        Grey levels.
-    density : float
-        Sampling density of the frame over that of the frames that `SMOOTHNESS` is for. It scales
-        the weight of boundaries: in a smaller frame, costs fall with the area, boundaries only
-        with the length.
-
     References
     ----------
     Nieuwenhuis, Töppe, Cremers, "A survey and comparison of discrete and continuous multi-label
@@ -52,21 +43,26 @@ class Potts:
     10.1007/s11263-013-0619-y.
     """
 
-    def __init__(self, frame: np.ndarray, *, density: float = 1.0) -> None:
+    def __init__(
+        self,
+        frame: np.ndarray,  # (H, W) float32: grey levels
+        *,
+        # Sampling density of the frame over that of the frames that `SMOOTHNESS` is for. It scales
+        # the weight of boundaries: in a smaller frame, costs fall with the area, boundaries only
+        # with the length.
+        density: float = 1.0,
+    ) -> None:
         self._smoothness = replace(SMOOTHNESS, alpha=SMOOTHNESS.alpha * density)
         self._grid = lane_grid(*frame.shape)
         self._edges = image_edges_in_lanes(self._grid, frame, SMOOTHNESS.image_edges)
 
-    def assign(self, costs: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """Return the labels, (H, W) int32.
-
-        Parameters
-        ----------
-        costs : (K, H, W) float32
-            Cost of every label.
-        weight : (H, W) float32
-            Weight of each pixel's costs; at small weights the neighbours decide.
-        """
+    def assign(
+        self,
+        costs: np.ndarray,  # (K, H, W) float32: cost of every label
+        # (H, W) float32: weight of each pixel's costs; at small weights the neighbours decide
+        weight: np.ndarray,
+    ) -> np.ndarray:
+        """Return the labels, (H, W) int32."""
         if len(costs) == 1:
             return np.zeros(costs.shape[1:], np.int32)
         shares = np.exp(-0.5 * (costs - costs.min(axis=0)))
@@ -110,17 +106,6 @@ class MinSum:
     message to its neighbour, the least cost of each of the neighbour's labels given the messages
     from the other neighbours. Boundaries cost their length, as in the Potts model.
 
-    Parameters
-    ----------
-    free : (H, W) bool
-        The mask; other pixels keep their labels.
-    frame : (H, W) float32
-        Grey levels.
-    length : float
-        Cost of a boundary per px of its length, where the frame is uniform.
-    image_edges : float
-        κ: a step ΔI of the frame divides that cost by 1 + κ|ΔI|/m, with m the mean of |ΔI|.
-
     References
     ----------
     Szeliski et al., "A comparative study of energy minimization methods for Markov random fields
@@ -129,10 +114,11 @@ class MinSum:
 
     def __init__(
         self,
-        free: np.ndarray,
-        frame: np.ndarray,
+        free: np.ndarray,  # (H, W) bool: the mask; other pixels keep their labels
+        frame: np.ndarray,  # (H, W) float32: grey levels
         *,
-        length: float,
+        length: float,  # cost of a boundary per px of its length, where the frame is uniform
+        # κ: a step ΔI of the frame divides that cost by 1 + κ|ΔI|/m, with m the mean of |ΔI|
         image_edges: float,
     ) -> None:
         rows, columns = np.nonzero(free)
@@ -155,16 +141,12 @@ class MinSum:
             known = np.flatnonzero((number[there] == count) & inside[there])
             self._fixed.append((known, there[0][known] - 1, there[1][known] - 1))
 
-    def assign(self, costs: np.ndarray, labels: np.ndarray) -> np.ndarray:
-        """Return the labels of the free pixels, (N,) int32.
-
-        Parameters
-        ----------
-        costs : (K, N) float32
-            Cost of every label.
-        labels : (H, W) int32
-            The labels of pixels outside the mask count.
-        """
+    def assign(
+        self,
+        costs: np.ndarray,  # (K, N) float32: cost of every label
+        labels: np.ndarray,  # (H, W) int32: the labels of pixels outside the mask count
+    ) -> np.ndarray:
+        """Return the labels of the free pixels, (N,) int32."""
         count = len(costs)
         total = np.zeros((count, costs.shape[1] + 1), np.float32)
         total[:, :-1] = costs

@@ -43,35 +43,19 @@ PIXEL_GAIN = 0.2  # units for each pixel of the layer: a motion spread over a ba
 
 @dataclass(frozen=True, kw_only=True)
 class Layers:
-    """Rigid motions and a label for every pixel.
+    """Rigid motions and a label for every pixel."""
 
-    Attributes
-    ----------
-    motions : list of (3, 4) array
-    labels : (H, W) int32
-    hidden : (H, W) bool
-        Pixels of frame 0 that are not visible in frame 1.
-    costs : (K, H, W) float32
-        Cost of each layer, in units.
-    unit : float
-        Squared residual of a unit of cost: px² if constraints are normalised, else squared grey
-        levels.
-    flows : (K, 2, H, W) float32
-        Flow of each layer's surface, at every pixel.
-    reach : (K, H, W) bool
-        Pixels that may have the motion.
-    floats : (H, W) int32
-        Parts of the background (label 0) that would float if they were at rest
-        (`floating_parts`), numbered from 1.
-    """
-
-    motions: list[np.ndarray]
-    labels: np.ndarray
-    hidden: np.ndarray
-    costs: np.ndarray
+    motions: list[np.ndarray]  # list of (3, 4) array
+    labels: np.ndarray  # (H, W) int32
+    hidden: np.ndarray  # (H, W) bool: pixels of frame 0 that are not visible in frame 1
+    costs: np.ndarray  # (K, H, W) float32: cost of each layer, in units
+    # squared residual of a unit of cost: px² if constraints are normalised, else squared grey
+    # levels
     unit: float
-    flows: np.ndarray
-    reach: np.ndarray
+    flows: np.ndarray  # (K, 2, H, W) float32: flow of each layer's surface, at every pixel
+    reach: np.ndarray  # (K, H, W) bool: pixels that may have the motion
+    # (H, W) int32: parts of the background (label 0) that would float if they were at rest
+    # (`floating_parts`), numbered from 1
     floats: np.ndarray
 
 
@@ -86,24 +70,15 @@ class _Surface:
 
 
 class Layering:
-    """Fits layers to a pair of frames and removes layers that are not needed.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    settings : Settings
-    grey0 : (H, W) float32
-        Grey levels of frame 0.
-    density : float
-        Sampling density of the finest level over that of the original frames.
-    """
+    """Fits layers to a pair of frames and removes layers that are not needed."""
 
     def __init__(
         self,
         pyramid: ImagePyramid,
         settings: Settings,
-        grey0: np.ndarray,
+        grey0: np.ndarray,  # (H, W) float32: grey levels of frame 0
         *,
+        # sampling density of the finest level over that of the original frames
         density: float = 1.0,
     ) -> None:
         self._pyramid = pyramid
@@ -122,25 +97,15 @@ class Layering:
 
     def fitted(
         self,
-        motions: list[np.ndarray],
-        labels: np.ndarray,
-        hidden: np.ndarray,
+        motions: list[np.ndarray],  # list of (3, 4) array
+        labels: np.ndarray,  # (H, W) int32
+        hidden: np.ndarray,  # (H, W) bool
         *,
+        # (K, H, W) bool: pixels that may have each motion, by default all
         reach: np.ndarray | None = None,
-        rounds: int = 2,
+        rounds: int = 2,  # number of alternations; a single motion needs one only
     ) -> Layers:
-        """Return the layers after fitting surfaces and labels alternately.
-
-        Parameters
-        ----------
-        motions : list of (3, 4) array
-        labels : (H, W) int32
-        hidden : (H, W) bool
-        reach : (K, H, W) bool, optional
-            Pixels that may have each motion, by default all.
-        rounds : int
-            Number of alternations; a single motion needs one only.
-        """
+        """Return the layers after fitting surfaces and labels alternately."""
         if reach is None:
             reach = np.ones((len(motions), *labels.shape), bool)
         for _ in range(rounds if len(motions) > 1 else 1):
@@ -343,16 +308,13 @@ class Layering:
         return floating_parts(surface.inverse_depth, deviation, self.smallest)
 
 
-def without_specks(labels: np.ndarray, smallest: int) -> np.ndarray:
+def without_specks(
+    labels: np.ndarray,  # (H, W) int32
+    smallest: int,  # fewest pixels of a part
+) -> np.ndarray:
     """Return the labels, where small connected parts take the nearest other label.
 
     If all parts of a label are small, its largest part stays.
-
-    Parameters
-    ----------
-    labels : (H, W) int32
-    smallest : int
-        Fewest pixels of a part.
     """
     kept = np.zeros(labels.shape, bool)
     for label in np.unique(labels):

@@ -31,33 +31,16 @@ FEW = 0.02  # of the pixels: if more diverge, the whole pair has diverged, and p
 def stable_depth(
     pyramid: ImagePyramid,
     settings: Settings,
-    motions: np.ndarray,
-    labels: np.ndarray,
-    expected: np.ndarray,
-    finish: Callable[[RigidSolution], Estimate],
-) -> tuple[RigidSolution, Estimate]:
+    motions: np.ndarray,  # (K, 3, 4) array: R and t of each motion, the largest label's first
+    labels: np.ndarray,  # (H, W) int32
+    expected: np.ndarray,  # (2, H, W) float32: flow of the layers
+    finish: Callable[[RigidSolution], Estimate],  # returns the estimate of a solution
+) -> tuple[RigidSolution, Estimate]:  # the solution and its estimate
     """Estimate motions and depth of several labels, and restore diverged labels and pixels.
 
     A label whose flow diverges keeps the motion and the depth of its layer; the largest label is
     never restored. If few pixels diverge, they take the depth of the nearest good pixels of their
     label, or 0 if there are none. The precision of restored pixels is computed anew.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    settings : Settings
-    motions : (K, 3, 4) array
-        R and t of each motion, the largest label's first.
-    labels : (H, W) int32
-    expected : (2, H, W) float32
-        Flow of the layers.
-    finish : callable
-        Returns the estimate of a solution.
-
-    Returns
-    -------
-    RigidSolution, Estimate
-        The solution and its estimate.
     """
     side = max(labels.shape)
     solution = rigid_depth(pyramid, settings, motions, labels)

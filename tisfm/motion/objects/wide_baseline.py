@@ -20,7 +20,8 @@ BEYOND = 15  # px: window around a pixel outside frame 1 in which the flow is un
 def wide_baseline_motion(
     pyramid: ImagePyramid,
     settings: Settings,
-    start: FirstMotion,
+    start: FirstMotion,  # first motion of a flow field alone, on the finest level
+    # grey0, grey1: (H, W) float32, grey levels of the frames
     grey0: np.ndarray,
     grey1: np.ndarray,
 ) -> FirstMotion:
@@ -30,15 +31,6 @@ def wide_baseline_motion(
     differs from frame 0 only by parallax and moving objects, which a flow field shows. Pixels that
     frame 1 does not see do not count. If this flow field fails as well, the result is the motion
     of the matches and its flow.
-
-    Parameters
-    ----------
-    pyramid : ImagePyramid
-    settings : Settings
-    start : FirstMotion
-        First motion of a flow field alone, on the finest level.
-    grey0, grey1 : (H, W) float32
-        Grey levels of the frames.
     """
     far = sparse_start(pyramid, start.level, None)
     if far is None:

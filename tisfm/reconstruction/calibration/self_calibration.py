@@ -53,34 +53,22 @@ MIN_BEND = 0.03
 
 
 def find_models_and_focal(
+    # views, matches, shape: as for `tisfm.reconstruction.mapping.models.find_models`
     views: Sequence[View],
     matches: Mapping[tuple[int, int], np.ndarray],
-    camera: Camera,
+    camera: Camera,  # a pinhole with a known centre; its focal length is a guess
     shape: tuple[int, int],
-    calibrate: Calibrate,
+    calibrate: Calibrate,  # ``"radial"`` estimates a radial coefficient too
     *,
+    # share of the focal length: an estimate with a larger standard deviation is no better than the
+    # guess
     limit: float = MAX_USEFUL_DEVIATION,
 ) -> tuple[list[Model], FocalEstimate | None]:
     """Find poses of views, points of tracks, and the focal length that fits them best.
 
-    Parameters
-    ----------
-    views, matches, shape
-        As for `tisfm.reconstruction.mapping.models.find_models`.
-    camera : Camera
-        A pinhole with a known centre; its focal length is a guess.
-    calibrate : {"focal", "radial"}
-        ``"radial"`` estimates a radial coefficient too.
-    limit : float
-        Share of the focal length: an estimate with a larger standard deviation is no better than
-        the guess.
-
-    Returns
-    -------
-    models : list of Model
-        Models with the estimated focal length, or with the guess if the guess is as good.
-    found : FocalEstimate or None
-        None if no focal length leads to a path, or if few views show parallax with the estimate.
+    Returns models, models with the estimated focal length, or with the guess if the guess is as
+    good; found, none if no focal length leads to a path, or if few views show parallax with the
+    estimate.
     """
     shared = ViewGraph.of(views, matches, shape, focal_known=False)
     begun = _best_start(shared, camera, calibrate)

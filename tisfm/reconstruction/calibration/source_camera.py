@@ -33,31 +33,16 @@ ADVICE = "give it if you know it, for instance from a calibration"
 
 @dataclass(frozen=True, kw_only=True)
 class SourceCamera:
-    """The camera of a source's frames.
+    """The camera of a source's frames."""
 
-    Attributes
-    ----------
-    full : Camera
-        Camera of the frames of the source, before crop and reduction.
-    shape : (int, int)
-        Height and width of these frames, px.
-    used : Camera
-        Camera of the frames after crop and reduction.
-    rows : float
-        Share of a full frame's rows that the crop keeps. The readout time of a used frame is this
-        share of the readout time of the full frame.
-    guess : FocalGuess or None
-        The guess of the focal length; None if a camera was given.
-    stated : Calibration
-        Known calibration of a given camera.
-    """
-
-    full: Camera
-    shape: tuple[int, int]
-    used: Camera
+    full: Camera  # camera of the frames of the source, before crop and reduction
+    shape: tuple[int, int]  # height and width of these frames, px
+    used: Camera  # camera of the frames after crop and reduction
+    # Share of a full frame's rows that the crop keeps. The readout time of a used frame is this
+    # share of the readout time of the full frame.
     rows: float
-    guess: FocalGuess | None
-    stated: Calibration
+    guess: FocalGuess | None  # the guess of the focal length; None if a camera was given
+    stated: Calibration  # known calibration of a given camera
 
     @classmethod
     def of_first_frame(
@@ -101,23 +86,18 @@ class SourceCamera:
 
     def calibration(
         self,
+        # found, used, sought, focal: as `found`, `camera`, `sought` and `focal` of
+        # `make_calibration`
         found: FocalEstimate | None,
         used: Camera,
         *,
         sought: bool,
         focal: float,
+        # (float, float): estimated readout time of used frames, and its standard deviation, in
+        # intervals between frames
         readout: tuple[float, float] | None = None,
     ) -> Calibration:
-        """Return the origin and the uncertainty of the camera, in px of full frames.
-
-        Parameters
-        ----------
-        found, used, sought, focal
-            As `found`, `camera`, `sought` and `focal` of `make_calibration`.
-        readout : (float, float), optional
-            Estimated readout time of used frames, and its standard deviation, in intervals between
-            frames.
-        """
+        """Return the origin and the uncertainty of the camera, in px of full frames."""
         calibration = make_calibration(
             found,
             self.guess,
@@ -137,34 +117,18 @@ class SourceCamera:
 
 
 def make_calibration(
+    # estimate from the sequence, px of the used frames (after crop and reduction)
     found: FocalEstimate | None,
+    # guess from the first file or the size of frames; None if a camera was given
     guess: FocalGuess | None,
-    camera: Camera,
+    camera: Camera,  # camera of the used frames
     *,
-    sought: bool,
-    focal: float,
-    shape: tuple[int, int],
-    stated: Calibration = GIVEN,
+    sought: bool,  # whether the focal length was to be estimated from the sequence
+    focal: float,  # focal length of `camera`, px of the frames of the source
+    shape: tuple[int, int],  # height and width of the frames of the source, px
+    stated: Calibration = GIVEN,  # known calibration of a given camera
 ) -> Calibration:
-    """Return the origin and uncertainty of a focal length, in px of the frames of the source.
-
-    Parameters
-    ----------
-    found : FocalEstimate or None
-        Estimate from the sequence, px of the used frames (after crop and reduction).
-    guess : FocalGuess or None
-        Guess from the first file or the size of frames; None if a camera was given.
-    camera : Camera
-        Camera of the used frames.
-    sought : bool
-        Whether the focal length was to be estimated from the sequence.
-    focal : float
-        Focal length of `camera`, px of the frames of the source.
-    shape : (int, int)
-        Height and width of the frames of the source, px.
-    stated : Calibration
-        Known calibration of a given camera.
-    """
+    """Return the origin and uncertainty of a focal length, in px of the frames of the source."""
     if not sought and guess is None:
         return replace(stated, focal=focal, shape=shape)
     if found is None or not found.is_of_use:

@@ -35,57 +35,29 @@ from tisfm.version import __version__
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chunk:
-    """A chunk, with all that a process needs to reconstruct it.
+    """A chunk, with all that a process needs to reconstruct it."""
 
-    Attributes
-    ----------
-    folder : Path
-        The folder that the chunk is written to, an absolute path.
-    source : str or list of str
-        Absolute paths of the source.
-    span : Span
-        The frames of the chunk.
-    frames : mapping
-        Further arguments of `tisfm.reconstruct` that select frames and their parts.
-    camera : Camera, Path or None
-    calibrate : {"nothing", "focal", "radial"}
-    settings : Settings
-    poses : (N, 4, 4) float64, or None
-        Poses of the frames, if given.
-    depth_of : {"all", "keyframes", "none"}
-    asked : str
-        Digest of the request of the whole sequence.
-    arch, threads
-        As for `tisfm.runtime.start`.
-    listing : Listing
-        The files of the frames, as the parent process sees them.
-    stop : int or None
-        Number of the frame of the source before which the selection ends.
-    alive : Path
-        A file that exists as long as the parent process waits for the chunk.
-    lanes : int
-        Lanes of the vectors of the CPU of the parent process.
-    version : str
-        Version of tisfm in the parent process.
-    """
-
-    folder: Path
-    source: Source
-    span: Span
+    folder: Path  # the folder that the chunk is written to, an absolute path
+    source: Source  # absolute paths of the source
+    span: Span  # the frames of the chunk
+    # further arguments of `tisfm.reconstruct` that select frames and their parts
     frames: Mapping[str, Any]
     camera: Camera | Path | None
     calibrate: Calibrate
     settings: Settings
+    # (N, 4, 4) float64, or None: poses of the frames, if given
     poses: np.ndarray | None = field(repr=False, default=None)
     depth_of: DepthOf = "all"
-    asked: str
-    listing: Listing
-    stop: int | None = None
+    asked: str  # digest of the request of the whole sequence
+    listing: Listing  # the files of the frames, as the parent process sees them
+    stop: int | None = None  # number of the frame of the source before which the selection ends
+    # arch, threads: as for `tisfm.runtime.start`
     arch: Arch | None = None
     threads: int | None = None
-    alive: Path = Path()
+    alive: Path = Path()  # a file that exists as long as the parent process waits for the chunk
+    # lanes of the vectors of the CPU of the parent process
     lanes: int = field(default_factory=runtime.cpu_lanes)
-    version: str = __version__
+    version: str = __version__  # version of tisfm in the parent process
 
     @property
     def account(self) -> Path:

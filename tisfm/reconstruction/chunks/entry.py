@@ -183,10 +183,7 @@ class ChunkedRun:
     def is_done(self) -> bool:
         """Return whether the folder holds the complete result.
 
-        Raises
-        ------
-        ValueError
-            If the folder holds a result, or chunks, of another request.
+        Raises ValueError if the folder holds a result, or chunks, of another request.
         """
         chunks = read_request(self.folder / CHUNKS)
         if chunks is None:
@@ -197,24 +194,18 @@ class ChunkedRun:
         return same and is_done(self.folder, self.asked)
 
     def result(
-        self, finished: Finished, *, resume: bool = False, progress: Progress | None = None
+        self,
+        # ``finished(function, items)`` calls a function, which can be pickled, with each item, in
+        # any process. It yields (number of the item, result) in the order in which items finish.
+        finished: Finished,
+        *,
+        resume: bool = False,  # keep the complete chunks that lie in the folder
+        progress: Progress | None = None,  # as for `tisfm.reconstruct`
     ) -> Reconstruction:
         """Reconstruct the chunks and join them; chunks stay until `finish`.
 
-        Parameters
-        ----------
-        finished : callable
-            ``finished(function, items)`` calls a function, which can be pickled, with each item, in
-            any process. It yields (number of the item, result) in the order in which items finish.
-        resume : bool
-            Keep the complete chunks that lie in the folder.
-        progress : callable, optional
-            As for `tisfm.reconstruct`.
-
-        Raises
-        ------
-        Exception
-            As `tisfm.reconstruct`; ValueError if chunks in the folder are of another request.
+        Raises Exception: as `tisfm.reconstruct`; ValueError if chunks in the folder are of another
+        request.
         """
         from tisfm.reconstruction.chunks.joining import write_whole
 
@@ -274,23 +265,17 @@ class ChunkedRun:
 
 
 def reconstruct_in_chunks(
+    # source, folder, options: as for `ChunkedRun`
     source: Source,
     folder: str | os.PathLike[str],
     *,
+    # finished, resume, progress: as for `ChunkedRun.result`
     finished: Finished,
     resume: bool = False,
     progress: Progress | None = None,
     **options: Any,
 ) -> Reconstruction:
-    """Reconstruct a sequence in chunks of frames, and return the joined result.
-
-    Parameters
-    ----------
-    source, folder, **options
-        As for `ChunkedRun`.
-    finished, resume, progress
-        As for `ChunkedRun.result`.
-    """
+    """Reconstruct a sequence in chunks of frames, and return the joined result."""
     run = ChunkedRun(source, folder, **options)
     if resume and run.is_done():
         run.finish()

@@ -17,30 +17,15 @@ from tisfm.status import Status
 
 
 def write_whole(
-    folder: Path,
+    folder: Path,  # the folder of the whole, prepared for writing
     parts: Sequence[ChunkResult],
-    places: Sequence[ChunkPlacement],
+    places: Sequence[ChunkPlacement],  # placement of each frame of the whole
     *,
-    camera: Reconstruction,
-    missing: Mapping[int, Status],
-    notes: Sequence[str],
+    camera: Reconstruction,  # the result whose camera all chunks share
+    missing: Mapping[int, Status],  # frames without a given pose, and the reasons
+    notes: Sequence[str],  # notes on how the source was read
 ) -> Reconstruction:
-    """Write the whole sequence; the chunks stay unchanged.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder of the whole, prepared for writing.
-    parts : sequence of ChunkResult
-    places : sequence of ChunkPlacement
-        Placement of each frame of the whole.
-    camera : Reconstruction
-        The result whose camera all chunks share.
-    missing : mapping of int to Status
-        Frames without a given pose, and the reasons.
-    notes : sequence of str
-        Notes on how the source was read.
-    """
+    """Write the whole sequence; the chunks stay unchanged."""
     first = parts[0].result
     for frame, place in enumerate(places):
         source = parts[place.part].result.folder

@@ -41,39 +41,24 @@ Shared = Sequence[tuple[int, int]]
 
 @dataclass(frozen=True, kw_only=True)
 class ChunkOverlap:
-    """The similarity between a piece of one chunk and a piece of the next.
+    """The similarity between a piece of one chunk and a piece of the next."""
 
-    Attributes
-    ----------
-    first, second : int
-        Numbers of the pieces.
-    similarity : (4, 4) float64
-        From the coordinates of the second piece to those of the first.
-    frames : int
-        Number of frames that both pieces share.
-    """
-
+    # first, second: numbers of the pieces
     first: int
     second: int
+    # (4, 4) float64: from the coordinates of the second piece to those of the first
     similarity: np.ndarray
-    frames: int
+    frames: int  # number of frames that both pieces share
 
 
 def overlap_sim3(
-    first: Reconstruction, second: Reconstruction, shared: Shared
+    first: Reconstruction,
+    second: Reconstruction,
+    shared: Shared,  # sequence of (int, int): shared frames with a pose in both results
 ) -> np.ndarray | None:
     """Return the similarity between two pieces; None if it is unknown.
 
-    Parameters
-    ----------
-    first, second : Reconstruction
-    shared : sequence of (int, int)
-        Shared frames with a pose in both results.
-
-    Returns
-    -------
-    (4, 4) float64, or None
-        From the coordinates of the second to those of the first.
+    Returns (4, 4) float64, or None: from the coordinates of the second to those of the first.
     """
     poses, others = (
         one.poses[[pair[k] for pair in shared]] for k, one in enumerate((first, second))

@@ -16,26 +16,16 @@ from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 @dataclass(frozen=True, kw_only=True)
 class ChunkResult:
-    """The result of a chunk.
-
-    Attributes
-    ----------
-    result : Reconstruction
-    frames : dict of int to int
-        Number of each frame in the result, by its number in the source.
-    """
+    """The result of a chunk."""
 
     result: Reconstruction
-    frames: dict[int, int]
+    frames: dict[int, int]  # number of each frame in the result, by its number in the source
 
     @classmethod
     def of(cls, result: Reconstruction, span: Span, taken: range) -> "ChunkResult":
         """Return the result of a chunk, for its span of the selected frames.
 
-        Raises
-        ------
-        ValueError
-            If the result has another number of frames.
+        Raises ValueError if the result has another number of frames.
         """
         skipped = {index for index, _ in result.skipped}
         left = [index for index in taken[span.of(taken)] if index not in skipped]
@@ -53,37 +43,22 @@ class ChunkResult:
 
 @dataclass(frozen=True, kw_only=True)
 class ChunkPlacement:
-    """The chunk that a frame of the whole is taken from, and the frame's pose and scale.
+    """The chunk that a frame of the whole is taken from, and the frame's pose and scale."""
 
-    Attributes
-    ----------
-    part, number : int
-        Number of the chunk, and number of the frame in the chunk.
-    piece : int
-        Number of the piece in the whole; −1 for none.
-    pose : (4, 4) float64
-        Camera to world; NaN for a frame without a pose.
-    scale : float
-        Factor for the depth of the chunk.
-    """
-
+    # part, number: number of the chunk, and number of the frame in the chunk
     part: int
     number: int
-    piece: int
-    pose: np.ndarray
-    scale: float
+    piece: int  # number of the piece in the whole; −1 for none
+    pose: np.ndarray  # (4, 4) float64: camera to world; NaN for a frame without a pose
+    scale: float  # factor for the depth of the chunk
 
 
-def place_chunks(parts: Sequence[ChunkResult], *, are_given: bool) -> list[ChunkPlacement]:
-    """Return the placement of every frame of the whole, in order.
-
-    Parameters
-    ----------
-    parts : sequence of ChunkResult
-        Results in order; each shares frames with the next.
-    are_given : bool
-        Whether poses were given. All results then have one world and one unit.
-    """
+def place_chunks(
+    parts: Sequence[ChunkResult],  # results in order; each shares frames with the next
+    *,
+    are_given: bool,  # Whether poses were given. All results then have one world and one unit.
+) -> list[ChunkPlacement]:
+    """Return the placement of every frame of the whole, in order."""
     owners = _owners(parts)
     nodes = [(k, piece) for k, part in enumerate(parts) for piece in range(len(part.result.unit))]
     if are_given:

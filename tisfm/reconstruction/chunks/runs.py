@@ -44,29 +44,17 @@ class ReconstructRun(Protocol):
 
 
 class WholeRun:
-    """A reconstruction of the whole sequence in this process.
-
-    Parameters
-    ----------
-    source : Source
-    folder : Path
-    options : mapping
-        Arguments of `tisfm.reconstruct`, except those in `frames`.
-    frames : FrameSelection
-    others : mapping
-        Further options of the command, as JSON values.
-    arch, threads
-        As for `tisfm.runtime.start`.
-    """
+    """A reconstruction of the whole sequence in this process."""
 
     def __init__(
         self,
         source: Source,
         folder: Path,
-        options: Mapping[str, Any],
+        options: Mapping[str, Any],  # arguments of `tisfm.reconstruct`, except those in `frames`
         *,
         frames: FrameSelection,
-        others: Mapping[str, Any],
+        others: Mapping[str, Any],  # further options of the command, as JSON values
+        # arch, threads: as for `tisfm.runtime.start`
         arch: Arch | None,
         threads: int | None,
     ) -> None:
@@ -124,22 +112,11 @@ class WholeRun:
 
 
 class ChunksRun:
-    """A reconstruction in chunks, by several processes.
-
-    Parameters
-    ----------
-    source, folder, options, frames, others, arch, threads
-        As for `WholeRun`.
-    chunk : int
-        Largest number of frames of a chunk.
-    workers : int
-        Number of processes.
-    cluster : str or None
-        The address of a Dask scheduler, whose workers compute instead.
-    """
+    """A reconstruction in chunks, by several processes."""
 
     def __init__(
         self,
+        # source, folder, options, frames, others, arch, threads: as for `WholeRun`
         source: Source,
         folder: Path,
         options: Mapping[str, Any],
@@ -148,9 +125,9 @@ class ChunksRun:
         others: Mapping[str, Any],
         arch: Arch | None,
         threads: int | None,
-        chunk: int,
-        workers: int,
-        cluster: str | None,
+        chunk: int,  # largest number of frames of a chunk
+        workers: int,  # number of processes
+        cluster: str | None,  # the address of a Dask scheduler, whose workers compute instead
     ) -> None:
         taken = {k: v for k, v in options.items() if k not in ("labels", "object_sizes")}
         if workers > 1 and cluster is None:  # each process gets its share of the cores

@@ -21,19 +21,12 @@ MAX_TRIED_CHUNKS = 8
 
 @dataclass(frozen=True, kw_only=True)
 class SharedCamera:
-    """A camera for all chunks, and the result from which it was found.
+    """A camera for all chunks, and the result from which it was found."""
 
-    Attributes
-    ----------
-    camera : Path
-        Its file, for the frames of the source. The readout time is known; the file states whether
-        the focal length is a guess.
-    found : Reconstruction
-        A path without depth.
-    """
-
+    # Its file, for the frames of the source. The readout time is known; the file states whether the
+    # focal length is a guess.
     camera: Path
-    found: Reconstruction
+    found: Reconstruction  # a path without depth
 
 
 def is_sought(chunk: Chunk, camera: Camera | None) -> bool:
@@ -43,21 +36,14 @@ def is_sought(chunk: Chunk, camera: Camera | None) -> bool:
     return chunk.calibrate != "nothing" or camera is None or camera.readout is None
 
 
-def shared_camera(chunks: Sequence[Chunk], finished: Finished, folder: Path) -> SharedCamera:
+def shared_camera(
+    chunks: Sequence[Chunk],  # all chunks, before the camera is known
+    finished: Finished,
+    folder: Path,  # the folder for the file of the camera and for the paths that it is found from
+) -> SharedCamera:
     """Find the camera from the first chunk, or from other chunks if the first one fails.
 
-    Parameters
-    ----------
-    chunks : sequence of Chunk
-        All chunks, before the camera is known.
-    finished : callable
-    folder : Path
-        The folder for the file of the camera and for the paths that it is found from.
-
-    Raises
-    ------
-    Exception
-        As `tisfm.reconstruct`.
+    Raises Exception: as `tisfm.reconstruct`.
     """
     first, *others = [
         replace(chunk, folder=folder / f"camera-{number:03d}", depth_of="none")
@@ -95,10 +81,7 @@ def _made(chunks: Sequence[Chunk], finished: Finished) -> Iterator[tuple[int, Re
 def made(chunks: Sequence[Chunk], finished: Finished) -> Iterator[int]:
     """Make the incomplete chunks; yield their numbers as they become complete.
 
-    Raises
-    ------
-    Exception
-        As `tisfm.reconstruct`.
+    Raises Exception: as `tisfm.reconstruct`.
     """
     missing = []
     for number, chunk in enumerate(chunks):

@@ -18,21 +18,11 @@ MIN_CHUNK = 12
 
 @dataclass(frozen=True, kw_only=True)
 class Span:
-    """The frames of a chunk.
+    """The frames of a chunk."""
 
-    Attributes
-    ----------
-    start : int
-        Number of the first frame in the source.
-    stop : int or None
-        Number of the first frame after the chunk; None for the end of the source.
-    count : int
-        Number of frames.
-    """
-
-    start: int
-    stop: int | None
-    count: int
+    start: int  # number of the first frame in the source
+    stop: int | None  # number of the first frame after the chunk; None for the end of the source
+    count: int  # number of frames
 
     def of(self, taken: range) -> slice:
         """Return the slice of the chunk in the selected frames."""
@@ -51,18 +41,12 @@ def overlap_of(chunk: int) -> int:
     return min(MAX_OVERLAP, chunk // MIN_OVERLAP_DIVISOR)
 
 
-def spans_of(taken: range, stop: int | None, chunk: int) -> list[Span]:
-    """Return the frames of each chunk; their lengths are as equal as possible.
-
-    Parameters
-    ----------
-    taken : range
-        Numbers of all selected frames in the source.
-    stop : int or None
-        The end of the selection, as given; the last chunk ends there.
-    chunk : int
-        Largest number of frames of a chunk.
-    """
+def spans_of(
+    taken: range,  # numbers of all selected frames in the source
+    stop: int | None,  # the end of the selection, as given; the last chunk ends there
+    chunk: int,  # largest number of frames of a chunk
+) -> list[Span]:
+    """Return the frames of each chunk; their lengths are as equal as possible."""
     count, overlap = len(taken), overlap_of(chunk)
     chunks = 1 if count <= chunk else -(-(count - overlap) // (chunk - overlap))
     begins = [k * (count - overlap) // chunks for k in range(chunks + 1)]

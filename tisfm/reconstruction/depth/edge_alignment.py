@@ -17,15 +17,13 @@ GREY_SCALE = 10.0
 
 
 def align_edges(
-    inverse_depth: np.ndarray, deviation: np.ndarray, frame: np.ndarray
+    # inverse_depth, deviation, frame: (H, W) float32, the frame has grey levels. If any inverse
+    # depth is not finite, nothing changes.
+    inverse_depth: np.ndarray,
+    deviation: np.ndarray,
+    frame: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return inverse depth and its deviation, with edges moved to the image edges nearby.
-
-    Parameters
-    ----------
-    inverse_depth, deviation, frame : (H, W) float32
-        The frame has grey levels. If any inverse depth is not finite, nothing changes.
-    """
+    """Return inverse depth and its deviation, with edges moved to the image edges nearby."""
     if not np.isfinite(inverse_depth).all():
         return inverse_depth, deviation
     depth = np.ascontiguousarray(inverse_depth)

@@ -33,22 +33,14 @@ def match_weights(window: Window, planes: WindowPlanes) -> np.ndarray:
     return np.stack([weight, np.where(weight > 0, depth, 0)]).astype(np.float32)
 
 
-def deviation_of_match(window: Window, inverse_depth: np.ndarray) -> np.ndarray:
+def deviation_of_match(
+    window: Window,
+    inverse_depth: np.ndarray,  # (h, w) float32: D, cells
+) -> np.ndarray:  # (h, w) float32: infinite where the image is flat
     """Return the standard deviation of D, in cells, that the image around each cell allows.
 
     It is the deviation of a least-squares fit of D to grey levels with noise σ: σ_D² =
     2 σ² / Σ (∇I·∂x/∂D)². The sum goes over the cells close by and over the best frames.
-
-    Parameters
-    ----------
-    window : Window
-    inverse_depth : (h, w) float32
-        D, cells.
-
-    Returns
-    -------
-    (h, w) float32
-        Infinite where the image is flat.
     """
     frame = window.of_cells(0)
     noise = noise_deviation(frame) ** 2

@@ -19,15 +19,20 @@ MIN_GAIN = 0.03
 
 
 def choose_neighbours(
+    # (N, 4, 4) float64: camera to world. A frame without a pose has NaN and is never chosen.
     poses: np.ndarray,
-    key: int,
+    key: int,  # number of the keyframe
+    # (h, w) array or float: a rough inverse depth of the keyframe, 1/unit of the poses. Where it is
+    # not finite or not positive it is unknown; the median takes its place.
     inverse_depth: np.ndarray | float,
-    camera: Camera,
-    shape: tuple[int, int],
+    camera: Camera,  # a pinhole
+    shape: tuple[int, int],  # height and width of the frames, px
     *,
-    most: int = 4,
+    most: int = 4,  # largest number of chosen frames
+    # Height and width of the uncropped frames, px, if the frames are crops. Parallax is a share of
+    # this width.
     whole: tuple[int, int] | None = None,
-) -> list[int]:
+) -> list[int]:  # numbers of the chosen frames, the best first
     """Choose frames with good parallax for each part of a keyframe, from both sides.
 
     A frame shows a point with the value s = min(1, p/p₁) min(1, p₂/p), where p is the parallax of
@@ -36,34 +41,7 @@ def choose_neighbours(
     frames in which the point moves to either side along its epipolar line: a surface that is hidden
     from one side may be visible from the other.
 
-    Parameters
-    ----------
-    poses : (N, 4, 4) float64
-        Camera to world. A frame without a pose has NaN and is never chosen.
-    key : int
-        Number of the keyframe.
-    inverse_depth : (h, w) array or float
-        A rough inverse depth of the keyframe, 1/unit of the poses. Where it is not finite or not
-        positive it is unknown; the median takes its place.
-    camera : Camera
-        A pinhole.
-    shape : (int, int)
-        Height and width of the frames, px.
-    most : int
-        Largest number of chosen frames.
-    whole : (int, int), optional
-        Height and width of the uncropped frames, px, if the frames are crops. Parallax is a share
-        of this width.
-
-    Returns
-    -------
-    list of int
-        Numbers of the chosen frames, the best first.
-
-    Raises
-    ------
-    ValueError
-        If the keyframe has no pose or no known depth.
+    Raises ValueError if the keyframe has no pose or no known depth.
     """
     poses = np.asarray(poses, np.float64)
     if not np.isfinite(poses[key]).all():

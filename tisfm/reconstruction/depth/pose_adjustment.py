@@ -65,48 +65,27 @@ Frames = Callable[[int], np.ndarray]
 
 @dataclass(kw_only=True)
 class KeyframeWindow:
-    """A keyframe, its depth, and the frames that it is compared with.
-
-    Attributes
-    ----------
-    key : int
-    members : tuple of int
-    inverse_depth : (h, w) float32
-        Inverse depth of the keyframe at pyramid level `level`, 1/unit of the poses.
-    weight : (h, w) float32
-        Weight of each pixel, in [0, 1].
-    level : int
-    """
+    """A keyframe, its depth, and the frames that it is compared with."""
 
     key: int
     members: tuple[int, ...]
+    # (h, w) float32: inverse depth of the keyframe at pyramid level `level`, 1/unit of the poses
     inverse_depth: np.ndarray
-    weight: np.ndarray
+    weight: np.ndarray  # (h, w) float32: weight of each pixel, in [0, 1]
     level: int
 
 
 def make_keyframe_window(
     key: int,
     members: Sequence[int],
-    frame: np.ndarray,
+    frame: np.ndarray,  # (H, W) float32: grey levels of the keyframe
+    # inverse_depth, deviation: (H, W) float32, its inverse depth and the standard deviation. A
+    # pixel with a large deviation gets a small weight.
     inverse_depth: np.ndarray,
     deviation: np.ndarray,
-    counted: np.ndarray | None = None,
+    counted: np.ndarray | None = None,  # (H, W) bool: pixels that are used; by default all
 ) -> KeyframeWindow:
-    """Return the window of a keyframe.
-
-    Parameters
-    ----------
-    key : int
-    members : sequence of int
-    frame : (H, W) float32
-        Grey levels of the keyframe.
-    inverse_depth, deviation : (H, W) float32
-        Its inverse depth and the standard deviation. A pixel with a large deviation gets a small
-        weight.
-    counted : (H, W) bool, optional
-        Pixels that are used; by default all.
-    """
+    """Return the window of a keyframe."""
     level = 0
     while frame.size >> 2 * level > MAX_PIXELS:
         level += 1
@@ -137,32 +116,16 @@ def make_keyframe_window(
 
 
 def adjust_poses(
-    poses: Mapping[int, np.ndarray],
+    poses: Mapping[int, np.ndarray],  # mapping of int to (4, 4) array: camera to world
     windows: Sequence[KeyframeWindow],
-    frames: Frames,
-    camera: Camera,
+    frames: Frames,  # returns a frame by its number, (H, W) float32
+    camera: Camera,  # a pinhole, of the frames
     settings: Settings,
     *,
-    held: Collection[int] = (),
-    rounds: int = ROUNDS,
+    held: Collection[int] = (),  # frames whose poses are fixed; by default the first frame
+    rounds: int = ROUNDS,  # Gauss–Newton steps
 ) -> dict[int, np.ndarray]:
-    """Return poses that fit the images better. The depth of the windows is changed in place.
-
-    Parameters
-    ----------
-    poses : mapping of int to (4, 4) array
-        Camera to world.
-    windows : sequence of KeyframeWindow
-    frames : callable
-        Returns a frame by its number, (H, W) float32.
-    camera : Camera
-        A pinhole, of the frames.
-    settings : Settings
-    held : collection of int
-        Frames whose poses are fixed; by default the first frame.
-    rounds : int
-        Gauss–Newton steps.
-    """
+    """Return poses that fit the images better. The depth of the windows is changed in place."""
     found = {frame: np.array(pose, np.float64) for frame, pose in poses.items()}
     windows = [
         window for window in windows if any(f in found and f != window.key for f in window.members)
@@ -214,16 +177,10 @@ class _FrameCache:
 
 @dataclass(frozen=True, kw_only=True)
 class _NormalEquations:
-    """Normal equations of a window, for small motions of its frames.
+    """Normal equations of a window, for small motions of its frames."""
 
-    Attributes
-    ----------
-    frames : list of int
-        The keyframe, then the members.
-    matrix, vector : (6 M + 6, 6 M + 6) and (6 M + 6,) float64
-    """
-
-    frames: list[int]
+    frames: list[int]  # the keyframe, then the members
+    # matrix, vector: (6 M + 6, 6 M + 6) and (6 M + 6,) float64
     matrix: np.ndarray
     vector: np.ndarray
 

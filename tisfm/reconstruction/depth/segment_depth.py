@@ -49,17 +49,11 @@ DIFFERENCE_TO_DEVIATION = 1.75
 
 @dataclass(frozen=True, kw_only=True)
 class FrameDepth:
-    """Depth of a frame, as it is written.
-
-    Attributes
-    ----------
-    frame : int
-    inverse_depth, deviation : (H, W) float32
-        NaN and infinity where there is no depth. The deviation is infinite at masked pixels as
-        well.
-    """
+    """Depth of a frame, as it is written."""
 
     frame: int
+    # inverse_depth, deviation: (H, W) float32, naN and infinity where there is no depth. The
+    # deviation is infinite at masked pixels as well.
     inverse_depth: np.ndarray
     deviation: np.ndarray
 
@@ -78,44 +72,22 @@ class Frames(Protocol):
 
 
 class PieceDepths:
-    """Iterates over the depth of the frames of a piece.
-
-    Parameters
-    ----------
-    frames : Frames
-    piece : Piece
-    seen : sequence of Observations
-        Tracks of every frame.
-    settings : Settings
-    effort : {"fast", "balanced", "accurate"}
-    before : (int, WindowDepth), optional
-        A keyframe whose depth is known already, and this depth. Depth is found for later frames
-        only.
-    after : int, optional
-        Frames up to this number are skipped, except keyframes.
-    whole : (int, int), optional
-        Height and width of the uncropped frames, if the frames are crops. Depth is found as in the
-        uncropped frames.
-
-    Attributes
-    ----------
-    keyframes : list of int
-        Chosen at the start. The iteration removes keyframes that get no depth.
-    settled : dict of int to WindowDepth
-        Final depth of the last keyframe and of the one before it: fused with the depth of their
-        neighbour keyframes.
-    """
+    """Iterates over the depth of the frames of a piece."""
 
     def __init__(
         self,
         frames: Frames,
         piece: Piece,
-        seen: Sequence[Observations],
+        seen: Sequence[Observations],  # tracks of every frame
         settings: Settings,
         effort: Effort,
         *,
+        # (int, WindowDepth): a keyframe whose depth is known already, and this depth. Depth is
+        # found for later frames only.
         before: tuple[int, WindowDepth] | None = None,
-        after: int = -1,
+        after: int = -1,  # frames up to this number are skipped, except keyframes
+        # Height and width of the uncropped frames, if the frames are crops. Depth is found as in
+        # the uncropped frames.
         whole: tuple[int, int] | None = None,
     ) -> None:
         self._frames, self._piece, self._seen = frames, piece, seen
@@ -126,7 +98,10 @@ class PieceDepths:
         # `_known` has the depth of each keyframe in use from its own window (except for `before`),
         # `settled` the final depth.
         self._known: dict[int, WindowDepth] = {} if before is None else dict([before])
+        # final depth of the last keyframe and of the one before it: fused with the depth of their
+        # neighbour keyframes
         self.settled = dict(self._known)
+        # Chosen at the start. The iteration removes keyframes that get no depth.
         self.keyframes = choose_keyframes(piece, seen, max(self._whole), self._previous)
 
     def __iter__(self) -> Iterator[FrameDepth]:

@@ -36,20 +36,11 @@ FILL_MEDIAN = 20.0
 View = tuple[np.ndarray, np.ndarray]  # inverse depth and its deviation, (H, W) float32 each
 
 
-def relative_difference(inverse_depth: np.ndarray, others: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the mean relative difference of others from an inverse depth around every pixel.
-
-    Parameters
-    ----------
-    inverse_depth : (H, W) float32
-        Positive, or NaN where it is not compared.
-    others : sequence of (H, W) float32
-
-    Returns
-    -------
-    (H, W) float32
-        A share of the inverse depth; 0 where there are no others.
-    """
+def relative_difference(
+    inverse_depth: np.ndarray,  # (H, W) float32: positive, or NaN where it is not compared
+    others: Sequence[np.ndarray],  # sequence of (H, W) float32
+) -> np.ndarray:  # (H, W) float32: a share of the inverse depth; 0 where there are no others
+    """Return the mean relative difference of others from an inverse depth around every pixel."""
     total, count = np.zeros((2, *inverse_depth.shape), np.float32)
     for other in others:
         share = np.abs(other - inverse_depth) / inverse_depth
@@ -78,19 +69,13 @@ def raise_deviation_where_different(views: Sequence[View], times: float) -> list
     return unsure
 
 
-def fuse_views(views: Sequence[View]) -> View:
+def fuse_views(
+    views: Sequence[View],  # naN where a keyframe has no depth
+) -> View:
     """Return the mean of the keyframes that agree most, at every pixel.
 
-    Parameters
-    ----------
-    views : sequence of View
-        NaN where a keyframe has no depth.
-
-    Returns
-    -------
-    inverse_depth, deviation : (H, W) float32
-        NaN where there is none. The keyframes are found from overlapping sets of images, so the
-        mean has no smaller deviation than they have.
+    Returns inverse_depth, deviation, (H, W) float32: naN where there is none. The keyframes are
+    found from overlapping sets of images, so the mean has no smaller deviation than they have.
     """
     depths, spreads = map(np.stack, zip(*views, strict=True))
     known = np.isfinite(depths) & np.isfinite(spreads)
@@ -101,16 +86,14 @@ def fuse_views(views: Sequence[View]) -> View:
 
 
 def fill_holes(
-    inverse_depth: np.ndarray, deviation: np.ndarray, frame: np.ndarray
+    # inverse_depth, deviation, frame: (H, W) float32, the frame has grey levels
+    inverse_depth: np.ndarray,
+    deviation: np.ndarray,
+    frame: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fill holes of inverse depth, which no keyframe shows, and set their deviation.
 
     Slopes are continued as well, up to image edges (`tisfm.solver.second_order`).
-
-    Parameters
-    ----------
-    inverse_depth, deviation, frame : (H, W) float32
-        The frame has grey levels.
     """
     known = np.isfinite(inverse_depth)
     if known.all() or not known.any():
@@ -133,24 +116,15 @@ def fill_holes(
     )
 
 
-def upsample(image: np.ndarray, stride: int, shape: tuple[int, int]) -> np.ndarray:
+def upsample(
+    image: np.ndarray,  # (h, w) float32: every `stride`-th row and column, from 0; positive, or NaN
+    stride: int,  # a power of 2
+    shape: tuple[int, int],  # H and W
+) -> np.ndarray:  # (H, W) float32
     """Return an image at all pixels, from its values at some rows and columns.
 
     A pixel between two similar values has their mean. Where the two differ, the image has an edge,
     and the pixel repeats the value before it.
-
-    Parameters
-    ----------
-    image : (h, w) float32
-        Every `stride`-th row and column, from 0; positive, or NaN.
-    stride : int
-        A power of 2.
-    shape : (int, int)
-        H and W.
-
-    Returns
-    -------
-    (H, W) float32
     """
     while stride > 1:
         image = _twice_the_rows(_twice_the_rows(image).T).T

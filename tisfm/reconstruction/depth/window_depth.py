@@ -93,70 +93,32 @@ AVERAGING_WINDOW = (15, 15)
 
 @dataclass(frozen=True, kw_only=True)
 class WindowDepth:
-    """Inverse depth of a keyframe.
+    """Inverse depth of a keyframe."""
 
-    Attributes
-    ----------
-    inverse_depth : (H, W) float32
-        1/unit of the poses; positive.
-    deviation : (H, W) float32
-        Standard deviation of the inverse depth.
-    believed : (h, w) bool
-        Cells, 2^`level` px a side, with a reliable match.
-    level : int
-    """
-
-    inverse_depth: np.ndarray
-    deviation: np.ndarray
-    believed: np.ndarray
+    inverse_depth: np.ndarray  # (H, W) float32: 1/unit of the poses; positive
+    deviation: np.ndarray  # (H, W) float32: standard deviation of the inverse depth
+    believed: np.ndarray  # (h, w) bool: cells, 2^`level` px a side, with a reliable match
     level: int
 
 
 def window_depth(
-    key: np.ndarray,
-    others: Sequence[np.ndarray],
-    motions: np.ndarray,
-    camera: Camera,
-    settings: Settings,
+    key: np.ndarray,  # (H, W) float32: grey levels on the 8-bit scale
+    others: Sequence[np.ndarray],  # sequence of (H, W) float32: M frames that show the same scene
+    motions: np.ndarray,  # (M, 3, 4) array: R and t from the keyframe to each: P₁ = R P₀ + t
+    camera: Camera,  # a pinhole
+    settings: Settings,  # settings of the data terms
     *,
-    effort: Effort = "balanced",
+    effort: Effort = "balanced",  # how densely planes are matched
+    # (H, W) bool: pixels of the keyframe that count; the others get propagated depth
     key_mask: np.ndarray | None = None,
+    # sequence of (H, W) bool or None: pixels of each other frame that count
     masks: Sequence[np.ndarray | None] | None = None,
-    whole: tuple[int, int] | None = None,
-) -> WindowDepth | None:
+    whole: tuple[int, int] | None = None,  # H and W of the uncropped frames, as for `Window`
+) -> WindowDepth | None:  # none if there are too few reliable matches
     """Estimate the inverse depth of every pixel of a keyframe.
 
-    Parameters
-    ----------
-    key : (H, W) float32
-        Grey levels on the 8-bit scale.
-    others : sequence of (H, W) float32
-        M frames that show the same scene.
-    motions : (M, 3, 4) array
-        R and t from the keyframe to each: P₁ = R P₀ + t.
-    camera : Camera
-        A pinhole.
-    settings : Settings
-        Settings of the data terms.
-    effort : {"fast", "balanced", "accurate"}
-        How densely planes are matched.
-    key_mask : (H, W) bool, optional
-        Pixels of the keyframe that count; the others get propagated depth.
-    masks : sequence of (H, W) bool or None, optional
-        Pixels of each other frame that count.
-    whole : (int, int), optional
-        H and W of the uncropped frames, as for `Window`.
-
-    Returns
-    -------
-    WindowDepth or None
-        None if there are too few reliable matches.
-
-    Raises
-    ------
-    ValueError
-        If there is no other frame, a size differs, a motion is not finite or has no translation, or
-        the effort is unknown.
+    Raises ValueError if there is no other frame, a size differs, a motion is not finite or has no
+    translation, or the effort is unknown.
     """
     others = list(others)
     if effort not in CELLS:
@@ -209,17 +171,14 @@ def second_order(level: int) -> SecondOrderSettings:
 
 
 class _Data:
-    """Depth of the cells, its slopes, and the data terms of all frames.
+    """Depth of the cells, its slopes, and the data terms of all frames."""
 
-    Parameters
-    ----------
-    window : Window
-    settings : Settings
-    anchors : (2, h, w) float32
-        Weight of each cell, and its matched D, cells.
-    """
-
-    def __init__(self, window: Window, settings: Settings, anchors: np.ndarray) -> None:
+    def __init__(
+        self,
+        window: Window,
+        settings: Settings,
+        anchors: np.ndarray,  # (2, h, w) float32: weight of each cell, and its matched D, cells
+    ) -> None:
         level = window.level
         frame, camera = window.of_cells(0), window.camera_of(level)
         smoothness = second_order(level)

@@ -58,21 +58,12 @@ class WindowPlanes:
 
     Cells are the pixels of pyramid level `level`, 2^`level` px a side. D is in px of this level:
     the inverse depth times the focal length of the level and the unit length of the window.
-
-    Attributes
-    ----------
-    level : int
-    inverse_depth : (h, w) float32
-        D, px.
-    slopes : (2, h, w) float32
-        ∂D/∂x and ∂D/∂y, px per cell.
-    believed : (h, w) bool
     """
 
     level: int
-    inverse_depth: np.ndarray
-    slopes: np.ndarray
-    believed: np.ndarray
+    inverse_depth: np.ndarray  # (h, w) float32: D, px
+    slopes: np.ndarray  # (2, h, w) float32: ∂D/∂x and ∂D/∂y, px per cell
+    believed: np.ndarray  # (h, w) bool
 
 
 class Window:
@@ -286,16 +277,12 @@ def window_planes(window: Window) -> WindowPlanes:
     )
 
 
-def costs_of(window: Window, inverse_depth: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Return the costs of the planes of all cells in every frame, (M, h, w) float32.
-
-    Parameters
-    ----------
-    window : Window
-    inverse_depth : (h, w) float32
-        D, px of the cells.
-    slopes : (2, h, w) float32
-    """
+def costs_of(
+    window: Window,
+    inverse_depth: np.ndarray,  # (h, w) float32: D, px of the cells
+    slopes: np.ndarray,  # (2, h, w) float32
+) -> np.ndarray:
+    """Return the costs of the planes of all cells in every frame, (M, h, w) float32."""
     search = window.last_search
     planes = np.zeros((*search.shape, 4), np.float32)
     planes[..., 0] = inverse_depth

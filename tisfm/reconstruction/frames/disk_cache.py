@@ -18,19 +18,12 @@ class DiskCache(Sequence[T], Generic[T]):
     """A sequence of items in a temporary file; each access reads its item from the file.
 
     The file lies in the folder of `tempfile.gettempdir`, and is deleted with this object.
-
-    Parameters
-    ----------
-    arrays_of : callable
-        Returns the arrays of an item.
-    made_of : callable
-        Returns the item for such arrays.
     """
 
     def __init__(
         self,
-        arrays_of: Callable[[T], tuple[np.ndarray, ...]],
-        made_of: Callable[..., T],
+        arrays_of: Callable[[T], tuple[np.ndarray, ...]],  # returns the arrays of an item
+        made_of: Callable[..., T],  # returns the item for such arrays
     ) -> None:
         self._arrays_of, self._made_of = arrays_of, made_of
         self._file = tempfile.TemporaryFile(prefix="tisfm-")  # noqa: SIM115
@@ -42,10 +35,7 @@ class DiskCache(Sequence[T], Generic[T]):
     def append(self, item: T) -> None:
         """Add an item to the end.
 
-        Raises
-        ------
-        OSError
-            If the temporary file cannot be written.
+        Raises OSError if the temporary file cannot be written.
         """
         arrays = [np.ascontiguousarray(array) for array in self._arrays_of(item)]
         try:

@@ -20,31 +20,19 @@ TRACKING_SETTINGS = Settings.preset("fast")
 
 
 def find_flow(
+    # small0, small1: (h, w) float32
     small0: np.ndarray,
     small1: np.ndarray,
-    share: float,
-    camera: Camera,
+    share: float,  # scale of the shrunk frames, from `flow_scale`
+    camera: Camera,  # pinhole camera of the frames
     settings: Settings,
     *,
+    # whether to search for objects that move far in relation to their size
     fast_things: bool = False,
 ) -> np.ndarray:
     """Return the image motion between two frames of `shrink_for_flow`.
 
-    Parameters
-    ----------
-    small0, small1 : (h, w) float32
-    share : float
-        Scale of the shrunk frames, from `flow_scale`.
-    camera : Camera
-        Pinhole camera of the frames.
-    settings : Settings
-    fast_things : bool
-        Whether to search for objects that move far in relation to their size.
-
-    Returns
-    -------
-    (h, w, 2) float32
-        Motion, px of the shrunk frames; limited to the sum of their sides.
+    Returns (h, w, 2) float32: motion, px of the shrunk frames; limited to the sum of their sides.
     """
     scaled = Camera(focal=camera.focal * share)
     pyramid = ImagePyramid(
@@ -80,17 +68,13 @@ def flow_scale(small: np.ndarray, grey: np.ndarray) -> float:
 
 
 class FlowCache:
-    """Image motion from the previous frame to each frame, computed once, stored with 11 bits.
+    """Image motion from the previous frame to each frame, computed once, stored with 11 bits."""
 
-    Parameters
-    ----------
-    camera : Camera
-        Pinhole camera of the frames.
-    grey : callable
-        Returns a frame, (H, W) uint8.
-    """
-
-    def __init__(self, camera: Camera, grey: Callable[[int], np.ndarray]) -> None:
+    def __init__(
+        self,
+        camera: Camera,  # pinhole camera of the frames
+        grey: Callable[[int], np.ndarray],  # returns a frame, (H, W) uint8
+    ) -> None:
         self._camera, self._grey = camera, grey
         self._places: dict[int, int] = {}
         self._found: DiskCache[np.ndarray] = DiskCache(

@@ -21,14 +21,10 @@ CACHED_PAIRS = 20
 
 @dataclass(frozen=True, kw_only=True)
 class FlowPair:
-    """Image motion from a frame to the next, and back.
+    """Image motion from a frame to the next, and back."""
 
-    Attributes
-    ----------
-    forward, backward : (H, W, 2) float32
-        (u, v), px/frame, at the pixels of the earlier and of the later frame.
-    """
-
+    # forward, backward: (H, W, 2) float32, (u, v), px/frame, at the pixels of the earlier and of
+    # the later frame
     forward: np.ndarray
     backward: np.ndarray
 
@@ -44,23 +40,12 @@ class FlowPair:
 
 @dataclass(frozen=True, kw_only=True)
 class ChainedFlow:
-    """Image motion from a frame to another, chained from frame to frame.
+    """Image motion from a frame to another, chained from frame to frame."""
 
-    Attributes
-    ----------
-    frame : int
-        The other frame.
-    steps : int
-        Number of frame intervals between the two frames.
-    places : (H, W, 2) float32
-        Position (x, y) of every pixel in the other frame, px.
-    found : (H, W) bool
-        Whether forward and backward motion agree at every step of the chain.
-    """
-
-    frame: int
-    steps: int
-    places: np.ndarray
+    frame: int  # the other frame
+    steps: int  # number of frame intervals between the two frames
+    places: np.ndarray  # (H, W, 2) float32: position (x, y) of every pixel in the other frame, px
+    # (H, W) bool: whether forward and backward motion agree at every step of the chain
     found: np.ndarray
 
 

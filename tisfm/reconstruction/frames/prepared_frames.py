@@ -28,33 +28,18 @@ HELD = 24  # frames in memory at a time
 
 
 class PreparedFrames:
-    """The frames of a sequence: read from the source once, and later from a folder.
-
-    Parameters
-    ----------
-    camera : Camera
-        Camera of the source's frames.
-    cache : Path
-        Folder for grey levels; it may be deleted after the reconstruction.
-    pictures : Path
-        Folder for pictures, (H, W[, 3]) with 8 bits.
-    labels_stay : bool, default False
-        Whether labels already belong to prepared frames.
-
-    Attributes
-    ----------
-    camera : Camera
-        The pinhole of the prepared frames.
-    shape : (int, int)
-        Height and width, px; (0, 0) before the first frame.
-    count : int
-    """
+    """The frames of a sequence: read from the source once, and later from a folder."""
 
     def __init__(
-        self, camera: Camera, cache: Path, pictures: Path, *, labels_stay: bool = False
+        self,
+        camera: Camera,  # camera of the source's frames
+        cache: Path,  # folder for grey levels; it may be deleted after the reconstruction
+        pictures: Path,  # folder for pictures, (H, W[, 3]) with 8 bits
+        *,
+        labels_stay: bool = False,  # whether labels already belong to prepared frames
     ) -> None:
-        self.camera = camera.pinhole()
-        self.shape = (0, 0)
+        self.camera = camera.pinhole()  # the pinhole of the prepared frames
+        self.shape = (0, 0)  # height and width, px; (0, 0) before the first frame
         self.count = 0
         self._lens: Undistortion | None = None
         self._labels_stay = labels_stay
@@ -68,15 +53,9 @@ class PreparedFrames:
     def add(self, frame: SourceFrame) -> tuple[np.ndarray, np.ndarray | None]:
         """Prepare and store a frame; return it in the form for the tracker.
 
-        Returns
-        -------
-        grey : (H, W) uint8
-        ignored : (H, W) bool, or None
+        Returns grey, (H, W) uint8; ignored, (H, W) bool, or None.
 
-        Raises
-        ------
-        TypeError, ValueError
-            If `tisfm.frames.check_frame` refuses the frame.
+        Raises TypeError, ValueError if `tisfm.frames.check_frame` refuses the frame.
         """
         number = self.count
         image = check_frame(frame.image, frame.name)
@@ -107,17 +86,14 @@ class PreparedFrames:
         self.count += 1
         return whole, ignored
 
-    def correct(self, camera: Camera, rolling: Rolling | None = None) -> None:
+    def correct(
+        self,
+        camera: Camera,  # camera of the prepared frames, with the distortion that they still have
+        rolling: Rolling | None = None,  # the motion of frames while their rows were read
+    ) -> None:
         """Remove the distortion and then the readout effect that were estimated after reading.
 
         The stored frames are resampled, and written again.
-
-        Parameters
-        ----------
-        camera : Camera
-            Camera of the prepared frames, with the distortion that they still have.
-        rolling : Rolling, optional
-            The motion of frames while their rows were read.
         """
         self.camera = camera.pinhole()
         if not camera.is_pinhole and self.count:

@@ -5,18 +5,12 @@ import numpy as np
 from tisfm.camera import Camera
 
 
-def pinhole_rays(points: np.ndarray, camera: Camera, shape: tuple[int, int]) -> np.ndarray:
-    """Return the rays of image points of a pinhole, (N, 3) with z = 1.
-
-    Parameters
-    ----------
-    points : (N, 2) float64
-        (x, y), px.
-    camera : Camera
-        Pinhole camera.
-    shape : (int, int)
-        Height and width of the frames, px.
-    """
+def pinhole_rays(
+    points: np.ndarray,  # (N, 2) float64: (x, y), px
+    camera: Camera,  # pinhole camera
+    shape: tuple[int, int],  # height and width of the frames, px
+) -> np.ndarray:
+    """Return the rays of image points of a pinhole, (N, 3) with z = 1."""
     return np.column_stack(
         [(points - np.array(camera.center_for(*shape))) / camera.focal, np.ones(len(points))]
     )
@@ -28,24 +22,16 @@ def unit_vectors(vectors: np.ndarray) -> np.ndarray:
 
 
 def nearest_point_equations(
-    index: np.ndarray, rays: np.ndarray, centres: np.ndarray, count: int
+    index: np.ndarray,  # (N,) int array: the point of each ray
+    # rays, centres: (N, 3) float64, unit directions and camera centres of the rays, in the world
+    rays: np.ndarray,
+    centres: np.ndarray,
+    count: int,  # number of points P
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the normal equations of the points nearest to their rays.
 
-    Parameters
-    ----------
-    index : (N,) int array
-        The point of each ray.
-    rays, centres : (N, 3) float64
-        Unit directions and camera centres of the rays, in the world.
-    count : int
-        Number of points P.
-
-    Returns
-    -------
-    matrix : (P, 3, 3) float64
-        Where the rays of a point are parallel, its smallest eigenvalue is 0.
-    vector : (P, 3) float64
+    Returns matrix, (P, 3, 3) float64: where the rays of a point are parallel, its smallest
+    eigenvalue is 0; vector, (P, 3) float64.
     """
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     matrix, vector = np.zeros((count, 3, 3)), np.zeros((count, 3))

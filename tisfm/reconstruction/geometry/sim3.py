@@ -70,23 +70,18 @@ def fit_sim3(points: np.ndarray, others: np.ndarray, weights: np.ndarray) -> np.
 
 
 def fit_sim3_ransac(
-    points: np.ndarray, others: np.ndarray, distances: np.ndarray, *, fewest: int, share: float
+    # points, others: (N, 3) float64
+    points: np.ndarray,
+    others: np.ndarray,
+    # (N,) float64: distances of the points from the camera: far points are less exact
+    distances: np.ndarray,
+    *,
+    fewest: int,
+    share: float,  # the fewest inliers and their smallest share; with less, None is returned
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the similarity from `others` to `points` with most inliers, and the inliers.
 
-    Parameters
-    ----------
-    points, others : (N, 3) float64
-    distances : (N,) float64
-        Distances of the points from the camera: far points are less exact.
-    fewest : int
-    share : float
-        The fewest inliers and their smallest share; with less, None is returned.
-
-    Returns
-    -------
-    similarity : (4, 4) float64
-    agree : (N,) bool
+    Returns similarity, (4, 4) float64; agree, (N,) bool.
     """
     least = max(fewest, share * len(points))
     if len(points) < max(3, least):
@@ -109,25 +104,17 @@ def fit_sim3_ransac(
 
 
 def refine_sim3(
-    similarity: np.ndarray,
+    similarity: np.ndarray,  # (4, 4) float64: start value
+    # two (N, 3) float64: points in the target system, and the same points in the other system
     points: tuple[np.ndarray, np.ndarray],
-    distances: np.ndarray,
+    distances: np.ndarray,  # (N,) float64: distances of the points from the camera
+    # two (M, 4, 4) float64: poses of the same views, camera to world, in the target system and in
+    # the other system
     poses: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
     """Return a similarity that fits points and poses, with weights from their residuals.
 
     The rotation comes from the poses alone, where it is exact.
-
-    Parameters
-    ----------
-    similarity : (4, 4) float64
-        Start value.
-    points : two (N, 3) float64
-        Points in the target system, and the same points in the other system.
-    distances : (N,) float64
-        Distances of the points from the camera.
-    poses : two (M, 4, 4) float64
-        Poses of the same views, camera to world, in the target system and in the other system.
     """
     turns = np.tile(np.eye(4), (len(poses[0]), 1, 1))
     turns[:, :3, :3] = poses[0][:, :3, :3] @ poses[1][:, :3, :3].mT

@@ -33,33 +33,19 @@ MIN_STEP = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class Edge:
-    """A measured similarity between two nodes.
+    """A measured similarity between two nodes."""
 
-    Attributes
-    ----------
-    first, second : int
-        The nodes.
-    similarity : (4, 4) float64
-        From the second node's coordinates to the first node's coordinates.
-    points : (N, 3) float64
-        Points that both nodes have, in the first node's coordinates.
-    distances : (N,) float64
-        Distances of these points from the camera.
-    deviation : float
-        Error of a point, as a share of its distance.
-    worth : float
-        Weight of the edge: the number of points that `points` is a sample of.
-    certain : bool
-        Whether the edge is surely right. Other edges get less weight if they do not fit.
-    """
-
+    # first, second: the nodes
     first: int
     second: int
+    # (4, 4) float64: from the second node's coordinates to the first node's coordinates
     similarity: np.ndarray
+    # (N, 3) float64: points that both nodes have, in the first node's coordinates
     points: np.ndarray
-    distances: np.ndarray
-    deviation: float
-    worth: float
+    distances: np.ndarray  # (N,) float64: distances of these points from the camera
+    deviation: float  # error of a point, as a share of its distance
+    worth: float  # weight of the edge: the number of points that `points` is a sample of
+    # Whether the edge is surely right. Other edges get less weight if they do not fit.
     certain: bool
 
     @property
@@ -84,22 +70,16 @@ class Link(Protocol):
         """From the second node's coordinates to the first node's, (4, 4) float64."""
 
 
-def optimise_sim3_graph(count: int, edges: Sequence[Edge]) -> list[dict[int, np.ndarray]]:
+def optimise_sim3_graph(
+    count: int,  # number of nodes
+    # edges in the order in which they connect nodes for the start values: the most reliable first
+    edges: Sequence[Edge],
+) -> list[dict[int, np.ndarray]]:
     """Find the similarity of each node to common coordinates.
 
-    Parameters
-    ----------
-    count : int
-        Number of nodes.
-    edges : sequence of Edge
-        Edges in the order in which they connect nodes for the start values: the most reliable
-        first.
-
-    Returns
-    -------
-    list of dict of int to (4, 4) float64
-        For each connected group of nodes, in the order of first nodes: the similarity of each node,
-        in order, to the coordinates of the first node of the group.
+    Returns list of dict of int to (4, 4) float64: for each connected group of nodes, in the order
+    of first nodes: the similarity of each node, in order, to the coordinates of the first node of
+    the group.
 
     References
     ----------

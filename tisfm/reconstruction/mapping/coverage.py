@@ -30,18 +30,16 @@ class Coverage:
     A match of two views stands for the area nearest to its point in each view. A model explains a
     match that lies near its epipolar line. Triangulated points are not needed: a model has none
     where the scene is too far away to show parallax.
-
-    Parameters
-    ----------
-    views : sequence of View
-    pairs : mapping of (int, int) to (N, 2) int array
-        For pairs of indices of views, indices of matching points: tracks first, then detected
-        points.
-    shape : (int, int)
-        Height and width of the frames, px.
     """
 
-    def __init__(self, views: Sequence[View], pairs: Pairs, shape: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        views: Sequence[View],
+        # mapping of (int, int) to (N, 2) int array: for pairs of indices of views, indices of
+        # matching points: tracks first, then detected points
+        pairs: Pairs,
+        shape: tuple[int, int],  # height and width of the frames, px
+    ) -> None:
         self._pairs, self._limit = pairs, EPIPOLAR_TOLERANCE * max(shape) / 640
         self._points = [np.vstack([view.seen.points, view.detected]) for view in views]
         areas = self._areas(places_in(shape))

@@ -96,31 +96,19 @@ class Score(Protocol):
 
 def grow_models(
     database: Any,
+    # mapping of (int, int) to two (N, 3) arrays: for pairs of views (numbers begin with 1): unit
+    # directions to matching points
     pairs: Pairs,
-    count: int,
-    score: Score,
+    count: int,  # number of views
+    score: Score,  # compares models that begin with different pairs
+    # the part of the camera that is adjusted together with poses and points, from its current value
     calibrate: Calibrate = "nothing",
     *,
+    # Whether the focal length is known. Then a first pair needs parallax beyond a rotation, and may
+    # show a single plane. With a guess, a first pair needs parallax beyond a homography.
     focal_known: bool = True,
 ) -> list[Any]:
-    """Return pycolmap's reconstructions of the views in a database, the largest first.
-
-    Parameters
-    ----------
-    database : pycolmap.Database
-    pairs : mapping of (int, int) to two (N, 3) arrays
-        For pairs of views (numbers begin with 1): unit directions to matching points.
-    count : int
-        Number of views.
-    score : Score
-        Compares models that begin with different pairs.
-    calibrate : {"nothing", "focal", "radial"}
-        The part of the camera that is adjusted together with poses and points, from its current
-        value.
-    focal_known : bool
-        Whether the focal length is known. Then a first pair needs parallax beyond a rotation, and
-        may show a single plane. With a guess, a first pair needs parallax beyond a homography.
-    """
+    """Return pycolmap's reconstructions of the views in a database, the largest first."""
     cache = _cache(database)
     mapper = pycolmap().IncrementalMapper(cache)
     options = _options(calibrate)
@@ -139,23 +127,15 @@ def grow_models(
 
 def grow_from_poses(
     database: Any,
+    # mapping of int to (3, 4) array: world to camera, for at least two views; numbers of views
+    # begin with 1
     known: Mapping[int, np.ndarray],
     *,
+    # Whether the known poses stay fixed. Otherwise they are adjusted with all others.
     fixed: bool = True,
-    left: Collection[int] | None = None,
+    left: Collection[int] | None = None,  # the views that may be added; by default all others
 ) -> Any:
-    """Return pycolmap's reconstruction, continued from views with known poses.
-
-    Parameters
-    ----------
-    database : pycolmap.Database
-    known : mapping of int to (3, 4) array
-        World to camera, for at least two views; numbers of views begin with 1.
-    fixed : bool
-        Whether the known poses stay fixed. Otherwise they are adjusted with all others.
-    left : collection of int, optional
-        The views that may be added; by default all others.
-    """
+    """Return pycolmap's reconstruction, continued from views with known poses."""
     cache = _cache(database)
     mapper = pycolmap().IncrementalMapper(cache)
     options = _options()
@@ -177,17 +157,14 @@ def grow_from_poses(
     return reconstruction
 
 
-def shows_parallax(database: Any, pairs: Pairs) -> bool:
+def shows_parallax(
+    database: Any,  # its camera has the estimated focal length
+    # mapping of (int, int) to two (N, 3) arrays: as for `grow_models`, with that focal length
+    pairs: Pairs,
+) -> bool:
     """Return whether at least MIN_PARALLAX_PAIRS of the best pairs show parallax beyond a rotation.
 
     If few of them do, matching errors determine the focal length and the path.
-
-    Parameters
-    ----------
-    database : pycolmap.Database
-        Its camera has the estimated focal length.
-    pairs : mapping of (int, int) to two (N, 3) arrays
-        As for `grow_models`, with that focal length.
     """
     cache = _cache(database)
     mapper = pycolmap().IncrementalMapper(cache)
@@ -202,14 +179,10 @@ def _cache(database: Any) -> Any:
     return pycolmap().DatabaseCache.create(database, settings)
 
 
-def first_pair_tolerance(longer_side: float) -> float:
-    """Return the largest error, px, of a match of a first pair.
-
-    Parameters
-    ----------
-    longer_side : float
-        Longer side of the frames, px.
-    """
+def first_pair_tolerance(
+    longer_side: float,  # longer side of the frames, px
+) -> float:
+    """Return the largest error, px, of a match of a first pair."""
     return FIRST_PAIR_TOLERANCE * max(1.0, longer_side / TOLERANCE_FRAME)
 
 
@@ -220,17 +193,13 @@ def _longer_side(cache: Any) -> int:
 
 
 class _FirstPairs:
-    """Selects the pairs of views from which a path may begin.
+    """Selects the pairs of views from which a path may begin."""
 
-    Parameters
-    ----------
-    pairs : mapping of (int, int) to two (N, 3) arrays
-        As for `grow_models`.
-    focal_known : bool
-        As for `grow_models`.
-    """
-
-    def __init__(self, pairs: Pairs, focal_known: bool) -> None:
+    def __init__(
+        self,
+        pairs: Pairs,  # mapping of (int, int) to two (N, 3) arrays: as for `grow_models`
+        focal_known: bool,  # as for `grow_models`
+    ) -> None:
         self._pairs, self._focal_known = pairs, focal_known
         self._parallax = beyond_rotation if focal_known else beyond_homography
         self._ranked = self._rank()

@@ -14,16 +14,13 @@ MIN_BASELINE = 0.02
 
 
 class LowParallaxFilter:
-    """Deletes the points of a model that are seen from one camera position only.
+    """Deletes the points of a model that are seen from one camera position only."""
 
-    Parameters
-    ----------
-    mapper : pycolmap.IncrementalMapper
-    reconstruction : pycolmap.Reconstruction
-        The reconstruction that the mapper works on.
-    """
-
-    def __init__(self, mapper: Any, reconstruction: Any) -> None:
+    def __init__(
+        self,
+        mapper: Any,
+        reconstruction: Any,  # the reconstruction that the mapper works on
+    ) -> None:
         self._mapper, self._reconstruction = mapper, reconstruction
         self._known: set[int] = set()  # points that are seen from several positions
 

@@ -21,33 +21,24 @@ class MatchScore:
     The score of a match is 1/(1 + (d/s)²). d is the distance, px, of the point in the second view
     from the epipolar half line of the point in the first view, which begins at infinite depth. s is
     half the tolerance of first pairs.
-
-    Parameters
-    ----------
-    views : sequence of View
-    pairs : mapping of (int, int) to (N, 2) int array
-        For pairs of indices of views, indices of matching points: tracks first, then detected ones.
-    shape : (int, int)
-        Height and width of the frames, px.
     """
 
     def __init__(
         self,
         views: Sequence[View],
+        # mapping of (int, int) to (N, 2) int array: for pairs of indices of views, indices of
+        # matching points: tracks first, then detected ones
         pairs: Mapping[tuple[int, int], np.ndarray],
-        shape: tuple[int, int],
+        shape: tuple[int, int],  # height and width of the frames, px
     ) -> None:
         self._pairs, self._scale = pairs, first_pair_tolerance(max(shape)) / 2
         self._points = [np.vstack([view.seen.points, view.detected]) for view in views]
 
-    def matches(self, views: Collection[int] | None = None) -> int:
-        """Return the number of matches between views; by default of all.
-
-        Parameters
-        ----------
-        views : collection of int, optional
-            pycolmap's numbers of views, which begin with 1.
-        """
+    def matches(
+        self,
+        views: Collection[int] | None = None,  # pycolmap's numbers of views, which begin with 1
+    ) -> int:
+        """Return the number of matches between views; by default of all."""
         if views is None:
             return sum(map(len, self._pairs.values()))
         inside = set(views)
@@ -90,25 +81,21 @@ class MatchScore:
 
 
 def half_line_distances(
-    pose0: np.ndarray, pose1: np.ndarray, before: np.ndarray, after: np.ndarray
+    # pose0, pose1: (3, 4) array, world to camera, of two views
+    pose0: np.ndarray,
+    pose1: np.ndarray,
+    # before, after: (N, 3) array, directions to matching points in the first and the second view; z
+    # of `after` is positive
+    before: np.ndarray,
+    after: np.ndarray,
 ) -> np.ndarray:
     """Return the distances of points from their epipolar half lines.
 
     A half line goes from the point at infinite depth towards the epipole, the image of the first
     camera. It ends at the epipole if the first camera is in front of the second.
 
-    Parameters
-    ----------
-    pose0, pose1 : (3, 4) array
-        World to camera, of two views.
-    before, after : (N, 3) array
-        Directions to matching points in the first and the second view; z of `after` is positive.
-
-    Returns
-    -------
-    (N,) float64
-        Distances in the second image, in focal lengths; infinite if the nearest position on the
-        half line is not in front of the second camera.
+    Returns (N,) float64: distances in the second image, in focal lengths; infinite if the nearest
+    position on the half line is not in front of the second camera.
     """
     rotation = pose1[:, :3] @ pose0[:, :3].T
     infinite = before @ rotation.T

@@ -46,44 +46,24 @@ MIN_COVERAGE = 0.75
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """Views and points in one coordinate system.
+    """Views and points in one coordinate system."""
 
-    Attributes
-    ----------
-    poses : dict of int to (4, 4) float64
-        Camera to world, by frame.
-    points : TrackPoints
-        Positions of tracks, in the world.
-    score : float
-        How well the model explains the matches of its views (`MatchScore`). It is 0 for a model
-        from submaps and for a continued model.
-    """
-
-    poses: dict[int, np.ndarray]
-    points: TrackPoints
+    poses: dict[int, np.ndarray]  # dict of int to (4, 4) float64: camera to world, by frame
+    points: TrackPoints  # positions of tracks, in the world
+    # How well the model explains the matches of its views (`MatchScore`). It is 0 for a model from
+    # submaps and for a continued model.
     score: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewGraph:
-    """Views with their tracks and matches, from which models are built.
+    """Views with their tracks and matches, from which models are built."""
 
-    Attributes
-    ----------
-    views : list of View
-        Views with their longest tracks.
-    pairs : dict of (int, int) to (N, 2) int32
-        For pairs of indices of views: indices of matching points.
-    shape : (int, int)
-        Height and width of the frames, px.
-    focal_known : bool
-        Whether the focal length is known, or is a guess.
-    """
-
-    views: list[View]
+    views: list[View]  # views with their longest tracks
+    # dict of (int, int) to (N, 2) int32: for pairs of indices of views: indices of matching points
     pairs: dict[tuple[int, int], np.ndarray]
-    shape: tuple[int, int]
-    focal_known: bool = True
+    shape: tuple[int, int]  # height and width of the frames, px
+    focal_known: bool = True  # whether the focal length is known, or is a guess
 
     @classmethod
     def of(
@@ -185,34 +165,18 @@ class ViewGraph:
 
 
 def find_models(
-    views: Sequence[View],
+    views: Sequence[View],  # in the order of their frames
+    # mapping of (int, int) to (N, 2) int array: for pairs of indices of views, the smaller first:
+    # indices of their detected points that match
     matches: Mapping[tuple[int, int], np.ndarray],
-    camera: Camera,
-    shape: tuple[int, int],
+    camera: Camera,  # pinhole camera
+    shape: tuple[int, int],  # height and width of the frames, px
     *,
+    # Whether the focal length is known. If it is a guess, a path cannot begin where all matches lie
+    # in one plane.
     focal_known: bool = True,
-) -> list[Model]:
+) -> list[Model]:  # The largest model first. Each view is in at most one model.
     """Find poses of views and points of tracks.
-
-    Parameters
-    ----------
-    views : sequence of View
-        In the order of their frames.
-    matches : mapping of (int, int) to (N, 2) int array
-        For pairs of indices of views, the smaller first: indices of their detected points that
-        match.
-    camera : Camera
-        Pinhole camera.
-    shape : (int, int)
-        Height and width of the frames, px.
-    focal_known : bool
-        Whether the focal length is known. If it is a guess, a path cannot begin where all matches
-        lie in one plane.
-
-    Returns
-    -------
-    list of Model
-        The largest model first. Each view is in at most one model.
 
     References
     ----------
@@ -224,26 +188,15 @@ def find_models(
 
 
 def continue_model(
+    # views, matches, camera, shape: as for `find_models`
     views: Sequence[View],
     matches: Mapping[tuple[int, int], np.ndarray],
     camera: Camera,
     shape: tuple[int, int],
+    # mapping of int to (4, 4) array: camera to world, by frame, for at least two views
     known: Mapping[int, np.ndarray],
-) -> Model:
-    """Find poses of more views, and points; the known poses of some views are fixed.
-
-    Parameters
-    ----------
-    views, matches, camera, shape
-        As for `find_models`.
-    known : mapping of int to (4, 4) array
-        Camera to world, by frame, for at least two views.
-
-    Returns
-    -------
-    Model
-        In the axes and the unit of the known poses, with the known poses unchanged.
-    """
+) -> Model:  # in the axes and the unit of the known poses, with the known poses unchanged
+    """Find poses of more views, and points; the known poses of some views are fixed."""
     shared = ViewGraph.of(views, matches, shape)
     model = _model(shared.continue_model(camera, known), shared.views)
     poses = {**model.poses, **{f: known[f] for f in known if f in model.poses}}
@@ -251,25 +204,18 @@ def continue_model(
 
 
 def readjust_models(
+    # views, matches, camera, shape: as for `find_models`
     views: Sequence[View],
     matches: Mapping[tuple[int, int], np.ndarray],
     camera: Camera,
     shape: tuple[int, int],
+    # sequence of mapping of int to (4, 4) array: camera to world, by frame, for each model
     known: Sequence[Mapping[int, np.ndarray]],
 ) -> list[Model]:
     """Find poses of views and points of tracks, starting from approximate poses.
 
-    Parameters
-    ----------
-    views, matches, camera, shape
-        As for `find_models`.
-    known : sequence of mapping of int to (4, 4) array
-        Camera to world, by frame, for each model.
-
-    Returns
-    -------
-    list of Model
-        One model for each set of poses. A view without a pose joins the first model that it fits.
+    Returns one model for each set of poses. A view without a pose joins the first model that it
+    fits.
     """
     shared = ViewGraph.of(views, matches, shape)
     number = {view.frame: k for k, view in enumerate(views, start=1)}

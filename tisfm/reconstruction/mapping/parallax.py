@@ -25,19 +25,12 @@ MAX_FOCAL_RATIO = 2.0
 MIN_Z = 1e-3
 
 
-def beyond_homography(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return the residual angles after the best homography.
-
-    Parameters
-    ----------
-    before, after : (N, 3) float64
-        Unit directions to matching points in two views.
-
-    Returns
-    -------
-    (N,) float64
-        Angles, rad.
-    """
+def beyond_homography(
+    # before, after: (N, 3) float64, unit directions to matching points in two views
+    before: np.ndarray,
+    after: np.ndarray,
+) -> np.ndarray:  # (N,) float64: angles, rad
+    """Return the residual angles after the best homography."""
     x, y, z = after.T[:, :, None]
     zero = np.zeros_like(before)
     equations = np.stack(  # of the nine entries of H, row by row: after × (H before) = 0

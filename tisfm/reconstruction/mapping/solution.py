@@ -18,28 +18,18 @@ MAX_USEFUL_DEVIATION = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class FocalEstimate:
-    """A focal length that was estimated from a sequence, and maybe a radial coefficient.
+    """A focal length that was estimated from a sequence, and maybe a radial coefficient."""
 
-    Attributes
-    ----------
-    focal : float
-        Focal length, px.
-    deviation : float
-        Standard deviation, px; infinite if the sequence does not show the focal length.
-    radial, radial_deviation : float
-        k1 of the lens, and its standard deviation; both 0 if k1 was not estimated.
-    limit : float
-        Share of the focal length: with a larger standard deviation, a guess is as good.
-    bent : bool
-        Whether the focal length changes clearly if the lens may distort.
-    """
-
-    focal: float
+    focal: float  # focal length, px
+    # standard deviation, px; infinite if the sequence does not show the focal length
     deviation: float
+    # radial, radial_deviation: k1 of the lens, and its standard deviation; both 0 if k1 was not
+    # estimated
     radial: float = 0.0
     radial_deviation: float = 0.0
+    # share of the focal length: with a larger standard deviation, a guess is as good
     limit: float = MAX_USEFUL_DEVIATION
-    bent: bool = False
+    bent: bool = False  # whether the focal length changes clearly if the lens may distort
 
     def taken(self, camera: Camera) -> Camera:
         """Return a camera with this focal length and k1; unchanged if a guess is as good."""
@@ -61,48 +51,26 @@ class FocalEstimate:
 
 @dataclass(frozen=True, kw_only=True)
 class Piece:
-    """Frames in one coordinate system, with one scale.
+    """Frames in one coordinate system, with one scale."""
 
-    Attributes
-    ----------
-    poses : dict of int to (4, 4) float64
-        Camera to world, by frame, in order.
-    views : tuple of int
-        Frames whose poses were adjusted together with the points.
-    points : mapping of int to (3,) float64
-        Positions of tracks, in the world.
-    """
-
+    # dict of int to (4, 4) float64: camera to world, by frame, in order
     poses: dict[int, np.ndarray]
-    views: tuple[int, ...]
+    views: tuple[int, ...]  # frames whose poses were adjusted together with the points
+    # mapping of int to (3,) float64: positions of tracks, in the world
     points: Mapping[int, np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PathSolution:
-    """Pieces of a path, and the views and tracks that they come from.
-
-    Attributes
-    ----------
-    pieces : list of Piece
-    unplaced : list of int
-        Frames that are in no piece.
-    views : sequence of View
-        Views with points as the frames show them.
-    seen : sequence of Observations
-        Tracks in every frame, as the pinhole camera would see them.
-    camera : Camera
-    focal : FocalEstimate or None
-        The estimate, if the focal length was to be estimated and a path was found.
-    score : float
-        How well the models explain the matches of views: the sum of `Model.score`, which is 0 for
-        models from submaps and for continued models.
-    """
+    """Pieces of a path, and the views and tracks that they come from."""
 
     pieces: list[Piece]
-    unplaced: list[int]
-    views: Sequence[View]
-    seen: Sequence[Observations]
+    unplaced: list[int]  # frames that are in no piece
+    views: Sequence[View]  # views with points as the frames show them
+    seen: Sequence[Observations]  # tracks in every frame, as the pinhole camera would see them
     camera: Camera
+    # the estimate, if the focal length was to be estimated and a path was found
     focal: FocalEstimate | None
+    # how well the models explain the matches of views: the sum of `Model.score`, which is 0 for
+    # models from submaps and for continued models
     score: float

@@ -61,17 +61,10 @@ MIN_HIDDEN = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class StaticDepth:
-    """Depth of the static pixels of a frame, under the camera path.
+    """Depth of the static pixels of a frame, under the camera path."""
 
-    Attributes
-    ----------
-    inverse_depth : (H, W) float32
-    at_rest : (H, W) bool
-        Pixels that are known to be static.
-    """
-
-    inverse_depth: np.ndarray
-    at_rest: np.ndarray
+    inverse_depth: np.ndarray  # (H, W) float32
+    at_rest: np.ndarray  # (H, W) bool: pixels that are known to be static
 
     @classmethod
     def unknown(cls, shape: tuple[int, ...]) -> "StaticDepth":
@@ -89,25 +82,16 @@ class StaticDepth:
 
 
 class BelowGround:
-    """Finds objects whose apparent depth lies below the ground.
-
-    Parameters
-    ----------
-    motion : ImageMotion
-    poses : sequence of (4, 4) array or None
-        Camera to world, of every frame, in one scale; None for a frame without a pose.
-    camera : Camera
-        A pinhole, for the frames of the image motion.
-    depths : sequence of StaticDepth or None
-        Static depth of every frame.
-    """
+    """Finds objects whose apparent depth lies below the ground."""
 
     def __init__(
         self,
         motion: ImageMotion,
+        # sequence of (4, 4) array or None: camera to world, of every frame, in one scale; None for
+        # a frame without a pose
         poses: Sequence[np.ndarray | None],
-        camera: Camera,
-        depths: Sequence[StaticDepth],
+        camera: Camera,  # a pinhole, for the frames of the image motion
+        depths: Sequence[StaticDepth],  # static depth of every frame
     ) -> None:
         self._motion, self._poses, self._camera, self._depths = motion, poses, camera, depths
         self._rays = _rays(camera, motion.grey(0).shape)
@@ -116,15 +100,12 @@ class BelowGround:
             for pose, depth in zip(poses, depths, strict=True)
         ]
 
-    def evidence(self, frame: int, moving: np.ndarray) -> Evidence | None:
-        """Return the evidence of pixels whose apparent depth lies below the ground, or None.
-
-        Parameters
-        ----------
-        frame : int
-        moving : (H, W) bool
-            Pixels that are known to move.
-        """
+    def evidence(
+        self,
+        frame: int,
+        moving: np.ndarray,  # (H, W) bool: pixels that are known to move
+    ) -> Evidence | None:
+        """Return the evidence of pixels whose apparent depth lies below the ground, or None."""
         ground = self._steady_ground(frame)
         if ground is None:
             return None

@@ -78,37 +78,20 @@ MAX_SIMILAR_MOTION = 0.9
 
 @dataclass(kw_only=True)
 class _Object:
-    """The state of an object.
-
-    Attributes
-    ----------
-    id : int
-    seen : int
-        The last frame in which it was labelled.
-    whole : (H, W) bool
-        Its mask in that frame, with its occluded parts.
-    velocity : (2,) float64
-        Its mean motion in that frame, px/frame.
-    look : (BINS,) float64
-        Its grey-level histogram; the sum is 1.
-    core : int
-        Number of frames in which its region has a core (`find_moving_regions`).
-    pixels : int
-        Its labelled pixels in all frames.
-    motions : dict of int to (2,) float64
-        By frame: its mean motion minus the motion of its surroundings, px/frame.
-    places : dict of int to (3,) float64
-        By frame: its centre, (x, y), and its size, the square root of its area, px.
-    """
+    """The state of an object."""
 
     id: int
-    seen: int
-    whole: np.ndarray
-    velocity: np.ndarray
-    look: np.ndarray
-    core: int = 0
-    pixels: int = 0
+    seen: int  # the last frame in which it was labelled
+    whole: np.ndarray  # (H, W) bool: its mask in that frame, with its occluded parts
+    velocity: np.ndarray  # (2,) float64: its mean motion in that frame, px/frame
+    look: np.ndarray  # (BINS,) float64: its grey-level histogram; the sum is 1
+    core: int = 0  # number of frames in which its region has a core (`find_moving_regions`)
+    pixels: int = 0  # its labelled pixels in all frames
+    # dict of int to (2,) float64: by frame: its mean motion minus the motion of its surroundings,
+    # px/frame
     motions: dict[int, np.ndarray] = field(default_factory=dict)
+    # dict of int to (3,) float64: by frame: its centre, (x, y), and its size, the square root of
+    # its area, px
     places: dict[int, np.ndarray] = field(default_factory=dict)
 
     def center(self) -> np.ndarray:
@@ -117,16 +100,14 @@ class _Object:
 
 
 class ObjectTracker:
-    """Labels moving objects, frame by frame.
+    """Labels moving objects, frame by frame."""
 
-    Parameters
-    ----------
-    motion : ImageMotion
-    evidence : sequence of Evidence
-        Evidence of every frame, accumulated over the frames around it.
-    """
-
-    def __init__(self, motion: ImageMotion, evidence: Sequence[Evidence]) -> None:
+    def __init__(
+        self,
+        motion: ImageMotion,
+        # evidence of every frame, accumulated over the frames around it
+        evidence: Sequence[Evidence],
+    ) -> None:
         self._motion, self._evidence = motion, evidence
         self._objects: dict[int, _Object] = {}
         self._touching: dict[tuple[int, int], int] = {}

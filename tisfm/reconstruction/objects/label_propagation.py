@@ -19,21 +19,16 @@ LOST_WEIGHT = 0.02
 
 
 def propagate_labels(
-    motion: ImageMotion, known: Sequence[int], labelled: Callable[[int], np.ndarray]
+    motion: ImageMotion,
+    known: Sequence[int],  # frames that have labels, in order; at least one
+    # returns the labels of such a frame, (H, W), in the size of the frames of the image motion
+    labelled: Callable[[int], np.ndarray],
 ) -> Iterator[tuple[int, np.ndarray]]:
     """Yield the frames without labels and labels for them, (H, W) int32, from the nearest frame.
 
     A pixel takes the label of its position in the frame before. Where forward and backward motion
     disagree, as at surfaces that were hidden, the neighbours and the image edges decide.
     `refine_boundaries` refines the boundaries in every frame. The labels of hidden pixels are lost.
-
-    Parameters
-    ----------
-    motion : ImageMotion
-    known : sequence of int
-        Frames that have labels, in order; at least one.
-    labelled : callable
-        Returns the labels of such a frame, (H, W), in the size of the frames of the image motion.
     """
     for place, frame in enumerate(known):
         before = known[place - 1] if place else -frame - 1

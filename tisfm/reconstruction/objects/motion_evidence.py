@@ -50,18 +50,12 @@ MIN_DEPTH = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Evidence:
-    """Evidence of several frames on whether pixels move on their own.
+    """Evidence of several frames on whether pixels move on their own."""
 
-    Attributes
-    ----------
-    moving : (H, W) float32
-        Sum over frames: positive for a pixel that moves on its own, negative for a static one.
-    weight : (H, W) float32
-        Number of frames with evidence; each counts 1 at most.
-    """
-
+    # (H, W) float32: sum over frames: positive for a pixel that moves on its own, negative for a
+    # static one
     moving: np.ndarray
-    weight: np.ndarray
+    weight: np.ndarray  # (H, W) float32: number of frames with evidence; each counts 1 at most
 
     @classmethod
     def of_arrays(cls, moving: np.ndarray, weight: np.ndarray) -> "Evidence":
@@ -112,11 +106,6 @@ def evidence_of(motion: ImageMotion, frame: int) -> Evidence:
     One rigid motion is fitted to the image motion between two frames, where it is consistent.
     The evidence is the distance from the nearest position of a static point, compared with the
     usual distance.
-
-    Parameters
-    ----------
-    motion : ImageMotion
-    frame : int
     """
     shape, camera = motion.grey(frame).shape, motion.camera()
     total, weight = (np.zeros(shape, np.float32) for _ in range(2))
@@ -181,23 +170,15 @@ def _one_way(motion: ImageMotion, evidence: Sequence[Evidence], way: int) -> Dis
 
 
 class StaticMotion:
-    """Positions of static points in another frame, by their inverse depth, under one camera motion.
-
-    Parameters
-    ----------
-    rotation, translation : (3, 3) and (3,) array
-        From a frame to another, P₁ = R P₀ + t.
-    camera : Camera
-    shape : (int, int)
-        Height and width of the frames, px.
-    """
+    """Positions of static points in another frame, by inverse depth, under one camera motion."""
 
     def __init__(
         self,
+        # rotation, translation: (3, 3) and (3,) array: from a frame to another, P₁ = R P₀ + t
         rotation: np.ndarray,
         translation: np.ndarray,
         camera: Camera,
-        shape: tuple[int, ...],
+        shape: tuple[int, ...],  # height and width of the frames, px
     ) -> None:
         self._focal = np.float32(camera.focal)
         self._center = np.array(camera.center_for(*shape[:2]), np.float32)
@@ -257,32 +238,20 @@ class StaticMotion:
 
 
 def support_of_motion(
-    grey: np.ndarray,
+    grey: np.ndarray,  # (H, W) float32
+    # sequence of (other, places, found, StaticMotion): another frame, (H, W) float32; the position
+    # of each pixel in it, (H, W, 2) float32; where this position is known, (H, W) bool; and the
+    # motion of static points
     views: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, StaticMotion]],
+    # (H, W) float32: the inverse depth whose static position is nearest to these positions
     nearest: np.ndarray,
-    usual: np.ndarray,
-) -> np.ndarray:
+    usual: np.ndarray,  # (N,) float32: inverse depths of static points
+) -> np.ndarray:  # (H, W) float32: from `MIN_SUPPORT` to 1
     """Return how far the images support the image motion against every static position.
 
     In an area without texture all positions look alike, and the image motion is arbitrary. Where
     the image motion is wrong, some static depth fits the images as well or better. One depth has to
     fit all given frames.
-
-    Parameters
-    ----------
-    grey : (H, W) float32
-    views : sequence of (other, places, found, StaticMotion)
-        Another frame, (H, W) float32; the position of each pixel in it, (H, W, 2) float32; where
-        this position is known, (H, W) bool; and the motion of static points.
-    nearest : (H, W) float32
-        The inverse depth whose static position is nearest to these positions.
-    usual : (N,) float32
-        Inverse depths of static points.
-
-    Returns
-    -------
-    (H, W) float32
-        From `MIN_SUPPORT` to 1.
     """
     furthest = float(np.quantile(usual, 0.99)) * TRIED_DEPTH_FACTOR if len(usual) else 0.0
     reach = [

@@ -32,17 +32,11 @@ MIN_DATA_SHARE = 0.02
 
 
 def find_moving_regions(
-    grey: np.ndarray, evidence: Evidence, known: np.ndarray
+    grey: np.ndarray,  # (H, W) float32
+    evidence: Evidence,
+    known: np.ndarray,  # (H, W) bool: pixels of objects that moved in earlier frames
 ) -> Iterator[tuple[np.ndarray, bool]]:
-    """Yield the connected parts of a frame that move, (H, W) bool, and whether they have a core.
-
-    Parameters
-    ----------
-    grey : (H, W) float32
-    evidence : Evidence
-    known : (H, W) bool
-        Pixels of objects that moved in earlier frames.
-    """
+    """Yield the connected parts of a frame that move, (H, W) bool, and whether they have a core."""
     mean = evidence.mean()
     core = (mean > CORE_EVIDENCE) & (evidence.weight > MIN_CORE_FRAMES)
     mean += np.float32(KNOWN_OBJECT_BONUS) * known

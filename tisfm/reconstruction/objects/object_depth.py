@@ -17,33 +17,18 @@ NO_PATH = "the camera has no path where it is seen, or another one than the long
 
 
 def objects_with_depth(
-    frames: PreparedFrames,
-    folder: Path,
-    poses: np.ndarray,
+    frames: PreparedFrames,  # with labels
+    folder: Path,  # the folder of the depth files
+    poses: np.ndarray,  # (N, 4, 4) array: camera to world; NaN for a frame without a pose
+    # (N,) int array: the piece of each frame; −1 for none. Objects are placed in the largest piece.
     piece: np.ndarray,
     settings: Settings,
     *,
-    with_depth: bool = True,
+    with_depth: bool = True,  # whether depth is found in addition to paths
+    # known lengths of objects by their ids, in the unit of the poses
     sizes: Mapping[int, float] | None = None,
 ) -> tuple[MovingObject, ...]:
-    """Return the moving objects. Their depth is written into the depth files of the frames.
-
-    Parameters
-    ----------
-    frames : PreparedFrames
-        With labels.
-    folder : Path
-        The folder of the depth files.
-    poses : (N, 4, 4) array
-        Camera to world; NaN for a frame without a pose.
-    piece : (N,) int array
-        The piece of each frame; −1 for none. Objects are placed in the largest piece.
-    settings : Settings
-    with_depth : bool
-        Whether depth is found in addition to paths.
-    sizes : mapping of int to float, optional
-        Known lengths of objects by their ids, in the unit of the poses.
-    """
+    """Return the moving objects. Their depth is written into the depth files of the frames."""
 
     def at_rest(frame: int) -> np.ndarray:
         return read_depth(folder, frame, frames.shape)[0]
@@ -88,22 +73,11 @@ def objects_with_depth(
 def place_object(
     obj: MovingObject,
     found_path: ObjectPath,
-    poses: np.ndarray,
-    scale: float,
+    poses: np.ndarray,  # (N, 4, 4) array: poses of the camera, camera to world
+    scale: float,  # length of the unit of `found_path`, in the unit of the world
     scale_from: ScaleFrom,
 ) -> MovingObject:
-    """Return an object with its path in the world.
-
-    Parameters
-    ----------
-    obj : MovingObject
-    found_path : ObjectPath
-    poses : (N, 4, 4) array
-        Poses of the camera, camera to world.
-    scale : float
-        Length of the unit of `found_path`, in the unit of the world.
-    scale_from : {"size", "contact", "around", "none"}
-    """
+    """Return an object with its path in the world."""
     points = found_path.points()
     moved = np.eye(4)
     moved[:3, 3] = -np.median(points, axis=0)

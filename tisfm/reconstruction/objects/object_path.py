@@ -38,19 +38,10 @@ BOX_ALIGNMENT = 16
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectPath:
-    """Path and depth of an object, in its own unit and axes.
+    """Path and depth of an object, in its own unit and axes."""
 
-    Attributes
-    ----------
-    frames : list of int
-        Frame of the sequence, by the frame number that `piece` and `depths` use.
-    piece : Piece
-        Poses, camera to object, and the points of the object.
-    depths : list of FrameDepth
-    """
-
-    frames: list[int]
-    piece: Piece
+    frames: list[int]  # frame of the sequence, by the frame number that `piece` and `depths` use
+    piece: Piece  # poses, camera to object, and the points of the object
     depths: list[FrameDepth]
 
     def points(self) -> np.ndarray:
@@ -59,24 +50,14 @@ class ObjectPath:
 
 
 class _FramesOf:
-    """The frames that show an object; only pixels of the object count.
-
-    Parameters
-    ----------
-    frames : PreparedFrames
-    numbers : sequence of int
-    labelled : callable
-        Returns the labels of a frame, (H, W).
-    number : int
-        Id of the object.
-    """
+    """The frames that show an object; only pixels of the object count."""
 
     def __init__(
         self,
         frames: PreparedFrames,
         numbers: Sequence[int],
-        labelled: Callable[[int], np.ndarray],
-        number: int,
+        labelled: Callable[[int], np.ndarray],  # returns the labels of a frame, (H, W)
+        number: int,  # id of the object
     ) -> None:
         self.camera: Camera = frames.camera
         self.shape = frames.shape
@@ -101,23 +82,12 @@ class _FramesOf:
 def find_object_path(
     thing: MovingObject,
     frames: PreparedFrames,
-    labelled: Callable[[int], np.ndarray],
+    labelled: Callable[[int], np.ndarray],  # returns the labels of a frame, (H, W)
     settings: Settings,
     *,
-    with_depth: bool = True,
+    with_depth: bool = True,  # whether depth is found in addition to the path
 ) -> ObjectPath | str:
-    """Return the path and depth of an object, or the reason why it has none.
-
-    Parameters
-    ----------
-    thing : MovingObject
-    frames : PreparedFrames
-    labelled : callable
-        Returns the labels of a frame, (H, W).
-    settings : Settings
-    with_depth : bool
-        Whether depth is found in addition to the path.
-    """
+    """Return the path and depth of an object, or the reason why it has none."""
     numbers = [frame for frame in thing.frames if (labelled(frame) == thing.id).sum() >= MIN_PIXELS]
     if len(numbers) < MIN_FRAMES:
         return f"it is too small, or seen in fewer than {MIN_FRAMES} frames"
@@ -150,19 +120,14 @@ def find_object_path(
 
 
 def find_object_depths(
-    own: Frames, piece: Piece, seen: Sequence[Observations], settings: Settings
+    own: Frames,
+    piece: Piece,
+    seen: Sequence[Observations],  # tracks of every frame, on counted pixels
+    settings: Settings,
 ) -> list[FrameDepth]:
     """Return the depth of frames within the bounding box of the counted pixels of all frames.
 
     Pixels outside the box get no depth.
-
-    Parameters
-    ----------
-    own : Frames
-    piece : Piece
-    seen : sequence of Observations
-        Tracks of every frame, on counted pixels.
-    settings : Settings
     """
     part = _PartOf(own, _box_of(own, piece.poses))
     top, left = part.corner
@@ -191,16 +156,13 @@ def _box_of(own: Frames, frames: Iterable[int]) -> tuple[slice, slice]:
 
 
 class _PartOf:
-    """Crops of frames, with their camera.
+    """Crops of frames, with their camera."""
 
-    Parameters
-    ----------
-    frames : Frames
-    box : (slice, slice)
-        Rows and columns.
-    """
-
-    def __init__(self, frames: Frames, box: tuple[slice, slice]) -> None:
+    def __init__(
+        self,
+        frames: Frames,
+        box: tuple[slice, slice],  # (slice, slice): rows and columns
+    ) -> None:
         self._frames, self._box = frames, box
         rows, columns = box
         self.corner = rows.start, columns.start

@@ -28,25 +28,14 @@ MAX_BOX_POINTS = 1000
 
 def find_object_scale(
     own: ObjectPath,
-    number: int,
+    number: int,  # label of the object
+    # returns the static inverse depth of a frame, (H, W), 1/unit of the world
     inverse_depth: Callable[[int], np.ndarray],
-    labelled: Callable[[int], np.ndarray],
+    labelled: Callable[[int], np.ndarray],  # returns the labels of a frame, (H, W)
+    # known length of the object, as `longest_side` measures it, in the unit of the world
     size: float | None = None,
 ) -> tuple[float, ScaleFrom]:
-    """Return the scale of an object, and its source.
-
-    Parameters
-    ----------
-    own : ObjectPath
-    number : int
-        Label of the object.
-    inverse_depth : callable
-        Returns the static inverse depth of a frame, (H, W), 1/unit of the world.
-    labelled : callable
-        Returns the labels of a frame, (H, W).
-    size : float, optional
-        Known length of the object, as `longest_side` measures it, in the unit of the world.
-    """
+    """Return the scale of an object, and its source."""
     if size is not None:
         side = longest_side(own.points())
         return (size / side, "size") if side > 0 else (1.0, "none")

@@ -36,24 +36,15 @@ MAX_USUAL_ERROR = 1.5e-3
 def path_evidence(
     motion: ImageMotion,
     frame: int,
+    # sequence of (4, 4) array or None: camera to world, of every frame, in one scale; None for a
+    # frame without a pose
     poses: Sequence[np.ndarray | None],
-    camera: Camera,
-    moving: np.ndarray,
+    camera: Camera,  # a pinhole, for the frames of the image motion
+    moving: np.ndarray,  # (H, W) bool: pixels that are known to move
 ) -> tuple[Evidence, np.ndarray] | None:
     """Return the evidence of many frames on a frame's pixels, under known poses, or None.
 
     Also return the inverse depth, (H, W) float32, that fits these frames best.
-
-    Parameters
-    ----------
-    motion : ImageMotion
-    frame : int
-    poses : sequence of (4, 4) array or None
-        Camera to world, of every frame, in one scale; None for a frame without a pose.
-    camera : Camera
-        A pinhole, for the frames of the image motion.
-    moving : (H, W) bool
-        Pixels that are known to move.
     """
     pose = poses[frame]
     if pose is None:

@@ -25,15 +25,12 @@ KNOWN, HALF = 0.3, STATIC_EVIDENCE / 2
 
 
 class SequenceLabels:
-    """Finds the moving objects of a sequence, frame by frame.
+    """Finds the moving objects of a sequence, frame by frame."""
 
-    Parameters
-    ----------
-    camera : Camera
-        A pinhole, for the frames. A guessed focal length is enough.
-    """
-
-    def __init__(self, camera: Camera) -> None:
+    def __init__(
+        self,
+        camera: Camera,  # A pinhole, for the frames. A guessed focal length is enough.
+    ) -> None:
         self._motion = ImageMotion(camera, TRACKING_SETTINGS)
         self._shape = (0, 0)
         self._evidence = DiskCache(Evidence.arrays, Evidence.of_arrays)
@@ -45,18 +42,13 @@ class SequenceLabels:
         self._motion.add(grey)
 
     def found(
-        self, poses: Sequence[np.ndarray | None] | None = None, camera: Camera | None = None
+        self,
+        # sequence of (4, 4) array or None: camera to world, if the path is known; the evidence of
+        # many frames under this path is added. None for a frame without a pose.
+        poses: Sequence[np.ndarray | None] | None = None,
+        camera: Camera | None = None,  # the pinhole, for the frames, with which the path was found
     ) -> Iterator[np.ndarray]:
-        """Yield the labels of every frame, (H, W) uint8: 0 for static pixels, or an object id.
-
-        Parameters
-        ----------
-        poses : sequence of (4, 4) array or None, optional
-            Camera to world, if the path is known; the evidence of many frames under this path is
-            added. None for a frame without a pose.
-        camera : Camera, optional
-            The pinhole, for the frames, with which the path was found.
-        """
+        """Yield the labels of every frame, (H, W) uint8: 0 for static pixels, or an object id."""
         ground = None
         if poses is not None and camera is not None:
             ground = self._add_path(poses, camera)
@@ -114,17 +106,12 @@ class SequenceLabels:
             yield np.where(is_new, others + np.uint8(count), labelled)
 
 
-def enlarge_labels(labels: np.ndarray, share: float, shape: Sequence[int]) -> np.ndarray:
-    """Return labels of shrunk frames, (h, w), in the size of the frames, (H, W) uint8.
-
-    Parameters
-    ----------
-    labels : (h, w) array
-    share : float
-        Pixels of the shrunk frames per pixel of the frames.
-    shape : (int, int)
-        Height and width of the frames, px.
-    """
+def enlarge_labels(
+    labels: np.ndarray,  # (h, w) array
+    share: float,  # pixels of the shrunk frames per pixel of the frames
+    shape: Sequence[int],  # height and width of the frames, px
+) -> np.ndarray:
+    """Return labels of shrunk frames, (h, w), in the size of the frames, (H, W) uint8."""
     if share == 1:
         return labels.astype(np.uint8)
     height, width = shape

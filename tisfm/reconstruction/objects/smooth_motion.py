@@ -21,15 +21,7 @@ Terms = Literal[1, 3, 6]
 
 
 class SmoothMotions:
-    """The image motion of a frame to the next and the previous frame.
-
-    Attributes
-    ----------
-    flow : (H, W, 2) float32
-        To the next frame; for the last frame, the negative of the flow to the previous frame.
-    known : (H, W) bool
-        Pixels that the next or the previous frame shows.
-    """
+    """The image motion of a frame to the next and the previous frame."""
 
     def __init__(self, motion: ImageMotion, frame: int) -> None:
         self._ways = [
@@ -37,27 +29,24 @@ class SmoothMotions:
             for led in motion.chained_flows(frame, 1)
         ]
         self._later = frame + 1 < len(motion)
+        # (H, W) bool: pixels that the next or the previous frame shows
         self.known = np.any([found for _, found in self._ways], axis=0)
+        # (H, W, 2) float32: to the next frame; for the last frame, the negative of the flow to the
+        # previous frame
         self.flow = self._ways[0][0] if self._later else -self._ways[0][0]
 
     def beside(
         self,
-        mask: np.ndarray,
+        mask: np.ndarray,  # (H, W) bool
+        # (2,) array: velocity of most of the mask, px/frame, if known
         velocity: np.ndarray | None = None,
         *,
+        # {1, 3, 6}: largest model: 1 is one velocity, 3 an affine, 6 a quadratic motion
         terms: Terms = 6,
     ) -> tuple[np.ndarray, float]:
         """Return each pixel's distance from the smooth motion of a mask, (H, W) px; 0 if unknown.
 
         Also return the standard deviation of the mask's own motion from its smooth motion, px.
-
-        Parameters
-        ----------
-        mask : (H, W) bool
-        velocity : (2,) array, optional
-            Velocity of most of the mask, px/frame, if known.
-        terms : {1, 3, 6}
-            Largest model: 1 is one velocity, 3 an affine, 6 a quadratic motion.
         """
         total, count = np.zeros(mask.shape, np.float32), np.zeros(mask.shape, np.float32)
         deviations = []
@@ -76,20 +65,15 @@ class SmoothMotions:
 
 
 def smooth_motion(
-    flow: np.ndarray, mask: np.ndarray, start: np.ndarray | None = None, terms: Terms = 6
+    flow: np.ndarray,  # (H, W, 2) float32
+    mask: np.ndarray,  # (H, W) bool
+    # (2,) array: expected velocity, px/frame: pixels near it count most in the first round
+    start: np.ndarray | None = None,
+    # {1, 3, 6}: 1 is one velocity, 3 an affine, 6 a quadratic motion. With few pixels, the motion
+    # is affine at most.
+    terms: Terms = 6,
 ) -> np.ndarray:
-    """Return the smooth motion, (H, W, 2) float32, that fits a flow within a mask, robustly.
-
-    Parameters
-    ----------
-    flow : (H, W, 2) float32
-    mask : (H, W) bool
-    start : (2,) array, optional
-        Expected velocity, px/frame: pixels near it count most in the first round.
-    terms : {1, 3, 6}
-        1 is one velocity, 3 an affine, 6 a quadratic motion. With few pixels, the motion is affine
-        at most.
-    """
+    """Return the smooth motion, (H, W, 2) float32, that fits a flow within a mask, robustly."""
     rows, columns = np.nonzero(mask)
     middle = np.array([np.median(columns), np.median(rows)])
     size = max(1.0, float(max(np.ptp(columns), np.ptp(rows))) / 2)

@@ -16,9 +16,12 @@ from tisfm.reconstruction.result.calibration import Calibrate
 
 
 def find_static_path(
-    frames: PreparedFrames,
-    labels: SequenceLabels | None,
+    frames: PreparedFrames,  # the labels are stored in them
+    labels: SequenceLabels | None,  # with all frames added; None if the frames have given labels
+    # Returns the path of the frames in their present state. Its argument states which camera
+    # parameters are calibrated.
     path_of: Callable[[Calibrate | None], CameraPath],
+    # sets the camera of the frames to that of a path, and prepares the frames anew if needed
     take_camera: Callable[[CameraPath], None],
 ) -> CameraPath:
     """Label the moving objects, unless labels are given, and return the path of the static rest.
@@ -27,18 +30,6 @@ def find_static_path(
     labels; if a label changes, the path is found again. If the path has a lens distortion or a
     rolling shutter, the frames are undistorted first, and all starts again as if this camera had
     been given.
-
-    Parameters
-    ----------
-    frames : PreparedFrames
-        The labels are stored in them.
-    labels : SequenceLabels or None
-        With all frames added; None if the frames have given labels.
-    path_of : callable
-        Returns the path of the frames in their present state. Its argument states which camera
-        parameters are calibrated.
-    take_camera : callable
-        Sets the camera of the frames to that of a path, and prepares the frames anew if needed.
     """
     if labels is not None:
         _label(frames, labels.found())

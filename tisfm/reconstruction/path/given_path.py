@@ -18,29 +18,16 @@ from tisfm.trajectory import Trajectory
 
 def given_path(
     tracks: SequenceTracks,
-    given: Trajectory,
+    given: Trajectory,  # given poses; with a rolling shutter, the poses of middle rows
+    # Pinhole camera of the frames. An unknown readout counts as 0: it is not estimated.
     camera: Camera,
-    times: Sequence[float | None],
+    times: Sequence[float | None],  # times of the frames, s; None if unknown
+    # (N,) array: times of the frames, in intervals between frames of the source
     instants: np.ndarray,
 ) -> CameraPath:
     """Return the camera path for given poses, with triangulated points.
 
-    Parameters
-    ----------
-    tracks : SequenceTracks
-    given : Trajectory
-        Given poses; with a rolling shutter, the poses of middle rows.
-    camera : Camera
-        Pinhole camera of the frames. An unknown readout counts as 0: it is not estimated.
-    times : sequence of float or None
-        Times of the frames, s; None if unknown.
-    instants : (N,) array
-        Times of the frames, in intervals between frames of the source.
-
-    Raises
-    ------
-    InputError
-        If poses do not fit the frames in number or in time.
+    Raises InputError if poses do not fit the frames in number or in time.
     """
     seen: Sequence[Observations] = tracks.observations
     poses, lost = poses_of_frames(given, times)

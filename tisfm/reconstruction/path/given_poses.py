@@ -15,31 +15,19 @@ MAX_TIME_SHARE = 0.5
 
 
 def poses_of_frames(
-    given: Trajectory, times: Sequence[float | None]
+    given: Trajectory,
+    times: Sequence[float | None],  # times of the frames, s; None if unknown
 ) -> tuple[np.ndarray, dict[int, Status]]:
     """Return a pose for each frame, NaN if it has none, and the reasons for missing poses.
 
     If poses and all frames have times, each frame gets the pose nearest in time. If not, poses
     belong to the frames in their order.
 
-    Parameters
-    ----------
-    given : Trajectory
-    times : sequence of float or None
-        Times of the frames, s; None if unknown.
+    Returns poses, (N, 4, 4) float64: camera to world; missing, reason for each frame without a
+    pose.
 
-    Returns
-    -------
-    poses : (N, 4, 4) float64
-        Camera to world.
-    missing : dict of int to Status
-        Reason for each frame without a pose.
-
-    Raises
-    ------
-    ValueError
-        If poses are assigned by order, and their number differs from the number of frames; or if no
-        pose is near a frame in time.
+    Raises ValueError if poses are assigned by order, and their number differs from the number of
+    frames; or if no pose is near a frame in time.
     """
     told = "no pose is given for it"
     if given.times is None or len(times) < 2 or not are_increasing(times):

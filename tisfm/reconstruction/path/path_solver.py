@@ -39,71 +39,47 @@ from tisfm.status import Status
 
 @dataclass(frozen=True, kw_only=True)
 class CameraPath:
-    """Poses of frames, in pieces, and the reasons for missing poses.
+    """Poses of frames, in pieces, and the reasons for missing poses."""
 
-    Attributes
-    ----------
-    pieces : tuple of Piece
-        In the order of their first frames. Each frame is in at most one piece.
-    lost : dict of int to Status
-        Reason for each frame that is in no piece.
-    seen : sequence of Observations
-        Tracks in every frame.
-    camera : Camera
-        Camera with the focal length of the path, and with distortion if distortion was estimated.
-        Poses, points and tracks belong to its pinhole, without distortion.
-    focal : FocalEstimate or None
-        The estimate, if the focal length was to be estimated and a path was found.
-    rolling : Rolling or None
-        With a rolling shutter: the motion during readout. Poses, points and tracks are those of
-        middle rows.
-    """
-
+    # In the order of their first frames. Each frame is in at most one piece.
     pieces: tuple[Piece, ...]
-    lost: dict[int, Status]
-    seen: Sequence[Observations]
+    lost: dict[int, Status]  # reason for each frame that is in no piece
+    seen: Sequence[Observations]  # tracks in every frame
+    # Camera with the focal length of the path, and with distortion if distortion was estimated.
+    # Poses, points and tracks belong to its pinhole, without distortion.
     camera: Camera
+    # the estimate, if the focal length was to be estimated and a path was found
     focal: FocalEstimate | None = None
+    # With a rolling shutter: the motion during readout. Poses, points and tracks are those of
+    # middle rows.
     rolling: Rolling | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class PathSolver:
-    """Finds the camera path of tracks and views.
-
-    Attributes
-    ----------
-    tracks : SequenceTracks
-    camera : Camera
-        Pinhole camera of the frames.
-    calibrate : {"nothing", "focal", "radial"}
-        The part of the camera that is estimated with the path. Except for ``"nothing"``, the focal
-        length of `camera` is a guess.
-    limit : float
-        Share of the focal length: an estimate with a larger standard deviation is dropped, and the
-        guess is used.
-    readout : float or None
-        Readout time of the shutter, as in `tisfm.Camera`; None if it is estimated.
-    focal_known : bool
-        Whether the focal length is known. With a guess, a path cannot begin where all points lie in
-        one plane.
-    """
+    """Finds the camera path of tracks and views."""
 
     tracks: SequenceTracks
-    camera: Camera
+    camera: Camera  # pinhole camera of the frames
+    # The part of the camera that is estimated with the path. Except for ``"nothing"``, the focal
+    # length of `camera` is a guess.
     calibrate: Calibrate = "nothing"
+    # share of the focal length: an estimate with a larger standard deviation is dropped, and the
+    # guess is used
     limit: float = MAX_USEFUL_DEVIATION
+    # readout time of the shutter, as in `tisfm.Camera`; None if it is estimated
     readout: float | None = None
+    # Whether the focal length is known. With a guess, a path cannot begin where all points lie in
+    # one plane.
     focal_known: bool = True
 
-    def solve(self, instants: np.ndarray | None = None) -> CameraPath:
-        """Return the camera path.
-
-        Parameters
-        ----------
-        instants : (N,) array, optional
-            Time of each frame, in intervals between frames of the source; by default 0, 1, 2, …
-        """
+    def solve(
+        self,
+        # (N,) array: time of each frame, in intervals between frames of the source; by default 0,
+        # 1, 2, …
+        instants: np.ndarray | None = None,
+    ) -> CameraPath:
+        """Return the camera path."""
         tracks = self.tracks
         if not len(tracks.observations):
             return CameraPath(pieces=(), lost={}, seen=(), camera=self.camera)
@@ -243,25 +219,17 @@ class PathSolver:
 
 
 def find_path(
+    # for each frame: grey levels, ignored pixels and image motion, the arguments of
+    # `SequenceTracker.add`
     frames: Iterable[tuple[np.ndarray, np.ndarray | None, np.ndarray | None]],
+    # camera, readout, focal_known: as for `PathSolver`
     camera: Camera,
     *,
-    cells: int = CELLS,
+    cells: int = CELLS,  # as for `SequenceTracker`
     readout: float | None = None,
     focal_known: bool = True,
 ) -> CameraPath:
-    """Track frames, and return the camera path.
-
-    Parameters
-    ----------
-    frames : iterable
-        For each frame: grey levels, ignored pixels and image motion, the arguments of
-        `SequenceTracker.add`.
-    camera, readout, focal_known
-        As for `PathSolver`.
-    cells : int
-        As for `SequenceTracker`.
-    """
+    """Track frames, and return the camera path."""
     tracker = SequenceTracker(camera, cells=cells)
     for frame in frames:
         tracker.add(*frame)
@@ -306,25 +274,12 @@ def _straight_views(views: Sequence[View], lens: Camera, shape: tuple[int, int])
 
 def add_other_frames(
     pieces: Sequence[Piece],
-    seen: Sequence[Observations],
-    frames: Iterable[int],
-    camera: Camera,
-    shape: tuple[int, int],
+    seen: Sequence[Observations],  # tracks in every frame
+    frames: Iterable[int],  # frames to add
+    camera: Camera,  # pinhole camera of the frames
+    shape: tuple[int, int],  # height and width of the frames, px
 ) -> tuple[list[Piece], list[int]]:
-    """Add the frames between views to pieces; return the pieces and the frames without a piece.
-
-    Parameters
-    ----------
-    pieces : sequence of Piece
-    seen : sequence of Observations
-        Tracks in every frame.
-    frames : iterable of int
-        Frames to add.
-    camera : Camera
-        Pinhole camera of the frames.
-    shape : (int, int)
-        Height and width of the frames, px.
-    """
+    """Add the frames between views to pieces; return the pieces and the frames without a piece."""
     placed = {frame: k for k, piece in enumerate(pieces) for frame in piece.poses}
     ordered = sorted(placed)
     added: list[dict[int, np.ndarray]] = [dict(piece.poses) for piece in pieces]
@@ -346,21 +301,14 @@ def add_other_frames(
 
 
 def status_of_lost(
-    seen: Observations, pieces: Sequence[Piece], different: int, *, focal_known: bool = True
+    seen: Observations,  # tracks in the frame
+    pieces: Sequence[Piece],  # all pieces of the path
+    different: int,  # number of frames that differ from one another
+    *,
+    # whether the focal length is known: then a path may begin where all points lie in one plane
+    focal_known: bool = True,
 ) -> Status:
-    """Return the status of a frame without a pose.
-
-    Parameters
-    ----------
-    seen : Observations
-        Tracks in the frame.
-    pieces : sequence of Piece
-        All pieces of the path.
-    different : int
-        Number of frames that differ from one another.
-    focal_known : bool
-        Whether the focal length is known: then a path may begin where all points lie in one plane.
-    """
+    """Return the status of a frame without a pose."""
     count = len(seen.tracks)
     if count < MIN_SHARED:
         return Status(

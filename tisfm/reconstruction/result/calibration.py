@@ -21,47 +21,32 @@ class Calibration:
 
     Lengths are px of the frames of the source, before cropping and shrinking, as in `tisfm.Camera`
     and ``--focal``. `Reconstruction.camera` has px of the frames of the result.
-
-    Attributes
-    ----------
-    origin : {"given", "estimated", "guessed"}
-        Whether the focal length was given, estimated from the sequence, or guessed from the image
-        file or the image size. If the camera was given as a file, the origin that the file states.
-    focal : float or None
-        The focal length, px of the frames of the source; None before any frame is known.
-    focal_std : float
-        Its standard deviation, px of the frames of the source: 0 if it was given, infinite if it
-        was guessed.
-    shape : (int, int) or None
-        Height and width of the frames of the source, px.
-    seen : bool
-        Whether the focal length is reliable: False if it was guessed, or if the motion hardly
-        determines it.
-    message : str
-        The focal length, its origin and the size of its frames in words; empty if it was given.
-    radial : float
-        The lens coefficient k1 that was estimated with it, whose distortion was removed; 0 if none
-        was estimated.
-    radial_std : float
-        Its standard deviation.
-    readout : float
-        Readout time of the frames of the source, as for `tisfm.Camera`, if it was estimated from
-        the sequence; its effect has been removed from the frames. 0 if there is no effect, or if it
-        was given.
-    readout_std : float
-        Its standard deviation.
     """
 
+    # Whether the focal length was given, estimated from the sequence, or guessed from the image
+    # file or the image size. If the camera was given as a file, the origin that the file states.
     origin: Origin
+    # the focal length, px of the frames of the source; None before any frame is known
     focal: float | None = None
+    # its standard deviation, px of the frames of the source: 0 if it was given, infinite if it was
+    # guessed
     focal_std: float = 0.0
+    # (int, int) or None: height and width of the frames of the source, px
     shape: tuple[int, int] | None = None
+    # whether the focal length is reliable: False if it was guessed, or if the motion hardly
+    # determines it
     seen: bool = True
+    # the focal length, its origin and the size of its frames in words; empty if it was given
     message: str = ""
+    # the lens coefficient k1 that was estimated with it, whose distortion was removed; 0 if none
+    # was estimated
     radial: float = 0.0
-    radial_std: float = 0.0
+    radial_std: float = 0.0  # its standard deviation
+    # Readout time of the frames of the source, as for `tisfm.Camera`, if it was estimated from the
+    # sequence; its effect has been removed from the frames. 0 if there is no effect, or if it was
+    # given.
     readout: float = 0.0
-    readout_std: float = 0.0
+    readout_std: float = 0.0  # its standard deviation
 
     def __post_init__(self) -> None:
         """Check the values, which may come from a file."""
@@ -113,24 +98,18 @@ def _shape(given: Any) -> tuple[int, int]:
     return height, width
 
 
-def calibration_in(path: str | os.PathLike[str], focal: float) -> Calibration:
+def calibration_in(
+    path: str | os.PathLike[str],  # a file or folder that `tisfm.camera_file.read_camera` reads
+    # Focal length of the frames that the file was read for, px. Their size may differ from the size
+    # in the file. The returned focal length and deviation are px of these frames; the message is
+    # that of the file.
+    focal: float,
+) -> Calibration:
     """Return the calibration in the file of a camera; "given" if the file states no origin.
 
-    Parameters
-    ----------
-    path : path
-        A file or folder that `tisfm.camera_file.read_camera` reads.
-    focal : float
-        Focal length of the frames that the file was read for, px. Their size may differ from the
-        size in the file. The returned focal length and deviation are px of these frames; the
-        message is that of the file.
+    Raises OSError if the file cannot be read.
 
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    tisfm.formats.FormatError
-        If its content is damaged.
+    Raises tisfm.formats.FormatError if its content is damaged.
     """
     record = record_in(path)
     if "origin" not in record:

@@ -21,20 +21,12 @@ SAME = 1e-6  # relative difference below which two cameras are equal
 
 @dataclass(frozen=True, kw_only=True)
 class ResultLabels:
-    """The labels of an earlier reconstruction.
-
-    Attributes
-    ----------
-    folder : Path
-    files : mapping of str to Path
-        Label files by the names of the frames.
-    camera : Camera or None
-        The labels fit frames without the distortion and readout motion of this camera; None if they
-        fit the frames as they are read.
-    """
+    """The labels of an earlier reconstruction."""
 
     folder: Path
-    files: Mapping[str, Path]
+    files: Mapping[str, Path]  # label files by the names of the frames
+    # the labels fit frames without the distortion and readout motion of this camera; None if they
+    # fit the frames as they are read
     camera: Camera | None
 
     def check(self, stated: Camera | None, calibrate: str) -> None:
@@ -49,15 +41,13 @@ class ResultLabels:
         )
 
 
-def labels_of_result(labels: Any, source: Any) -> ResultLabels | None:
-    """Return the labels in a folder of a reconstruction, or in its masks folder; else None.
-
-    Parameters
-    ----------
-    labels, source : object
-        As for `tisfm.reconstruct`. If the source is the frames folder of that reconstruction, the
-        labels fit its frames.
-    """
+def labels_of_result(
+    # labels, source: As for `tisfm.reconstruct`. If the source is the frames folder of that
+    # reconstruction, the labels fit its frames.
+    labels: Any,
+    source: Any,
+) -> ResultLabels | None:
+    """Return the labels in a folder of a reconstruction, or in its masks folder; else None."""
     if not isinstance(labels, (str, os.PathLike)):
         return None
     path = Path(labels)

@@ -47,18 +47,13 @@ OTHERS = (
 
 
 def write_depth(
-    folder: Path, number: int, inverse_depth: np.ndarray, deviation: np.ndarray
+    folder: Path,
+    number: int,  # number of the frame
+    # inverse_depth, deviation: (H, W) float32, naN and infinity where there is no depth
+    inverse_depth: np.ndarray,
+    deviation: np.ndarray,
 ) -> None:
-    """Write the depth of a frame, with 11 significant bits.
-
-    Parameters
-    ----------
-    folder : Path
-    number : int
-        Number of the frame.
-    inverse_depth, deviation : (H, W) float32
-        NaN and infinity where there is no depth.
-    """
+    """Write the depth of a frame, with 11 significant bits."""
     scale = largest_of(inverse_depth) / LARGEST_HALF or 1.0
     with np.errstate(over="ignore"):
         halves = [
@@ -76,12 +71,9 @@ def largest_of(values: np.ndarray) -> float:
 def read_depth(folder: Path, number: int, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Return inverse depth and deviation of a frame, (H, W) float32; NaN and infinity if none.
 
-    Raises
-    ------
-    FileNotFoundError
-        If the depth folder is missing: it was moved or deleted.
-    tisfm.formats.FormatError
-        If the file is damaged.
+    Raises FileNotFoundError if the depth folder is missing: it was moved or deleted.
+
+    Raises tisfm.formats.FormatError if the file is damaged.
     """
     path = depth_path(folder, number)
     if not path.exists():
@@ -209,12 +201,9 @@ def write_record(folder: Path, result: Any) -> None:
 def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
     """Return the fields of a reconstruction that `write_record` wrote.
 
-    Raises
-    ------
-    FileNotFoundError
-        If it is not the folder of a complete reconstruction.
-    tisfm.formats.FormatError
-        If a file is damaged, or of a format this version cannot read.
+    Raises FileNotFoundError if it is not the folder of a complete reconstruction.
+
+    Raises tisfm.formats.FormatError if a file is damaged, or of a format this version cannot read.
     """
     path = Path(folder)
     if not (path / RECORD).is_file():

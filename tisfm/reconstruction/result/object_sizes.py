@@ -12,10 +12,7 @@ from tisfm.sources.frame_reader import is_integer
 def checked_object_sizes(sizes: Mapping[int, float] | None) -> dict[int, float]:
     """Return the lengths by object ids, checked.
 
-    Raises
-    ------
-    TypeError, ValueError
-        If an id is not a whole number, or a length is not positive.
+    Raises TypeError, ValueError if an id is not a whole number, or a length is not positive.
     """
     if sizes is not None and not isinstance(sizes, Mapping):
         raise InputTypeError(

@@ -39,27 +39,17 @@ _FOLDERS = (EARLIER, LEAVING, RESTORING, CHUNKS)
 
 
 @contextmanager
-def renewed_folder(folder: str | os.PathLike[str]) -> Iterator[Path]:
+def renewed_folder(
+    folder: str | os.PathLike[str],  # made if it does not exist
+) -> Iterator[Path]:
     """Prepare a folder for a reconstruction, and lock it within the block.
 
     An earlier reconstruction in it is put aside. It is removed when the block ends, and put back if
     an exception leaves the block. If the process is killed, it stays aside until the next run.
 
-    Parameters
-    ----------
-    folder : path
-        Made if it does not exist.
+    Raises FileExistsError if it holds files that do not belong to a reconstruction.
 
-    Yields
-    ------
-    Path
-
-    Raises
-    ------
-    FileExistsError
-        If it holds files that do not belong to a reconstruction.
-    OSError
-        If the folder cannot be made or written to, or another run writes to it.
+    Raises OSError if the folder cannot be made or written to, or another run writes to it.
     """
     path = make_result_folder(folder)
     with locked_folder(path):

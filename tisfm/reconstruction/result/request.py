@@ -33,30 +33,18 @@ Request = dict[str, Any]
 
 
 def make_request(
-    frames: FrameSource,
+    frames: FrameSource,  # a source of files
     *,
+    # camera, settings, poses: as for `tisfm.reconstruct`
     camera: Camera | Path | None,
     settings: Settings,
     poses: Trajectory | None,
-    arch: str | None,
-    others: Mapping[str, Any],
+    arch: str | None,  # the processor that kernels run on
+    others: Mapping[str, Any],  # further options, as JSON values
+    # options that name files, a folder or a pattern; the contents of the files count
     files: Mapping[str, str | None] | None = None,
 ) -> Request:
-    """Return everything that a result depends on, as JSON values.
-
-    Parameters
-    ----------
-    frames : FrameSource
-        A source of files.
-    camera, settings, poses
-        As for `tisfm.reconstruct`.
-    arch : str or None
-        The processor that kernels run on.
-    others : mapping
-        Further options, as JSON values.
-    files : mapping of str to str or None
-        Options that name files, a folder or a pattern; the contents of the files count.
-    """
+    """Return everything that a result depends on, as JSON values."""
     taken = frames.frame_files
     asked = {
         "version": __version__,
@@ -135,10 +123,7 @@ def read_request(folder: Path) -> Request | None:
 def is_done(folder: Path, asked: Request) -> bool:
     """Return whether a folder holds the complete result of a request.
 
-    Raises
-    ------
-    ValueError
-        If it holds the result of another request; the message names the differences.
+    Raises ValueError if it holds the result of another request; the message names the differences.
     """
     about = read_request(folder)
     if about is None or not (folder / RECORD).exists():

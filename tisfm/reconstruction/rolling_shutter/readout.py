@@ -65,39 +65,22 @@ class _Seen:
 
 
 def estimate_readout(
+    # views with points as the frames show them, not corrected for the readout
     views: Sequence[View],
+    # mapping of (int, int) to (N, 2) int array: for pairs of indices of views: indices of their
+    # detected points that match
     matches: Mapping[tuple[int, int], np.ndarray],
+    # mapping of int to (4, 4) array: current poses, camera to world, by frame
     poses: Mapping[int, np.ndarray],
+    # mapping of int to (6,) array: motion per interval, by frame, as `tisfm.shutter.rates_of`
+    # returns it
     rates: Mapping[int, np.ndarray],
-    camera: Camera,
-    shape: tuple[int, int],
+    camera: Camera,  # pinhole camera
+    shape: tuple[int, int],  # height and width of the frames, px
     *,
-    begun: float = 0.0,
-) -> ReadoutEstimate | None:
-    """Estimate the readout of a camera.
-
-    Parameters
-    ----------
-    views : sequence of View
-        Views with points as the frames show them, not corrected for the readout.
-    matches : mapping of (int, int) to (N, 2) int array
-        For pairs of indices of views: indices of their detected points that match.
-    poses : mapping of int to (4, 4) array
-        Current poses, camera to world, by frame.
-    rates : mapping of int to (6,) array
-        Motion per interval, by frame, as `tisfm.shutter.rates_of` returns it.
-    camera : Camera
-        Pinhole camera.
-    shape : (int, int)
-        Height and width of the frames, px.
-    begun : float
-        Readout that the estimation starts from.
-
-    Returns
-    -------
-    ReadoutEstimate or None
-        None if views share too few points.
-    """
+    begun: float = 0.0,  # readout that the estimation starts from
+) -> ReadoutEstimate | None:  # none if views share too few points
+    """Estimate the readout of a camera."""
     numbers = [k for k, view in enumerate(views) if view.frame in rates]
     if len(numbers) < MIN_VIEWS:
         return None
@@ -168,27 +151,14 @@ def _seen_by(
 
 
 class _Problem:
-    """Joint adjustment of poses, points, readout time and focal length.
-
-    Parameters
-    ----------
-    seen : _Seen
-    poses : (V, 4, 4) array
-        World to camera.
-    rates : (V, 6) array
-    camera, shape, readout
-        As for `estimate_readout`.
-
-    Attributes
-    ----------
-    readout : float
-    """
+    """Joint adjustment of poses, points, readout time and focal length."""
 
     def __init__(
         self,
         seen: _Seen,
-        poses: np.ndarray,
-        rates: np.ndarray,
+        poses: np.ndarray,  # (V, 4, 4) array: world to camera
+        rates: np.ndarray,  # (V, 6) array
+        # camera, shape, readout: as for `estimate_readout`
         camera: Camera,
         shape: tuple[int, int],
         readout: float,

@@ -34,31 +34,20 @@ Resolve = Callable[[Sequence[View], Sequence[Observations], Sequence[Piece]], Pa
 
 
 def find_unrolled_path(
-    solution: PathSolution,
+    solution: PathSolution,  # the path that was found for a global shutter
+    # returns the path for corrected views and tracks of a pinhole, starting from given pieces
     resolve: Resolve,
+    # mapping of (int, int) to (N, 2) int array: for pairs of indices of views: indices of their
+    # detected points that match
     matches: Mapping[tuple[int, int], np.ndarray],
+    # (N,) array: time of each frame, in intervals between frames of the source
     instants: np.ndarray,
-    readout: float | None,
-    shape: tuple[int, int],
+    readout: float | None,  # the readout time, if it is known
+    shape: tuple[int, int],  # height and width of the frames, px
 ) -> tuple[PathSolution, Rolling | None]:
     """Return the path of the middle rows, and the motion of frames while their rows were read.
 
     If no readout time is significant, the given path and None are returned.
-
-    Parameters
-    ----------
-    solution : PathSolution
-        The path that was found for a global shutter.
-    resolve : callable
-        Returns the path for corrected views and tracks of a pinhole, starting from given pieces.
-    matches : mapping of (int, int) to (N, 2) int array
-        For pairs of indices of views: indices of their detected points that match.
-    instants : (N,) array
-        Time of each frame, in intervals between frames of the source.
-    readout : float or None
-        The readout time, if it is known.
-    shape : (int, int)
-        Height and width of the frames, px.
     """
     camera = solution.camera.pinhole()
     views = DiskCache(View.arrays, View.of_arrays)

@@ -19,37 +19,20 @@ DEPTH_NEIGHBOURS = 3
 
 
 class TrackUnroller:
-    """Moves the points of frames to the positions that a global shutter would see.
-
-    Parameters
-    ----------
-    seen : sequence of Observations, or mapping
-        Tracks of every frame, as the camera sees them.
-    pieces : sequence of Piece
-        Each frame is in at most one piece.
-    instants : (N,) array, or mapping
-        Time of each frame, in intervals between frames of the source.
-    readout, deviation : float
-        As in `Rolling`.
-    camera : Camera
-        Pinhole camera.
-    shape : (int, int)
-        Height and width of the frames, px.
-
-    Attributes
-    ----------
-    rolling : Rolling
-    """
+    """Moves the points of frames to the positions that a global shutter would see."""
 
     def __init__(
         self,
+        # tracks of every frame, as the camera sees them
         seen: Sequence[Observations] | Mapping[int, Observations],
-        pieces: Sequence[Piece],
+        pieces: Sequence[Piece],  # each frame is in at most one piece
+        # (N,) array, or mapping: time of each frame, in intervals between frames of the source
         instants: np.ndarray | Mapping[int, float],
+        # readout, deviation: as in `Rolling`
         readout: float,
         deviation: float,
-        camera: Camera,
-        shape: tuple[int, int],
+        camera: Camera,  # pinhole camera
+        shape: tuple[int, int],  # height and width of the frames, px
     ) -> None:
         self._seen, self._camera, self._shape = seen, camera, shape
         rates: dict[int, np.ndarray] = {}

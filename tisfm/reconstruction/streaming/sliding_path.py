@@ -34,24 +34,13 @@ MIN_FIXED_VIEWS = 6
 
 @dataclass(frozen=True, kw_only=True)
 class SlidingSolution:
-    """The path of the recent frames.
+    """The path of the recent frames."""
 
-    Attributes
-    ----------
-    pieces : dict of int to Piece
-        Pieces by their numbers, which never change.
-    held : dict of int to (4, 4) float64
-        Fixed poses, by frame.
-    lost : dict of int to Status
-        Reason for each frame that is not settled yet and has no pose.
-    rolling : Rolling or None
-        With a rolling shutter: the motion of unsettled frames while their rows were read. Poses and
-        points are those of middle rows then.
-    """
-
-    pieces: dict[int, Piece]
-    held: dict[int, np.ndarray]
-    lost: dict[int, Status]
+    pieces: dict[int, Piece]  # pieces by their numbers, which never change
+    held: dict[int, np.ndarray]  # dict of int to (4, 4) float64: fixed poses, by frame
+    lost: dict[int, Status]  # reason for each frame that is not settled yet and has no pose
+    # With a rolling shutter: the motion of unsettled frames while their rows were read. Poses and
+    # points are those of middle rows then.
     rolling: Rolling | None = None
 
 
@@ -158,22 +147,14 @@ class SlidingPath:
 
     def add(
         self,
-        grey: np.ndarray,
-        ignored: np.ndarray | None = None,
+        grey: np.ndarray,  # (H, W) uint8
+        ignored: np.ndarray | None = None,  # (H, W) bool: pixels to ignore
         *,
+        # (int, float or None): number of the frame in the source, and its time, s; by default the
+        # next number and no time
         taken: tuple[int, float | None] | None = None,
     ) -> None:
-        """Track and keep the next frame.
-
-        Parameters
-        ----------
-        grey : (H, W) uint8
-        ignored : (H, W) bool, optional
-            Pixels to ignore.
-        taken : (int, float or None), optional
-            Number of the frame in the source, and its time, s; by default the next number and no
-            time.
-        """
+        """Track and keep the next frame."""
         seen = self._tracker.track(grey, ignored)
         if self._views.needs(seen, max(grey.shape)):
             self._views.add(len(self.seen), grey, seen, ignored)

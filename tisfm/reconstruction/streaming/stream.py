@@ -44,27 +44,16 @@ LOOKAHEAD_DIVISOR = 3
 
 
 class Stream:
-    """Reads frames, and yields each with its pose and depth.
-
-    Parameters
-    ----------
-    source : FrameSource
-    camera : Camera, Path or None
-        Camera of the source's frames, or its file; None for a guess.
-    calibrate : {"nothing", "focal"}
-        The part of the camera that is estimated with the first path.
-    settings : Settings
-    delay : int
-        The largest number of later frames that are read before a frame is yielded.
-    """
+    """Reads frames, and yields each with its pose and depth."""
 
     def __init__(
         self,
         source: FrameSource,
+        # camera of the source's frames, or its file; None for a guess
         camera: Camera | Path | None,
-        calibrate: Calibrate,
+        calibrate: Calibrate,  # the part of the camera that is estimated with the first path
         settings: Settings,
-        delay: int,
+        delay: int,  # the largest number of later frames that are read before a frame is yielded
     ) -> None:
         self._source, self._camera, self._settings = source, camera, settings
         self._calibrate, self._calibration = calibrate, GIVEN
@@ -296,15 +285,10 @@ class Stream:
 
 
 class _InOrder:
-    """Depth of frames in order; `PieceDepths` yields keyframes before the frames between them.
-
-    Attributes
-    ----------
-    key : (int, WindowDepth) or None
-        The last keyframe that was reached, and its depth.
-    """
+    """Depth of frames in order; `PieceDepths` yields keyframes before the frames between them."""
 
     def __init__(self, depths: PieceDepths) -> None:
+        # (int, WindowDepth) or None: the last keyframe that was reached, and its depth
         self.key: tuple[int, WindowDepth] | None = None
         self._depths, self._found = depths, self._sorted(depths)
         self._next: FrameDepth | None = next(self._found, None)

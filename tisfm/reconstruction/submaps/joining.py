@@ -92,28 +92,17 @@ def focal_from_submaps(
 
 
 def models_from_submaps(
+    # views, matches, camera, shape, focal_known: as for
+    # `tisfm.reconstruction.mapping.models.find_models`
     views: Sequence[View],
     matches: Matches,
     camera: Camera,
     shape: tuple[int, int],
-    seen: Sequence[Observations],
+    seen: Sequence[Observations],  # tracks in every frame
     *,
     focal_known: bool = True,
-) -> list[Model]:
-    """Find poses of views and points of tracks, as `find_models` does, in bounded memory.
-
-    Parameters
-    ----------
-    views, matches, camera, shape, focal_known
-        As for `tisfm.reconstruction.mapping.models.find_models`.
-    seen : sequence of Observations
-        Tracks in every frame.
-
-    Returns
-    -------
-    list of Model
-        The largest model first. Each view is in at most one model.
-    """
+) -> list[Model]:  # The largest model first. Each view is in at most one model.
+    """Find poses of views and points of tracks, as `find_models` does, in bounded memory."""
     size = max(MIN_GROUP_VIEWS, len(views) // GROUP_COUNT)
     spans = submap_spans(len(views))
     grower = SubmapBuilder(views, matches, camera, shape, spans, size, focal_known=focal_known)

@@ -17,32 +17,17 @@ Matches = Mapping[tuple[int, int], np.ndarray]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Submap:
-    """Views of a span in one coordinate system.
+    """Views of a span in one coordinate system."""
 
-    Attributes
-    ----------
-    span : (int, int)
-        The first view of the span, and the view after its last.
-    poses : dict of int to (4, 4) float64
-        Camera to world, by view, in order.
-    groups : list of list of int
-        The views, divided into consecutive groups.
-    points : (P, 3) float64
-        The points that were adjusted together with the poses.
-    shows : (G, P) bool
-        The points that the views of each group show.
-    tracks : TrackPoints
-        Points of the tracks in views that are also in other spans.
-    detected : dict of int to ((N,) int64, (N, 3) float64)
-        By view: numbers and positions of detected points that match views of other spans.
-    """
-
-    span: tuple[int, int]
+    span: tuple[int, int]  # the first view of the span, and the view after its last
+    # dict of int to (4, 4) float64: camera to world, by view, in order
     poses: dict[int, np.ndarray]
-    groups: list[list[int]]
-    points: np.ndarray
-    shows: np.ndarray
-    tracks: TrackPoints
+    groups: list[list[int]]  # the views, divided into consecutive groups
+    points: np.ndarray  # (P, 3) float64: the points that were adjusted together with the poses
+    shows: np.ndarray  # (G, P) bool: the points that the views of each group show
+    tracks: TrackPoints  # points of the tracks in views that are also in other spans
+    # dict of int to ((N,) int64, (N, 3) float64): by view: numbers and positions of detected points
+    # that match views of other spans
     detected: dict[int, tuple[np.ndarray, np.ndarray]]
 
     def group_of(self, view: int) -> int:
@@ -70,26 +55,19 @@ class Submap:
 
 
 class SubmapBuilder:
-    """Maps the spans of a sequence one by one.
-
-    Parameters
-    ----------
-    views, matches, camera, shape, focal_known
-        As for `tisfm.reconstruction.mapping.models.find_models`.
-    spans : sequence of (int, int)
-        The first view of each submap, and the view after its last.
-    size : int
-        Approximate number of views of a group.
-    """
+    """Maps the spans of a sequence one by one."""
 
     def __init__(
         self,
+        # views, matches, camera, shape, focal_known: as for
+        # `tisfm.reconstruction.mapping.models.find_models`
         views: Sequence[View],
         matches: Matches,
         camera: Camera,
         shape: tuple[int, int],
+        # sequence of (int, int): the first view of each submap, and the view after its last
         spans: Sequence[tuple[int, int]],
-        size: int,
+        size: int,  # approximate number of views of a group
         *,
         focal_known: bool = True,
     ) -> None:

@@ -13,18 +13,14 @@ CELL_COUNTS = (10, 16, 24)
 MIN_TRACKS = 60
 
 
-def choose_long_tracks(seen: Sequence[Observations], longer_side: int) -> list[Observations]:
+def choose_long_tracks(
+    seen: Sequence[Observations],  # tracks in views
+    longer_side: int,  # longer side of the frames, px
+) -> list[Observations]:
     """Return the observations of the longest track in each cell of each view.
 
     A track that few views see adds work but hardly any information that long tracks do not have.
     With fewer tracks, matches of points by appearance, which do not drift, get more weight.
-
-    Parameters
-    ----------
-    seen : sequence of Observations
-        Tracks in views.
-    longer_side : int
-        Longer side of the frames, px.
     """
     if not seen:
         return []

@@ -32,18 +32,10 @@ BLOCK_VIEWS = 512
 
 @dataclass(frozen=True, kw_only=True)
 class ImageDescriptors:
-    """Descriptors of a view, in 8 bits each.
+    """Descriptors of a view, in 8 bits each."""
 
-    Attributes
-    ----------
-    points : (N, 2) float64
-        (x, y), px from the upper left pixel's centre.
-    levels : (N, 128) uint8
-        Square roots of the descriptors of these points, times 255.
-    """
-
-    points: np.ndarray
-    levels: np.ndarray
+    points: np.ndarray  # (N, 2) float64: (x, y), px from the upper left pixel's centre
+    levels: np.ndarray  # (N, 128) uint8: square roots of the descriptors of these points, times 255
 
     @classmethod
     def of(cls, found: Described) -> "ImageDescriptors":
@@ -64,15 +56,12 @@ class ImageDescriptors:
         return Described(points=self.points, roots=self.levels.astype(np.float32) / MAX_LEVEL)
 
 
-def find_similar_views(looks: Sequence[ImageDescriptors], *, apart: int) -> list[tuple[int, int]]:
+def find_similar_views(
+    looks: Sequence[ImageDescriptors],  # descriptors of views, in the order of their frames
+    *,
+    apart: int,  # smallest distance, in views, from the earlier to the later view
+) -> list[tuple[int, int]]:
     """Return pairs of views that may show the same scene, the earlier view first, in order.
-
-    Parameters
-    ----------
-    looks : sequence of ImageDescriptors
-        Descriptors of views, in the order of their frames.
-    apart : int
-        Smallest distance, in views, from the earlier to the later view.
 
     References
     ----------

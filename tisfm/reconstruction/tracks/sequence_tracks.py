@@ -20,52 +20,30 @@ CLOSER_VIEWS = 0.0125
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceTracks:
-    """Tracks and views of a sequence.
+    """Tracks and views of a sequence."""
 
-    Attributes
-    ----------
-    observations : sequence of Observations
-        Tracks in every frame.
-    views : sequence of View
-        The frames from which a path is built, in order; none if poses are given.
-    matches : mapping of (int, int) to (N, 2) int array
-        For pairs of indices of views: indices of detected points that match.
-    different : int
-        Number of frames that differ from one another.
-    shape : (int, int)
-        Height and width of the frames, px.
-    """
-
-    observations: Sequence[Observations]
+    observations: Sequence[Observations]  # tracks in every frame
+    # the frames from which a path is built, in order; none if poses are given
     views: Sequence[View]
+    # mapping of (int, int) to (N, 2) int array: for pairs of indices of views: indices of detected
+    # points that match
     matches: Mapping[tuple[int, int], np.ndarray]
-    different: int
-    shape: tuple[int, int]
+    different: int  # number of frames that differ from one another
+    shape: tuple[int, int]  # height and width of the frames, px
 
 
 class SequenceTracker:
-    """Tracks points through the frames of a sequence, and selects views.
-
-    Parameters
-    ----------
-    camera : Camera
-        Pinhole camera of the frames.
-    focal_known : bool
-        Whether matches of views have to fit the focal length of the camera. Otherwise any focal
-        length may fit.
-    with_views : bool
-        Whether views are selected. A given path needs only tracks.
-    cells : int
-        As for `tisfm.reconstruction.tracks.tracker.Tracker`.
-    """
+    """Tracks points through the frames of a sequence, and selects views."""
 
     def __init__(
         self,
-        camera: Camera,
+        camera: Camera,  # pinhole camera of the frames
         *,
+        # Whether matches of views have to fit the focal length of the camera. Otherwise any focal
+        # length may fit.
         focal_known: bool = True,
-        with_views: bool = True,
-        cells: int = CELLS,
+        with_views: bool = True,  # Whether views are selected. A given path needs only tracks.
+        cells: int = CELLS,  # as for `tisfm.reconstruction.tracks.tracker.Tracker`
     ) -> None:
         self._tracker = Tracker(camera, TRACKING_SETTINGS, cells)
         self._observations = DiskCache(Observations.arrays, Observations.of_arrays)
@@ -78,20 +56,12 @@ class SequenceTracker:
 
     def add(
         self,
-        grey: np.ndarray,
-        ignored: np.ndarray | None = None,
+        grey: np.ndarray,  # (H, W) uint8
+        ignored: np.ndarray | None = None,  # (H, W) bool: pixels without tracks
+        # (h, w, 2) float32: image motion from the previous frame, as for `Tracker.track`
         flow: np.ndarray | None = None,
     ) -> None:
-        """Track points into the next frame.
-
-        Parameters
-        ----------
-        grey : (H, W) uint8
-        ignored : (H, W) bool, optional
-            Pixels without tracks.
-        flow : (h, w, 2) float32, optional
-            Image motion from the previous frame, as for `Tracker.track`.
-        """
+        """Track points into the next frame."""
         number = len(self._observations)
         seen = self._tracker.track(grey, ignored, flow)
         if self._with_views:
@@ -108,10 +78,7 @@ class SequenceTracker:
     def finish(self) -> SequenceTracks:
         """Return the tracks and views of all frames.
 
-        Raises
-        ------
-        InputError
-            If frames are out of order.
+        Raises InputError if frames are out of order.
         """
         if self._last is None:
             return SequenceTracks(observations=(), views=(), matches={}, different=0, shape=(0, 0))

@@ -43,18 +43,10 @@ MAX_SEARCH = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class Observations:
-    """Positions of tracks in a frame.
+    """Positions of tracks in a frame."""
 
-    Attributes
-    ----------
-    points : (N, 2) float64
-        (x, y), px from the upper left pixel's centre.
-    tracks : (N,) int64
-        Track numbers, ascending.
-    """
-
-    points: np.ndarray
-    tracks: np.ndarray
+    points: np.ndarray  # (N, 2) float64: (x, y), px from the upper left pixel's centre
+    tracks: np.ndarray  # (N,) int64: track numbers, ascending
 
     @classmethod
     def of_arrays(cls, points: np.ndarray, tracks: np.ndarray) -> "Observations":
@@ -74,19 +66,15 @@ class Observations:
 
 
 class Tracker:
-    """Tracks points from each frame to the next.
+    """Tracks points from each frame to the next."""
 
-    Parameters
-    ----------
-    camera : Camera
-        Pinhole camera of the frames.
-    settings : Settings
-        Settings of the image motion.
-    cells : int
-        Cells along the longer side: a new track begins in every cell without a track.
-    """
-
-    def __init__(self, camera: Camera, settings: Settings, cells: int = CELLS) -> None:
+    def __init__(
+        self,
+        camera: Camera,  # pinhole camera of the frames
+        settings: Settings,  # settings of the image motion
+        # cells along the longer side: a new track begins in every cell without a track
+        cells: int = CELLS,
+    ) -> None:
         self._camera, self._settings, self._cells = camera, settings, cells
         self._grey: np.ndarray | None = None
         self._small: np.ndarray | None = None
@@ -95,21 +83,13 @@ class Tracker:
 
     def track(
         self,
-        grey: np.ndarray,
-        ignored: np.ndarray | None = None,
+        grey: np.ndarray,  # (H, W) uint8
+        ignored: np.ndarray | None = None,  # (H, W) bool: pixels without tracks
+        # (h, w, 2) float32: image motion from the previous frame at the size of `shrink_for_flow`,
+        # px of this size. By default it is computed.
         flow: np.ndarray | None = None,
     ) -> Observations:
-        """Return the tracks in the next frame.
-
-        Parameters
-        ----------
-        grey : (H, W) uint8
-        ignored : (H, W) bool, optional
-            Pixels without tracks.
-        flow : (h, w, 2) float32, optional
-            Image motion from the previous frame at the size of `shrink_for_flow`, px of this size.
-            By default it is computed.
-        """
+        """Return the tracks in the next frame."""
         small = shrink_for_flow(grey)
         points, tracks = self._seen.points, self._seen.tracks
         if self._grey is not None and self._small is not None:
@@ -132,7 +112,11 @@ class Tracker:
 
 
 def carry_points(
-    grey0: np.ndarray, grey1: np.ndarray, points: np.ndarray, flow: np.ndarray
+    # grey0, grey1: (H, W) uint8
+    grey0: np.ndarray,
+    grey1: np.ndarray,
+    points: np.ndarray,  # (N, 2) float64
+    flow: np.ndarray,  # (h, w, 2) float32: image motion from frame 0 to frame 1, px of its own size
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions of points of frame 0 in frame 1, and the points that were found.
 
@@ -140,17 +124,7 @@ def carry_points(
     A point counts as found if tracking back to frame 0 ends at its start, and the patches in both
     frames are similar. Few points pass these checks, but these points drift little.
 
-    Parameters
-    ----------
-    grey0, grey1 : (H, W) uint8
-    points : (N, 2) float64
-    flow : (h, w, 2) float32
-        Image motion from frame 0 to frame 1, px of its own size.
-
-    Returns
-    -------
-    moved : (N, 2) float64
-    found : (N,) bool
+    Returns moved, (N, 2) float64; found, (N,) bool.
 
     References
     ----------
@@ -197,18 +171,12 @@ def _sought(
 
 
 def choose_new_points(
-    grey: np.ndarray, points: np.ndarray, ignored: np.ndarray | None, cells: int = CELLS
+    grey: np.ndarray,  # (H, W) uint8
+    points: np.ndarray,  # (M, 2) float64: existing points
+    ignored: np.ndarray | None,  # (H, W) bool, or None
+    cells: int = CELLS,  # number of cells along the longer side
 ) -> np.ndarray:
     """Return the strongest corner of each cell without a point, (N, 2) float64.
-
-    Parameters
-    ----------
-    grey : (H, W) uint8
-    points : (M, 2) float64
-        Existing points.
-    ignored : (H, W) bool, or None
-    cells : int
-        Number of cells along the longer side.
 
     References
     ----------

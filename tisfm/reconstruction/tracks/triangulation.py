@@ -23,17 +23,10 @@ MAX_OBSERVATIONS = 2**18
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrackPoints(Mapping[int, np.ndarray]):
-    """Points of tracks: a mapping from track numbers to positions, stored in two arrays.
+    """Points of tracks: a mapping from track numbers to positions, stored in two arrays."""
 
-    Attributes
-    ----------
-    tracks : (N,) int64
-        Track numbers, ascending.
-    positions : (N, 3) float64
-    """
-
-    tracks: np.ndarray
-    positions: np.ndarray
+    tracks: np.ndarray  # (N,) int64: track numbers, ascending
+    positions: np.ndarray  # (N, 3) float64
 
     @classmethod
     def of(cls, points: Mapping[int, np.ndarray]) -> "TrackPoints":
@@ -83,24 +76,12 @@ def points_of_tracks(
 
 
 def triangulate_tracks(
-    seen: Sequence[Observations],
-    poses: Mapping[int, np.ndarray],
-    camera: Camera,
-    shape: tuple[int, int],
+    seen: Sequence[Observations],  # observations of every frame
+    poses: Mapping[int, np.ndarray],  # mapping of int to (4, 4) array: camera to world, by frame
+    camera: Camera,  # pinhole camera
+    shape: tuple[int, int],  # height and width of the frames, px
 ) -> TrackPoints:
-    """Triangulate tracks: return the points nearest to the rays of their observations.
-
-    Parameters
-    ----------
-    seen : sequence of Observations
-        Observations of every frame.
-    poses : mapping of int to (4, 4) array
-        Camera to world, by frame.
-    camera : Camera
-        Pinhole camera.
-    shape : (int, int)
-        Height and width of the frames, px.
-    """
+    """Triangulate tracks: return the points nearest to the rays of their observations."""
     found = [_triangulated(few, poses, camera, shape) for few in _lots(seen, poses)]
     return TrackPoints(
         tracks=np.concatenate([one.tracks for one in found]),

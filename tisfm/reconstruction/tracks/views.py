@@ -44,20 +44,11 @@ RANSAC_TRIALS = 500
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """Tracks and detected points of a frame.
-
-    Attributes
-    ----------
-    frame : int
-    seen : Observations
-        Tracks in the frame.
-    detected : (M, 2) float64
-        Points that are matched by appearance, px.
-    """
+    """Tracks and detected points of a frame."""
 
     frame: int
-    seen: Observations
-    detected: np.ndarray
+    seen: Observations  # tracks in the frame
+    detected: np.ndarray  # (M, 2) float64: points that are matched by appearance, px
 
     @classmethod
     def of_arrays(cls, frame: np.ndarray, *arrays: np.ndarray) -> "View":
@@ -73,29 +64,22 @@ class View:
 
 
 class ViewSelection:
-    """Selects views among the frames of a sequence, and matches them.
+    """Selects views among the frames of a sequence, and matches them."""
 
-    Parameters
-    ----------
-    camera : Camera
-        Pinhole camera of the frames.
-    focal_known : bool
-        Whether matches have to fit its focal length. Otherwise any focal length may fit.
-    on_disk : bool
-        Whether views are stored on disk: then they cannot be dropped.
-
-    Attributes
-    ----------
-    chosen : list of View, or DiskCache of View
-        Selected views, in the order of their frames.
-    matches : dict of (int, int) to (N, 2) int32 array
-        For pairs of indices of views: indices of their detected points that match.
-    """
-
-    def __init__(self, camera: Camera, *, focal_known: bool = True, on_disk: bool = False) -> None:
+    def __init__(
+        self,
+        camera: Camera,  # pinhole camera of the frames
+        *,
+        # Whether matches have to fit its focal length. Otherwise any focal length may fit.
+        focal_known: bool = True,
+        on_disk: bool = False,  # whether views are stored on disk: then they cannot be dropped
+    ) -> None:
+        # selected views, in the order of their frames
         self.chosen: list[View] | DiskCache[View] = (
             DiskCache(View.arrays, View.of_arrays) if on_disk else []
         )
+        # dict of (int, int) to (N, 2) int32 array: for pairs of indices of views: indices of their
+        # detected points that match
         self.matches: dict[tuple[int, int], np.ndarray] = {}
         self._camera, self._focal_known = camera, focal_known
         self._looks: list[ImageDescriptors] | DiskCache[ImageDescriptors] = (
