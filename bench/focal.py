@@ -17,8 +17,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullForma
 from numpy.typing import NDArray
 
 import tisfm
+from bench.depth.methods import two_stage
 from bench.depth.scores import depth_of
-from bench.depth.two_stage import two_stage
 from bench.shared.command import options_parser, words_of
 from bench.shared.figures import CURVES, tidy
 from bench.shared.results import RESULTS, Table, machine, text_of, write

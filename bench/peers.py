@@ -20,8 +20,8 @@ from bench.shared.command import (
     running_peers,
 )
 from bench.shared.contest import Contest, Method, baseline, preset
-from bench.shared.contest_plot import draw
 from bench.shared.contest_report import show, write
+from bench.shared.figures import draw
 from bench.shared.peer_process import prepare, survey
 from bench.shared.results import RESULTS, machine, print_gaps, wide_console
 from tisfm import runtime

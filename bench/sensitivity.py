@@ -79,7 +79,7 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
     """Return name → function that measures the figures of an input."""
     import tisfm  # here and below: imported after the constant was changed
     from bench.sequences.entries import FARTHEST, data_entries
-    from bench.sequences.rendered_scores import depth_in_one_scale, path_error
+    from bench.sequences.rendered_films import depth_in_one_scale, path_error
     from bench.shared.sequences import find_pairs, scene_pairs
     from tisfm.evaluation.sequences import compare_sequence
     from tisfm.metrics import depth_errors, endpoint_error, pose_errors

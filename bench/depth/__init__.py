@@ -1,6 +1,5 @@
 """Errors of depth and of the motion of the camera: ``python -m bench.depth``.
 
 `contest` runs `methods` on `pairs` in turns, `scores` has their errors and `report` the tables.
-`two_stage` is the compared method: flow, essential matrix and triangulation. Imports tisfm and
-`bench.shared`.
+Imports tisfm and `bench.shared`.
 """

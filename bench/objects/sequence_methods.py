@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import tisfm
 from bench.objects import segmentation
 from bench.objects.clips import Clip
-from bench.objects.tracking import as_one, tracked
+from bench.objects.segmentation import as_one, tracked
 from bench.shared.contest import MethodFailure
 from bench.shared.peer_process import Peer
 from bench.shared.sequences import FlowPair

@@ -31,10 +31,7 @@ from bench.reference.data import (
     robust_tensor,
     tensors_of,
 )
-from bench.reference.energies import (
-    energy,
-    half_quadratic_energy,
-)
+from bench.reference.depth_maps import by_look, merged, rendered
 from bench.reference.epipolar import (
     along,
     displacement,
@@ -42,10 +39,10 @@ from bench.reference.epipolar import (
     motion_jacobian,
     motion_system,
 )
-from bench.reference.flowless import flowless_fields, minimise_over_flowless
-from bench.reference.forward_splatting import defeated, splat
 from bench.reference.images import (
+    defeated,
     derivatives,
+    splat,
     warp,
 )
 from bench.reference.linear_system import (
@@ -54,10 +51,13 @@ from bench.reference.linear_system import (
     sweep_lexicographic,
     sweep_red_black,
 )
-from bench.reference.merging import merged
 from bench.reference.minimisation import (
     Minimisation,
+    energy,
+    flowless_fields,
+    half_quadratic_energy,
     minimise,
+    minimise_over_flowless,
 )
 from bench.reference.patch_match import (
     best_mean,
@@ -71,7 +71,6 @@ from bench.reference.pyramid import (
     coarse_to_fine,
     prolong,
 )
-from bench.reference.rendering import rendered
 from bench.reference.second_order import (
     SecondOrder,
     anchor_energy,
@@ -95,7 +94,6 @@ from bench.reference.smoothness import (
     image_edges,
     smoothness_energy,
 )
-from bench.reference.surface_edges import by_look
 
 __all__ = [
     "Minimisation",

@@ -1,15 +1,13 @@
-"""The half-quadratic algorithm (Table 1), within one linearisation."""
+"""The energy, and the half-quadratic algorithm (Table 1) within one linearisation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from bench.reference.data import robust_energy, robust_tensor
-from bench.reference.energies import half_quadratic_energy
-from bench.reference.flowless import minimise_over_flowless
+from bench.reference.data import data_energy, robust_energy, robust_tensor
 from bench.reference.linear_system import sweep_red_black
-from bench.reference.smoothness import Smoothness, edge_weights, smoothness_energy
+from bench.reference.smoothness import Smoothness, differences, edge_weights, smoothness_energy
 
 
 @dataclass(frozen=True)
@@ -62,3 +60,68 @@ def minimise(
         if moved <= tolerance * size:
             return Minimisation(energies, half, changes, True)
     return Minimisation(energies, half, changes, False)
+
+
+def flowless_fields(motion: np.ndarray) -> np.ndarray:
+    """Return the smooth fields without image motion, (4, 6, H, W), or (1, 3, H, W).
+
+    They are τ along the line of sight, and each component of ω with the τ that cancels its image
+    motion.
+
+    Parameters
+    ----------
+    motion : (2, n, H, W) array
+        G of 6 or 3 components (`bench.reference.motion_matrix`).
+    """
+    x, y = -motion[0, 2], -motion[1, 2]
+    one, zero = np.ones_like(x), np.zeros_like(x)
+    along = [x, y, one, zero, zero, zero]
+    about_x = [x * y, 1 + y * y, zero, one, zero, zero]
+    about_y = [-1 - x * x, -x * y, zero, zero, one, zero]
+    about_z = [y, -x, zero, zero, zero, one]
+    if motion.shape[1] == 6:
+        return np.array([along, about_x, about_y, about_z])
+    return np.array([along[:3]])
+
+
+def minimise_over_flowless(
+    motion: np.ndarray, weights: np.ndarray, rho: np.ndarray, alpha: float
+) -> None:
+    """Add to ρ̂ the multiple of each field that minimises the energy; `rho` is modified in place.
+
+    Only α Σ b Δρ̂² depends on these multiples, the data terms do not. `weights` are b, (2n, H, W).
+    """
+    fields = flowless_fields(motion)
+    b = alpha * weights.reshape(2, *rho.shape)
+    steps = np.stack([np.stack(differences(field)) for field in fields])
+    matrix = np.einsum("icnyx,cnyx,jcnyx->ij", steps, b, steps)
+    vector = -np.einsum("icnyx,cnyx,cnyx->i", steps, b, np.stack(differences(rho)))
+    rho += np.einsum("i,inyx->nyx", np.linalg.lstsq(matrix, vector, rcond=None)[0], fields)
+
+
+def energy(
+    tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray, alpha: float, smoothness: Smoothness
+) -> float:
+    """Return the energy (eq. 6, 20): the quadratic data term plus α times the smoothness."""
+    return data_energy(tensor, motion, rho) + alpha * smoothness_energy(rho, smoothness)
+
+
+def half_quadratic_energy(
+    tensor: np.ndarray,
+    motion: np.ndarray,
+    rho: np.ndarray,
+    weights: np.ndarray,
+    alpha: float,
+    smoothness: Smoothness,
+) -> float:
+    """Return the half-quadratic form (eq. 8, 21) of `energy`: per edge g[bΔ² + δ²(b + 1/b − 2)]."""
+    n, height, width = rho.shape
+    edges = smoothness.open(height, width)
+    scale = smoothness.stiffnesses(n) * edges
+    b = np.where(scale > 0, weights.reshape(2, n, height, width) / np.where(scale > 0, scale, 1), 1)
+    penalty = b * smoothness.squares(rho)
+    if np.isfinite(smoothness.contrast):
+        penalty = penalty + smoothness.contrast**2 * (1 - b) ** 2 / b
+    if smoothness.joint:
+        penalty = penalty[:, :1]
+    return data_energy(tensor, motion, rho) + alpha * float((edges * penalty).sum())

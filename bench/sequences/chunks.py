@@ -19,8 +19,7 @@ from rich.console import Console
 import tisfm
 from bench.sequences.entries import FARTHEST
 from bench.sequences.memory import HEIGHT, WIDTH, film
-from bench.sequences.rendered_films import rounds
-from bench.sequences.rendered_scores import path_error
+from bench.sequences.rendered_films import path_error, rounds
 from bench.shared.command import options_parser
 from bench.shared.results import RESULTS, Table, cell, machine, text_of, write
 from bench.shared.sequences import data_folder

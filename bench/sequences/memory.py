@@ -19,8 +19,7 @@ from rich.console import Console
 
 import tisfm
 from bench.pair_memory import peak
-from bench.sequences.rendered_films import CACHE, rounds
-from bench.sequences.rendered_scores import path_error
+from bench.sequences.rendered_films import CACHE, path_error, rounds
 from bench.shared.command import options_parser
 from bench.shared.results import RESULTS, Table, machine, text_of, write
 from tisfm import runtime

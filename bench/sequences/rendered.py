@@ -21,24 +21,22 @@ from rich.console import Console
 
 import tisfm
 from bench.sequences.rendered_films import (
+    COUNTS,
     SIZE,
     Take,
     around_one,
-    round_trip,
-    shaken,
-    turned,
-    walked,
-)
-from bench.sequences.rendered_scores import (
-    COUNTS,
     depth_in_one_scale,
     depth_of_pair,
     depth_of_window,
     flicker,
     gap,
     path_error,
+    round_trip,
     scale_change,
+    shaken,
     share_of_mesh,
+    turned,
+    walked,
 )
 from bench.shared.command import options_parser, words_of
 from bench.shared.figures import CURVES, tidy

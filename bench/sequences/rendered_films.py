@@ -1,6 +1,7 @@
-"""Films of a rendered room with exact truth; each film tests one ability."""
+"""Films of a rendered room with exact truth, and the errors of their reconstructions."""
 
 import hashlib
+import itertools
 import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -8,12 +9,20 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+import tisfm
 from tisfm.camera import Camera
+from tisfm.metrics import absolute_errors, align, path_length
+from tisfm.reconstruction.depth.window_depth import window_depth
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import Film, room_film
 
 SIZE = 240, 320  # px, height and width
 CACHE = Path(tempfile.gettempdir()) / "tisfm-rendered-films"
+COUNTS = (2, 3, 4, 6, 8)  # numbers of frames for the depth of a keyframe
+WITHIN = 0.02  # share of the true depth: largest error of a correct vertex
+HIDDEN = 0.05  # share of the visible depth: points farther behind are hidden
+
+Poses = np.ndarray  # (N, 4, 4), camera to world
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,3 +133,127 @@ def _looking(positions: np.ndarray, angles: np.ndarray) -> np.ndarray:
         pose[:3, :3] = cv2.Rodrigues(np.array([0.0, angle, 0.0]))[0]
         pose[:3, 3] = position
     return poses
+
+
+def centres(poses: Poses) -> np.ndarray:
+    """Return the positions of the camera, (N, 3)."""
+    return np.asarray(poses[:, :3, 3])
+
+
+def path_error(found: Poses, true: Poses) -> float:
+    """Return the ATE of the frames with a pose, % of the true path; NaN with fewer than two."""
+    known = np.isfinite(found[:, 0, 0])
+    if known.sum() < 2:
+        return float("nan")
+    return 100 * absolute_errors(found[known], true[known]).similarity / path_length(true)
+
+
+def gap(found: Poses, true: Poses) -> float:
+    """Return the error of the last position relative to the first pose, % of the true path.
+
+    The whole path has one scale.
+    """
+    there = align(centres(found), centres(true))
+    both = there.scale * _from_first(found), _from_first(true)
+    return 100 * float(np.linalg.norm(both[0] - both[1])) / path_length(true)
+
+
+def scale_change(found: Poses, true: Poses, before: slice, after: slice) -> float:
+    """Return the difference between the scales of two parts of a path, %."""
+    one, other = (
+        align(centres(found[part]), centres(true[part])).scale for part in (before, after)
+    )
+    return 100 * abs(other / one - 1)
+
+
+def flicker(film: Film, result: tisfm.Reconstruction, settings: tisfm.Settings) -> float:
+    """Return the spread of the scale of depth over frames, divided by the spread of single pairs.
+
+    Pairs without depth are left out.
+    """
+    numbers = range(0, len(film.frames) - 1, 3)
+    spread = np.std([_log_scale(film.depth[k], result.depth(k)) for k in numbers])
+    pairs = [
+        tisfm.interpret(*film.frames[k : k + 2], camera=film.camera, settings=settings)
+        for k in numbers
+    ]
+    alone = [_log_scale(film.depth[k], pair.depth) for k, pair in zip(numbers, pairs, strict=True)]
+    return float(spread / np.nanstd(alone))
+
+
+def share_of_mesh(film: Film, result: tisfm.Reconstruction) -> float:
+    """Return the share of the vertices of a mesh of the keyframes near the true surface, %.
+
+    The mesh is aligned with the truth by the similarity of the paths alone.
+    """
+    vertices = result.mesh().vertices
+    if not len(vertices):
+        return 0.0
+    moved = align(centres(result.poses), centres(film.poses)).apply(vertices)
+    return 100 * float(np.mean(_distance(moved, film) < WITHIN))
+
+
+def depth_in_one_scale(film: Film, result: tisfm.Reconstruction) -> float:
+    """Return the mean error of the depth of all frames in one scale; missing depth counts as 1."""
+    found = np.array([result.depth(k) for k in range(len(film.frames))])
+    scale = np.nanmedian(film.depth / found)
+    error = np.abs(scale * found - film.depth) / film.depth
+    return float(np.nan_to_num(error, nan=1.0).mean())
+
+
+def depth_of_window(film: Film, count: int, settings: tisfm.Settings) -> tuple[float, float]:
+    """Return the mean error of the depth of the first frame from `count` frames with given poses.
+
+    The second value is the share of pixels with an error of at most one deviation, %.
+    """
+    frames = film.frames[:count].astype(np.float32)
+    motions = np.array([(np.linalg.inv(pose) @ film.poses[0])[:3] for pose in film.poses[1:count]])
+    found = window_depth(frames[0], list(frames[1:]), motions, film.camera, settings)
+    if found is None:
+        return float("nan"), float("nan")
+    error = np.abs(1 / found.inverse_depth - film.depth[0]) / film.depth[0]
+    off = np.abs(found.inverse_depth - 1 / film.depth[0])
+    return float(error.mean()), 100 * float(np.mean(off <= found.deviation))
+
+
+def depth_of_pair(film: Film, settings: tisfm.Settings) -> float:
+    """Return the mean error of the depth of the first frame from two frames, in its best scale."""
+    found = tisfm.interpret(*film.frames[:2], camera=film.camera, settings=settings).depth
+    true = film.depth[0]
+    scaled = found * np.nanmedian(true / found)
+    return float(np.nan_to_num(np.abs(scaled - true) / true, nan=1.0).mean())
+
+
+def _from_first(poses: Poses) -> np.ndarray:
+    """Return the last position in the axes of the first camera, (3,)."""
+    return np.asarray(poses[0, :3, :3].T @ (poses[-1, :3, 3] - poses[0, :3, 3]))
+
+
+def _log_scale(true: np.ndarray, found: np.ndarray) -> float:
+    known = np.isfinite(found)
+    return float(np.log(np.median(true[known] / found[known]))) if known.any() else np.nan
+
+
+def _distance(points: np.ndarray, film: Film) -> np.ndarray:
+    """Return the relative distance of points, (N, 3), from the visible surface, (N,).
+
+    It is a share of the depth, the mean over frames that do not hide the point; infinite if all do.
+    """
+    total, count = np.zeros((2, len(points)))
+    height, width = film.depth.shape[1:]
+    center = film.camera.center_for(height, width)
+    for pose, depth in zip(film.poses, film.depth, strict=True):
+        x, y, z = ((points - pose[:3, 3]) @ pose[:3, :3]).T
+        ahead = np.where(z > 0, z, 1)
+        u, v = (film.camera.focal * a / ahead + c for a, c in zip((x, y), center, strict=True))
+        on = np.flatnonzero((z > 0) & (u >= 0) & (u < width - 1) & (v >= 0) & (v < height - 1))
+        column, row = u[on].astype(np.intp), v[on].astype(np.intp)
+        # At an edge, the nearest surface of four pixels counts.
+        each = np.stack(
+            [z[on] / depth[row + j, column + i] - 1 for i, j in itertools.product((0, 1), (0, 1))]
+        )
+        nearest = np.take_along_axis(each, np.abs(each).argmin(axis=0)[None], axis=0)[0]
+        shown = nearest < HIDDEN
+        total[on[shown]] += np.abs(nearest[shown])
+        count[on[shown]] += 1
+    return np.where(count > 0, total / np.maximum(count, 1), np.inf)

@@ -1,6 +1,7 @@
 """Process of `bench.sequences` that runs a method of tisfm on a sequence.
 
-It reads one line of JSON from standard input and prints one.
+The methods are `tisfm.reconstruct`, and a chain of pairs: the depth of earlier pairs gives the
+scale of each pair. The process reads one line of JSON from standard input and prints one.
 """
 
 import contextlib
@@ -9,19 +10,32 @@ import json
 import sys
 import time
 import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import tisfm
 from bench.pair_memory import peak, restart
-from bench.sequences.chained import chain
 from bench.sequences.stored import store, store_map
 from tisfm import runtime
+from tisfm.evaluation.pair_errors import LITTLE_PARALLAX
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats import read_image
+from tisfm.interpretation import Interpretation
 from tisfm.lens import undistort
+from tisfm.rigid import pose_matrix
+
+STRIDE = 4  # px between the pixels whose points are passed to the next pair
+FEWEST = 0.003  # share of these pixels with both depths, below which the scale is lost; set by hand
+
+# Arguments: a frame, and the other frame of its pair.
+Interpret = Callable[[int, int], Interpretation]
+# Arguments: a frame, and the interpretation with its depth.
+Keep = Callable[[int, Interpretation], None]
 
 
 def run(request: dict[str, Any]) -> dict[str, Any]:
@@ -115,6 +129,121 @@ def _chained(
     without = np.full((len(frames), 4, 4), np.nan)
     store(folder, "pairs", poses=without, piece=nothing, status=found.status)
     return {"results": {"chained pairs": "chained", "pairs": "pairs"}, "seconds": seconds}
+
+
+@dataclass(kw_only=True)
+class Chain:
+    """Result of chained pairs.
+
+    Attributes
+    ----------
+    poses : list of (4, 4) array
+        Camera to world.
+    piece : list of int
+        Number of the segment of each frame; a segment has one scale.
+    status : list of str
+    units : list of float
+        Unit of length of the pair of each frame, in the unit of its segment.
+    """
+
+    poses: list[NDArray[np.float64]] = field(default_factory=list)
+    piece: list[int] = field(default_factory=list)
+    status: list[str] = field(default_factory=list)
+    units: list[float] = field(default_factory=list)
+
+
+def chain(
+    count: int, interpret: Interpret, keep: Keep, *, focal: float, center: tuple[float, float]
+) -> Chain:
+    """Chain the pairs of consecutive frames.
+
+    The points of the previous frame, moved by its pair, have the scale of the segment. The median
+    ratio of their depth to the depth of this frame's pair is the unit of the pair. A pair without
+    depth only turns the camera, and the points are passed on. The last frame has the depth of the
+    reversed pair.
+
+    Parameters
+    ----------
+    count : int
+        Frames, at least 2.
+    interpret : callable
+        Returns the interpretation of two frames with given indices, with the motion of the camera.
+    keep : callable
+        Called with every frame that has a depth.
+    focal : float
+        px.
+    center : (float, float)
+        Principal point, px.
+
+    Returns
+    -------
+    Chain
+    """
+    found = Chain()
+    pose, piece = np.eye(4), 0
+    # (3, K), in the axes of this frame and the scale of the segment.
+    points: NDArray[np.float64] | None = None
+    for index in range(count):
+        last = index == count - 1
+        result = interpret(index, index - 1) if last else interpret(index, index + 1)
+        seen = result.status not in LITTLE_PARALLAX and result.motions is not None
+        unit = _unit(points, result.inverse_depth, focal, center) if seen else 1.0
+        if unit is None:  # the scale is lost: a new segment begins
+            pose, piece, unit = np.eye(4), piece + 1, 1.0
+        found.poses.append(pose)
+        found.piece.append(piece)
+        found.status.append(str(result.status))
+        found.units.append(unit)
+        if seen:
+            keep(index, result)
+        if result.motions is None:
+            continue
+        motion = pose_matrix(result.motions[0])
+        motion[:3, 3] *= unit if seen else 0.0
+        if seen:
+            points = _points(result.inverse_depth, focal, center) * unit
+        if points is not None:
+            points = motion[:3, :3] @ points + motion[:3, 3:]
+        pose = pose @ np.linalg.inv(motion)
+    return found
+
+
+def _points(
+    inverse_depth: NDArray, focal: float, center: tuple[float, float]
+) -> NDArray[np.float64]:
+    """Return the points of some pixels, (3, K), in camera axes and the unit of the pair."""
+    rows, columns = np.mgrid[: inverse_depth.shape[0] : STRIDE, : inverse_depth.shape[1] : STRIDE]
+    inverse = inverse_depth[rows, columns].astype(np.float64)
+    near = np.isfinite(inverse) & (inverse > 0)
+    rays = np.stack(
+        [
+            (columns[near] - center[0]) / focal,
+            (rows[near] - center[1]) / focal,
+            np.ones(np.count_nonzero(near)),
+        ]
+    )
+    return rays / inverse[near]
+
+
+def _unit(
+    points: NDArray | None, inverse_depth: NDArray, focal: float, center: Sequence[float]
+) -> float | None:
+    """Return the median of earlier depth over depth of this pair; None for too little overlap.
+
+    It is 1 without earlier points: the first pair with depth defines the unit.
+    """
+    if points is None:
+        return 1.0
+    ahead = points[:, points[2] > 0]
+    x = np.rint(focal * ahead[0] / ahead[2] + center[0])
+    y = np.rint(focal * ahead[1] / ahead[2] + center[1])
+    height, width = inverse_depth.shape
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    here = inverse_depth[y[inside].astype(np.intp), x[inside].astype(np.intp)]
+    ratios = ahead[2, inside] * here
+    ratios = ratios[np.isfinite(ratios) & (ratios > 0)]
+    fewest = FEWEST * inverse_depth.size / STRIDE**2
+    return float(np.median(ratios)) if len(ratios) > fewest else None
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bench import ablation, peers, untextured, window
-from bench.shared.contest_plot import picture
+from bench.shared.figures import picture
 from bench.untextured import Method
 from tests.bench.shared.fakes import Fake, contest, flow_pair
 from tisfm.scenes import bare_patches

@@ -7,7 +7,7 @@ import pytest
 
 import tisfm
 from bench import reference
-from bench.reference.flowless import flowless_fields, minimise_over_flowless
+from bench.reference.minimisation import flowless_fields, minimise_over_flowless
 from tests.lanes import LANES
 
 ALPHA = 40.0

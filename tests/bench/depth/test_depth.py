@@ -13,7 +13,7 @@ from bench import focal
 from bench.depth import __main__ as depth
 from bench.depth import scores
 from bench.depth.contest import hold
-from bench.depth.methods import Estimate, FlowThenDepth
+from bench.depth.methods import Estimate, FlowThenDepth, NoMotion, triangulated, two_stage
 from bench.depth.pairs import (
     GIVEN,
     HAND_HELD,
@@ -41,7 +41,6 @@ from bench.depth.report import (
     write,
 )
 from bench.depth.scores import HORIZON, Score, limited, parallax_of, score
-from bench.depth.two_stage import NoMotion, triangulated, two_stage
 from bench.focal import picture
 from bench.shared.contest import Call, MethodFailure
 from tisfm.metrics import pose_errors

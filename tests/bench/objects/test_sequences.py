@@ -11,9 +11,9 @@ import pytest
 import tisfm
 from bench.objects import segmentation, sequences
 from bench.objects.clips import davis_clip, davis_folders, neighbours, rendered_clip
+from bench.objects.segmentation import as_one, tracked
 from bench.objects.sequence_methods import Found, Reconstruct
 from bench.objects.sequence_scores import ClipScore, best, details, scored, table
-from bench.objects.tracking import as_one, tracked
 from bench.shared.contest import MethodFailure
 from tests.noise import moving_noise
 from tisfm.formats import write_png

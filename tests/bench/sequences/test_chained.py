@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bench.sequences.chained import chain
+from bench.sequences.worker import chain
 from tests.evaluation.reconstructed import CENTER, DEPTHS, FOCAL, PATH, H, N, W
 from tisfm.metrics import absolute_errors
 from tisfm.rigid import rigid_twist

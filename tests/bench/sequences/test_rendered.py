@@ -9,21 +9,19 @@ import pytest
 from bench.sequences import rendered_films
 from bench.sequences.rendered import draw, write
 from bench.sequences.rendered_films import (
-    Take,
-    around_one,
-    round_trip,
-    rounds,
-    shaken,
-    turned,
-    walked,
-)
-from bench.sequences.rendered_scores import (
     COUNTS,
+    Take,
     _distance,
+    around_one,
     depth_in_one_scale,
     gap,
     path_error,
+    round_trip,
+    rounds,
     scale_change,
+    shaken,
+    turned,
+    walked,
 )
 from bench.shared.results import Bar
 

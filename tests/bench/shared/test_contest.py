@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.shared import contest_report
-from bench.shared.columns import cores, present, ratio, standard_time
+from bench.shared.contest_report import cores, present, ratio, standard_time
 from tests.bench.shared.fakes import SIZE, Fake, contest, flow_pair
 
 

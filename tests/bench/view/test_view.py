@@ -3,7 +3,7 @@
 import pytest
 
 from bench.view import __main__ as view
-from bench.view.long_results import lengthened_reconstruction, lengthened_run
+from bench.view.__main__ import lengthened_reconstruction, lengthened_run
 from bench.view.opening import Opening, browser_path
 from tests.view.results import write_reconstruction, write_run
 from tisfm.results.opening import open_result

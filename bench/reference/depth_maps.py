@@ -1,10 +1,13 @@
-"""Inverse depth of one view as another view sees it."""
+"""Depth maps: rendered into another view, merged, and aligned with the edges of the image."""
 
 import numpy as np
 
 from tisfm.camera import Camera
 
 ALIKE = 0.05  # relative difference of inverse depth between pixels of one surface, at most
+SUREST = 1e-3  # least deviation that is trusted, as a share of the inverse depth
+RADIUS = 3  # px
+FADING = 0.1
 
 
 def rendered(
@@ -104,3 +107,61 @@ def _looked_up(
     if moved <= 0:
         return 0.0, 0.0
     return depth / moved, spread * abs(turned) / moved**2
+
+
+def merged(
+    inverse_depths: np.ndarray, deviations: np.ndarray, alike: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the means of inverse depth and deviation over the sources that agree most at a pixel.
+
+    Parameters
+    ----------
+    inverse_depths, deviations : (N, H, W)
+        Of each source; inverse depth 0 is unknown.
+    alike : float
+        Two sources agree if they differ by less than this share of the larger inverse depth.
+    """
+    known = inverse_depths > 0
+    least = np.where(known, SUREST * inverse_depths, 1)
+    votes = np.where(known, inverse_depths / np.maximum(deviations, least), 0) ** 2
+    apart = np.abs(inverse_depths[:, None] - inverse_depths)
+    agree = apart < alike * np.maximum(inverse_depths[:, None], inverse_depths)
+    shares = votes * (agree & known & known[:, None])  # (N, N, H, W): vote of source j for source i
+    best = shares.sum(axis=1).argmax(axis=0)
+    chosen = np.take_along_axis(shares, best[None, None], axis=0)[0]
+    total = np.maximum(chosen.sum(axis=0), np.finfo(float).tiny)
+    depth, deviation = (
+        (chosen * values).sum(axis=0) / total for values in (inverse_depths, deviations)
+    )
+    return depth, deviation
+
+
+def by_look(
+    inverse_depth: np.ndarray,
+    deviation: np.ndarray,
+    middle: np.ndarray,
+    frame: np.ndarray,
+    similar: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return inverse depth and deviation whose edges lie where the frame has edges.
+
+    Parameters
+    ----------
+    inverse_depth, deviation, frame : (H, W)
+    middle : (H, W)
+        Inverse depth between the two surfaces nearby; 0 if there is only one surface.
+    similar : float
+        Grey levels: a pixel that differs by this much from the centre weighs 1/e.
+    """
+    depth, spread = inverse_depth.copy(), deviation.copy()
+    rows, columns = np.indices(frame.shape)
+    for y, x in zip(*np.nonzero(middle), strict=True):
+        square = (rows - y) ** 2 + (columns - x) ** 2
+        votes = np.exp(-np.abs(frame - frame[y, x]) / similar) / (1 + FADING * square)
+        votes *= (abs(rows - y) <= RADIUS) & (abs(columns - x) <= RADIUS)
+        mine = inverse_depth[y, x] > middle[y, x]
+        others = votes * ((inverse_depth > middle[y, x]) != mine)
+        if others.sum() > votes.sum() / 2:
+            depth[y, x] = (others * inverse_depth).sum() / others.sum()
+            spread[y, x] = (others * deviation).sum() / others.sum()
+    return depth, spread
