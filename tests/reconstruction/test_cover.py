@@ -7,9 +7,8 @@ import pytest
 
 import tisfm
 from tests.reconstruction.films import board_film, path_error
-from tisfm.reconstruction.mapping.colmap import pycolmap
-from tisfm.reconstruction.mapping.coverage import Coverage, places_in
-from tisfm.reconstruction.mapping.database import colmap_camera
+from tisfm.reconstruction.mapping.database import colmap_camera, pycolmap
+from tisfm.reconstruction.mapping.model_scores import Coverage, places_in
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 from tisfm.rigid import pose_matrix

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from tisfm.reconstruction.tracks import long_tracks as module
-from tisfm.reconstruction.tracks.long_tracks import CELL_COUNTS, MIN_TRACKS, choose_long_tracks
+from tisfm.reconstruction.tracks import views as module
 from tisfm.reconstruction.tracks.tracker import Observations
+from tisfm.reconstruction.tracks.views import CELL_COUNTS, MIN_TRACKS, choose_long_tracks
 
 SIDE = 400  # px, of the frames
 CELL = SIDE / CELL_COUNTS[0]

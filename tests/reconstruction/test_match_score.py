@@ -14,7 +14,7 @@ from tests.reconstruction.test_cover import (
     view_of,
 )
 from tisfm.reconstruction.mapping.incremental import first_pair_tolerance
-from tisfm.reconstruction.mapping.match_score import MatchScore, half_line_distances
+from tisfm.reconstruction.mapping.model_scores import MatchScore, half_line_distances
 
 REST = np.eye(4)[:3]
 SIDEWAYS = np.column_stack([np.eye(3), [-0.5, 0, 0]])  # the camera goes to the right

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.rendered import room_film
-from tisfm.reconstruction.mapping.low_parallax import LowParallaxFilter
+from tisfm.reconstruction.mapping.parallax import LowParallaxFilter
 from tisfm.reconstruction.path.path_solver import find_path
 from tisfm.rigid import pose_matrix
 

@@ -12,8 +12,8 @@ from tests.reconstruction.films import path_error
 from tests.rendered import room_film
 from tisfm.camera_file import read_camera
 from tisfm.reconstruction.path.path_solver import find_path
+from tisfm.reconstruction.rolling_shutter.correction import _is_seen
 from tisfm.reconstruction.rolling_shutter.readout import ReadoutEstimate
-from tisfm.reconstruction.rolling_shutter.unrolled_path import _is_seen
 from tisfm.rigid import pose_matrix
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource

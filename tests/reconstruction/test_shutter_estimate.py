@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tisfm.camera import Camera
+from tisfm.reconstruction.rolling_shutter.correction import _is_seen
 from tisfm.reconstruction.rolling_shutter.readout import estimate_readout
-from tisfm.reconstruction.rolling_shutter.unrolled_path import _is_seen
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 from tisfm.rigid import pose_matrix

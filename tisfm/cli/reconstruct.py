@@ -29,8 +29,8 @@ from tisfm.formats import atomic_write
 from tisfm.formats.csv_table import csv_table
 from tisfm.fusion.mesh import check_scikit_image
 from tisfm.machine.text import as_size
+from tisfm.reconstruction.chunks.chunk import CHUNK
 from tisfm.reconstruction.chunks.runs import ChunksRun, ReconstructRun, WholeRun
-from tisfm.reconstruction.chunks.spans import CHUNK
 from tisfm.reconstruction.progress import DepthOf, Enough, Stage
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.reconstruction import Reconstruction

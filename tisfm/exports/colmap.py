@@ -20,8 +20,7 @@ from tisfm.exports.frame_files import (
     write_pictures,
 )
 from tisfm.exports.tracks import Tracks, cells_of, measured_tracks
-from tisfm.reconstruction.mapping.colmap import pycolmap
-from tisfm.reconstruction.mapping.database import PIXEL_CENTRE, colmap_camera
+from tisfm.reconstruction.mapping.database import PIXEL_CENTRE, colmap_camera, pycolmap
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 Form = Literal["binary", "text", "both"]

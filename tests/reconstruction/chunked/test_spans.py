@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from tisfm.reconstruction.chunks.spans import (
+from tisfm.reconstruction.chunks.chunk import (
     CHUNK,
     MAX_OVERLAP,
     MIN_CHUNK,

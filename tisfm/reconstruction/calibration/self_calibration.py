@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import LONGEST, SHORTEST, Camera
-from tisfm.reconstruction.mapping.colmap import pycolmap
+from tisfm.reconstruction.mapping.database import pycolmap
 from tisfm.reconstruction.mapping.incremental import robust_adjustment
 from tisfm.reconstruction.mapping.models import Model, ViewGraph, find_models
 from tisfm.reconstruction.mapping.solution import MAX_USEFUL_DEVIATION, FocalEstimate

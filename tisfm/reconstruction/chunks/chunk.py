@@ -1,4 +1,4 @@
-"""A chunk of a sequence, and its reconstruction in any process."""
+"""A chunk of a sequence: its frames, and its reconstruction in any process."""
 
 import hashlib
 import json
@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,11 @@ from filelock import FileLock
 from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.camera_file import record_in
-from tisfm.errors import RunError, is_user_error
+from tisfm.errors import InputError, RunError, is_user_error
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.folders.result_folder import remove, remove_link
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.reading import read_json
-from tisfm.reconstruction.chunks.spans import Span
 from tisfm.reconstruction.entry import reconstruct
 from tisfm.reconstruction.progress import DepthOf
 from tisfm.reconstruction.result.calibration import Calibrate
@@ -29,8 +29,63 @@ from tisfm.running.pool import as_sent, check_worker
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource, Listing, Source
-from tisfm.sources.frame_reader import SourceWarning
+from tisfm.sources.frame_reader import SourceWarning, is_integer
 from tisfm.version import __version__
+
+# Default number of frames of a chunk.
+CHUNK = 150
+# Largest number of frames that a chunk shares with the next one.
+MAX_OVERLAP = 20
+# A short chunk shares fewer frames: its length divided by this number.
+MIN_OVERLAP_DIVISOR = 3
+# Smallest allowed number of frames of a chunk.
+MIN_CHUNK = 12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Span:
+    """The frames of a chunk."""
+
+    start: int  # number of the first frame in the source
+    stop: int | None  # number of the first frame after the chunk; None for the end of the source
+    count: int  # number of frames
+
+    def of(self, taken: range) -> slice:
+        """Return the slice of the chunk in the selected frames."""
+        begin = taken.index(self.start)
+        return slice(begin, begin + self.count)
+
+
+def check_chunk(chunk: int) -> None:
+    """Raise InputError if chunks have too few frames."""
+    if not is_integer(chunk) or chunk < MIN_CHUNK:
+        raise InputError(f"chunk is {chunk!r}: expected a number of frames, at least {MIN_CHUNK}")
+
+
+def overlap_of(chunk: int) -> int:
+    """Return the number of frames that neighbour chunks of a length share."""
+    return min(MAX_OVERLAP, chunk // MIN_OVERLAP_DIVISOR)
+
+
+def spans_of(
+    taken: range,  # numbers of all selected frames in the source
+    stop: int | None,  # the end of the selection, as given; the last chunk ends there
+    chunk: int,  # largest number of frames of a chunk
+) -> list[Span]:
+    """Return the frames of each chunk; their lengths are as equal as possible."""
+    count, overlap = len(taken), overlap_of(chunk)
+    chunks = 1 if count <= chunk else -(-(count - overlap) // (chunk - overlap))
+    begins = [k * (count - overlap) // chunks for k in range(chunks + 1)]
+    if chunks == 1:
+        begins = [0, count - overlap]
+    return [
+        Span(
+            start=taken[begin],
+            stop=stop if end + overlap >= count else taken[end + overlap - 1] + 1,
+            count=end + overlap - begin,
+        )
+        for begin, end in pairwise(begins)
+    ]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -23,10 +23,9 @@ from tisfm.folders.result_folder import (
     remove_temporaries,
     try_to_remove,
 )
-from tisfm.reconstruction.chunks.chunk import Chunk
-from tisfm.reconstruction.chunks.placement import ChunkResult, place_chunks
+from tisfm.reconstruction.chunks.chunk import CHUNK, Chunk, check_chunk, spans_of
+from tisfm.reconstruction.chunks.joining import ChunkResult, place_chunks, write_whole
 from tisfm.reconstruction.chunks.shared_camera import Finished, is_sought, made, shared_camera
-from tisfm.reconstruction.chunks.spans import CHUNK, check_chunk, spans_of
 from tisfm.reconstruction.entry import (
     checked_calibrate,
     checked_camera,
@@ -207,8 +206,6 @@ class ChunkedRun:
         Raises Exception: as `tisfm.reconstruct`; ValueError if chunks in the folder are of another
         request.
         """
-        from tisfm.reconstruction.chunks.joining import write_whole
-
         warn_notes(self._notes)
         tell: Progress = progress or (lambda stage, done, total: None)
         path = make_result_folder(self.folder)

@@ -1,19 +1,191 @@
-"""The folder of a whole sequence, joined from the folders of its chunks."""
+"""Joining of chunks: the similarities of their pieces to one world, and the folder of the whole."""
 
 import shutil
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from tisfm.camera_file import NAME as CAMERA
+from tisfm.errors import InputError
 from tisfm.formats.atomic import link_or_copy
 from tisfm.formats.npz import NpzFile, write_npz
-from tisfm.reconstruction.chunks.placement import ChunkPlacement, ChunkResult
-from tisfm.reconstruction.pipeline import add_piece_note, remove_piece_note
+from tisfm.reconstruction.chunks.chunk import Span
+from tisfm.reconstruction.chunks.overlaps import ChunkOverlap, overlap_sim3
+from tisfm.reconstruction.geometry.sim3 import sim3_scale, transform_pose
+from tisfm.reconstruction.geometry.sim3_graph import chain_sim3
 from tisfm.reconstruction.result.folder import CACHE, PICTURES, depth_path, write_record
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.status import Status
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChunkResult:
+    """The result of a chunk."""
+
+    result: Reconstruction
+    frames: dict[int, int]  # number of each frame in the result, by its number in the source
+
+    @classmethod
+    def of(cls, result: Reconstruction, span: Span, taken: range) -> "ChunkResult":
+        """Return the result of a chunk, for its span of the selected frames.
+
+        Raises ValueError if the result has another number of frames.
+        """
+        skipped = {index for index, _ in result.skipped}
+        left = [index for index in taken[span.of(taken)] if index not in skipped]
+        if len(left) != len(result):
+            raise InputError(
+                f"{result.folder} has {len(result)} frames, expected {len(left)}: the source has "
+                "changed meanwhile"
+            )
+        return cls(result=result, frames={index: number for number, index in enumerate(left)})
+
+    def piece(self, index: int) -> int:
+        """Return the piece of a frame; −1 for none."""
+        return int(self.result.piece[self.frames[index]]) if index in self.frames else -1
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChunkPlacement:
+    """The chunk that a frame of the whole is taken from, and the frame's pose and scale."""
+
+    # part, number: number of the chunk, and number of the frame in the chunk
+    part: int
+    number: int
+    piece: int  # number of the piece in the whole; −1 for none
+    pose: np.ndarray  # (4, 4) float64: camera to world; NaN for a frame without a pose
+    scale: float  # factor for the depth of the chunk
+
+
+def place_chunks(
+    parts: Sequence[ChunkResult],  # results in order; each shares frames with the next
+    *,
+    are_given: bool,  # Whether poses were given. All results then have one world and one unit.
+) -> list[ChunkPlacement]:
+    """Return the placement of every frame of the whole, in order."""
+    owners = _owners(parts)
+    nodes = [(k, piece) for k, part in enumerate(parts) for piece in range(len(part.result.unit))]
+    if are_given:
+        worlds = [{node: np.eye(4) for node in range(len(nodes))}]
+    else:
+        worlds = _worlds(parts, nodes)
+    of_node = {nodes[node]: n for n, world in enumerate(worlds) for node in world}
+    similarity = {nodes[node]: place for world in worlds for node, place in world.items()}
+    pieces: dict[int, int] = {}
+    bases: dict[int, tuple[np.ndarray, float]] = {}  # the first pose of a piece, and its unit
+    found = []
+    for index, owner in owners.items():
+        part = parts[owner]
+        node, number = (owner, part.piece(index)), part.frames[index]
+        if node[1] < 0:
+            nowhere = np.full((4, 4), np.nan)
+            found.append(
+                ChunkPlacement(part=owner, number=number, piece=-1, pose=nowhere, scale=1.0)
+            )
+            continue
+        world = of_node[node]
+        pose = transform_pose(similarity[node], part.result.poses[number])
+        if world not in pieces:
+            pieces[world] = len(pieces)
+            unit = _unit(parts, owners, similarity, of_node, world)
+            begins = np.allclose(pose, np.eye(4), atol=1e-12)  # exactly the first frame
+            bases[world] = (np.eye(4) if begins or are_given else pose), unit
+        base, unit = bases[world]
+        pose = np.linalg.solve(base, pose)
+        pose[:3, 3] /= unit
+        scale = sim3_scale(similarity[node]) / unit
+        found.append(
+            ChunkPlacement(part=owner, number=number, piece=pieces[world], pose=pose, scale=scale)
+        )
+    return found
+
+
+def _owners(parts: Sequence[ChunkResult]) -> dict[int, int]:
+    """Return the chunk of each frame, by its number in the source, in order."""
+    owners: dict[int, int] = {}
+    cuts = [_cut(before, after) for before, after in pairwise(parts)]
+    for k, part in enumerate(parts):
+        for index in part.frames:
+            if k == 0 or index >= cuts[k - 1]:
+                owners[index] = k
+    for k, (before, after) in enumerate(pairwise(parts)):
+        for index in before.frames.keys() & after.frames.keys():
+            # Prefer the chunk in which the frame has a pose.
+            for one, other in ((k, k + 1), (k + 1, k)):
+                if parts[one].piece(index) < 0 <= parts[other].piece(index):
+                    owners[index] = other
+    return dict(sorted(owners.items()))
+
+
+def _cut(before: ChunkResult, after: ChunkResult) -> int:
+    """Return the first frame that is taken from the later of two chunks.
+
+    It is the keyframe of the later chunk that is nearest to the middle of the shared frames.
+    Without a keyframe in the middle half, it is the middle frame.
+    """
+    shared = sorted(before.frames.keys() & after.frames.keys())
+    if not shared:
+        return min(after.frames)
+    middle, quarter = len(shared) // 2, len(shared) // 4
+    keys = [
+        k
+        for k in range(quarter, len(shared) - quarter)
+        if after.frames[shared[k]] in after.result.keyframes
+    ]
+    return shared[min(keys, key=lambda k: (abs(k - middle), k), default=middle)]
+
+
+def _worlds(
+    parts: Sequence[ChunkResult], nodes: Sequence[tuple[int, int]]
+) -> list[dict[int, np.ndarray]]:
+    """Return, for each world, the similarities of its pieces, by their node numbers."""
+    number = {node: n for n, node in enumerate(nodes)}
+    joints = []
+    for k, (before, after) in enumerate(pairwise(parts)):
+        both: dict[tuple[int, int], list[tuple[int, int]]] = {}
+        for index in sorted(before.frames.keys() & after.frames.keys()):
+            pair = before.piece(index), after.piece(index)
+            if min(pair) >= 0:
+                both.setdefault(pair, []).append((before.frames[index], after.frames[index]))
+        for (first, second), shared in sorted(both.items()):
+            similarity = overlap_sim3(before.result, after.result, shared)
+            if similarity is not None:
+                joints.append(
+                    ChunkOverlap(
+                        first=number[k, first],
+                        second=number[k + 1, second],
+                        similarity=similarity,
+                        frames=len(shared),
+                    )
+                )
+    joints.sort(key=lambda joint: -joint.frames)
+    return chain_sim3(len(nodes), joints)
+
+
+def _unit(
+    parts: Sequence[ChunkResult],
+    owners: dict[int, int],
+    similarity: dict[tuple[int, int], np.ndarray],
+    of_node: dict[tuple[int, int], int],
+    world: int,
+) -> float:
+    """Return the scale of the piece with the first keyframe of a world.
+
+    The unit of this piece becomes the unit of the world.
+    """
+    own = [
+        (owner, index)
+        for index, owner in owners.items()
+        if of_node.get((owner, parts[owner].piece(index))) == world
+    ]
+    first = next(
+        (one for one in own if parts[one[0]].frames[one[1]] in parts[one[0]].result.keyframes),
+        own[0],
+    )
+    return sim3_scale(similarity[first[0], parts[first[0]].piece(first[1])])
 
 
 def write_whole(
@@ -66,6 +238,8 @@ def _statuses(
     missing: Mapping[int, Status],
 ) -> list[Status]:
     """Return the status of each frame; the first frame of a later piece has a note of it."""
+    from tisfm.reconstruction.pipeline import add_piece_note, remove_piece_note
+
     found, begun = [], {-1, 0}
     for frame, (one, place) in enumerate(zip(results, places, strict=True)):
         status = missing.get(frame, remove_piece_note(one.status[place.number]))

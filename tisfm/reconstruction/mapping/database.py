@@ -1,19 +1,20 @@
-"""pycolmap's camera and database of views and their matches."""
+"""pycolmap, its camera, and its database of views and their matches."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.geometry.rays import pinhole_rays, unit_vectors
-from tisfm.reconstruction.mapping.colmap import pycolmap
-from tisfm.reconstruction.mapping.incremental import MIN_SHARED
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 
+# The fewest observations that two views share, or a view and the known points. Set by hand.
+MIN_SHARED = 15
 # The number of pycolmap's two-view configuration "calibrated".
 CALIBRATED_PAIR = 2
 # The fewest tracks that two views share. Set by hand.
@@ -22,6 +23,16 @@ MIN_SHARED_TRACKS = 20
 VIEW_STEPS = (1, 2, 3, 4, 6, 8, 12, 16)
 # px: the centre of pycolmap's upper left pixel is at (0.5, 0.5).
 PIXEL_CENTRE = 0.5
+
+
+@cache
+def pycolmap() -> Any:
+    """Return the module; it writes only fatal errors to standard error."""
+    import pycolmap as module
+
+    log = module.logging
+    log.minloglevel = log.FATAL.value
+    return module
 
 
 def colmap_camera(camera: Camera, shape: tuple[int, int], calibrate: Calibrate = "nothing") -> Any:

@@ -5,15 +5,16 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tisfm.reconstruction.mapping.colmap import pycolmap
-from tisfm.reconstruction.mapping.low_parallax import LowParallaxFilter
-from tisfm.reconstruction.mapping.parallax import beyond_homography, beyond_rotation
+from tisfm.reconstruction.mapping.database import MIN_SHARED, pycolmap
+from tisfm.reconstruction.mapping.parallax import (
+    LowParallaxFilter,
+    beyond_homography,
+    beyond_rotation,
+)
 from tisfm.reconstruction.result.calibration import Calibrate
 
 # Values without a stated source were set by hand.
 
-# The fewest observations that two views share, or a view and the known points.
-MIN_SHARED = 15
 # Smallest share of inliers among a new view's observations of known points.
 MIN_INLIER_SHARE = 0.15
 # px: largest reprojection error of an inlier of a new view.

@@ -10,34 +10,32 @@ from typing import Any
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.mapping.colmap import pycolmap
-from tisfm.reconstruction.mapping.coverage import Coverage
 from tisfm.reconstruction.mapping.database import (
+    MIN_SHARED,
     PIXEL_CENTRE,
     Directions,
     colmap_camera,
     database_of,
     pairs_of,
+    pycolmap,
 )
 from tisfm.reconstruction.mapping.incremental import (
     MAX_POSE_ERROR,
     MIN_INLIER_SHARE,
-    MIN_SHARED,
     OUTLIER_PIXELS,
     grow_from_poses,
     grow_models,
     shows_parallax,
 )
-from tisfm.reconstruction.mapping.match_score import MatchScore
+from tisfm.reconstruction.mapping.model_scores import Coverage, MatchScore
 from tisfm.reconstruction.result.calibration import Calibrate
-from tisfm.reconstruction.tracks.long_tracks import choose_long_tracks
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import (
     TrackPoints,
     points_of_tracks,
     triangulate_tracks,
 )
-from tisfm.reconstruction.tracks.views import View
+from tisfm.reconstruction.tracks.views import View, choose_long_tracks
 
 # Share of the area of the frames: models that explain at least this show the static scene. Set by
 # hand.

@@ -9,7 +9,7 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.path.given_poses import poses_of_frames
 from tisfm.reconstruction.path.path_solver import CameraPath
-from tisfm.reconstruction.rolling_shutter.unrolled_tracks import TrackUnroller
+from tisfm.reconstruction.rolling_shutter.correction import TrackUnroller
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import triangulate_tracks

@@ -13,7 +13,8 @@ from tisfm.reconstruction.calibration.self_calibration import (
     undistort_points,
 )
 from tisfm.reconstruction.frames.disk_cache import DiskCache
-from tisfm.reconstruction.mapping.incremental import MIN_SHARED, MIN_VIEWS
+from tisfm.reconstruction.mapping.database import MIN_SHARED
+from tisfm.reconstruction.mapping.incremental import MIN_VIEWS
 from tisfm.reconstruction.mapping.models import (
     Model,
     find_models,
@@ -27,8 +28,7 @@ from tisfm.reconstruction.mapping.solution import (
     Piece,
 )
 from tisfm.reconstruction.result.calibration import Calibrate
-from tisfm.reconstruction.rolling_shutter.unrolled_path import find_unrolled_path
-from tisfm.reconstruction.rolling_shutter.unrolled_tracks import TrackUnroller
+from tisfm.reconstruction.rolling_shutter.correction import TrackUnroller, find_unrolled_path
 from tisfm.reconstruction.submaps.joining import MAX_VIEWS, focal_from_submaps, models_from_submaps
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, SequenceTracks
 from tisfm.reconstruction.tracks.tracker import CELLS, Observations

@@ -17,8 +17,11 @@ from tisfm.reconstruction.mapping.solution import (
     Piece,
 )
 from tisfm.reconstruction.path.path_solver import add_other_frames, status_of_lost
-from tisfm.reconstruction.rolling_shutter.unrolled_path import KNOWN_ROUNDS, find_unrolled_path
-from tisfm.reconstruction.rolling_shutter.unrolled_tracks import TrackUnroller
+from tisfm.reconstruction.rolling_shutter.correction import (
+    KNOWN_ROUNDS,
+    TrackUnroller,
+    find_unrolled_path,
+)
 from tisfm.reconstruction.tracks.tracker import Observations, Tracker
 from tisfm.reconstruction.tracks.views import View, ViewSelection
 from tisfm.shutter import Rolling, instants_of

@@ -1,5 +1,6 @@
-"""Views: the frames from which a path is built, and the matches of their points."""
+"""Views: the frames from which a path is built, with their matches and their long tracks."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -40,6 +41,11 @@ MIN_ELSEWHERE_SHARE = 0.7
 EPIPOLAR_TOLERANCE = 2.0
 # Largest number of RANSAC trials.
 RANSAC_TRIALS = 500
+# Cells along the longer side: each cell of a view keeps the track that most views see. The first
+# number with enough tracks is used, since parts of frames may be bare.
+CELL_COUNTS = (10, 16, 24)
+# Median number of tracks of a view that is enough.
+MIN_TRACKS = 60
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,3 +215,42 @@ def _described(grey: np.ndarray, ignored: np.ndarray | None) -> Described:
     height, width = grey.shape
     kept = ~ignored[row.clip(0, height - 1), column.clip(0, width - 1)]
     return Described(points=points[kept], roots=found.roots[kept])
+
+
+def choose_long_tracks(
+    seen: Sequence[Observations],  # tracks in views
+    longer_side: int,  # longer side of the frames, px
+) -> list[Observations]:
+    """Return the observations of the longest track in each cell of each view.
+
+    A track that few views see adds work but hardly any information that long tracks do not have.
+    With fewer tracks, matches of points by appearance, which do not drift, get more weight.
+    """
+    if not seen:
+        return []
+    chosen: list[np.ndarray] = []
+    for cells in CELL_COUNTS:
+        chosen = _chosen(seen, longer_side / cells)
+        if np.median([len(one) for one in chosen]) >= MIN_TRACKS:
+            break
+    kept = np.unique(np.concatenate(chosen))
+    return [_of(one, np.isin(one.tracks, kept)) for one in seen]
+
+
+def _chosen(seen: Sequence[Observations], side: float) -> list[np.ndarray]:
+    """Return, for each view, the track of each cell of a side in px that most views see."""
+    tracks, views = np.unique(np.concatenate([one.tracks for one in seen]), return_counts=True)
+    chosen = []
+    for one in seen:
+        count = views[np.searchsorted(tracks, one.tracks)]
+        column, row = (one.points // side).astype(np.int64).T
+        order = np.lexsort((one.tracks, -count, column, row))
+        cell = np.stack([row, column], axis=1)[order]
+        first = np.ones(len(order), bool)
+        first[1:] = (np.diff(cell, axis=0) != 0).any(axis=1)
+        chosen.append(one.tracks[order[first]])
+    return chosen
+
+
+def _of(seen: Observations, kept: np.ndarray) -> Observations:
+    return Observations(points=seen.points[kept], tracks=seen.tracks[kept])
