@@ -68,43 +68,23 @@ LEAST = 1e-4  # least error on a logarithmic axis
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """One scene, interpreted with one focal length.
+    """One scene, interpreted with one focal length."""
 
-    Attributes
-    ----------
-    kind : str
-        Kind of motion of the scene.
-    focal : float
-        The true focal length, px.
-    ratio : float
-        Assumed focal length over the true one.
-    status : str
-    abs_rel : float or None
-        Error of depth, scaled by the median; None if the status says that there is no depth.
-    offset : float or None
-        Constant added to the inverse depth, as a share of the scene's median: see `offset_of`.
-    direction, rotation : float or None
-        Errors of the motion, degrees.
-    flow : float
-        End-point error, px.
-    exact_abs_rel : float
-        Error of the depth that an essential matrix and triangulation give for the true flow.
-    field_abs_rel, field_flow : float
-        Errors of the flow field; its depth is that of eq. 24.
-    """
-
-    kind: str
-    focal: float
-    ratio: float
+    kind: str  # kind of motion of the scene
+    focal: float  # the true focal length, px
+    ratio: float  # assumed focal length over the true one
     status: str
+    # Error of depth, scaled by the median; None if the status says that there is no depth.
     abs_rel: float | None
+    # Constant added to the inverse depth, as a share of the scene's median: see `offset_of`.
     offset: float | None
-    direction: float | None
-    rotation: float | None
-    flow: float
+    direction: float | None  # degrees
+    rotation: float | None  # degrees
+    flow: float  # end-point error, px
+    # Error of the depth that an essential matrix and triangulation give for the true flow.
     exact_abs_rel: float
-    field_abs_rel: float
-    field_flow: float
+    field_abs_rel: float  # error of the depth of the flow field, by eq. 24
+    field_flow: float  # end-point error of the flow field, px
 
 
 def measure(pair: SyntheticPair, kind: str, ratio: float, preset: Preset) -> Outcome:
@@ -138,16 +118,9 @@ def measure(pair: SyntheticPair, kind: str, ratio: float, preset: Preset) -> Out
 
 
 def offset_of(inverse_depth: NDArray, truth: NDArray) -> float:
-    """Return the constant c for which a (truth + c) fits inverse_depth best, with any factor a.
+    """Return the c, in medians of the truth, for which a (truth + c) fits inverse_depth best.
 
-    Parameters
-    ----------
-    inverse_depth, truth : (H, W) array
-
-    Returns
-    -------
-    float
-        c, in medians of the truth.
+    Both are (H, W); a is any factor.
     """
     slope, constant = np.polyfit(truth.ravel(), inverse_depth.ravel().astype(np.float64), 1)
     return float(constant / slope / np.median(truth))

@@ -104,26 +104,14 @@ class Row:
 
 @dataclass(frozen=True)
 class Results:
-    """All figures of one run.
+    """All figures of one run."""
 
-    Attributes
-    ----------
-    machine : dict
-        As in the JSON of pytest-benchmark, with the versions of NumPy and Taichi.
-    rows : list of Row
-    streams : dict
-        (threads, name) → GB/s.
-    lexicographic : dict
-        Size → ns per pixel of the reference's plain loop.
-    memory : dict
-        Preset → float32 per pixel at the peak.
-    """
-
+    # As in the JSON of pytest-benchmark, with the versions of NumPy and Taichi.
     machine: dict[str, Any]
     rows: list[Row]
-    streams: dict[tuple[int, str], float]
-    lexicographic: dict[str, float]
-    memory: dict[str, float]
+    streams: dict[tuple[int, str], float]  # (threads, name) → GB/s
+    lexicographic: dict[str, float]  # size → ns per pixel of the reference's plain loop
+    memory: dict[str, float]  # preset → float32 per pixel at the peak
 
 
 def collect(reports: list[dict], memory: dict[str, float]) -> Results:

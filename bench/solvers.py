@@ -61,23 +61,13 @@ CONSTANCY = Constancy(brightness=1.0, gradient=0.0, normalization=None, derivati
 
 @dataclass(frozen=True)
 class Course:
-    """Course of the energy over the work.
-
-    Attributes
-    ----------
-    pair, method : str
-    size : (int, int)
-    work : list of float
-        Sweeps of the finest grid.
-    gap : list of float
-        (E − E*)/(E(0) − E*) after that work.
-    """
+    """Course of the energy over the work."""
 
     pair: str
     method: str
     size: tuple[int, int]
-    work: list[float]
-    gap: list[float]
+    work: list[float]  # sweeps of the finest grid
+    gap: list[float]  # (E − E*)/(E(0) − E*) after that work
 
     def work_to(self, gap: float) -> float:
         """Return the least work that brings the gap down to `gap`; infinity if none does."""

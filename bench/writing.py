@@ -41,22 +41,13 @@ Times = Sequence[tuple[float, float, float]]
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Times of one source.
-
-    Attributes
-    ----------
-    source : str
-    pairs : int
-    times : sequence of (float, float, float)
-        s in every round: loop, command without figures, command with every tenth figure.
-    size : int
-        Bytes that the command wrote without figures.
-    """
+    """Times of one source."""
 
     source: str
     pairs: int
+    # s in every round: loop, command without figures, command with every tenth figure.
     times: Times
-    size: int
+    size: int  # bytes that the command wrote without figures
 
     def ratios(self, kind: int) -> tuple[float, float, float]:
         """Lower quartile, median and upper quartile of the time of a command over the loop."""

@@ -29,24 +29,13 @@ class Group:
 
 @dataclass(frozen=True, kw_only=True)
 class DepthContest:
-    """All figures of one run.
+    """All figures of one run."""
 
-    Attributes
-    ----------
-    conditions : dict
-        Machine, versions and options.
-    methods : tuple of str
-    groups : tuple of Group
-    scores : tuple of Score
-    missing : dict
-        Missing method or group → the reason.
-    """
-
-    conditions: dict[str, Any]
+    conditions: dict[str, Any]  # machine, versions and options
     methods: tuple[str, ...]
     groups: tuple[Group, ...]
     scores: tuple[Score, ...]
-    missing: dict[str, str] = field(default_factory=dict)
+    missing: dict[str, str] = field(default_factory=dict)  # missing method or group → the reason
 
     def thresholds(self, method: str) -> list[float]:
         """Return the thresholds of a method's essential matrix; none for a method without one."""
@@ -104,28 +93,17 @@ def hold(
     methods: Sequence[Method],
     entries: Sequence[Entry],
     *,
+    # Timed calls of each method and pair; the first is scored. Before the first pair, every method
+    # runs on small scenes, to compile its kernels.
     rounds: int,
-    conditions: dict[str, Any],
+    conditions: dict[str, Any],  # as in `DepthContest`
     missing: dict[str, str],
+    # Called before every call with the name of the pair and the method.
     step: Callable[[str], None] = lambda text: None,
 ) -> DepthContest:
     """Run every method on every pair, in turns: in each round, each method once.
 
-    Parameters
-    ----------
-    methods, entries : sequence
-    rounds : int
-        Timed calls of each method and pair; the first is scored. Before the first pair, every
-        method runs on small scenes, to compile its kernels.
-    conditions, missing : dict
-        As in `DepthContest`.
-    step : callable
-        Called before every call with the name of the pair and the method.
-
-    Raises
-    ------
-    ValueError
-        If there is no pair, or no method can run.
+    Raise ValueError if there is no pair, or no method can run.
     """
     if not entries:
         raise ValueError("there is no pair to measure on")

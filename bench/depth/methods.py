@@ -31,41 +31,18 @@ FEWEST_CORRESPONDENCES = 5  # for a sample
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
-    """Result of one call of a method.
+    """Result of one call of a method."""
 
-    Attributes
-    ----------
-    method : str
-        Name in the tables.
-    seconds : float
-        Wall time of the whole call.
-    threshold : float or None
-        Of the essential matrix, px.
-    flow_seconds : float or None
-        Time of the flow, for a method that starts from one.
-    pose : (4, 4) float64 or None
-        P₁ = R P₀ + t.
-    inverse_depth : (H, W) array or None
-        Signed; None if the method reports no depth.
-    deviation : (H, W) array or None
-        Standard deviation of the inverse depth.
-    visible : (H, W) bool array or None
-        Pixels that the method reports as visible in frame 1.
-    status : str
-    failure : str
-        The reason if there is no result, else "".
-    """
-
-    method: str
-    seconds: float
-    threshold: float | None = None
-    flow_seconds: float | None = None
-    pose: NDArray | None = None
-    inverse_depth: NDArray | None = None
-    deviation: NDArray | None = None
-    visible: NDArray | None = None
+    method: str  # name in the tables
+    seconds: float  # wall time of the whole call
+    threshold: float | None = None  # of the essential matrix, px
+    flow_seconds: float | None = None  # time of the flow, for a method that starts from one
+    pose: NDArray | None = None  # (4, 4) float64; P₁ = R P₀ + t
+    inverse_depth: NDArray | None = None  # (H, W); signed; None if the method reports no depth
+    deviation: NDArray | None = None  # (H, W); standard deviation of the inverse depth
+    visible: NDArray | None = None  # (H, W) bool; pixels that the method reports as visible
     status: str = ""
-    failure: str = ""
+    failure: str = ""  # the reason if there is no result, else ""
 
 
 class Method(Protocol):
@@ -121,12 +98,8 @@ class Joint:
 class FlowThenDepth:
     """A flow, an essential matrix and triangulation.
 
-    Parameters
-    ----------
-    flow : Method
-        Of `bench.shared.contest`: of another library, or of tisfm.
-    thresholds : sequence of float
-        Of the essential matrix, px; each gives an estimate from the same flow.
+    `flow` is a method of `bench.shared.contest`: of another library, or of tisfm. Each threshold of
+    the essential matrix, px, gives an estimate from the same flow.
     """
 
     def __init__(self, flow: FlowMethod, thresholds: Sequence[float] = THRESHOLDS) -> None:
@@ -170,44 +143,22 @@ class NoMotion(ValueError):  # noqa: N818 (an outcome, not an error)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TwoStage:
-    """Result of the two stages after a flow.
+    """Result of the two stages after a flow."""
 
-    Attributes
-    ----------
-    pose : (4, 4) float64
-        P₁ = R P₀ + t, with ‖t‖ = 1 unless it was given.
-    inverse_depth : (H, W) float64
-        As triangulated, signed, in units of 1/‖t‖.
-    """
-
-    pose: NDArray
-    inverse_depth: NDArray
+    pose: NDArray  # (4, 4) float64; P₁ = R P₀ + t, with ‖t‖ = 1 unless it was given
+    inverse_depth: NDArray  # (H, W) float64; as triangulated, signed, in units of 1/‖t‖
 
 
 def two_stage(
-    flow: NDArray, camera: Camera, *, threshold: float, pose: ArrayLike | None = None
+    flow: NDArray,  # (H, W, 2), px/frame
+    camera: Camera,  # without distortion
+    *,
+    threshold: float,  # px, largest distance of an inlier from its epipolar line
+    pose: ArrayLike | None = None,  # (4, 4); if the motion is known, only depth is triangulated
 ) -> TwoStage:
     """Return pose and depth from a flow.
 
-    Parameters
-    ----------
-    flow : (H, W, 2) array
-        px/frame. Not modified.
-    camera : Camera
-        Without distortion.
-    threshold : float
-        Distance from the epipolar line up to which a correspondence may be an inlier, px.
-    pose : (4, 4) array, optional
-        The motion, if it is known: then only depth is triangulated.
-
-    Returns
-    -------
-    TwoStage
-
-    Raises
-    ------
-    NoMotion
-        A ValueError: if there are too few correspondences, or no essential matrix fits them.
+    Raise `NoMotion` if there are too few correspondences, or no essential matrix fits them.
     """
     if pose is not None:
         motion = np.array(pose, np.float64)
@@ -221,22 +172,14 @@ def two_stage(
     return TwoStage(pose=motion, inverse_depth=inverse_depth)
 
 
-def triangulated(flow: NDArray, camera: Camera, pose: NDArray) -> NDArray[np.float64]:
-    """Return the inverse depth at which every point moves nearest to the end of its flow.
+def triangulated(
+    flow: NDArray,  # (H, W, 2), px/frame
+    camera: Camera,  # without distortion
+    pose: NDArray,  # (4, 4), P₁ = R P₀ + t
+) -> NDArray[np.float64]:
+    """Return the inverse depth at which every point moves nearest to the end of its flow, (H, W).
 
-    Parameters
-    ----------
-    flow : (H, W, 2) array
-        px/frame. Not modified.
-    camera : Camera
-        Without distortion.
-    pose : (4, 4) array
-        P₁ = R P₀ + t.
-
-    Returns
-    -------
-    (H, W) float64
-        Signed, in units of 1/‖t‖; 0 at the epipole.
+    It is signed, in units of 1/‖t‖, and 0 at the epipole.
     """
     height, width = flow.shape[:2]
     cx, cy = camera.center_for(height, width)

@@ -42,38 +42,19 @@ STEREO, BLOCK_MATCHER = "stereo, pose given", "KITTI stereo, pose given"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DepthPair:
-    """Two frames, their camera, and the known depth and motion.
-
-    Attributes
-    ----------
-    name, group : str
-    frame0, frame1 : (H, W) or (H, W, 3) uint8
-    camera : Camera
-    depth : (H, W) array or None
-        True depth of frame 0, NaN where unknown.
-    raw_depth : (H, W) array or None
-        The map of the depth camera before registration to the picture.
-    pose : (4, 4) float64 or None
-        True motion of the static scene, P₁ = R P₀ + t.
-    pose_given : bool
-        Whether methods get the pose.
-    movers : (H, W) int array or None
-        0 for the static scene, another number for each moving object; None without any.
-    visible : (H, W) bool array or None
-        Pixels that are visible in frame 1, if known.
-    """
+    """Two frames, their camera, and the known depth and motion."""
 
     name: str
     group: str
-    frame0: NDArray
+    frame0: NDArray  # (H, W) or (H, W, 3) uint8
     frame1: NDArray
     camera: Camera
-    depth: NDArray | None = None
-    raw_depth: NDArray | None = None
-    pose: NDArray | None = None
-    pose_given: bool = False
-    movers: NDArray | None = None
-    visible: NDArray | None = None
+    depth: NDArray | None = None  # (H, W); true depth of frame 0, NaN where unknown
+    raw_depth: NDArray | None = None  # (H, W); depth camera's map, not registered to the frame
+    pose: NDArray | None = None  # (4, 4) float64; true motion of the static scene, P₁ = R P₀ + t
+    pose_given: bool = False  # whether methods get the pose
+    movers: NDArray | None = None  # (H, W) int; 0 static, another number for each moving object
+    visible: NDArray | None = None  # (H, W) bool; visible in frame 1, if known
 
     def flow_pair(self) -> FlowPair:
         """Return the frames as a pair of the flow contest, with unknown truth."""
@@ -256,18 +237,12 @@ OFF = 0.7  # px between a match and its projected point in each frame, at most; 
 
 
 def depth_of_matches(
-    frame0: NDArray, frame1: NDArray, camera: Camera, pose: NDArray
+    frame0: NDArray,  # (H, W) or (H, W, 3) uint8
+    frame1: NDArray,
+    camera: Camera,  # a pinhole
+    pose: NDArray,  # (4, 4); true motion, P₁ = R P₀ + t; depth is in its unit
 ) -> NDArray[np.float32]:
-    """Return the depth of triangulated matches in frame 0, (H, W); NaN between the matches.
-
-    Parameters
-    ----------
-    frame0, frame1 : (H, W) or (H, W, 3) uint8
-    camera : Camera
-        A pinhole.
-    pose : (4, 4) array
-        True motion, P₁ = R P₀ + t; depth is in its unit.
-    """
+    """Return the depth of triangulated matches in frame 0, (H, W); NaN between the matches."""
     matches = sparse_matches(*grey_pair(frame0, frame1))
     cx, cy = camera.center_for(*frame0.shape[:2])
     pinhole = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1]])

@@ -16,59 +16,37 @@ HORIZON = 10.0  # medians of depth, limit of "limited" depth
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Errors of a method on a pair; None if the truth or the method does not give an error.
-
-    Attributes
-    ----------
-    method, pair, group : str
-    threshold : float or None
-        Of the essential matrix, px.
-    status, failure : str
-    seconds, flow_seconds : float
-        Medians of the wall time: of the call, and of the flow that it starts from.
-    abs_rel, delta1, density : float or None
-        As in `tisfm.metrics.DepthErrors`, after scaling by the median.
-    abs_rel_limited : float or None
-        The same, with depth beyond `HORIZON` medians or behind the camera set to `HORIZON` medians:
-        every pixel counts, and a few pixels cannot dominate.
-    abs_rel_raw : float or None
-        `abs_rel` against the unregistered map of the depth camera.
-    abs_rel_rest, abs_rel_movers : float or None
-        Of the static pixels, and of the moving objects, each scaled by its own median.
-    abs_rel_all : float or None
-        As in `tisfm.metrics.DepthErrors`, over all pixels. 1 if the method reports no depth.
-    abs_rel_certain : float or None
-        As `tisfm.metrics.certain_error`, in the unit of the pose, where pose and deviations are
-        given.
-    parallax : float or None
-        Median length, px, of the displacement minus that of the rotation, over known depth.
-    within : float or None
-        Share of the visible pixels with an error of inverse depth below the standard deviation,
-        in the common scale.
-    direction, rotation : float or None
-        As in `tisfm.metrics.PoseErrors`, degrees.
-    """
+    """Errors of a method on a pair; None if the truth or the method does not give an error."""
 
     method: str
     pair: str
     group: str
-    threshold: float | None = None
+    threshold: float | None = None  # of the essential matrix, px
     status: str = ""
     failure: str = ""
+    # Medians of the wall time: of the call, and of the flow that it starts from.
     seconds: float | None = None
     flow_seconds: float | None = None
+    # As in `tisfm.metrics.DepthErrors`, after scaling by the median.
     abs_rel: float | None = None
+    # The same, with depth beyond `HORIZON` medians or behind the camera set to `HORIZON` medians:
+    # every pixel counts, and a few pixels cannot dominate.
     abs_rel_limited: float | None = None
-    abs_rel_raw: float | None = None
+    abs_rel_raw: float | None = None  # `abs_rel` against the unregistered map of the depth camera
+    # Of the static pixels, and of the moving objects, each scaled by its own median.
     abs_rel_rest: float | None = None
     abs_rel_movers: float | None = None
+    # As in `tisfm.metrics.DepthErrors`, over all pixels. 1 if the method reports no depth.
     abs_rel_all: float | None = None
+    # As `tisfm.metrics.certain_error`, in the unit of the given pose; None without deviations.
     abs_rel_certain: float | None = None
+    # Median length, px, of the displacement minus that of the rotation, over known depth.
     parallax: float | None = None
     delta1: float | None = None
     density: float | None = None
+    # Share of the visible pixels with an error of inverse depth below the standard deviation.
     within: float | None = None
-    direction: float | None = None
+    direction: float | None = None  # degrees, as in `tisfm.metrics.PoseErrors`
     rotation: float | None = None
 
     @property

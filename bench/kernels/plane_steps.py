@@ -24,13 +24,8 @@ PLANE = (0.03, -0.02)  # slopes of the only plane of frame 1
 class Planes:
     """Planes near the true ones, and the frames as bytes.
 
-    Frame 1 has a single plane, so every pixel of it gives the same answer.
-
-    Parameters
-    ----------
-    problem : Problem
-    motion : (3, 4) array
-        R and t from frame 0 to frame 1.
+    Frame 1 has a single plane, so every pixel of it gives the same answer. `motion`, (3, 4), is R
+    and t from frame 0 to frame 1.
     """
 
     def __init__(self, problem: Problem, motion: np.ndarray) -> None:

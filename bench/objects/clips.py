@@ -23,26 +23,14 @@ SMOKE_FRAMES = 6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Clip:
-    """A sequence and its true masks.
-
-    Attributes
-    ----------
-    name, group : str
-    frames : list of (H, W) or (H, W, 3) uint8
-        Grey or RGB.
-    truth : list of (H, W) uint8
-        0 for the static scene, another value for each object.
-    camera : Camera or None
-    film : BodiesFilm or None
-        Of a rendered clip, with the true paths.
-    """
+    """A sequence and its true masks."""
 
     name: str
     group: str
-    frames: list[NDArray[np.uint8]]
-    truth: list[NDArray[np.uint8]]
+    frames: list[NDArray[np.uint8]]  # (H, W) grey or (H, W, 3) RGB
+    truth: list[NDArray[np.uint8]]  # (H, W); 0 for the static scene, else the object
     camera: Camera | None = None
-    film: BodiesFilm | None = None
+    film: BodiesFilm | None = None  # of a rendered clip, with the true paths
 
     @property
     def grey(self) -> list[NDArray[np.uint8]]:

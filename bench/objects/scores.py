@@ -17,50 +17,26 @@ from tisfm.scenes import SyntheticPair
 
 @dataclass(frozen=True, kw_only=True)
 class SceneObject:
-    """Errors of one object of a scene; the first object is the background.
+    """Errors of one object of a scene; the first object is the background."""
 
-    Attributes
-    ----------
-    iou : float or None
-        Intersection over union with the label that overlaps it most; None without labels.
-    abs_rel : float
-        Depth error in the scale of the object.
-    direction : float or None
-        As in `tisfm.metrics.PoseErrors`, degrees.
-    """
-
+    # Intersection over union with the label that overlaps it most; None without labels.
     iou: float | None
-    abs_rel: float
-    direction: float | None
+    abs_rel: float  # depth error in the scale of the object
+    direction: float | None  # as in `tisfm.metrics.PoseErrors`, degrees
 
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """A method on a scene.
-
-    Attributes
-    ----------
-    method, group, pair : str
-    seconds : float
-    objects : tuple of SceneObject
-        Empty if the method failed.
-    labels : int or None
-        Number of labels; None without labels.
-    one_scale : float or None
-        abs-rel over the whole image, for a method with one scale.
-    threshold : float or None
-        Of the essential matrix, px.
-    failure : str
-    """
+    """A method on a scene."""
 
     method: str
     group: str
     pair: str
     seconds: float
-    objects: tuple[SceneObject, ...] = ()
-    labels: int | None = None
-    one_scale: float | None = None
-    threshold: float | None = None
+    objects: tuple[SceneObject, ...] = ()  # empty if the method failed
+    labels: int | None = None  # number of labels; None without labels
+    one_scale: float | None = None  # abs-rel over the whole image, for a method with one scale
+    threshold: float | None = None  # of the essential matrix, px
     failure: str = ""
 
     @property
@@ -75,20 +51,12 @@ def true_objects(pair: SyntheticPair) -> NDArray[np.intp]:
 
 
 def compared(
-    pair: SyntheticPair, depth: NDArray, motions: NDArray, labels: NDArray | None
+    pair: SyntheticPair,
+    depth: NDArray,  # (H, W); NaN without a depth
+    motions: NDArray,  # (K, 4, 4); motion of each label
+    labels: NDArray | None,  # (H, W) int; None if one motion serves the whole image
 ) -> tuple[SceneObject, ...]:
-    """Return the errors of every object of a scene.
-
-    Parameters
-    ----------
-    pair : SyntheticPair
-    depth : (H, W) array
-        NaN without a depth.
-    motions : (K, 4, 4) array
-        Motion of each label.
-    labels : (H, W) int array or None
-        None if one motion serves the whole image.
-    """
+    """Return the errors of every object of a scene."""
     true = true_objects(pair)
     found = []
     for item in range(int(true.max()) + 1):

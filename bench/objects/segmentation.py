@@ -44,24 +44,17 @@ def between(steps: Sequence[NDArray], first: int, second: int) -> NDArray[np.flo
 
 
 def differences(
-    frames: Sequence[NDArray], steps: Sequence[NDArray], gap: int, *, both: bool
+    frames: Sequence[NDArray],
+    steps: Sequence[NDArray],  # homography of each frame to the next
+    gap: int,  # frames to the neighbours before and after
+    *,
+    both: bool,  # whether the smaller of both differences is used, or the larger
 ) -> list[NDArray[np.float32]]:
     """Return the difference of each frame from its neighbours, warped to its background.
 
-    Parameters
-    ----------
-    frames, steps
-        Frames and their homographies.
-    gap : int
-        Distance to the neighbours before and after, frames; the first and last frames have one.
-    both : bool
-        Whether the smaller of both differences is used, or the larger. The smaller one is low where
-        an object was before or will be after; the larger one is also high inside a large object.
-
-    Returns
-    -------
-    list of (H, W) float32
-        Grey levels; 0 where no neighbour shows the pixel.
+    Differences are grey levels, (H, W) for each frame; 0 where no neighbour shows the pixel. The
+    smaller difference is low at the object's earlier and later position; the larger one is also
+    high inside a large object.
     """
     smooth = [cv2.GaussianBlur(frame, (0, 0), 1.5).astype(np.float32) for frame in frames]
     found = []
@@ -82,19 +75,12 @@ def differences(
 
 
 def mixtures(
-    frames: Sequence[NDArray], steps: Sequence[NDArray], gap: int, threshold: float
+    frames: Sequence[NDArray],
+    steps: Sequence[NDArray],  # homography of each frame to the next
+    gap: int,  # frames to the nearest neighbours; at less distance an object hardly moves
+    threshold: float,  # OpenCV's varThreshold: squared distance from the background, in deviations
 ) -> list[NDArray[np.uint8]]:
-    """Return the foreground of OpenCV's MOG2 from neighbours warped to each frame.
-
-    Parameters
-    ----------
-    frames, steps
-        Frames and their homographies.
-    gap : int
-        Distance to the nearest neighbours, frames; at less distance an object hardly moves.
-    threshold : float
-        Least squared distance of foreground from the background, in deviations: `varThreshold`.
-    """
+    """Return the foreground of OpenCV's MOG2 from neighbours warped to each frame."""
     found = []
     for number, frame in enumerate(frames):
         model = cv2.createBackgroundSubtractorMOG2(2 * REACH, threshold, False)
@@ -177,28 +163,18 @@ def off_epipolar_lines(flow: NDArray) -> tuple[NDArray[np.float32], NDArray[np.f
     return flow, (off / np.maximum(length, 1e-12)).astype(np.float32)
 
 
-def clusters(left: NDArray, moving: NDArray, count: int) -> NDArray[np.uint8]:
-    """Divide moving pixels by motion and position, with k-means.
-
-    Parameters
-    ----------
-    left : (H, W, 2) array
-        Motion, px.
-    moving : (H, W) bool array
-    count : int
-        Number of clusters.
-
-    Returns
-    -------
-    (H, W) uint8
-        0 for static pixels, else 1 to `count`.
-    """
+def clusters(
+    residual: NDArray,  # (H, W, 2), motion relative to the background, px
+    moving: NDArray,  # (H, W) bool
+    count: int,
+) -> NDArray[np.uint8]:
+    """Return `count` clusters of moving pixels by motion and position (k-means), 0 if static."""
     labels = moving.astype(np.uint8)
     rows, columns = np.nonzero(moving)
     if count == 1 or len(rows) < 10 * count:
         return labels
     near = _NEAR * moving.shape[1]
-    features = np.column_stack([left[rows, columns], columns / near, rows / near]).astype(
+    features = np.column_stack([residual[rows, columns], columns / near, rows / near]).astype(
         np.float32
     )
     chosen = np.linspace(0, len(rows) - 1, min(_SAMPLES, len(rows))).astype(np.intp)
@@ -226,16 +202,9 @@ def as_one(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
 def tracked(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
     """Return labels of connected parts, which overlapping parts of later frames inherit.
 
-    Parameters
-    ----------
-    masks : sequence of (H, W) array
-        0 for static pixels; parts with different values are separate.
-
-    Returns
-    -------
-    list of (H, W) uint8
-        A part gets the label that it overlaps most in the last 10 frames, unless a larger part has
-        that label. Otherwise it gets a new label, up to 255.
+    `masks`, (H, W) for each frame, are 0 for static pixels; parts with different values are
+    separate. A part gets the label that it overlaps most in the last 10 frames, unless a larger
+    part has that label. Otherwise it gets a new label, up to 255.
     """
     places: dict[int, NDArray[np.bool_]] = {}
     seen: dict[int, int] = {}

@@ -38,26 +38,13 @@ TRACKERS: dict[str, Callable[[Sequence[NDArray]], list[NDArray[np.uint8]]]] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Found:
-    """Labels of a method for a clip.
+    """Labels of a method for a clip."""
 
-    Attributes
-    ----------
-    variant : str
-        Its parameters; "" for a method without variants.
-    labels : list of (H, W) uint8
-    seconds : float
-        Of the whole clip.
-    objects : tuple
-        Moving objects, from `tisfm.reconstruct`; else empty.
-    cameras : (N, 4, 4) float64 or None
-        Camera to world.
-    """
-
-    variant: str
-    labels: list[NDArray[np.uint8]]
-    seconds: float
-    objects: tuple[Any, ...] = ()
-    cameras: NDArray[np.float64] | None = None
+    variant: str  # its parameters; "" for a method without variants
+    labels: list[NDArray[np.uint8]]  # (H, W) for each frame
+    seconds: float  # of the whole clip
+    objects: tuple[Any, ...] = ()  # moving objects, from `tisfm.reconstruct`; else empty
+    cameras: NDArray[np.float64] | None = None  # (N, 4, 4), camera to world
 
 
 class Labeller(Protocol):
@@ -104,15 +91,9 @@ class Mixtures:
 
 
 class FlowClusters:
-    """Clusters of the flow minus that of the background.
+    """Clusters of the flow minus that of the background."""
 
-    Parameters
-    ----------
-    peer : Peer
-        Method of the flow.
-    """
-
-    def __init__(self, peer: Peer) -> None:
+    def __init__(self, peer: Peer) -> None:  # the method of the flow
         self._peer = peer
         self.name = f"{peer.name} + clusters"
 
@@ -148,12 +129,7 @@ class FlowClusters:
 
 
 class Reconstruct:
-    """`tisfm.reconstruct` with moving objects.
-
-    Parameters
-    ----------
-    preset : Preset
-    """
+    """`tisfm.reconstruct` with moving objects."""
 
     def __init__(self, preset: Preset) -> None:
         self._preset = preset

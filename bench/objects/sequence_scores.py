@@ -15,31 +15,18 @@ from tisfm.metrics import LabelScores, ObjectPathErrors, label_scores, object_pa
 
 @dataclass(frozen=True, kw_only=True)
 class ClipScore:
-    """A method, in one variant, on a clip.
-
-    Attributes
-    ----------
-    method, variant, clip, group : str
-    iou : float
-        Mean over frames, then over objects; 0 if the method failed.
-    followed : float
-        Share of the frames with an object in which a label follows it, over all objects.
-    switches : int
-    seconds : float
-        Per frame.
-    paths : tuple of ObjectPathErrors or None
-        Errors for each true object; None without a label or a known path.
-    failure : str
-    """
+    """A method, in one variant, on a clip."""
 
     method: str
     variant: str
     clip: str
     group: str
-    iou: float = 0.0
+    iou: float = 0.0  # mean over frames, then over objects; 0 if the method failed
+    # Share of the frames with an object in which a label follows it, over all objects.
     followed: float = 0.0
     switches: int = 0
-    seconds: float = 0.0
+    seconds: float = 0.0  # per frame
+    # Errors for each true object; None without a label or a known path.
     paths: tuple[ObjectPathErrors | None, ...] = ()
     failure: str = ""
 

@@ -37,33 +37,16 @@ CYCLIST_SIZE = (9, 17)  # px
 
 @dataclass(frozen=True, kw_only=True)
 class StatuePair:
-    """Labels of the two people in a pair of the sequence.
-
-    Attributes
-    ----------
-    method : str
-    pair : str
-    focal : float
-        px.
-    origin : str
-        `ESTIMATED`, or nothing.
-    labels : int
-        Number of labels.
-    man, cyclist : bool
-        Whether most of the patch has a label that is not that of the background.
-    apart : bool
-        Whether the two labels differ.
-    seconds : float
-    """
+    """Labels of the two people in a pair of the sequence."""
 
     method: str
     pair: str
-    focal: float
-    origin: str = ""
-    labels: int
-    man: bool
+    focal: float  # px
+    origin: str = ""  # `ESTIMATED`, or nothing
+    labels: int  # number of labels
+    man: bool  # whether most of his patch has a label that is not that of the background
     cyclist: bool
-    apart: bool
+    different: bool  # whether the two labels differ
     seconds: float
 
 
@@ -106,7 +89,7 @@ def interpret_pair(
         labels=len(result.motions),
         man=man > 0,
         cyclist=cyclist > 0,
-        apart=man != cyclist,
+        different=man != cyclist,
         seconds=seconds,
     )
 
@@ -121,9 +104,9 @@ def table(found: Sequence[StatuePair]) -> Table:
                 method,
                 f"{focal:.4g} {mine[0].origin}".strip(),
                 str(len(mine)),
-                str(sum(s.man and s.apart for s in mine)),
-                str(sum(s.cyclist and s.apart for s in mine)),
-                str(sum(s.man and s.cyclist and s.apart for s in mine)),
+                str(sum(s.man and s.different for s in mine)),
+                str(sum(s.cyclist and s.different for s in mine)),
+                str(sum(s.man and s.cyclist and s.different for s in mine)),
                 f"{fmean(s.labels for s in mine):.1f}",
                 f"{median(s.seconds for s in mine):#.3g}",
             ]

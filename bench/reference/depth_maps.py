@@ -11,23 +11,13 @@ FADING = 0.1
 
 
 def rendered(
-    inverse_depth: np.ndarray,
+    inverse_depth: np.ndarray,  # (H, W) of the first view; 0 is unknown
     deviation: np.ndarray,
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    camera: Camera,
+    rotation: np.ndarray,  # (3, 3), from the first view's axes to the other's
+    translation: np.ndarray,  # (3,)
+    camera: Camera,  # of both views
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the inverse depth of another view, and its deviation; 0 if unknown.
-
-    Parameters
-    ----------
-    inverse_depth, deviation : (H, W)
-        Of the first view; inverse depth 0 is unknown.
-    rotation, translation : (3, 3) and (3,)
-        From the first view's axes to the other's.
-    camera : Camera
-        Of both views.
-    """
+    """Return the inverse depth of another view, and its deviation; 0 if unknown."""
     height, width = inverse_depth.shape
     cx, cy = camera.center_for(height, width)
     rows, columns = np.mgrid[:height, :width].astype(np.float64)
@@ -110,22 +100,18 @@ def _looked_up(
 
 
 def merged(
-    inverse_depths: np.ndarray, deviations: np.ndarray, alike: float
+    inverse_depths: np.ndarray, deviations: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the means of inverse depth and deviation over the sources that agree most at a pixel.
 
-    Parameters
-    ----------
-    inverse_depths, deviations : (N, H, W)
-        Of each source; inverse depth 0 is unknown.
-    alike : float
-        Two sources agree if they differ by less than this share of the larger inverse depth.
+    The arrays are (N, H, W), for N sources; inverse depth 0 is unknown. Two sources agree if they
+    differ by less than the share `tolerance` of the larger inverse depth.
     """
     known = inverse_depths > 0
     least = np.where(known, SUREST * inverse_depths, 1)
     votes = np.where(known, inverse_depths / np.maximum(deviations, least), 0) ** 2
-    apart = np.abs(inverse_depths[:, None] - inverse_depths)
-    agree = apart < alike * np.maximum(inverse_depths[:, None], inverse_depths)
+    difference = np.abs(inverse_depths[:, None] - inverse_depths)
+    agree = difference < tolerance * np.maximum(inverse_depths[:, None], inverse_depths)
     shares = votes * (agree & known & known[:, None])  # (N, N, H, W): vote of source j for source i
     best = shares.sum(axis=1).argmax(axis=0)
     chosen = np.take_along_axis(shares, best[None, None], axis=0)[0]
@@ -137,22 +123,13 @@ def merged(
 
 
 def by_look(
-    inverse_depth: np.ndarray,
+    inverse_depth: np.ndarray,  # (H, W)
     deviation: np.ndarray,
-    middle: np.ndarray,
+    middle: np.ndarray,  # (H, W), between the two surfaces nearby; 0 if there is only one surface
     frame: np.ndarray,
-    similar: float,
+    similar: float,  # grey levels: a pixel that differs by this much from the centre weighs 1/e
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return inverse depth and deviation whose edges lie where the frame has edges.
-
-    Parameters
-    ----------
-    inverse_depth, deviation, frame : (H, W)
-    middle : (H, W)
-        Inverse depth between the two surfaces nearby; 0 if there is only one surface.
-    similar : float
-        Grey levels: a pixel that differs by this much from the centre weighs 1/e.
-    """
+    """Return inverse depth and deviation whose edges lie where the frame has edges."""
     depth, spread = inverse_depth.copy(), deviation.copy()
     rows, columns = np.indices(frame.shape)
     for y, x in zip(*np.nonzero(middle), strict=True):

@@ -10,10 +10,7 @@ def displacement(
 ) -> np.ndarray:
     """Return the exact flow (u, v), (2, H, W), of pixels under P₁ = R P₀ + t.
 
-    Parameters
-    ----------
-    inverse_depth : (H, W)
-        D = f·d, px/frame for ‖t‖ = 1.
+    `inverse_depth`, (H, W), is D = f·d, px/frame for ‖t‖ = 1.
     """
     ray = _rays(camera, *inverse_depth.shape)
     moved = np.einsum("ij,jyx->iyx", rotation, ray)
@@ -43,67 +40,41 @@ def along(
 
 
 def motion_system(
-    tensor: np.ndarray,
-    inverse_depth: np.ndarray,
-    hold: np.ndarray,
+    tensor: np.ndarray,  # (6, H, W), weighted sum of the data terms
+    inverse_depth: np.ndarray,  # (H, W), D = f·d
+    depth_weight: np.ndarray,  # (H, W), weight of the squared change of D
     camera: Camera,
     rotation: np.ndarray,
     translation: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the normal equations of a small change (δt, δω) of the motion, D eliminated.
 
-    With (u, v) = flow + B (δt, δω) + a δD, the energy of a pixel is its data term plus `hold`·δD².
-    It is minimised over δD before the sum over pixels.
-
-    Parameters
-    ----------
-    tensor : (6, H, W)
-        Weighted sum of the data terms.
-    inverse_depth : (H, W)
-        D = f·d.
-    hold : (H, W)
-        Weight of the squared change of D.
-
-    Returns
-    -------
-    matrix, vector : (6, 6) and (6,)
-        The energy is constant + xᵀ matrix x + 2 xᵀ vector.
+    With (u, v) = flow + B (δt, δω) + a δD, the energy of a pixel is its data term plus
+    `depth_weight`·δD². It is minimised over δD before the sum over pixels. The energy is constant +
+    xᵀ matrix x + 2 xᵀ vector, with the returned matrix, (6, 6), and vector, (6,).
     """
     square, linear = _equations(tensor, inverse_depth, camera, rotation, translation)
-    pivot = square[6, 6] + hold
+    pivot = square[6, 6] + depth_weight
     matrix = square[:6, :6] - square[:6, 6][:, None] * square[6, :6] / pivot
     vector = linear[:6] - square[:6, 6] * linear[6] / pivot
     return matrix.sum(axis=(2, 3)), vector.sum(axis=(1, 2))
 
 
 def frame_equations(
-    tensor: np.ndarray,
-    inverse_depth: np.ndarray,
+    tensor: np.ndarray,  # (6, H, W), weighted
+    inverse_depth: np.ndarray,  # (H, W), D = f·d
     camera: Camera,
     rotation: np.ndarray,
     translation: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the normal equations of a frame's motion and of the depth that frames share.
 
-    Parameters
-    ----------
-    tensor : (6, H, W)
-        Weighted.
-    inverse_depth : (H, W)
-        D = f·d.
-
-    Returns
-    -------
-    matrix, vector : (6, 6) and (6,)
-        BᵀJB and Bᵀe of all pixels, e = J (u, v) + j.
-    slopes : (6, H, W)
-        aᵀJB.
-    along : (2, H, W)
-        aᵀJa and aᵀe.
+    With e = J (u, v) + j: the sums of BᵀJB, (6, 6), and Bᵀe, (6,), over all pixels; then aᵀJB,
+    (6, H, W), and aᵀJa and aᵀe, (2, H, W), of every pixel.
     """
     square, linear = _equations(tensor, inverse_depth, camera, rotation, translation)
-    along = np.stack([square[6, 6], linear[6]])
-    return square[:6, :6].sum(axis=(2, 3)), linear[:6].sum(axis=(1, 2)), square[6, :6], along
+    depth = np.stack([square[6, 6], linear[6]])
+    return square[:6, :6].sum(axis=(2, 3)), linear[:6].sum(axis=(1, 2)), square[6, :6], depth
 
 
 def motion_jacobian(

@@ -120,14 +120,9 @@ def integrate(
 ) -> tuple[Floats, Floats, np.ndarray]:
     """Return the signed distances and weights that a view gives to the voxels of some blocks.
 
-    Returns
-    -------
-    distance : (B, 512) float64
-        Signed distance to the surface, in truncations, at most 1.
-    weight : (B, 512) float64
-        0 outside the view, without depth, or too far behind the surface.
-    near : (B, 512) bool
-        Voxels within the truncation of the surface.
+    All are (B, 512). Distances to the surface are in truncations, at most 1. Weights are 0 outside
+    the view, without depth, or too far behind the surface. The third array, bool, has the voxels
+    within the truncation of the surface.
     """
     distance, weight = np.zeros((len(corners), 512)), np.zeros((len(corners), 512))
     near = np.zeros((len(corners), 512), bool)

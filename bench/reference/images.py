@@ -51,16 +51,8 @@ def spline_coefficients(image: np.ndarray) -> np.ndarray:
 def warp(image: np.ndarray, flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sample an image at x + flow by its cubic B-spline; the border pixel is repeated outside.
 
-    Parameters
-    ----------
-    image : (H, W)
-    flow : (2, H, W)
-        px/frame.
-
-    Returns
-    -------
-    warped, mask : (H, W)
-        The mask is 1 where the target lies inside the image.
+    The image is (H, W), the flow (2, H, W), px/frame. The returned mask, (H, W), is 1 where the
+    target lies inside the image.
     """
     height, width = image.shape
     coefficients = np.pad(spline_coefficients(image), 2, mode="reflect")

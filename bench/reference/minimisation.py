@@ -68,10 +68,7 @@ def flowless_fields(motion: np.ndarray) -> np.ndarray:
     They are τ along the line of sight, and each component of ω with the τ that cancels its image
     motion.
 
-    Parameters
-    ----------
-    motion : (2, n, H, W) array
-        G of 6 or 3 components (`bench.reference.motion_matrix`).
+    `motion`, (2, n, H, W), is G of 6 or 3 components (`bench.reference.motion_matrix`).
     """
     x, y = -motion[0, 2], -motion[1, 2]
     one, zero = np.ones_like(x), np.zeros_like(x)

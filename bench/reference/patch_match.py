@@ -6,22 +6,24 @@ import numpy as np
 
 from tisfm.camera import Camera
 
-RADIUS, SIMILAR = 5, 20.0  # px; grey levels
-UNSEEN, NONE = 4.0, -1e30  # cost of a pixel that is not compared; D of a missing plane
-NOWHERE = 1.0  # cost of a plane that moves the pixel out of the frame
-ALIKE = 0.03  # px: a plane closer than this to the current one is not tried
+RADIUS = 5  # px, of the windows
+SIMILAR = 20.0  # grey levels, scale of the weights of a window's pixels
+SKIPPED_COST = 4.0  # cost of a pixel that is not compared
+MISSING_PLANE = -1e30  # D of a missing plane
+OUTSIDE_COST = 1.0  # cost of a plane that moves the pixel out of the frame
+MIN_CHANGE = 0.03  # px: a plane closer than this to the current one is not tried
 DISTANCES = (1, 3, 5, 7, 13, 21)  # px, to neighbours
 _EAST, _SOUTH = np.eye(3)[:2, :, None, None]
 
 
 def window_cost(
-    levels0: np.ndarray,
+    levels0: np.ndarray,  # (H, W), grey levels
     levels1: np.ndarray,
-    place: np.ndarray,
-    east: np.ndarray,
-    south: np.ndarray,
+    target: np.ndarray,  # (3, H, W), column and row of each pixel in frame 1, px, homogeneous
+    east: np.ndarray,  # (3, H, W) or (3, 1, 1), change of `target` to the eastern neighbour
+    south: np.ndarray,  # the same, to the southern neighbour
     *,
-    noise: float,
+    noise: float,  # added to the variance of both windows
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return 1 − c at every pixel: c is the weighted correlation of its window and the warped one.
 
@@ -29,21 +31,8 @@ def window_cost(
     repeat. A pixel that differs from the centre by n·`SIMILAR` levels weighs
     1/(1 + n + n²/2 + n³/6).
 
-    Parameters
-    ----------
-    levels0, levels1 : (H, W)
-        Grey levels.
-    place : (3, H, W)
-        Position of each pixel in frame 1: column and row, px, homogeneous.
-    east, south : (3, H, W), or (3, 1, 1)
-        Change of `place` from a pixel of the window to its eastern and southern neighbour.
-    noise : float
-        Added to the variance of both windows.
-
-    Returns
-    -------
-    cost, variance : (H, W)
-        1 − c, or 1 if the pixel leaves frame 1; and the variance of the window of frame 0.
+    The cost, (H, W), is 1 if the pixel leaves frame 1. The second array is the variance of the
+    window of frame 0, (H, W).
     """
     height, width = levels0.shape
     padded = np.pad(levels0, RADIUS, "edge")
@@ -52,51 +41,40 @@ def window_cost(
     for down, across in ((j, i) for j in offsets for i in offsets if abs(i * j) < RADIUS**2):
         window = padded[RADIUS + down :, RADIUS + across :][:height, :width]
         grey0 = window - levels0
-        apart = np.abs(grey0) / SIMILAR
-        weight = 1 / (1 + apart * (1 + apart * (1 / 2 + apart / 6)))
-        x, y, z = place + across * east + down * south
+        n = np.abs(grey0) / SIMILAR
+        weight = 1 / (1 + n * (1 + n * (1 / 2 + n / 6)))
+        x, y, z = target + across * east + down * south
         grey1 = _bilinear(levels1, y / z, x / z) - levels0
         total = total + weight
         sums += weight * np.stack([grey0, grey1, grey0**2, grey1**2, grey0 * grey1])
     mean0, mean1, square0, square1, product = sums / total
     variance0, variance1 = square0 - mean0**2, square1 - mean1**2
     correlation = (product - mean0 * mean1) / np.sqrt((variance0 + noise) * (variance1 + noise))
-    u, v = place[:2] / place[2]
-    return np.where(_inside(u, v), 1 - correlation, NOWHERE), variance0
+    u, v = target[:2] / target[2]
+    return np.where(_inside(u, v), 1 - correlation, OUTSIDE_COST), variance0
 
 
 def plane_cost(
-    levels0: np.ndarray,
+    levels0: np.ndarray,  # (H, W), grey levels
     levels1: np.ndarray,
-    planes: np.ndarray,
+    planes: np.ndarray,  # (3, H, W), D, px/frame, and its slopes
     camera: Camera,
-    rotation: np.ndarray,
-    translation: np.ndarray,
+    rotation: np.ndarray,  # (3, 3)
+    translation: np.ndarray,  # (3,)
     *,
-    noise: float,
+    noise: float,  # of `window_cost`
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return `window_cost` of a plane at every pixel, and the variance of its window.
-
-    Parameters
-    ----------
-    levels0, levels1 : (H, W)
-        Grey levels.
-    planes : (3, H, W)
-        D, px/frame, and its slopes.
-    rotation, translation : (3, 3) and (3,)
-    noise : float
-        Of `window_cost`.
-    """
+    """Return `window_cost` of a plane at every pixel, and the variance of its window."""
     cx, cy = camera.center_for(*levels0.shape)
     rows, columns = np.indices(levels0.shape)
-    ray = np.stack([columns - cx, rows - cy, np.full(levels0.shape, camera.focal)])
+    rays = np.stack([columns - cx, rows - cy, np.full(levels0.shape, camera.focal)])
     to_pixels = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1]])
     turned, shift = to_pixels @ rotation, to_pixels @ translation
-    place, east, south = (
-        np.einsum("ij,jyx->iyx", turned, way) + np.multiply.outer(shift, change)
-        for way, change in zip((ray, _EAST, _SOUTH), planes, strict=True)
+    target, east, south = (
+        np.einsum("ij,jyx->iyx", turned, ray) + np.multiply.outer(shift, change)
+        for ray, change in zip((rays, _EAST, _SOUTH), planes, strict=True)
     )
-    return window_cost(levels0, levels1, place, east, south, noise=noise)
+    return window_cost(levels0, levels1, target, east, south, noise=noise)
 
 
 def best_mean(costs: np.ndarray, best: int, *, absent: float) -> np.ndarray:
@@ -104,54 +82,35 @@ def best_mean(costs: np.ndarray, best: int, *, absent: float) -> np.ndarray:
 
     If fewer frames show a hypothesis, the missing costs are `absent`; if none shows it, they are 1.
     """
-    shown = costs != NOWHERE
-    some = np.where(shown.any(axis=0), absent, NOWHERE)
+    shown = costs != OUTSIDE_COST
+    some = np.where(shown.any(axis=0), absent, OUTSIDE_COST)
     lowest = np.sort(np.where(shown, costs, np.inf), axis=0)[:best]
     mean: np.ndarray = np.where(np.isfinite(lowest), lowest, some).mean(axis=0)
     return mean
 
 
 def improved_planes(
+    # (4, H, W): D, px/frame, its slopes, and the cost. A pixel with `SKIPPED_COST` does not change.
     state: np.ndarray,
-    cost: Callable[[np.ndarray], np.ndarray],
+    cost: Callable[[np.ndarray], np.ndarray],  # takes planes (3, H, W), returns their cost (H, W)
     *,
-    color: int,
+    color: int,  # 0 for red, 1 for black
     draws: int,
-    spread: float,
+    spread: float,  # range of the first random change of D and of the slopes
     tilt: float,
-    steepest: float,
-    bounds: tuple[float, float],
+    steepest: float,  # range of the slopes of a random plane, as a share of D
+    bounds: tuple[float, float],  # range of D
     seed: int,
 ) -> np.ndarray:
     """Return the planes after an update of the pixels of one colour.
 
     Each compares its plane with the cheapest of its neighbours on each of four sides, with a random
     plane, and with `draws` random changes of the best plane, whose range halves each time.
-
-    Parameters
-    ----------
-    state : (4, H, W)
-        D, px/frame, its slopes, and the cost; a pixel with the cost `UNSEEN` does not change.
-    cost : callable
-        Takes planes (3, H, W), returns their cost (H, W).
-    color : int
-        0 for red, 1 for black.
-    spread, tilt : float
-        Range of the first random change of D and of the slopes.
-    steepest : float
-        Range of the slopes of a random plane, as a share of D.
-    bounds : (float, float)
-        Range of D.
-    seed : int
-
-    Returns
-    -------
-    (4, H, W)
     """
     rows, columns = np.indices(state.shape[1:])
     number = 4 * (rows * state.shape[2] + columns) * (draws + 1)
     random = _hash(number.astype(np.uint32) + _hash(np.array([seed], np.uint32)))
-    changing = ((rows + columns) % 2 == color) & (state[3] < UNSEEN)
+    changing = ((rows + columns) % 2 == color) & (state[3] < SKIPPED_COST)
     best = state.copy()
     for turn in range(5 + draws):
         plane = best[:3]
@@ -166,26 +125,26 @@ def improved_planes(
             else:
                 reach = np.array([spread, tilt, tilt])[:, None, None] / 2 ** (turn - 5)
                 plane = plane + reach * (2 * drawn - 1)
-        apart = np.abs(plane - best[:3])
+        change = np.abs(plane - best[:3])
         tried = changing & (plane[0] > bounds[0]) & (plane[0] < bounds[1])
-        tried &= apart[0] + RADIUS * (apart[1] + apart[2]) > ALIKE
-        found = np.concatenate([plane, cost(plane)[None]])
-        best = np.where(tried & (found[3] < best[3]), found, best)
+        tried &= change[0] + RADIUS * (change[1] + change[2]) > MIN_CHANGE
+        candidate = np.concatenate([plane, cost(plane)[None]])
+        best = np.where(tried & (candidate[3] < best[3]), candidate, best)
     return best
 
 
 def _neighbours(state: np.ndarray, down: int, across: int) -> np.ndarray:
-    """Return the cheapest plane on one side, extended to each pixel; D is `NONE` without any."""
+    """Return the cheapest plane on one side, extended to each pixel; D is `MISSING_PLANE` without any."""
     _, height, width = state.shape
     rows, columns = np.indices((height, width))
     best = np.zeros_like(state)
-    best[0], best[3] = NONE, UNSEEN
+    best[0], best[3] = MISSING_PLANE, SKIPPED_COST
     for distance in DISTANCES:
         row, column = rows + distance * down, columns + distance * across
         within = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-        there = state[:, row.clip(0, height - 1), column.clip(0, width - 1)]
-        there[0] -= distance * (across * there[1] + down * there[2])
-        best = np.where(within & (there[3] < best[3]), there, best)
+        neighbour = state[:, row.clip(0, height - 1), column.clip(0, width - 1)]
+        neighbour[0] -= distance * (across * neighbour[1] + down * neighbour[2])
+        best = np.where(within & (neighbour[3] < best[3]), neighbour, best)
     return best[:3]
 
 
@@ -198,25 +157,15 @@ def _hash(value: np.ndarray) -> np.ndarray:
 
 
 def plane_disagreement(
-    planes0: np.ndarray,
-    planes1: np.ndarray,
+    planes0: np.ndarray,  # (3, H, W): D, px/frame, and its slopes
+    planes1: np.ndarray,  # the same; D is infinite where it is unknown
     camera: Camera,
-    rotation: np.ndarray,
-    translation: np.ndarray,
+    rotation: np.ndarray,  # (3, 3), from frame 0 to frame 1
+    translation: np.ndarray,  # (3,)
 ) -> np.ndarray:
     """Return |D of frame 0, seen from frame 1 − D of the plane of the nearest pixel of frame 1|.
 
-    Parameters
-    ----------
-    planes0, planes1 : (3, H, W)
-        D, px/frame, and its slopes, of both frames; D of frame 1 is infinite where it is unknown.
-    rotation, translation : (3, 3) and (3,)
-        From frame 0 to frame 1.
-
-    Returns
-    -------
-    (H, W)
-        px/frame; infinite if the pixel leaves the image, or D of frame 1 is unknown there.
+    It is (H, W), px/frame; infinite where the pixel leaves the image or D of frame 1 is unknown.
     """
     height, width = planes0.shape[1:]
     cx, cy = camera.center_for(height, width)

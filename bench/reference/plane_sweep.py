@@ -7,9 +7,9 @@ from tisfm.camera import Camera
 
 
 def matching_cost(
-    features0: np.ndarray,
-    features1: np.ndarray,
-    hypotheses: np.ndarray,
+    features0: np.ndarray,  # (3, H, W): I, I_x and I_y
+    features1: np.ndarray,  # read between pixels by bilinear interpolation
+    hypotheses: np.ndarray,  # (N,), D = f·d, px/frame
     camera: Camera,
     rotation: np.ndarray,
     translation: np.ndarray,
@@ -17,13 +17,6 @@ def matching_cost(
     """Return min(1, |ΔI|) + min(1, |ΔI_x| + |ΔI_y|) of every hypothesis, (H, W, N).
 
     It is 1 if the hypothesis moves the pixel out of the image.
-
-    Parameters
-    ----------
-    features0, features1 : (3, H, W)
-        I, I_x and I_y of both frames; read between pixels by bilinear interpolation.
-    hypotheses : (N,)
-        D = f·d, px/frame.
     """
     height, width = features0.shape[1:]
     rows, columns = np.mgrid[:height, :width]
@@ -49,11 +42,7 @@ def aggregate(
 ) -> np.ndarray:
     """Return the sums along four paths of Hirschmüller (2008), eq. 13, (H, W, N).
 
-    Parameters
-    ----------
-    cost : (H, W, N)
-    guide : (H, W)
-        Grey levels; where they change by `edge`, the penalty of a jump is half.
+    Where the grey levels of `guide`, (H, W), change by `edge`, the penalty of a jump is half.
     """
     total = np.zeros_like(cost)
     # Four turns of the image: in each, the path runs down.

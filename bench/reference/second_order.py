@@ -16,25 +16,14 @@ _ENDS = ((np.s_[..., :-1], np.s_[..., 1:]), (np.s_[..., :-1, :], np.s_[..., 1:, 
 
 @dataclass(frozen=True, kw_only=True)
 class SecondOrder:
-    """The smoothness Σ_edges α g Φ(r) + β g Φ(|Δv|) + γ g Φ(ΔD), r = ΔD − h (v_p + v_N)/2.
-
-    Attributes
-    ----------
-    alpha, beta, gamma : float
-    contrasts : 3 floats
-        δ of r, |Δv| and ΔD.
-    spacing : float
-        h.
-    edges : (2, H, W) array or None
-        g of the eastern and southern edges; None for 1.
-    """
+    """The smoothness Σ_edges α g Φ(r) + β g Φ(|Δv|) + γ g Φ(ΔD), r = ΔD − h (v_p + v_N)/2."""
 
     alpha: float
     beta: float
     gamma: float = 0.0
-    contrasts: tuple[float, float, float] = (np.inf, np.inf, np.inf)
-    spacing: float = 1.0
-    edges: np.ndarray | None = None
+    contrasts: tuple[float, float, float] = (np.inf, np.inf, np.inf)  # δ of r, |Δv| and ΔD
+    spacing: float = 1.0  # h
+    edges: np.ndarray | None = None  # (2, H, W), g of the eastern and southern edges; None for 1
 
     def open(self, height: int, width: int) -> np.ndarray:
         """Return g, 0 at edges across the border: (2, H, W)."""
@@ -223,29 +212,18 @@ def second_order_sweep(
 
 
 def minimise_second_order(
-    anchors: np.ndarray,
-    rho: np.ndarray,
+    anchors: np.ndarray,  # (2, H, W): w and D*
+    rho: np.ndarray,  # (3, H, W)
     smoothness: SecondOrder,
     *,
     anchor_scale: float,
     iterations: int,
-    terms: Sequence[np.ndarray] = (),
+    terms: Sequence[np.ndarray] = (),  # as for `line_tensor`
     scales: Sequence[float] = (),
 ) -> list[float]:
     """Run half-quadratic iterations with exact solutions; `rho` is modified in place.
 
-    Parameters
-    ----------
-    anchors : (2, H, W)
-        w and D*.
-    rho : (3, H, W)
-    terms, scales
-        Of `line_tensor`.
-
-    Returns
-    -------
-    list of float
-        The energy before, and after every iteration.
+    Return the energy before, and after every iteration.
     """
     energies = []
     for step in range(iterations + 1):

@@ -21,24 +21,12 @@ def differences(rho: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, kw_only=True)
 class Smoothness:
-    """Parameters of the smoothness term.
+    """Parameters of the smoothness term."""
 
-    Attributes
-    ----------
-    contrast : float
-        δ, px/frame.
-    stiffness : (n,) array or None
-        s_k; None for 1.
-    joint : bool
-        Whether all components of ρ̂ share one weight per edge.
-    edges : (2, H, W) array or None
-        g of the eastern and southern edges; None for 1.
-    """
-
-    contrast: float
-    stiffness: np.ndarray | None = None
-    joint: bool = False
-    edges: np.ndarray | None = None
+    contrast: float  # δ, px/frame
+    stiffness: np.ndarray | None = None  # (n,), s_k; None for 1
+    joint: bool = False  # whether all components of ρ̂ share one weight per edge
+    edges: np.ndarray | None = None  # (2, H, W), g of the eastern and southern edges; None for 1
 
     def squares(self, rho: np.ndarray) -> np.ndarray:
         """Return s_kΔ²; if joint, their sum over k for every k: (2, n, H, W)."""

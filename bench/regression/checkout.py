@@ -28,13 +28,8 @@ class Checkout:
     def worker(self, threads: int, exchange: Path, *, cache: Path | None = None) -> Worker:
         """Return a worker that has not started yet.
 
-        Parameters
-        ----------
-        threads : int
-        exchange : Path
-            Folder for its messages.
-        cache : Path, optional
-            Folder of compiled kernels; by default that of Taichi.
+        `exchange` is the folder for its messages, `cache` that of compiled kernels, by default
+        Taichi's.
         """
         code = WORKER.read_text(encoding="utf-8")
         environment = {**os.environ, "PYTHONPATH": ""}

@@ -17,30 +17,16 @@ FLOOR = 0.01  # share of the median inverse depth: least denominator of relative
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """Difference of the results of two checkouts for one case.
+    """Difference of the results of two checkouts for one case."""
 
-    Attributes
-    ----------
-    flow_max, flow_median : float
-        Of the absolute differences of u and v, px/frame.
-    visible : float
-        Share of the pixels whose flow differs by more than `VISIBLE`.
-    depth_max, depth_median : float
-        Of the differences of inverse depth, relative to its value before.
-    labels, occlusion : float
-        Share of the pixels that differ.
-    same : bool
-        Whether every array is equal in every bit.
-    """
-
-    flow_max: float
+    flow_max: float  # of the absolute differences of u and v, px/frame
     flow_median: float
-    visible: float
-    depth_max: float
+    visible: float  # share of the pixels whose flow differs by more than `VISIBLE`
+    depth_max: float  # of the differences of inverse depth, relative to its value before
     depth_median: float
-    labels: float
-    occlusion: float
-    same: bool
+    labels: float  # share of the pixels that differ
+    occlusion: float  # share of the pixels that differ
+    same: bool  # whether every array is equal in every bit
 
 
 def difference(before: Path, after: Path) -> Difference:

@@ -47,13 +47,7 @@ def differences(
 ) -> dict[str, float]:
     """Return the largest differences between Blender and a reconstruction, by name of `BARS`.
 
-    Parameters
-    ----------
-    result : Reconstruction
-    seen : dict of str to ndarray
-        As `seen_by_blender` returns it.
-    frames : sequence of int
-        Numbers of the frames that Blender rendered.
+    `seen` is the result of `seen_by_blender`; `frames` are numbers of frames that Blender rendered.
     """
     cloud = result.points()
     positions, colors = cloud.positions[seen["points"]], cloud.colors[seen["points"]]

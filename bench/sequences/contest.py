@@ -142,28 +142,15 @@ class Colmap:
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """A method on a sequence.
-
-    Attributes
-    ----------
-    method, sequence : str
-    evaluation : SequenceEvaluation or None
-        Of the first round; None if the method failed.
-    seconds : tuple of float
-        Of every round, for the whole sequence.
-    peak : int or None
-        Peak resident memory of its process, bytes.
-    focal : (float, float, bool) or None
-        Estimated focal length: error and standard deviation, as shares of the true focal length,
-        and whether it is reliable.
-    failure : str
-    """
+    """A method on a sequence."""
 
     method: str
     sequence: str
-    evaluation: SequenceEvaluation | None = None
-    seconds: tuple[float, ...] = ()
-    peak: int | None = None
+    evaluation: SequenceEvaluation | None = None  # of the first round; None if the method failed
+    seconds: tuple[float, ...] = ()  # of every round, for the whole sequence
+    peak: int | None = None  # peak resident memory of its process, bytes
+    # Estimated focal length: error and standard deviation, as shares of the true focal length, and
+    # whether it is reliable.
     focal: tuple[float, float, bool] | None = None
     failure: str = ""
 
@@ -218,30 +205,17 @@ def hold(
     methods: Sequence[Method],
     entries: Sequence[Entry],
     *,
-    rounds: int,
-    conditions: dict[str, Any],
+    rounds: int,  # runs of each method; the first run is scored, all runs are timed
+    conditions: dict[str, Any],  # as in `SequenceContest`
     missing: dict[str, str],
+    # Called before every run with the names of sequence and method.
     step: Callable[[str], None] = lambda text: None,
+    # Called after every sequence with all scores so far, so that a crash loses none.
     keep: Callable[[list[Score]], None] = lambda scores: None,
 ) -> SequenceContest:
     """Run every method on every sequence, in turns: in each round, each method once.
 
-    Parameters
-    ----------
-    methods, entries : sequence
-    rounds : int
-        Runs of each method; the first run is scored, all runs are timed.
-    conditions, missing : dict
-        As in `SequenceContest`.
-    step : callable
-        Called before every run with the names of sequence and method.
-    keep : callable
-        Called after every sequence with all scores so far, so that a crash loses none.
-
-    Raises
-    ------
-    ValueError
-        If there is no sequence, or no method.
+    Raise ValueError if there is no sequence, or no method.
     """
     if not entries or not methods:
         raise ValueError("there is no sequence or no method to measure")

@@ -28,20 +28,11 @@ FARTHEST = 40.0  # m: larger true depths do not count
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """A sequence of the comparison.
-
-    Attributes
-    ----------
-    sequence : DatasetSequence
-    step : int
-        From frame to frame.
-    thinned : int or None
-        From this frame on, every second frame is left out.
-    """
+    """A sequence of the comparison."""
 
     sequence: DatasetSequence
-    step: int = 1
-    thinned: int | None = None
+    step: int = 1  # from frame to frame
+    thinned: int | None = None  # from this frame on, every second frame is left out
 
     @property
     def name(self) -> str:

@@ -56,13 +56,7 @@ Errors = dict[str, list[float]]  # room → error of depth for each number of fr
 class Checks:
     """Renders films, reconstructs them, and measures the figures that have bounds.
 
-    Parameters
-    ----------
-    settings : Settings
-    smoke : bool
-        Whether films are small and short.
-    seeds : sequence of int
-        Seeds of the textures and the noise.
+    With `smoke`, films are small and short. `seeds` are those of the textures and the noise.
     """
 
     def __init__(self, settings: tisfm.Settings, *, smoke: bool, seeds: list[int]) -> None:

@@ -27,29 +27,15 @@ Poses = np.ndarray  # (N, 4, 4), camera to world
 
 @dataclass(frozen=True, kw_only=True)
 class Take:
-    """Parameters of a film.
-
-    Attributes
-    ----------
-    name : str
-    poses : (N, 4, 4) float64
-        Camera to world, m.
-    textured : bool
-        Whether the room's walls have a pattern.
-    seed : int
-    height, width : int
-        Of the frames, px.
-    readout : float
-        Readout time of the rolling shutter, as for `tisfm.Camera`.
-    """
+    """Parameters of a film."""
 
     name: str
-    poses: np.ndarray
-    textured: bool
+    poses: np.ndarray  # (N, 4, 4), camera to world, m
+    textured: bool  # whether the room's walls have a pattern
     seed: int = 0
-    height: int = SIZE[0]
-    width: int = SIZE[1]
-    readout: float = 0.0
+    height: int = SIZE[0]  # px
+    width: int = SIZE[1]  # px
+    readout: float = 0.0  # readout time of the rolling shutter, as for `tisfm.Camera`
 
     def film(self) -> Film:
         """Return the film; rendered films are kept in a temporary folder."""

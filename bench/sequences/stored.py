@@ -11,13 +11,9 @@ from numpy.typing import NDArray
 class Stored:
     """A stored result with the interface that `tisfm.evaluation.compare_sequence` needs.
 
-    Parameters
-    ----------
-    folder : Path
-        NAME.json has the poses, (N, 4, 4) or None; the segment of each frame, its status, and the
-        unit that divides its inverse depth. NNNNNN.npy and NNNNNN_std.npy are the inverse depth
-        and its deviation of each frame with depth.
-    name : str
+    NAME.json in its folder has the pose of each frame, (4, 4) or None, its segment, its status, and
+    the unit that divides its inverse depth. NNNNNN.npy and NNNNNN_std.npy are the inverse depth and
+    its deviation of each frame with depth.
     """
 
     def __init__(self, folder: Path, name: str) -> None:

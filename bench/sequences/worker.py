@@ -133,27 +133,21 @@ def _chained(
 
 @dataclass(kw_only=True)
 class Chain:
-    """Result of chained pairs.
+    """Result of chained pairs."""
 
-    Attributes
-    ----------
-    poses : list of (4, 4) array
-        Camera to world.
-    piece : list of int
-        Number of the segment of each frame; a segment has one scale.
-    status : list of str
-    units : list of float
-        Unit of length of the pair of each frame, in the unit of its segment.
-    """
-
-    poses: list[NDArray[np.float64]] = field(default_factory=list)
-    piece: list[int] = field(default_factory=list)
+    poses: list[NDArray[np.float64]] = field(default_factory=list)  # (4, 4), camera to world
+    piece: list[int] = field(default_factory=list)  # number of the segment, which has one scale
     status: list[str] = field(default_factory=list)
-    units: list[float] = field(default_factory=list)
+    units: list[float] = field(default_factory=list)  # of the frame's pair, in units of the segment
 
 
 def chain(
-    count: int, interpret: Interpret, keep: Keep, *, focal: float, center: tuple[float, float]
+    count: int,  # frames, at least 2
+    interpret: Interpret,
+    keep: Keep,  # called with every frame that has a depth
+    *,
+    focal: float,  # px
+    center: tuple[float, float],  # principal point, px
 ) -> Chain:
     """Chain the pairs of consecutive frames.
 
@@ -161,23 +155,6 @@ def chain(
     ratio of their depth to the depth of this frame's pair is the unit of the pair. A pair without
     depth only turns the camera, and the points are passed on. The last frame has the depth of the
     reversed pair.
-
-    Parameters
-    ----------
-    count : int
-        Frames, at least 2.
-    interpret : callable
-        Returns the interpretation of two frames with given indices, with the motion of the camera.
-    keep : callable
-        Called with every frame that has a depth.
-    focal : float
-        px.
-    center : (float, float)
-        Principal point, px.
-
-    Returns
-    -------
-    Chain
     """
     found = Chain()
     pose, piece = np.eye(4), 0

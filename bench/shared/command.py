@@ -137,20 +137,11 @@ def hold_with_progress(
 
 @dataclass(frozen=True)
 class Peers:
-    """Running methods of other libraries.
-
-    Attributes
-    ----------
-    methods : list of Peer
-    survey : Survey
-        Of all methods of the interpreter.
-    folder : Path
-        Temporary folder of exchanged files.
-    """
+    """Running methods of other libraries."""
 
     methods: list[Peer]
-    survey: Survey
-    folder: Path
+    survey: Survey  # of all methods of the interpreter
+    folder: Path  # temporary folder of exchanged files
 
     @property
     def versions(self) -> str:

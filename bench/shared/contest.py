@@ -88,24 +88,14 @@ class PairInfo:
 
 @dataclass(frozen=True, kw_only=True)
 class Contest:
-    """All figures of one run.
+    """All figures of one run."""
 
-    Attributes
-    ----------
-    conditions : dict
-        Machine, threads and versions.
-    reference : str
-        The method whose time is the unit of the ratios.
-    missing : dict
-        Missing method or pair → the reason.
-    """
-
-    conditions: dict[str, Any]
-    reference: str
+    conditions: dict[str, Any]  # machine, threads and versions
+    reference: str  # the method whose time is the unit of the ratios
     methods: tuple[str, ...]
     pairs: tuple[PairInfo, ...]
     measurements: tuple[Measurement, ...]
-    missing: dict[str, str] = field(default_factory=dict)
+    missing: dict[str, str] = field(default_factory=dict)  # missing method or pair → the reason
 
     def of(self, method: str, pair: str) -> Measurement | None:
         """Return the measurement of a method on a pair."""
@@ -124,27 +114,16 @@ def hold(
     methods: Sequence[Method],
     pairs: Sequence[FlowPair],
     *,
-    reference: str,
+    reference: str,  # the method whose time is the unit of the ratios
+    # Timed calls of each method and pair, after one untimed call; slow methods have fewer, see
+    # `SLOW`. The flow of the first call is scored.
     rounds: int,
-    conditions: dict[str, Any],
+    conditions: dict[str, Any],  # as in `Contest`
     missing: dict[str, str],
+    # Called before every call with the name of the pair and the method.
     step: Callable[[str], None] = lambda text: None,
 ) -> Contest:
-    """Run every method on every pair, in turns: in each round, each method once.
-
-    Parameters
-    ----------
-    methods, pairs : sequence
-    reference : str
-        The method whose time is the unit of the ratios.
-    rounds : int
-        Timed calls of each method and pair, after one untimed call; slow methods have fewer, see
-        `SLOW`. The flow of the first call is scored.
-    conditions, missing : dict
-        As in `Contest`.
-    step : callable
-        Called before every call with the name of the pair and the method.
-    """
+    """Run every method on every pair, in turns: in each round, each method once."""
     if not pairs:
         raise ValueError("there is no pair to measure on")
     missing, ready = dict(missing), []

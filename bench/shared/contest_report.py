@@ -122,11 +122,7 @@ def _by_round(contest: Contest, method: str) -> dict[int, float]:
 def summary(contest: Contest, *, changes: bool = False) -> Table:
     """Return a row for every method.
 
-    Parameters
-    ----------
-    contest : Contest
-    changes : bool
-        Whether each error is followed by its difference from the reference's, in percent.
+    With `changes`, each error is followed by its difference from the reference's, %.
     """
     columns = present(contest)
     height, width = STANDARD_SIZE

@@ -74,24 +74,16 @@ def find_peers(python: Path | None) -> tuple[Path, Survey]:
 
 
 class Peer:
-    """A method of another library. Its worker starts when needed, and again after a crash.
-
-    Parameters
-    ----------
-    name : str
-        One of `Survey.available`.
-    python : Path
-        The interpreter it runs in.
-    threads : int
-        Bound on OpenCV's, OpenMP's and BLAS's threads.
-    folder : Path
-        Folder of exchanged frames and flows.
-    timeout : float
-        s; a call that takes longer ends the worker.
-    """
+    """A method of another library. Its worker starts when needed, and again after a crash."""
 
     def __init__(
-        self, name: str, *, python: Path, threads: int, folder: Path, timeout: float = 900.0
+        self,
+        name: str,  # one of `Survey.available`
+        *,
+        python: Path,  # the interpreter it runs in
+        threads: int,  # bound on OpenCV's, OpenMP's and BLAS's threads
+        folder: Path,  # folder of exchanged frames and flows
+        timeout: float = 900.0,  # s; a call that takes longer ends the worker
     ) -> None:
         self.name = name
         self._folder = folder

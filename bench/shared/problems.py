@@ -171,12 +171,7 @@ def problem_at(height: int, width: int) -> Problem:
 
 
 def disagreement(actual: np.ndarray, expected: np.ndarray) -> float:
-    """Return the largest deviation, relative to the largest value of its component.
-
-    Parameters
-    ----------
-    actual, expected : (k, …) array
-    """
+    """Return the largest deviation of (k, …) arrays, relative to the largest value of each of k."""
     if actual.shape != expected.shape:
         raise ValueError(f"the answer is {actual.shape} but the reference's is {expected.shape}")
     k = len(expected)

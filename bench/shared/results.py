@@ -21,19 +21,11 @@ TABLE_WIDTH = 160  # columns of a console that is not a terminal
 
 @dataclass(frozen=True)
 class Table:
-    """A table of text.
-
-    Attributes
-    ----------
-    head : sequence of str
-    rows : sequence of sequence of str
-    text_columns : int
-        Number of columns that are aligned to the left; the others hold figures.
-    """
+    """A table of text."""
 
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
-    text_columns: int = 1
+    text_columns: int = 1  # number of columns that are aligned to the left; the others hold figures
 
     def markdown(self) -> list[str]:
         """Return the lines of a Markdown table."""
@@ -62,23 +54,12 @@ class Table:
 
 @dataclass(frozen=True)
 class Bar:
-    """A figure and its bound.
-
-    Attributes
-    ----------
-    name : str
-    value : float or None
-        None if the run did not measure the figure.
-    bound : float or None
-        None if the figure is only reported.
-    at_most : bool
-        Whether the bound is an upper one.
-    """
+    """A figure and its bound."""
 
     name: str
-    value: float | None
-    bound: float | None
-    at_most: bool = True
+    value: float | None  # None if the run did not measure the figure
+    bound: float | None  # None if the figure is only reported
+    at_most: bool = True  # whether the bound is an upper one
 
     @property
     def met(self) -> bool:

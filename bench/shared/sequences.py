@@ -15,26 +15,14 @@ MIDDLEBURY = ("RubberWhale", "Grove2", "Urban2", "Venus")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FlowPair:
-    """Two frames and their true flow.
-
-    Attributes
-    ----------
-    name, group : str
-        Errors are averaged over the pairs of a group.
-    frame0, frame1 : (H, W) or (H, W, 3) uint8
-        Grey or RGB.
-    truth : (H, W, 2) float
-        Flow from frame 0 to frame 1, px; NaN where it is unknown.
-    note : str
-        Remark on the truth.
-    """
+    """Two frames and their true flow."""
 
     name: str
-    group: str
-    frame0: NDArray
+    group: str  # errors are averaged over the pairs of a group
+    frame0: NDArray  # (H, W) or (H, W, 3) uint8, grey or RGB
     frame1: NDArray
-    truth: NDArray
-    note: str = ""
+    truth: NDArray  # (H, W, 2), flow from frame 0 to frame 1, px; NaN where it is unknown
+    note: str = ""  # remark on the truth
 
     @property
     def size(self) -> tuple[int, int]:
@@ -89,22 +77,12 @@ def scene_pairs(height: int, width: int) -> list[FlowPair]:
 
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """Location of a pair in the folder of sequences.
+    """Location of a pair in the folder of sequences."""
 
-    Attributes
-    ----------
-    folder, layout : str
-        Path below that folder, and one of `tisfm.datasets.LAYOUTS`.
-    group : str
-    name : str
-        Of the pair in its dataset, if the folder has several.
-    note : str
-    """
-
-    folder: str
+    folder: str  # path below that folder
     layout: Layout
     group: str
-    name: str = ""
+    name: str = ""  # of the pair in its dataset, if the folder has several
     note: str = ""
 
 

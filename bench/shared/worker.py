@@ -20,17 +20,6 @@ class Worker:
     """A worker process. It starts at the first question, and again after a crash.
 
     Its first line, before any question, is the message that it is ready.
-
-    Parameters
-    ----------
-    command : sequence of str or Path
-    environment : mapping
-    messages : Path
-        File of its standard error.
-    folder : Path, optional
-        Working folder.
-    timeout : float
-        s for an answer, after which the worker is killed.
     """
 
     def __init__(
@@ -38,9 +27,9 @@ class Worker:
         command: Sequence[str | Path],
         *,
         environment: Mapping[str, str],
-        messages: Path,
-        folder: Path | None = None,
-        timeout: float = 900.0,
+        messages: Path,  # file of its standard error
+        folder: Path | None = None,  # working folder
+        timeout: float = 900.0,  # s for an answer, after which the worker is killed
     ) -> None:
         self.ready: dict[str, Any] = {}
         self._command, self._environment, self._folder = command, environment, folder

@@ -142,10 +142,7 @@ def write_frames(folder: Path, count: int, height: int, width: int) -> float:
 def write_short(frames: Path, focal: float, run: Path, reconstruction: Path) -> None:
     """Write the run and the reconstruction of a few frames.
 
-    Raises
-    ------
-    RuntimeError
-        If a command fails.
+    Raise RuntimeError if a command fails.
     """
     commands = (
         ["run", str(frames), "-o", str(run), "--motion", "camera", "--no-figures"],
@@ -174,10 +171,7 @@ def lengthened_run(short: Path, long: Path, count: int) -> None:
 def lengthened_reconstruction(short: Path, long: Path, count: int) -> None:
     """Write a reconstruction of `count` frames that runs to and fro through a short one.
 
-    Raises
-    ------
-    ValueError
-        If a frame of the short one has no pose.
+    Raise ValueError if a frame of the short one has no pose.
     """
     result = Reconstruction.load(short)
     if (result.piece != 0).any():

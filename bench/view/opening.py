@@ -43,32 +43,16 @@ _STARTS = "import sys; from tisfm.cli.command_line import main; sys.exit(main())
 
 @dataclass(frozen=True, kw_only=True)
 class Opening:
-    """Times of one start of the command: s since the start, unless stated otherwise.
+    """Times of one start of the command: s since the start, unless stated otherwise."""
 
-    Attributes
-    ----------
-    served : float
-        Until the command prints the address of its page.
-    first : float
-        Until the first points are visible.
-    processor : float
-        Processor time of the command until the first points are visible.
-    refined : float
-        Until all points of the first frame have arrived.
-    steps : tuple of (float, float)
-        Since a step of the slider: until the frame is shown, and until all its points are there.
-    memory, peak : float or None
-        Memory of the command, MB: after the first picture, and its peak. None if the system does
-        not report it.
-    """
-
-    served: float
-    first: float
-    processor: float
-    refined: float
+    served: float  # until the command prints the address of its page
+    first: float  # until the first points are visible
+    processor: float  # processor time of the command until the first points are visible
+    refined: float  # until all points of the first frame have arrived
+    # Since each step of the slider: until the frame is shown, and until all its points are there.
     steps: tuple[tuple[float, float], ...]
-    memory: float | None
-    peak: float | None
+    memory: float | None  # of the command after the first picture, MB; None if not reported
+    peak: float | None  # MB
 
 
 def browser_path() -> str | None:
@@ -80,10 +64,7 @@ def browser_path() -> str | None:
 def browser() -> Iterator[Any]:
     """Start a browser for a block.
 
-    Raises
-    ------
-    RuntimeError
-        If Chromium or Playwright is not installed.
+    Raise RuntimeError if Chromium or Playwright is not installed.
     """
     path = browser_path()
     if path is None:
@@ -103,10 +84,7 @@ def browser() -> Iterator[Any]:
 def opened(chromium: Any, folder: Path, steps: Sequence[int]) -> Opening:
     """Start the command on a result, open its page, and step to frames.
 
-    Raises
-    ------
-    RuntimeError
-        If the command serves no page.
+    Raise RuntimeError if the command serves no page.
     """
     tab = chromium.new_context(viewport=WINDOW).new_page()
     tab.add_init_script(_NOTES)

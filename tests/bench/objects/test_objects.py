@@ -81,9 +81,9 @@ def test_the_man_and_the_cyclist_are_counted_where_they_are():
     assert statue._label(labels, statue.CYCLIST[0], statue.CYCLIST_SIZE) == 0
     given = {"method": "a", "pair": "p", "focal": 384.0, "labels": 3, "man": True, "seconds": 1.0}
     found = [
-        StatuePair(**given, cyclist=True, apart=True),
-        StatuePair(**given, cyclist=True, apart=False),
-        StatuePair(**given, cyclist=False, apart=True),
+        StatuePair(**given, cyclist=True, different=True),
+        StatuePair(**given, cyclist=True, different=False),
+        StatuePair(**given, cyclist=False, different=True),
     ]
     assert statue.table(found).rows == [["a", "384", "3", "2", "1", "1", "3.0", "1.00"]]
 
