@@ -134,7 +134,7 @@ def improved_planes(
 
 
 def _neighbours(state: np.ndarray, down: int, across: int) -> np.ndarray:
-    """Return the cheapest plane on one side, extended to each pixel; D is `MISSING_PLANE` without any."""
+    """Return the cheapest plane on one side, extended to each pixel; else `MISSING_PLANE`."""
     _, height, width = state.shape
     rows, columns = np.indices((height, width))
     best = np.zeros_like(state)
