@@ -197,7 +197,7 @@ def test_labels_come_from_the_nearest_frame():
 def test_what_cannot_be():
     with pytest.raises(ValueError, match=r'motion is "camera": expected motion="objects"'):
         reconstructed(labels=labels(), settings=None)
-    with pytest.raises(ValueError, match=r"labels has none of a frame of frames that is taken"):
+    with pytest.raises(ValueError, match=r"labels has no labels for a selected frame of frames"):
         reconstructed(labels={1: labels()[1]}, step=2)
     with pytest.raises(ValueError, match="give booleans"):
         reconstructed(mask=np.uint8(labels() > 0))
@@ -285,5 +285,7 @@ def test_masks_as_they_come_hold_no_labels():
         reconstructed(mask=iter(labels()))
     result = reconstructed(mask=[one.tolist() for one in labels()])
     np.testing.assert_array_equal(labels_of(result), labels())
-    with pytest.raises(ValueError, match="mask has numbers of things, and labels are given"):
+    with pytest.raises(
+        ValueError, match="mask has numbers of moving objects, but labels are given"
+    ):
         reconstructed(mask=labels(), labels=labels())

@@ -149,8 +149,8 @@ def test_known_poses_stay_as_they_are(monkeypatch):
     path = SlidingPath(film.camera)
     for image in film.frames[:16]:
         path.add(image)
-    begun = path.found().pieces[0]
-    path.settle(10, {0: begun})
+    begun = path.solve().pieces[0]
+    path.fix_poses(10, {0: begun})
     for image in film.frames[16:24]:
         path.add(image)
     seen = []
@@ -160,7 +160,7 @@ def test_known_poses_stay_as_they_are(monkeypatch):
         return seen[-1][0]
 
     monkeypatch.setattr(mapping, "grow_from_poses", spied)
-    stretch = path.found()
+    stretch = path.solve()
     ((model, known),) = seen
     assert len(known) >= MIN_FIXED_VIEWS and model.num_reg_images() > len(known)
     for number, pose in known.items():
@@ -181,7 +181,7 @@ def test_memory_and_disk_hold_the_last_frames_only(disk, monkeypatch):
         kept.append(len(path.seen.frames()))
         views.append(len(path._views.chosen))
         files.append(sum(item.is_file() for item in disk.rglob("*")))
-        points.append(sum(len(poses) for poses in path._held.values()))
+        points.append(sum(len(poses) for poses in path._fixed.values()))
     # One keyframe may be older.
     most = DELAY + 1 + 8 + 1
     assert most - 4 <= max(kept) <= most and max(files) <= 2 * most

@@ -1,4 +1,4 @@
-"""Labels that are given: numbers of things, whatever they come as."""
+"""Labels that are given: numbers of moving objects in every form."""
 
 import numpy as np
 import pytest

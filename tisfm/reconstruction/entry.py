@@ -166,7 +166,7 @@ def reconstruct(
     settings = checked_settings(settings)
     if calibrate in ("focal", "radial") and poses is not None:
         raise InputError(
-            f'poses are given and calibrate="{calibrate}": that is found with the path alone'
+            f'poses are given and calibrate="{calibrate}": a camera is estimated with the path only'
         )
     calibrate = checked_calibrate(calibrate, is_known=camera is not None or poses is not None)
     if depth_of not in get_args(DepthOf):
@@ -194,7 +194,9 @@ def reconstruct(
     )
     warn_notes(frames.notes)
     if given is not None and bad_frames == "skip":
-        raise InputError('poses are given and bad_frames="skip": they would not fit what is left')
+        raise InputError(
+            'poses are given and bad_frames="skip": poses would not fit the remaining frames'
+        )
     if given is not None and frames.times is not None:  # before the long computation
         poses_of_frames(given, frames.times)
     elif given is not None and given.times is None and frames.count is not None:
@@ -271,8 +273,8 @@ def _mask_and_labels(
     if are_labels(mask):
         if labels is not None:
             raise InputError(
-                "mask has numbers of things, and labels are given as well: expected these there, "
-                "and booleans in the mask"
+                "mask has numbers of moving objects, but labels are given too: give the numbers "
+                "as labels, and booleans as the mask"
             )
         return None, mask
     return mask, labels

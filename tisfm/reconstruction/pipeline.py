@@ -43,11 +43,9 @@ from tisfm.trajectory import Trajectory
 from tisfm.trajectory.times import times_note
 from tisfm.version import __version__
 
-NEW_PIECE = (
-    "nothing that it shows leads to the frames before: a new piece begins, in a scale of its own"
-)
+NEW_PIECE = "no track connects it with earlier frames: a new piece begins, with a scale of its own"
 NO_PARALLAX = Status(
-    "little_parallax", "no frame near by shows enough parallax to see depth by; its pose is known"
+    "little_parallax", "no nearby frame shows enough parallax for depth; its pose is known"
 )
 
 
@@ -318,8 +316,8 @@ def _label_all(job: Job, read: ReadFrames) -> None:
     """Label the frames without given labels, from the frames with given labels."""
     if not read.labelled:
         raise InputError(
-            f"labels has none of a frame of {job.source.title} that is taken: expected those "
-            "of one at least"
+            f"labels has no labels for a selected frame of {job.source.title}: expected labels "
+            "for at least one"
         )
     label_remaining_frames(read.frames, read.labelled)
     refuse_unknown(job.object_sizes, read.frames.things())  # before the long computation

@@ -131,7 +131,7 @@ class ChunkedRun:
         given = None if poses is None else checked_poses(poses)
         if given is not None and bad_frames == "skip":
             raise InputError(
-                'poses are given and bad_frames="skip": they would not fit what is left'
+                'poses are given and bad_frames="skip": poses would not fit the remaining frames'
             )
         calibrate = checked_calibrate(calibrate, is_known=camera is not None or given is not None)
         camera, self._stated = checked_camera(camera)

@@ -3,6 +3,7 @@
 from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -72,6 +73,7 @@ class PathSolver:
     # Whether the focal length is known. With a guess, a path cannot begin where all points lie in
     # one plane.
     focal_known: bool = True
+    frames: Sequence[int] | None = None  # the frames that get a pose; by default all
 
     def solve(
         self,
@@ -89,18 +91,9 @@ class PathSolver:
             count = len(tracks.observations)
             instants = np.arange(count) if instants is None else np.asarray(instants)
             solution, rolling = self._unrolled(solution, instants)
-        lost = {
-            frame: status_of_lost(
-                solution.seen[frame],
-                solution.pieces,
-                tracks.different,
-                focal_known=self._focal_stated,
-            )
-            for frame in solution.unplaced
-        }
         return CameraPath(
             pieces=tuple(sorted(solution.pieces, key=lambda piece: min(piece.poses))),
-            lost=lost,
+            lost=self.lost(solution),
             seen=solution.seen,
             camera=solution.camera,
             focal=solution.focal,
@@ -111,26 +104,85 @@ class PathSolver:
     def _focal_stated(self) -> bool:
         return self.focal_known and self.calibrate == "nothing"
 
+    def new_models(
+        self,
+        views: Sequence[View],
+        matches: Mapping[tuple[int, int], np.ndarray],
+        camera: Camera,
+        calibrate: Calibrate,
+    ) -> tuple[list[Model], FocalEstimate | None]:
+        """Return the models of views, and the focal length if it is estimated and models exist."""
+        shape = self.tracks.shape
+        if calibrate != "nothing":
+            return find_models_and_focal(views, matches, camera, shape, calibrate, limit=self.limit)
+        return find_models(views, matches, camera, shape, focal_known=self._focal_stated), None
+
+    def readjust(
+        self,
+        views: Sequence[View],  # corrected for the readout time
+        seen: Sequence[Observations],  # tracks in every frame, corrected as well
+        pieces: Sequence[Piece],  # start values of the poses
+        camera: Camera,  # pinhole camera
+    ) -> PathSolution:
+        """Return the path of corrected views, adjusted from the poses of an earlier path."""
+        shape, matches = self.tracks.shape, self.tracks.matches
+        if len(views) > MAX_VIEWS:
+            models = models_from_submaps(
+                views, matches, camera, shape, seen, focal_known=self._focal_stated
+            )
+        else:
+            known = [{frame: piece.poses[frame] for frame in piece.views} for piece in pieces]
+            models = readjust_models(views, matches, camera, shape, known)
+        return self._complete(models, views, seen, camera)
+
+    def lost(self, solution: PathSolution) -> dict[int, Status]:
+        """Return the reason for each frame without a pose."""
+        return {
+            frame: status_of_lost(
+                solution.seen[frame],
+                solution.pieces,
+                self.tracks.different,
+                focal_known=self._focal_stated,
+            )
+            for frame in solution.unplaced
+        }
+
+    def solution(
+        self,
+        pieces: Sequence[Piece],
+        views: Sequence[View],
+        seen: Sequence[Observations],
+        camera: Camera,
+        focal: FocalEstimate | None = None,
+        score: float = 0.0,
+    ) -> PathSolution:
+        """Return pieces as a solution; the frames between their views get poses as well."""
+        frames = range(len(seen)) if self.frames is None else self.frames
+        pieces, unplaced = add_other_frames(
+            pieces, seen, frames, camera.pinhole(), self.tracks.shape
+        )
+        return PathSolution(
+            pieces=pieces,
+            unplaced=unplaced,
+            views=views,
+            seen=seen,
+            camera=camera,
+            focal=focal,
+            score=score,
+        )
+
     def _unrolled(
         self, solution: PathSolution, instants: np.ndarray
     ) -> tuple[PathSolution, Rolling | None]:
         """Return the path of middle rows, and the motion of frames while their rows were read."""
-        pinhole, matches = solution.camera.pinhole(), self.tracks.matches
-
-        def near(
-            views: Sequence[View], seen: Sequence[Observations], before: Sequence[Piece]
-        ) -> PathSolution:
-            if len(views) > MAX_VIEWS:
-                models = models_from_submaps(
-                    views, matches, pinhole, self.tracks.shape, seen, focal_known=self._focal_stated
-                )
-            else:
-                known = [{frame: piece.poses[frame] for frame in piece.views} for piece in before]
-                models = readjust_models(views, matches, pinhole, self.tracks.shape, known)
-            return self._complete(models, views, seen, pinhole)
-
+        pinhole = solution.camera.pinhole()
         found, rolling = find_unrolled_path(
-            solution, near, matches, instants, self.readout, self.tracks.shape
+            solution,
+            partial(self.readjust, camera=pinhole),
+            self.tracks.matches,
+            instants,
+            self.readout,
+            self.tracks.shape,
         )
         if rolling is None:
             return solution, None
@@ -140,7 +192,7 @@ class PathSolver:
             calibrate: Calibrate = "focal" if self.calibrate == "focal" else "nothing"
             anew = self._solution(found.views, found.seen, pinhole, calibrate)
             if anew.pieces and anew.focal is None:
-                anew = near(found.views, found.seen, anew.pieces)
+                anew = self.readjust(found.views, found.seen, anew.pieces, pinhole)
             if anew.score > found.score and _is_of_use(anew.focal):
                 found = anew
         if found.focal is None:
@@ -182,12 +234,7 @@ class PathSolver:
                 straight_views, matches, lens.pinhole(), shape, seen, focal_known=self._focal_stated
             )
             return self._complete(models, views, seen, lens, focal)
-        if calibrate == "nothing":
-            models = find_models(views, matches, camera, shape, focal_known=self._focal_stated)
-        else:
-            models, focal = find_models_and_focal(
-                views, matches, camera, shape, calibrate, limit=self.limit
-            )
+        models, focal = self.new_models(views, matches, camera, calibrate)
         lens = camera if focal is None else focal.taken(camera)
         return self._complete(models, views, _straight(tracks, lens, shape), lens, focal)
 
@@ -200,22 +247,13 @@ class PathSolver:
         focal: FocalEstimate | None = None,
     ) -> PathSolution:
         """Return the solution with the poses of models and of the frames between their views."""
-        pieces, unplaced = add_other_frames(
-            [Piece(poses=one.poses, views=tuple(one.poses), points=one.points) for one in models],
-            seen,
-            range(len(seen)),
-            camera.pinhole(),
-            self.tracks.shape,
-        )
-        return PathSolution(
-            pieces=pieces,
-            unplaced=unplaced,
-            views=views,
-            seen=seen,
-            camera=camera,
-            focal=focal,
-            score=sum(model.score for model in models),
-        )
+        pieces, score = list(map(piece_of_model, models)), sum(model.score for model in models)
+        return self.solution(pieces, views, seen, camera, focal, score)
+
+
+def piece_of_model(model: Model) -> Piece:
+    """Return the views and points of a model as a piece of the path."""
+    return Piece(poses=model.poses, views=tuple(model.poses), points=model.points)
 
 
 def find_path(
@@ -313,10 +351,10 @@ def status_of_lost(
     if count < MIN_SHARED:
         return Status(
             "no_texture",
-            f"it shows {count} points that could be followed: it is dark, bare or blurred",
+            f"it shows only {count} points that can be tracked: it is dark, bare or blurred",
         )
     if not pieces and different < 2:
-        return Status("no_motion", "frames hardly differ: the camera has to change its place")
+        return Status("no_motion", "frames hardly differ: the camera has to move")
     if not pieces and different < MIN_VIEWS:
         return Status(
             "little_parallax",
@@ -327,19 +365,19 @@ def status_of_lost(
         return Status(
             "little_parallax",
             "no two frames show enough parallax to begin a path: the camera only turns, or noise "
-            "hides its motion; move it sideways before something with texture",
+            "hides its motion; move it sideways in front of textured surfaces",
         )
     if not pieces:
         return Status(
             "little_parallax",
             "no two frames show enough parallax to begin a path: the camera only turns, or the "
-            "scene is one plane; move it sideways, or state the focal length of a camera before a "
-            "plane",
+            "scene is one plane; move the camera sideways, or give its focal length if the scene "
+            "is a plane",
         )
     return Status(
         "unrelated",
-        f"its {count} tracks lead to too few points that are known: it shows what other "
-        "frames do not, or from where points show no parallax; take frames closer in time",
+        f"only few of its {count} tracks have known points: it shows another part of the scene, or "
+        "its points show no parallax; take frames closer in time",
     )
 
 

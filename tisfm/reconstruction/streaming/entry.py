@@ -100,7 +100,7 @@ def reconstruct_stream(
     if not is_integer(delay):
         raise InputTypeError(f"delay is {delay!r}: expected a whole number of frames")
     if delay < MIN_DELAY:
-        raise InputError(f"delay is {delay}: expected {MIN_DELAY} frames at least")
+        raise InputError(f"delay is {delay}: expected at least {MIN_DELAY} frames")
     frames = FrameSource(
         source,
         step=step,

@@ -2,26 +2,27 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.calibration.self_calibration import find_models_and_focal
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
-from tisfm.reconstruction.mapping.models import continue_model, find_models, readjust_models
+from tisfm.reconstruction.mapping.models import continue_model
 from tisfm.reconstruction.mapping.solution import (
     MAX_USEFUL_DEVIATION,
     FocalEstimate,
     PathSolution,
     Piece,
 )
-from tisfm.reconstruction.path.path_solver import add_other_frames, status_of_lost
+from tisfm.reconstruction.path.path_solver import PathSolver, piece_of_model
 from tisfm.reconstruction.rolling_shutter.correction import (
     KNOWN_ROUNDS,
     TrackUnroller,
     find_unrolled_path,
 )
+from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations, Tracker
 from tisfm.reconstruction.tracks.views import View, ViewSelection
 from tisfm.shutter import Rolling, instants_of
@@ -40,315 +41,289 @@ class SlidingSolution:
     """The path of the recent frames."""
 
     pieces: dict[int, Piece]  # pieces by their numbers, which never change
-    held: dict[int, np.ndarray]  # dict of int to (4, 4) float64: fixed poses, by frame
-    lost: dict[int, Status]  # reason for each frame that is not settled yet and has no pose
-    # With a rolling shutter: the motion of unsettled frames while their rows were read. Poses and
-    # points are those of middle rows then.
+    fixed: dict[int, np.ndarray]  # (4, 4) float64: fixed poses, by frame
+    lost: dict[int, Status]  # reason for each frame after the last fixed one without a pose
+    # With a rolling shutter: the motion of frames that are not fixed, while their rows were read.
+    # Poses and points are those of middle rows then.
     rolling: Rolling | None = None
 
 
 class RecentObservations(Sequence[Observations]):
     """Tracks of the recent frames of a sequence; tracks of early frames are dropped."""
 
-    def __init__(self) -> None:
-        self._seen: dict[int, Observations] = {}
-        self._count = 0
+    def __init__(self, by_frame: Mapping[int, Observations] | None = None, count: int = 0) -> None:
+        self._by_frame, self._count = dict(by_frame or {}), count
 
     def append(self, seen: Observations) -> None:
         """Add the next frame."""
-        self._seen[self._count] = seen
+        self._by_frame[self._count] = seen
         self._count += 1
 
     def frames(self) -> list[int]:
-        """Return the frames that are kept."""
-        return list(self._seen)
+        """Return the frames with tracks."""
+        return list(self._by_frame)
 
-    def forget(self, frame: int) -> None:
-        """Drop a frame."""
-        del self._seen[frame]
+    def drop(self, frame: int) -> None:
+        """Drop the tracks of a frame."""
+        del self._by_frame[frame]
 
-    def changed(self, others: Mapping[int, Observations]) -> "RecentObservations":
+    def with_tracks(self, others: Mapping[int, Observations]) -> "RecentObservations":
         """Return a copy with other tracks in some frames."""
-        changed = RecentObservations()
-        changed._seen = {frame: others.get(frame, seen) for frame, seen in self._seen.items()}
-        changed._count = self._count
-        return changed
+        tracks = {frame: others.get(frame, seen) for frame, seen in self._by_frame.items()}
+        return RecentObservations(tracks, self._count)
 
     def __len__(self) -> int:
         return self._count
 
     def __getitem__(self, frame: int) -> Observations:  # type: ignore[override]
-        return self._seen[frame]
+        return self._by_frame[frame]
 
     def __iter__(self) -> Iterator[Observations]:
-        return iter(self._seen.values())
+        return iter(self._by_frame.values())
 
 
 class SlidingPath:
     """Finds the camera path of an endless sequence, frame by frame.
 
-    Settled poses are final. The path of later frames continues the last views with settled poses:
-    so it has the same axes and scale.
-
-    Parameters
-    ----------
-    camera : Camera
-        Pinhole camera of the frames.
-    focal_known : bool
-        Whether the focal length is known. Otherwise it is a guess: it is estimated with the first
-        path, and then fixed.
-    readout : float or None
-        Readout time, as in `tisfm.Camera`; None if it is estimated with the first path, and then
-        fixed.
-    limit : float
-        Share of the focal length: if the standard deviation of the estimate is larger, the guess is
-        used.
-    is_guess : bool
-        Whether the focal length is a guess that is not estimated. Then a path does not begin where
-        all points lie in one plane.
-
-    Attributes
-    ----------
-    camera : Camera
-    focal : FocalEstimate or None
-        The estimate, if the focal length was to be estimated and a path was found.
-    readout : float or None
-        The current value; 0 after a first path that does not show the readout.
-    readout_deviation : float
-        Standard deviation of the readout; 0 if the readout was given.
-    seen : RecentObservations
-        Tracks in the recent frames, as a global shutter would see them.
-    settled : int
-        The last frame with a final result, with or without a pose; −1 before the first.
+    `PathSolver` finds the path of the recent frames. The poses of frames that were yielded are
+    fixed. The path of later frames continues the last fixed views, so it has the same axes and the
+    same scale.
     """
 
     def __init__(
         self,
-        camera: Camera,
+        camera: Camera,  # pinhole camera of the frames
         *,
+        # Whether the focal length is known. Otherwise it is a guess: it is estimated with the first
+        # path, and then fixed.
         focal_known: bool = True,
+        # Readout time, as in `tisfm.Camera`; None if it is estimated with the first path, and then
+        # fixed
         readout: float | None = 0.0,
+        # Share of the focal length: with a larger standard deviation of the estimate, the guess is
+        # used
         limit: float = MAX_USEFUL_DEVIATION,
+        # Whether the focal length is a guess that is not estimated. Then a path does not begin
+        # where all points lie in one plane.
         is_guess: bool = False,
     ) -> None:
         self.camera = camera
+        # The estimate, if the focal length was to be estimated and a path was found
         self.focal: FocalEstimate | None = None
+        # The current value, 0 after a first path that does not show it; deviation 0 if it was given
         self.readout, self.readout_deviation = readout, 0.0
         self._focal_known, self._limit = focal_known, limit
-        self._focal_stated = focal_known and not is_guess
-        self.seen = RecentObservations()
+        self._is_focal_stated = focal_known and not is_guess
+        self.seen = RecentObservations()  # as a global shutter would see the tracks
         self._read = RecentObservations()  # tracks not corrected for the readout
-        self._unrolled: dict[int, View] = {}
-        self._taken: dict[int, tuple[int, float | None]] = {}  # index and time, by frame
-        self.settled = -1
+        self._unrolled_views: dict[int, View] = {}
+        self._index_and_time: dict[int, tuple[int, float | None]] = {}  # by frame
+        self.last_fixed = -1  # the last frame with a final result, with or without a pose
         self._tracker = Tracker(camera, TRACKING_SETTINGS)
         self._views = ViewSelection(camera, focal_known=focal_known)
-        self._last: tuple[np.ndarray, np.ndarray | None]
+        self._last_frame: tuple[np.ndarray, np.ndarray | None]
         self._shape = (0, 0)
-        self._held: dict[int, dict[int, np.ndarray]] = {}  # fixed poses, by piece and frame
-        self._pieces = 0
+        self._fixed: dict[int, dict[int, np.ndarray]] = {}  # fixed poses, by piece and frame
+        self._piece_count = 0
 
     def add(
         self,
         grey: np.ndarray,  # (H, W) uint8
         ignored: np.ndarray | None = None,  # (H, W) bool: pixels to ignore
         *,
-        # (int, float or None): number of the frame in the source, and its time, s; by default the
-        # next number and no time
-        taken: tuple[int, float | None] | None = None,
+        # Number of the frame in the source, and its time, s; by default the next number and no time
+        index_and_time: tuple[int, float | None] | None = None,
     ) -> None:
-        """Track and keep the next frame."""
-        seen = self._tracker.track(grey, ignored)
+        """Track the next frame."""
+        number, seen = len(self.seen), self._tracker.track(grey, ignored)
         if self._views.needs(seen, max(grey.shape)):
-            self._views.add(len(self.seen), grey, seen, ignored)
-        self._taken[len(self.seen)] = taken or (len(self.seen), None)
+            self._views.add(number, grey, seen, ignored)
+        self._index_and_time[number] = index_and_time or (number, None)
         self.seen.append(seen)
         self._read.append(seen)
-        self._last = grey, ignored
+        self._last_frame, self._shape = (grey, ignored), grey.shape
 
-    def found(self, *, at_end: bool = False) -> SlidingSolution:
+    def solve(self, *, at_end: bool = False) -> SlidingSolution:
         """Return the path of the recent frames; with `at_end`, no later frame follows."""
-        views, (grey, ignored) = self._views, self._last
-        self._shape = grey.shape
-        last, different = len(self.seen) - 1, len(views.chosen)
+        views, (grey, ignored) = self._views, self._last_frame
+        last, distinct_count = len(self.seen) - 1, len(views.chosen)
         if at_end and (not views.chosen or views.chosen[-1].frame != last):
             views.add(last, grey, self.seen[last], ignored)
         views.close_loops(self._shape)
-        solved = self._through(different)
-        if self.readout is None and solved.pieces:
-            self._find_readout(solved)
+        solution = self._solve(distinct_count)
+        if self.readout is None and solution.pieces:
+            self._find_readout(solution)
         if not self.readout:
-            return solved
+            return solution
         for _ in range(KNOWN_ROUNDS):
-            rolling = self._unroll(solved)
-            solved = replace(self._through(different), rolling=rolling)
-        return solved
+            rolling = self._unroll(solution)
+            solution = replace(self._solve(distinct_count), rolling=rolling)
+        return solution
 
-    def _through(self, different: int) -> SlidingSolution:
-        """Return the path for the current views and tracks."""
-        views = self._views
-        settled = {frame for poses in self._held.values() for frame in poses}
-        left = [k for k, view in enumerate(views.chosen) if view.frame not in settled]
-        pieces: dict[int, Piece] = {}
-        for number in sorted(self._held, key=lambda one: -max(self._held[one])):
-            held = self._held[number]
-            known = [k for k, view in enumerate(views.chosen) if view.frame in held]
-            model = continue_model(
-                *self._among(sorted(known + left)), self.camera, self._shape, held
-            )
-            poses = dict(sorted({**model.poses, **held}.items()))
-            pieces[number] = Piece(poses=poses, views=tuple(model.poses), points=model.points)
-            left = [k for k in left if views.chosen[k].frame not in model.poses]
-        among = self._among(left)
+    def _solver(self, frames: Sequence[int], distinct_count: int = 0) -> PathSolver:
+        """Return the solver for the recent frames; it gives poses to some of them."""
+        tracks = SequenceTracks(
+            observations=self.seen,
+            views=self._views.chosen,
+            matches=self._views.matches,
+            different=distinct_count,
+            shape=self._shape,
+        )
+        return PathSolver(
+            tracks=tracks,
+            camera=self.camera,
+            limit=self._limit,
+            focal_known=self._is_focal_stated,
+            frames=frames,
+        )
+
+    def _solve(self, distinct_count: int) -> SlidingSolution:
+        """Return the path for the current views and tracks: continued and new pieces."""
+        later = [frame for frame in self.seen.frames() if frame > self.last_fixed]
+        solver = self._solver(later, distinct_count)
+        pieces, free = self._continue_pieces()
+        graph = self._view_graph(free)
         if self._focal_known:
-            models = find_models(*among, self.camera, self._shape, focal_known=self._focal_stated)
+            models, _ = solver.new_models(*graph, self.camera, "nothing")
         else:
-            models, self.focal = find_models_and_focal(
-                *among, self.camera, self._shape, "focal", limit=self._limit
-            )
+            models, self.focal = solver.new_models(*graph, self.camera, "focal")
             if self.focal is not None:  # from now on it is fixed
                 self.camera, self._focal_known = self.focal.taken(self.camera), True
-                views.use(self.camera)
-        for model in sorted(models, key=lambda one: min(one.poses)):
-            number = max([*pieces, self._pieces - 1]) + 1
-            pieces[number] = Piece(poses=model.poses, views=tuple(model.poses), points=model.points)
-        later = [frame for frame in self.seen.frames() if frame > self.settled]
-        complete, unplaced = add_other_frames(
-            list(pieces.values()), self.seen, later, self.camera, self._shape
+                self._views.use(self.camera)
+        for model in sorted(models, key=lambda model: min(model.poses)):
+            pieces[max([*pieces, self._piece_count - 1]) + 1] = piece_of_model(model)
+        solution = solver.solution(
+            list(pieces.values()), self._views.chosen, self.seen, self.camera
         )
-        lost = {
-            frame: status_of_lost(
-                self.seen[frame], complete, different, focal_known=self._focal_stated
-            )
-            for frame in unplaced
-        }
         return SlidingSolution(
-            pieces=dict(zip(pieces, complete, strict=True)),
-            held={frame: pose for poses in self._held.values() for frame, pose in poses.items()},
-            lost=lost,
+            pieces=dict(zip(pieces, solution.pieces, strict=True)),
+            fixed={frame: pose for poses in self._fixed.values() for frame, pose in poses.items()},
+            lost=solver.lost(solution),
         )
 
-    def settle(self, last: int, pieces: Mapping[int, Piece]) -> None:
+    def _continue_pieces(self) -> tuple[dict[int, Piece], list[int]]:
+        """Return the pieces with fixed poses, continued, and the indices of the other views."""
+        frames = [view.frame for view in self._views.chosen]
+        fixed_frames = {frame for poses in self._fixed.values() for frame in poses}
+        free = [k for k, frame in enumerate(frames) if frame not in fixed_frames]
+        pieces: dict[int, Piece] = {}
+        for number in sorted(self._fixed, key=lambda one: -max(self._fixed[one])):
+            fixed = self._fixed[number]
+            known = [k for k, frame in enumerate(frames) if frame in fixed]
+            graph = self._view_graph(sorted(known + free))
+            model = continue_model(*graph, self.camera, self._shape, fixed)
+            poses = dict(sorted({**model.poses, **fixed}.items()))
+            pieces[number] = replace(piece_of_model(model), poses=poses)
+            free = [k for k in free if frames[k] not in model.poses]
+        return pieces, free
+
+    def fix_poses(self, last: int, pieces: Mapping[int, Piece]) -> None:
         """Fix the poses of the frames up to `last` at their values in these pieces."""
-        self.settled = last
+        self.last_fixed = last
         for number, piece in pieces.items():
             if min(piece.poses) > last:
                 continue
-            held = {frame: pose for frame, pose in piece.poses.items() if frame <= last}
-            missing = MIN_FIXED_VIEWS - sum(frame in held for frame in piece.views)
+            fixed = {frame: pose for frame, pose in piece.poses.items() if frame <= last}
+            missing = MIN_FIXED_VIEWS - sum(frame in fixed for frame in piece.views)
             later = [frame for frame in sorted(piece.views) if frame > last]
-            held.update({frame: piece.poses[frame] for frame in later[: max(0, missing)]})
-            self._held[number] = held
-            self._pieces = max(self._pieces, number + 1)
+            fixed.update({frame: piece.poses[frame] for frame in later[: max(0, missing)]})
+            self._fixed[number] = fixed
+            self._piece_count = max(self._piece_count, number + 1)
 
     @property
     def pieces(self) -> set[int]:
         """The pieces that can be continued."""
-        return set(self._held)
+        return set(self._fixed)
 
-    def forget(self, before: int, *, kept: set[int]) -> list[int]:
-        """Drop the frames before a frame, except `kept`; return the dropped frames."""
+    def drop_before(self, first: int, *, keyframes: set[int]) -> list[int]:
+        """Drop the frames before a frame, except keyframes; return the dropped frames."""
         views = self._views
-        frames = [view.frame for view in views.chosen]
-        settled = sum(frame <= self.settled for frame in frames)
-        views.forget(max(0, settled - FIXED_VIEWS))
-        of_views = {view.frame for view in views.chosen}
-        gone = [frame for frame in self.seen.frames() if frame < before and frame not in kept]
-        for frame in gone:
-            self.seen.forget(frame)
-            self._read.forget(frame)
-        there = of_views.union(self.seen.frames())
-        self._taken = {frame: self._taken[frame] for frame in sorted(there)}
-        self._unrolled = {f: view for f, view in self._unrolled.items() if f in of_views}
-        for number, held in list(self._held.items()):
-            self._held[number] = {frame: pose for frame, pose in held.items() if frame in there}
-            if sum(frame in held for frame in of_views) < 2:
-                del self._held[number]
-        return gone
-
-    def _among(
-        self, numbers: Sequence[int]
-    ) -> tuple[list[View], dict[tuple[int, int], np.ndarray]]:
-        """Return some of the views, and their matches."""
-        place = {number: k for k, number in enumerate(numbers)}
-        matches = {
-            (place[earlier], place[later]): both
-            for (earlier, later), both in self._views.matches.items()
-            if earlier in place and later in place
+        fixed_count = sum(view.frame <= self.last_fixed for view in views.chosen)
+        views.forget(max(0, fixed_count - FIXED_VIEWS))
+        view_frames = {view.frame for view in views.chosen}
+        dropped = [f for f in self.seen.frames() if f < first and f not in keyframes]
+        for frame in dropped:
+            self.seen.drop(frame)
+            self._read.drop(frame)
+        recent = view_frames.union(self.seen.frames())
+        self._index_and_time = {frame: self._index_and_time[frame] for frame in sorted(recent)}
+        self._unrolled_views = {
+            frame: view for frame, view in self._unrolled_views.items() if frame in view_frames
         }
-        chosen = [self._views.chosen[number] for number in numbers]
-        return [self._unrolled.get(view.frame, view) for view in chosen], matches
+        for number, fixed in list(self._fixed.items()):
+            self._fixed[number] = {frame: pose for frame, pose in fixed.items() if frame in recent}
+            if sum(frame in fixed for frame in view_frames) < 2:
+                del self._fixed[number]
+        return dropped
 
-    def _find_readout(self, solved: SlidingSolution) -> None:
+    def _view_graph(
+        self, indices: Sequence[int]
+    ) -> tuple[list[View], dict[tuple[int, int], np.ndarray]]:
+        """Return some of the views, by their indices, and their matches."""
+        position = {index: k for k, index in enumerate(indices)}
+        matches = {
+            (position[earlier], position[later]): pairs
+            for (earlier, later), pairs in self._views.matches.items()
+            if earlier in position and later in position
+        }
+        views = [self._views.chosen[index] for index in indices]
+        return [self._unrolled_views.get(view.frame, view) for view in views], matches
+
+    def _find_readout(self, path: SlidingSolution) -> None:
         """Estimate the readout time with the first path; an insignificant one counts as 0."""
-        views, camera, shape = list(self._views.chosen), self.camera.pinhole(), self._shape
-        matches = self._views.matches
-        tracks = DiskCache(
-            Observations.arrays, Observations.of_arrays
-        )  # of all frames; dropped frames have no tracks
-        there, none = (
-            set(self._read.frames()),
-            Observations.of_arrays(np.empty((0, 2)), np.empty(0, np.int64)),
-        )
+        pinhole, frames = self.camera.pinhole(), sorted(self._read.frames())
+        no_tracks = Observations.of_arrays(np.empty((0, 2)), np.empty(0, np.int64))
+        tracks = DiskCache(Observations.arrays, Observations.of_arrays)  # of all frames
         for frame in range(len(self._read)):
-            tracks.append(self._read[frame] if frame in there else none)
-
-        def near(
-            views: Sequence[View], seen: Sequence[Observations], before: Sequence[Piece]
-        ) -> PathSolution:
-            known = [{frame: piece.poses[frame] for frame in piece.views} for piece in before]
-            models = readjust_models(views, matches, camera, shape, known)
-            pieces, unplaced = add_other_frames(
-                [Piece(poses=m.poses, views=tuple(m.poses), points=m.points) for m in models],
-                seen,
-                sorted(there),
-                camera,
-                shape,
-            )
-            return replace(solution, pieces=pieces, unplaced=unplaced, views=views, seen=seen)
-
+            tracks.append(self._read[frame] if frame in set(frames) else no_tracks)
         solution = PathSolution(
-            pieces=list(solved.pieces.values()),
-            unplaced=list(solved.lost),
-            views=views,
+            pieces=list(path.pieces.values()),
+            unplaced=list(path.lost),
+            views=list(self._views.chosen),
             seen=tracks,
-            camera=camera,
+            camera=pinhole,
             focal=None,
             score=0.0,
         )
         instants = np.zeros(len(self._read))
         for frame, instant in self._instants().items():
             instants[frame] = instant
-        _, rolling = find_unrolled_path(solution, near, matches, instants, None, shape)
+        solver = self._solver(frames)
+        resolve = partial(solver.readjust, camera=pinhole)
+        matches = self._views.matches
+        _, rolling = find_unrolled_path(solution, resolve, matches, instants, None, self._shape)
         self.readout = 0.0 if rolling is None else rolling.readout
         self.readout_deviation = 0.0 if rolling is None else rolling.deviation
 
-    def _unroll(self, solved: SlidingSolution) -> Rolling:
-        """Correct unsettled views and tracks for the readout time, with the motion along a path."""
-        views = self._views.chosen
-        read = {view.frame: view.seen for view in views}
+    def _unroll(self, path: SlidingSolution) -> Rolling:
+        """Correct the views and tracks that are not fixed for the readout, with the path's motion.
+
+        Returns the motion of their frames while the rows were read.
+        """
+        read = {view.frame: view.seen for view in self._views.chosen}
         read |= {frame: self._read[frame] for frame in self._read.frames()}
-        unrolling = TrackUnroller(
+        unroller = TrackUnroller(
             read,
-            list(solved.pieces.values()),
+            list(path.pieces.values()),
             self._instants(),
             self.readout or 0.0,
             self.readout_deviation,
             self.camera,
             self._shape,
         )
-        new = [frame for frame in self._read.frames() if frame > self.settled]
-        self.seen = self.seen.changed({frame: unrolling.tracks(frame) for frame in new})
-        for view in views:
-            if view.frame > self.settled:
-                self._unrolled[view.frame] = unrolling.view(view)
-        whole = unrolling.rolling
+        later = [frame for frame in self._read.frames() if frame > self.last_fixed]
+        self.seen = self.seen.with_tracks({frame: unroller.tracks(frame) for frame in later})
+        for view in self._views.chosen:
+            if view.frame > self.last_fixed:
+                self._unrolled_views[view.frame] = unroller.view(view)
+        rates = unroller.rolling.rates.items()
         return replace(
-            whole,
-            rates={frame: rate for frame, rate in whole.rates.items() if frame > self.settled},
+            unroller.rolling,
+            rates={frame: rate for frame, rate in rates if frame > self.last_fixed},
         )
 
     def _instants(self) -> dict[int, float]:
         """Return the times of the recent frames, in intervals between frames of the source."""
-        numbers, times = zip(*self._taken.values(), strict=True)
-        return dict(zip(self._taken, map(float, instants_of(numbers, times)), strict=True))
+        indices, times = zip(*self._index_and_time.values(), strict=True)
+        instants = instants_of(indices, times)
+        return dict(zip(self._index_and_time, map(float, instants), strict=True))

@@ -1,7 +1,12 @@
-"""A stream: reads and tracks frames, solves the path, finds depth, yields and drops frames."""
+"""The pipeline of an endless sequence: read → track → solve → depth → yield, for recent frames.
+
+The stages are those of a whole sequence (`tisfm.reconstruction.pipeline`): the same tracker, path
+solver and depth. They run again and again for the recent frames. Results of yielded frames stay
+fixed, and data that later frames do not need are dropped.
+"""
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -12,9 +17,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
-from tisfm.reconstruction.calibration.source_camera import (
-    SourceCamera,
-)
+from tisfm.reconstruction.calibration.source_camera import SourceCamera
 from tisfm.reconstruction.depth.pose_adjustment import adjust_poses
 from tisfm.reconstruction.depth.segment_depth import (
     MAX_FRAME_DISTANCE,
@@ -44,7 +47,7 @@ LOOKAHEAD_DIVISOR = 3
 
 
 class Stream:
-    """Reads frames, and yields each with its pose and depth."""
+    """Reconstructs an endless sequence: yields each frame with its pose and depth."""
 
     def __init__(
         self,
@@ -62,12 +65,13 @@ class Stream:
         self._folder = Path()
         self._frames: PreparedFrames
         self._path: SlidingPath
-        self._about: dict[int, tuple[int, str, float | None]] = {}  # index, name and time, by frame
-        self._keys: dict[int, tuple[int, WindowDepth]] = {}  # last keyframe of each piece
-        self._begun: set[int] = set()  # pieces with yielded frames
-        self._told = 0
+        # Index, name and time of each frame that is not yielded yet
+        self._frame_info: dict[int, tuple[int, str, float | None]] = {}
+        self._last_keyframes: dict[int, tuple[int, WindowDepth]] = {}  # last keyframe of each piece
+        self._yielded_pieces: set[int] = set()  # pieces with yielded frames
+        self._warned_count = 0
         self._notes: list[str] = list(source.notes)  # notes without a warning yet
-        self._have_times_fault = False
+        self._has_times_fault = False
 
     def frames(self) -> Iterator[StreamedFrame]:
         """Yield every frame in order; an error of the source follows the frames before it."""
@@ -93,10 +97,10 @@ class Stream:
                     self._notes.clear()
                 del frame  # so that its memory is free while frames are yielded
                 count += 1
-                if len(self._about) > self._delay:
-                    yield from self._given(count - 1 - self._delay // LOOKAHEAD_DIVISOR)
-            if self._about and (count > 1 or fault is not None):
-                yield from self._given(count - 1, at_end=True)
+                if len(self._frame_info) > self._delay:
+                    yield from self._yield_frames(count - 1 - self._delay // LOOKAHEAD_DIVISOR)
+            if self._frame_info and (count > 1 or fault is not None):
+                yield from self._yield_frames(count - 1, at_end=True)
         if fault is not None:
             raise fault
         if count < 2:
@@ -121,55 +125,61 @@ class Stream:
                 limit=camera.focal_limit,
                 is_guess=not camera.is_focal_stated,
             )
-        self._path.add(*self._frames.add(frame), taken=(frame.index, frame.time))
-        self._look_at_time(number, frame)
-        self._about[number] = frame.index, frame.name, frame.time
+        self._path.add(*self._frames.add(frame), index_and_time=(frame.index, frame.time))
+        self._check_time(number, frame)
+        self._frame_info[number] = frame.index, frame.name, frame.time
 
-    def _look_at_time(self, number: int, frame: SourceFrame) -> None:
+    def _check_time(self, number: int, frame: SourceFrame) -> None:
         """Note the first frame whose time is not later than that of the previous frame."""
-        if self._have_times_fault or number - 1 not in self._about:
+        if self._has_times_fault or number - 1 not in self._frame_info:
             return
-        before = self._about[number - 1]
+        before = self._frame_info[number - 1]
         fault = time_fault(before[2], frame.time, f"frame {before[1]}", f"frame {frame.name}")
         if fault:
-            self._have_times_fault = True
+            self._has_times_fault = True
             self._notes.append(f"{fault}: use the numbers of frames instead of times")
 
-    def _given(self, last: int, *, at_end: bool = False) -> Iterator[StreamedFrame]:
-        """Yield the frames up to a frame, and drop the data that later frames do not need."""
-        path, first = self._path, self._path.settled + 1
-        solved = path.found(at_end=at_end)
-        self._take_camera()
+    def _yield_frames(self, last: int, *, at_end: bool = False) -> Iterator[StreamedFrame]:
+        """Yield the frames up to a frame; drop the data that later frames do not need."""
+        first = self._path.last_fixed + 1
+        solution = self._path.solve(at_end=at_end)
+        self._update_camera()
         if self._path.readout:
-            self._frames.unroll_again(solved.rolling)
+            self._frames.unroll_again(solution.rolling)
         pieces = {
-            number: self._final(number, piece, solved, first)
-            for number, piece in solved.pieces.items()
+            number: self._final_piece(number, piece, solution, first)
+            for number, piece in solution.pieces.items()
             if any(first <= frame <= last for frame in piece.poses)
         }
-        path.settle(last, pieces)
-        placed = {frame: number for number, piece in pieces.items() for frame in piece.poses}
+        self._path.fix_poses(last, pieces)
+        yield from self._with_depth(pieces, solution.lost, first, last)
+        self._drop_old()
+
+    def _with_depth(
+        self, pieces: Mapping[int, Piece], lost: Mapping[int, Status], first: int, last: int
+    ) -> Iterator[StreamedFrame]:
+        """Find the depth of the frames from `first` to `last`, and yield the frames."""
+        numbers = {frame: number for number, piece in pieces.items() for frame in piece.poses}
         depths = {
-            number: _InOrder(self._depths(number, piece, first - 1))
+            number: _OrderedDepth(self._depths(number, piece, first - 1))
             for number, piece in pieces.items()
         }
         for frame in range(first, last + 1):
-            number = placed.get(frame, -1)
+            number = numbers.get(frame, -1)
             if number < 0:
-                yield self._frame(frame, None, -1, solved.lost[frame], None, False)
+                yield self._frame(frame, None, -1, lost[frame], None, False)
                 continue
             depth, key = depths[number].of(frame), depths[number].key
             if key is not None and key[0] <= frame:  # a later keyframe may belong to the next call
-                self._keys[number] = key
+                self._last_keyframes[number] = key
             status = Status("converged") if depth is not None else NO_PARALLAX
-            if number not in self._begun and number > 0:
+            if number not in self._yielded_pieces and number > 0:
                 status = add_piece_note(status)
-            self._begun.add(number)
+            self._yielded_pieces.add(number)
             keyframe = key is not None and key[0] == frame
             yield self._frame(frame, pieces[number].poses[frame], number, status, depth, keyframe)
-        self._forget()
 
-    def _take_camera(self) -> None:
+    def _update_camera(self) -> None:
         """Use the camera of the path, and warn once if its focal length is unreliable."""
         path = self._path
         self._frames.camera = replace(path.camera, readout=0.0) if path.readout else path.camera
@@ -186,10 +196,12 @@ class Stream:
             warnings.warn(found.message, GuessedFocalWarning, stacklevel=5)
         self._calibration = found
 
-    def _final(self, number: int, piece: Piece, solved: SlidingSolution, first: int) -> Piece:
+    def _final_piece(
+        self, number: int, piece: Piece, solution: SlidingSolution, first: int
+    ) -> Piece:
         """Return a piece with its final poses, in the axes of its first frame and its own unit."""
-        piece = self._adjusted(number, piece, solved)
-        if number in self._begun:
+        piece = self._adjust_poses(number, piece, solution)
+        if number in self._yielded_pieces:
             return piece
         begin = min(frame for frame in piece.poses if frame >= first)
         depth = next(iter(self._depths(number, piece, first - 1)), None)
@@ -198,32 +210,32 @@ class Stream:
         else:
             seen = self._path.seen[begin]
             unit = float(np.median([*track_depths(seen, piece.points, piece.poses[begin])[1], 1.0]))
-        return _moved(piece, piece.poses[begin], unit)
+        return _transformed(piece, piece.poses[begin], unit)
 
-    def _adjusted(self, number: int, piece: Piece, solved: SlidingSolution) -> Piece:
+    def _adjust_poses(self, number: int, piece: Piece, solution: SlidingSolution) -> Piece:
         """Return a piece; new poses are adjusted to the images if the settings ask for accuracy."""
         if self._effort != "accurate":
             return piece
-        here = self._remembered(piece)
-        if number in self._keys:
-            since = self._keys[number][0]
-            here = replace(here, poses={f: pose for f, pose in here.poses.items() if f >= since})
-        windows = self._depths(number, here, -1).keyframe_windows()
-        held = {frame: solved.held[frame] for frame in here.poses if frame in solved.held}
-        poses = adjust_poses(
-            here.poses, windows, self._frames.grey, self._frames.camera, self._settings, held=held
-        )
-        return replace(piece, poses={**piece.poses, **poses, **held})
+        recent = self._without_dropped(piece)
+        if number in self._last_keyframes:
+            first = self._last_keyframes[number][0]
+            poses = {frame: pose for frame, pose in recent.poses.items() if frame >= first}
+            recent = replace(recent, poses=poses)
+        windows = self._depths(number, recent, -1).keyframe_windows()
+        fixed = {frame: solution.fixed[frame] for frame in recent.poses if frame in solution.fixed}
+        grey, camera = self._frames.grey, self._frames.camera
+        poses = adjust_poses(recent.poses, windows, grey, camera, self._settings, held=fixed)
+        return replace(piece, poses={**piece.poses, **poses, **fixed})
 
     def _depths(self, number: int, piece: Piece, after: int) -> PieceDepths:
         """Return the depth iterator of the frames of a piece after a frame."""
         depths = PieceDepths(
             self._frames,
-            self._remembered(piece),
+            self._without_dropped(piece),
             self._path.seen,
             self._settings,
             self._effort,
-            before=self._keys.get(number),
+            before=self._last_keyframes.get(number),
             after=after,
         )
         # The first keyframe defines the unit: if possible it is a frame that is still to be
@@ -231,12 +243,10 @@ class Stream:
         depths.keyframes = [key for key in depths.keyframes if key > after] or depths.keyframes
         return depths
 
-    def _remembered(self, piece: Piece) -> Piece:
+    def _without_dropped(self, piece: Piece) -> Piece:
         """Return a piece without its dropped frames."""
-        there = set(self._path.seen.frames())
-        return replace(
-            piece, poses={frame: pose for frame, pose in piece.poses.items() if frame in there}
-        )
+        recent = set(self._path.seen.frames())
+        return replace(piece, poses={f: pose for f, pose in piece.poses.items() if f in recent})
 
     def _frame(
         self,
@@ -247,7 +257,7 @@ class Stream:
         depth: FrameDepth | None,
         keyframe: bool,
     ) -> StreamedFrame:
-        index, name, time = self._about.pop(frame)
+        index, name, time = self._frame_info.pop(frame)
         shape = self._frames.shape
         return StreamedFrame(
             index=index,
@@ -269,37 +279,41 @@ class Stream:
             calibration=self._calibration,
         )
 
-    def _forget(self) -> None:
+    def _drop_old(self) -> None:
         """Drop the data that the path and depth of later frames do not need."""
-        self._frames.settle(self._path.settled)
-        kept = {key for key, _ in self._keys.values()}
-        for frame in self._path.forget(self._path.settled + 1 - MAX_FRAME_DISTANCE, kept=kept):
+        self._frames.settle(self._path.last_fixed)
+        keyframes = {key for key, _ in self._last_keyframes.values()}
+        first = self._path.last_fixed + 1 - MAX_FRAME_DISTANCE
+        for frame in self._path.drop_before(first, keyframes=keyframes):
             self._frames.forget(frame)
-        alive = self._path.pieces
-        self._keys = {number: key for number, key in self._keys.items() if number in alive}
+        self._last_keyframes = {
+            number: keyframe
+            for number, keyframe in self._last_keyframes.items()
+            if number in self._path.pieces
+        }
 
     def _warn_of_skipped(self) -> None:
-        for _, reason in self._source.skipped[self._told :]:
+        for _, reason in self._source.skipped[self._warned_count :]:
             warnings.warn(f"{reason}; the frame is skipped", stacklevel=4)
-        self._told = len(self._source.skipped)
+        self._warned_count = len(self._source.skipped)
 
 
-class _InOrder:
+class _OrderedDepth:
     """Depth of frames in order; `PieceDepths` yields keyframes before the frames between them."""
 
     def __init__(self, depths: PieceDepths) -> None:
-        # (int, WindowDepth) or None: the last keyframe that was reached, and its depth
+        # The last keyframe that was reached, and its depth
         self.key: tuple[int, WindowDepth] | None = None
-        self._depths, self._found = depths, self._sorted(depths)
-        self._next: FrameDepth | None = next(self._found, None)
+        self._sorted = self._in_order(depths)
+        self._next: FrameDepth | None = next(self._sorted, None)
 
     def of(self, frame: int) -> FrameDepth | None:
         """Return the depth of a frame, or None. Frames have to be requested in order."""
         while self._next is not None and self._next.frame < frame:
-            self._next = next(self._found, None)
+            self._next = next(self._sorted, None)
         return self._next if self._next is not None and self._next.frame == frame else None
 
-    def _sorted(self, depths: PieceDepths) -> Iterator[FrameDepth]:
+    def _in_order(self, depths: PieceDepths) -> Iterator[FrameDepth]:
         waiting: tuple[FrameDepth, WindowDepth] | None = None
         for depth in depths:
             if waiting is not None and depth.frame > waiting[0].frame:
@@ -315,7 +329,7 @@ class _InOrder:
             yield waiting[0]
 
 
-def _moved(piece: Piece, origin: np.ndarray, unit: float) -> Piece:
+def _transformed(piece: Piece, origin: np.ndarray, unit: float) -> Piece:
     """Return a piece in the axes of a pose, (4, 4) camera to world, and in another unit."""
     poses = {}
     for frame, pose in piece.poses.items():
