@@ -94,12 +94,12 @@ def test_rows_that_are_read_at_once_leave_everything_as_it_is():
 def test_what_was_said_of_a_frame_stays_and_nothing_piles_up(monkeypatch):
     held = []
 
-    def watched(stream, real=Stream._forget):
+    def watched(stream, real=Stream._drop_old):
         real(stream)
         names = [path.name for path in stream._folder.rglob("*.*")]
         held.append((stream._path.last_fixed, sorted(stream._frames._as_read), names))
 
-    monkeypatch.setattr(Stream, "_forget", watched)
+    monkeypatch.setattr(Stream, "_drop_old", watched)
     camera = replace(film().camera, readout=READOUT)
     source = FrameSource(film().frames)
     with warnings.catch_warnings():
