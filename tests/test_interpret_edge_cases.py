@@ -10,7 +10,7 @@ import pytest
 import tisfm
 from tisfm import scenes
 from tisfm.frames import LARGEST_GREY
-from tisfm.motion.frame_agreement import unrelated
+from tisfm.motion.frame_agreement import unrelated_status
 from tisfm.motion.window_statistics import warped
 from tisfm.rigid import pose_matrix
 
@@ -76,15 +76,15 @@ def test_long_frames_are_compared_along_their_flow(axis):
         frame0, frame1 = np.ascontiguousarray(frame0.T), np.ascontiguousarray(frame1.T)
         flow = np.ascontiguousarray(flow.transpose(1, 0, 2)[..., ::-1])
     trust = np.ones(frame0.shape, np.float32)
-    assert unrelated(frame0, frame1, flow, trust) is None
-    assert unrelated(frame0, frame1, 0 * flow, trust) == "unrelated"
+    assert unrelated_status(frame0, frame1, flow, trust) is None
+    assert unrelated_status(frame0, frame1, 0 * flow, trust) == "unrelated"
 
 
 def test_a_flow_that_diverged_is_compared_as_well():
     frame = texture((24, 40))
     flow = np.full((24, 40, 2), np.inf, np.float32)
     flow[::2], flow[1::3] = np.nan, 1e30
-    assert unrelated(frame, frame, flow, np.ones(frame.shape, np.float32)) == "unrelated"
+    assert unrelated_status(frame, frame, flow, np.ones(frame.shape, np.float32)) == "unrelated"
 
 
 def test_between_pixels_frames_are_interpolated_linearly():
@@ -256,7 +256,7 @@ def test_settings_at_their_bounds_overflow_nowhere(changes, motion, solver):
 @pytest.mark.parametrize("empty", [0.0, np.inf, np.nan])
 def test_objects_without_depth_have_no_contact(empty):
     from tisfm.motion.estimate import Estimate
-    from tisfm.motion.objects.contacts import aligned
+    from tisfm.motion.objects.contacts import align_scales
 
     labels = np.zeros((40, 40), np.int32)
     labels[10:25, 10:30] = 1
@@ -273,6 +273,6 @@ def test_objects_without_depth_have_no_contact(empty):
             "motions": np.array([[1.0, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0]]),
         }
     )
-    scaled = aligned(estimate, np.zeros((40, 40), bool))
+    scaled = align_scales(estimate, np.zeros((40, 40), bool))
     np.testing.assert_allclose(scaled.motions[1, :3], [0, 0.5, 0])
     np.testing.assert_allclose(scaled.inverse_depth[15, 25], 0.5)

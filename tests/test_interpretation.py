@@ -95,7 +95,7 @@ def test_no_motion_is_exactly_zero():
     result = tisfm.interpret(frame0, frame0)
     assert not result.rho.any() and not result.flow.any() and not result.inverse_depth.any()
     assert np.isnan(result.depth).all()
-    assert result.status == "no_motion" and "further apart" in result.status.message
+    assert result.status == "no_motion" and "farther apart" in result.status.message
 
 
 def test_no_texture_is_said():

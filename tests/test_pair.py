@@ -99,7 +99,7 @@ def test_zero_motion_gives_exactly_zero(preset, model, blocks):
     assert not result.flow.any()
     assert np.isnan(result.depth).all()
     assert result.status == "no_motion"
-    assert "further" in result.status.message
+    assert "farther" in result.status.message
 
 
 def test_uniform_frames_of_different_levels_have_no_texture():
@@ -169,15 +169,15 @@ def test_flow_that_takes_most_pixels_out_of_the_image_has_diverged_status(move, 
 @pytest.mark.parametrize(("move", "code"), [(19, "converged"), (32, "converged"), (35, "diverged")])
 def test_matched_points_vouch_for_a_large_motion(move, code):
     """Towards the corner: 32 px leave 22 % of the pixels, 35 px leave 17 %."""
-    assert status_of(np.full((2, 60, 60), move), confirmed=True) == code
+    assert status_of(np.full((2, 60, 60), move), is_confirmed=True) == code
 
 
 def test_what_leaves_the_image_may_go_far_where_points_are_matched():
     flow = np.zeros((2, 60, 60))
     flow[0, :, 50:] = 200
-    assert status_of(flow) == "diverged" and status_of(flow, confirmed=True) == "converged"
+    assert status_of(flow) == "diverged" and status_of(flow, is_confirmed=True) == "converged"
     flow[0, 30, 20] = np.nan
-    assert status_of(flow, confirmed=True) == "diverged"
+    assert status_of(flow, is_confirmed=True) == "diverged"
 
 
 @pytest.mark.parametrize(("length", "code"), [(29, "converged"), (31, "diverged"), (np.nan, None)])

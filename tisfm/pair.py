@@ -204,15 +204,15 @@ def interpret_pair(
     status = estimate.status
     posed = known is not None and known.translation is not None
     if status != "pose_mismatch":  # a wrong pose explains a wrong flow, too
-        confirmed = estimate.matched or posed
-        runaway = diverged_status(flow, leaves, confirmed=confirmed)
+        confirmed = estimate.uses_matches or posed
+        runaway = diverged_status(flow, leaves, is_confirmed=confirmed)
         if runaway is not None and not confirmed and confirms_large_motion(pyramid, flow, unseen):
-            runaway = diverged_status(flow, leaves, confirmed=True)
+            runaway = diverged_status(flow, leaves, is_confirmed=True)
         status = prepared.overflow or runaway or (status if is_finite else ENERGY_OVERFLOW)
     if status in ("converged", "iteration_limit", "uncertain"):
         if settings.motion == "field":
             status = field_status(pyramid, flow, trust) or status
-        elif estimate.free_flow is not None:
+        elif estimate.start_flow is not None:
             doubt = depth_status(pyramid, estimate, unseen)
             if (
                 doubt is not None and doubt != status
@@ -221,7 +221,7 @@ def interpret_pair(
     status = with_brightness_advice(status, pyramid, settings)
     if window is not None:
         _keep(window, pyramid, flow, unseen, status)
-        if window.previous is None and before is not None and before.used:
+        if window.previous is None and before is not None and before.is_used:
             return interpret_pair(  # without the previous pair
                 frame0,
                 frame1,
@@ -287,7 +287,9 @@ def _keep(
 
     is_reliable = status in RELIABLE
     window.previous = (
-        PreviousPair.of(pyramid, round_as_packed(flow, STEP), unseen) if is_reliable else None
+        PreviousPair.from_pair(pyramid, round_as_packed(flow, STEP), unseen)
+        if is_reliable
+        else None
     )
 
 

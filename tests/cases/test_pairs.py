@@ -64,16 +64,16 @@ def test_an_object_that_moves_before_a_camera_at_rest_is_not_a_cut(height, width
 @pytest.mark.parametrize("move", [20, 30, 45, 90])
 @pytest.mark.parametrize(("height", "width"), [(90, 130), (120, 160), (150, 200)])
 def test_a_large_fast_object_is_not_a_cut_even_if_flow_misses_it(height, width, move):
-    from tisfm.motion.frame_agreement import replaced
+    from tisfm.motion.frame_agreement import replaced_status
 
     frames = (frame.astype(np.float32) for frame in with_thing(height, width, move))
-    assert replaced(*frames, np.zeros((HEIGHT, WIDTH, 2), np.float32)) is None
+    assert replaced_status(*frames, np.zeros((HEIGHT, WIDTH, 2), np.float32)) is None
 
 
 @pytest.mark.parametrize("margin", [40, 50])
 @pytest.mark.parametrize("pictures", ["grains", "mirrored", "upside down", "smooth"])
 def test_another_middle_is_a_cut(pictures, margin):
-    from tisfm.motion.frame_agreement import replaced
+    from tisfm.motion.frame_agreement import replaced_status
 
     frame0 = room(1)[0].astype(np.float32)
     other = {
@@ -85,5 +85,5 @@ def test_another_middle_is_a_cut(pictures, margin):
     inner = np.s_[margin:-margin, margin:-margin]
     frame1 = frame0.copy()
     frame1[inner] = other[inner]
-    status = replaced(frame0, frame1, np.zeros((HEIGHT, WIDTH, 2), np.float32))
+    status = replaced_status(frame0, frame1, np.zeros((HEIGHT, WIDTH, 2), np.float32))
     assert status == "unrelated"

@@ -10,7 +10,7 @@ import tisfm
 from tests.rendered import room, two_blocks
 from tisfm.formats import read_image
 from tisfm.motion.objects import background, estimation
-from tisfm.motion.objects.background import RIM, with_carried_background
+from tisfm.motion.objects.background import RIM, carry_background_depth
 from tisfm.motion.objects.layers import PIXEL_GAIN, Layering
 from tisfm.motion.problems import pyramid_of
 from tisfm.motion.rigid_depth import rigid_depth, scaled_translations
@@ -121,7 +121,7 @@ def test_textured_scenes_go_another_way(monkeypatch):
     scene = two_blocks(*SIZE, seed=6)
     monkeypatch.setattr(background, "textureless_depth", never)
     result = interpreted(scene)
-    monkeypatch.setattr(estimation, "with_carried_background", lambda *_: None)
+    monkeypatch.setattr(estimation, "carry_background_depth", lambda *_: None)
     without = interpreted(scene)
     np.testing.assert_array_equal(result.inverse_depth, without.inverse_depth)
     np.testing.assert_array_equal(result.labels, without.labels)
@@ -146,7 +146,7 @@ def test_a_thing_has_no_say_in_the_background():
     )
     beside = near & ~close
     pyramid, settings, solution, _, motion = solved(scene, labels)
-    found = with_carried_background(pyramid, settings, solution, labels, motion)
+    found = carry_background_depth(pyramid, settings, solution, labels, motion)
     motion = scaled_translations(motion[None], labels, scene.camera)[0]
     behind = textureless_depth(pyramid, settings, motion, support=~close)
     misled = textureless_depth(pyramid, settings, motion)
@@ -163,11 +163,11 @@ def test_a_thing_has_no_say_in_the_background():
 def test_iterations_that_did_not_end_are_told(scene):
     pyramid, settings, solution, labels, motion = solved(scene, scene.labels)
     limited = replace(solution, converged=False)
-    found = with_carried_background(pyramid, settings, limited, labels, motion)
+    found = carry_background_depth(pyramid, settings, limited, labels, motion)
     assert found is not None
-    assert not found.converged and found.adjustable
+    assert not found.converged and found.is_adjustable
     assert found.history[-1] == solution.history[-1]
-    found = with_carried_background(pyramid, settings, solution, labels, motion)
+    found = carry_background_depth(pyramid, settings, solution, labels, motion)
     assert found.converged and found.history[0] == solution.history[0]
     assert len(found.history) > len(solution.history)
 
@@ -175,7 +175,7 @@ def test_iterations_that_did_not_end_are_told(scene):
 def test_with_too_little_parallax_nothing_is_carried(scene):
     pyramid, settings, solution, labels, motion = solved(scene, scene.labels)
     flat = replace(solution, inverse_depth=np.full(SIZE, 3, np.float32))
-    assert with_carried_background(pyramid, settings, flat, labels, motion) is None
+    assert carry_background_depth(pyramid, settings, flat, labels, motion) is None
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 import tisfm
 from tests.rendered import static_scene, two_blocks
 from tisfm.motion.egomotion import camera_motion, triangulate
-from tisfm.motion.epipolar_fit import hold_scale
+from tisfm.motion.epipolar_fit import fix_scale
 from tisfm.rigid import rigid_motion
 from tisfm.scenes.block_scenes import STATIC_KINDS
 
@@ -124,11 +124,11 @@ def test_normal_equations_are_made_regular_along_the_scale():
     slope[:3] -= np.outer(direction, direction @ slope[:3])
     normal = slope @ slope.T
     along = np.concatenate([direction, np.zeros(3)])
-    held = hold_scale(normal, direction)
+    held = fix_scale(normal, direction)
     assert np.linalg.cond(held) < 1e3 < 1e9 < np.linalg.cond(normal)
     assert along @ held @ along == pytest.approx(np.trace(normal))
     across = np.eye(6) - np.outer(along, along)
     kept = across @ (held - normal) @ across
     assert np.abs(kept).max() <= 1.1e-9 * np.trace(normal)
-    nothing = hold_scale(np.zeros((6, 6)), direction)
+    nothing = fix_scale(np.zeros((6, 6)), direction)
     assert not np.linalg.solve(nothing, np.zeros(6)).any()

@@ -25,7 +25,7 @@ def far():
 
 def without_matches(monkeypatch):
     def alone(*arguments, **options):
-        return first_motion(*arguments, **{**options, "matches": False})
+        return first_motion(*arguments, **{**options, "use_matches": False})
 
     monkeypatch.setattr(camera_module, "first_motion", alone)
 

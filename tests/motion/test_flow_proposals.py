@@ -69,7 +69,7 @@ def error(result, flow):
 
 def without_proposals(monkeypatch, *frames, **options):
     with monkeypatch.context() as patch:
-        patch.setattr(field, "proposals", lambda pyramid, problem: None)
+        patch.setattr(field, "flow_proposals", lambda pyramid, problem: None)
         return tisfm.interpret(*frames, **options)
 
 
@@ -188,7 +188,7 @@ def test_any_type_of_frames_gives_the_same_flow(scene):
 @pytest.mark.parametrize("kind", ["stripes", "bare", "too far", "texture"])
 def test_areas_that_may_be_mistaken_do_not_move(kind):
     """Stripes and bare areas match far away, and so does anything by chance in a whole image."""
-    from tisfm.motion.flow_proposals import _distinctive
+    from tisfm.motion.flow_proposals import _distinctive_areas
     from tisfm.motion.matched_windows import Windows
 
     frame0 = texture(200, 300, 0).astype(np.float32)
@@ -201,8 +201,8 @@ def test_areas_that_may_be_mistaken_do_not_move(kind):
     new[140:170, 140:180] = True
     there, before = np.zeros((2, *frame0.shape, 4), np.float32)
     there[..., :2] = (-130, 0) if kind == "too far" else (8, -90)
-    windows = Windows(levels0=frame0, levels1=frame0, noise=0.7, scale=1.0)
-    kept = _distinctive(new, there, before, windows)
+    windows = Windows(grey0=frame0, grey1=frame0, noise=0.7, scale=1.0)
+    kept = _distinctive_areas(new, there, before, windows)
     np.testing.assert_array_equal(kept, new if kind == "texture" else np.zeros_like(new))
 
 
@@ -277,13 +277,13 @@ def test_same_bits_with_one_thread_and_with_all():
 @pytest.mark.parametrize("back", [False, True])
 def test_a_flow_on_another_level_is_as_long_along_both_axes(size, other, back):
     """Flow scales by the exact factor of the levels, although their sizes are rounded."""
-    from tisfm.motion.matched_windows import resized
+    from tisfm.motion.matched_windows import resize_flow
 
     ratio = other[1] / size[1] + 0.003
     if back:
         size, other, ratio = other, size, 1 / ratio
     flow = np.broadcast_to(np.float32([100, -80]), (*size, 2)).copy()
-    found = resized(flow, other, ratio)
+    found = resize_flow(flow, other, ratio)
     assert found.shape == (*other, 2)
     np.testing.assert_allclose(found, np.broadcast_to(flow[0, 0] * ratio, found.shape), rtol=1e-5)
 
@@ -348,13 +348,13 @@ def test_any_size_and_unrelated_frames(size, levels):
 
 
 def test_a_single_scale_and_tiny_frames_are_left_alone():
-    from tisfm.motion.flow_proposals import proposals
+    from tisfm.motion.flow_proposals import flow_proposals
     from tisfm.motion.problems import flow_problem, pyramid_of
 
     def of(height, width, settings):
         frame = texture(height, width, 0).astype(np.float32)
         pyramid = pyramid_of(frame, frame, tisfm.Camera(focal=100.0), settings)
-        return proposals(pyramid, flow_problem(settings, 100.0))
+        return flow_proposals(pyramid, flow_problem(settings, 100.0))
 
     assert of(64, 64, tisfm.Settings()) is not None
     assert of(64, 64, tisfm.Settings.preset("paper")) is None
@@ -379,7 +379,7 @@ def test_outlines_are_those_of_the_images():
     rho = np.zeros((3, *thing.shape), np.float32)
     rho[:2] = np.where(rough, np.array([40, 11])[:, None, None], 0)
     unknowns.set_images(rho)
-    FastObjects(rough, problem).set_apart(WindowSearch(pyramid, 0).windows(0), unknowns)
+    FastObjects(rough, problem).cut_smoothness(WindowSearch(pyramid, 0).windows(0), unknowns)
     off = np.linalg.norm(np.moveaxis(unknowns.flow(), 0, -1) - flow, axis=-1)
     assert (off > 1).sum() < 30  # the outline has 80 px
     east, south = unknowns.to_images(unknowns.edges)

@@ -97,7 +97,7 @@ def test_every_preset_takes_three_frames_and_keeps_them(preset):
 
 def test_a_bend_is_fitted_on_every_surface():
     """Two planes side by side have different bends; one plane is partly hidden."""
-    from tisfm.motion.previous_frame import fitted_bend
+    from tisfm.motion.previous_frame import fit_bend
 
     shape = (96, 128)
     near = np.broadcast_to(np.arange(shape[1]) >= 64, shape)
@@ -109,20 +109,20 @@ def test_a_bend_is_fitted_on_every_surface():
     seen[30:60, 50:64] = False
     flow = (bend - back).astype(np.float32)
     flow[:, ~seen] = 100  # hidden pixels must not count
-    found, off, steady = fitted_bend(flow, back, seen)
+    found, off, steady = fit_bend(flow, back, seen)
     np.testing.assert_allclose(found, bend, atol=0.03)
     assert off[seen].max() < 0.01 and steady.all()
 
 
 def test_a_bend_that_changes_everywhere_is_none():
-    from tisfm.motion.previous_frame import fitted_bend
+    from tisfm.motion.previous_frame import fit_bend
 
     flow, back = np.random.default_rng(2).normal(scale=4, size=(2, 2, 60, 80)).astype(np.float32)
     seen = np.ones((60, 80), bool)
-    assert fitted_bend(flow, back, seen) is None
-    assert fitted_bend(flow, -flow, ~seen) is None
-    assert fitted_bend(flow, -flow, seen) is not None
-    assert fitted_bend(flow, flow, seen) is None  # forth and back: not a steady motion
+    assert fit_bend(flow, back, seen) is None
+    assert fit_bend(flow, -flow, ~seen) is None
+    assert fit_bend(flow, -flow, seen) is not None
+    assert fit_bend(flow, flow, seen) is None  # forth and back: not a steady motion
 
 
 def test_a_flow_is_turned_round_where_it_arrives():
@@ -133,7 +133,7 @@ def test_a_flow_is_turned_round_where_it_arrives():
     flow[:, 10:20, 10:30] = np.array([7.0, 2.0])[:, None, None]
     hidden = np.zeros(frame.shape, bool)
     hidden[12:22, 30:37] = True  # other columns of the block arrive on pixels of the block itself
-    back, seen = PreviousPair(frame0=frame, frame1=frame, flow=flow, hidden=hidden).turned()
+    back, seen = PreviousPair(frame0=frame, frame1=frame, flow=flow, hidden=hidden).backward_flow()
     np.testing.assert_array_equal(back[:, 12:22, 30:37], -flow[:, 10:20, 23:30])
     assert seen[12:22, 30:37].all()
     assert not seen[10:12, 10:30].any()  # the block leaves these pixels

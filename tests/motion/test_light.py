@@ -7,7 +7,7 @@ import pytest
 
 import tisfm
 from tests.reconstruction.films import walk
-from tisfm.motion.depth_checks import DOUBTS, with_brightness_advice
+from tisfm.motion.depth_checks import DOUBTFUL_STATUSES, with_brightness_advice
 from tisfm.status import Status
 
 
@@ -20,20 +20,20 @@ def test_a_doubt_says_that_one_frame_is_darker():
         return tisfm.interpret(shot.frames[0], frame1, camera=shot.camera, settings=settings).status
 
     doubt = found(dark, "camera")
-    assert doubt in DOUBTS and "Frame 0 is 1.4" in doubt.message
-    assert "or take brightness=0 and depth_brightness=0" in doubt.message
+    assert doubt in DOUBTFUL_STATUSES and "Frame 0 is 1.4" in doubt.message
+    assert "or set brightness=0 and depth_brightness=0" in doubt.message
     assert "bright" not in found(shot.frames[1], "camera").message
     assert "bright" not in found(dark, "field").message  # brightness hardly disturbs this
     for frame1, told in ((dark[::-1, ::-1], True), (shot.frames[1][::-1, ::-1], False)):
         doubt = found(frame1, "field")
-        assert doubt in DOUBTS and ("times as bright" in doubt.message) == told
+        assert doubt in DOUBTFUL_STATUSES and ("times as bright" in doubt.message) == told
 
 
 @pytest.mark.parametrize(
     ("changes", "advice"),
     [
         ({"motion": "field"}, "one brightness, or take brightness=0"),
-        ({"motion": "camera"}, "one brightness, or take brightness=0 and depth_brightness=0"),
+        ({"motion": "camera"}, "one brightness, or set brightness=0 and depth_brightness=0"),
         ({"motion": "camera", "brightness": 0.0}, "one brightness, or take depth_brightness=0"),
         ({"motion": "field", "brightness": 0.0}, "one brightness"),
         ({"motion": "field", "gradient": 0.0}, "one brightness"),

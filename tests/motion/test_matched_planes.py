@@ -41,8 +41,8 @@ def test_what_is_believed_is_right(kind, preset):
     height, width = planes.inverse_depth.shape
     scale = width / 320
     expected = scale * cv2.resize(true.astype(np.float32), (width, height))
-    off = np.abs(planes.inverse_depth - expected)[planes.believed]
-    assert planes.believed.mean() > 0.5
+    off = np.abs(planes.inverse_depth - expected)[planes.is_reliable]
+    assert planes.is_reliable.mean() > 0.5
     assert np.median(off) < 0.15
     assert (off < 1).mean() > 0.97
 
@@ -56,8 +56,8 @@ def test_bare_surfaces_and_noise_are_not_believed():
         frame[:, 160:] = 90  # without texture
         frame += rng.normal(0, 2, frame.shape)
     planes = matched(*frames, scene.camera, motion)
-    assert planes.believed[:, 180:].mean() < 0.005
-    assert planes.believed[:, 10:140].mean() > 0.3
+    assert planes.is_reliable[:, 180:].mean() < 0.005
+    assert planes.is_reliable[:, 10:140].mean() > 0.3
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 40), (30, 1), (5, 7), (33, 47)])
@@ -66,7 +66,7 @@ def test_any_size(size):
     frame = rng.uniform(0, 255, size)
     motion = np.column_stack([np.eye(3), [1, 0, 0]])
     planes = matched(frame, frame, tisfm.Camera(focal=30.0), motion)
-    assert planes.inverse_depth.shape == planes.believed.shape == size
+    assert planes.inverse_depth.shape == planes.is_reliable.shape == size
     assert np.isfinite(planes.inverse_depth).all()
 
 
@@ -74,22 +74,22 @@ def test_constant_frames():
     frame = np.full((40, 60), 99.0)
     motion = np.column_stack([np.eye(3), [1, 0, 0]])
     planes = matched(frame, frame, tisfm.Camera(focal=30.0), motion)
-    assert not planes.believed.any()
+    assert not planes.is_reliable.any()
 
 
 def test_no_island_is_left():
-    from tisfm.motion.matched_planes import ISLAND, without_islands
+    from tisfm.motion.matched_planes import ISLAND, large_regions
 
     depth = np.full((60, 60), 5.0, np.float32)
     believed = np.zeros((60, 60), bool)
     believed[:30, :30] = True  # large
     believed[40:45, 40:45] = True  # small
     depth[10:15, 10:15] = 8  # another surface inside the large one, and small
-    kept = without_islands(depth, believed)
+    kept = large_regions(depth, believed)
     assert kept.sum() == 30 * 30 - 5 * 5
     assert ISLAND > 25 and not kept[40:].any() and not kept[10:15, 10:15].any()
     ramp = np.broadcast_to(np.linspace(1, 50, 60, dtype=np.float32), (60, 60))
-    assert without_islands(ramp.copy(), np.ones((60, 60), bool)).all()  # slanted, one surface
+    assert large_regions(ramp.copy(), np.ones((60, 60), bool)).all()  # slanted, one surface
 
 
 @pytest.mark.parametrize("deviation", [1.0, 4.0])

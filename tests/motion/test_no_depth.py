@@ -8,7 +8,7 @@ import tisfm
 from tests.motion.one_motion import CAMERA, FAST, SIZE, errors
 from tests.rendered import static_scene, two_blocks
 from tisfm.metrics import depth_errors
-from tisfm.motion.frame_agreement import unrelated
+from tisfm.motion.frame_agreement import unrelated_status
 from tisfm.rigid import pose_matrix, rigid_motion
 
 
@@ -154,8 +154,8 @@ def test_frames_of_any_scale_are_related(scale, offset, small):
     """The check depends neither on the scale of the brightness nor on an offset."""
     frames = [np.float32(scale) * f + np.float32(offset) for f in (small.frame0, small.frame1)]
     flow, trust = small.flow.astype(np.float32), small.visible.astype(np.float32)
-    assert unrelated(*frames, flow, trust) is None
-    assert unrelated(frames[0], frames[1][::-1], flow, trust) == "unrelated"
+    assert unrelated_status(*frames, flow, trust) is None
+    assert unrelated_status(frames[0], frames[1][::-1], flow, trust) == "unrelated"
 
 
 def test_the_deviation_is_never_zero(small):

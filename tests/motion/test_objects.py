@@ -12,7 +12,7 @@ from bench.reference import motion_matrix
 from tests.rendered import static_scene, three_blocks, two_blocks
 from tisfm.metrics import depth_errors, pose_errors
 from tisfm.motion.estimate import Estimate
-from tisfm.motion.objects.contacts import aligned
+from tisfm.motion.objects.contacts import align_scales
 from tisfm.rigid import pose_matrix, rigid_motion
 
 OBJECTS = tisfm.Settings(motion="objects")
@@ -240,7 +240,7 @@ def standing(*, floor_below=True):
 
 
 def test_scale_is_that_of_the_contact():
-    result = aligned(estimate_of(*standing()), np.zeros((40, 40), bool))
+    result = align_scales(estimate_of(*standing()), np.zeros((40, 40), bool))
     np.testing.assert_allclose(result.inverse_depth, 2)
     np.testing.assert_allclose(result.motions[1, :3], (0, 2, 0))
     np.testing.assert_allclose(result.inverse_depth_std[15, 15], 0.5)
@@ -250,11 +250,11 @@ def test_without_contact_scales_stay():
     hidden = np.zeros((40, 40), bool)
     hidden[30:, :] = True
     inverse_depth, labels = standing()
-    result = aligned(estimate_of(inverse_depth, labels), hidden)
+    result = align_scales(estimate_of(inverse_depth, labels), hidden)
     np.testing.assert_allclose(result.inverse_depth, inverse_depth)
     labels[25:, :] = np.where(labels[25:, :] == 1, 1, 0)
     labels[30:, 10:30] = 1  # down to the border of the image
-    result = aligned(estimate_of(inverse_depth, labels), np.zeros((40, 40), bool))
+    result = align_scales(estimate_of(inverse_depth, labels), np.zeros((40, 40), bool))
     assert result.motions[1, 1] == 1
 
 
@@ -326,25 +326,25 @@ def test_a_surface_of_nearly_the_same_pixels_is_fitted_once():
 
 
 def test_specks_are_given_to_their_surroundings():
-    from tisfm.motion.objects.layers import without_specks
+    from tisfm.motion.objects.layers import remove_specks
 
     labels = np.zeros((30, 40), np.int32)
     labels[:, 20:] = 1
     clean = labels.copy()
     labels[5:8, 5:8], labels[20:22, 30:33], labels[10, 10] = 1, 0, 2
-    found = without_specks(labels, 20)
+    found = remove_specks(labels, 20)
     clean[10, 10] = 2  # the largest part of a label stays, so that no label is lost
     np.testing.assert_array_equal(found, clean)
-    np.testing.assert_array_equal(without_specks(clean, 1), clean)
+    np.testing.assert_array_equal(remove_specks(clean, 1), clean)
 
 
 def test_median_is_within_labels():
-    from tisfm.motion.rigid_level import median_within
+    from tisfm.motion.rigid_level import median_of_labels
 
     rng = np.random.default_rng(0)
     values = rng.normal(size=(20, 23)).astype(np.float32)
     labels = (np.arange(23) > 11).astype(np.float32) + np.zeros((20, 1), np.float32)
-    found = median_within(values + 100 * labels, labels)
+    found = median_of_labels(values + 100 * labels, labels)
     padded = np.pad(values, 2, mode="edge")
     own = np.pad(labels, 2, mode="edge")
     for y in range(20):
@@ -366,7 +366,7 @@ def test_candidates_of_an_exact_flow(small):
         small.frame0.astype(np.float32),
         background,
         0.005,
-        most=5,
+        max_motions=5,
     )
     assert len(motions) == 3
     for thing in range(3):
@@ -375,12 +375,12 @@ def test_candidates_of_an_exact_flow(small):
 
 def test_parts_of_a_label_get_motions_of_their_own():
     """A motion fitted to two blocks fits neither, so it is split."""
-    from tisfm.motion.objects.candidates import _Search
+    from tisfm.motion.objects.candidates import _CandidateSearch
 
     scene = three_blocks(*SIZE)
     true = np.where(things(scene) < 3, things(scene), 0)
     background, joint = (np.column_stack(rigid_motion(scene.motions[k])) for k in (0, 2))
-    search = _Search(
+    search = _CandidateSearch(
         scene.flow.astype(np.float32),
         np.ones(SIZE, np.float32),
         scene.camera,

@@ -133,18 +133,18 @@ def test_kernels_refuse_what_they_would_misread():
 
 @pytest.mark.parametrize("kind", STATIC_KINDS)
 def test_the_exact_flow_gives_the_exact_depth(kind):
-    from tisfm.motion.plane_sweep import triangulated
+    from tisfm.motion.plane_sweep import triangulated_depth
 
     scene = static_scene(kind, 60, 81)
     rotation, translation = rigid_motion(scene.motions[0])
-    depth = triangulated(scene.flow, np.column_stack([rotation, translation]), scene.camera)
+    depth = triangulated_depth(scene.flow, np.column_stack([rotation, translation]), scene.camera)
     error = np.abs(depth * scene.depth / scene.camera.focal - 1)
     assert np.median(error) < 1e-3  # the surroundings and a median only matter at edges
     assert np.quantile(error, 0.9) < 0.02
 
 
 def test_near_the_epipole_depth_is_that_of_the_surroundings():
-    from tisfm.motion.plane_sweep import triangulated
+    from tisfm.motion.plane_sweep import triangulated_depth
 
     camera = tisfm.Camera(focal=100.0, center=(40.0, 30.0))
     motion = np.column_stack([np.eye(3), [0, 0, -0.05]])
@@ -152,7 +152,7 @@ def test_near_the_epipole_depth_is_that_of_the_surroundings():
     flow = np.moveaxis(reference.displacement(depth, camera, motion[:, :3], motion[:, 3]), 0, -1)
     rng = np.random.default_rng(0)
     noisy = (flow + rng.normal(scale=0.02, size=flow.shape)).astype(np.float32)
-    found = triangulated(noisy, motion, camera)
+    found = triangulated_depth(noisy, motion, camera)
     assert np.isfinite(found).all()
     assert np.abs(found[25:36, 35:46]).max() < 400
 

@@ -10,7 +10,7 @@ import tisfm
 from tests.motion.one_motion import FAST
 from tests.rendered import room_film
 from tisfm.metrics import pose_errors
-from tisfm.motion.rolling_shutter import _in_next
+from tisfm.motion.rolling_shutter import _depth_of_frame1
 from tisfm.rigid import pose_matrix, rigid_motion
 from tisfm.shutter import UnrolledPixels, nodes_of
 
@@ -141,7 +141,7 @@ def test_depth_of_the_next_frame_is_that_of_the_points_that_it_shows():
     camera, shape = tisfm.Camera(focal=120.0), (121, 160)
     nodes = nodes_of(shape)
     plane = np.full(shape, 0.25, np.float32)
-    ahead = _in_next(plane, np.array((0.0, 0.0, -0.8, 0.0, 0.0, 0.0)), camera)
+    ahead = _depth_of_frame1(plane, np.array((0.0, 0.0, -0.8, 0.0, 0.0, 0.0)), camera)
     np.testing.assert_allclose(ahead, 1 / (4 - 0.8), rtol=1e-6)
     # Inverse depth of the plane n·P = 1 is n·(x̂, ŷ, 1). After a motion it is another plane.
     normal, twist = np.array((0.05, -0.03, 0.25)), np.array((0.2, 0.1, 0.3, 0.02, -0.03, 0.04))
@@ -155,7 +155,7 @@ def test_depth_of_the_next_frame_is_that_of_the_points_that_it_shows():
     rotation, translation = rigid_motion(twist)
     turned = rotation @ normal
     expected = rays(nodes) @ turned / (1 + turned @ translation)
-    found = _in_next((rays(pixels) @ normal).astype(np.float32), twist, camera)
+    found = _depth_of_frame1((rays(pixels) @ normal).astype(np.float32), twist, camera)
     inside = np.s_[5:-5, 5:-5]  # pixels that frame 0 shows
     np.testing.assert_allclose(found[inside], expected[inside], rtol=2e-3)
 

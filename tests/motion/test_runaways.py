@@ -11,7 +11,7 @@ from tests.rendered import two_blocks
 from tisfm.formats import read_image
 from tisfm.motion.frame_agreement import diverged_status
 from tisfm.motion.objects import unstable_depth
-from tisfm.motion.objects.unstable_depth import FEW, stable_depth
+from tisfm.motion.objects.unstable_depth import FEW, restore_diverged_depth
 from tisfm.motion.problems import pyramid_of
 from tisfm.motion.rigid_depth import rigid_depth
 from tisfm.motion.rigid_estimate import with_depth
@@ -58,7 +58,7 @@ def estimated(scene):
     def finish(solution):
         return with_depth(solution, labels, scene.camera, SETTINGS)
 
-    _, estimate = stable_depth(pyramid, SETTINGS, motions, labels, expected, finish)
+    _, estimate = restore_diverged_depth(pyramid, SETTINGS, motions, labels, expected, finish)
     return estimate, labels, motions
 
 
@@ -177,7 +177,7 @@ def test_a_label_of_which_nothing_stays(scene, monkeypatch, known):
         expected[:, labels == 1] = np.nan
     motion = np.column_stack(rigid_motion(scene.motions[0]))
     frames = (np.asarray(frame, np.float32) for frame in (scene.frame0, scene.frame1))
-    _, estimate = stable_depth(
+    _, estimate = restore_diverged_depth(
         pyramid_of(*frames, scene.camera, SETTINGS),
         SETTINGS,
         np.stack([motion, motion]),

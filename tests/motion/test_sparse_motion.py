@@ -5,9 +5,9 @@ import pytest
 
 from tests.rendered import three_blocks
 from tisfm.camera import Camera
-from tisfm.motion.epipolar_fit import Rays, cost
+from tisfm.motion.epipolar_fit import Rays, pose_cost
 from tisfm.motion.sparse_matches import CELLS, PER_CELL, Matches, sparse_matches
-from tisfm.motion.sparse_motion import FEWEST, TIED, angle, sparse_motions
+from tisfm.motion.sparse_motion import FEWEST, TIED, angle_between, sparse_motions
 from tisfm.rigid import rigid_motion
 
 SHAPE = (240, 320)
@@ -48,12 +48,12 @@ def test_the_simplest_model_that_explains_the_matches(kind, wrong):
         assert motions[0].parallax < 1
         return
     # A plane allows two motions; if one is right, the images cannot exclude the other.
-    right = [m for m in motions if np.degrees(angle(m.translation, translation)) < 2]
+    right = [m for m in motions if np.degrees(angle_between(m.translation, translation)) < 2]
     assert len(right) == 1 and turn(right[0].rotation, rotation) < 0.3
     if kind == "depth":
         assert right == motions
     assert right[0].inliers == pytest.approx((1 - wrong) * 300, abs=20)
-    assert right[0].residual < 0.5 and right[0].parallax > 5 and right[0].spread > 0.8
+    assert right[0].residual < 0.5 and right[0].parallax > 5 and right[0].coverage > 0.8
     assert right[0].cost <= TIED * motions[0].cost
 
 
@@ -61,7 +61,9 @@ def test_exact_matches_give_the_exact_motion():
     matches, rotation, translation = made("depth", noise=0)
     motions, _ = sparse_motions(matches, CAMERA, SHAPE)
     assert len(motions) == 1
-    assert np.degrees(angle(motions[0].translation, translation)) < 1e-3  # including the sign
+    assert (
+        np.degrees(angle_between(motions[0].translation, translation)) < 1e-3
+    )  # including the sign
     assert turn(motions[0].rotation, rotation) < 1e-3
     assert motions[0].inliers == 300
 
@@ -74,7 +76,7 @@ def test_the_judge_prefers_the_true_motion():
     assert motions[0].cost < 1.05 * true
     assert judge.cost((off @ rotation, translation)) > 1.5 * true
     rays = judge.rays
-    everything = cost(rays, (rotation, translation), judge.scale)
+    everything = pose_cost(rays, (rotation, translation), judge.scale)
     assert true == everything and isinstance(rays, Rays)
 
 

@@ -14,7 +14,7 @@ from tisfm.frames import grey_pair
 from tisfm.metrics import depth_errors
 from tisfm.motion import first_motion as first_motion_module
 from tisfm.motion.depth_checks import BEHIND, UNCERTAIN, UNEXPLAINED, UNSURE, depth_status
-from tisfm.motion.frame_agreement import aperture_status, unrelated
+from tisfm.motion.frame_agreement import aperture_status, unrelated_status
 from tisfm.motion.problems import pyramid_of
 from tisfm.rigid import pose_matrix, rigid_motion
 from tisfm.scenes import Plane, Scene, Texture
@@ -56,10 +56,10 @@ def test_a_flow_that_folds_the_image_relates_nothing(scene):
     trust = np.ones(SIZE, np.float32)
     folding = np.zeros((*SIZE, 2), np.float32)
     folding[:, ::4, 0] = 1.5  # every fourth pixel moves past its neighbour
-    assert "folds" in unrelated(*frames, folding, trust).message
-    assert unrelated(*frames, folding, trust, free=False) is None
+    assert "folds" in unrelated_status(*frames, folding, trust).message
+    assert unrelated_status(*frames, folding, trust, is_free_flow=False) is None
     folding[:, 40:] = 0
-    assert unrelated(*frames, folding, trust) is None
+    assert unrelated_status(*frames, folding, trust) is None
 
 
 # Stripes.
@@ -134,7 +134,7 @@ def test_blurred_noise_has_no_direction(side):
 # Depth that does not explain the frames.
 
 
-def judged(scene, *, inverse_depth=None, flow=None, matched=False, deviation=1e-3):
+def judged(scene, *, inverse_depth=None, flow=None, uses_matches=False, deviation=1e-3):
     """Return the status of an estimate made by hand; arguments that are None have true values."""
     grey = grey_pair(scene.frame0, scene.frame1)
     pyramid = pyramid_of(*grey, scene.camera, CAMERA)
@@ -142,12 +142,12 @@ def judged(scene, *, inverse_depth=None, flow=None, matched=False, deviation=1e-
     inverse_depth = np.float32(1) / scene.depth if inverse_depth is None else inverse_depth
     estimate = SimpleNamespace(
         inverse_depth=inverse_depth.astype(np.float32),
-        widening=1.0,
+        deviation_factor=1.0,
         inverse_depth_std=np.full(SIZE, deviation, np.float32),
         flow=np.ascontiguousarray(np.moveaxis(truth if flow is None else flow, -1, 0)),
-        free_flow=truth,
-        free_level=0,
-        matched=matched,
+        start_flow=truth,
+        start_level=0,
+        uses_matches=uses_matches,
     )
     return depth_status(pyramid, estimate, ~scene.visible)
 
@@ -183,7 +183,7 @@ def test_a_part_where_depth_leads_astray(scene, factor, code, matched):
     # Windows see the wrong rows from this distance.
     rows = max(1, round(factor * UNEXPLAINED * SIZE[0]) - CONFIDENCE_WINDOW)
     flow[40 : 40 + rows] += (0, 9)
-    assert judged(scene, flow=flow, matched=matched) == code
+    assert judged(scene, flow=flow, uses_matches=matched) == code
 
 
 @pytest.mark.parametrize(("factor", "code"), [(0.5, None), (1.5, "uncertain")])
@@ -205,7 +205,7 @@ def test_what_is_far_is_not_uncertain(scene):
 
 
 def test_the_truth_explains_the_frames(scene):
-    assert judged(scene) is None and judged(scene, matched=True) is None
+    assert judged(scene) is None and judged(scene, uses_matches=True) is None
 
 
 def test_a_pose_that_puts_the_scene_behind_the_camera(monkeypatch):

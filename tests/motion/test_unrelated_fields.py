@@ -28,7 +28,7 @@ def test_other_scenes_and_mirrored_frames(scene, preset):
     other = static_scene("sideways", *SIZE, seed=9).frame1
     for frame1 in (other, scene.frame0[:, ::-1], scene.frame0[::-1]):
         found = status(scene.frame0, frame1, preset)
-        words = "folds" if preset == "paper" else "little in common"
+        words = "folds" if preset == "paper" else "no flow aligns"
         assert found == "unrelated" and words in found.message
 
 

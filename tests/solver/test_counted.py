@@ -160,12 +160,12 @@ def test_planes_of_ignored_pixels_are_not_believed():
     everything = np.ones_like(counted)
     assert np.abs(scene.flow).max() < 30
     usual = matched_planes(pyramid_of(*grey, scene.camera, SETTINGS), motion)
-    assert usual.believed[60:180, 100:200].mean() > 0.4
+    assert usual.is_reliable[60:180, 100:200].mean() > 0.4
     for masks in ((counted, everything), (everything, counted)):
         found = matched_planes(pyramid_of(*grey, scene.camera, SETTINGS, masks), motion)
         inner = np.s_[60:180, 130:170]  # by no more than 30 px, it goes to what is ignored
-        assert not found.believed[inner].any()
-        assert found.believed[:50].mean() > 0.4
+        assert not found.is_reliable[inner].any()
+        assert found.is_reliable[:50].mean() > 0.4
 
 
 def test_windows_of_ignored_pixels_are_not_compared():
@@ -177,7 +177,7 @@ def test_windows_of_ignored_pixels_are_not_compared():
     flow[..., 0] = 3
     for masks, before in (((half(), everything), 0), ((everything, half()), 3)):
         windows = WindowSearch(pyramid(masks), 0).windows(0)
-        state, back = windows.scored(flow), windows.turned().scored(-flow)
+        state, back = windows.score_flow(flow), windows.swap_frames().score_flow(-flow)
         assert (state[~np.roll(half(), -before, axis=1), 2] == UNSEEN).all()
         assert (back[~np.roll(half(), 3 - before, axis=1), 2] == UNSEEN).all()
         for one in (state, back):
@@ -185,7 +185,7 @@ def test_windows_of_ignored_pixels_are_not_compared():
 
 
 def test_the_sweep_continues_what_is_around():
-    from tisfm.motion.plane_sweep import swept
+    from tisfm.motion.plane_sweep import sweep_depth
 
     frame0, frame1 = frames(motion=(6, 0))
     frame1[20:70, 10:60] = frame0[20:70, 10:60]  # a logo
@@ -194,8 +194,8 @@ def test_the_sweep_continues_what_is_around():
     camera = tisfm.Camera(focal=100.0)
     nothing = np.zeros(SIZE, np.float32)
     usual = (frame0, frame1, motion, camera, np.arange(12.0), nothing + 6, nothing)
-    depth = swept(*usual)
+    depth = sweep_depth(*usual)
     assert np.median(depth[30:60, 20:50]) < 1
     counted = half()
-    depth = swept(*usual, counted=(counted, counted))
+    depth = sweep_depth(*usual, counted=(counted, counted))
     assert np.abs(depth[30:60, 20:50] - 6).max() < 1

@@ -48,13 +48,13 @@ def camera_estimate(
             translation=pose.translation,
             status=Status(
                 "pure_rotation",
-                "the pose given has no translation, so there is no parallax to see depth by",
+                "the given pose has no translation, so there is no parallax and no depth",
             ),
             history=[],
         )
-    start = first_motion(pyramid, settings, pose=pose, pixels=START, matches=True)
+    start = first_motion(pyramid, settings, pose=pose, min_pixels=START, use_matches=True)
     if start.status is not None:
-        return only_turned(pyramid, settings, start, start.status, level=level)
+        return first_motion_estimate(pyramid, settings, start, start.status, level=level)
     refine: Refinement = "motion"
     unit = None
     if pose is not None:
@@ -65,7 +65,7 @@ def camera_estimate(
         pyramid, motions[0], start.level, start.flow, start.trust, is_known=unit is not None
     )
 
-    def joint(last: int, warps: int | None = None) -> RigidSolution:
+    def estimate_jointly(last: int, warps: int | None = None) -> RigidSolution:
         return rigid_depth(
             pyramid,
             settings,
@@ -79,39 +79,47 @@ def camera_estimate(
 
     solution: RigidSolution | None = None
     low, high = sweep.range
-    deep = high - low >= CARRIED_RANGE * max(pyramid.shape)
-    bare = textureless_share(pyramid.frames0[level], pyramid.counted0(level)) if deep else 0.0
-    refined: RigidSolution | None = None
-    if bare >= MOST_TEXTURELESS:
-        surer = motions
-        if refine != "none" and not start.matched:
-            if bare < BARE_FOR_MOTION:
-                refined = joint(level)
-                surer = refined.motions
+    has_parallax = high - low >= CARRIED_RANGE * max(pyramid.shape)
+    textureless = (
+        textureless_share(pyramid.frames0[level], pyramid.counted0(level)) if has_parallax else 0.0
+    )
+    joint_solution: RigidSolution | None = None
+    if textureless >= MOST_TEXTURELESS:
+        precise_motions = motions
+        if refine != "none" and not start.uses_matches:
+            if textureless < BARE_FOR_MOTION:
+                joint_solution = estimate_jointly(level)
+                precise_motions = joint_solution.motions
             else:
-                surer, doubt = _finer(pyramid, settings, start, pose)
-                known = None if start.doubt == "uncertain" else start.doubt  # the finer decides
-                start = replace(start, doubt=known or doubt)
-        solution = textureless_depth(pyramid, settings, surer[0])
+                precise_motions, doubt = _refit_on_finer_flow(pyramid, settings, start, pose)
+                first_doubt = (
+                    None if start.doubt == "uncertain" else start.doubt
+                )  # the finer decides
+                start = replace(start, doubt=first_doubt or doubt)
+        solution = textureless_depth(pyramid, settings, precise_motions[0])
     misfit = 0.0  # the deviation of carried depth includes the misfit
     if solution is None:
         # A sweep may be finer than the last level. Its depth is near the solution: few warps do.
-        finer = sweep.finest if sweep.needed else level
+        finest = sweep.finest if sweep.is_needed else level
         warps = settings.warps if unit is None else None
-        solution = joint(finer, warps) if finer < level else refined or joint(level)
+        solution = (
+            estimate_jointly(finest, warps)
+            if finest < level
+            else joint_solution or estimate_jointly(level)
+        )
         misfit = start.residual
     estimate = with_depth(solution, labels, camera, settings, unit=unit, misfit=misfit)
     estimate = replace(
         estimate,
         level=level,
-        matched=start.matched,
-        free_flow=start.flow,
-        free_level=start.level,
+        uses_matches=start.uses_matches,
+        start_flow=start.flow,
+        start_level=start.level,
     )
     return estimate if start.doubt is None else replace(estimate, status=start.doubt)
 
 
-def _finer(
+def _refit_on_finer_flow(
     pyramid: ImagePyramid, settings: Settings, start: FirstMotion, pose: KnownPose | None
 ) -> tuple[np.ndarray, Status | None]:
     """Return the motion of a flow field on the last level, else the first motion, and a doubt.
@@ -119,18 +127,18 @@ def _finer(
     Depth carried across textureless surfaces does not refine the motion, so it has to be right.
     """
     pixels = pyramid.frames0[pyramid.last].size
-    coarser = start.rotation, start.translation
-    found = first_motion(pyramid, settings, pose=pose, pixels=pixels, coarser=coarser)
-    matrix = start.matrix if found.status is not None else found.matrix
+    initial_pose = start.rotation, start.translation
+    finer = first_motion(pyramid, settings, pose=pose, min_pixels=pixels, initial_pose=initial_pose)
+    matrix = start.matrix if finer.status is not None else finer.matrix
     labels = np.zeros(pyramid.shape, np.int32)
-    return scaled_translations(matrix[None], labels, pyramid.cameras[0]), found.doubt
+    return scaled_translations(matrix[None], labels, pyramid.cameras[0]), finer.doubt
 
 
-def only_turned(
+def first_motion_estimate(
     pyramid: ImagePyramid, settings: Settings, start: FirstMotion, status: Status, *, level: int
 ) -> Estimate:
     """Return the estimate of a first motion without visible depth, with the reason as status."""
-    turned = without_depth(
+    estimate = without_depth(
         pyramid,
         settings,
         level=level,
@@ -139,4 +147,4 @@ def only_turned(
         status=status,
         history=start.history,
     )
-    return replace(turned, matched=start.matched)
+    return replace(estimate, uses_matches=start.uses_matches)

@@ -31,7 +31,7 @@ SAMPLE_STEP = 3  # px: one of as many rows and columns is used
 HIDDEN = 0.3  # largest occluded share of a pixel of a coarser level that counts as visible
 BRIGHTER = 1.15  # ratio of mean brightness from which on the light may have changed; set by hand
 # Statuses to which a change of brightness may have led.
-DOUBTS = (
+DOUBTFUL_STATUSES = (
     "uncertain", "little_parallax", "pure_rotation", "two_motions", "behind_camera", "unexplained",
     "unrelated", "diverged",
 )  # fmt: skip
@@ -40,7 +40,7 @@ DOUBTS = (
 def depth_status(
     pyramid: ImagePyramid,
     estimate: Estimate,  # with inverse depth, its deviation and the flow field
-    unseen: np.ndarray,  # (H, W) bool: pixels that are not visible in frame 1
+    hidden: np.ndarray,  # (H, W) bool: pixels that are not visible in frame 1
 ) -> Status | None:
     """Return the status of wrong or uncertain depth of one rigid motion, None for others.
 
@@ -50,107 +50,112 @@ def depth_status(
     deviation is large at many pixels.
     """
     return (
-        _behind(estimate, ~unseen)
-        or _worse_than_flow(pyramid, estimate, unseen)
-        or _unsure(estimate, ~unseen)
+        _behind_status(estimate, ~hidden)
+        or _unexplained_status(pyramid, estimate, hidden)
+        or _uncertain_status(estimate, ~hidden)
     )
 
 
-def _behind(estimate: Estimate, seen: np.ndarray) -> Status | None:
+def _behind_status(estimate: Estimate, visible: np.ndarray) -> Status | None:
     """Return the status of depth that is negative at many pixels, None for others."""
     assert estimate.inverse_depth_std is not None
     sample = np.s_[::SAMPLE_STEP, ::SAMPLE_STEP]
-    seen = seen[sample]
-    negative = np.count_nonzero((estimate.inverse_depth[sample] < 0) & seen)
-    if negative <= BEHIND * np.count_nonzero(seen):
+    visible = visible[sample]
+    negative = np.count_nonzero((estimate.inverse_depth[sample] < 0) & visible)
+    if negative <= BEHIND * np.count_nonzero(visible):
         return None
-    inverse_depth = estimate.inverse_depth[sample][seen]
+    inverse_depth = estimate.inverse_depth[sample][visible]
     # Without the part of the deviation that all pixels share.
-    deviation = estimate.inverse_depth_std[sample][seen] / np.float32(estimate.widening)
-    usual = np.float32(BEHIND_SHARE) * median(np.abs(inverse_depth))
-    share = (inverse_depth < -np.maximum(np.float32(BEHIND_DEVIATIONS) * deviation, usual)).mean()
+    deviation = estimate.inverse_depth_std[sample][visible] / np.float32(estimate.deviation_factor)
+    min_depth = np.float32(BEHIND_SHARE) * median(np.abs(inverse_depth))
+    share = (
+        inverse_depth < -np.maximum(np.float32(BEHIND_DEVIATIONS) * deviation, min_depth)
+    ).mean()
     if share <= BEHIND:
         return None
     return Status(
         "behind_camera",
-        f"{100 * share:.0f}% of the pixels that are seen would lie behind the camera, so depth is "
-        "wrong: check the focal length, the pose if one is given, and that nothing large moves on "
-        'its own (motion="objects" allows that), or take frames further apart',
+        f"{100 * share:.0f}% of the visible pixels would lie behind the camera, so depth is "
+        "wrong: check the focal length and a given pose, take frames farther apart, or "
+        'choose motion="objects" if large objects move',
     )
 
 
-def _unsure(estimate: Estimate, seen: np.ndarray) -> Status | None:
+def _uncertain_status(estimate: Estimate, visible: np.ndarray) -> Status | None:
     """Return the status of depth with a large deviation at many pixels, None for others."""
     assert estimate.inverse_depth_std is not None
     sample = np.s_[::SAMPLE_STEP, ::SAMPLE_STEP]
-    seen = seen[sample]
-    if not seen.any():
+    visible = visible[sample]
+    if not visible.any():
         return None
-    inverse_depth = estimate.inverse_depth[sample][seen]
-    deviation = estimate.inverse_depth_std[sample][seen]
-    usual = median(np.abs(inverse_depth))
-    share = (deviation > np.float32(UNSURE) * np.maximum(inverse_depth, usual)).mean()
+    inverse_depth = estimate.inverse_depth[sample][visible]
+    deviation = estimate.inverse_depth_std[sample][visible]
+    median_depth = median(np.abs(inverse_depth))
+    share = (deviation > np.float32(UNSURE) * np.maximum(inverse_depth, median_depth)).mean()
     if share <= UNCERTAIN:
         return None
     return Status(
         "uncertain",
-        f"at {100 * share:.0f}% of the pixels that are seen, inverse depth has a deviation of more "
-        "than half of itself and of what is usual: take frames further apart, or move the camera "
-        "sideways; result.inverse_depth_std says where depth is sure",
+        f"at {100 * share:.0f}% of the visible pixels, the deviation of inverse depth exceeds half "
+        "of its value and half of the median: take frames farther apart, or move the camera "
+        "sideways; result.inverse_depth_std tells where depth is reliable",
     )
 
 
-def _worse_than_flow(
-    pyramid: ImagePyramid, estimate: Estimate, unseen: np.ndarray
+def _unexplained_status(
+    pyramid: ImagePyramid, estimate: Estimate, hidden: np.ndarray
 ) -> Status | None:
     """Return the status of depth that aligns frames worse than a flow field, None for others."""
-    level, free = estimate.free_level, estimate.free_flow
-    assert free is not None
+    level, start_flow = estimate.start_level, estimate.start_flow
+    assert start_flow is not None
     frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
     size, area = frame0.shape[::-1], cv2.INTER_AREA
     flow = cv2.merge([cv2.resize(part, size, interpolation=area) for part in estimate.flow])
-    alike = correlation(frame0, frame1, flow * np.float32(pyramid.scales[level]))
-    seen = cv2.resize(unseen.astype(np.float32), size, interpolation=area) < HIDDEN
-    weight = np.where(seen, texture(frame0), 0)
-    tolerated = UNEXPLAINED * float(weight.sum())
-    if float(weight[alike < 1 - BETTER].sum()) <= tolerated:  # no flow can be better by as much
+    correlations = correlation(frame0, frame1, flow * np.float32(pyramid.scales[level]))
+    visible = cv2.resize(hidden.astype(np.float32), size, interpolation=area) < HIDDEN
+    weight = np.where(visible, texture(frame0), 0)
+    max_weight = UNEXPLAINED * float(weight.sum())
+    if (
+        float(weight[correlations < 1 - BETTER].sum()) <= max_weight
+    ):  # no flow can be better by as much
         return None
-    worse = correlation(frame0, frame1, free) > alike + np.float32(BETTER)
-    if estimate.matched:  # then the flow itself follows from the motion
-        worse |= alike < CORRELATED
-    left = float(weight[worse].sum())
-    if left <= tolerated:
+    is_worse = correlation(frame0, frame1, start_flow) > correlations + np.float32(BETTER)
+    if estimate.uses_matches:  # then the flow itself follows from the motion
+        is_worse |= correlations < CORRELATED
+    worse_weight = float(weight[is_worse].sum())
+    if worse_weight <= max_weight:
         return None
-    share = UNEXPLAINED * left / tolerated
+    share = UNEXPLAINED * worse_weight / max_weight
     return Status(
         "unexplained",
-        f"motion and depth do not make the frames alike at {100 * share:.0f}% of the texture that "
-        "is seen, so depth is wrong there: take frames closer in time, check the camera, the pose "
-        'if one is given, and that nothing large moves on its own (motion="objects" allows that)',
+        f"motion and depth do not align the frames at {100 * share:.0f}% of the visible texture, "
+        "so depth is wrong there: take frames closer in time, check the camera and a given pose, "
+        'or choose motion="objects" if large objects move',
     )
 
 
 def pose_status(
-    off: float,  # distance of the flow from the epipolar lines of the pose, px of the finest level
-    best: float,  # the same for the motion that fits best
+    residual: float,  # distance of the flow from the pose's epipolar lines, px of the finest level
+    best_residual: float,  # the same for the motion that fits best
     *,
-    inverse: float | None = None,  # the same for the inverse of the pose; None for a rotation alone
+    inverse_residual: float
+    | None = None,  # the same for the inverse of the pose; None for a rotation alone
 ) -> Status | None:
     """Return the status of a given pose that contradicts a flow, None for others."""
-    tolerated = POSE_DISTANCE * max(best, LEAST_DISTANCE)
-    if off <= tolerated:
+    max_residual = POSE_DISTANCE * max(best_residual, LEAST_DISTANCE)
+    if residual <= max_residual:
         return None
-    if inverse is not None and inverse <= tolerated:
-        advice = "its inverse explains them, so give np.linalg.inv(pose)"
+    if inverse_residual is not None and inverse_residual <= max_residual:
+        advice = "its inverse fits, so give np.linalg.inv(pose)"
     else:
         advice = (
-            "check that it takes points from frame 0's camera to frame 1's, not back, that the "
-            "axes are right, down and forward, that it is of these two frames, and the focal length"
+            "check that it maps points from frame 0's camera to frame 1's, that its axes point "
+            "right, down and forward, that it belongs to these frames, and the focal length"
         )
     return Status(
         "pose_mismatch",
-        f"the given pose contradicts the images: points lie {off:.2g} px from its epipolar lines, "
-        f"and {best:.2g} px from those of the motion that fits best; {advice}",
+        f"the given pose contradicts the images: points lie {residual:.2g} px from its epipolar "
+        f"lines, but {best_residual:.2g} px from the lines of the best motion; {advice}",
     )
 
 
@@ -159,7 +164,7 @@ def with_brightness_advice(status: Status, pyramid: ImagePyramid, settings: Sett
 
     The code stays: a scene may be brighter from another position.
     """
-    if status not in DOUBTS:
+    if status not in DOUBTFUL_STATUSES:
         return status
     mean0, mean1 = (float(frames[-1].mean()) for frames in (pyramid.frames0, pyramid.frames1))
     dark, bright = sorted((mean0, mean1))
@@ -171,7 +176,7 @@ def with_brightness_advice(status: Status, pyramid: ImagePyramid, settings: Sett
     weights = ["brightness"] if settings.motion == "field" else ["brightness", "depth_brightness"]
     in_use = [name for name in weights if getattr(settings, name) > 0]
     if in_use and settings.gradient > 0:  # the gradient is left then
-        advice += ", or take " + " and ".join(f"{name}=0" for name in in_use)
+        advice += ", or set " + " and ".join(f"{name}=0" for name in in_use)
     return Status(
         status,
         f"{status.message}. Frame {brighter} is {times:.3g} times as bright as frame {other}: if "

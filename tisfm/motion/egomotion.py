@@ -9,18 +9,18 @@ from tisfm.checks import unmasked
 from tisfm.errors import InputError
 from tisfm.motion.epipolar_fit import (
     CONFIDENT,
-    Free,
+    FreeUnknowns,
     Pose,
     Rays,
-    beyond,
-    cost,
     essential_poses,
-    inverse_depth_of,
     length,
     nearest_points,
-    refine,
+    pose_cost,
+    refine_pose,
     robust_deviation,
     rotation_alone,
+    rotation_residual,
+    triangulate_rays,
 )
 
 SAMPLES = 5000  # pixels that are fitted, about: neighbours are alike, so more hardly help
@@ -84,7 +84,7 @@ def camera_motion(
     camera: Camera,
     *,
     rotation: np.ndarray | None = None,
-    near: np.ndarray | None = None,
+    likely_rotation: np.ndarray | None = None,
 ) -> CameraMotion:
     """Fit one rigid motion to a flow field, which may contain moving objects as well.
 
@@ -141,37 +141,39 @@ def camera_motion(
     confidence = unmasked(
         confidence, "confidence", advice="fill them first, for instance by confidence.filled(0)"
     )
-    rays = correspondences(flow, confidence, camera)
-    free = Free(unknowns=6 if rotation is None else 3, near=near)
-    return _fitted(rays, _best_start(rays, rotation, free), free)
+    rays = sample_rays(flow, confidence, camera)
+    unknowns = FreeUnknowns(count=6 if rotation is None else 3, likely_rotation=likely_rotation)
+    return _fit_motion(rays, _best_start(rays, rotation, unknowns), unknowns)
 
 
-def refined_motion(
+def refine_motion(
     flow: np.ndarray, confidence: np.ndarray, camera: Camera, start: Pose
 ) -> CameraMotion:
     """Fit a motion as `camera_motion` does, from a single start with ‖t‖ = 1."""
-    return _fitted(correspondences(flow, confidence, camera), start, Free(unknowns=6, near=None))
-
-
-def _fitted(rays: Rays, start: Pose, free: Free) -> CameraMotion:
-    """Return the motion of a robust fit to rays."""
-    turn, translation, scale = refine(rays, start, free, iterations=ITERATIONS)
-    nearest = nearest_points(rays, turn, translation)
-    distance = np.abs(nearest.distance)
-    if rays.trust @ np.sign(nearest.inverse_depth) < 0:
-        translation = -translation
-    alone = rotation_alone(rays) if free.unknowns == 6 else turn
-    return CameraMotion(
-        rotation=turn,
-        translation=translation,
-        rotation_alone=alone,
-        residual=robust_deviation(distance, rays.trust),
-        parallax=rays.focal * float(np.median(length(beyond(rays, alone)))),
-        inliers=float((distance <= 3 * scale).mean()),
+    return _fit_motion(
+        sample_rays(flow, confidence, camera), start, FreeUnknowns(count=6, likely_rotation=None)
     )
 
 
-def distance_from_rays(
+def _fit_motion(rays: Rays, start: Pose, unknowns: FreeUnknowns) -> CameraMotion:
+    """Return the motion of a robust fit to rays."""
+    rotation, translation, scale = refine_pose(rays, start, unknowns, iterations=ITERATIONS)
+    points = nearest_points(rays, rotation, translation)
+    distances = np.abs(points.distance)
+    if rays.trust @ np.sign(points.inverse_depth) < 0:
+        translation = -translation
+    pure_rotation = rotation_alone(rays) if unknowns.count == 6 else rotation
+    return CameraMotion(
+        rotation=rotation,
+        translation=translation,
+        rotation_alone=pure_rotation,
+        residual=robust_deviation(distances, rays.trust),
+        parallax=rays.focal * float(np.median(length(rotation_residual(rays, pure_rotation)))),
+        inliers=float((distances <= 3 * scale).mean()),
+    )
+
+
+def deviation_from_pose(
     flow: np.ndarray,  # (H, W, 2) float32: px/frame
     confidence: np.ndarray,  # (H, W) float32: weight of each pixel, in [0, 1]
     camera: Camera,
@@ -186,11 +188,11 @@ def distance_from_rays(
 
     Raises TooFewPixelsError: a ValueError: if too few pixels are trusted.
     """
-    rays = correspondences(flow, confidence, camera)
-    nearest = nearest_points(rays, rotation, translation / np.linalg.norm(translation))
-    end = camera.focal * length(beyond(rays, rotation))
-    off = np.where(nearest.inverse_depth > 0, np.abs(nearest.distance), end)
-    return robust_deviation(off, rays.trust)
+    rays = sample_rays(flow, confidence, camera)
+    points = nearest_points(rays, rotation, translation / np.linalg.norm(translation))
+    infinity_distance = camera.focal * length(rotation_residual(rays, rotation))
+    distances = np.where(points.inverse_depth > 0, np.abs(points.distance), infinity_distance)
+    return robust_deviation(distances, rays.trust)
 
 
 def triangulate(
@@ -202,58 +204,64 @@ def triangulate(
     translation: np.ndarray,
 ) -> np.ndarray:  # (N,) float64: signed; 0 where the point lies on the epipole
     """Return the inverse depth, in units of 1/‖t‖, that moves a point nearest to its match."""
-    return inverse_depth_of((before @ rotation.T).T, after.T[:2], translation)
+    return triangulate_rays((before @ rotation.T).T, after.T[:2], translation)
 
 
-def correspondences(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -> Rays:
+def sample_rays(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -> Rays:
     """Return the rays of regularly spaced pixels of a flow."""
     height, width = confidence.shape
     stride = max(1, round((np.count_nonzero(confidence) / SAMPLES) ** 0.5))
     rows, columns = np.mgrid[stride // 2 : height : stride, stride // 2 : width : stride]
     rows, columns = rows.ravel(), columns.ravel()
-    moved = flow[rows, columns].astype(np.float64)
+    displacements = flow[rows, columns].astype(np.float64)
     trust = confidence[rows, columns].astype(np.float64)
-    taken = (trust > 0) & np.isfinite(moved).all(axis=1)
-    confident = int((trust[taken] > CONFIDENT).sum())
-    if confident < FEWEST_SAMPLES:
+    is_used = (trust > 0) & np.isfinite(displacements).all(axis=1)
+    confident_count = int((trust[is_used] > CONFIDENT).sum())
+    if confident_count < FEWEST_SAMPLES:
         raise TooFewPixelsError(
-            f"only {confident} of {trust.size} sampled pixels have a confidence above "
+            f"only {confident_count} of {trust.size} sampled pixels have a confidence above "
             f"{CONFIDENT}: the camera's motion needs at least {FEWEST_SAMPLES}"
         )
     cx, cy = camera.center_for(height, width)
-    start = np.stack([columns - cx, rows - cy])[:, taken]
+    positions = np.stack([columns - cx, rows - cy])[:, is_used]
     return Rays(
-        before=np.vstack([start / camera.focal, np.ones(start.shape[1])]),
-        after=(start + moved[taken].T) / camera.focal,
-        trust=trust[taken],
+        before=np.vstack([positions / camera.focal, np.ones(positions.shape[1])]),
+        after=(positions + displacements[is_used].T) / camera.focal,
+        trust=trust[is_used],
         focal=camera.focal,
     )
 
 
-def _best_start(rays: Rays, rotation: np.ndarray | None, free: Free) -> Pose:
+def _best_start(rays: Rays, rotation: np.ndarray | None, unknowns: FreeUnknowns) -> Pose:
     """Return the motion of least cost after refining several starts on a part of the rays.
 
     If `rotation` is given, all starts have this rotation.
     """
-    few = rays.every(max(1, rays.trust.size // FEW))
-    if few.confident.sum() < FEWEST_SAMPLES:  # the confident rays lie in a small part of the image
-        few = rays
-    starts = _starts(few) if rotation is None else _turned_starts(few, np.asarray(rotation, float))
-    candidates = [refine(few, start, free, iterations=STARTING) for start in starts]
+    sample = rays.subsample(max(1, rays.trust.size // FEW))
+    if (
+        sample.is_confident.sum() < FEWEST_SAMPLES
+    ):  # the confident rays lie in a small part of the image
+        sample = rays
+    starts = (
+        _initial_poses(sample)
+        if rotation is None
+        else _initial_translations(sample, np.asarray(rotation, float))
+    )
+    candidates = [refine_pose(sample, start, unknowns, iterations=STARTING) for start in starts]
     scale = min(candidate[2] for candidate in candidates)
-    return min(candidates, key=lambda pose: cost(few, pose[:2], scale))[:2]
+    return min(candidates, key=lambda pose: pose_cost(sample, pose[:2], scale))[:2]
 
 
-def _starts(rays: Rays) -> list[Pose]:
+def _initial_poses(rays: Rays) -> list[Pose]:
     """Return initial poses: essential matrices by random sampling, and the three axes.
 
     For small motions, an essential matrix may be wrong and still fit most of the flow.
     """
     axes: list[Pose] = [(np.eye(3), axis) for axis in np.eye(3)]
-    return axes + essential_poses(rays.where(rays.confident), THRESHOLDS, draws=DRAWS)
+    return axes + essential_poses(rays.select(rays.is_confident), THRESHOLDS, draws=DRAWS)
 
 
-def _turned_starts(rays: Rays, rotation: np.ndarray) -> list[Pose]:
+def _initial_translations(rays: Rays, rotation: np.ndarray) -> list[Pose]:
     """Return initial poses for a known rotation: translations along axes, and a linear fit."""
     after = np.vstack([rays.after, np.ones(rays.trust.size)])
     # Normals of epipolar planes.

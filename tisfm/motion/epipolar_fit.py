@@ -30,18 +30,16 @@ class Rays:
     focal: float  # focal length, px
 
     @property
-    def confident(self) -> np.ndarray:
+    def is_confident(self) -> np.ndarray:
         """Rays that essential matrices are drawn from, (N,) bool."""
         return self.trust > CONFIDENT
 
-    def where(self, chosen: np.ndarray) -> "Rays":
+    def select(self, mask: np.ndarray) -> "Rays":
         """Return the rays of a mask, (N,) bool."""
-        before, after, trust = (
-            array[..., chosen] for array in (self.before, self.after, self.trust)
-        )
+        before, after, trust = (array[..., mask] for array in (self.before, self.after, self.trust))
         return Rays(before=before, after=after, trust=trust, focal=self.focal)
 
-    def every(self, stride: int) -> "Rays":
+    def subsample(self, stride: int) -> "Rays":
         """Return every `stride`-th ray."""
         before, after, trust = (
             np.ascontiguousarray(array[..., ::stride])
@@ -51,7 +49,7 @@ class Rays:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Nearest:
+class EpipolarPoints:
     """The points of epipolar lines that are nearest to the rays of frame 1, (N,) each."""
 
     inverse_depth: np.ndarray  # inverse depth d in frame 0 of the point
@@ -66,24 +64,26 @@ class Nearest:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Free:
+class FreeUnknowns:
     """How many of the unknowns (t, ω) are free, from the first on, and a likely rotation."""
 
-    unknowns: int
-    near: np.ndarray | None
+    count: int
+    likely_rotation: np.ndarray | None
 
 
-def spin_prior(rotation: np.ndarray, near: np.ndarray, noise: float) -> tuple[float, np.ndarray]:
-    """Return stiffness and offset, rad, of a prior that pulls a rotation to the rotation `near`.
+def rotation_prior(
+    rotation: np.ndarray, likely_rotation: np.ndarray, noise: float
+) -> tuple[float, np.ndarray]:
+    """Return stiffness and offset, rad, of a prior that pulls a rotation to a likely one.
 
     The prior is a normal distribution of deviation `SPIN` rad. The data weigh against it as if
     `CORRELATED` pixels each shared an error of `noise` px.
     """
-    offset = cv2.Rodrigues(near @ rotation.T)[0][:, 0]
+    offset = cv2.Rodrigues(likely_rotation @ rotation.T)[0][:, 0]
     return CORRELATED * (noise / SPIN) ** 2, offset
 
 
-def hold_scale(
+def fix_scale(
     normal: np.ndarray,  # (6, 6)
     direction: np.ndarray,  # (3,): direction of t, of length 1
 ) -> np.ndarray:
@@ -91,19 +91,19 @@ def hold_scale(
 
     A step along t changes the scale, which the data do not determine, so it is held.
     """
-    along = np.concatenate([direction, np.zeros(3)])
-    held = np.outer(along, along) + LEAST_STIFFNESS * np.eye(6)
-    return normal + (np.trace(normal) + LEAST_TRACE) * held
+    scale_direction = np.concatenate([direction, np.zeros(3)])
+    regularisation = np.outer(scale_direction, scale_direction) + LEAST_STIFFNESS * np.eye(6)
+    return normal + (np.trace(normal) + LEAST_TRACE) * regularisation
 
 
-def inverse_depth_of(turned: np.ndarray, after: np.ndarray, translation: np.ndarray) -> np.ndarray:
+def triangulate_rays(rotated: np.ndarray, after: np.ndarray, translation: np.ndarray) -> np.ndarray:
     """Return the inverse depth, (N,), that moves R x̂, (3, N), nearest to the rays (2, N)."""
     # With p = R x̂ + d t, x̂₁ p₃ = p₁ and ŷ₁ p₃ = p₂ are linear in d.
-    along_x = translation[0] - after[0] * translation[2]
-    along_y = translation[1] - after[1] * translation[2]
-    pulled = (after[0] * turned[2] - turned[0]) * along_x
-    pulled += (after[1] * turned[2] - turned[1]) * along_y
-    return pulled / np.maximum(along_x * along_x + along_y * along_y, LEAST_SQUARE)
+    slope_x = translation[0] - after[0] * translation[2]
+    slope_y = translation[1] - after[1] * translation[2]
+    numerator = (after[0] * rotated[2] - rotated[0]) * slope_x
+    numerator += (after[1] * rotated[2] - rotated[1]) * slope_y
+    return numerator / np.maximum(slope_x * slope_x + slope_y * slope_y, LEAST_SQUARE)
 
 
 def essential_poses(
@@ -123,24 +123,24 @@ def essential_poses(
     """
     poses: list[Pose] = []
     before, after = rays.before[:2].T.copy(), rays.after.T.copy()
-    identity, none = np.eye(3), np.zeros(5)
+    identity, no_distortion = np.eye(3), np.zeros(5)
     for threshold in thresholds:
-        parameters = sampling(threshold / rays.focal, draws)
+        parameters = usac_parameters(threshold / rays.focal, draws)
         try:
             essential, _ = cv2.findEssentialMat(
-                before, after, identity, identity, none, none, parameters
+                before, after, identity, identity, no_distortion, no_distortion, parameters
             )
         except cv2.error:  # the samples determine no matrix
             continue
         if essential is None or essential.shape[0] < 3 or not np.isfinite(essential).all():
             continue
-        first, second, direction = cv2.decomposeEssentialMat(essential[:3])
-        smaller = first if np.trace(first) > np.trace(second) else second
-        poses.append((np.asarray(smaller, np.float64), np.asarray(direction[:, 0], np.float64)))
+        rotation0, rotation1, direction = cv2.decomposeEssentialMat(essential[:3])
+        rotation = rotation0 if np.trace(rotation0) > np.trace(rotation1) else rotation1
+        poses.append((np.asarray(rotation, np.float64), np.asarray(direction[:, 0], np.float64)))
     return poses
 
 
-def sampling(threshold: float, draws: int) -> cv2.UsacParams:
+def usac_parameters(threshold: float, draws: int) -> cv2.UsacParams:
     """Return settings of OpenCV's random sampling, with a fixed seed."""
     parameters = cv2.UsacParams()
     parameters.confidence = 0.9999
@@ -154,63 +154,65 @@ def sampling(threshold: float, draws: int) -> cv2.UsacParams:
     return parameters
 
 
-def refine(
-    rays: Rays, start: Pose, free: Free, *, iterations: int, settled: float = SETTLED
+def refine_pose(
+    rays: Rays, start: Pose, unknowns: FreeUnknowns, *, iterations: int, min_step: float = SETTLED
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Minimise the robust distances from epipolar lines; return pose and scale of distances, px.
 
-    A step shorter than `settled` (rad, and of ‖t‖ = 1) ends the iterations.
+    A step shorter than `min_step` (rad, and of ‖t‖ = 1) ends the iterations.
     """
-    unknowns = free.unknowns
+    count = unknowns.count
     rotation, translation = start
     scale = 0.0
     for _ in range(iterations):
-        nearest = nearest_points(rays, rotation, translation)
-        if rays.trust @ np.sign(nearest.inverse_depth) < 0:
+        points = nearest_points(rays, rotation, translation)
+        if rays.trust @ np.sign(points.inverse_depth) < 0:
             translation = -translation
-            nearest = nearest_points(rays, rotation, translation)
-        distance, slope = nearest.distance, _slope(nearest, rays.focal)
+            points = nearest_points(rays, rotation, translation)
+        distance, jacobian = points.distance, _distance_jacobian(points, rays.focal)
         scale = max(robust_deviation(np.abs(distance), rays.trust), SMALLEST_SCALE)
         weight = rays.trust / (1 + (distance / (2 * scale)) ** 2) ** 2
-        weight *= np.where(nearest.inverse_depth > 0, 1.0, 0.2)  # behind the camera
-        normal = (slope * weight) @ slope.T
-        normal = hold_scale(normal, translation)
-        pull = slope @ (weight * distance)
-        if free.near is not None:
-            stiffness, offset = spin_prior(rotation, free.near, scale)
+        weight *= np.where(points.inverse_depth > 0, 1.0, 0.2)  # behind the camera
+        normal = (jacobian * weight) @ jacobian.T
+        normal = fix_scale(normal, translation)
+        gradient = jacobian @ (weight * distance)
+        if unknowns.likely_rotation is not None:
+            stiffness, offset = rotation_prior(rotation, unknowns.likely_rotation, scale)
             normal[3:, 3:] += stiffness * np.eye(3)
-            pull[3:] += stiffness * offset
+            gradient[3:] += stiffness * offset
         step = np.zeros(6)
-        step[:unknowns] = np.linalg.solve(normal[:unknowns, :unknowns], pull[:unknowns])
+        step[:count] = np.linalg.solve(normal[:count, :count], gradient[:count])
         # SciPy's Rotation rounds differently: in one of 24 checks, object motions changed by 2e-4.
-        turn = cv2.Rodrigues(step[3:])[0]
-        rotation = turn @ rotation
-        translation = turn @ translation + step[:3]
+        rotation_step = cv2.Rodrigues(step[3:])[0]
+        rotation = rotation_step @ rotation
+        translation = rotation_step @ translation + step[:3]
         translation = translation / np.linalg.norm(translation)
-        if np.linalg.norm(step) < settled:
+        if np.linalg.norm(step) < min_step:
             break
     return rotation, translation, scale
 
 
-def cost(rays: Rays, pose: Pose, scale: float) -> float:
+def pose_cost(rays: Rays, pose: Pose, scale: float) -> float:
     """Return the robust cost (Geman–McClure) of a pose at a common scale, px."""
-    nearest = nearest_points(rays, *pose)
-    square = (nearest.distance / (2 * scale)) ** 2
-    return float(rays.trust @ np.where(nearest.inverse_depth > 0, square / (1 + square), 1.0))
+    points = nearest_points(rays, *pose)
+    square = (points.distance / (2 * scale)) ** 2
+    return float(rays.trust @ np.where(points.inverse_depth > 0, square / (1 + square), 1.0))
 
 
-def nearest_points(rays: Rays, rotation: np.ndarray, translation: np.ndarray) -> Nearest:
+def nearest_points(rays: Rays, rotation: np.ndarray, translation: np.ndarray) -> EpipolarPoints:
     """Return the points of the epipolar lines of a pose that are nearest to the rays."""
-    turned = rotation @ rays.before
-    inverse_depth = inverse_depth_of(turned, rays.after, translation)
-    nearness = 1 / np.maximum(turned[2] + inverse_depth * translation[2], NEAREST)
-    x = (turned[0] + inverse_depth * translation[0]) * nearness
-    y = (turned[1] + inverse_depth * translation[1]) * nearness
+    rotated = rotation @ rays.before
+    inverse_depth = triangulate_rays(rotated, rays.after, translation)
+    nearness = 1 / np.maximum(rotated[2] + inverse_depth * translation[2], NEAREST)
+    x = (rotated[0] + inverse_depth * translation[0]) * nearness
+    y = (rotated[1] + inverse_depth * translation[1]) * nearness
     normal_x, normal_y = y * translation[2] - translation[1], translation[0] - x * translation[2]
-    inverse = 1 / np.maximum(np.sqrt(normal_x * normal_x + normal_y * normal_y), LEAST_LENGTH)
-    normal_x *= inverse
-    normal_y *= inverse
-    return Nearest(
+    reciprocal_length = 1 / np.maximum(
+        np.sqrt(normal_x * normal_x + normal_y * normal_y), LEAST_LENGTH
+    )
+    normal_x *= reciprocal_length
+    normal_y *= reciprocal_length
+    return EpipolarPoints(
         inverse_depth=inverse_depth,
         x=x,
         y=y,
@@ -221,39 +223,39 @@ def nearest_points(rays: Rays, rotation: np.ndarray, translation: np.ndarray) ->
     )
 
 
-def _slope(nearest: Nearest, focal: float) -> np.ndarray:
+def _distance_jacobian(points: EpipolarPoints, focal: float) -> np.ndarray:
     """Return the negative derivatives of distances by translation and rotation, (6, N), px."""
-    x, y = nearest.x, nearest.y
-    a, b = focal * nearest.normal_x, focal * nearest.normal_y
-    across = a * x + b * y
-    lever = nearest.inverse_depth * nearest.nearness
-    slope = np.empty((6, x.size))
+    x, y = points.x, points.y
+    a, b = focal * points.normal_x, focal * points.normal_y
+    radial = a * x + b * y
+    translation_factor = points.inverse_depth * points.nearness
+    jacobian = np.empty((6, x.size))
     # A point P moves by δP = δT + δω × P, divided by its depth and projected.
-    np.multiply(lever, a, out=slope[0])
-    np.multiply(lever, b, out=slope[1])
-    np.multiply(-lever, across, out=slope[2])
-    np.multiply(-y, across, out=slope[3])
-    slope[3] -= b
-    np.multiply(x, across, out=slope[4])
-    slope[4] += a
-    np.subtract(b * x, a * y, out=slope[5])
-    return slope
+    np.multiply(translation_factor, a, out=jacobian[0])
+    np.multiply(translation_factor, b, out=jacobian[1])
+    np.multiply(-translation_factor, radial, out=jacobian[2])
+    np.multiply(-y, radial, out=jacobian[3])
+    jacobian[3] -= b
+    np.multiply(x, radial, out=jacobian[4])
+    jacobian[4] += a
+    np.subtract(b * x, a * y, out=jacobian[5])
+    return jacobian
 
 
 def rotation_alone(rays: Rays) -> np.ndarray:
     """Return the rotation, (3, 3), that fits the displacements best without translation."""
     rotation = np.eye(3)
     for _ in range(10):
-        left = beyond(rays, rotation)
-        x, y = rays.after - left
-        distance = length(left)
+        residual = rotation_residual(rays, rotation)
+        x, y = rays.after - residual
+        distance = length(residual)
         weight = 1 / np.maximum(distance, max(median(distance), LEAST_DISPLACEMENT))  # Huber's
         horizontal = np.stack([-x * y, 1 + x * x, -y])
         vertical = np.stack([-1 - y * y, x * y, x])
         normal = (horizontal * weight) @ horizontal.T + (vertical * weight) @ vertical.T
-        pull = horizontal @ (weight * left[0]) + vertical @ (weight * left[1])
+        gradient = horizontal @ (weight * residual[0]) + vertical @ (weight * residual[1])
         try:
-            step = np.linalg.solve(normal, pull)
+            step = np.linalg.solve(normal, gradient)
         except np.linalg.LinAlgError:  # the rays are nearly parallel
             break
         rotation = cv2.Rodrigues(step)[0] @ rotation
@@ -262,10 +264,10 @@ def rotation_alone(rays: Rays) -> np.ndarray:
     return rotation
 
 
-def beyond(rays: Rays, rotation: np.ndarray) -> np.ndarray:
+def rotation_residual(rays: Rays, rotation: np.ndarray) -> np.ndarray:
     """Return the displacements that a rotation leaves, (2, N), normalised."""
-    turned = rotation @ rays.before
-    return rays.after - turned[:2] / turned[2]
+    rotated = rotation @ rays.before
+    return rays.after - rotated[:2] / rotated[2]
 
 
 def length(vectors: np.ndarray) -> np.ndarray:

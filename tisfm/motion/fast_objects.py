@@ -44,31 +44,31 @@ class FastObjects:
     ) -> None:
         self._mask, self._problem = mask, problem
 
-    def set_apart(
+    def cut_smoothness(
         self,
         windows: Windows,  # windows of that level
         unknowns: Unknowns,  # ρ̂ near the outlines is overwritten, and so are their `edges`
     ) -> None:
         """Find the outlines on a level, and cut the smoothness along them."""
-        self._mask = _resized_mask(self._mask, windows.shape)
+        self._mask = _resize_mask(self._mask, windows.shape)
         self._update_outlines(windows, unknowns)
-        step = max(mean_step(windows.levels0, windows.counted0), FAINTEST_EDGE)
-        lifted = windows.levels0.copy()
-        lifted[self._mask] += np.float32(EDGE_HEIGHT * step)
+        step = max(mean_step(windows.grey0, windows.counted0), FAINTEST_EDGE)
+        grey = windows.grey0.copy()
+        grey[self._mask] += np.float32(EDGE_HEIGHT * step)
         rate = self._problem.smoothness.image_edges / step
-        image_edges(unknowns.grid, lifted, unknowns.edges, rate=rate)
+        image_edges(unknowns.grid, grey, unknowns.edges, rate=rate)
 
     def _update_outlines(self, windows: Windows, unknowns: Unknowns) -> None:
         """Find each outline in its part of the image, and overwrite ρ̂ near the outlines."""
         flow, changes = unknowns.flow(), []
-        for part, own in _object_parts(self._mask, flow):
-            before = better = cv2.merge(list(flow[:, part[0], part[1]]))
-            mask = self._mask[part] & own
-            comparison = ResidualComparison(windows.part(part), self._problem.constancy)
+        for part, is_near in _object_parts(self._mask, flow):
+            previous = improved = cv2.merge(list(flow[:, part[0], part[1]]))
+            mask = self._mask[part] & is_near
+            comparison = ResidualComparison(windows.crop(part), self._problem.constancy)
             for _ in range(OUTLINE_ROUNDS):
-                mask, better = _improve_outline(comparison, mask, better)
-            self._mask[part] = np.where(own, mask, self._mask[part])
-            changes.append((part, np.where(own[..., None], better - before, 0)))
+                mask, improved = _improve_outline(comparison, mask, improved)
+            self._mask[part] = np.where(is_near, mask, self._mask[part])
+            changes.append((part, np.where(is_near[..., None], improved - previous, 0)))
         del flow
         for component in range(2):
             rho = unknowns.to_image(unknowns.rho, component)
@@ -77,7 +77,7 @@ class FastObjects:
             image_to_lanes(unknowns.grid, rho, unknowns.rho, component=component)
 
 
-def _resized_mask(mask: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def _resize_mask(mask: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Return a mask on a finer level, or a copy where the level is the same."""
     if mask.shape == shape:
         return mask.copy()
@@ -90,8 +90,8 @@ def _object_parts(mask: np.ndarray, flow: np.ndarray) -> Iterator[tuple[Part, np
 
     The pixels, (h, w) bool of that part, are the surroundings to which no other object is nearer.
     """
-    around = cv2.dilate(mask.astype(np.uint8), _square(SEARCH_REACH))
-    count, labels, boxes, _ = cv2.connectedComponentsWithStats(around, connectivity=8)
+    dilated = cv2.dilate(mask.astype(np.uint8), _square(SEARCH_REACH))
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(dilated, connectivity=8)
     for label in range(1, count):
         left, top, width, height, _ = boxes[label]
         u, v = flow[:, top : top + height, left : left + width]
@@ -104,9 +104,9 @@ def _object_parts(mask: np.ndarray, flow: np.ndarray) -> Iterator[tuple[Part, np
 
 def _range_with_motion(first: int, end: int, motion: np.ndarray, length: int) -> slice:
     """Return the pixels from the first to the end along an axis, and those they move to."""
-    least, most = first + motion.min() - STENCIL_REACH, end + motion.max() + STENCIL_REACH
+    lowest, highest = first + motion.min() - STENCIL_REACH, end + motion.max() + STENCIL_REACH
     first, end = (
-        int(np.clip(position, 0, length)) for position in (min(first, least), max(end, most))
+        int(np.clip(position, 0, length)) for position in (min(first, lowest), max(end, highest))
     )
     return slice(first, end)
 
@@ -116,26 +116,26 @@ def _improve_outline(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return an improved mask of an object, and the flow that follows from it."""
     previous = mask.astype(np.uint8)
-    wide = cv2.dilate(previous, _square(OUTSIDE_MARGIN)) > 0
+    outer = cv2.dilate(previous, _square(OUTSIDE_MARGIN)) > 0
     core = cv2.erode(previous, _square(INSIDE_MARGIN)) > 0
-    inside, outside = _filled_flow(flow, core), _filled_flow(flow, ~wide)
-    improved = core | (wide & comparison.better(inside, outside, window=WINDOW))
+    inside, outside = _fill_nearest(flow, core), _fill_nearest(flow, ~outer)
+    improved = core | (outer & comparison.is_better(inside, outside, window=WINDOW))
     _, labels = cv2.connectedComponents(improved.astype(np.uint8), connectivity=4)
     improved = np.isin(labels, np.unique(labels[core]))  # parts without a core are dropped
-    better = np.where(improved[..., None], inside, outside)
-    return improved, np.where(wide[..., None], better, flow)
+    new_flow = np.where(improved[..., None], inside, outside)
+    return improved, np.where(outer[..., None], new_flow, flow)
 
 
 def _square(reach: int) -> np.ndarray:
     return np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
 
 
-def _filled_flow(flow: np.ndarray, known: np.ndarray) -> np.ndarray:
+def _fill_nearest(flow: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Return a flow whose unknown pixels take the flow of the nearest known pixel."""
-    distance = np.where(known, 0, np.float32(known.size)).astype(np.float32)
-    state = np.zeros((*known.shape, 4), np.float32)
+    distance = np.where(mask, 0, np.float32(mask.size)).astype(np.float32)
+    state = np.zeros((*mask.shape, 4), np.float32)
     state[..., :2] = flow
-    flat = np.zeros(known.shape, np.float32)
+    zeros = np.zeros(mask.shape, np.float32)
     for _ in range(FILL_PASSES):
-        carry(flat, distance, state, edge=1.0)
+        carry(zeros, distance, state, edge=1.0)
     return state[..., :2].copy()

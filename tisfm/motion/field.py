@@ -6,8 +6,8 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.kernels.layout.lanes import aligned_empty
 from tisfm.kernels.model.readout import motion_fields
-from tisfm.motion.estimate import Estimate, ended, unmoved
-from tisfm.motion.flow_proposals import proposals
+from tisfm.motion.estimate import Estimate, iteration_status, no_motion_status
+from tisfm.motion.flow_proposals import flow_proposals
 from tisfm.motion.previous_frame import PreviousFrame
 from tisfm.motion.problems import flow_problem
 from tisfm.settings import Settings
@@ -28,12 +28,12 @@ def field_estimate(
         problem,
         last=pyramid.last,
         release=True,
-        amendment=proposals(pyramid, problem),
+        amendment=flow_proposals(pyramid, problem),
         more=before,
     )
     unknowns, history = solution.unknowns, solution.history
     precision = unknowns.precision(solution.system)
-    status = unmoved(solution, textured=pyramid.contrast > 0) or ended(
+    status = no_motion_status(solution, is_textured=pyramid.contrast > 0) or iteration_status(
         history, solution.converged, settings
     )
     del solution  # the larger part of the memory

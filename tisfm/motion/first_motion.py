@@ -10,17 +10,17 @@ from tisfm.motion.egomotion import (
     CameraMotion,
     TooFewPixelsError,
     camera_motion,
-    correspondences,
-    distance_from_rays,
-    refined_motion,
+    deviation_from_pose,
+    refine_motion,
+    sample_rays,
 )
 from tisfm.motion.epipolar_fit import Pose
-from tisfm.motion.estimate import unmoved
-from tisfm.motion.frame_agreement import aperture_status, replaced, unrelated
+from tisfm.motion.estimate import no_motion_status
+from tisfm.motion.frame_agreement import aperture_status, replaced_status, unrelated_status
 from tisfm.motion.plane_ambiguity import plane_status
 from tisfm.motion.problems import flow_problem
 from tisfm.motion.sparse_motion import SMALLEST_RESIDUAL, SparseMotion
-from tisfm.motion.sparse_start import SparseStart, posed_start, sparse_start
+from tisfm.motion.sparse_start import SparseStart, known_pose_start, sparse_start
 from tisfm.rigid import KnownPose
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, coarse_to_fine
@@ -65,7 +65,7 @@ class FirstMotion:
     trust: np.ndarray  # (h, w) float32: its confidence
     level: int  # of the flow field
     # whether the motion is that of matched points, which works for frames far apart, too
-    matched: bool = False
+    uses_matches: bool = False
     # whether the frames are two pictures of one layout, so that matching points is useless
     is_cut: bool = False
 
@@ -81,138 +81,152 @@ def first_motion(
     *,
     pose: KnownPose | None = None,  # the known motion; its translation, if any, is not 0
     # the coarsest level with at least as many pixels is taken, by default the finest
-    pixels: float = math.inf,
+    min_pixels: float = math.inf,
     # whether points are matched if the flow field fits no motion well and no pose is known, or if
     # it does not align the frames and a pose with translation is known
-    matches: bool = False,
+    use_matches: bool = False,
     # (rotation, translation): the motion of a coarser level, ‖t‖ = 1, that the fit to the flow
     # field starts from alone
-    coarser: Pose | None = None,
+    initial_pose: Pose | None = None,
     # (h, w) bool array: pixels of the level whose flow is not trusted, by default none
-    unseen: np.ndarray | None = None,
+    hidden: np.ndarray | None = None,
 ) -> FirstMotion:
     """Fit a motion to the flow field of a level, or judge a known one by it.
 
     A known pose with a translation needs no parallax: with little parallax, depth is large or
     uncertain.
     """
-    large = [k for k, frame in enumerate(pyramid.frames0) if frame.size >= pixels]
-    given = pose or KnownPose(rotation=np.eye(3), translation=None)
-    start = _flow_field(pyramid, settings, given, level=max(large, default=0))
+    levels = [k for k, frame in enumerate(pyramid.frames0) if frame.size >= min_pixels]
+    known_pose = pose or KnownPose(rotation=np.eye(3), translation=None)
+    start = _flow_field(pyramid, settings, known_pose, level=max(levels, default=0))
     if start.status is not None:
         return start
-    if unseen is not None:
-        start = replace(start, trust=np.where(unseen, 0, start.trust))
+    if hidden is not None:
+        start = replace(start, trust=np.where(hidden, 0, start.trust))
     scale, camera = pyramid.scales[start.level], pyramid.cameras[start.level]
     stripes = aperture_status(pyramid.frames0[start.level])
-    if stripes is not None and given.translation is None:
+    if stripes is not None and known_pose.translation is None:
         return replace(start, status=stripes)
     try:
-        found = (
+        fit = (
             camera_motion(start.flow, start.trust, camera)
-            if coarser is None
-            else refined_motion(start.flow, start.trust, camera, coarser)
+            if initial_pose is None
+            else refine_motion(start.flow, start.trust, camera, initial_pose)
         )
     except TooFewPixelsError as error:
         message = f"{error}: take sharper frames of more texture"
         return replace(start, status=Status("no_texture", message))
     frames = pyramid.frames0[start.level], pyramid.frames1[start.level]
-    apart = unrelated(*frames, start.flow, start.trust)
-    if matches and pose is None and (apart is not None or found.residual > POOR_RESIDUAL):
-        dense = (found.rotation, found.translation) if apart is None else None
-        far = sparse_start(pyramid, start.level, dense)
+    mismatch = unrelated_status(*frames, start.flow, start.trust)
+    if use_matches and pose is None and (mismatch is not None or fit.residual > POOR_RESIDUAL):
+        flow_pose = (fit.rotation, fit.translation) if mismatch is None else None
+        sparse = sparse_start(pyramid, start.level, flow_pose)
         # A flow field, if there is one, measures a small parallax better than matches.
-        if far is not None and (apart is not None or _matched_status(far.motion) is None):
-            return matched_motion(start, far)
-    if matches and apart is not None and given.translation is not None:
-        length = float(np.linalg.norm(given.translation))
-        unit = given.rotation, given.translation / length
-        posed, doubt = posed_start(pyramid, start.level, unit)
-        if posed is not None and posed.apart is None:
+        if sparse is not None and (mismatch is not None or _match_status(sparse.motion) is None):
+            return matched_motion(start, sparse)
+    if use_matches and mismatch is not None and known_pose.translation is not None:
+        length = float(np.linalg.norm(known_pose.translation))
+        unit = known_pose.rotation, known_pose.translation / length
+        known_start, doubt = known_pose_start(pyramid, start.level, unit)
+        if known_start is not None and known_start.mismatch is None:
             # The images agree with the pose, although the flow field does not.
             return replace(
                 start,
-                residual=posed.motion.residual,
+                residual=known_start.motion.residual,
                 doubt=doubt,
-                flow=posed.flow,
-                trust=posed.trust,
-                matched=True,
+                flow=known_start.flow,
+                trust=known_start.trust,
+                uses_matches=True,
             )
         if doubt is not None:
             return replace(start, status=doubt)
-    moved = float(np.median(np.linalg.norm(start.flow, axis=-1))) / scale
-    cut = None
-    if apart is None and moved < STILL_IN_NOISE:
-        cut = replaced(*frames, start.flow, unseen)
-    if cut is not None:
-        return replace(start, status=cut, is_cut=True)
-    if apart is not None:
-        return replace(start, status=apart)
-    best = found.residual / scale
-    if given.translation is not None:
-        off, back = (
-            distance_from_rays(start.flow, start.trust, camera, *motion) / scale
-            for motion in _with_inverse(given.rotation, given.translation)
+    median_flow = float(np.median(np.linalg.norm(start.flow, axis=-1))) / scale
+    cut_status = None
+    if mismatch is None and median_flow < STILL_IN_NOISE:
+        cut_status = replaced_status(*frames, start.flow, hidden)
+    if cut_status is not None:
+        return replace(start, status=cut_status, is_cut=True)
+    if mismatch is not None:
+        return replace(start, status=mismatch)
+    fit_residual = fit.residual / scale
+    if known_pose.translation is not None:
+        residual, inverse_residual = (
+            deviation_from_pose(start.flow, start.trust, camera, *motion) / scale
+            for motion in _pose_and_inverse(known_pose.rotation, known_pose.translation)
         )
         # The flow of stripes is ambiguous: it is no reason to doubt a pose.
-        doubt = None if stripes else pose_status(off, best, inverse=back)
-        return replace(start, residual=0.0 if stripes else off, doubt=doubt)
+        doubt = (
+            None
+            if stripes
+            else pose_status(residual, fit_residual, inverse_residual=inverse_residual)
+        )
+        return replace(start, residual=0.0 if stripes else residual, doubt=doubt)
     doubt = None
     if pose is not None:
-        found = camera_motion(start.flow, start.trust, camera, rotation=pose.rotation)
-        doubt = pose_status(found.residual / scale, best)
-    status = _parallax_status(found, scale, moved)
+        fit = camera_motion(start.flow, start.trust, camera, rotation=pose.rotation)
+        doubt = pose_status(fit.residual / scale, fit_residual)
+    status = _parallax_status(fit, scale, median_flow)
     if status == "uncertain":
         status, doubt = None, doubt or status
-    known = replace(
+    motion = replace(
         start,
-        residual=found.residual / scale,
+        residual=fit.residual / scale,
         status=None if status is None else doubt or status,
         doubt=doubt,
     )
     if status == "no_motion":
-        return known
+        return motion
     if status == "pure_rotation":
-        return replace(known, rotation=found.rotation_alone)
+        return replace(motion, rotation=fit.rotation_alone)
     if pose is None and status is None:
-        plane = plane_status(correspondences(start.flow, start.trust, camera), found.residual)
+        plane = plane_status(sample_rays(start.flow, start.trust, camera), fit.residual)
         doubt = plane or doubt
-    return replace(known, rotation=found.rotation, translation=found.translation, doubt=doubt)
+    return replace(motion, rotation=fit.rotation, translation=fit.translation, doubt=doubt)
 
 
-def matched_motion(start: FirstMotion, far: SparseStart) -> FirstMotion:
+def matched_motion(start: FirstMotion, sparse: SparseStart) -> FirstMotion:
     """Return the first motion that follows from matches, in place of that of the flow field."""
-    motion = far.motion
-    status, doubt = far.apart or _matched_status(motion), far.doubt
+    motion = sparse.motion
+    status, doubt = sparse.mismatch or _match_status(motion), sparse.doubt
     if status == "uncertain":
         status, doubt = None, doubt or status
-    turned = status == "pure_rotation"
+    is_rotation = status == "pure_rotation"
     return replace(
         start,
-        rotation=motion.rotation_alone if turned else motion.rotation,
-        translation=np.zeros(3) if turned else motion.translation,
+        rotation=motion.rotation_alone if is_rotation else motion.rotation,
+        translation=np.zeros(3) if is_rotation else motion.translation,
         residual=motion.residual,
         status=status,
         doubt=doubt,
-        flow=far.flow,
-        trust=far.trust,
-        matched=True,
+        flow=sparse.flow,
+        trust=sparse.trust,
+        uses_matches=True,
     )
 
 
-def _matched_status(motion: SparseMotion) -> Status | None:
+def _match_status(motion: SparseMotion) -> Status | None:
     """Return the status of a motion from matches with too little parallax, None for others."""
     parallax, residual = motion.parallax, max(motion.residual, SMALLEST_RESIDUAL)
-    seen = f"beyond a rotation, the image moves by {parallax:.2g} px, noise is {residual:.2g} px"
+    measurement = _measurement(parallax, residual)
     if motion.model == "rotation":
-        return _turned_only(seen)
+        return _pure_rotation_status(measurement)
     if parallax >= ENOUGH * residual:
         return None
-    return _rough(seen) if parallax >= ROUGH * residual else _hardly_moved(seen)
+    return (
+        _uncertain_status(measurement)
+        if parallax >= ROUGH * residual
+        else _little_parallax_status(measurement)
+    )
+
+
+def _measurement(parallax: float, residual: float) -> str:
+    return (
+        f"beyond a rotation, the image moves by {parallax:.2g} px, and noise is {residual:.2g} px"
+    )
 
 
 def _flow_field(
-    pyramid: ImagePyramid, settings: Settings, given: KnownPose, *, level: int
+    pyramid: ImagePyramid, settings: Settings, known_pose: KnownPose, *, level: int
 ) -> FirstMotion:
     """Return the flow field of a level, with the given motion."""
     settings = replace(settings, warps=max(settings.warps, LEAST_WARPS))
@@ -220,19 +234,19 @@ def _flow_field(
     solution = coarse_to_fine(pyramid, problem, last=level)
     flow = solution.unknowns.flow()
     with np.errstate(over="ignore", invalid="ignore"):  # where the field diverged
-        unseen = leaves_image(flow)
+        hidden = leaves_image(flow)
         if pyramid.counted is not None:
-            unseen |= pyramid.counted.missing(flow, level)
+            hidden |= pyramid.counted.missing(flow, level)
         trust = confidence(
             solution.unknowns.precision(solution.system),
-            unseen,
+            hidden,
             normalized=settings.normalization is not None,
         )
     return FirstMotion(
-        rotation=given.rotation,
-        translation=np.zeros(3) if given.translation is None else given.translation,
+        rotation=known_pose.rotation,
+        translation=np.zeros(3) if known_pose.translation is None else known_pose.translation,
         residual=0.0,
-        status=unmoved(solution, textured=pyramid.contrast > 0),
+        status=no_motion_status(solution, is_textured=pyramid.contrast > 0),
         doubt=None,
         history=solution.history,
         flow=np.moveaxis(flow, 0, -1),
@@ -241,53 +255,53 @@ def _flow_field(
     )
 
 
-def _with_inverse(rotation: np.ndarray, translation: np.ndarray) -> tuple[Pose, Pose]:
+def _pose_and_inverse(rotation: np.ndarray, translation: np.ndarray) -> tuple[Pose, Pose]:
     """Return a motion and its inverse."""
     return (rotation, translation), (rotation.T, -rotation.T @ translation)
 
 
-def _parallax_status(found: CameraMotion, scale: float, moved: float) -> Status | None:
+def _parallax_status(fit: CameraMotion, scale: float, median_flow: float) -> Status | None:
     """Return the status of a flow with too little parallax, None for others.
 
-    Lengths of `found` are in px of its level.
+    Lengths of `fit` are in px of its level.
     """
-    parallax, residual = found.parallax / scale, max(found.residual, FINEST_RESIDUAL) / scale
-    share = parallax / residual
-    if share >= (ENOUGH if parallax >= 1 else ENOUGH_BELOW_A_PIXEL):
+    parallax, residual = fit.parallax / scale, max(fit.residual, FINEST_RESIDUAL) / scale
+    ratio = parallax / residual
+    if ratio >= (ENOUGH if parallax >= 1 else ENOUGH_BELOW_A_PIXEL):
         return None
-    seen = f"beyond a rotation, the image moves by {parallax:.2g} px, noise is {residual:.2g} px"
-    if share >= ROUGH:
-        return _rough(seen)
-    if share >= SEEN:
-        return _hardly_moved(seen)
-    if moved < max(STILL, 3 * residual):
+    measurement = _measurement(parallax, residual)
+    if ratio >= ROUGH:
+        return _uncertain_status(measurement)
+    if ratio >= SEEN:
+        return _little_parallax_status(measurement)
+    if median_flow < max(STILL, 3 * residual):
         return Status(
             "no_motion",
-            f"too little parallax for depth: the image moves by {moved:.2g} px, no more than "
-            "noise; take frames further apart in time",
+            f"too little parallax for depth: the image moves by {median_flow:.2g} px, no more than "
+            "noise; take frames farther apart in time",
         )
-    return _turned_only(seen)
+    return _pure_rotation_status(measurement)
 
 
-def _rough(seen: str) -> Status:
+def _uncertain_status(measurement: str) -> Status:
     return Status(
         "uncertain",
-        f"there is little parallax, so depth is rough: {seen}; take frames further apart, or move "
-        "the camera sideways",
+        f"there is little parallax, so depth is rough: {measurement}; take frames farther apart, "
+        "or move the camera sideways",
     )
 
 
-def _hardly_moved(seen: str) -> Status:
+def _little_parallax_status(measurement: str) -> Status:
     return Status(
         "little_parallax",
-        f"too little parallax for depth: {seen}; take frames further apart, or move the "
+        f"too little parallax for depth: {measurement}; take frames farther apart, or move the "
         "camera sideways",
     )
 
 
-def _turned_only(seen: str) -> Status:
+def _pure_rotation_status(measurement: str) -> Status:
     return Status(
         "pure_rotation",
-        f"too little parallax for depth: the camera only turned. {seen[0].upper()}{seen[1:]}; move "
-        "the camera",
+        f"too little parallax for depth: the camera only rotated ({measurement}); move the camera "
+        "between frames",
     )

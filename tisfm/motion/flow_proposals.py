@@ -13,7 +13,14 @@ import numpy as np
 from tisfm.kernels.rigid.flow_search import carry
 from tisfm.kernels.rigid.windows import RADIUS, UNSEEN
 from tisfm.motion.fast_objects import FastObjects
-from tisfm.motion.matched_windows import FEWEST, SEEN, Windows, WindowSearch, masked, resized
+from tisfm.motion.matched_windows import (
+    FEWEST,
+    SEEN,
+    Windows,
+    WindowSearch,
+    resize_flow,
+    resize_mask,
+)
 from tisfm.motion.residual_comparison import ResidualComparison
 from tisfm.solver.coarse_to_fine import Problem
 from tisfm.solver.image_pyramid import ImagePyramid
@@ -64,11 +71,11 @@ FILL_PASSES = 6  # of filling from known pixels, along rows and columns
 EDGE_DISTANCE = 0.33
 
 
-def proposals(
+def flow_proposals(
     pyramid: ImagePyramid,
     # Of free motion. Its first two unknowns are the flow, up to a factor of the whole image.
     problem: Problem,
-) -> "Proposals | None":
+) -> "FlowProposals | None":
     """Return the correction of a flow between coarse and fine levels; None if it does not pay."""
     if pyramid.levels == 1 or pyramid.frames0[-1].size > LARGEST_LEVEL:
         # The settings ask for few scales
@@ -82,10 +89,10 @@ def proposals(
         or max(pyramid.shape) > LONGEST_SIDE
     ):
         return None
-    return Proposals(pyramid, problem, level)
+    return FlowProposals(pyramid, problem, level)
 
 
-class Proposals:
+class FlowProposals:
     """An `Amendment`: motions that the images of a level confirm where they contradict the flow.
 
     References
@@ -99,8 +106,8 @@ class Proposals:
     def __init__(self, pyramid: ImagePyramid, problem: Problem, level: int) -> None:
         self.level = level
         self._search = WindowSearch(pyramid, level)
-        large = [k for k in self._search.levels if pyramid.frames0[k].size >= FEWEST_JUDGED]
-        self._judged = large[0] if large else level
+        levels = [k for k in self._search.levels if pyramid.frames0[k].size >= FEWEST_JUDGED]
+        self._judged_level = levels[0] if levels else level
         self._scale = pyramid.scales[level]
         self._problem = problem
         self._objects: FastObjects | None = None
@@ -110,20 +117,20 @@ class Proposals:
         flow = cv2.merge(list(unknowns.flow()))
         if not np.isfinite(flow).all():
             return False
-        judged, poor = self._judge(flow)
-        better = flow
-        if poor.mean() >= MANY_POOR:
-            found = self._search_frame(flow)
-            if found is None:
+        state, is_poor = self._evaluate(flow)
+        corrected = flow
+        if is_poor.mean() >= MANY_POOR:
+            proposed = self._search_frame(flow)
+            if proposed is None:
                 return False
-            if found is not flow:
-                better = found
-                judged, poor = self._judge(better)
-        better = self._with_objects(better, judged, poor)
-        if better is flow:
+            if proposed is not flow:
+                corrected = proposed
+                state, is_poor = self._evaluate(corrected)
+        corrected = self._add_fast_objects(corrected, state, is_poor)
+        if corrected is flow:
             return False
         rho = unknowns.images()
-        rho[:2] += cv2.split(better - flow)
+        rho[:2] += cv2.split(corrected - flow)
         unknowns.set_images(rho)
         self.go_on(unknowns, self.level)
         return True
@@ -131,14 +138,14 @@ class Proposals:
     def go_on(self, unknowns: Unknowns, level: int) -> None:
         """Separate fast objects from their surroundings on the next finer level."""
         if self._objects is not None:
-            self._objects.set_apart(self._search.windows(level), unknowns)
+            self._objects.cut_smoothness(self._search.windows(level), unknowns)
 
-    def _judge(self, flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _evaluate(self, flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the state of a flow on the judged level, and where its matching cost is poor."""
-        windows = self._search.windows(self._judged)
-        coarse = resized(flow, windows.shape, windows.scale / self._scale)
-        judged = windows.scored(coarse, seen=LEAST_VARIANCE)
-        return judged, (judged[..., 2] > POOR_COST) & (judged[..., 2] < UNSEEN)
+        windows = self._search.windows(self._judged_level)
+        coarse = resize_flow(flow, windows.shape, windows.scale / self._scale)
+        state = windows.score_flow(coarse, min_variance=LEAST_VARIANCE)
+        return state, (state[..., 2] > POOR_COST) & (state[..., 2] < UNSEEN)
 
     def _search_frame(self, flow: np.ndarray) -> np.ndarray | None:
         """Return a better flow of frames whose motion was missed in large parts.
@@ -147,266 +154,303 @@ class Proposals:
         """
         search = self._search
         windows = search.windows(self.level)
-        known = [(flow, windows.scale)]
-        before, there = windows.scored(flow), search.forward(search.levels, known=known)
-        agreed = _without_islands(there, _agreeing(there, search.backward(search.levels)))
-        if np.count_nonzero(agreed) < LEAST_ACCEPTED * np.count_nonzero(before[..., 2] < UNSEEN):
+        previous = windows.score_flow(flow)
+        forward = search.match_forward(search.levels, initial_flows=[(flow, windows.scale)])
+        is_consistent = _large_regions(
+            forward, _is_consistent(forward, search.match_backward(search.levels))
+        )
+        if np.count_nonzero(is_consistent) < LEAST_ACCEPTED * np.count_nonzero(
+            previous[..., 2] < UNSEEN
+        ):
             return None
         comparison = ResidualComparison(windows, self._problem.constancy)
-        new = agreed & _new(there, before)
-        new &= comparison.better(there[..., :2], flow, window=RESIDUAL_WINDOW)
-        if not new.any():
+        is_new = is_consistent & _is_better(forward, previous)
+        is_new &= comparison.is_better(forward[..., :2], flow, window=RESIDUAL_WINDOW)
+        if not is_new.any():
             return flow
-        found = np.where(new[..., None], there[..., :2], flow)
-        known = new | (agreed & ~_differs(there, flow))
-        return _fill_flow(windows, comparison, found, known, before)
+        proposed = np.where(is_new[..., None], forward[..., :2], flow)
+        is_known = is_new | (is_consistent & ~_is_different(forward, flow))
+        return _fill_flow(windows, comparison, proposed, is_known, previous)
 
-    def _with_objects(self, flow: np.ndarray, judged: np.ndarray, poor: np.ndarray) -> np.ndarray:
+    def _add_fast_objects(
+        self, flow: np.ndarray, state: np.ndarray, is_poor: np.ndarray
+    ) -> np.ndarray:
         """Return a flow with the motion of objects that move far for their size."""
-        sought = _visible_poor(judged, poor)
-        if not sought.any():
+        mask = _visible_poor_pixels(state, is_poor)
+        if not mask.any():
             return flow
         search = self._search
-        windows, coarse = search.windows(self._judged), judged[..., :2]
-        there = search.forward([self._judged], known=[(coarse, windows.scale)], sought=sought)
-        new = _fast(_new(there, judged), there, judged, speed=JUDGED_SPEED, least=JUDGED_AREA)
-        if not new.any():
+        windows, coarse = search.windows(self._judged_level), state[..., :2]
+        forward = search.match_forward(
+            [self._judged_level], initial_flows=[(coarse, windows.scale)], mask=mask
+        )
+        is_new = _fast_areas(
+            _is_better(forward, state), forward, state, min_speed=JUDGED_SPEED, min_area=JUDGED_AREA
+        )
+        if not is_new.any():
             return flow
         comparison = ResidualComparison(windows, self._problem.constancy)
-        supported = comparison.better(there[..., :2], coarse, window=RESIDUAL_WINDOW, by=CLEAR_GAIN)
-        new = _supported(new, supported)
-        if not new.any():
+        is_supported = comparison.is_better(
+            forward[..., :2], coarse, window=RESIDUAL_WINDOW, min_gain=CLEAR_GAIN
+        )
+        is_new = _supported_areas(is_new, is_supported)
+        if not is_new.any():
             return flow
         # Objects are suspected: they are searched again on the finer level, with more draws.
-        found = there[..., :2], windows.scale
+        suspected = forward[..., :2], windows.scale
         windows, level = search.windows(self.level), [self.level]
-        sought = masked(_around(new, 3), windows.shape)
+        mask = resize_mask(_dilate(is_new, 3), windows.shape)
         # Draws are made around known displacements. The suspected ones may be wrong, so the first
         # search leaves them out.
-        there = search.forward(
-            level, known=[(flow, windows.scale)], sought=sought, tried=RANDOM_DRAWS
+        forward = search.match_forward(
+            level, initial_flows=[(flow, windows.scale)], mask=mask, wide_draws=RANDOM_DRAWS
         )
-        known = [(there[..., :2], windows.scale), found]
-        there = search.forward(level, known=known, sought=sought, tried=0)
+        initial_flows = [(forward[..., :2], windows.scale), suspected]
+        forward = search.match_forward(level, initial_flows=initial_flows, mask=mask, wide_draws=0)
         comparison = ResidualComparison(windows, self._problem.constancy)
-        before = windows.scored(flow, sought=_around(sought, 2 * RADIUS + 1))
-        new = sought & _new(there, before)
-        new &= comparison.better(there[..., :2], flow, window=RESIDUAL_WINDOW, by=CLEAR_GAIN)
-        new = _fast(new, there, before, speed=CORRECTED_SPEED, least=CORRECTED_AREA)
-        if not new.any():
-            return flow
-        here = search.backward(
-            [self.level],
-            known=[(-flow, windows.scale), (_reverse(there, new), windows.scale)],
-            sought=_targets(there, new),
-            tried=RANDOM_DRAWS,
+        previous = windows.score_flow(flow, mask=_dilate(mask, 2 * RADIUS + 1))
+        is_new = mask & _is_better(forward, previous)
+        is_new &= comparison.is_better(
+            forward[..., :2], flow, window=RESIDUAL_WINDOW, min_gain=CLEAR_GAIN
         )
-        new = _consistent(new, there, _agreeing(there, here))
-        new = _fast(new, there, before, speed=CORRECTED_SPEED, least=CORRECTED_AREA)
-        new = _distinctive(new, there, before, windows)
-        if not new.any():
+        is_new = _fast_areas(
+            is_new, forward, previous, min_speed=CORRECTED_SPEED, min_area=CORRECTED_AREA
+        )
+        if not is_new.any():
             return flow
-        self._objects = FastObjects(new, self._problem)
-        return np.where(new[..., None], there[..., :2], flow)
+        backward = search.match_backward(
+            [self.level],
+            initial_flows=[(-flow, windows.scale), (_reverse_flow(forward, is_new), windows.scale)],
+            mask=_target_mask(forward, is_new),
+            wide_draws=RANDOM_DRAWS,
+        )
+        is_new = _consistent_pixels(is_new, forward, _is_consistent(forward, backward))
+        is_new = _fast_areas(
+            is_new, forward, previous, min_speed=CORRECTED_SPEED, min_area=CORRECTED_AREA
+        )
+        is_new = _distinctive_areas(is_new, forward, previous, windows)
+        if not is_new.any():
+            return flow
+        self._objects = FastObjects(is_new, self._problem)
+        return np.where(is_new[..., None], forward[..., :2], flow)
 
 
-def _visible_poor(judged: np.ndarray, poor: np.ndarray) -> np.ndarray:
+def _visible_poor_pixels(state: np.ndarray, is_poor: np.ndarray) -> np.ndarray:
     """Return the poor pixels that do not seem occluded, (h, w) bool.
 
     They stay in the image, no well-matched pixel goes to the same target, and they are not
     isolated.
     """
-    row, column, inside = _target(judged)
-    good = inside & (judged[..., 2] < GOOD_COST)
-    taken = np.zeros(poor.shape, np.uint8)
-    taken[row[good], column[good]] = 1
+    row, column, inside = _target_pixels(state)
+    is_good = inside & (state[..., 2] < GOOD_COST)
+    is_target = np.zeros(is_poor.shape, np.uint8)
+    is_target[row[is_good], column[is_good]] = 1
     square = np.ones((3, 3), np.uint8)
-    free = cv2.dilate(taken, square)[row, column] == 0
-    left = (poor & inside & free).astype(np.uint8)
-    return np.asarray(cv2.morphologyEx(left, cv2.MORPH_OPEN, square)) > 0
+    is_free = cv2.dilate(is_target, square)[row, column] == 0
+    candidates = (is_poor & inside & is_free).astype(np.uint8)
+    return np.asarray(cv2.morphologyEx(candidates, cv2.MORPH_OPEN, square)) > 0
 
 
-def _differs(state: np.ndarray, flow: np.ndarray) -> np.ndarray:
+def _is_different(state: np.ndarray, flow: np.ndarray) -> np.ndarray:
     """Return where the displacement of a state differs from a flow."""
     return np.hypot(*cv2.split(state[..., :2] - flow)) > NEW_DISTANCE
 
 
-def _new(there: np.ndarray, before: np.ndarray) -> np.ndarray:
+def _is_better(forward: np.ndarray, previous: np.ndarray) -> np.ndarray:
     """Return where a displacement differs from the previous one and matches better."""
-    better = there[..., 2] < np.minimum(before[..., 2] - NEW_GAIN, LARGEST_COST)
-    return better & (before[..., 2] < UNSEEN) & _differs(there, before[..., :2])
+    is_cheaper = forward[..., 2] < np.minimum(previous[..., 2] - NEW_GAIN, LARGEST_COST)
+    return is_cheaper & (previous[..., 2] < UNSEEN) & _is_different(forward, previous[..., :2])
 
 
-def _fast(
-    new: np.ndarray, there: np.ndarray, before: np.ndarray, *, speed: float, least: int
+def _fast_areas(
+    is_new: np.ndarray,
+    forward: np.ndarray,
+    previous: np.ndarray,
+    *,
+    min_speed: float,
+    min_area: int,
 ) -> np.ndarray:
     """Return the new pixels of connected areas that move far for their size.
 
-    An area has at least `least` px. It moves by more than `speed` times the square root of its
-    size, relative to its own previous flow and to the flow of the well-matched pixels around it.
-    The flow of surfaces without texture does not count.
+    An area has at least `min_area` px. It moves by more than `min_speed` times the square root of
+    its size, relative to its own previous flow and to the flow of the well-matched pixels around
+    it. The flow of surfaces without texture does not count.
     """
-    count, labels, boxes, _ = cv2.connectedComponentsWithStats(new.astype(np.uint8), connectivity=4)
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(
+        is_new.astype(np.uint8), connectivity=4
+    )
     size = boxes[:, cv2.CC_STAT_AREA]
-    large = size >= least
-    large[0] = False
-    if not large.any():
-        return np.zeros_like(new)
-    first, extent = boxes[large, :2], boxes[large, 2:4]
+    is_fast = size >= min_area
+    is_fast[0] = False
+    if not is_fast.any():
+        return np.zeros_like(is_new)
+    first, extent = boxes[is_fast, :2], boxes[is_fast, 2:4]
     left, top = np.maximum(first.min(axis=0) - RADIUS, 0)
     end, bottom = (first + extent).max(axis=0) + RADIUS
     part = np.s_[top:bottom, left:end]
-    away = _relative_motion(there[part], before[part])
-    mean = np.bincount(labels[part].ravel(), away.ravel(), minlength=count) / np.maximum(size, 1)
-    return (large & (mean > speed * np.sqrt(size)))[labels]
+    relative_motion = _relative_motion(forward[part], previous[part])
+    mean = np.bincount(labels[part].ravel(), relative_motion.ravel(), minlength=count) / np.maximum(
+        size, 1
+    )
+    return (is_fast & (mean > min_speed * np.sqrt(size)))[labels]
 
 
-def _relative_motion(there: np.ndarray, before: np.ndarray) -> np.ndarray:
+def _relative_motion(forward: np.ndarray, previous: np.ndarray) -> np.ndarray:
     """Return the distance of displacements from the range of the flow in their window, px."""
     side = 2 * RADIUS + 1
     window = np.ones((side, side), np.uint8)
-    flow, matched = before[..., :2], (before[..., 2] < POOR_COST)[..., None]
-    least = np.minimum(cv2.erode(np.where(matched, flow, BEYOND), window), flow)
-    most = np.maximum(cv2.dilate(np.where(matched, flow, -BEYOND), window), flow)
-    beyond = np.maximum(least - there[..., :2], there[..., :2] - most)
-    return np.hypot(*cv2.split(np.maximum(beyond, 0)))
+    flow, is_matched = previous[..., :2], (previous[..., 2] < POOR_COST)[..., None]
+    lowest = np.minimum(cv2.erode(np.where(is_matched, flow, BEYOND), window), flow)
+    highest = np.maximum(cv2.dilate(np.where(is_matched, flow, -BEYOND), window), flow)
+    excess = np.maximum(lowest - forward[..., :2], forward[..., :2] - highest)
+    return np.hypot(*cv2.split(np.maximum(excess, 0)))
 
 
-def _supported(new: np.ndarray, supported: np.ndarray) -> np.ndarray:
+def _supported_areas(is_new: np.ndarray, is_supported: np.ndarray) -> np.ndarray:
     """Return the connected areas of new pixels that have enough supported pixels."""
-    count, labels = cv2.connectedComponents(new.astype(np.uint8), connectivity=4)
-    enough = np.bincount(labels[new & supported], minlength=count) >= LEAST_SUPPORT
-    enough[0] = False
-    return enough[labels]
+    count, labels = cv2.connectedComponents(is_new.astype(np.uint8), connectivity=4)
+    has_support = np.bincount(labels[is_new & is_supported], minlength=count) >= LEAST_SUPPORT
+    has_support[0] = False
+    return has_support[labels]
 
 
-def _consistent(
-    new: np.ndarray,  # (h, w) bool
-    there: np.ndarray,  # (h, w, 4) float32
-    agreed: np.ndarray,  # (h, w) bool: pixels whose displacement is found in both directions
+def _consistent_pixels(
+    is_new: np.ndarray,  # (h, w) bool
+    forward: np.ndarray,  # (h, w, 4) float32
+    is_consistent: np.ndarray,  # (h, w) bool: pixels whose displacement is found in both directions
 ) -> np.ndarray:
     """Return new pixels that move like the pixels of their area found in both directions.
 
     Areas without enough such pixels are dropped.
     """
-    count, labels, boxes, _ = cv2.connectedComponentsWithStats(new.astype(np.uint8), connectivity=4)
-    kept = np.zeros_like(new)
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(
+        is_new.astype(np.uint8), connectivity=4
+    )
+    result = np.zeros_like(is_new)
     for label in range(1, count):
         left, top, width, height, size = boxes[label]
         part = np.s_[top : top + height, left : left + width]
         area = labels[part] == label
-        found_twice = area & agreed[part]
-        if np.count_nonzero(found_twice) > LEAST_CONSISTENT * size:
-            motion = there[part][..., :2]
-            away = motion[area] - np.median(motion[found_twice], axis=0)
-            kept[part][area] = np.hypot(*away.T) < 2 * LARGEST_DISAGREEMENT
-    return kept
+        is_confirmed = area & is_consistent[part]
+        if np.count_nonzero(is_confirmed) > LEAST_CONSISTENT * size:
+            motion = forward[part][..., :2]
+            difference = motion[area] - np.median(motion[is_confirmed], axis=0)
+            result[part][area] = np.hypot(*difference.T) < 2 * LARGEST_DISAGREEMENT
+    return result
 
 
-def _distinctive(
-    new: np.ndarray, there: np.ndarray, before: np.ndarray, windows: Windows
+def _distinctive_areas(
+    is_new: np.ndarray, forward: np.ndarray, previous: np.ndarray, windows: Windows
 ) -> np.ndarray:
     """Return the areas of new pixels whose motion is unlikely to be a chance match.
 
     An area has to vary along both directions, since a stripe matches anywhere along itself. It may
     not move too far, since a large search area contains chance matches.
     """
-    count, labels, boxes, _ = cv2.connectedComponentsWithStats(new.astype(np.uint8), connectivity=4)
-    kept = np.zeros_like(new)
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(
+        is_new.astype(np.uint8), connectivity=4
+    )
+    result = np.zeros_like(is_new)
     if count == 1:
-        return kept
+        return result
     slope = np.array([[-0.5, 0, 0.5]], np.float32)
-    across, down = (cv2.filter2D(windows.levels0, cv2.CV_32F, k) for k in (slope, slope.T))
+    across, down = (cv2.filter2D(windows.grey0, cv2.CV_32F, k) for k in (slope, slope.T))
     for label in range(1, count):
         left, top, width, height, size = boxes[label]
         part = np.s_[top : top + height, left : left + width]
         area = labels[part] == label
         slopes = np.stack([across[part][area], down[part][area]]).astype(np.float64)
-        varies = np.linalg.eigvalsh(slopes @ slopes.T / size)[0]
-        far, near = (np.median(state[part][area][:, :2], axis=0) for state in (there, before))
-        distance = np.hypot(*(far - near))
-        if varies >= LEAST_SLOPE * windows.noise**2 and distance <= LARGEST_MOTION * max(
+        weakest_slope = np.linalg.eigvalsh(slopes @ slopes.T / size)[0]
+        motion, previous_motion = (
+            np.median(state[part][area][:, :2], axis=0) for state in (forward, previous)
+        )
+        distance = np.hypot(*(motion - previous_motion))
+        if weakest_slope >= LEAST_SLOPE * windows.noise**2 and distance <= LARGEST_MOTION * max(
             windows.shape
         ):
-            kept[part] |= area
-    return kept
+            result[part] |= area
+    return result
 
 
-def _reverse(there: np.ndarray, new: np.ndarray) -> np.ndarray:
+def _reverse_flow(forward: np.ndarray, is_new: np.ndarray) -> np.ndarray:
     """Return the reverse displacements of new pixels at their targets, (h, w, 2); elsewhere 0."""
-    back = np.zeros_like(there[..., :2])
-    row, column, _ = _target(there)
-    back[row[new], column[new]] = -there[new][:, :2]
-    return back
+    reverse = np.zeros_like(forward[..., :2])
+    row, column, _ = _target_pixels(forward)
+    reverse[row[is_new], column[is_new]] = -forward[is_new][:, :2]
+    return reverse
 
 
-def _targets(there: np.ndarray, new: np.ndarray) -> np.ndarray:
+def _target_mask(forward: np.ndarray, is_new: np.ndarray) -> np.ndarray:
     """Return the targets of new pixels in frame 1, with a window around each, (h, w) bool."""
-    mask = np.zeros(new.shape, bool)
-    row, column, _ = _target(there)
-    mask[row[new], column[new]] = True
-    return _around(mask, LANDING_WINDOW)
+    mask = np.zeros(is_new.shape, bool)
+    row, column, _ = _target_pixels(forward)
+    mask[row[is_new], column[is_new]] = True
+    return _dilate(mask, LANDING_WINDOW)
 
 
-def _around(mask: np.ndarray, side: int) -> np.ndarray:
+def _dilate(mask: np.ndarray, side: int) -> np.ndarray:
     """Return a mask that is dilated by a square of a side, px."""
-    wider = cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8))
-    return np.asarray(wider) > 0
+    dilated = cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8))
+    return np.asarray(dilated) > 0
 
 
-def _target(there: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _target_pixels(state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the row and column nearest to each target, and whether the target is in the image."""
-    height, width = there.shape[:2]
-    column = np.rint(there[..., 0] + np.arange(width, dtype=np.float32))
-    row = np.rint(there[..., 1] + np.arange(height, dtype=np.float32)[:, None])
+    height, width = state.shape[:2]
+    column = np.rint(state[..., 0] + np.arange(width, dtype=np.float32))
+    row = np.rint(state[..., 1] + np.arange(height, dtype=np.float32)[:, None])
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     column, row = column.clip(0, width - 1), row.clip(0, height - 1)
     return row.astype(np.intp), column.astype(np.intp), inside
 
 
-def _agreeing(there: np.ndarray, here: np.ndarray) -> np.ndarray:
+def _is_consistent(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
     """Return which displacements are also found from frame 1 to frame 0."""
-    row, column, inside = _target(there)
-    back = here[row, column]
-    apart = np.hypot(*cv2.split(there[..., :2] + back[..., :2]))
-    cheap = (there[..., 2] < LARGEST_COST) & (back[..., 2] < UNSEEN) & (back[..., 3] > 0)
-    return np.asarray(inside & cheap & (apart < LARGEST_DISAGREEMENT))
+    row, column, inside = _target_pixels(forward)
+    reverse = backward[row, column]
+    disagreement = np.hypot(*cv2.split(forward[..., :2] + reverse[..., :2]))
+    is_match = (forward[..., 2] < LARGEST_COST) & (reverse[..., 2] < UNSEEN) & (reverse[..., 3] > 0)
+    return np.asarray(inside & is_match & (disagreement < LARGEST_DISAGREEMENT))
 
 
-def _without_islands(there: np.ndarray, agreed: np.ndarray) -> np.ndarray:
+def _large_regions(forward: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Return the agreed pixels without small islands of their own displacement."""
-    for component in cv2.split(there[..., :2]):
-        fixed = SIXTEENTHS * (component - component.min()) + 1
-        fixed = np.where(agreed, fixed, 0).clip(0, np.iinfo(np.int16).max).astype(np.int16)
-        cv2.filterSpeckles(fixed, 0, SMALLEST_ISLAND, SIXTEENTHS)
-        agreed = agreed & (fixed > 0)
-    return agreed
+    for component in cv2.split(forward[..., :2]):
+        sixteenths = SIXTEENTHS * (component - component.min()) + 1
+        sixteenths = np.where(mask, sixteenths, 0).clip(0, np.iinfo(np.int16).max).astype(np.int16)
+        cv2.filterSpeckles(sixteenths, 0, SMALLEST_ISLAND, SIXTEENTHS)
+        mask = mask & (sixteenths > 0)
+    return mask
 
 
 def _fill_flow(
     windows: Windows,
     comparison: ResidualComparison,
-    found: np.ndarray,
-    known: np.ndarray,
-    before: np.ndarray,
+    flow: np.ndarray,
+    is_known: np.ndarray,
+    previous: np.ndarray,
 ) -> np.ndarray:
     """Return a flow whose unknown pixels take the nearest known flow, if the images confirm it.
 
     The images cannot confirm a flow that leaves the image. Such a flow is taken where the present
     flow stays inside and does not match, or where the present flow breaks off.
     """
-    distance = np.where(known, 0, np.float32(found.size)).astype(np.float32)
+    distance = np.where(is_known, 0, np.float32(flow.size)).astype(np.float32)
     nearest = np.zeros((*windows.shape, 4), np.float32)
-    nearest[..., :2], nearest[..., 3] = found, 1
-    usual = mean_step(windows.levels0, windows.counted0)
+    nearest[..., :2], nearest[..., 3] = flow, 1
+    mean_grey_step = mean_step(windows.grey0, windows.counted0)
     for _ in range(FILL_PASSES):
-        carry(windows.levels0, distance, nearest, edge=EDGE_DISTANCE * usual)
+        carry(windows.grey0, distance, nearest, edge=EDGE_DISTANCE * mean_grey_step)
     windows.search.score(nearest, seen=SEEN)
-    windows.ignore(nearest)
-    cost = np.where(before[..., 2] < UNSEEN, before[..., 2], 0)
-    lower = (nearest[..., 2] < cost - NEW_GAIN) & (cost > LEAST_FILLED_COST)
-    lower &= comparison.better(nearest[..., :2], found, window=RESIDUAL_WINDOW, by=FILL_GAIN)
-    away = cv2.distanceTransform((~known).astype(np.uint8), cv2.DIST_L2, 3)
-    breaks = np.hypot(*cv2.split(found - nearest[..., :2])) > STEEPEST * away
-    leaves = (breaks | _target(before)[2]) & ~_target(nearest)[2] & (cost > POOR_COST)
-    return np.where((~known & (lower | leaves))[..., None], nearest[..., :2], found)
+    windows.mark_invalid(nearest)
+    cost = np.where(previous[..., 2] < UNSEEN, previous[..., 2], 0)
+    is_cheaper = (nearest[..., 2] < cost - NEW_GAIN) & (cost > LEAST_FILLED_COST)
+    is_cheaper &= comparison.is_better(
+        nearest[..., :2], flow, window=RESIDUAL_WINDOW, min_gain=FILL_GAIN
+    )
+    distance_px = cv2.distanceTransform((~is_known).astype(np.uint8), cv2.DIST_L2, 3)
+    is_broken = np.hypot(*cv2.split(flow - nearest[..., :2])) > STEEPEST * distance_px
+    leaves_image = (
+        (is_broken | _target_pixels(previous)[2]) & ~_target_pixels(nearest)[2] & (cost > POOR_COST)
+    )
+    return np.where((~is_known & (is_cheaper | leaves_image))[..., None], nearest[..., :2], flow)

@@ -53,14 +53,14 @@ LONGEST_CONFIRMED_FLOW = 1.0
 MOST_LEAVING_CONFIRMED = 0.8
 
 
-def unrelated(
+def unrelated_status(
     # frame0, frame1: (H, W) float32, grey levels
     frame0: np.ndarray,
     frame1: np.ndarray,
     flow: np.ndarray,  # (H, W, 2) float32: px/frame
     trust: np.ndarray,  # (H, W) float32: confidence of the flow; not all 0
     *,
-    free: bool = True,  # whether the flow is free at every pixel
+    is_free_flow: bool = True,  # whether the flow is free at every pixel
 ) -> Status | None:
     """Return the status of frames that a flow does not align, None if the flow aligns them.
 
@@ -68,34 +68,33 @@ def unrelated(
     that is free at every pixel also has to keep neighbours in order nearly everywhere: a flow that
     folds the image can align any two frames.
     """
-    if free and (share := _folded(flow, trust)) > FOLDED:
+    if is_free_flow and (share := _folded_share(flow, trust)) > FOLDED:
         return Status(
             "unrelated",
-            f"the frames are alike only where the flow folds {100 * share:.0f}% of the image over: "
-            "check that they are of one scene, take them closer in time, or raise smoothness",
+            f"the frames match only if the flow folds {100 * share:.0f}% of the image over: check "
+            "that they show one scene, take frames closer in time, or raise smoothness",
         )
-    alike = correlation(frame0, frame1, flow)
-    order = np.argsort(alike, axis=None)
+    correlations = correlation(frame0, frame1, flow)
+    order = np.argsort(correlations, axis=None)
     total = np.cumsum(trust.ravel()[order], dtype=np.float64)
-    middle = float(alike.ravel()[order[np.searchsorted(total, total[-1] / 2)]])
-    if middle >= CORRELATED:
+    median_correlation = float(correlations.ravel()[order[np.searchsorted(total, total[-1] / 2)]])
+    if median_correlation >= CORRELATED:
         return None
     return Status(
         "unrelated",
-        f"the frames have little in common wherever their parts are moved to (correlation "
-        f"{middle:.2f}): check that they are of one scene, take them closer in time, or with less "
-        "noise",
+        f"no flow aligns the frames (their median correlation is {median_correlation:.2f}): check "
+        "that they show one scene, or take frames closer in time or with less noise",
     )
 
 
-def replaced(
-    # frame0, frame1, flow: as for `unrelated`
+def replaced_status(
+    # frame0, frame1, flow: as for `unrelated_status`
     frame0: np.ndarray,
     frame1: np.ndarray,
     flow: np.ndarray,
     # (H, W) bool: pixels that are not visible in frame 1; they do not count. By default all pixels
     # count.
-    unseen: np.ndarray | None = None,
+    hidden: np.ndarray | None = None,
 ) -> Status | None:
     """Return the status of frames with one layout and different contents, None for others.
 
@@ -110,63 +109,63 @@ def replaced(
             cv2.resize(array, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
             for array in (frame0, frame1, flow * np.float32(0.5))
         )
-        if unseen is not None:
-            part = cv2.resize(
-                unseen.astype(np.float32), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA
+        if hidden is not None:
+            hidden_share = cv2.resize(
+                hidden.astype(np.float32), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA
             )
-            unseen = part > 0
+            hidden = hidden_share > 0
     with np.errstate(over="ignore", invalid="ignore"):  # frames may be far too bright
         unit = np.float32(frame0.std(dtype=float))
-        moved = warped(frame1, flow)
-        difference, first, second = (
+        warped1 = warped(frame1, flow)
+        difference, variance0, variance1 = (
             variance_in_windows(image, mean_in_windows(image))
-            for image in (moved - frame0, frame0, moved)
+            for image in (warped1 - frame0, frame0, warped1)
         )
-        quiet = float(np.percentile(difference, NOISE_PERCENTILE))
-        noise = max(quiet / 2, (FAINT * float(unit)) ** 2)
-        seen = np.maximum(first, second) > np.float32(TEXTURED * noise)
-    if unseen is not None:
-        seen &= ~unseen
-    if np.count_nonzero(seen) < FEWEST_TEXTURED * seen.size:
+        noise_variance = float(np.percentile(difference, NOISE_PERCENTILE))
+        noise = max(noise_variance / 2, (FAINT * float(unit)) ** 2)
+        is_textured = np.maximum(variance0, variance1) > np.float32(TEXTURED * noise)
+    if hidden is not None:
+        is_textured &= ~hidden
+    if np.count_nonzero(is_textured) < FEWEST_TEXTURED * is_textured.size:
         return None
-    lost = seen & (correlation(frame0, frame1, flow) < CORRELATED)
-    share = np.count_nonzero(lost) / np.count_nonzero(seen)
-    if share <= REPLACED or _moved_together(frame0, frame1, lost) >= MOVED_TOGETHER:
+    is_different = is_textured & (correlation(frame0, frame1, flow) < CORRELATED)
+    share = np.count_nonzero(is_different) / np.count_nonzero(is_textured)
+    if share <= REPLACED or _common_motion_share(frame0, frame1, is_different) >= MOVED_TOGETHER:
         return None
     return Status(
         "unrelated",
-        f"parts of the frames are alike and at rest, but {100 * share:.0f}% of the texture differs "
+        f"parts of the frames are equal and at rest, but {100 * share:.0f}% of the texture differs "
         "in the second frame: check that they show one scene, or mask parts that are fixed to the "
         "image",
     )
 
 
-def _moved_together(frame0: np.ndarray, frame1: np.ndarray, lost: np.ndarray) -> float:
+def _common_motion_share(frame0: np.ndarray, frame1: np.ndarray, is_different: np.ndarray) -> float:
     """Return the largest share of lost squares that one displacement finds in the other frame.
 
     Squares around lost pixels are searched in the whole other frame. Chance matches rarely share
     one displacement.
     """
     half = SQUARE // 2
-    squares = np.argwhere(lost[half:-half:SQUARE_STEP, half:-half:SQUARE_STEP])
+    squares = np.argwhere(is_different[half:-half:SQUARE_STEP, half:-half:SQUARE_STEP])
     # Displacements from frame 0 to frame 1, found in both directions.
     displacements = np.full((2, len(squares), 2), np.nan)
-    for k, (here, there) in enumerate(((frame0, frame1), (frame1, frame0))):
+    for k, (frame, other) in enumerate(((frame0, frame1), (frame1, frame0))):
         for number, (top, left) in enumerate(squares * SQUARE_STEP):
-            square = here[top : top + SQUARE, left : left + SQUARE]
-            alike = cv2.matchTemplate(there, square, cv2.TM_CCOEFF_NORMED)
-            _, best, _, (column, row) = cv2.minMaxLoc(alike)
+            square = frame[top : top + SQUARE, left : left + SQUARE]
+            correlations = cv2.matchTemplate(other, square, cv2.TM_CCOEFF_NORMED)
+            _, best, _, (column, row) = cv2.minMaxLoc(correlations)
             if best >= SQUARE_CORRELATION:
                 displacements[k, number] = (1 - 2 * k) * np.array([column - left, row - top])
-    known = np.isfinite(displacements[..., 0])
-    together = [
-        (np.abs(displacements - one).max(axis=-1) <= 1).any(axis=0).sum()
-        for one in displacements[known]
+    is_found = np.isfinite(displacements[..., 0])
+    support = [
+        (np.abs(displacements - displacement).max(axis=-1) <= 1).any(axis=0).sum()
+        for displacement in displacements[is_found]
     ]
-    return max(together, default=0) / max(len(squares), 1)
+    return max(support, default=0) / max(len(squares), 1)
 
 
-def _folded(flow: np.ndarray, trust: np.ndarray) -> float:
+def _folded_share(flow: np.ndarray, trust: np.ndarray) -> float:
     """Return the share of the trust at pixels where the flow turns the image over."""
     with np.errstate(over="ignore", invalid="ignore"):  # where the flow diverged
         across = np.diff(flow[:-1], axis=1)
@@ -195,7 +194,7 @@ def field_status(
     if stripes is not None or not trust.any():
         return stripes
     coarse = cv2.merge([cv2.resize(part, size, interpolation=area) for part in flow])
-    return unrelated(frame0, frame1, coarse * np.float32(pyramid.scales[level]), trust)
+    return unrelated_status(frame0, frame1, coarse * np.float32(pyramid.scales[level]), trust)
 
 
 def _judged_level(pyramid: ImagePyramid) -> int:
@@ -209,43 +208,45 @@ def confirms_large_motion(
     pyramid: ImagePyramid,
     flow: np.ndarray,  # (2, H, W) float32: px/frame of the finest level
     # (H, W) bool: pixels that leave the image or are occluded; they are not judged
-    unseen: np.ndarray,
+    hidden: np.ndarray,
 ) -> bool:
     """Return whether the images confirm that most of their common part moved far.
 
     A repetitive texture confirms no motion, since it matches at every period.
     """
-    if unseen.all() or not np.isfinite(flow[:, ~unseen]).all():
+    if hidden.all() or not np.isfinite(flow[:, ~hidden]).all():
         return False
-    far = np.float32(LARGE_MOTION * max(flow.shape[1:]))
-    if median(np.hypot(*flow[:, ~unseen])) < far:
+    min_motion = np.float32(LARGE_MOTION * max(flow.shape[1:]))
+    if median(np.hypot(*flow[:, ~hidden])) < min_motion:
         return False
     level = _judged_level(pyramid)
     frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
     if not frame0.std():
         return False
     size, area = frame0.shape[::-1], cv2.INTER_AREA
-    seen = (cv2.resize(unseen.astype(np.float32), size, interpolation=area) == 0).astype(np.float32)
-    known = np.where(unseen, 0, flow) * np.float32(pyramid.scales[level])
-    coarse = cv2.merge([cv2.resize(part, size, interpolation=area) for part in known])
-    if not seen.any() or _folded(coarse, seen) > FOLDED:
+    visible = (cv2.resize(hidden.astype(np.float32), size, interpolation=area) == 0).astype(
+        np.float32
+    )
+    visible_flow = np.where(hidden, 0, flow) * np.float32(pyramid.scales[level])
+    coarse = cv2.merge([cv2.resize(part, size, interpolation=area) for part in visible_flow])
+    if not visible.any() or _folded_share(coarse, visible) > FOLDED:
         return False
-    if median(correlation(frame0, frame1, coarse)[seen > 0]) < LARGE_MOTION_CORRELATION:
+    if median(correlation(frame0, frame1, coarse)[visible > 0]) < LARGE_MOTION_CORRELATION:
         return False
-    return not _repeats(frame0, seen > 0)
+    return not _is_repetitive(frame0, visible > 0)
 
 
-def _repeats(frame: np.ndarray, seen: np.ndarray) -> bool:
+def _is_repetitive(frame: np.ndarray, visible: np.ndarray) -> bool:
     """Return whether the middle of the visible part matches elsewhere in the same frame."""
-    left, top, width, height = cv2.boundingRect(seen.astype(np.uint8))
+    left, top, width, height = cv2.boundingRect(visible.astype(np.uint8))
     left, top = left + width // 4, top + height // 4
     width, height = max(width // 2, 1), max(height // 2, 1)
     part = frame[top : top + height, left : left + width]
     if not part.std():
         return True  # without texture it matches everywhere
-    alike = cv2.matchTemplate(frame, part, cv2.TM_CCOEFF_NORMED) >= LARGE_MOTION_CORRELATION
-    _, areas = cv2.connectedComponents(alike.astype(np.uint8), connectivity=8)
-    return bool((alike & (areas != areas[top, left])).any())
+    is_similar = cv2.matchTemplate(frame, part, cv2.TM_CCOEFF_NORMED) >= LARGE_MOTION_CORRELATION
+    _, areas = cv2.connectedComponents(is_similar.astype(np.uint8), connectivity=8)
+    return bool((is_similar & (areas != areas[top, left])).any())
 
 
 def aperture_status(
@@ -280,12 +281,12 @@ def aperture_status(
         mean_in_windows((np.float32(x) * right + np.float32(y) * down) ** 2)
         for x, y in directions.T
     )
-    faint = np.float32(FAINT * variation.sum())
-    if (along > STRIPES_ALONG * (along + across + faint)).mean() > STRIPES_EXCEPTED:
+    faint_variation = np.float32(FAINT * variation.sum())
+    if (along > STRIPES_ALONG * (along + across + faint_variation)).mean() > STRIPES_EXCEPTED:
         return None
     return Status(
         "aperture",
-        "the frames vary along one direction only, so motion along their stripes cannot be seen "
+        "the frames vary along one direction only, so motion along their stripes is invisible "
         "(the aperture problem): take frames that show corners, or give the pose",
     )
 
@@ -296,28 +297,28 @@ def diverged_status(
     *,
     # whether matched points, a pose or the images confirm a large motion (`confirms_large_motion`):
     # pixels that leave the image may then go far
-    confirmed: bool = False,
+    is_confirmed: bool = False,
 ) -> Status | None:
     """Return the status of a flow that is too long for any pair of frames, None for others."""
-    furthest, most = LONGEST_FLOW, MOST_LEAVING
-    if confirmed:
-        furthest, most = LONGEST_CONFIRMED_FLOW, MOST_LEAVING_CONFIRMED
+    max_flow, max_leaving = LONGEST_FLOW, MOST_LEAVING
+    if is_confirmed:
+        max_flow, max_leaving = LONGEST_CONFIRMED_FLOW, MOST_LEAVING_CONFIRMED
         flow = np.where(leaves & np.isfinite(flow), 0, flow)
     # A point that moves by half the image is rarely visible twice; NaN fails the comparisons, too.
-    limit = furthest * max(flow.shape[1:])
-    within = max(flow.max(), -flow.min()) <= limit / np.sqrt(2)
-    if not within and not np.sqrt(np.einsum("khw,khw->hw", flow, flow).max()) <= limit:
+    limit = max_flow * max(flow.shape[1:])
+    is_short = max(flow.max(), -flow.min()) <= limit / np.sqrt(2)
+    if not is_short and not np.sqrt(np.einsum("khw,khw->hw", flow, flow).max()) <= limit:
         return Status(
             "diverged",
-            f"image motion grew beyond {100 * furthest:g}% of the image's longer side: bring the "
+            f"image motion grew beyond {100 * max_flow:g}% of the image's longer side: bring the "
             "frames to the 8-bit scale, give data_contrast a value, raise smoothness or contrast, "
             "take frames closer in time, and check the camera's focal length and centre",
         )
-    leaving = float(leaves.mean())
-    if leaving > most:
+    leaving_share = float(leaves.mean())
+    if leaving_share > max_leaving:
         return Status(
             "diverged",
-            f"{100 * leaving:.0f}% of the pixels leave the image, so little is left to compare: "
-            "take frames closer in time, check that they are of one scene, or raise smoothness",
+            f"{100 * leaving_share:.0f}% of the pixels leave the image, so few can be compared: "
+            "take frames closer in time, check that they show one scene, or raise smoothness",
         )
     return None

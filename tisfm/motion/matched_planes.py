@@ -43,7 +43,7 @@ class MatchedPlanes:
     level: int
     inverse_depth: np.ndarray  # (h, w) float32: D, px/frame of the level
     cost: np.ndarray  # (h, w) float32: one minus the correlation of the pixel's window
-    believed: np.ndarray  # (h, w) bool
+    is_reliable: np.ndarray  # (h, w) bool
 
 
 def matched_planes(
@@ -52,38 +52,39 @@ def matched_planes(
     motion: np.ndarray,
 ) -> MatchedPlanes:
     """Match planes of frame 0 in frame 1 and of frame 1 in frame 0, and compare the results."""
-    levels = _levels(pyramid)
+    levels = _search_levels(pyramid)
     finest = levels[-1]
     rotation, translation = motion[:, :3], motion[:, 3]
-    back = np.column_stack([rotation.T, -rotation.T @ translation])
-    first, second = (
+    inverse_motion = np.column_stack([rotation.T, -rotation.T @ translation])
+    frames0, frames1 = (
         [frames[level] for level in levels] for frames in (pyramid.frames0, pyramid.frames1)
     )
-    low, gain = grey_scale(first[-1], second[-1])
+    lowest, gain = grey_scale(frames0[-1], frames1[-1])
     counted = pyramid.counted_on(finest)
     noise = gain * max(
         noise_deviation(frames[-1], counted=None if counted is None else counted[k])
-        for k, frames in enumerate((first, second))
+        for k, frames in enumerate((frames0, frames1))
     )
-    first, second = (
-        [np.clip(gain * (frame - low), 0, LEVELS) for frame in frames] for frames in (first, second)
+    frames0, frames1 = (
+        [np.clip(gain * (frame - lowest), 0, LEVELS) for frame in frames]
+        for frames in (frames0, frames1)
     )
     scales = [pyramid.scales[level] / pyramid.scales[finest] for level in levels]
     search = _Search(
         cameras=[pyramid.cameras[level] for level in levels], scales=scales, noise=noise
     )
-    there = search.run(first, second, motion, seed=0)
-    here = search.run(second, first, back, seed=1)
+    forward = search.run(frames0, frames1, motion, seed=0)
+    backward = search.run(frames1, frames0, inverse_motion, seed=1)
     if counted is not None:
-        for planes, counts in zip((there, here), counted, strict=True):
-            planes[~counts, 3] = UNSEEN
-    apart = np.empty(there.shape[:2], np.float32)
+        for planes, valid in zip((forward, backward), counted, strict=True):
+            planes[~valid, 3] = UNSEEN
+    disagreements = np.empty(forward.shape[:2], np.float32)
     camera = pyramid.cameras[finest]
     center = camera.center_for(*pyramid.frames0[finest].shape)
-    disagreement(there, here, motion, apart, center=center, focal=camera.focal)
-    depth, cost = np.ascontiguousarray(there[..., 0]), np.ascontiguousarray(there[..., 3])
-    believed = without_islands(depth, (cost < COST) & (apart < AGREEMENT) & (depth > 0))
-    return MatchedPlanes(level=finest, inverse_depth=depth, cost=cost, believed=believed)
+    disagreement(forward, backward, motion, disagreements, center=center, focal=camera.focal)
+    depth, cost = np.ascontiguousarray(forward[..., 0]), np.ascontiguousarray(forward[..., 3])
+    is_reliable = large_regions(depth, (cost < COST) & (disagreements < AGREEMENT) & (depth > 0))
+    return MatchedPlanes(level=finest, inverse_depth=depth, cost=cost, is_reliable=is_reliable)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,16 +96,16 @@ class _Search:
     noise: float  # standard deviation of the noise of the last level, levels of 255
 
     def run(
-        self, first: list[np.ndarray], second: list[np.ndarray], motion: np.ndarray, *, seed: int
+        self, frames0: list[np.ndarray], frames1: list[np.ndarray], motion: np.ndarray, *, seed: int
     ) -> np.ndarray:
-        """Return the planes (h, w, 4) float32 of the last level of `first`."""
+        """Return the planes (h, w, 4) float32 of the last level of `frames0`."""
         planes = None
-        largest = LARGEST * max(first[-1].shape)
-        for k, (levels0, levels1) in enumerate(zip(first, second, strict=True)):
+        max_depth = LARGEST * max(frames0[-1].shape)
+        for k, (levels0, levels1) in enumerate(zip(frames0, frames1, strict=True)):
             camera, scale = self.cameras[k], self.scales[k]
             height, width = levels0.shape
             if planes is None:
-                planes = _drawn(levels0.shape, camera, scale * largest, seed)
+                planes = _random_planes(levels0.shape, camera, scale * max_depth, seed)
             else:
                 ratio = scale / self.scales[k - 1]
                 planes = cv2.resize(planes, (width, height), interpolation=cv2.INTER_NEAREST)
@@ -118,50 +119,52 @@ class _Search:
                 noise=max(self.noise * scale, QUIETEST),
                 seen=SEEN,
                 least=scale * LEAST,
-                largest=scale * largest,
+                largest=scale * max_depth,
             )
             search.score(planes)
             rounds = ROUNDS[min(k, len(ROUNDS) - 1)]
-            for turn in range(rounds):
-                narrower = SHRINKING**turn
+            for round_number in range(rounds):
+                shrinkage = SHRINKING**round_number
                 search.improve(
                     planes,
                     draws=DRAWS,
-                    spread=SPREAD[min(k, 1)] * narrower,
-                    tilt=TILT * narrower,
-                    seed=(seed * len(self.scales) + k) * max(ROUNDS) + turn,
+                    spread=SPREAD[min(k, 1)] * shrinkage,
+                    tilt=TILT * shrinkage,
+                    seed=(seed * len(self.scales) + k) * max(ROUNDS) + round_number,
                 )
         assert planes is not None
         return planes
 
 
-def _levels(pyramid: ImagePyramid) -> list[int]:
+def _search_levels(pyramid: ImagePyramid) -> list[int]:
     """Return the searched levels, coarsest first, each about half as dense as the next."""
     large = [k for k in range(pyramid.last, pyramid.levels) if pyramid.frames0[k].size <= MOST]
     finest = min(large, default=pyramid.levels - 1)
     step = max(1, round(np.log(0.5) / np.log(pyramid.factor)))
     levels = range(finest, pyramid.levels, step)
-    enough = [k for k in levels if pyramid.frames0[k].size >= FEWEST] or [finest]
-    return enough[::-1]
+    large_levels = [k for k in levels if pyramid.frames0[k].size >= FEWEST] or [finest]
+    return large_levels[::-1]
 
 
-def _drawn(shape: tuple[int, ...], camera: Camera, largest: float, seed: int) -> np.ndarray:
+def _random_planes(
+    shape: tuple[int, ...], camera: Camera, max_depth: float, seed: int
+) -> np.ndarray:
     """Return random planes (h, w, 4) float32."""
     random = np.random.default_rng(seed).random((*shape, 4), np.float32)
-    random[..., 0] *= largest
+    random[..., 0] *= max_depth
     random[..., 1:3] = (2 * random[..., 1:3] - 1) * random[..., :1] * (STEEPEST / camera.focal)
     return random
 
 
-def without_islands(
+def large_regions(
     depth: np.ndarray,  # (H, W) float32: D, px/frame; positive
-    believed: np.ndarray,  # (H, W) bool
+    mask: np.ndarray,  # (H, W) bool
 ) -> np.ndarray:
     """Return believed pixels in connected regions of ≥ `ISLAND` pixels, with steps of ≤ 1 px."""
-    fixed = np.where(believed, SIXTEENTHS * depth + 1, 0).clip(0, np.iinfo(np.int16).max)
-    fixed = fixed.astype(np.int16)
-    cv2.filterSpeckles(fixed, 0, ISLAND, SIXTEENTHS)
-    return fixed > 0
+    sixteenths = np.where(mask, SIXTEENTHS * depth + 1, 0).clip(0, np.iinfo(np.int16).max)
+    sixteenths = sixteenths.astype(np.int16)
+    cv2.filterSpeckles(sixteenths, 0, ISLAND, SIXTEENTHS)
+    return sixteenths > 0
 
 
 def grey_scale(
@@ -170,7 +173,9 @@ def grey_scale(
     frame1: np.ndarray,
 ) -> tuple[np.float32, np.float32]:
     """Return (low, gain): gain · (frame − low) is in [0, 255] for all but 0.2% of the pixels."""
-    low, high = np.percentile(np.concatenate([_sampled(frame0), _sampled(frame1)]), RANGE)
+    low, high = np.percentile(
+        np.concatenate([_sample_pixels(frame0), _sample_pixels(frame1)]), RANGE
+    )
     margin = SPARE * (high - low)
     low, high = low - margin, high + margin
     return np.float32(low), np.float32(LEVELS / max(high - low, LEAST_NOISE))
@@ -190,19 +195,21 @@ def noise_deviation(
     Immerkær, "Fast noise variance estimation", CVIU 1996, doi 10.1006/cviu.1996.0060 (mask).
     """
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32) / 6
-    left = np.abs(cv2.filter2D(frame, cv2.CV_32F, mask, borderType=cv2.BORDER_REFLECT))
+    residual = np.abs(cv2.filter2D(frame, cv2.CV_32F, mask, borderType=cv2.BORDER_REFLECT))
     height, width = (side // BLOCK for side in frame.shape)
     if height * width:
-        quiet = np.median(_blocks(left, height, width)[::every, :, ::every], axis=(1, 3))
+        block_residuals = np.median(
+            _blocks(residual, height, width)[::every, :, ::every], axis=(1, 3)
+        )
         if counted is not None:
-            whole = _blocks(counted, height, width)[::every, :, ::every].all(axis=(1, 3))
-            quiet = quiet[whole] if whole.any() else quiet
-        found = float(np.quantile(quiet, QUIET))
+            is_valid = _blocks(counted, height, width)[::every, :, ::every].all(axis=(1, 3))
+            block_residuals = block_residuals[is_valid] if is_valid.any() else block_residuals
+        quiet_residual = float(np.quantile(block_residuals, QUIET))
     else:
-        found = float(np.median(left))
-    low, high = np.percentile(_sampled(frame), RANGE)
-    least = float(np.clip(LEAST_SHARE * (high - low), LEAST_NOISE / 100, LEAST_NOISE))
-    return min(max(least, MAD_TO_DEVIATION * found), MOST_NOISE)
+        quiet_residual = float(np.median(residual))
+    low, high = np.percentile(_sample_pixels(frame), RANGE)
+    min_noise = float(np.clip(LEAST_SHARE * (high - low), LEAST_NOISE / 100, LEAST_NOISE))
+    return min(max(min_noise, MAD_TO_DEVIATION * quiet_residual), MOST_NOISE)
 
 
 def _blocks(image: np.ndarray, height: int, width: int) -> np.ndarray:
@@ -210,7 +217,7 @@ def _blocks(image: np.ndarray, height: int, width: int) -> np.ndarray:
     return image[: height * BLOCK, : width * BLOCK].reshape(height, BLOCK, width, BLOCK)
 
 
-def _sampled(frame: np.ndarray) -> np.ndarray:
+def _sample_pixels(frame: np.ndarray) -> np.ndarray:
     """Return the grey levels of a frame, or of every 16th pixel of a large frame."""
     step = 4 if frame.size > DENSE else 1
     return frame[::step, ::step].ravel()

@@ -25,16 +25,16 @@ LARGEST = 0.35  # of the longer side: largest span of wide draws
 LEAST = 4.0  # px: smallest span of wide draws
 NEARBY, SHRINKING = 4.0, 0.6  # px: span of near draws; factor of the span for each later round
 
-Known = tuple[np.ndarray, float]  # a flow, and the scale of its level
+InitialFlow = tuple[np.ndarray, float]  # a flow, and the scale of its level
 
 
 @dataclass(frozen=True, kw_only=True)
 class Windows:
     """Grey levels of both frames on one level, whose windows are compared."""
 
-    # levels0, levels1: (h, w) float32, grey levels of both frames, in [0, 255]
-    levels0: np.ndarray
-    levels1: np.ndarray
+    # grey0, grey1: (h, w) float32, grey levels of both frames, in [0, 255]
+    grey0: np.ndarray
+    grey1: np.ndarray
     noise: float  # standard deviation of the noise of the noisier frame, levels
     scale: float  # sampling density relative to the finest level of the pyramid
     # counted0, counted1: (h, w) bool or None, pixels of both frames that count; None for all. Other
@@ -45,28 +45,28 @@ class Windows:
     @property
     def shape(self) -> tuple[int, int]:
         """Height and width, px."""
-        height, width = self.levels0.shape
+        height, width = self.grey0.shape
         return height, width
 
-    def turned(self) -> "Windows":
+    def swap_frames(self) -> "Windows":
         """Return these windows with the frames exchanged."""
         return replace(
             self,
-            levels0=self.levels1,
-            levels1=self.levels0,
+            grey0=self.grey1,
+            grey1=self.grey0,
             counted0=self.counted1,
             counted1=self.counted0,
         )
 
-    def part(self, part: tuple[slice, slice]) -> "Windows":
+    def crop(self, crop: tuple[slice, slice]) -> "Windows":
         """Return these windows of some rows and columns."""
         counted0, counted1 = (
-            None if counted is None else counted[part] for counted in (self.counted0, self.counted1)
+            None if counted is None else counted[crop] for counted in (self.counted0, self.counted1)
         )
         return replace(
             self,
-            levels0=self.levels0[part],
-            levels1=self.levels1[part],
+            grey0=self.grey0[crop],
+            grey1=self.grey1[crop],
             counted0=counted0,
             counted1=counted1,
         )
@@ -74,28 +74,28 @@ class Windows:
     @cached_property
     def search(self) -> FlowSearch:
         """A search on this level."""
-        return FlowSearch(self.levels0, self.levels1, noise=self.noise)
+        return FlowSearch(self.grey0, self.grey1, noise=self.noise)
 
-    def scored(
+    def score_flow(
         self,
         flow: np.ndarray,  # (h, w, 2) float32: px/frame
         *,
-        sought: np.ndarray | None = None,  # (h, w) bool: pixels that are searched, by default all
-        seen: float = SEEN,  # least variance of a window, in variances of the noise
+        mask: np.ndarray | None = None,  # (h, w) bool: pixels that are searched, by default all
+        min_variance: float = SEEN,  # least variance of a window, in variances of the noise
     ) -> np.ndarray:
         """Return a flow (h, w, 2) as the state of a search (`tisfm.kernels.rigid.flow_search`)."""
         state = np.zeros((*self.shape, 4), np.float32)
         state[..., :2] = flow
-        state[..., 3] = True if sought is None else sought
-        self.search.score(state, seen=seen)
-        self.ignore(state)
+        state[..., 3] = True if mask is None else mask
+        self.search.score(state, seen=min_variance)
+        self.mark_invalid(state)
         return state
 
-    def ignore(self, state: np.ndarray) -> None:
+    def mark_invalid(self, state: np.ndarray) -> None:
         """Set the cost to `UNSEEN` where a pixel or its target does not count; state (h, w, 4)."""
         if self.counted0 is not None and self.counted1 is not None:
-            there = goes_to(np.moveaxis(state[..., :2], -1, 0))
-            state[~(self.counted0 & self.counted1[there]), 2] = UNSEEN
+            target = goes_to(np.moveaxis(state[..., :2], -1, 0))
+            state[~(self.counted0 & self.counted1[target]), 2] = UNSEEN
 
 
 class WindowSearch:
@@ -131,12 +131,12 @@ class WindowSearch:
         frames = self._pyramid.frames0[level], self._pyramid.frames1[level]
         scale = self._pyramid.scales[level]
         low, gain = grey_scale(*frames)
-        levels0, levels1 = (np.clip(gain * (frame - low), 0, LEVELS) for frame in frames)
+        grey0, grey1 = (np.clip(gain * (frame - low), 0, LEVELS) for frame in frames)
         noise = max(gain * scale * self._noise, QUIETEST)
         counted0, counted1 = self._pyramid.counted_on(level) or (None, None)
         windows = Windows(
-            levels0=levels0,
-            levels1=levels1,
+            grey0=grey0,
+            grey1=grey1,
             noise=noise,
             scale=scale,
             counted0=counted0,
@@ -146,36 +146,38 @@ class WindowSearch:
             self._windows[level] = windows
         return windows
 
-    def forward(
+    def match_forward(
         self,
         levels: list[int],
         *,
         # sequence of ((…, …, 2) float32, float): initial flows, each in px/frame of a level, with
         # the scale of that level. The best of them starts the search at every pixel. By default,
         # displacements are random.
-        known: Sequence[Known] = (),
+        initial_flows: Sequence[InitialFlow] = (),
         # array of bool: pixels that are searched, on any level; by default all
-        sought: np.ndarray | None = None,
-        # draws of all pixels together in a wide round, if few pixels are sought
-        tried: int = TRIED,
+        mask: np.ndarray | None = None,
+        # draws of all pixels together in a wide round, if few pixels are searched
+        wide_draws: int = TRIED,
     ) -> np.ndarray:
         """Match frame 0 in frame 1; return the state (h, w, 4) on the last of the levels."""
-        return _searched([self.windows(k) for k in levels], known, sought, tried, seed=0)
+        return _search_levels(
+            [self.windows(k) for k in levels], initial_flows, mask, wide_draws, seed=0
+        )
 
-    def backward(
+    def match_backward(
         self,
         levels: list[int],
         *,
-        known: Sequence[Known] = (),
-        sought: np.ndarray | None = None,
-        tried: int = TRIED,
+        initial_flows: Sequence[InitialFlow] = (),
+        mask: np.ndarray | None = None,
+        wide_draws: int = TRIED,
     ) -> np.ndarray:
-        """Match frame 1 in frame 0; parameters and result as for `forward`."""
-        turned = [self.windows(k).turned() for k in levels]
-        return _searched(turned, known, sought, tried, seed=1)
+        """Match frame 1 in frame 0; parameters and result as for `match_forward`."""
+        windows = [self.windows(k).swap_frames() for k in levels]
+        return _search_levels(windows, initial_flows, mask, wide_draws, seed=1)
 
 
-def resized(
+def resize_flow(
     flow: np.ndarray,  # (h', w', 2) float32: px/frame
     shape: tuple[int, int],  # height and width of the other level, px
     # Sampling density of the other level over that of the flow. The ratio of the rounded sizes may
@@ -187,45 +189,50 @@ def resized(
     return np.float32(ratio) * np.asarray(cv2.resize(flow, shape[::-1], interpolation=how))
 
 
-def _searched(
+def _search_levels(
     levels: list[Windows],
-    flows: Sequence[Known],
-    sought: np.ndarray | None,
-    tried: int,
+    initial_flows: Sequence[InitialFlow],
+    mask: np.ndarray | None,
+    wide_draws: int,
     *,
     seed: int,
 ) -> np.ndarray:
     state: np.ndarray | None = None
     for k, windows in enumerate(levels):
-        here = None if sought is None else masked(sought, windows.shape)
-        wide = state is None
-        known = [resized(flow, windows.shape, windows.scale / scale) for flow, scale in flows]
+        level_mask = None if mask is None else resize_mask(mask, windows.shape)
+        is_first = state is None
+        flows = [
+            resize_flow(flow, windows.shape, windows.scale / scale) for flow, scale in initial_flows
+        ]
         if state is not None:
             ratio = windows.scale / levels[k - 1].scale
-            known.append(resized(state[..., :2], windows.shape, ratio))
-        state = _best(
-            [windows.scored(one, sought=here) for one in known or [_drawn(windows, seed)]]
+            flows.append(resize_flow(state[..., :2], windows.shape, ratio))
+        state = _cheapest_states(
+            [
+                windows.score_flow(flow, mask=level_mask)
+                for flow in flows or [_random_flow(windows, seed)]
+            ]
         )
         search = windows.search
-        number = windows.levels0.size if here is None else np.count_nonzero(here)
-        for turn in range(ROUNDS[0] if wide else ROUNDS[min(k, 1) + 1]):
-            draws, spans = NEAR_DRAWS, (NEARBY * SHRINKING**turn,) * 2
-            if wide and turn < WIDE:
-                draws = max(DRAWS, min(tried // max(number, 1), MOST_DRAWS))
+        pixel_count = windows.grey0.size if level_mask is None else np.count_nonzero(level_mask)
+        for round_number in range(ROUNDS[0] if is_first else ROUNDS[min(k, 1) + 1]):
+            draws, spans = NEAR_DRAWS, (NEARBY * SHRINKING**round_number,) * 2
+            if is_first and round_number < WIDE:
+                draws = max(DRAWS, min(wide_draws // max(pixel_count, 1), MOST_DRAWS))
                 spans = LARGEST * max(windows.shape), LEAST
             search.improve(
                 state,
                 reach=REACH,
                 draws=draws,
                 spans=(spans[0], spans[1]),
-                seed=(seed * len(levels) + k) * max(ROUNDS) + turn,
+                seed=(seed * len(levels) + k) * max(ROUNDS) + round_number,
             )
     assert state is not None
-    levels[-1].ignore(state)
+    levels[-1].mark_invalid(state)
     return state
 
 
-def _best(states: list[np.ndarray]) -> np.ndarray:
+def _cheapest_states(states: list[np.ndarray]) -> np.ndarray:
     """Return the state of least cost at every pixel."""
     best = states[0]
     for state in states[1:]:
@@ -233,15 +240,15 @@ def _best(states: list[np.ndarray]) -> np.ndarray:
     return best
 
 
-def masked(sought: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def resize_mask(mask: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Return a mask on another level: a pixel is set if any part of it is in the mask."""
-    if sought.shape == shape:
-        return sought
-    mask = cv2.resize(sought.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA)
-    return np.asarray(mask) > 0
+    if mask.shape == shape:
+        return mask
+    coverage = cv2.resize(mask.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA)
+    return np.asarray(coverage) > 0
 
 
-def _drawn(windows: Windows, seed: int) -> np.ndarray:
+def _random_flow(windows: Windows, seed: int) -> np.ndarray:
     """Return a random flow (h, w, 2) float32, px/frame."""
     random = np.random.default_rng(seed).random((*windows.shape, 2), np.float32)
     return (2 * random - 1) * np.float32(LARGEST * max(windows.shape))

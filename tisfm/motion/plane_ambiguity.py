@@ -3,13 +3,13 @@
 import numpy as np
 
 from tisfm.motion.epipolar_fit import Pose, Rays, robust_deviation
-from tisfm.motion.sparse_motion import SAME, angle, of_plane
+from tisfm.motion.sparse_motion import SAME, angle_between, plane_poses
 from tisfm.status import Status
 
 TWO_MOTIONS = Status(
     "two_motions",
-    "two motions of the camera explain the frames alike, as where they show one plane, and "
-    "depth follows from one of them: take frames that show more, or give the pose",
+    "two camera motions explain the frames equally well, as if the frames show a single plane, so "
+    "depth may belong to the wrong one: take frames that show more than a plane, or give the pose",
 )
 FEW = 400  # rays that a homography is fitted to, about
 ROUNDS = 4  # rounds of robust weights
@@ -35,31 +35,31 @@ def plane_status(
     Proc. R. Soc. Lond. B 227 (1986), doi 10.1098/rspb.1986.0030; Malis and Vargas, as in
     `tisfm.motion.sparse_motion.sparse_motions`.
     """
-    few = rays.every(max(1, rays.trust.size // FEW))
-    homography, off = _homography(few)
-    if off > AS_NEAR * max(residual, SMALLEST):
+    sample = rays.subsample(max(1, rays.trust.size // FEW))
+    homography, homography_error = _homography(sample)
+    if homography_error > AS_NEAR * max(residual, SMALLEST):
         return None
-    found: list[Pose] = []
-    for pose in of_plane(homography, few, share=BEFORE):
-        if all(angle(pose[1], other[1]) >= SAME for other in found):
-            found.append(pose)
-    return TWO_MOTIONS if len(found) > 1 else None
+    poses: list[Pose] = []
+    for pose in plane_poses(homography, sample, min_share=BEFORE):
+        if all(angle_between(pose[1], other[1]) >= SAME for other in poses):
+            poses.append(pose)
+    return TWO_MOTIONS if len(poses) > 1 else None
 
 
 def _homography(rays: Rays) -> tuple[np.ndarray, float]:
     """Return the homography that fits rays best, (3, 3), and the deviation of the fit, px."""
     before = rays.before
     x, y = rays.after
-    nothing = np.zeros_like(before)
+    zeros = np.zeros_like(before)
     system = np.hstack(
-        [np.vstack([before, nothing, -x * before]), np.vstack([nothing, before, -y * before])]
+        [np.vstack([before, zeros, -x * before]), np.vstack([zeros, before, -y * before])]
     )  # two equations for each ray, (9, 2N)
     weight = rays.trust
     for _ in range(ROUNDS):
         normal = (system * np.tile(weight, 2)) @ system.T
         homography = np.linalg.eigh(normal)[1][:, 0].reshape(3, 3)
-        moved = homography @ before
-        distance = rays.focal * np.hypot(*(moved[:2] / moved[2] - rays.after))
+        projected = homography @ before
+        distance = rays.focal * np.hypot(*(projected[:2] / projected[2] - rays.after))
         scale = robust_deviation(distance, rays.trust)
         weight = rays.trust / (1 + (distance / max(scale, SMALLEST)) ** 2)
     return homography, scale

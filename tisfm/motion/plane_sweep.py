@@ -57,19 +57,17 @@ class PlaneSweep:
         self._pyramid, self._motion = pyramid, motion
         self._limit = 0 if is_known else pyramid.last
         self._level, self._trust = level, trust
-        self._guess = triangulated(flow, motion, pyramid.cameras[level])
+        self._guess = triangulated_depth(flow, motion, pyramid.cameras[level])
 
     @cached_property
     def range(self) -> tuple[float, float]:
         """Smallest and largest common D (percentiles `COMMON`), px/frame of the finest level."""
         frames = self._pyramid.frames0
-        coarse = next(
-            (k for k, frame in enumerate(frames) if frame.size <= COARSE), len(frames) - 1
-        )
-        seen = np.percentile(self._guess, COMMON[1]) / self._pyramid.scales[self._level]
+        level = next((k for k, frame in enumerate(frames) if frame.size <= COARSE), len(frames) - 1)
+        max_guess = np.percentile(self._guess, COMMON[1]) / self._pyramid.scales[self._level]
         side = max(frames[0].shape)
-        depth = self._run(coarse, 0.0, min(max(LONGEST * side, (1 + REACH) * seen), side))
-        low, high = np.percentile(depth, COMMON) / self._pyramid.scales[coarse]
+        depth = self._run(level, 0.0, min(max(LONGEST * side, (1 + REACH) * max_guess), side))
+        low, high = np.percentile(depth, COMMON) / self._pyramid.scales[level]
         return low, high
 
     def start(self) -> tuple[int, np.ndarray]:
@@ -82,13 +80,13 @@ class PlaneSweep:
         Returns level, level of the flow, or a finer level; inverse_depth, (H, W) float32: D,
         px/frame of the level.
         """
-        if not self.needed:
+        if not self.is_needed:
             return self._level, self._guess
         level = min(max(self.finest, self._limit), self._level)
-        return level, self._run(level, *self._sought)
+        return level, self._run(level, *self._search_range)
 
     @property
-    def needed(self) -> bool:
+    def is_needed(self) -> bool:
         """Whether parallax is too large for an estimate from coarse to fine."""
         low, high = self.range
         return high - low >= RANGE
@@ -96,7 +94,7 @@ class PlaneSweep:
     @property
     def finest(self) -> int:
         """Finest level on which a sweep has at most `ENTRIES` costs: depth may be refined on it."""
-        low, high = self._sought
+        low, high = self._search_range
         frames, scales = self._pyramid.frames0, self._pyramid.scales
         levels = range(self._level)
         return next(
@@ -104,7 +102,7 @@ class PlaneSweep:
         )
 
     @property
-    def _sought(self) -> tuple[float, float]:
+    def _search_range(self) -> tuple[float, float]:
         """Smallest and largest D of the sweep, px of the finest level."""
         low, high = self.range
         return max((1 - REACH) * low, 0), (1 + REACH) * high
@@ -119,7 +117,7 @@ class PlaneSweep:
         )
         hypotheses = np.arange(low * scale, high * scale + 1)
         hypotheses = hypotheses[: max(2, ENTRIES // frame0.size)]
-        return swept(
+        return sweep_depth(
             frame0,
             frame1,
             self._motion,
@@ -131,7 +129,7 @@ class PlaneSweep:
         )
 
 
-def triangulated(
+def triangulated_depth(
     flow: np.ndarray,  # (H, W, 2) float32: px/frame
     motion: np.ndarray,  # (3, 4) array: R and t
     camera: Camera,  # camera of the flow's level
@@ -148,16 +146,16 @@ def triangulated(
     x = x + flow[..., 0] / np.float32(camera.focal)
     y = y + flow[..., 1] / np.float32(camera.focal)
     # x p₃ = p₁ and y p₃ = p₂, p = R x̂ + d t, are linear in d.
-    along_x, along_y = translation[0] - x * translation[2], translation[1] - y * translation[2]
-    pulled = (x * p3 - p1) * along_x + (y * p3 - p2) * along_y
-    square = along_x**2 + along_y**2
+    slope_x, slope_y = translation[0] - x * translation[2], translation[1] - y * translation[2]
+    numerator = (x * p3 - p1) * slope_x + (y * p3 - p2) * slope_y
+    square = slope_x**2 + slope_y**2
     window = (AROUND, AROUND)
-    pulled += PULL * cv2.blur(pulled, window)
+    numerator += PULL * cv2.blur(numerator, window)
     square += PULL * cv2.blur(square, window) + np.float32(1e-9)
-    return cv2.medianBlur(np.float32(camera.focal) * (pulled / square), MEDIAN)
+    return cv2.medianBlur(np.float32(camera.focal) * (numerator / square), MEDIAN)
 
 
-def swept(
+def sweep_depth(
     # frame0, frame1: (H, W) float32, grey levels
     frame0: np.ndarray,
     frame1: np.ndarray,
@@ -182,13 +180,13 @@ def swept(
     """
     height, width = frame0.shape
     unit = max(mean_step(frame0, None if counted is None else counted[0]), FAINTEST_STEP)
-    wide = lanes()
-    vectors = -(-len(hypotheses) // wide)
-    padded = (height, width, vectors * wide)
-    cost = aligned_empty((height, width, vectors, wide) if wide > 1 else padded)
+    lane_count = lanes()
+    vectors = -(-len(hypotheses) // lane_count)
+    padded = (height, width, vectors * lane_count)
+    cost = aligned_empty((height, width, vectors, lane_count) if lane_count > 1 else padded)
     matching_cost(
-        _features(frame0, unit),
-        _features(frame1, unit),
+        _scaled_features(frame0, unit),
+        _scaled_features(frame1, unit),
         guess,
         DOUBTED + TRUSTED * trust,
         motion.astype(np.float32),
@@ -202,16 +200,16 @@ def swept(
     cost.reshape(padded)[..., len(hypotheses) :] = FORBIDDEN
     if counted is not None:
         cost[~counted[0]] *= HIDDEN
-    depth = _cheapest(cost, frame0 / np.float32(unit), hypotheses)
-    hidden = _hidden(depth, motion, camera, None if counted is None else counted[1])
+    depth = _best_depth(cost, frame0 / np.float32(unit), hypotheses)
+    hidden = _is_hidden(depth, motion, camera, None if counted is None else counted[1])
     if counted is not None:
         hidden &= counted[0]  # the others have been weighted already
     cost[hidden] *= HIDDEN
-    depth = _cheapest(cost, frame0 / np.float32(unit), hypotheses)
+    depth = _best_depth(cost, frame0 / np.float32(unit), hypotheses)
     return cv2.medianBlur(depth, MEDIAN)
 
 
-def _cheapest(cost: np.ndarray, guide: np.ndarray, hypotheses: np.ndarray) -> np.ndarray:
+def _best_depth(cost: np.ndarray, guide: np.ndarray, hypotheses: np.ndarray) -> np.ndarray:
     height, width = guide.shape
     total = aligned_empty(cost.shape)
     aggregate(cost, guide, total, step=STEP, jump=JUMP, edge=EDGE)
@@ -221,7 +219,7 @@ def _cheapest(cost: np.ndarray, guide: np.ndarray, hypotheses: np.ndarray) -> np
     return np.float32(hypotheses[0]) + np.float32(spacing) * best
 
 
-def _hidden(
+def _is_hidden(
     depth: np.ndarray, motion: np.ndarray, camera: Camera, counted1: np.ndarray | None
 ) -> np.ndarray:
     """Return the pixels that leave the image or lie behind others in frame 1, (H, W) bool.
@@ -230,28 +228,28 @@ def _hidden(
     """
     height, width = depth.shape
     x, y = _rays(height, width, camera)
-    moved = np.stack(np.broadcast_arrays(x, y, np.float32(1)))
-    moved = np.einsum("ij,jhw->ihw", motion[:, :3].astype(np.float32), moved)
-    moved += depth * (motion[:, 3] / camera.focal).astype(np.float32)[:, None, None]
+    points = np.stack(np.broadcast_arrays(x, y, np.float32(1)))
+    points = np.einsum("ij,jhw->ihw", motion[:, :3].astype(np.float32), points)
+    points += depth * (motion[:, 3] / camera.focal).astype(np.float32)[:, None, None]
     cx, cy = camera.center_for(height, width)
-    nearness = 1 / np.maximum(moved[2], np.float32(NEAREST))
-    columns = np.rint(cx + camera.focal * moved[0] * nearness)
-    rows = np.rint(cy + camera.focal * moved[1] * nearness)
+    nearness = 1 / np.maximum(points[2], np.float32(NEAREST))
+    columns = np.rint(cx + camera.focal * points[0] * nearness)
+    rows = np.rint(cy + camera.focal * points[1] * nearness)
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
     columns, rows = columns[inside].astype(np.int32), rows[inside].astype(np.int32)
-    after = depth * nearness  # D of frame 1
+    depth1 = depth * nearness  # D of frame 1
     nearest: np.ndarray = np.full(depth.shape, -np.inf, np.float32)
-    np.maximum.at(nearest, (rows, columns), after[inside])
+    np.maximum.at(nearest, (rows, columns), depth1[inside])
     # Rounding leaves gaps in a stretched surface.
-    around = cv2.dilate(nearest, np.ones((3, 3), np.uint8))
+    dilated = cv2.dilate(nearest, np.ones((3, 3), np.uint8))
     hidden: np.ndarray = ~inside
-    hidden[inside] = around[rows, columns] > after[inside] + BEHIND
+    hidden[inside] = dilated[rows, columns] > depth1[inside] + BEHIND
     if counted1 is not None:
         hidden[inside] |= ~counted1[rows, columns]
     return hidden
 
 
-def _features(frame: np.ndarray, unit: float) -> np.ndarray:
+def _scaled_features(frame: np.ndarray, unit: float) -> np.ndarray:
     """Return brightness and four times its derivatives, as multiples of the largest cost."""
     features = aligned_zeros((*frame.shape, 4))
     largest = COST * unit

@@ -54,7 +54,7 @@ class PreviousPair:
     hidden: np.ndarray  # (h, w) bool: pixels of its first frame that are not visible in the second
 
     @classmethod
-    def of(
+    def from_pair(
         cls,
         pyramid: ImagePyramid,
         flow: np.ndarray,  # (2, H, W) float32: px/frame of the finest level
@@ -69,7 +69,7 @@ class PreviousPair:
             hidden = cv2.resize(hidden.astype(np.float32), size, interpolation=area) > HALF_HIDDEN
         return cls(frame0=frame0, frame1=frame1, flow=flow, hidden=hidden)
 
-    def turned(self) -> tuple[np.ndarray, np.ndarray]:
+    def backward_flow(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the flow from the second frame back to the first, and where it is known.
 
         Returns flow, (2, h, w) float32: px/frame; 0 where unknown; seen, (h, w) bool: pixels of the
@@ -78,10 +78,10 @@ class PreviousPair:
         flow = np.where(self.hidden, np.float32(FAR), self.flow)
         sums = aligned_empty((*self.hidden.shape, 4))
         splat(flow, np.zeros(self.hidden.shape, np.float32), sums, any_order=runtime.on_gpu())
-        count, _, *moved = cv2.split(sums)
-        seen = count > ARRIVING
-        scale = np.where(seen, -1 / np.maximum(count, np.float32(ARRIVING)), np.float32(0))
-        return np.stack([part * scale for part in moved]), seen
+        count, _, *displacements = cv2.split(sums)
+        is_visible = count > ARRIVING
+        scale = np.where(is_visible, -1 / np.maximum(count, np.float32(ARRIVING)), np.float32(0))
+        return np.stack([part * scale for part in displacements]), is_visible
 
 
 class PreviousFrame:
@@ -93,47 +93,51 @@ class PreviousFrame:
         previous: PreviousPair,
         settings: Settings,
     ) -> None:
-        self._pyramid, self._earlier, self._settings = pyramid, previous, settings
-        self.used = False  # whether the previous frame was used
+        self._pyramid, self._previous, self._settings = pyramid, previous, settings
+        self.is_used = False  # whether the previous frame was used
         # (h, w) float32 or None: residual of a flow near the final flow, on the last level; None if
         # the frame is not used
         self.residual: np.ndarray | None = None
         frame = previous.frame0
-        ahead = runtime.threads() > 1 and frame.size >= BESIDE  # coarse levels leave threads free
-        self._taps = start_beside(spline_taps, frame) if ahead else partial(spline_taps, frame)
+        is_parallel = (
+            runtime.threads() > 1 and frame.size >= BESIDE
+        )  # coarse levels leave threads free
+        self._taps = (
+            start_beside(spline_taps, frame) if is_parallel else partial(spline_taps, frame)
+        )
 
     def joined(self, unknowns: Unknowns, data_term: DataTerm) -> ThreeFrameData | None:
         """Return the data of all three frames, or None if the motion is not steady."""
         flow = unknowns.flow()
         if not (flow.min() >= -FAR and flow.max() <= FAR):
             return None
-        back, seen = self._earlier.turned()
-        here = self._residual(flow)
-        hidden = self._hidden(flow, here)
-        fit = fitted_bend(flow, back, seen & ~hidden)
+        backward, is_visible = self._previous.backward_flow()
+        residual = self._residual(flow)
+        hidden = self._hidden(flow, residual)
+        fit = fit_bend(flow, backward, is_visible & ~hidden)
         if fit is None:
             return None
-        bend, off, steady = fit
-        turned = bend - back - flow
-        known = seen & steady
+        bend, deviation, is_steady = fit
+        correction = bend - backward - flow
+        is_predicted = is_visible & is_steady
         # A visible pixel takes the predicted flow if this flow fits frame 1 better.
-        there = self._residual(flow + turned * known)
-        better = known & (hidden | (there < BORNE_OUT * here))
-        self.residual = np.where(better, there, here)
+        predicted_residual = self._residual(flow + correction * is_predicted)
+        is_better = is_predicted & (hidden | (predicted_residual < BORNE_OUT * residual))
+        self.residual = np.where(is_better, predicted_residual, residual)
         # With corrected flow, occluders hide other pixels.
-        hidden |= self._hidden(flow + turned * better, self.residual)
-        taken = hidden & known
-        unknowns.move(turned * (better | taken))
-        doubt = np.where(taken, np.float32(DOUBTED_HIDDEN**-2), np.float32(DOUBTED**-2))
-        trust = 1 / (1 + off * doubt)
-        trust[~seen] = 0
-        self.used = True
+        hidden |= self._hidden(flow + correction * is_better, self.residual)
+        is_filled = hidden & is_predicted
+        unknowns.move(correction * (is_better | is_filled))
+        doubt = np.where(is_filled, np.float32(DOUBTED_HIDDEN**-2), np.float32(DOUBTED**-2))
+        trust = 1 / (1 + deviation * doubt)
+        trust[~is_visible] = 0
+        self.is_used = True
         return ThreeFrameData(
             data_term,
-            self._earlier.frame0,
+            self._previous.frame0,
             self._taps(),
             bend,
-            ((~taken).astype(np.float32), trust),
+            ((~is_filled).astype(np.float32), trust),
         )
 
     def _residual(self, flow: np.ndarray) -> np.ndarray:
@@ -161,11 +165,11 @@ def previous_frame(
     return PreviousFrame(pyramid, previous, settings)
 
 
-def fitted_bend(
-    # flow, back: (2, h, w) float32, px/frame, to the next frame and to the previous frame
+def fit_bend(
+    # flow, backward: (2, h, w) float32, px/frame, to the next frame and to the previous frame
     flow: np.ndarray,
-    back: np.ndarray,
-    seen: np.ndarray,  # (h, w) bool: pixels that are visible in both frames
+    backward: np.ndarray,
+    is_visible: np.ndarray,  # (h, w) bool: pixels that are visible in both frames
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Return the sum of forward and backward flow as an affine function of the backward flow.
 
@@ -178,37 +182,41 @@ def fitted_bend(
     steady, (h, w) bool: where the bend is small enough for a steady motion; None: if less than
     `KEPT` of the visible pixels fit the bend.
     """
-    h, w = seen.shape
+    h, w = is_visible.shape
     first = min(GRID, h, w) // 2
-    inner = cv2.erode(seen.astype(np.float32), np.ones((ERODED, ERODED), np.uint8))
+    inner = cv2.erode(is_visible.astype(np.float32), np.ones((ERODED, ERODED), np.uint8))
     part = np.s_[first::GRID, first::GRID]
-    given = np.ascontiguousarray(inner[part])
-    if not given.any():
+    inner_weight = np.ascontiguousarray(inner[part])
+    if not inner_weight.any():
         return None
-    x0, x1 = (np.ascontiguousarray(component[part]) for component in back)
-    sums = [np.ascontiguousarray(a[part] + b[part]) for a, b in zip(flow, back, strict=True)]
-    coefficients = _affine(x0, x1, sums, given)
-    off = _squared(x0, x1, sums, coefficients)
-    weight = given / (1 + off / OFF**2)
-    coefficients = _affine(x0, x1, sums, weight)
-    excess = _too_bent(x0, x1, coefficients)
-    off = _squared(x0, x1, sums, coefficients) + excess
-    if (given * (off < DOUBTED**2)).sum() < KEPT * given.sum():
+    x0, x1 = (np.ascontiguousarray(component[part]) for component in backward)
+    sums = [np.ascontiguousarray(a[part] + b[part]) for a, b in zip(flow, backward, strict=True)]
+    coefficients = _fit_affine(x0, x1, sums, inner_weight)
+    deviation = _squared_deviation(x0, x1, sums, coefficients)
+    weight = inner_weight / (1 + deviation / OFF**2)
+    coefficients = _fit_affine(x0, x1, sums, weight)
+    excess = _excess_bend(x0, x1, coefficients)
+    deviation = _squared_deviation(x0, x1, sums, coefficients) + excess
+    if (inner_weight * (deviation < DOUBTED**2)).sum() < KEPT * inner_weight.sum():
         return None
     side = (2 * NEAR + 1, 2 * NEAR + 1)
-    count = cv2.boxFilter(given, -1, side)
-    near = np.asarray(cv2.boxFilter(off * given, -1, side) / (count + np.float32(LEAST_COUNT)))
+    count = cv2.boxFilter(inner_weight, -1, side)
+    mean_deviation = np.asarray(
+        cv2.boxFilter(deviation * inner_weight, -1, side) / (count + np.float32(LEAST_COUNT))
+    )
 
-    def everywhere(values: np.ndarray) -> np.ndarray:
+    def upsample(values: np.ndarray) -> np.ndarray:
         return cv2.resize(values, (w, h), interpolation=cv2.INTER_LINEAR)
 
     bend = np.empty_like(flow)
     for component, (a0, a1, constant) in enumerate(coefficients):
-        bend[component] = everywhere(a0) * back[0] + everywhere(a1) * back[1] + everywhere(constant)
-    return bend, everywhere(near), everywhere(excess) < DOUBTED**2
+        bend[component] = (
+            upsample(a0) * backward[0] + upsample(a1) * backward[1] + upsample(constant)
+        )
+    return bend, upsample(mean_deviation), upsample(excess) < DOUBTED**2
 
 
-def _affine(
+def _fit_affine(
     x0: np.ndarray, x1: np.ndarray, values: list[np.ndarray], weight: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Return (a0, a1, c) of the fit a0·x0 + a1·x1 + c to each of the values at every pixel.
@@ -232,8 +240,8 @@ def _affine(
     s01 = mean(weight * x0 * x1) * inverse - m0 * m1
     s11 = mean(weight * x1 * x1) * inverse - m1 * m1 + np.float32(STEADY)
     determinant = np.maximum(s00 * s11 - s01 * s01, np.float32(LEAST_DETERMINANT))
-    shared = 1 / (mean(count) + np.float32(LEAST_COUNT))
-    found = []
+    mean_count = 1 / (mean(count) + np.float32(LEAST_COUNT))
+    fits = []
     for y in values:
         my = mean(weight * y) * inverse
         t0 = mean(weight * x0 * y) * inverse - m0 * my
@@ -241,11 +249,11 @@ def _affine(
         a0 = (s11 * t0 - s01 * t1) / determinant
         a1 = (s00 * t1 - s01 * t0) / determinant
         fit = a0, a1, my - a0 * m0 - a1 * m1
-        found.append(tuple(mean(count * part) * shared for part in fit))
-    return found
+        fits.append(tuple(mean(count * part) * mean_count for part in fit))
+    return fits
 
 
-def _squared(
+def _squared_deviation(
     x0: np.ndarray,
     x1: np.ndarray,
     values: list[np.ndarray],
@@ -258,11 +266,11 @@ def _squared(
     return total
 
 
-def _too_bent(
+def _excess_bend(
     x0: np.ndarray, x1: np.ndarray, coefficients: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
 ) -> np.ndarray:
     """Return the squared excess of fitted bends over the largest bend of a steady motion."""
     zero = np.zeros_like(x0)
-    bent = np.sqrt(_squared(x0, x1, [zero, zero], coefficients))
-    most = MOST_BENT * np.sqrt(x0 * x0 + x1 * x1) + np.float32(MOST_BENT_AT_REST)
-    return np.asarray(np.maximum(bent - most, 0) ** 2)
+    bend = np.sqrt(_squared_deviation(x0, x1, [zero, zero], coefficients))
+    max_bend = MOST_BENT * np.sqrt(x0 * x0 + x1 * x1) + np.float32(MOST_BENT_AT_REST)
+    return np.asarray(np.maximum(bend - max_bend, 0) ** 2)

@@ -20,9 +20,9 @@ class ResidualComparison:
         weights = (constancy.brightness, constancy.gradient, constancy.gradient)
         self._weights = [weight / sum(weights) for weight in weights]
         self._noise = windows.noise
-        self._frames0, self._frames1 = map(_frame_and_slopes, (windows.levels0, windows.levels1))
+        self._frames0, self._frames1 = map(_frame_and_slopes, (windows.grey0, windows.grey1))
 
-    def better(
+    def is_better(
         self,
         # flow, other: (h, w, 2) float32, px/frame
         flow: np.ndarray,
@@ -31,13 +31,13 @@ class ResidualComparison:
         # px: side of the square in which residuals are averaged with Gaussian weights, so that a
         # pixel at the corner of an object takes part in that object
         window: int,
-        by: float = 0.0,  # least difference, deviations of the noise
+        min_gain: float = 0.0,  # least difference, deviations of the noise
     ) -> np.ndarray:
         """Return where a flow has a smaller residual than another flow, (h, w) bool."""
-        mean, others = (
+        residual, other_residual = (
             cv2.GaussianBlur(self._residual(one), (window, window), 0) for one in (flow, other)
         )
-        return np.asarray(mean < others - by)
+        return np.asarray(residual < other_residual - min_gain)
 
     def _residual(self, flow: np.ndarray) -> np.ndarray:
         height, width = flow.shape[:2]
@@ -45,8 +45,8 @@ class ResidualComparison:
         y = flow[..., 1] + np.arange(height, dtype=np.float32)[:, None]
         total = np.zeros((height, width), np.float32)
         for weight, frame0, frame1 in zip(self._weights, self._frames0, self._frames1, strict=True):
-            moved = cv2.remap(frame1, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            total += weight * np.minimum(np.abs(moved - frame0) / self._noise, LARGEST_RESIDUAL)
+            warped = cv2.remap(frame1, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            total += weight * np.minimum(np.abs(warped - frame0) / self._noise, LARGEST_RESIDUAL)
         return total
 
 

@@ -39,7 +39,7 @@ class RigidSolution:
     density: float  # sampling density of the last level over that of the finest level
     history: Records  # list of (level, warp, Iteration)
     converged: bool
-    adjustable: bool = True  # whether the settings determine the number of iterations
+    is_adjustable: bool = True  # whether the settings determine the number of iterations
 
     def deviation(self) -> np.ndarray:
         """Return the standard deviation of D, (H, W) float32.
@@ -49,19 +49,19 @@ class RigidSolution:
         smoothing, this is 1/A. A is the mean curvature of the data in a window, κ a quarter of the
         weights of a pixel's edges, and the unit is the mean residual in the window.
         """
-        window, known = (DEVIATION_WINDOW, DEVIATION_WINDOW), self.precision
-        precision = cv2.blur(known[0], window)
+        window, fields = (DEVIATION_WINDOW, DEVIATION_WINDOW), self.precision
+        precision = cv2.blur(fields[0], window)
         precision += LEAST_DIVISOR
-        residual = cv2.blur(known[3], window)
+        residual = cv2.blur(fields[3], window)
         # Without texture the residual is small, too, so it is at least the median one.
-        seen = known[0] > ROUNDING * known[0].max()
-        usual = median(known[3][seen]) if seen.any() else 0.0
-        np.maximum(residual, usual, out=residual)
-        spread = known[4] * np.float32(1 / np.pi)  # 1/(4πκ)
-        precision *= spread
+        is_textured = fields[0] > ROUNDING * fields[0].max()
+        median_residual = median(fields[3][is_textured]) if is_textured.any() else 0.0
+        np.maximum(residual, median_residual, out=residual)
+        smoothing = fields[4] * np.float32(1 / np.pi)  # 1/(4πκ)
+        precision *= smoothing
         np.reciprocal(precision, out=precision)
         np.log1p(precision, out=precision)
-        precision *= spread
+        precision *= smoothing
         precision *= residual
         np.sqrt(precision, out=precision)
         precision *= np.float32(CALIBRATION)
@@ -120,10 +120,10 @@ def rigid_depth(
             iterations, converged = state.minimiser.minimise()
             history += [(level, warp, iteration) for iteration in iterations]
             state.despeckle()
-            noise = state.noise(motions)
+            noise = state.median_residuals(motions)
             if refine != "none" and (level == last or pyramid.scales[level] >= REFINED):
                 unknowns = 6 if refine == "motion" else 3
-                motions = state.refined(motions, unknowns, noise)
+                motions = state.refine_motions(motions, unknowns, noise)
         coarse = state.unknowns
     state.minimiser.update()  # depth was despeckled
     return RigidSolution(
@@ -174,7 +174,7 @@ def motion_precision(
     state.linearise(motions)
     state.minimiser.update()
     state.minimiser.set_alpha(
-        settings.depth_smoothness * max(1.0, state.noise(motions).max() / QUIET)
+        settings.depth_smoothness * max(1.0, state.median_residuals(motions).max() / QUIET)
     )
     state.minimiser.update()
     return state.unknowns.precision(state.minimiser.system)
@@ -191,13 +191,13 @@ def scaled_translations(motions: np.ndarray, labels: np.ndarray, camera: Camera)
     stride = max(1, int((height * width / SAMPLES) ** 0.5))
     x = (np.arange(0, width, stride) - cx) / camera.focal
     y = (np.arange(0, height, stride)[:, None] - cy) / camera.focal
-    seen = labels[::stride, ::stride]
+    sampled_labels = labels[::stride, ::stride]
     scaled = np.array(motions, np.float64)
     for label, motion in enumerate(scaled):
         t1, t2, t3 = motion[:, 3]
         square = (t1 - x * t3) ** 2 + (t2 - y * t3) ** 2
-        mine = seen == label
-        length = float(np.sqrt(square[mine].mean() if mine.any() else square.mean()))
+        is_label = sampled_labels == label
+        length = float(np.sqrt(square[is_label].mean() if is_label.any() else square.mean()))
         if length > 0:
             motion[:, 3] /= length
     return scaled

@@ -6,7 +6,7 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.kernels.layout.lanes import aligned_empty
 from tisfm.kernels.model.readout import rigid_fields
-from tisfm.motion.estimate import Estimate, ended
+from tisfm.motion.estimate import Estimate, iteration_status
 from tisfm.motion.problems import flow_problem
 from tisfm.motion.rigid_depth import RigidSolution
 from tisfm.rigid import rigid_twist
@@ -28,7 +28,7 @@ def with_depth(
     settings: Settings,
     *,
     unit: float | None = None,  # ‖t‖ of a given motion; depth is then in its unit
-    unseen: int | None = None,  # the label whose parallax is too small to return its depth
+    hidden_label: int | None = None,  # the label whose parallax is too small to return its depth
     # Robust deviation of a flow field from the points that the motion allows, px. It shows errors
     # that pixels share, so all deviations are multiplied by one factor that adds these errors to
     # the median deviation.
@@ -36,52 +36,54 @@ def with_depth(
 ) -> Estimate:
     """Return the estimate of a solution, with ‖T‖ = 1 and depth in that unit."""
     twists = np.empty((len(solution.motions), 6))
-    for_twist = np.empty(len(twists), np.float32)  # d / D, for ‖T‖ = 1
-    for_output = np.empty(len(twists), np.float32)
+    twist_units = np.empty(len(twists), np.float32)  # d / D, for ‖T‖ = 1
+    output_units = np.empty(len(twists), np.float32)
     for label, motion in enumerate(solution.motions):
         length = float(np.linalg.norm(motion[:, 3]))
         if length == 0:
             twists[label] = rigid_twist(motion[:, :3], np.zeros(3))
-            for_twist[label] = for_output[label] = 0
+            twist_units[label] = output_units[label] = 0
             continue
         twist = rigid_twist(motion[:, :3], motion[:, 3] / length)
         speed = float(np.linalg.norm(twist[:3]))  # ‖T‖ for ‖t‖ = 1
         twists[label] = [*(twist[:3] / speed), *twist[3:]]
-        for_twist[label] = length * speed / camera.focal
-        for_output[label] = for_twist[label] if unit is None else length / camera.focal / unit
-    if unseen is not None:
-        for_twist[unseen] = for_output[unseen] = 0
-    factor = for_output[labels] if len(for_output) > 1 else for_output[0]
+        twist_units[label] = length * speed / camera.focal
+        output_units[label] = twist_units[label] if unit is None else length / camera.focal / unit
+    if hidden_label is not None:
+        twist_units[hidden_label] = output_units[hidden_label] = 0
+    factor = output_units[labels] if len(output_units) > 1 else output_units[0]
     deviation = solution.deviation()
-    widening = _widening(deviation, misfit)
-    deviation *= factor * np.float32(widening)
+    deviation_factor = _deviation_factor(deviation, misfit)
+    deviation *= factor * np.float32(deviation_factor)
     np.copyto(deviation, np.inf, where=factor == 0)
-    flow, rho = _fields(solution.inverse_depth, labels, solution.motions, twists, for_twist, camera)
+    flow, rho = _fields(
+        solution.inverse_depth, labels, solution.motions, twists, twist_units, camera
+    )
     return Estimate(
         rho=rho,
         flow=flow,
         inverse_depth=solution.inverse_depth * factor,
         inverse_depth_std=deviation,
-        widening=widening,
+        deviation_factor=deviation_factor,
         precision=solution.precision,
         level=solution.level,
         normalized=settings.depth_normalization is not None,
         freedom=1,
         history=solution.history,
-        status=ended(
-            solution.history, solution.converged, settings, adjustable=solution.adjustable
+        status=iteration_status(
+            solution.history, solution.converged, settings, is_adjustable=solution.is_adjustable
         ),
         motions=twists,
         labels=labels,
     )
 
 
-def _widening(deviation: np.ndarray, misfit: float) -> float:
+def _deviation_factor(deviation: np.ndarray, misfit: float) -> float:
     """Return the factor of deviations of D, (H, W) px, for a misfit."""
     if misfit <= FITTING:
         return 1.0
-    beyond = (misfit**2 - FITTING**2) ** 0.5
-    return float(np.hypot(1, MISFIT * beyond / median(deviation.ravel())))
+    excess = (misfit**2 - FITTING**2) ** 0.5
+    return float(np.hypot(1, MISFIT * excess / median(deviation.ravel())))
 
 
 def without_depth(
@@ -104,17 +106,17 @@ def without_depth(
     twists = rigid_twist(rotation, translation)[None]
     if twists[0, :3].any():
         twists[0, :3] /= np.linalg.norm(twists[0, :3])
-    nothing, labels = np.zeros((height, width), np.float32), np.zeros((height, width), np.int32)
+    zeros, labels = np.zeros((height, width), np.float32), np.zeros((height, width), np.int32)
     motion = np.column_stack([rotation, np.zeros(3)])
-    flow, rho = _fields(nothing, labels, motion[None], twists, np.zeros(1), camera)
+    flow, rho = _fields(zeros, labels, motion[None], twists, np.zeros(1), camera)
     unknowns.set_images(flow)
     data_term.bind_linearise(unknowns.rho)()
     minimiser.update()
     return Estimate(
         rho=rho,
         flow=flow,
-        inverse_depth=nothing,
-        inverse_depth_std=np.full_like(nothing, np.inf),
+        inverse_depth=zeros,
+        inverse_depth_std=np.full_like(zeros, np.inf),
         precision=unknowns.precision(minimiser.system),
         level=level,
         normalized=settings.normalization is not None,
@@ -131,18 +133,18 @@ def _fields(
     labels: np.ndarray,
     motions: np.ndarray,
     twists: np.ndarray,
-    for_twist: np.ndarray,
+    twist_units: np.ndarray,
     camera: Camera,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the flow of motions, (2, H, W), and the ρ̂ of their twists, (6, H, W).
 
-    `for_twist` converts each motion's inverse depth to that of its twist.
+    `twist_units` converts each motion's inverse depth to that of its twist.
     """
     height, width = inverse_depth.shape
     cx, cy = camera.center_for(height, width)
     flow, rho = (aligned_empty((n, height, width)) for n in (2, 6))
     scaled = camera.focal * twists
-    scaled[:, :3] *= for_twist[:, None]
+    scaled[:, :3] *= twist_units[:, None]
     rigid_fields(
         inverse_depth,
         labels,

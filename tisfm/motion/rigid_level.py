@@ -11,7 +11,7 @@ from tisfm.kernels.layout.launch import in_turn
 from tisfm.kernels.model.constants import LEAST_DIVISOR
 from tisfm.kernels.rigid.epipolar import along, displacement
 from tisfm.kernels.rigid.motion_system import motion_system
-from tisfm.motion.epipolar_fit import hold_scale, spin_prior
+from tisfm.motion.epipolar_fit import fix_scale, rotation_prior
 from tisfm.motion.problems import depth_problem
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import data_term_on, unknowns_on
@@ -47,23 +47,23 @@ class RigidLevel:
         self.unknowns = unknowns = unknowns_on(pyramid, level, problem, coarse)
         grid = unknowns.grid
         size = (grid.width, grid.height)
-        resized = cv2.resize(labels.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
+        label_image = cv2.resize(labels.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
         self._labels = grid.allocate(1)
         if count > 1:
-            image_to_lanes(grid, resized, self._labels)
-        self._label_image = resized
+            image_to_lanes(grid, label_image, self._labels)
+        self._label_image = label_image
         self._rows = slice(1, -1, max(1, grid.height * grid.width // SAMPLES))
-        inside = _inside(unknowns, pyramid.counted0(level))[0, self._rows, 1:-1]
-        sample = np.where(inside > 0, on_host(self._labels)[0, self._rows, 1:-1], -1)
-        self._samples = [np.flatnonzero(sample == label) for label in range(count)]
+        inside = _valid_pixels(unknowns, pyramid.counted0(level))[0, self._rows, 1:-1]
+        sampled_labels = np.where(inside > 0, on_host(self._labels)[0, self._rows, 1:-1], -1)
+        self._samples = [np.flatnonzero(sampled_labels == label) for label in range(count)]
         if labels.any():
-            multiply(grid, _within(unknowns, resized), unknowns.edges)
+            multiply(grid, _same_label_edges(unknowns, label_image), unknowns.edges)
         counted: np.ndarray | None = None
         if support is not None:
             counted = cv2.resize(support.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         elif labels.any() and pyramid.scales[level] >= REFINED:
             # Stencils across a boundary mix two motions, so their pixels do not count.
-            counted = (~_mixed(resized)).astype(np.float32)
+            counted = (~_has_mixed_window(label_image)).astype(np.float32)
         data_term = data_term_on(pyramid, level, problem, unknowns)
         self._constraints, self._scales = data_term.constraints, data_term.scales
         restricted = grid.allocate(self._constraints.shape[0])
@@ -105,13 +105,15 @@ class RigidLevel:
     def despeckle(self) -> None:
         """Replace depth by its median in a small window, which removes single wrong pixels."""
         depth = self.unknowns.images()[0]
-        alone = len(self._motions) == 1
+        is_single = len(self._motions) == 1
         medians = (
-            cv2.medianBlur(depth, MEDIAN) if alone else median_within(depth, self._label_image)
+            cv2.medianBlur(depth, MEDIAN)
+            if is_single
+            else median_of_labels(depth, self._label_image)
         )
         image_to_lanes(self.unknowns.grid, medians, self.unknowns.rho)
 
-    def noise(self, motions: np.ndarray) -> np.ndarray:
+    def median_residuals(self, motions: np.ndarray) -> np.ndarray:
         """Return the median residual of each motion's pixels, (K,).
 
         It is 0 without pixels or without translation. A sample of rows and the weights of the last
@@ -120,14 +122,16 @@ class RigidLevel:
         depth = on_host(self.unknowns.rho)[0, self._rows, 1:-1]
         tensor = on_host(self.minimiser.system.tensor)[:, self._rows, 1:-1]
         residual = (tensor[0] * depth + 2 * tensor[3]) * depth + tensor[5]
-        noise = np.zeros(len(motions))
+        median_residuals = np.zeros(len(motions))
         for label, motion in enumerate(motions):
-            mine = residual.ravel()[self._samples[label]]
-            if mine.size and motion[:, 3].any():
-                noise[label] = np.sqrt(max(median(mine), 0))
-        return noise
+            label_residuals = residual.ravel()[self._samples[label]]
+            if label_residuals.size and motion[:, 3].any():
+                median_residuals[label] = np.sqrt(max(median(label_residuals), 0))
+        return median_residuals
 
-    def refined(self, motions: np.ndarray, unknowns: int, noise: np.ndarray) -> np.ndarray:
+    def refine_motions(
+        self, motions: np.ndarray, unknowns: int, median_residuals: np.ndarray
+    ) -> np.ndarray:
         """Return the motions after a Gauss–Newton step on the last linearisation."""
         system = self.minimiser.system
         motions = motions.copy()
@@ -143,41 +147,43 @@ class RigidLevel:
                 focal=self._focal,
                 scales=self._scales,
                 held=HELD * system.alpha,
-                tolerated=(OUTLYING * float(noise[label])) ** 2 + LEAST_DIVISOR,
+                tolerated=(OUTLYING * float(median_residuals[label])) ** 2 + LEAST_DIVISOR,
             )
             if label > 0:  # objects hardly rotate relative to the background
-                stiffness, offset = spin_prior(motion[:, :3], motions[0, :, :3], noise[label])
+                stiffness, offset = rotation_prior(
+                    motion[:, :3], motions[0, :, :3], median_residuals[label]
+                )
                 matrix[3:, 3:] += stiffness * np.eye(3)
                 vector[3:] -= stiffness * offset
-            motions[label] = _stepped(motion, matrix, vector, unknowns)
+            motions[label] = _apply_step(motion, matrix, vector, unknowns)
         return motions
 
 
-def median_within(
+def median_of_labels(
     values: np.ndarray,  # (H, W) float32
     labels: np.ndarray,  # (H, W) float32
 ) -> np.ndarray:  # (H, W) float32
     """Return the median in a window around every pixel, over pixels of the same label only."""
     medians = cv2.medianBlur(values, MEDIAN)
-    mixed = _mixed(labels)
-    if mixed.any():
-        own, around = (
-            sliding_window_view(np.pad(image, MEDIAN // 2, mode="edge"), (MEDIAN, MEDIAN))[mixed]
+    is_mixed = _has_mixed_window(labels)
+    if is_mixed.any():
+        own_label, neighbours = (
+            sliding_window_view(np.pad(image, MEDIAN // 2, mode="edge"), (MEDIAN, MEDIAN))[is_mixed]
             for image in (labels, values)
         )
-        alike = own == labels[mixed][:, None, None]
-        around = np.where(alike, around, np.nan).reshape(len(around), -1)
-        medians[mixed] = np.nanmedian(around, axis=1)
+        is_same = own_label == labels[is_mixed][:, None, None]
+        neighbours = np.where(is_same, neighbours, np.nan).reshape(len(neighbours), -1)
+        medians[is_mixed] = np.nanmedian(neighbours, axis=1)
     return medians
 
 
-def _mixed(labels: np.ndarray) -> np.ndarray:
+def _has_mixed_window(labels: np.ndarray) -> np.ndarray:
     """Return the pixels whose window holds more than one label, (H, W) bool."""
     window = np.ones((MEDIAN, MEDIAN), np.uint8)
     return cv2.erode(labels, window) != cv2.dilate(labels, window)
 
 
-def _stepped(
+def _apply_step(
     motion: np.ndarray, matrix: np.ndarray, vector: np.ndarray, unknowns: int
 ) -> np.ndarray:
     """Return a motion after the step that solves its normal equations; ‖t‖ stays."""
@@ -185,15 +191,17 @@ def _stepped(
     length = np.linalg.norm(translation)
     if not (length > 0 and np.isfinite(matrix).all() and np.isfinite(vector).all()):
         return motion
-    matrix = hold_scale(matrix, translation / length)
+    matrix = fix_scale(matrix, translation / length)
     step = np.zeros(6)
     step[:unknowns] = -np.linalg.solve(matrix[:unknowns, :unknowns], vector[:unknowns])
-    turn = Rotation.from_rotvec(step[3:]).as_matrix()
-    moved = turn @ translation + step[:3]
-    return np.column_stack([turn @ motion[:, :3], moved * (length / np.linalg.norm(moved))])
+    rotation_step = Rotation.from_rotvec(step[3:]).as_matrix()
+    rotated = rotation_step @ translation + step[:3]
+    return np.column_stack(
+        [rotation_step @ motion[:, :3], rotated * (length / np.linalg.norm(rotated))]
+    )
 
 
-def _inside(unknowns: Unknowns, counted: np.ndarray | None) -> np.ndarray:
+def _valid_pixels(unknowns: Unknowns, counted: np.ndarray | None) -> np.ndarray:
     """Return 1 on the pixels of the image that count, else 0, as a lane array on the host."""
     inside = unknowns.grid.inside()
     if counted is None:
@@ -203,7 +211,7 @@ def _inside(unknowns: Unknowns, counted: np.ndarray | None) -> np.ndarray:
     return inside * on_host(weight)
 
 
-def _within(unknowns: Unknowns, labels: np.ndarray) -> LaneData:
+def _same_label_edges(unknowns: Unknowns, labels: np.ndarray) -> LaneData:
     """Return a lane array that is 1 for edges between pixels of the same label, else 0."""
     grid = unknowns.grid
     same = np.zeros((2, *labels.shape), np.float32)

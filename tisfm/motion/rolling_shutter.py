@@ -46,30 +46,30 @@ def global_shutter_pair(
     The camera is assumed to move evenly from before frame 0 until after frame 1. Motion and depth
     are estimated from the given frames, and again from the frames corrected by them.
     """
-    found: GlobalShutterPair | None = None
+    corrected: GlobalShutterPair | None = None
     for _ in range(ROUNDS):
-        first, second = (grey0, grey1) if found is None else (found.grey0, found.grey1)
-        seen = counted if found is None else found.counted
+        frame0, frame1 = (grey0, grey1) if corrected is None else (corrected.grey0, corrected.grey1)
+        seen = counted if corrected is None else corrected.counted
         estimate = camera_estimate(
-            pyramid_of(first, second, camera, settings, seen), settings, pose
+            pyramid_of(frame0, frame1, camera, settings, seen), settings, pose
         )
-        maps = _maps(estimate, camera, pose)
+        maps = _unrolling_maps(estimate, camera, pose)
         if maps is None:
             break
-        kept = [~map_.valid for map_ in maps]
+        ignored = [~map_.valid for map_ in maps]
         if counted is not None:
-            for ignored, map_, one in zip(kept, maps, counted, strict=True):
-                ignored |= map_.nearest((~one).astype(np.float32)) > 0
-        found = GlobalShutterPair(
+            for mask, map_, valid in zip(ignored, maps, counted, strict=True):
+                mask |= map_.nearest((~valid).astype(np.float32)) > 0
+        corrected = GlobalShutterPair(
             grey0=maps[0].apply(grey0),
             grey1=maps[1].apply(grey1),
             frame=maps[0].apply(frame),
-            counted=(~kept[0], ~kept[1]) if any(part.any() for part in kept) else None,
+            counted=(~ignored[0], ~ignored[1]) if any(part.any() for part in ignored) else None,
         )
-    return found
+    return corrected
 
 
-def _maps(
+def _unrolling_maps(
     estimate: Estimate, camera: Camera, pose: KnownPose | None
 ) -> tuple[UnrolledPixels, UnrolledPixels] | None:
     """Return the maps to both given frames; None if no motion is known."""
@@ -79,39 +79,44 @@ def _maps(
     rate = estimate.motions[0]
     if pose is not None and pose.translation is not None:
         rate = rigid_twist(pose.rotation, pose.translation)
-    inverse_depth = _smooth(estimate.inverse_depth)
+    inverse_depth = _smooth_depth(estimate.inverse_depth)
     if not (np.isfinite(rate).all() and np.isfinite(inverse_depth).all()):
         return None
-    depths = [_at(inverse_depth, nodes_of(shape)), _in_next(inverse_depth, rate, camera)]
+    depths = [
+        _sample(inverse_depth, nodes_of(shape)),
+        _depth_of_frame1(inverse_depth, rate, camera),
+    ]
     first, second = (
         UnrolledPixels(camera, camera.readout or 0.0, rate, depth, shape) for depth in depths
     )
     return (first, second) if first.valid.any() and second.valid.any() else None
 
 
-def _smooth(inverse_depth: np.ndarray) -> np.ndarray:
+def _smooth_depth(inverse_depth: np.ndarray) -> np.ndarray:
     """Return inverse depth smoothed to the spacing of nodes, (H, W): edges would tear frames."""
     x = nodes_of(inverse_depth.shape)[0, :, 0]
     return cv2.GaussianBlur(inverse_depth, (0, 0), float(x[1] - x[0]))
 
 
-def _in_next(inverse_depth: np.ndarray, rate: np.ndarray, camera: Camera) -> np.ndarray:
+def _depth_of_frame1(inverse_depth: np.ndarray, rate: np.ndarray, camera: Camera) -> np.ndarray:
     """Return the inverse depth of frame 1 at its nodes, (h, w), from that of frame 0, (H, W)."""
     rotation, translation = rigid_motion(rate)
     center = np.array(camera.center_for(*inverse_depth.shape))
-    wanted = nodes_of(inverse_depth.shape)
-    there = wanted
+    nodes = nodes_of(inverse_depth.shape)
+    positions = nodes
     for _ in range(STEPS):
-        known = _at(inverse_depth, there)
-        ray = np.concatenate([(there - center) / camera.focal, np.ones((*known.shape, 1))], axis=2)
-        moved = ray @ rotation.T + known[..., None] * translation
-        z = np.maximum(moved[..., 2], 1e-3)
-        there = there + wanted - (moved[..., :2] / z[..., None] * camera.focal + center)
-    return np.asarray(known / z)
+        depth = _sample(inverse_depth, positions)
+        ray = np.concatenate(
+            [(positions - center) / camera.focal, np.ones((*depth.shape, 1))], axis=2
+        )
+        points = ray @ rotation.T + depth[..., None] * translation
+        z = np.maximum(points[..., 2], 1e-3)
+        positions = positions + nodes - (points[..., :2] / z[..., None] * camera.focal + center)
+    return np.asarray(depth / z)
 
 
-def _at(image: np.ndarray, positions: np.ndarray) -> np.ndarray:
+def _sample(image: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """Return an image, (H, W) float32, at positions, (h, w, 2) px; its border repeats."""
     x, y = np.moveaxis(positions.astype(np.float32), -1, 0)
-    found = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(found, np.float64)
+    sampled = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(sampled, np.float64)

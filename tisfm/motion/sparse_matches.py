@@ -27,7 +27,7 @@ class Matches:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Described:
+class Features:
     """Points of a frame and their descriptors."""
 
     points: np.ndarray  # (N, 2) float64: (x, y), px from the upper left pixel's centre
@@ -59,71 +59,73 @@ def sparse_matches(
     if not high > low:
         return nothing
     scaled = [np.clip((frame - low) * (255 / (high - low)), 0, 255) for frame in (frame0, frame1)]
-    other = start_beside(described, scaled[1]) if runtime.threads() > 1 else None
-    first = described(scaled[0])
-    second = other() if other is not None else described(scaled[1])
+    wait_for_second = start_beside(detect_features, scaled[1]) if runtime.threads() > 1 else None
+    first = detect_features(scaled[0])
+    second = wait_for_second() if wait_for_second is not None else detect_features(scaled[1])
     if counted is not None:
-        first, second = map(_where, (first, second), counted)
-    index0, index1 = alike(first, second)
+        first, second = map(_select_features, (first, second), counted)
+    index0, index1 = match_features(first, second)
     pairs = np.hstack([first.points[index0], second.points[index1]])
     pairs = np.unique(pairs, axis=0)  # a point with several orientations has several descriptors
     return Matches(before=pairs[:, :2], after=pairs[:, 2:])
 
 
-def alike(first: Described, second: Described) -> tuple[np.ndarray, np.ndarray]:
+def match_features(first: Features, second: Features) -> tuple[np.ndarray, np.ndarray]:
     """Return indices of points of two frames that look alike, (N,) and (N,), in order."""
     if min(len(first.points), len(second.points)) < 2:
         return np.empty(0, np.intp), np.empty(0, np.intp)
     products = first.roots @ second.roots.T
-    forward, clear = _nearest(products)
-    backward, clear_back = _nearest(products.T)
+    forward, is_clear = _nearest_descriptors(products)
+    backward, is_clear_back = _nearest_descriptors(products.T)
     index = np.arange(len(first.points))
-    taken = clear & clear_back[forward] & (backward[forward] == index)
-    return index[taken], forward[taken]
+    is_match = is_clear & is_clear_back[forward] & (backward[forward] == index)
+    return index[is_match], forward[is_match]
 
 
-def described(frame: np.ndarray, *, per_cell: int = PER_CELL) -> Described:
+def detect_features(frame: np.ndarray, *, per_cell: int = PER_CELL) -> Features:
     """Detect and describe points of a frame, (H, W) float32 with grey levels in [0, 255]."""
     detector = cv2.SIFT.create(contrastThreshold=CONTRAST)
     image = np.rint(frame).astype(np.uint8)
     # Describing all points is faster than building a second pyramid for the kept points.
-    found, descriptors = detector.detectAndCompute(image, None)
-    if not found:
-        return Described(points=np.empty((0, 2)), roots=np.empty((0, 128), np.float32))
-    points = np.array([point.pt for point in found])
-    strength = np.array([point.response for point in found])
+    keypoints, descriptors = detector.detectAndCompute(image, None)
+    if not keypoints:
+        return Features(points=np.empty((0, 2)), roots=np.empty((0, 128), np.float32))
+    points = np.array([point.pt for point in keypoints])
+    strength = np.array([point.response for point in keypoints])
     side = (frame.size / CELLS**2) ** 0.5
-    kept = _spread(points, strength, side=side, most=per_cell)
-    descriptors = descriptors[kept]
+    strongest = _strongest_per_cell(points, strength, side=side, max_per_cell=per_cell)
+    descriptors = descriptors[strongest]
     total = np.maximum(descriptors.sum(axis=1, keepdims=True), 1)  # entries are not negative
-    return Described(points=points[kept], roots=np.sqrt(descriptors / total))
+    return Features(points=points[strongest], roots=np.sqrt(descriptors / total))
 
 
-def _where(found: Described, counted: np.ndarray) -> Described:
+def _select_features(features: Features, counted: np.ndarray) -> Features:
     """Return the points whose pixels count."""
-    column, row = np.rint(found.points).astype(np.intp).T
+    column, row = np.rint(features.points).astype(np.intp).T
     height, width = counted.shape
-    kept = counted[row.clip(0, height - 1), column.clip(0, width - 1)]
-    return Described(points=found.points[kept], roots=found.roots[kept])
+    is_valid = counted[row.clip(0, height - 1), column.clip(0, width - 1)]
+    return Features(points=features.points[is_valid], roots=features.roots[is_valid])
 
 
-def _spread(points: np.ndarray, response: np.ndarray, *, side: float, most: int) -> np.ndarray:
+def _strongest_per_cell(
+    points: np.ndarray, response: np.ndarray, *, side: float, max_per_cell: int
+) -> np.ndarray:
     """Return the indices of the strongest points of every square with this side, in order."""
     column, row = (points // side).astype(np.int64).T
     cell = row * (column.max() + 1) + column
     order = np.lexsort((-response, cell))
     first = np.searchsorted(cell[order], cell[order])  # start of each point's cell
-    strongest = np.arange(len(order)) - first < most
+    strongest = np.arange(len(order)) - first < max_per_cell
     return np.sort(order[strongest])
 
 
-def _nearest(alike: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _nearest_descriptors(similarities: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return, for each row, the most alike column, and whether the next is clearly less alike."""
-    others = np.array(alike, order="C")
-    rows = np.arange(len(others))
-    best = others.argmax(axis=1)
+    rest = np.array(similarities, order="C")
+    rows = np.arange(len(rest))
+    best = rest.argmax(axis=1)
     # The squared distance of vectors of length 1 is 2 − 2 cos.
-    nearest = 1 - others[rows, best]
-    others[rows, best] = -np.inf
-    following = 1 - others.max(axis=1)
-    return best, nearest < RATIO**2 * following
+    distance = 1 - rest[rows, best]
+    rest[rows, best] = -np.inf
+    second_distance = 1 - rest.max(axis=1)
+    return best, distance < RATIO**2 * second_distance

@@ -9,18 +9,18 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.motion.epipolar_fit import (
-    Free,
+    FreeUnknowns,
     Pose,
     Rays,
-    beyond,
-    cost,
     essential_poses,
     length,
     nearest_points,
-    refine,
+    pose_cost,
+    refine_pose,
     robust_deviation,
     rotation_alone,
-    sampling,
+    rotation_residual,
+    usac_parameters,
 )
 from tisfm.motion.sparse_matches import Matches
 
@@ -62,7 +62,7 @@ class SparseMotion:
     residual: float  # robust standard deviation of the distances from epipolar lines, px
     parallax: float  # median length of the displacements that `rotation_alone` leaves, px
     inliers: int  # number of matches that the motion explains
-    spread: float  # share of the image's cells that hold an inlier
+    coverage: float  # share of the image's cells that hold an inlier
     cost: float  # robust cost of all matches, with one scale for all motions of the pair
     rays: Rays  # the inliers
 
@@ -75,7 +75,7 @@ def sparse_motions(
     matches: Matches,
     camera: Camera,  # without distortion
     shape: tuple[int, int],  # height and width of the frames, px
-) -> tuple[list[SparseMotion], "Judge | None"]:
+) -> tuple[list[SparseMotion], "MatchCost | None"]:
     """Return the motions that explain the matches, the likeliest first.
 
     Robust distances from epipolar lines are minimised from several starts: essential matrices by
@@ -95,29 +95,31 @@ def sparse_motions(
     if len(matches.before) < FEWEST:
         return [], None
     rays = _rays(matches, camera, shape)
-    homographies = _homographies(rays)
+    homographies = _sample_homographies(rays)
     starts = essential_poses(rays, THRESHOLDS, draws=DRAWS)
     for homography in homographies:
-        starts += of_plane(homography, rays)
-    starts = _distinct(starts)
-    found = [motion for reaches in REACHES for motion in _polished(rays, starts, reaches)]
-    if not found:
+        starts += plane_poses(homography, rays)
+    starts = _without_duplicates(starts)
+    motions = [motion for distances in REACHES for motion in _refine_poses(rays, starts, distances)]
+    if not motions:
         return [], None
-    scale = max(min(residual for _, _, residual in found), SMALLEST_RESIDUAL)
-    judge = Judge(rays=rays, scale=scale)
-    found.sort(key=lambda motion: judge.cost(motion[:2]))
-    model = _model(rays, found[0][:2], homographies, scale)
-    limit = TIED * judge.cost(found[0][:2])
-    kept: list[_Motion] = []
-    for motion in found:
-        if judge.cost(motion[:2]) <= limit and all(
-            angle(motion[1], other[1]) >= SAME for other in kept
+    scale = max(min(residual for _, _, residual in motions), SMALLEST_RESIDUAL)
+    match_cost = MatchCost(rays=rays, scale=scale)
+    motions.sort(key=lambda motion: match_cost.cost(motion[:2]))
+    model = _select_model(rays, motions[0][:2], homographies, scale)
+    limit = TIED * match_cost.cost(motions[0][:2])
+    distinct: list[_Motion] = []
+    for motion in motions:
+        if match_cost.cost(motion[:2]) <= limit and all(
+            angle_between(motion[1], other[1]) >= SAME for other in distinct
         ):
-            kept.append(motion)
-    return [_described(judge, motion, model, camera, shape) for motion in kept], judge
+            distinct.append(motion)
+    return [
+        _sparse_motion(match_cost, motion, model, camera, shape) for motion in distinct
+    ], match_cost
 
 
-def posed_motion(
+def known_pose_motion(
     # matches, camera, shape: as in `sparse_motions`
     matches: Matches,
     camera: Camera,
@@ -128,28 +130,28 @@ def posed_motion(
     if len(matches.before) < FEWEST:
         return None
     rays = _rays(matches, camera, shape)
-    near = rays.where(_explained(rays, pose, EXPLAINED))
-    if near.trust.size < FEWEST:
+    inliers = rays.select(_is_inlier(rays, pose, EXPLAINED))
+    if inliers.trust.size < FEWEST:
         return None
-    residual = robust_deviation(np.abs(nearest_points(near, *pose).distance), near.trust)
-    judge = Judge(rays=rays, scale=max(residual, SMALLEST_RESIDUAL))
-    return _described(judge, (*pose, residual), "depth", camera, shape)
+    residual = robust_deviation(np.abs(nearest_points(inliers, *pose).distance), inliers.trust)
+    match_cost = MatchCost(rays=rays, scale=max(residual, SMALLEST_RESIDUAL))
+    return _sparse_motion(match_cost, (*pose, residual), "depth", camera, shape)
 
 
-def posed_residual(rays: Rays, pose: Pose) -> float:
+def pose_residual(rays: Rays, pose: Pose) -> float:
     """Return the robust deviation of rays from the points that a motion allows, px."""
-    nearest = nearest_points(rays, *pose)
+    points = nearest_points(rays, *pose)
     # If the nearest point lies behind the camera, the point at infinity is the nearest allowed one.
     distance = np.where(
-        nearest.inverse_depth > 0,
-        np.abs(nearest.distance),
-        rays.focal * length(beyond(rays, pose[0])),
+        points.inverse_depth > 0,
+        np.abs(points.distance),
+        rays.focal * length(rotation_residual(rays, pose[0])),
     )
     return robust_deviation(distance, rays.trust)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judge:
+class MatchCost:
     """The robust cost of any motion over all matches."""
 
     rays: Rays  # all matches
@@ -157,7 +159,7 @@ class Judge:
 
     def cost(self, pose: Pose) -> float:
         """Return the robust cost of a motion. A match that it does not explain costs 1."""
-        return cost(self.rays, pose, self.scale)
+        return pose_cost(self.rays, pose, self.scale)
 
 
 def _rays(matches: Matches, camera: Camera, shape: tuple[int, int]) -> Rays:
@@ -174,108 +176,110 @@ def _rays(matches: Matches, camera: Camera, shape: tuple[int, int]) -> Rays:
     )
 
 
-def _homographies(rays: Rays) -> list[np.ndarray]:
+def _sample_homographies(rays: Rays) -> list[np.ndarray]:
     """Return homographies of normalised coordinates by random sampling, (3, 3) each."""
     # OpenCV finds no homography for small coordinates, so it gets px.
     before, after = (rays.focal * points[:2].T for points in (rays.before, rays.after))
     to_px = np.diag([rays.focal, rays.focal, 1.0])
-    found = []
+    homographies = []
     for threshold in THRESHOLDS:
         try:
-            matrix, _ = cv2.findHomography(before, after, sampling(threshold, DRAWS))
+            matrix, _ = cv2.findHomography(before, after, usac_parameters(threshold, DRAWS))
         except cv2.error:  # the samples determine no homography
             continue
         if matrix is not None and matrix.shape == (3, 3) and np.isfinite(matrix).all():
-            found.append(np.linalg.solve(to_px, matrix @ to_px))
-    return found
+            homographies.append(np.linalg.solve(to_px, matrix @ to_px))
+    return homographies
 
 
-def of_plane(
+def plane_poses(
     homography: np.ndarray,  # (3, 3): for normalised coordinates
     rays: Rays,
     *,
-    share: float = 0.5,  # least share of the rays that meet the plane before the camera
+    min_share: float = 0.5,  # least share of the rays that meet the plane before the camera
 ) -> list[Pose]:
     """Return the motions that may have caused a homography: their plane lies before the camera."""
     _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, np.eye(3))
     poses: list[Pose] = []
     for rotation, translation, normal in zip(rotations, translations, normals, strict=True):
-        away = float(np.linalg.norm(translation))
-        if away > 0 and np.quantile(normal[:, 0] @ rays.before, 1 - share) > 0:
-            poses.append((np.asarray(rotation), np.asarray(translation[:, 0]) / away))
+        norm = float(np.linalg.norm(translation))
+        if norm > 0 and np.quantile(normal[:, 0] @ rays.before, 1 - min_share) > 0:
+            poses.append((np.asarray(rotation), np.asarray(translation[:, 0]) / norm))
     return poses
 
 
-def _polished(rays: Rays, starts: list[Pose], reaches: tuple[float, ...]) -> list[_Motion]:
+def _refine_poses(rays: Rays, starts: list[Pose], distances: tuple[float, ...]) -> list[_Motion]:
     """Return motions refined by the matches near them, and their residuals, without duplicates."""
-    free = Free(unknowns=6, near=None)
+    unknowns = FreeUnknowns(count=6, likely_rotation=None)
     poses: list[Pose] = starts
-    found: list[_Motion] = []
-    for k, reach in enumerate(reaches):
-        settled = NEARLY_SETTLED if k + 1 < len(reaches) else SETTLED
-        found = []
+    motions: list[_Motion] = []
+    for k, distance in enumerate(distances):
+        min_step = NEARLY_SETTLED if k + 1 < len(distances) else SETTLED
+        motions = []
         for pose in poses:
-            near = rays.where(_explained(rays, pose, reach))
-            if near.trust.size >= FEWEST:
-                found.append(refine(near, pose, free, iterations=ITERATIONS, settled=settled))
-        found = _distinct(found)
-        poses = [(rotation, translation) for rotation, translation, _ in found]
+            inliers = rays.select(_is_inlier(rays, pose, distance))
+            if inliers.trust.size >= FEWEST:
+                motions.append(
+                    refine_pose(inliers, pose, unknowns, iterations=ITERATIONS, min_step=min_step)
+                )
+        motions = _without_duplicates(motions)
+        poses = [(rotation, translation) for rotation, translation, _ in motions]
     return [
         motion
-        for motion in found
-        if np.count_nonzero(_explained(rays, motion[:2], EXPLAINED)) >= FEWEST
+        for motion in motions
+        if np.count_nonzero(_is_inlier(rays, motion[:2], EXPLAINED)) >= FEWEST
     ]
 
 
-def _distinct(motions: list[_AnyMotion]) -> list[_AnyMotion]:
+def _without_duplicates(motions: list[_AnyMotion]) -> list[_AnyMotion]:
     """Return the motions without duplicates: at most `ALIKE` from an earlier motion."""
-    kept: list[_AnyMotion] = []
+    distinct: list[_AnyMotion] = []
     for motion in motions:
         if all(
             np.abs(motion[0] - other[0]).max() > ALIKE or np.abs(motion[1] - other[1]).max() > ALIKE
-            for other in kept
+            for other in distinct
         ):
-            kept.append(motion)
-    return kept
+            distinct.append(motion)
+    return distinct
 
 
-def _explained(rays: Rays, pose: Pose, reach: float) -> np.ndarray:
+def _is_inlier(rays: Rays, pose: Pose, max_distance: float) -> np.ndarray:
     """Return which matches lie near their epipolar line and before the camera, (N,) bool."""
-    nearest = nearest_points(rays, *pose)
-    return (np.abs(nearest.distance) <= reach) & (nearest.inverse_depth > 0)
+    points = nearest_points(rays, *pose)
+    return (np.abs(points.distance) <= max_distance) & (points.inverse_depth > 0)
 
 
-def angle(one: np.ndarray, other: np.ndarray) -> float:
+def angle_between(direction0: np.ndarray, direction1: np.ndarray) -> float:
     """Return the angle between two vectors of length 1, rad."""
-    return float(np.arccos(np.clip(one @ other, -1, 1)))
+    return float(np.arccos(np.clip(direction0 @ direction1, -1, 1)))
 
 
-def _described(
-    judge: Judge,
+def _sparse_motion(
+    match_cost: MatchCost,
     motion: _Motion,
     model: Model,
     camera: Camera,
     shape: tuple[int, int],
 ) -> SparseMotion:
     rotation, translation, residual = motion
-    rays = judge.rays
-    mine = rays.where(_explained(rays, (rotation, translation), EXPLAINED))
-    alone = rotation_alone(mine)
+    rays = match_cost.rays
+    inliers = rays.select(_is_inlier(rays, (rotation, translation), EXPLAINED))
+    pure_rotation = rotation_alone(inliers)
     return SparseMotion(
         rotation=rotation,
         translation=translation,
-        rotation_alone=alone,
+        rotation_alone=pure_rotation,
         model=model,
         residual=residual,
-        parallax=camera.focal * float(np.median(length(beyond(mine, alone)))),
-        inliers=mine.trust.size,
-        spread=_spread(mine, camera, shape),
-        cost=judge.cost((rotation, translation)),
-        rays=mine,
+        parallax=camera.focal * float(np.median(length(rotation_residual(inliers, pure_rotation)))),
+        inliers=inliers.trust.size,
+        coverage=_coverage(inliers, camera, shape),
+        cost=match_cost.cost((rotation, translation)),
+        rays=inliers,
     )
 
 
-def _spread(rays: Rays, camera: Camera, shape: tuple[int, int]) -> float:
+def _coverage(rays: Rays, camera: Camera, shape: tuple[int, int]) -> float:
     """Return the share of the image's cells that hold a match."""
     height, width = shape
     center = np.array(camera.center_for(height, width))[:, None]
@@ -284,36 +288,36 @@ def _spread(rays: Rays, camera: Camera, shape: tuple[int, int]) -> float:
     return len(np.unique(row * SPREAD_CELLS + column)) / SPREAD_CELLS**2
 
 
-def _model(rays: Rays, pose: Pose, homographies: list[np.ndarray], scale: float) -> Model:
+def _select_model(rays: Rays, pose: Pose, homographies: list[np.ndarray], scale: float) -> Model:
     """Return the model of least geometric robust information criterion (GRIC; Torr 1998).
 
     Errors are distances in frame 1 from a predicted point (rotation, plane) or line (depth).
     """
     distance = nearest_points(rays, *pose).distance
-    found: dict[Model, float] = {
-        "depth": _criterion(distance**2, scale, dimension=3, parameters=5),
-        "rotation": _criterion(
-            _beyond_homography(rays, rotation_alone(rays)), scale, dimension=2, parameters=3
+    criteria: dict[Model, float] = {
+        "depth": _gric(distance**2, scale, dimension=3, parameters=5),
+        "rotation": _gric(
+            _homography_errors(rays, rotation_alone(rays)), scale, dimension=2, parameters=3
         ),
     }
     planes = [
-        _criterion(_beyond_homography(rays, matrix), scale, dimension=2, parameters=8)
+        _gric(_homography_errors(rays, matrix), scale, dimension=2, parameters=8)
         for matrix in homographies
     ]
     if planes:
-        found["plane"] = min(planes)
-    return min(found, key=lambda model: found[model])
+        criteria["plane"] = min(planes)
+    return min(criteria, key=lambda model: criteria[model])
 
 
-def _beyond_homography(rays: Rays, matrix: np.ndarray) -> np.ndarray:
+def _homography_errors(rays: Rays, matrix: np.ndarray) -> np.ndarray:
     """Return the squared distances of matches from the points of a homography, (N,) px²."""
-    return rays.focal**2 * np.square(beyond(rays, matrix)).sum(axis=0)
+    return rays.focal**2 * np.square(rotation_residual(rays, matrix)).sum(axis=0)
 
 
-def _criterion(square: np.ndarray, scale: float, *, dimension: int, parameters: int) -> float:
+def _gric(square: np.ndarray, scale: float, *, dimension: int, parameters: int) -> float:
     """Return GRIC: the errors plus the penalties for dimension and parameters of the model."""
-    worst = WORST * (COORDINATES - dimension)
-    fit = float(np.minimum(square / scale**2, worst).sum())
+    max_error = WORST * (COORDINATES - dimension)
+    fit = float(np.minimum(square / scale**2, max_error).sum())
     count = square.size
     return (
         fit + dimension * count * math.log(COORDINATES) + parameters * math.log(COORDINATES * count)

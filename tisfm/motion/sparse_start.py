@@ -8,18 +8,18 @@ from tisfm.camera import Camera
 from tisfm.kernels.model.constants import NEAREST
 from tisfm.motion.depth_checks import pose_status
 from tisfm.motion.epipolar_fit import Pose, nearest_points
-from tisfm.motion.frame_agreement import unrelated
+from tisfm.motion.frame_agreement import unrelated_status
 from tisfm.motion.plane_ambiguity import TWO_MOTIONS
-from tisfm.motion.plane_sweep import ENTRIES, swept
+from tisfm.motion.plane_sweep import ENTRIES, sweep_depth
 from tisfm.motion.rigid_depth import scaled_translations
 from tisfm.motion.sparse_matches import LARGEST, Matches, sparse_matches
 from tisfm.motion.sparse_motion import (
     SMALLEST_RESIDUAL,
     TIED,
     SparseMotion,
-    angle,
-    posed_motion,
-    posed_residual,
+    angle_between,
+    known_pose_motion,
+    pose_residual,
     sparse_motions,
 )
 from tisfm.motion.window_statistics import correlation, texture
@@ -41,7 +41,7 @@ class SparseStart:
     # (h, w, 2) float32: flow of the motion and the depth of a plane sweep, px of the level
     flow: np.ndarray
     trust: np.ndarray  # (h, w) float32: trust in the flow, in [0, 1]
-    apart: Status | None  # set if the frames do not match even along this flow
+    mismatch: Status | None  # set if the frames do not match even along this flow
     doubt: Status | None  # set if another motion is as likely
 
 
@@ -51,28 +51,32 @@ def sparse_start(
     # (rotation, translation) or None: motion of a flow field. It is kept if the matches fit it
     # nearly as well as their best motion. It decides between motions that fit the images equally
     # well.
-    dense: Pose | None,
+    flow_pose: Pose | None,
 ) -> SparseStart | None:
     """Return the motion of matches that fits the images best; None if there is no better motion."""
     finest, matches = _matches(pyramid)
-    motions, judge = sparse_motions(matches, pyramid.cameras[finest], pyramid.frames0[finest].shape)
-    if judge is None:
+    motions, match_cost = sparse_motions(
+        matches, pyramid.cameras[finest], pyramid.frames0[finest].shape
+    )
+    if match_cost is None:
         return None
-    if dense is not None and judge.cost(dense) <= TIED * motions[0].cost:
+    if flow_pose is not None and match_cost.cost(flow_pose) <= TIED * motions[0].cost:
         return None
-    views = [_View(pyramid, level, motion) for motion in motions[:MOST]]
-    best = max(view.score for view in views)
-    likely = [view for view in views if view.score >= best - UNDECIDED]
-    chosen = likely[0]  # the motion of least cost for the matches
+    candidates = [_SweptMotion(pyramid, level, motion) for motion in motions[:MOST]]
+    best_score = max(candidate.score for candidate in candidates)
+    equal = [candidate for candidate in candidates if candidate.score >= best_score - UNDECIDED]
+    chosen = equal[0]  # the motion of least cost for the matches
     doubt = None
-    if len(likely) > 1 and dense is not None:
-        chosen = min(likely, key=lambda view: angle(view.motion.translation, dense[1]))
-    if len(likely) > 1 and (dense is None or chosen.motion.model == "plane"):
+    if len(equal) > 1 and flow_pose is not None:
+        chosen = min(
+            equal, key=lambda candidate: angle_between(candidate.motion.translation, flow_pose[1])
+        )
+    if len(equal) > 1 and (flow_pose is None or chosen.motion.model == "plane"):
         doubt = TWO_MOTIONS
     return chosen.start(1 / pyramid.scales[finest], doubt)
 
 
-def posed_start(
+def known_pose_start(
     pyramid: ImagePyramid,
     level: int,
     pose: Pose,  # (rotation, translation): ‖t‖ = 1
@@ -84,21 +88,21 @@ def posed_start(
     """
     finest, matches = _matches(pyramid)
     camera, shape = pyramid.cameras[finest], pyramid.frames0[finest].shape
-    length = 1 / pyramid.scales[finest]
+    px_factor = 1 / pyramid.scales[finest]
     motions, _ = sparse_motions(matches, camera, shape)
     doubt = None
-    if motions and _View(pyramid, level, motions[0]).apart is None:
+    if motions and _SweptMotion(pyramid, level, motions[0]).mismatch is None:
         rotation, translation = pose
-        off, back = (
-            length * posed_residual(motions[0].rays, way)
-            for way in (pose, (rotation.T, -rotation.T @ translation))
+        residual, inverse_residual = (
+            px_factor * pose_residual(motions[0].rays, candidate)
+            for candidate in (pose, (rotation.T, -rotation.T @ translation))
         )
-        best = length * max(motions[0].residual, SMALLEST_RESIDUAL)
-        doubt = pose_status(off, best, inverse=back)
-    motion = posed_motion(matches, camera, shape, pose)
+        best = px_factor * max(motions[0].residual, SMALLEST_RESIDUAL)
+        doubt = pose_status(residual, best, inverse_residual=inverse_residual)
+    motion = known_pose_motion(matches, camera, shape, pose)
     if motion is None:
         return None, doubt
-    return _View(pyramid, level, motion).start(length, doubt), doubt
+    return _SweptMotion(pyramid, level, motion).start(px_factor, doubt), doubt
 
 
 def _matches(pyramid: ImagePyramid) -> tuple[int, Matches]:
@@ -110,7 +114,7 @@ def _matches(pyramid: ImagePyramid) -> tuple[int, Matches]:
     return finest, sparse_matches(*frames, pyramid.counted_on(finest))
 
 
-class _View:
+class _SweptMotion:
     """A level of the pyramid under one motion: depth by a plane sweep, and frame correlation."""
 
     def __init__(self, pyramid: ImagePyramid, level: int, motion: SparseMotion) -> None:
@@ -123,12 +127,14 @@ class _View:
         inverse_depth = nearest_points(
             motion.rays, motion.rotation, motion.translation
         ).inverse_depth
-        seen = inverse_depth * (camera.focal / np.linalg.norm(scaled[:, 3]))  # D of the matches
-        high = min(FURTHER * float(np.percentile(seen, RARE)), max(frame0.shape))
-        hypotheses = np.arange(max(np.ceil(high), FEWEST_HYPOTHESES))
+        match_depths = inverse_depth * (
+            camera.focal / np.linalg.norm(scaled[:, 3])
+        )  # D of the matches
+        max_depth = min(FURTHER * float(np.percentile(match_depths, RARE)), max(frame0.shape))
+        hypotheses = np.arange(max(np.ceil(max_depth), FEWEST_HYPOTHESES))
         hypotheses = hypotheses[: max(FEWEST_HYPOTHESES, ENTRIES // frame0.size)]
-        guess = np.full_like(frame0, np.median(seen))
-        depth = swept(
+        guess = np.full_like(frame0, np.median(match_depths))
+        depth = sweep_depth(
             frame0,
             frame1,
             scaled,
@@ -139,23 +145,27 @@ class _View:
             counted=pyramid.counted_on(level),
         )
         self.flow = _flow(depth, scaled, camera)
-        alike = correlation(frame0, frame1, self.flow)
-        unseen = leaves_image(np.moveaxis(self.flow, -1, 0))
+        correlations = correlation(frame0, frame1, self.flow)
+        hidden = leaves_image(np.moveaxis(self.flow, -1, 0))
         if pyramid.counted is not None:
-            unseen |= pyramid.counted.missing(np.moveaxis(self.flow, -1, 0), level)
-        weight = np.where(unseen, 0, texture(frame0))
+            hidden |= pyramid.counted.missing(np.moveaxis(self.flow, -1, 0), level)
+        weight = np.where(hidden, 0, texture(frame0))
         total = float(weight.sum())
-        self.score = float((weight * alike).sum() / total) if total > 0 else -1.0
-        self.trust = np.clip(weight * alike, 0, 1).astype(np.float32)
-        self.apart = unrelated(frame0, frame1, self.flow, weight, free=False) if total > 0 else None
+        self.score = float((weight * correlations).sum() / total) if total > 0 else -1.0
+        self.trust = np.clip(weight * correlations, 0, 1).astype(np.float32)
+        self.mismatch = (
+            unrelated_status(frame0, frame1, self.flow, weight, is_free_flow=False)
+            if total > 0
+            else None
+        )
 
-    def start(self, enlarged: float, doubt: Status | None) -> SparseStart:
-        """Return the start, with lengths of the motion multiplied by `enlarged`."""
+    def start(self, px_factor: float, doubt: Status | None) -> SparseStart:
+        """Return the start, with lengths of the motion multiplied by `px_factor`."""
         return SparseStart(
-            motion=self.motion.scaled(enlarged),
+            motion=self.motion.scaled(px_factor),
             flow=self.flow,
             trust=self.trust,
-            apart=self.apart,
+            mismatch=self.mismatch,
             doubt=doubt,
         )
 
@@ -167,8 +177,8 @@ def _flow(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:
     x = (np.arange(width) - cx) / camera.focal
     y = (np.arange(height)[:, None] - cy) / camera.focal
     rays = np.stack(np.broadcast_arrays(x, y, np.ones_like(depth)))
-    moved = np.einsum("ij,jhw->ihw", motion[:, :3], rays)
-    moved += depth * (motion[:, 3] / camera.focal)[:, None, None]
-    nearness = 1 / np.maximum(moved[2], NEAREST)
-    flow = np.stack([moved[0] * nearness - x, moved[1] * nearness - y], axis=-1)
+    points = np.einsum("ij,jhw->ihw", motion[:, :3], rays)
+    points += depth * (motion[:, 3] / camera.focal)[:, None, None]
+    nearness = 1 / np.maximum(points[2], NEAREST)
+    flow = np.stack([points[0] * nearness - x, points[1] * nearness - y], axis=-1)
     return (camera.focal * flow).astype(np.float32)

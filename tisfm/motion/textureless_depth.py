@@ -67,10 +67,10 @@ def textureless_share(frame: np.ndarray, counted: np.ndarray | None = None) -> f
     Only windows around the pixels of `counted`, (H, W) bool, take part, by default all.
     """
     noise = noise_deviation(frame, counted=counted)
-    bare = window_variance(frame, WINDOW) <= SHOWN * noise**2
+    is_textureless = window_variance(frame, WINDOW) <= SHOWN * noise**2
     if counted is not None:
-        bare = bare[counted]
-    return float(bare.mean()) if bare.size else 0.0
+        is_textureless = is_textureless[counted]
+    return float(is_textureless.mean()) if is_textureless.size else 0.0
 
 
 def textureless_depth(
@@ -90,23 +90,25 @@ def textureless_depth(
     if pyramid.frames0[-1].size > MOST:
         return None
     planes = matched_planes(pyramid, motion)
-    seen = pyramid.counted0(planes.level)
-    counted = np.ones(planes.believed.shape, bool) if seen is None else seen
+    valid_pixels = pyramid.counted0(planes.level)
+    counted = np.ones(planes.is_reliable.shape, bool) if valid_pixels is None else valid_pixels
     if support is not None:
         size = counted.shape[::-1]
-        inside = cv2.resize(support.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-        counted = counted & inside
-        planes = replace(planes, believed=planes.believed & counted)
-    if planes.believed.sum() < max(1, FEWEST * counted.sum()):
+        is_supported = (
+            cv2.resize(support.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        )
+        counted = counted & is_supported
+        planes = replace(planes, is_reliable=planes.is_reliable & counted)
+    if planes.is_reliable.sum() < max(1, FEWEST * counted.sum()):
         return None
     level = planes.level
     state = _Level(pyramid, settings, motion, planes, counted)
     history: Records = []
     converged = False
     for warp in range(WARPS):
-        iterations, converged = state.step(settings.tolerance)
+        iterations, converged = state.minimise(settings.tolerance)
         history += [(level, warp, iteration) for iteration in iterations]
-    state.bound(planes)
+    state.limit_depth(planes)
     unknowns = state.unknowns
     return TexturelessSolution(
         motions=motion[None],
@@ -116,7 +118,7 @@ def textureless_depth(
         density=pyramid.scales[level],
         history=history,
         converged=converged,
-        adjustable=False,
+        is_adjustable=False,
         carried_deviation=_deviation(planes, unknowns.images()[0], pyramid),
     )
 
@@ -132,18 +134,18 @@ class _Level:
         planes: MatchedPlanes,
         counted: np.ndarray,
     ) -> None:
-        level, target = planes.level, planes.inverse_depth
+        level, matched_depth = planes.level, planes.inverse_depth
         frame, focal = pyramid.frames0[level], pyramid.cameras[level].focal
         problem = depth_problem(settings, focal)
         self.unknowns = unknowns = unknowns_on(pyramid, level, problem)
         self._grid = grid = unknowns.grid
-        believed = planes.believed.astype(np.float32)
-        depth, slopes = fill(target, believed, frame, SECOND_ORDER)
+        reliable = planes.is_reliable.astype(np.float32)
+        depth, slopes = fill(matched_depth, reliable, frame, SECOND_ORDER)
         data_term = data_term_on(pyramid, level, problem, unknowns)
         restricted = grid.allocate(data_term.constraints.shape[0])
         self._minimiser = minimiser = SecondOrderMinimiser(
             grid,
-            anchors_in_lanes(grid, np.stack([believed, believed * target])),
+            anchors_in_lanes(grid, np.stack([reliable, reliable * matched_depth])),
             image_edges_in_lanes(grid, frame, SECOND_ORDER.image_edges, pyramid.counted0(level)),
             SECOND_ORDER,
             constraints=restricted,
@@ -153,8 +155,10 @@ class _Level:
             image_to_lanes(grid, np.ascontiguousarray(values), minimiser.rho, component=component)
         labels, weight = grid.allocate(1), grid.allocate(1)
         flow, direction = grid.allocate(2, zeros=False), grid.allocate(2, zeros=False)
-        textured = texture_weight(frame, counted=pyramid.counted0(level))
-        share = np.float32(DATA**0.5) * textured * counted  # factor of a constraint before squaring
+        texture_weights = texture_weight(frame, counted=pyramid.counted0(level))
+        share = (
+            np.float32(DATA**0.5) * texture_weights * counted
+        )  # factor of a constraint before squaring
         image_to_lanes(grid, share, weight)
         motions = np.ascontiguousarray(motion[None], np.float32)
         inverse_depth = minimiser.rho[:1]
@@ -175,16 +179,16 @@ class _Level:
             multiply.bind(grid, weight, restricted),
         )
 
-    def step(self, tolerance: float) -> tuple[list[Iteration], bool]:
+    def minimise(self, tolerance: float) -> tuple[list[Iteration], bool]:
         """Linearise once and minimise."""
         self._linearise()
         self._minimiser.update()
         return self._minimiser.minimise(ITERATIONS, tolerance=tolerance)
 
-    def bound(self, planes: MatchedPlanes) -> None:
+    def limit_depth(self, planes: MatchedPlanes) -> None:
         """Set the unknowns to the minimiser's D, bounded from below."""
-        least = np.quantile(planes.inverse_depth[planes.believed], FURTHEST_SHARE) / FURTHEST
-        self.unknowns.set_images(np.maximum(self._minimiser.images()[:1], np.float32(least)))
+        min_depth = np.quantile(planes.inverse_depth[planes.is_reliable], FURTHEST_SHARE) / FURTHEST
+        self.unknowns.set_images(np.maximum(self._minimiser.images()[:1], np.float32(min_depth)))
 
     def precision(self) -> np.ndarray:
         """Return the precision of data and carried depth (`tisfm.kernels.solve.data_precision`)."""
@@ -207,24 +211,24 @@ def _deviation(planes: MatchedPlanes, depth: np.ndarray, pyramid: ImagePyramid) 
     of matched pixels nearby by the refinement. `depth`, (h, w) float32, is the refined D on the
     level of the planes.
     """
-    believed = planes.believed.astype(np.float32)
-    far = cv2.distanceTransform((~planes.believed).astype(np.uint8), cv2.DIST_L2, 5)
+    reliable = planes.is_reliable.astype(np.float32)
+    distance = cv2.distanceTransform((~planes.is_reliable).astype(np.uint8), cv2.DIST_L2, 5)
     window = (AROUND, AROUND)
-    moved = cv2.blur(believed * np.abs(depth - planes.inverse_depth), window)
-    moved /= np.maximum(cv2.blur(believed, window), np.float32(1 / AROUND**2))
-    deviation = np.sqrt(MATCHING**2 + (CARRYING * far) ** 2 + moved**2)
+    refinement = cv2.blur(reliable * np.abs(depth - planes.inverse_depth), window)
+    refinement /= np.maximum(cv2.blur(reliable, window), np.float32(1 / AROUND**2))
+    deviation = np.sqrt(MATCHING**2 + (CARRYING * distance) ** 2 + refinement**2)
     height, width = pyramid.shape
     return cv2.resize(deviation, (width, height)) / np.float32(pyramid.scales[planes.level])
 
 
 def texture_weight(
-    frame: np.ndarray, *, half: float = TEXTURE, counted: np.ndarray | None = None
+    frame: np.ndarray, *, half_variance: float = TEXTURE, counted: np.ndarray | None = None
 ) -> np.ndarray:
     """Return the weight of the texture in each window against noise, (H, W) float32, from 0 to 1.
 
-    A window whose variance is `half` variances of the noise has ½. The noise is measured on the
-    pixels of `counted`, (H, W) bool, by default all.
+    A window whose variance is `half_variance` variances of the noise has ½. The noise is measured
+    on the pixels of `counted`, (H, W) bool, by default all.
     """
     noise = noise_deviation(frame, counted=counted)
     variance = window_variance(frame, WINDOW)
-    return variance / (variance + np.float32(half * noise**2))
+    return variance / (variance + np.float32(half_variance * noise**2))

@@ -37,10 +37,10 @@ def correlation(
     # Brightness may be on any scale, and squares of values far from 0 lose digits.
     mean, unit = (np.float32(value(dtype=float)) for value in (frame0.mean, frame0.std))
     frame0, frame1 = (frame0 - mean) / unit, (frame1 - mean) / unit
-    moved = warped(frame1, flow)
-    mean0, mean1 = mean_in_windows(frame0), mean_in_windows(moved)
-    product = variance_in_windows(frame0, mean0) * variance_in_windows(moved, mean1)
-    return (mean_in_windows(frame0 * moved) - mean0 * mean1) / np.sqrt(
+    warped1 = warped(frame1, flow)
+    mean0, mean1 = mean_in_windows(frame0), mean_in_windows(warped1)
+    product = variance_in_windows(frame0, mean0) * variance_in_windows(warped1, mean1)
+    return (mean_in_windows(frame0 * warped1) - mean0 * mean1) / np.sqrt(
         np.maximum(product, FLATTEST)
     )
 
@@ -49,8 +49,8 @@ def texture(frame: np.ndarray) -> np.ndarray:
     """Return the variance v of the window around each pixel as v / (v + median), in [0, 1)."""
     frame = frame - frame.mean()
     variance = variance_in_windows(frame, mean_in_windows(frame))
-    usual = np.float32(np.median(variance))
-    return variance / np.maximum(variance + usual, np.finfo(np.float32).tiny)
+    median_variance = np.float32(np.median(variance))
+    return variance / np.maximum(variance + median_variance, np.finfo(np.float32).tiny)
 
 
 def warped(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
@@ -65,11 +65,11 @@ def warped(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
     left = np.minimum(x.astype(np.intp), width - 2)
     top = np.minimum(y.astype(np.intp), height - 2)
     across, down = x - left.astype(np.float32), y - top.astype(np.float32)
-    site = top * width + left
+    index = top * width + left
     values = image.ravel()
-    above = values[site] + across * (values[site + 1] - values[site])
-    site += width
-    below = values[site] + across * (values[site + 1] - values[site])
+    above = values[index] + across * (values[index + 1] - values[index])
+    index += width
+    below = values[index] + across * (values[index + 1] - values[index])
     moved: np.ndarray = above + down * (below - above)
     return moved
 

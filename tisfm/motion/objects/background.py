@@ -18,7 +18,7 @@ from tisfm.solver.image_pyramid import ImagePyramid
 RIM = 7  # px: window that erodes the background, as windows across its boundary mix depths
 
 
-def with_carried_background(
+def carry_background_depth(
     pyramid: ImagePyramid,
     settings: Settings,
     solution: RigidSolution,
@@ -51,25 +51,27 @@ def with_carried_background(
     if carried is None:
         return None
     size = solution.precision.shape[:0:-1]
-    mine = cv2.resize(background.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-    ends: list[RigidSolution] = [solution, carried]
+    is_background = (
+        cv2.resize(background.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    )
+    solutions: list[RigidSolution] = [solution, carried]
     if labels.any() and not solution.converged:
-        ends.reverse()  # the last one gives the status of the iterations
-    first, last = ends
+        solutions.reverse()  # the last one gives the status of the iterations
+    first, last = solutions
     return TexturelessSolution(
         motions=motions,
         inverse_depth=np.where(background, carried.inverse_depth, solution.inverse_depth),
-        precision=np.where(mine, _on_level(carried, solution), solution.precision),
+        precision=np.where(is_background, _resize_precision(carried, solution), solution.precision),
         level=solution.level,
         density=solution.density,
         history=first.history + last.history,
         converged=last.converged,
-        adjustable=last.adjustable,
+        is_adjustable=last.is_adjustable,
         carried_deviation=np.where(background, carried.deviation(), solution.deviation()),
     )
 
 
-def _on_level(carried: TexturelessSolution, other: RigidSolution) -> np.ndarray:
+def _resize_precision(carried: TexturelessSolution, other: RigidSolution) -> np.ndarray:
     """Return the precision of one solution on the level of another, (7, h, w) float32."""
     if carried.level == other.level:
         return carried.precision

@@ -40,7 +40,7 @@ Corner = tuple[np.ndarray, np.ndarray]  # indices of pixels, and their weights
 def sharpen_labels(
     labels: np.ndarray,  # (H, W) int32
     flows: np.ndarray,  # (K, 2, H, W) float32: flow of each label's surface, at every pixel
-    reach: np.ndarray,  # (K, H, W) bool: where a label is allowed
+    allowed: np.ndarray,  # (K, H, W) bool: where a label is allowed
     # frame0, frame1: (H, W) float32, grey levels
     frame0: np.ndarray,
     frame1: np.ndarray,
@@ -55,24 +55,24 @@ def sharpen_labels(
     whose grey levels match there is in front.
     """
     window = np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8)
-    near = np.stack(
+    nearby = np.stack(
         [cv2.dilate((labels == k).astype(np.uint8), window) > 0 for k in range(len(flows))]
     )
-    free = near.sum(axis=0) > 1
-    if not free.any():
+    is_free = nearby.sum(axis=0) > 1
+    if not is_free.any():
         return labels
-    costs, own_cost, hidden = _label_costs(flows, labels, frame0, frame1, free)
-    far = ~(near & reach)[:, free]
-    size = np.add(free.shape, MARGINS)
-    targets = [list(_corners(_targets(np.nan_to_num(flow))[:, free], *size)) for flow in flows]
-    boundaries = MinSum(free, frame0, length=LENGTH, image_edges=IMAGE_EDGES)
+    costs, own_cost, hidden = _label_costs(flows, labels, frame0, frame1, is_free)
+    forbidden = ~(nearby & allowed)[:, is_free]
+    size = np.add(is_free.shape, MARGINS)
+    targets = [list(_corners(_targets(np.nan_to_num(flow))[:, is_free], *size)) for flow in flows]
+    boundaries = MinSum(is_free, frame0, length=LENGTH, image_edges=IMAGE_EDGES)
     for _ in range(ROUNDS):
         sums = _sums_at_targets(labels, flows, own_cost, hidden)
-        unary = _costs_with_occlusion(costs, hidden[free], sums, targets)
-        unary[far] = NEVER
+        unary = _costs_with_occlusion(costs, hidden[is_free], sums, targets)
+        unary[forbidden] = NEVER
         labels = labels.copy()
-        labels[free] = boundaries.assign(unary, labels)
-        own_cost[free] = np.take_along_axis(costs, labels[free][None], axis=0)[0]
+        labels[is_free] = boundaries.assign(unary, labels)
+        own_cost[is_free] = np.take_along_axis(costs, labels[is_free][None], axis=0)[0]
     return labels
 
 
@@ -81,7 +81,7 @@ def _label_costs(
     labels: np.ndarray,
     frame0: np.ndarray,
     frame1: np.ndarray,
-    free: np.ndarray,
+    is_free: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the costs of visible labels at free pixels, of each pixel's own label, and if hidden.
 
@@ -96,53 +96,57 @@ def _label_costs(
     taps = spline_taps(frame1)
     flow = _flow_of_labels(flows, labels)
     change = sample(frame1, flow, taps) - frame0
-    usual = np.median(change)
-    change -= usual
+    median_change = np.median(change)
+    change -= median_change
     noise = NOISE * float(np.median(np.abs(change)))
     limit = np.hypot(noise, LEAST_NOISE)
     window = (BRIGHTNESS_WINDOW, BRIGHTNESS_WINDOW)
     brightness = cv2.blur(np.clip(change, -limit, limit), window)
     change -= brightness
     slope = np.hypot(*(cv2.Sobel(frame0, -1, *order, scale=1 / 8) for order in ((1, 0), (0, 1))))
-    least = LEAST_NOISE**2 + (FLOW_ERROR * slope) ** 2
-    common = least + noise**2
-    gone = leaves_image(flow)
-    own = np.empty_like(frame0)
-    judged = free | gone
-    seen = np.empty((len(flows), np.count_nonzero(judged)), np.float32)
-    known = np.full(seen.shape[1], MISSED, np.float32)
-    away = np.empty(seen.shape, bool)
+    min_variance = LEAST_NOISE**2 + (FLOW_ERROR * slope) ** 2
+    variance = min_variance + noise**2
+    leaves = leaves_image(flow)
+    own_cost = np.empty_like(frame0)
+    is_used = is_free | leaves
+    costs = np.empty((len(flows), np.count_nonzero(is_used)), np.float32)
+    min_cost = np.full(costs.shape[1], MISSED, np.float32)
+    leaves_under_label = np.empty(costs.shape, bool)
     for label, flow in enumerate(flows):
-        mine = labels == label
-        found = np.abs(change[mine])
-        deviation = NOISE * float(np.median(found)) if found.size else noise
-        own[mine] = _visible_cost(change[mine], least[mine], common[mine], deviation)
+        is_label = labels == label
+        changes = np.abs(change[is_label])
+        deviation = NOISE * float(np.median(changes)) if changes.size else noise
+        own_cost[is_label] = _visible_cost(
+            change[is_label], min_variance[is_label], variance[is_label], deviation
+        )
         flow = np.nan_to_num(flow)
-        there = (sample(frame1, flow, taps) - frame0 - usual - brightness)[judged]
-        seen[label] = _visible_cost(there, least[judged], common[judged], deviation)
-        away[label] = leaves_image(flow)[judged]
-        np.minimum(known, seen[label], out=known, where=~away[label])
-    seen = np.where(away, known, seen)
-    own[gone] = known[gone[judged]]
-    hidden = LEAST_HIDDEN + 0.5 * np.log1p(_variance(frame0) / common)
-    return seen[:, free[judged]], own, np.minimum(hidden, HIDDEN)
+        label_change = (sample(frame1, flow, taps) - frame0 - median_change - brightness)[is_used]
+        costs[label] = _visible_cost(
+            label_change, min_variance[is_used], variance[is_used], deviation
+        )
+        leaves_under_label[label] = leaves_image(flow)[is_used]
+        np.minimum(min_cost, costs[label], out=min_cost, where=~leaves_under_label[label])
+    costs = np.where(leaves_under_label, min_cost, costs)
+    own_cost[leaves] = min_cost[leaves[is_used]]
+    hidden = LEAST_HIDDEN + 0.5 * np.log1p(_variance(frame0) / variance)
+    return costs[:, is_free[is_used]], own_cost, np.minimum(hidden, HIDDEN)
 
 
 def _visible_cost(
-    change: np.ndarray, least: np.ndarray, common: np.ndarray, deviation: float
+    change: np.ndarray, min_variance: np.ndarray, frame_variance: np.ndarray, deviation: float
 ) -> np.ndarray:
     """Return the cost of changes of grey level of visible pixels, (N,) float32."""
-    variance = least + deviation**2
-    match = np.sqrt(common / variance) * np.exp(-(change**2) / (2 * variance))
+    variance = min_variance + deviation**2
+    match = np.sqrt(frame_variance / variance) * np.exp(-(change**2) / (2 * variance))
     return -np.log(np.minimum(match, 1) + np.exp(-MISSED))
 
 
 def _flow_of_labels(flows: np.ndarray, labels: np.ndarray) -> np.ndarray:
     """Return the flow of each pixel's own label, (2, H, W) float32."""
-    own = np.empty_like(flows[0])
+    own_flow = np.empty_like(flows[0])
     for label, flow in enumerate(flows):
-        np.copyto(own, flow, where=labels == label)
-    return np.nan_to_num(own, copy=False)
+        np.copyto(own_flow, flow, where=labels == label)
+    return np.nan_to_num(own_flow, copy=False)
 
 
 def _variance(frame: np.ndarray) -> np.ndarray:
@@ -163,28 +167,33 @@ def _costs_with_occlusion(
     those of `_sums_at_targets`, and `targets` the targets of the pixels under every label.
     """
     unary = costs.copy()
-    taken, missed, seen = sums
-    share = np.zeros_like(unary)
+    counts, costs_at_targets, hidden_gains = sums
+    hidden_share = np.zeros_like(unary)
     for front, behind in permutations(range(len(costs)), 2):
-        in_front = _in_front(taken[[front, behind]], missed[[front, behind]])
+        in_front = _in_front(counts[[front, behind]], costs_at_targets[[front, behind]])
         if in_front.any():
-            cover = in_front * (2 * taken[front] - 1).clip(0, 1)
-            np.maximum(share[behind], _read(cover, targets[behind]), out=share[behind])
+            cover = in_front * (2 * counts[front] - 1).clip(0, 1)
+            np.maximum(
+                hidden_share[behind], _interpolate(cover, targets[behind]), out=hidden_share[behind]
+            )
             # The label in front would occlude the pixels that are visible behind it.
-            unary[front] += _read(in_front * seen[behind], targets[front])
-    return -np.log((1 - share) * np.exp(-np.minimum(unary, LARGEST_COST)) + share * np.exp(-hidden))
+            unary[front] += _interpolate(in_front * hidden_gains[behind], targets[front])
+    return -np.log(
+        (1 - hidden_share) * np.exp(-np.minimum(unary, LARGEST_COST))
+        + hidden_share * np.exp(-hidden)
+    )
 
 
-def _in_front(taken: np.ndarray, missed: np.ndarray) -> np.ndarray:
+def _in_front(counts: np.ndarray, costs: np.ndarray) -> np.ndarray:
     """Return the pixels of frame 1 where the first of two labels is in front of the second.
 
     Both labels go there, and in the window around, the grey levels of the second match worse.
     """
-    both = ((taken > 0.5).all(axis=0)).astype(np.float32)
-    excess = both * (missed[1] / np.maximum(taken[1], 0.5) - missed[0] / np.maximum(taken[0], 0.5))
+    both = ((counts > 0.5).all(axis=0)).astype(np.float32)
+    excess = both * (costs[1] / np.maximum(counts[1], 0.5) - costs[0] / np.maximum(counts[0], 0.5))
     window = (ORDER_WINDOW, ORDER_WINDOW)
-    usual = excess.sum(dtype=np.float64) / max(both.sum(dtype=np.float64), 1)
-    return cv2.boxFilter(excess, -1, window, normalize=False) + GLOBAL_ORDER * usual > 1e-3
+    mean_excess = excess.sum(dtype=np.float64) / max(both.sum(dtype=np.float64), 1)
+    return cv2.boxFilter(excess, -1, window, normalize=False) + GLOBAL_ORDER * mean_excess > 1e-3
 
 
 def _targets(flow: np.ndarray) -> np.ndarray:
@@ -205,32 +214,32 @@ def _sums_at_targets(
     """
     height, width = np.add(labels.shape, MARGINS)
     targets, count = _targets(_flow_of_labels(flows, labels)), len(flows)
-    landed = np.empty((3, count, height * width), np.float32)
+    target_sums = np.empty((3, count, height * width), np.float32)
     rows = max(1, STRIP // labels.shape[1])
     for label in range(count):
         sums = np.zeros((3, height * width))
         for first in range(0, len(labels), rows):
             strip = np.s_[first : first + rows]
-            mine = labels[strip] == label
-            if not mine.any():
+            is_label = labels[strip] == label
+            if not is_label.any():
                 continue
-            cost = own_cost[strip][mine]
-            values = np.ones_like(cost), cost, np.maximum(hidden[strip][mine] - cost, 0)
-            for corner, weight in _corners(targets[:, strip][:, mine], height, width):
-                least = int(corner.min())
-                corner -= least
+            cost = own_cost[strip][is_label]
+            values = np.ones_like(cost), cost, np.maximum(hidden[strip][is_label] - cost, 0)
+            for corner, weight in _corners(targets[:, strip][:, is_label], height, width):
+                lowest = int(corner.min())
+                corner -= lowest
                 for total, value in zip(sums, values, strict=True):
                     part = np.bincount(corner, weight * value)
-                    total[least : least + len(part)] += part
-        landed[:, label] = sums
-    landed = landed.reshape(3, count, height, width)
-    landed[..., (0, -2, -1), :] = landed[..., (0, -2, -1)] = 0
-    return landed
+                    total[lowest : lowest + len(part)] += part
+        target_sums[:, label] = sums
+    target_sums = target_sums.reshape(3, count, height, width)
+    target_sums[..., (0, -2, -1), :] = target_sums[..., (0, -2, -1)] = 0
+    return target_sums
 
 
-def _read(landed: np.ndarray, corners: list[Corner]) -> np.ndarray:
+def _interpolate(sums: np.ndarray, corners: list[Corner]) -> np.ndarray:
     """Return a sum of `_sums_at_targets` between pixels, bilinearly; 0 beyond the image."""
-    return sum(weight * landed.take(corner) for corner, weight in corners)
+    return sum(weight * sums.take(corner) for corner, weight in corners)
 
 
 def _corners(targets: np.ndarray, height: int, width: int) -> Iterator[Corner]:
@@ -238,6 +247,6 @@ def _corners(targets: np.ndarray, height: int, width: int) -> Iterator[Corner]:
     x, y = targets[0].clip(-1, width - 3) + 1, targets[1].clip(-1, height - 3) + 1
     left, top = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
     right, down = (x - left).astype(np.float32), (y - top).astype(np.float32)
-    for row, share in ((top, 1 - down), (top + 1, down)):
-        yield row * width + left, share * (1 - right)
-        yield row * width + left + 1, share * right
+    for row, row_weight in ((top, 1 - down), (top + 1, down)):
+        yield row * width + left, row_weight * (1 - right)
+        yield row * width + left + 1, row_weight * right

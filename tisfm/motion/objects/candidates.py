@@ -31,7 +31,7 @@ def motion_candidates(
     background: np.ndarray,  # (3, 4) array: R and t of the largest motion
     residual: float,  # its residual, px
     *,
-    most: int,  # largest number of motions
+    max_motions: int,  # largest number of motions
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Find motions one after another, each in the pixels that the previous ones do not explain.
 
@@ -48,7 +48,7 @@ def motion_candidates(
     small_flow = cv2.resize(flow, size, interpolation=cv2.INTER_AREA) * np.float32(ratio)
     small_trust = cv2.resize(trust, size, interpolation=cv2.INTER_AREA)
     # The rounding of the size shifts a pixel by a fraction of one; motions hardly change.
-    search = _Search(
+    search = _CandidateSearch(
         small_flow,
         small_trust,
         camera.scaled(ratio, height, width),
@@ -56,14 +56,14 @@ def motion_candidates(
         TOLERATED_RESIDUALS * residual * ratio + TOLERATED_PX,
         np.array(background, np.float64),
     )
-    motions, labels = search.run(most)
+    motions, labels = search.run(max_motions)
     labels = cv2.resize(
         labels.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST
     ).astype(np.int32)
     return motions, labels
 
 
-class _Search:
+class _CandidateSearch:
     """A flow field, and the motions found in it so far."""
 
     def __init__(
@@ -72,34 +72,34 @@ class _Search:
         trust: np.ndarray,
         camera: Camera,
         frame: np.ndarray,
-        tolerated: float,
+        max_error: float,
         background: np.ndarray,
     ) -> None:
         self._flow, self._trust, self._camera = flow, trust, camera
         self._background = background
-        self._tolerated = tolerated
+        self._max_error = max_error
         self._potts = Potts(frame)
         self._weight = np.maximum(trust, LEAST_WEIGHT)
-        self.smallest = smallest_object(trust.size)
+        self.min_size = smallest_object(trust.size)
 
-    def run(self, most: int) -> tuple[list[np.ndarray], np.ndarray]:
+    def run(self, max_motions: int) -> tuple[list[np.ndarray], np.ndarray]:
         motions = [self._background]
-        tried = np.zeros(self._trust.shape, bool)
-        for _ in range(3 * most):
+        is_tried = np.zeros(self._trust.shape, bool)
+        for _ in range(3 * max_motions):
             labels = self._labels(motions, unexplained=True)
-            part = _largest_part((labels == len(motions)) & ~tried)
-            if len(motions) == most or part.sum() < self.smallest:
+            part = _largest_part((labels == len(motions)) & ~is_tried)
+            if len(motions) == max_motions or part.sum() < self.min_size:
                 break
             motion = self._fit(part)
-            found = None if motion is None else self._refit_with(motions, motion, part)
-            if found is None:
-                tried |= part
+            extended = None if motion is None else self._add_motion(motions, motion, part)
+            if extended is None:
+                is_tried |= part
             else:
-                motions = found
-        motions = self._split(motions, most)
+                motions = extended
+        motions = self._split(motions, max_motions)
         return motions, self._labels(motions)
 
-    def _split(self, motions: list[np.ndarray], most: int) -> list[np.ndarray]:
+    def _split(self, motions: list[np.ndarray], max_motions: int) -> list[np.ndarray]:
         """Give separate parts of a label their own motions if these fit clearly better.
 
         One motion with free depths often explains two objects that move only roughly alike. It is
@@ -108,56 +108,56 @@ class _Search:
         labels = self._labels(motions)
         added: list[np.ndarray] = []
         for label in range(1, len(motions)):
-            parts = sorted(_parts(labels == label, self.smallest), key=np.sum)
+            parts = sorted(_parts(labels == label, self.min_size), key=np.sum)
             joint = self._fit(np.any(parts, axis=0)) if len(parts) > 1 else None
             if joint is None:
                 continue
-            together = self._distance(joint)
-            left = np.any(parts, axis=0)
+            joint_distance = self._distance(joint)
+            rest_mask = np.any(parts, axis=0)
             for part in parts[:-1]:
-                found = self._fit(part)
-                if found is None or len(motions) + len(added) == most:
+                own_motion = self._fit(part)
+                if own_motion is None or len(motions) + len(added) == max_motions:
                     continue
-                apart = self._distance(found)
-                if np.median(apart[part]) < LARGEST_RATIO * np.median(together[part]):
-                    added.append(found)
-                    left &= ~part
-            rest = self._fit(left)
-            motions[label] = joint if rest is None else rest
+                own_distance = self._distance(own_motion)
+                if np.median(own_distance[part]) < LARGEST_RATIO * np.median(joint_distance[part]):
+                    added.append(own_motion)
+                    rest_mask &= ~part
+            rest_motion = self._fit(rest_mask)
+            motions[label] = joint if rest_motion is None else rest_motion
         return motions + added
 
-    def _refit_with(
+    def _add_motion(
         self, motions: list[np.ndarray], motion: np.ndarray, part: np.ndarray
     ) -> list[np.ndarray] | None:
         """Return all motions and one more, refitted to their pixels; None if it explains few."""
-        explained = (self._distance(motion) < self._tolerated * UNEXPLAINED) & part
-        if explained.sum() < max(LEAST_EXPLAINED * part.sum(), self.smallest):
+        is_explained = (self._distance(motion) < self._max_error * UNEXPLAINED) & part
+        if is_explained.sum() < max(LEAST_EXPLAINED * part.sum(), self.min_size):
             return None
         motions = [*motions, motion]
         labels = self._labels(motions)
-        kept = []
+        refitted = []
         for label, motion in enumerate(motions):
-            mine = labels == label
+            is_label = labels == label
             if label == 0 and not motion[:, 3].any():
-                kept.append(motion)  # a background at rest
-            elif label == 0 or mine.sum() >= self.smallest:
-                found = self._fit(mine)
-                kept.append(motion if found is None else found)
-        return kept if len(kept) == len(motions) else None
+                refitted.append(motion)  # a background at rest
+            elif label == 0 or is_label.sum() >= self.min_size:
+                new_motion = self._fit(is_label)
+                refitted.append(motion if new_motion is None else new_motion)
+        return refitted if len(refitted) == len(motions) else None
 
-    def _fit(self, mine: np.ndarray) -> np.ndarray | None:
+    def _fit(self, mask: np.ndarray) -> np.ndarray | None:
         try:
-            found = camera_motion(self._flow, self._trust * mine, self._camera)
+            motion = camera_motion(self._flow, self._trust * mask, self._camera)
         except TooFewPixelsError:
             return None
         # No object spins faster between frames: such a motion fits noise.
-        spin = Rotation.from_matrix(found.rotation @ self._background[:, :3].T).magnitude()
+        spin = Rotation.from_matrix(motion.rotation @ self._background[:, :3].T).magnitude()
         if spin > FASTEST_SPIN:
             return None
-        return np.column_stack([found.rotation, found.translation])
+        return np.column_stack([motion.rotation, motion.translation])
 
     def _labels(self, motions: list[np.ndarray], *, unexplained: bool = False) -> np.ndarray:
-        costs = [(self._distance(motion) / self._tolerated) ** 2 for motion in motions]
+        costs = [(self._distance(motion) / self._max_error) ** 2 for motion in motions]
         if unexplained:
             costs.append(np.full(self._trust.shape, UNEXPLAINED**2))
         stacked = np.minimum(np.stack(costs), 4 * UNEXPLAINED**2)
@@ -169,16 +169,16 @@ class _Search:
         focal = self._camera.focal
         cx, cy = self._camera.center_for(height, width)
         rows, columns = np.mgrid[:height, :width]
-        start = np.stack([columns - cx, rows - cy], axis=-1).reshape(-1, 2)
-        ones = np.ones((len(start), 1))
-        before = np.hstack([start / focal, ones])
-        after = np.hstack([(start + self._flow.reshape(-1, 2)) / focal, ones])
+        positions = np.stack([columns - cx, rows - cy], axis=-1).reshape(-1, 2)
+        ones = np.ones((len(positions), 1))
+        before = np.hstack([positions / focal, ones])
+        after = np.hstack([(positions + self._flow.reshape(-1, 2)) / focal, ones])
         rotation, translation = motion[:, :3], motion[:, 3]
-        moved = before @ rotation.T
+        points = before @ rotation.T
         if translation.any():
             inverse_depth = np.maximum(triangulate(before, after, rotation, translation), 0)
-            moved += inverse_depth[:, None] * translation
-        projected = moved[:, :2] / np.maximum(moved[:, 2:], NEAREST)
+            points += inverse_depth[:, None] * translation
+        projected = points[:, :2] / np.maximum(points[:, 2:], NEAREST)
         distance = focal * np.linalg.norm(after[:, :2] - projected, axis=1)
         return distance.reshape(height, width)
 
@@ -188,11 +188,11 @@ def smallest_object(pixels: int) -> int:
     return max(64, round(SMALLEST_OBJECT * pixels))
 
 
-def _parts(mask: np.ndarray, smallest: int) -> list[np.ndarray]:
-    """Return the connected parts of a mask with at least `smallest` pixels."""
+def _parts(mask: np.ndarray, min_size: int) -> list[np.ndarray]:
+    """Return the connected parts of a mask with at least `min_size` pixels."""
     count, parts = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
     each = (parts == index for index in range(1, count))
-    return [part for part in each if part.sum() >= smallest]
+    return [part for part in each if part.sum() >= min_size]
 
 
 def _largest_part(mask: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ FEWEST_COLUMNS = 8  # least number of columns of a contact
 LOWEST = 0.5  # of an object's rows: only the lower half touches the floor
 
 
-def aligned(
+def align_scales(
     estimate: Estimate,  # with motions, labels and inverse depth; the background is label 0
     hidden: np.ndarray,  # (H, W) bool: pixels whose depth is not used
 ) -> Estimate:
@@ -54,21 +54,23 @@ def contact_scale(
 ) -> float | None:
     """Return the ratio of background's to object's inverse depth at contacts, None without them."""
     height = len(labels)
-    mine = labels == label
-    columns = np.flatnonzero(mine.any(axis=0))
+    is_object = labels == label
+    columns = np.flatnonzero(is_object.any(axis=0))
     if not len(columns):
         return None
-    rows = np.flatnonzero(mine.any(axis=1))
-    lowest = height - 1 - mine[::-1].argmax(axis=0)[columns]
+    rows = np.flatnonzero(is_object.any(axis=1))
+    lowest = height - 1 - is_object[::-1].argmax(axis=0)[columns]
     above, below = lowest - APART, lowest + APART
-    seen = (lowest >= rows[0] + LOWEST * (rows[-1] - rows[0])) & (below < height) & (above >= 0)
-    columns, above, below = columns[seen], above[seen], below[seen]
-    touches = (labels[below, columns] == 0) & mine[above, columns]
-    touches &= ~hidden[below, columns] & ~hidden[above, columns]
-    columns, above, below = columns[touches], above[touches], below[touches]
+    is_low = (lowest >= rows[0] + LOWEST * (rows[-1] - rows[0])) & (below < height) & (above >= 0)
+    columns, above, below = columns[is_low], above[is_low], below[is_low]
+    is_contact = (labels[below, columns] == 0) & is_object[above, columns]
+    is_contact &= ~hidden[below, columns] & ~hidden[above, columns]
+    columns, above, below = columns[is_contact], above[is_contact], below[is_contact]
     # Double precision avoids overflow of the quotient.
-    standing, ground = (inverse_depth[rows, columns].astype(float) for rows in (above, below))
-    known = (standing != 0) & np.isfinite(standing) & np.isfinite(ground)
-    ratio = ground[known] / standing[known]
+    object_depth, background_depth = (
+        inverse_depth[rows, columns].astype(float) for rows in (above, below)
+    )
+    is_known = (object_depth != 0) & np.isfinite(object_depth) & np.isfinite(background_depth)
+    ratio = background_depth[is_known] / object_depth[is_known]
     ratio = ratio[ratio > 0]
     return float(np.median(ratio)) if len(ratio) >= FEWEST_COLUMNS else None

@@ -5,15 +5,15 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from tisfm.motion.camera import only_turned
+from tisfm.motion.camera import first_motion_estimate
 from tisfm.motion.estimate import Estimate
 from tisfm.motion.first_motion import STILL, FirstMotion, first_motion
-from tisfm.motion.objects.background import with_carried_background
+from tisfm.motion.objects.background import carry_background_depth
 from tisfm.motion.objects.boundaries import sharpen_labels
 from tisfm.motion.objects.candidates import motion_candidates, smallest_object
-from tisfm.motion.objects.contacts import aligned
-from tisfm.motion.objects.layers import Layering, Layers, without_specks
-from tisfm.motion.objects.unstable_depth import stable_depth
+from tisfm.motion.objects.contacts import align_scales
+from tisfm.motion.objects.layers import Layering, Layers, remove_specks
+from tisfm.motion.objects.unstable_depth import restore_diverged_depth
 from tisfm.motion.objects.wide_baseline import wide_baseline_motion
 from tisfm.motion.rigid_depth import RigidSolution
 from tisfm.motion.rigid_estimate import with_depth
@@ -54,22 +54,22 @@ def objects_estimate(
         sweeps=max(settings.sweeps, 8),
     )
     camera = pyramid.cameras[0]
-    start = first_motion(pyramid, settings, pixels=PIXELS)
+    start = first_motion(pyramid, settings, min_pixels=PIXELS)
     if start.status == "unrelated" and not start.is_cut:
         start = first_motion(pyramid, settings) if start.level > 0 else start
         if start.status == "unrelated":
             start = wide_baseline_motion(pyramid, settings, start, grey0, grey1)
-    nothing_seen = start.status in ("no_texture", "unrelated", "aperture")
-    if nothing_seen or (start.status == "no_motion" and not start.flow.any()):
+    has_no_flow = start.status in ("no_texture", "unrelated", "aperture")
+    if has_no_flow or (start.status == "no_motion" and not start.flow.any()):
         assert start.status is not None
-        return only_turned(pyramid, settings, start, start.status, level=0)
+        return first_motion_estimate(pyramid, settings, start, start.status, level=0)
     level = start.level
     layers = _layers(pyramid, settings, grey0, start)
     motions = layers.motions
-    hidden = _resized(layers.hidden, pyramid.shape)
-    labels, flows = _to_the_pixel(pyramid, level, layers, grey0, grey1, start.residual)
+    hidden = _resize_labels(layers.hidden, pyramid.shape)
+    labels, flows = _sharpen_levels(pyramid, level, layers, grey0, grey1, start.residual)
     if not labels.any() and start.status is not None:
-        return only_turned(pyramid, settings, start, start.status, level=0)
+        return first_motion_estimate(pyramid, settings, start, start.status, level=0)
     areas = np.bincount(labels.ravel(), minlength=len(motions))
     order = np.argsort(-areas, kind="stable")[: np.count_nonzero(areas)]
     rank = np.zeros(len(motions), np.int32)
@@ -77,13 +77,13 @@ def objects_estimate(
     expected = np.take_along_axis(flows, labels[None, None], axis=0)[0]
     labels = rank[labels]
     # Next to objects with reliable depth, rough depth of the background is left out.
-    rough = start.status is not None or (len(order) > 1 and start.doubt == "uncertain")
-    unseen = int(rank[0]) if rough and areas[0] else None
+    is_rough = start.status is not None or (len(order) > 1 and start.doubt == "uncertain")
+    hidden_label = int(rank[0]) if is_rough and areas[0] else None
 
-    def finish(solution: RigidSolution) -> Estimate:
-        return with_depth(solution, labels, camera, settings, unseen=unseen)
+    def estimate_of(solution: RigidSolution) -> Estimate:
+        return with_depth(solution, labels, camera, settings, hidden_label=hidden_label)
 
-    solution, estimate = stable_depth(
+    solution, estimate = restore_diverged_depth(
         pyramid,
         replace(
             settings,
@@ -92,16 +92,16 @@ def objects_estimate(
         np.stack([motions[k] for k in order]),
         labels,
         expected,
-        finish,
+        estimate_of,
     )
-    if unseen != 0:
-        carried = with_carried_background(pyramid, settings, solution, labels, motions[order[0]])
-        estimate = estimate if carried is None else finish(carried)
+    if hidden_label != 0:
+        carried = carry_background_depth(pyramid, settings, solution, labels, motions[order[0]])
+        estimate = estimate if carried is None else estimate_of(carried)
     history = start.history + estimate.history
-    estimate = replace(estimate, history=history, matched=start.matched)
+    estimate = replace(estimate, history=history, uses_matches=start.uses_matches)
     if len(order) == 1 and start.doubt is not None:
         estimate = replace(estimate, status=start.doubt)
-    return aligned(estimate, hidden) if settings.align_scales else estimate
+    return align_scales(estimate, hidden) if settings.align_scales else estimate
 
 
 def _layers(
@@ -118,18 +118,18 @@ def _layers(
         frame,
         start.matrix,
         start.residual * scale,
-        most=settings.max_objects,
+        max_motions=settings.max_objects,
     )
     layering = Layering(coarse, settings, frame, density=scale)
-    layers = layering.fitted(motions, labels, hidden)
+    layers = layering.fit(motions, labels, hidden)
     if len(motions) > 1:
-        layers = layering.pruned(layers)
-        motions = layering.refitted(layers, start.flow, start.trust)
-        layers = layering.pruned(layering.fitted(motions, layers.labels, layers.hidden))
-    return layering.with_floating(layers, most=settings.max_objects)
+        layers = layering.prune(layers)
+        motions = layering.refit_motions(layers, start.flow, start.trust)
+        layers = layering.prune(layering.fit(motions, layers.labels, layers.hidden))
+    return layering.add_floating_parts(layers, max_layers=settings.max_objects)
 
 
-def _to_the_pixel(
+def _sharpen_levels(
     pyramid: ImagePyramid,
     level: int,
     layers: Layers,
@@ -144,22 +144,22 @@ def _to_the_pixel(
     """
     labels, flows = layers.labels, layers.flows
     if not layers.motions[0][:, 3].any():
-        least = max(STILL, 3 * residual) * pyramid.scales[level]
-        labels = np.where(_as_background(layers, least), 0, labels)
+        min_difference = max(STILL, 3 * residual) * pyramid.scales[level]
+        labels = np.where(_moves_like_background(layers, min_difference), 0, labels)
     for k in range(level, -1, -1):
         shape = pyramid.frames0[k].shape
         if k < level:
-            labels = _resized(labels, shape)
-            flows = _finer(flows, shape, pyramid.scales[k] / pyramid.scales[k + 1])
-        reach = np.stack([_resized(where, shape) for where in layers.reach])
-        smallest = smallest_object(labels.size)
+            labels = _resize_labels(labels, shape)
+            flows = _resize_flows(flows, shape, pyramid.scales[k] / pyramid.scales[k + 1])
+        allowed = np.stack([_resize_labels(where, shape) for where in layers.allowed])
+        min_size = smallest_object(labels.size)
         frames = (grey0, grey1) if k == 0 else (pyramid.frames0[k], pyramid.frames1[k])
-        labels = without_specks(labels, smallest)
-        labels = without_specks(sharpen_labels(labels, flows, reach, *frames), smallest)
+        labels = remove_specks(labels, min_size)
+        labels = remove_specks(sharpen_labels(labels, flows, allowed, *frames), min_size)
     return labels, flows
 
 
-def _resized(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def _resize_labels(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Return labels or a mask on another level, (h, w), by nearest neighbours."""
     if image.shape == shape:
         return image
@@ -167,7 +167,7 @@ def _resized(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     return cv2.resize(small, shape[::-1], interpolation=cv2.INTER_NEAREST).astype(image.dtype)
 
 
-def _finer(flows: np.ndarray, shape: tuple[int, ...], ratio: float) -> np.ndarray:
+def _resize_flows(flows: np.ndarray, shape: tuple[int, ...], ratio: float) -> np.ndarray:
     """Return flows, (K, 2, h, w), on a finer level that is `ratio` times as dense."""
     return np.stack(
         [
@@ -177,11 +177,11 @@ def _finer(flows: np.ndarray, shape: tuple[int, ...], ratio: float) -> np.ndarra
     ) * np.float32(ratio)
 
 
-def _as_background(layers: Layers, least: float) -> np.ndarray:
-    """Return pixels whose flow differs from the background's by less than `least` px, (H, W) bool.
+def _moves_like_background(layers: Layers, min_difference: float) -> np.ndarray:
+    """Return the pixels, (H, W) bool, whose flow is within `min_difference` px of the background's.
 
     Under a motion with translation, distant points move as under its rotation alone. So such a
     motion also explains a background that only rotates, by a wrong depth.
     """
-    own = np.take_along_axis(layers.flows, layers.labels[None, None], axis=0)[0]
-    return np.linalg.norm(own - layers.flows[0], axis=0) < least
+    own_flow = np.take_along_axis(layers.flows, layers.labels[None, None], axis=0)[0]
+    return np.linalg.norm(own_flow - layers.flows[0], axis=0) < min_difference

@@ -24,7 +24,7 @@ FAINTEST_DEPTH = 0.05  # of the median: least inverse depth of the surroundings
 def floating_parts(
     inverse_depth: np.ndarray,  # (H, W) float32: in any unit; positive before the camera
     deviation: np.ndarray,  # (H, W) float32: its standard deviation
-    smallest: int,  # fewest pixels of a part
+    min_size: int,  # fewest pixels of a part
 ) -> np.ndarray:  # (H, W) int32: parts in order of size, the largest first
     """Return the connected parts of a depth map that float, numbered from 1; 0 elsewhere.
 
@@ -48,23 +48,23 @@ def floating_parts(
         cv2.medianBlur(cv2.resize(image, size, interpolation=cv2.INTER_AREA), MEDIAN)
         for image in (inverse_depth.astype(np.float32), SURE * deviation.astype(np.float32))
     )
-    faintest = FAINTEST_DEPTH * float(np.median(np.abs(depth)))
-    highest = np.maximum(depth + margin, faintest)
-    around = without_domes(cv2.dilate(highest, np.ones((BRIDGE, BRIDGE), np.uint8)))
-    before = (depth - margin > NEARER * around).astype(np.uint8)
-    parts = cv2.connectedComponents(cv2.dilate(before, np.ones((JOINED, JOINED), np.uint8)))[1]
-    parts *= before
+    min_depth = FAINTEST_DEPTH * float(np.median(np.abs(depth)))
+    upper_limit = np.maximum(depth + margin, min_depth)
+    surroundings = without_domes(cv2.dilate(upper_limit, np.ones((BRIDGE, BRIDGE), np.uint8)))
+    is_in_front = (depth - margin > NEARER * surroundings).astype(np.uint8)
+    parts = cv2.connectedComponents(cv2.dilate(is_in_front, np.ones((JOINED, JOINED), np.uint8)))[1]
+    parts *= is_in_front
     areas = np.bincount(parts.ravel())
     areas[0] = 0
-    floats = np.zeros(parts.shape, np.uint8)
+    floating = np.zeros(parts.shape, np.uint8)
     for part in np.argsort(-areas, kind="stable"):
-        mine = parts == part
-        if areas[part] < smallest * scale**2 or floats.max() == MOST_PARTS:
+        is_part = parts == part
+        if areas[part] < min_size * scale**2 or floating.max() == MOST_PARTS:
             break
-        ground = highest[-LOWEST:, mine.any(axis=0)]
-        if np.median(ground) >= GROUND * np.median(around[mine]):
-            floats[mine] = floats.max() + 1
-    return cv2.resize(floats, (width, height), interpolation=cv2.INTER_NEAREST).astype(np.int32)
+        ground = upper_limit[-LOWEST:, is_part.any(axis=0)]
+        if np.median(ground) >= GROUND * np.median(surroundings[is_part]):
+            floating[is_part] = floating.max() + 1
+    return cv2.resize(floating, (width, height), interpolation=cv2.INTER_NEAREST).astype(np.int32)
 
 
 def without_domes(
@@ -76,11 +76,11 @@ def without_domes(
     the path. This is the morphological reconstruction of the image by dilation from its border.
     """
     window = np.ones((3, 3), np.uint8)
-    reached = np.full_like(image, image.min())
+    result = np.full_like(image, image.min())
     for border in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]):
-        reached[border] = image[border]
+        result[border] = image[border]
     while True:
-        further = np.minimum(cv2.dilate(reached, window), image)
-        if np.array_equal(further, reached):
-            return reached
-        reached = further
+        expanded = np.minimum(cv2.dilate(result, window), image)
+        if np.array_equal(expanded, result):
+            return result
+        result = expanded

@@ -68,11 +68,11 @@ class Potts:
         shares = np.exp(-0.5 * (costs - costs.min(axis=0)))
         shares /= shares.sum(axis=0)
         if len(costs) == 2:  # the second share is 1 minus the first
-            return (self._smoothed(shares[0], weight) < 0.5).astype(np.int32)
-        smoothed = np.stack([self._smoothed(share, weight) for share in shares])
+            return (self._smooth_share(shares[0], weight) < 0.5).astype(np.int32)
+        smoothed = np.stack([self._smooth_share(share, weight) for share in shares])
         return smoothed.argmax(axis=0).astype(np.int32)
 
-    def _smoothed(self, share: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    def _smooth_share(self, share: np.ndarray, weight: np.ndarray) -> np.ndarray:
         grid = self._grid
         unknowns = Unknowns(grid, Camera(), 1)
         unknowns.edges = self._edges
@@ -114,32 +114,34 @@ class MinSum:
 
     def __init__(
         self,
-        free: np.ndarray,  # (H, W) bool: the mask; other pixels keep their labels
+        is_free: np.ndarray,  # (H, W) bool: the mask; other pixels keep their labels
         frame: np.ndarray,  # (H, W) float32: grey levels
         *,
         length: float,  # cost of a boundary per px of its length, where the frame is uniform
         # κ: a step ΔI of the frame divides that cost by 1 + κ|ΔI|/m, with m the mean of |ΔI|
         image_edges: float,
     ) -> None:
-        rows, columns = np.nonzero(free)
-        usual = max(mean_step(frame), FAINTEST_EDGE)
+        rows, columns = np.nonzero(is_free)
+        mean_grey_step = max(mean_step(frame), FAINTEST_EDGE)
         count = len(rows)
-        number = np.full(np.add(free.shape, 2), count)  # `count` is a pixel that sends no message
-        number[1:-1, 1:-1][free] = np.arange(count)
-        inside = np.pad(np.ones(free.shape, bool), 1)
+        number = np.full(
+            np.add(is_free.shape, 2), count
+        )  # `count` is a pixel that sends no message
+        number[1:-1, 1:-1][is_free] = np.arange(count)
+        inside = np.pad(np.ones(is_free.shape, bool), 1)
         padded = np.pad(frame, 1)
-        here = padded[rows + 1, columns + 1]
+        grey = padded[rows + 1, columns + 1]
         self._neighbours, self._costs, self._fixed = [], [], []
         for down, right in STEPS:
-            there = rows + 1 + down, columns + 1 + right
-            apart = np.hypot(down, right)
+            neighbour = rows + 1 + down, columns + 1 + right
+            distance = np.hypot(down, right)
             # With this factor, axis-aligned and diagonal boundaries cost their length.
-            cost = (2 - 2**0.5) * length / apart * inside[there]
-            cost /= 1 + image_edges / (usual * apart) * np.abs(padded[there] - here)
-            self._neighbours.append(number[there])
+            cost = (2 - 2**0.5) * length / distance * inside[neighbour]
+            cost /= 1 + image_edges / (mean_grey_step * distance) * np.abs(padded[neighbour] - grey)
+            self._neighbours.append(number[neighbour])
             self._costs.append(cost.astype(np.float32))
-            known = np.flatnonzero((number[there] == count) & inside[there])
-            self._fixed.append((known, there[0][known] - 1, there[1][known] - 1))
+            is_fixed = np.flatnonzero((number[neighbour] == count) & inside[neighbour])
+            self._fixed.append((is_fixed, neighbour[0][is_fixed] - 1, neighbour[1][is_fixed] - 1))
 
     def assign(
         self,
@@ -150,19 +152,19 @@ class MinSum:
         count = len(costs)
         total = np.zeros((count, costs.shape[1] + 1), np.float32)
         total[:, :-1] = costs
-        own = np.arange(count)[:, None]
-        for (known, rows, columns), cost in zip(self._fixed, self._costs, strict=True):
-            total[:, known] += cost[known] * (labels[rows, columns] != own)
-        heard = np.zeros((len(STEPS), *total.shape), np.float32)
+        label_numbers = np.arange(count)[:, None]
+        for (pixels, rows, columns), cost in zip(self._fixed, self._costs, strict=True):
+            total[:, pixels] += cost[pixels] * (labels[rows, columns] != label_numbers)
+        messages = np.zeros((len(STEPS), *total.shape), np.float32)
         for _ in range(ITERATIONS):
             for step, (neighbour, cost) in enumerate(
                 zip(self._neighbours, self._costs, strict=True)
             ):
                 # The neighbour's message: its total cost without the message that it got from here.
-                says = total.take(neighbour, axis=1) - heard[step ^ 1].take(neighbour, axis=1)
-                says -= says.min(axis=0)
-                np.minimum(says, cost, out=says)
-                says[:, neighbour == costs.shape[1]] = 0
-                total[:, :-1] += says - heard[step, :, :-1]
-                heard[step, :, :-1] = says
+                message = total.take(neighbour, axis=1) - messages[step ^ 1].take(neighbour, axis=1)
+                message -= message.min(axis=0)
+                np.minimum(message, cost, out=message)
+                message[:, neighbour == costs.shape[1]] = 0
+                total[:, :-1] += message - messages[step, :, :-1]
+                messages[step, :, :-1] = message
         return total[:, :-1].argmin(axis=0).astype(np.int32)

@@ -53,10 +53,10 @@ class Layers:
     # levels
     unit: float
     flows: np.ndarray  # (K, 2, H, W) float32: flow of each layer's surface, at every pixel
-    reach: np.ndarray  # (K, H, W) bool: pixels that may have the motion
+    allowed: np.ndarray  # (K, H, W) bool: pixels that may have the motion
     # (H, W) int32: parts of the background (label 0) that would float if they were at rest
     # (`floating_parts`), numbered from 1
-    floats: np.ndarray
+    floating: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,50 +85,52 @@ class Layering:
         # Rough surfaces suffice to tell layers apart.
         self._settings = replace(settings, warps=1, coarse_warps=min(2, settings.coarse_warps))
         self._potts = Potts(grey0, density=density)
-        self._quiet = QUIET if settings.depth_normalization is not None else QUIET_GREY
-        self.smallest = smallest_object(grey0.size)
+        self._min_residual = QUIET if settings.depth_normalization is not None else QUIET_GREY
+        self.min_size = smallest_object(grey0.size)
         frame, counted = pyramid.frames0[pyramid.last], pyramid.counted0(pyramid.last)
-        bare = textureless_share(frame, counted) >= MOST_TEXTURELESS
+        is_textureless = textureless_share(frame, counted) >= MOST_TEXTURELESS
         self._weight = np.ones_like(grey0)
-        if bare:
+        if is_textureless:
             self._weight = texture_weight(grey0, counted=pyramid.counted0(0))
-        self._bare = bare
+        self._is_textureless = is_textureless
         self._surfaces: dict[bytes, list[_Surface]] = {}  # for every motion, oldest first
 
-    def fitted(
+    def fit(
         self,
         motions: list[np.ndarray],  # list of (3, 4) array
         labels: np.ndarray,  # (H, W) int32
         hidden: np.ndarray,  # (H, W) bool
         *,
         # (K, H, W) bool: pixels that may have each motion, by default all
-        reach: np.ndarray | None = None,
+        allowed: np.ndarray | None = None,
         rounds: int = 2,  # number of alternations; a single motion needs one only
     ) -> Layers:
         """Return the layers after fitting surfaces and labels alternately."""
-        if reach is None:
-            reach = np.ones((len(motions), *labels.shape), bool)
+        if allowed is None:
+            allowed = np.ones((len(motions), *labels.shape), bool)
         for _ in range(rounds if len(motions) > 1 else 1):
             residuals, flows = [], []
             for label, motion in reversed(list(enumerate(motions))):
-                surface = self._surface(motion, _core(labels == label) & ~hidden)
+                surface = self._fit_surface(motion, _core(labels == label) & ~hidden)
                 residuals.append(surface.residual)
                 flows.append(surface.flow)
             background = surface
             flows.reverse()
-            stacked, moved = np.stack(residuals[::-1]), np.stack(flows)
-            own = np.take_along_axis(stacked, labels[None], axis=0)[0]
+            stacked, stacked_flows = np.stack(residuals[::-1]), np.stack(flows)
+            own_residual = np.take_along_axis(stacked, labels[None], axis=0)[0]
             counted = self._pyramid.counted0(0)
-            usual = float(np.median(own if counted is None else own[counted]))
-            unit = COST_UNIT * max(usual, self._quiet**2)
+            median_residual = float(
+                np.median(own_residual if counted is None else own_residual[counted])
+            )
+            unit = COST_UNIT * max(median_residual, self._min_residual**2)
             costs = np.minimum(stacked / unit, TRUNCATED)
             # Where a layer's flow leaves the image, it takes the least cost of the other layers.
-            gone = np.stack([leaves_image(flow) for flow in flows])
-            known = np.where(gone, np.inf, costs).min(axis=0).clip(None, TRUNCATED)
-            costs = np.where(gone, known, costs).astype(np.float32)
-            costs[~reach] = UNREACHED
-            composed = np.take_along_axis(moved, labels[None, None], axis=0)[0]
-            hidden = occlusion_in(self._pyramid, composed, self._settings)
+            leaves = np.stack([leaves_image(flow) for flow in flows])
+            min_cost = np.where(leaves, np.inf, costs).min(axis=0).clip(None, TRUNCATED)
+            costs = np.where(leaves, min_cost, costs).astype(np.float32)
+            costs[~allowed] = UNREACHED
+            own_flow = np.take_along_axis(stacked_flows, labels[None, None], axis=0)[0]
+            hidden = occlusion_in(self._pyramid, own_flow, self._settings)
             weight = np.where(hidden, HIDDEN, SEEN).astype(np.float32)
             labels = self._potts.assign(costs, weight)
         return Layers(
@@ -137,33 +139,33 @@ class Layering:
             hidden=hidden,
             costs=costs,
             unit=unit,
-            flows=moved,
-            reach=reach,
-            floats=self._floating(background.solution) * (labels == 0),
+            flows=stacked_flows,
+            allowed=allowed,
+            floating=self._floating_parts(background.solution) * (labels == 0),
         )
 
-    def with_floating(self, layers: Layers, *, most: int) -> Layers:
+    def add_floating_parts(self, layers: Layers, *, max_layers: int) -> Layers:
         """Return the layers plus one for each part that floats before the background.
 
-        There are `most` layers at most. A floating part moves along the background's epipolar
+        There are `max_layers` layers at most. A floating part moves along the background's epipolar
         lines, so its layer starts with the background's motion and a surface of its own. That
         motion also explains the background, so the layer is confined to the part and a margin.
         """
-        parts = range(1, 1 + min(most - len(layers.motions), int(layers.floats.max())))
+        parts = range(1, 1 + min(max_layers - len(layers.motions), int(layers.floating.max())))
         if not parts:
             return layers
         labels = layers.labels.copy()
         margin = 1 + 2 * round(MARGIN * max(labels.shape))
         window = np.ones((margin, margin), np.uint8)
-        reach = list(layers.reach)
+        allowed = list(layers.allowed)
         for part in parts:
-            mine = layers.floats == part
-            labels[mine] = len(reach)
-            reach.append(cv2.dilate(mine.astype(np.uint8), window) > 0)
+            is_part = layers.floating == part
+            labels[is_part] = len(allowed)
+            allowed.append(cv2.dilate(is_part.astype(np.uint8), window) > 0)
         motions = layers.motions + [layers.motions[0]] * len(parts)
-        return self.pruned(self.fitted(motions, labels, layers.hidden, reach=np.stack(reach)))
+        return self.prune(self.fit(motions, labels, layers.hidden, allowed=np.stack(allowed)))
 
-    def pruned(self, layers: Layers) -> Layers:
+    def prune(self, layers: Layers) -> Layers:
         """Return the layers that are needed.
 
         Layers that are too small are removed first. Then every other layer but the first is
@@ -174,36 +176,37 @@ class Layering:
         needed = {0}
         while len(needed) < len(layers.motions):
             areas = np.bincount(layers.labels.ravel(), minlength=len(layers.motions))
-            doubtful = [label for label in range(len(areas)) if label not in needed]
-            least = min(doubtful, key=lambda label: areas[label])
-            if areas[least] < self.smallest:
-                layers = self._without(layers, least)
+            candidates = [label for label in range(len(areas)) if label not in needed]
+            weakest = min(candidates, key=lambda label: areas[label])
+            if areas[weakest] < self.min_size:
+                layers = self._remove_layer(layers, weakest)
             else:
-                trials = {label: self._without(layers, label) for label in doubtful}
-                worths = {
-                    label: self._worth(layers, label, trial) for label, trial in trials.items()
+                trials = {label: self._remove_layer(layers, label) for label in candidates}
+                gains = {
+                    label: self._relative_gain(layers, label, trial)
+                    for label, trial in trials.items()
                 }
-                needed |= {label for label in doubtful if worths[label] >= 1}
-                least = min(doubtful, key=lambda label: worths[label])
-                if least in needed:
+                needed |= {label for label in candidates if gains[label] >= 1}
+                weakest = min(candidates, key=lambda label: gains[label])
+                if weakest in needed:
                     break
-                layers = trials[least]
-            needed = {label - (label > least) for label in needed}
+                layers = trials[weakest]
+            needed = {label - (label > weakest) for label in needed}
         return layers
 
-    def _without(self, layers: Layers, label: int) -> Layers:
+    def _remove_layer(self, layers: Layers, label: int) -> Layers:
         """Return the layers without one layer, the others fitted anew."""
-        rest = [k for k in range(len(layers.motions)) if k != label]
+        others = [k for k in range(len(layers.motions)) if k != label]
         weight = np.where(layers.hidden, HIDDEN, SEEN).astype(np.float32)
-        return self.fitted(
-            [layers.motions[k] for k in rest],
-            self._potts.assign(layers.costs[rest], weight),
+        return self.fit(
+            [layers.motions[k] for k in others],
+            self._potts.assign(layers.costs[others], weight),
             layers.hidden,
-            reach=layers.reach[rest],
+            allowed=layers.allowed[others],
             rounds=1,
         )
 
-    def _worth(self, layers: Layers, label: int, without: Layers) -> float:
+    def _relative_gain(self, layers: Layers, label: int, without: Layers) -> float:
         """Return the gain of a layer on its own pixels, 1 or more if the layer is needed.
 
         For a layer that was added as a floating part, the background's surface there is the one
@@ -211,38 +214,42 @@ class Layering:
         texture, and the background may also have the depth that is matched and carried
         (`textureless_depth`).
         """
-        mine = (layers.labels == label) & ~layers.hidden & ~without.hidden
-        own, rival = _own_cost(layers), _own_cost(without)
-        added = not layers.reach[label].all()
-        if added:
-            rival = np.where(without.floats > 0, layers.costs[0], rival)
-        worth = self._spared(rival - own, mine)
-        if worth < 1 or added or not self._bare:
-            return worth
-        return self._spared(np.minimum(rival, self._carried_cost(without)) - own, mine)
+        is_visible_layer = (layers.labels == label) & ~layers.hidden & ~without.hidden
+        own_cost, rival_cost = _own_cost(layers), _own_cost(without)
+        is_floating = not layers.allowed[label].all()
+        if is_floating:
+            rival_cost = np.where(without.floating > 0, layers.costs[0], rival_cost)
+        gain = self._gain_ratio(rival_cost - own_cost, is_visible_layer)
+        if gain < 1 or is_floating or not self._is_textureless:
+            return gain
+        return self._gain_ratio(
+            np.minimum(rival_cost, self._carried_cost(without)) - own_cost, is_visible_layer
+        )
 
-    def _spared(self, gain: np.ndarray, mine: np.ndarray) -> float:
-        """Return the gain of the pixels `mine` over the least gain of a needed layer."""
-        total = float((self._weight * gain)[mine].sum())
-        return total / max(GAIN * self.smallest, PIXEL_GAIN * int(mine.sum()))
+    def _gain_ratio(self, gain: np.ndarray, mask: np.ndarray) -> float:
+        """Return the gain of the pixels `mask` over the least gain of a needed layer."""
+        total = float((self._weight * gain)[mask].sum())
+        return total / max(GAIN * self.min_size, PIXEL_GAIN * int(mask.sum()))
 
     def _carried_cost(self, layers: Layers) -> np.ndarray:
         """Return the background's cost with carried depth, (H, W); inf where there is none."""
         pyramid = self._pyramid
-        mine = layers.labels == 0
-        everywhere = np.zeros(mine.shape, np.int32)
+        is_background = layers.labels == 0
+        everywhere = np.zeros(is_background.shape, np.int32)
         motion = scaled_translations(layers.motions[0][None], everywhere, pyramid.cameras[0])[0]
         carried = None
         if motion[:, 3].any():
-            support = _core(mine) & ~layers.hidden
+            support = _core(is_background) & ~layers.hidden
             carried = textureless_depth(pyramid, self._settings, motion, support=support)
         if carried is None:
-            return np.full(mine.shape, np.inf, np.float32)
+            return np.full(is_background.shape, np.inf, np.float32)
         residual, flow = self._residual(carried)
         cost = cv2.blur(residual, (LAYER_WINDOW, LAYER_WINDOW)) / np.float32(layers.unit)
-        return np.where(mine & ~leaves_image(flow), np.minimum(cost, TRUNCATED), np.inf)
+        return np.where(is_background & ~leaves_image(flow), np.minimum(cost, TRUNCATED), np.inf)
 
-    def refitted(self, layers: Layers, flow: np.ndarray, trust: np.ndarray) -> list[np.ndarray]:
+    def refit_motions(
+        self, layers: Layers, flow: np.ndarray, trust: np.ndarray
+    ) -> list[np.ndarray]:
         """Return the motions fitted to a flow field within their layers, (3, 4) each.
 
         Floating parts do not count for the background's motion. A motion stays if it has no
@@ -253,34 +260,38 @@ class Layering:
             if not motion[:, 3].any():
                 motions.append(motion)
                 continue
-            mine = _core((layers.labels == label) & (layers.floats == 0)) & ~layers.hidden
+            is_core = _core((layers.labels == label) & (layers.floating == 0)) & ~layers.hidden
             try:
-                near = layers.motions[0][:, :3] if label else None
+                likely_rotation = layers.motions[0][:, :3] if label else None
                 camera = self._pyramid.cameras[0]
-                found = camera_motion(flow, np.where(mine, trust, 0), camera, near=near)
+                fitted = camera_motion(
+                    flow, np.where(is_core, trust, 0), camera, likely_rotation=likely_rotation
+                )
             except TooFewPixelsError:
                 motions.append(motion)
                 continue
-            motions.append(np.column_stack([found.rotation, found.translation]))
+            motions.append(np.column_stack([fitted.rotation, fitted.translation]))
         return motions
 
-    def _surface(self, motion: np.ndarray, support: np.ndarray) -> "_Surface":
+    def _fit_surface(self, motion: np.ndarray, support: np.ndarray) -> "_Surface":
         """Return the surface of a motion fitted on a support.
 
         A surface that was fitted on nearly the same pixels is reused.
         """
-        known = self._surfaces.setdefault(motion.tobytes(), [])
-        most = CHANGED * np.count_nonzero(support)
-        for surface in reversed(known):
-            if np.count_nonzero(surface.support ^ support) <= most:
+        surfaces = self._surfaces.setdefault(motion.tobytes(), [])
+        max_changes = CHANGED * np.count_nonzero(support)
+        for surface in reversed(surfaces):
+            if np.count_nonzero(surface.support ^ support) <= max_changes:
                 return surface
-        solution = self._continued(motion, support)
+        solution = self._fit_depth(motion, support)
         residual, flow = self._residual(solution)
-        smooth = cv2.blur(residual, (LAYER_WINDOW, LAYER_WINDOW))
-        known.append(_Surface(support=support, solution=solution, residual=smooth, flow=flow))
-        return known[-1]
+        mean_residual = cv2.blur(residual, (LAYER_WINDOW, LAYER_WINDOW))
+        surfaces.append(
+            _Surface(support=support, solution=solution, residual=mean_residual, flow=flow)
+        )
+        return surfaces[-1]
 
-    def _continued(self, motion: np.ndarray, support: np.ndarray) -> RigidSolution:
+    def _fit_depth(self, motion: np.ndarray, support: np.ndarray) -> RigidSolution:
         """Return a surface fitted on its support and continued to all pixels."""
         return rigid_depth(
             self._pyramid,
@@ -300,41 +311,41 @@ class Layering:
             surface.inverse_depth,
         )
 
-    def _floating(self, surface: RigidSolution) -> np.ndarray:
+    def _floating_parts(self, surface: RigidSolution) -> np.ndarray:
         """Return the numbered parts of a surface that float."""
         if not surface.motions[0, :, 3].any():
             return np.zeros(surface.inverse_depth.shape, np.int32)
         deviation = surface.deviation()
-        return floating_parts(surface.inverse_depth, deviation, self.smallest)
+        return floating_parts(surface.inverse_depth, deviation, self.min_size)
 
 
-def without_specks(
+def remove_specks(
     labels: np.ndarray,  # (H, W) int32
-    smallest: int,  # fewest pixels of a part
+    min_size: int,  # fewest pixels of a part
 ) -> np.ndarray:
     """Return the labels, where small connected parts take the nearest other label.
 
     If all parts of a label are small, its largest part stays.
     """
-    kept = np.zeros(labels.shape, bool)
+    is_large = np.zeros(labels.shape, bool)
     for label in np.unique(labels):
         parts = cv2.connectedComponents((labels == label).astype(np.uint8), connectivity=4)[1]
         areas = np.bincount(parts.ravel())
-        large = areas >= smallest
+        large = areas >= min_size
         large[0] = False
         if not large.any():
             large[1 + int(np.argmax(areas[1:]))] = True
-        kept |= large[parts]
-    return np.where(kept, labels, nearest_known(labels, kept))
+        is_large |= large[parts]
+    return np.where(is_large, labels, fill_nearest(labels, is_large))
 
 
-def nearest_known(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+def fill_nearest(values: np.ndarray, is_known: np.ndarray) -> np.ndarray:
     """Return the value of the nearest known pixel for every pixel, (H, W)."""
     _, nearest = cv2.distanceTransformWithLabels(
-        (~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+        (~is_known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
     value_of = np.zeros(int(nearest.max()) + 1, values.dtype)
-    value_of[nearest[known]] = values[known]
+    value_of[nearest[is_known]] = values[is_known]
     return value_of[nearest]
 
 

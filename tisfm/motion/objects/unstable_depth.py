@@ -12,7 +12,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.motion.egomotion import triangulate
 from tisfm.motion.estimate import Estimate
-from tisfm.motion.objects.layers import nearest_known
+from tisfm.motion.objects.layers import fill_nearest
 from tisfm.motion.rigid_depth import (
     RigidSolution,
     motion_precision,
@@ -28,13 +28,13 @@ LABEL_AWAY, PIXEL_AWAY = 0.01, 0.05
 FEW = 0.02  # of the pixels: if more diverge, the whole pair has diverged, and pixels stay
 
 
-def stable_depth(
+def restore_diverged_depth(
     pyramid: ImagePyramid,
     settings: Settings,
     motions: np.ndarray,  # (K, 3, 4) array: R and t of each motion, the largest label's first
     labels: np.ndarray,  # (H, W) int32
     expected: np.ndarray,  # (2, H, W) float32: flow of the layers
-    finish: Callable[[RigidSolution], Estimate],  # returns the estimate of a solution
+    estimate_of: Callable[[RigidSolution], Estimate],  # returns the estimate of a solution
 ) -> tuple[RigidSolution, Estimate]:  # the solution and its estimate
     """Estimate motions and depth of several labels, and restore diverged labels and pixels.
 
@@ -44,75 +44,79 @@ def stable_depth(
     """
     side = max(labels.shape)
     solution = rigid_depth(pyramid, settings, motions, labels)
-    estimate = finish(solution)
-    away = _away(estimate, expected)
-    lost = [
+    estimate = estimate_of(solution)
+    difference = _flow_difference(estimate, expected)
+    diverged = [
         label
         for label in range(1, len(motions))
-        if np.median(away[labels == label]) > LABEL_AWAY * side
+        if np.median(difference[labels == label]) > LABEL_AWAY * side
     ]
-    brought_back = np.isin(labels, lost)
-    if lost:
-        solution = _with_layers(solution, motions, labels, expected, lost, pyramid.cameras[0])
-        away = _away(finish(solution), expected)
-    far = away > PIXEL_AWAY * side
-    if 0 < far.mean() <= FEW:
+    is_restored = np.isin(labels, diverged)
+    if diverged:
+        solution = _restore_layers(
+            solution, motions, labels, expected, diverged, pyramid.cameras[0]
+        )
+        difference = _flow_difference(estimate_of(solution), expected)
+    is_diverged = difference > PIXEL_AWAY * side
+    if 0 < is_diverged.mean() <= FEW:
         depth = solution.inverse_depth.copy()
-        for label in np.unique(labels[far]):
-            mine, near = labels == label, (labels == label) & ~far
-            depth[mine & far] = nearest_known(depth, near)[mine & far] if near.any() else 0
+        for label in np.unique(labels[is_diverged]):
+            is_label, is_reliable = labels == label, (labels == label) & ~is_diverged
+            depth[is_label & is_diverged] = (
+                fill_nearest(depth, is_reliable)[is_label & is_diverged] if is_reliable.any() else 0
+            )
         solution = replace(solution, inverse_depth=depth)
-        brought_back |= far
-    if not brought_back.any():
+        is_restored |= is_diverged
+    if not is_restored.any():
         return solution, estimate
-    solution = _judged(pyramid, settings, solution, labels, brought_back)
-    return solution, finish(solution)
+    solution = _update_precision(pyramid, settings, solution, labels, is_restored)
+    return solution, estimate_of(solution)
 
 
-def _judged(
+def _update_precision(
     pyramid: ImagePyramid,
     settings: Settings,
     solution: RigidSolution,
     labels: np.ndarray,
-    where: np.ndarray,
+    is_restored: np.ndarray,
 ) -> RigidSolution:
     """Return a solution whose precision is computed anew on a part of the image."""
     depth = solution.inverse_depth
-    known = np.where(np.isfinite(depth), depth, 0)
-    precision = motion_precision(pyramid, settings, solution.motions, labels, known)
-    return replace(solution, precision=np.where(where, precision, solution.precision))
+    finite_depth = np.where(np.isfinite(depth), depth, 0)
+    precision = motion_precision(pyramid, settings, solution.motions, labels, finite_depth)
+    return replace(solution, precision=np.where(is_restored, precision, solution.precision))
 
 
-def _with_layers(
+def _restore_layers(
     solution: RigidSolution,
     motions: np.ndarray,
     labels: np.ndarray,
     expected: np.ndarray,
-    lost: list[int],
+    diverged: list[int],
     camera: Camera,
 ) -> RigidSolution:
-    """Return a solution where the labels `lost` have the motion and depth of their layers."""
-    held = solution.motions.copy()
-    held[lost] = scaled_translations(motions, labels, camera)[lost]
+    """Return a solution where the labels `diverged` have the motion and depth of their layers."""
+    restored_motions = solution.motions.copy()
+    restored_motions[diverged] = scaled_translations(motions, labels, camera)[diverged]
     depth = solution.inverse_depth.copy()
     cx, cy = camera.center_for(*labels.shape)
-    for label in lost:
-        mine = labels == label
-        rows, columns = np.nonzero(mine)
-        start = np.stack([columns - cx, rows - cy], axis=-1)
-        ones = np.ones((len(start), 1))
+    for label in diverged:
+        is_label = labels == label
+        rows, columns = np.nonzero(is_label)
+        positions = np.stack([columns - cx, rows - cy], axis=-1)
+        ones = np.ones((len(positions), 1))
         before, after = (
-            np.hstack([place / camera.focal, ones])
-            for place in (start, start + expected[:, mine].T)
+            np.hstack([points / camera.focal, ones])
+            for points in (positions, positions + expected[:, is_label].T)
         )
-        rotation, translation = held[label, :, :3], held[label, :, 3]
+        rotation, translation = restored_motions[label, :, :3], restored_motions[label, :, 3]
         if translation.any():
-            depth[mine] = camera.focal * triangulate(before, after, rotation, translation)
-    return replace(solution, motions=held, inverse_depth=depth)
+            depth[is_label] = camera.focal * triangulate(before, after, rotation, translation)
+    return replace(solution, motions=restored_motions, inverse_depth=depth)
 
 
-def _away(estimate: Estimate, expected: np.ndarray) -> np.ndarray:
+def _flow_difference(estimate: Estimate, expected: np.ndarray) -> np.ndarray:
     """Return the distance of every pixel's flow from the expected flow, (H, W), px."""
     with np.errstate(over="ignore", invalid="ignore"):
-        away = np.hypot(*(estimate.flow - expected))
-    return np.where(np.isfinite(away), away, np.inf)
+        difference = np.hypot(*(estimate.flow - expected))
+    return np.where(np.isfinite(difference), difference, np.inf)

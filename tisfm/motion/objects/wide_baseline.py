@@ -32,72 +32,76 @@ def wide_baseline_motion(
     frame 1 does not see do not count. If this flow field fails as well, the result is the motion
     of the matches and its flow.
     """
-    far = sparse_start(pyramid, start.level, None)
-    if far is None:
+    sparse = sparse_start(pyramid, start.level, None)
+    if sparse is None:
         return start
-    matched = matched_motion(start, far)
+    matched = matched_motion(start, sparse)
     if matched.status == "unrelated":
         return matched
     camera = pyramid.cameras[0]
-    turn = _homography(matched.rotation, camera, *grey0.shape)
-    turned = cv2.warpPerspective(
+    homography = _rotation_homography(matched.rotation, camera, *grey0.shape)
+    rotated1 = cv2.warpPerspective(
         grey1,
-        turn,
+        homography,
         grey0.shape[::-1],
         flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_REPLICATE,
     )
     height, width = grey0.shape
     rows, columns = np.mgrid[:height, :width].astype(np.float32)
-    places = np.stack([columns, rows], axis=-1)
-    gone = leaves_image(np.moveaxis(cv2.perspectiveTransform(places, turn) - places, -1, 0))
-    unseen = cv2.dilate(gone.astype(np.uint8), np.ones((BEYOND, BEYOND), np.uint8)) > 0
-    found = first_motion(
-        pyramid_of(grey0, turned, camera, settings, _turned_counted(pyramid, turn)),
-        settings,
-        unseen=unseen,
+    positions = np.stack([columns, rows], axis=-1)
+    leaves = leaves_image(
+        np.moveaxis(cv2.perspectiveTransform(positions, homography) - positions, -1, 0)
     )
-    if found.status in ("unrelated", "no_texture", "aperture"):
+    hidden = cv2.dilate(leaves.astype(np.uint8), np.ones((BEYOND, BEYOND), np.uint8)) > 0
+    flow_motion = first_motion(
+        pyramid_of(grey0, rotated1, camera, settings, _rotated_valid_pixels(pyramid, homography)),
+        settings,
+        hidden=hidden,
+    )
+    if flow_motion.status in ("unrelated", "no_texture", "aperture"):
         return matched
-    flow = cv2.perspectiveTransform(places + found.flow, turn) - places
-    status = found.status
+    flow = cv2.perspectiveTransform(positions + flow_motion.flow, homography) - positions
+    status = flow_motion.status
     if status == "no_motion":
         # The original frame 1 did move: the camera turned.
         status = Status(
             "pure_rotation",
-            "too little parallax to see depth by: the camera only turned; it has to change its "
-            "place",
+            "too little parallax for depth: the camera only rotated; move the camera between "
+            "frames",
         )
     return replace(
-        found,
-        rotation=matched.rotation @ found.rotation,
-        translation=matched.rotation @ found.translation,
+        flow_motion,
+        rotation=matched.rotation @ flow_motion.rotation,
+        translation=matched.rotation @ flow_motion.translation,
         status=status,
         flow=flow,
-        trust=np.where(leaves_image(np.moveaxis(flow, -1, 0)), 0, found.trust),
-        history=matched.history + found.history,
-        matched=True,
+        trust=np.where(leaves_image(np.moveaxis(flow, -1, 0)), 0, flow_motion.trust),
+        history=matched.history + flow_motion.history,
+        uses_matches=True,
     )
 
 
-def _turned_counted(
-    pyramid: ImagePyramid, turn: np.ndarray
+def _rotated_valid_pixels(
+    pyramid: ImagePyramid, homography: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the pixels of frame 0 and of the turned frame 1 that count; None for all."""
     if pyramid.counted is None:
         return None
     counted0, counted1 = pyramid.counted.whole
-    turned = cv2.warpPerspective(
+    rotated = cv2.warpPerspective(
         counted1.astype(np.float32),
-        turn,
+        homography,
         counted0.shape[::-1],
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    return counted0, turned == 1
+    return counted0, rotated == 1
 
 
-def _homography(rotation: np.ndarray, camera: Camera, height: int, width: int) -> np.ndarray:
+def _rotation_homography(
+    rotation: np.ndarray, camera: Camera, height: int, width: int
+) -> np.ndarray:
     """Return the homography of pixels under a rotation, (3, 3)."""
     cx, cy = camera.center_for(height, width)
     matrix = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1]])

@@ -185,7 +185,7 @@ class _Data:
         depth, slopes = fill(anchors[1], anchors[0], frame, smoothness, iterations=1)
         self._grid = grid = runtime.lane_grid(*frame.shape)
         unknowns = Unknowns(grid, camera, 1)
-        textured = texture_weight(frame, half=HALF_WEIGHT_TEXTURE) * window.counted
+        textured = texture_weight(frame, half_variance=HALF_WEIGHT_TEXTURE) * window.counted
         held = np.stack([anchors[0] * (1 - (1 - MATCH_SHARE_LEFT) * textured), anchors[1]])
         constraint = grid.allocate(3)
         self._sums = sums = grid.allocate(3)

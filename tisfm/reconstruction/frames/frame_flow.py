@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.motion.flow_proposals import proposals
+from tisfm.motion.flow_proposals import flow_proposals
 from tisfm.motion.problems import flow_problem
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.settings import Settings
@@ -43,7 +43,7 @@ def find_flow(
         presmoothing=settings.presmoothing,
     )
     problem = flow_problem(settings, scaled.focal)
-    amendment = proposals(pyramid, problem) if fast_things else None
+    amendment = flow_proposals(pyramid, problem) if fast_things else None
     solution = coarse_to_fine(pyramid, problem, amendment=amendment)
     flow, limit = solution.unknowns.flow(), float(sum(small0.shape))
     if not (flow.min() >= -limit and flow.max() <= limit):  # it diverged, perhaps to NaN

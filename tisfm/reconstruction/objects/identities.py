@@ -8,7 +8,7 @@ import numpy as np
 
 from tisfm.motion.objects.candidates import smallest_object
 from tisfm.motion.objects.label_optimisation import Potts
-from tisfm.motion.objects.layers import nearest_known
+from tisfm.motion.objects.layers import fill_nearest
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.frames.image_motion import (
     ImageMotion,
@@ -145,7 +145,7 @@ class ObjectTracker:
                 ]
                 labels[region] = known[0]
             else:
-                labels[region] = nearest_known(carried, region & np.isin(carried, known))[region]
+                labels[region] = fill_nearest(carried, region & np.isin(carried, known))[region]
             self._assign_by_motion(frame, region, known, labels, carried, motions_of)
         labels = refine_boundaries(labels, self._motion, frame)
         self._update(frame, labels, regions, motions_of)

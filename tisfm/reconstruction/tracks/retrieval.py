@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tisfm.motion.sparse_matches import Described
+from tisfm.motion.sparse_matches import Features
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 
 # Values without a stated source were set by hand.
@@ -38,7 +38,7 @@ class ImageDescriptors:
     levels: np.ndarray  # (N, 128) uint8: square roots of the descriptors of these points, times 255
 
     @classmethod
-    def of(cls, found: Described) -> "ImageDescriptors":
+    def of(cls, found: Features) -> "ImageDescriptors":
         """Return the descriptors of a view with these points."""
         return cls(points=found.points, levels=np.rint(found.roots * MAX_LEVEL).astype(np.uint8))
 
@@ -51,9 +51,9 @@ class ImageDescriptors:
         """Return its arrays."""
         return self.points, self.levels
 
-    def described(self) -> Described:
+    def described(self) -> Features:
         """Return the points with their descriptors."""
-        return Described(points=self.points, roots=self.levels.astype(np.float32) / MAX_LEVEL)
+        return Features(points=self.points, roots=self.levels.astype(np.float32) / MAX_LEVEL)
 
 
 def find_similar_views(

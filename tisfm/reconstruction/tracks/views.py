@@ -8,7 +8,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.errors import InputTypeError
-from tisfm.motion.sparse_matches import Described, alike, described
+from tisfm.motion.sparse_matches import Features, detect_features, match_features
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.frames.frame_flow import flow_scale, shrink_for_flow
 from tisfm.reconstruction.tracks.retrieval import ImageDescriptors, find_similar_views
@@ -166,7 +166,7 @@ class ViewSelection:
     ) -> None:
         self._compared.add((earlier, later))
         first, second = self._looks[earlier].described(), self._looks[later].described()
-        both = np.stack(alike(first, second), axis=1)
+        both = np.stack(match_features(first, second), axis=1)
         if len(both) < fewest:
             return
         inlier = self._fitting(first.points[both[:, 0]], second.points[both[:, 1]], shape)
@@ -204,17 +204,17 @@ class ViewSelection:
         return None if inlier is None else np.asarray(inlier)
 
 
-def _described(grey: np.ndarray, ignored: np.ndarray | None) -> Described:
+def _described(grey: np.ndarray, ignored: np.ndarray | None) -> Features:
     """Return points of a frame and their descriptors, found on the shrunk frame."""
     small = shrink_for_flow(grey)
-    found = described(small, per_cell=POINTS_PER_CELL)
+    found = detect_features(small, per_cell=POINTS_PER_CELL)
     points = (found.points + 0.5) / flow_scale(small, grey) - 0.5
     if ignored is None:
-        return Described(points=points, roots=found.roots)
+        return Features(points=points, roots=found.roots)
     column, row = np.rint(points).astype(np.intp).T
     height, width = grey.shape
     kept = ~ignored[row.clip(0, height - 1), column.clip(0, width - 1)]
-    return Described(points=points[kept], roots=found.roots[kept])
+    return Features(points=points[kept], roots=found.roots[kept])
 
 
 def choose_long_tracks(
