@@ -71,23 +71,23 @@ def variants(preset: Preset, changes: Mapping[str, Mapping[str, Any]]) -> dict[s
     return settings
 
 
-def compare(options: argparse.Namespace, found: Pairs) -> Contest:
+def compare(options: argparse.Namespace, pairs: Pairs) -> Contest:
     """Run the preset and its variants."""
     base = Settings.preset(options.preset)
     reference = f"preset {options.preset}"
     every = variants(options.preset, CHANGES)
     chosen = choose(list(every), options.only, kind="change", name=str)
-    missing = dict(found.missing)
+    missing = dict(pairs.missing)
     missing.update({name: "the same as the preset" for name in chosen if every[name] == base})
     methods = [interpretation(reference, base)]
     methods += [interpretation(name, every[name]) for name in chosen if name not in missing]
     runtime.start(threads=options.threads)
     return hold_with_progress(
         methods,
-        found,
+        pairs,
         options,
         reference=reference,
-        conditions={"pairs": found.source, "threads": options.threads, **machine()},
+        conditions={"pairs": pairs.source, "threads": options.threads, **machine()},
         missing=missing,
     )
 

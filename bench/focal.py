@@ -95,22 +95,22 @@ def measure(pair: SyntheticPair, kind: str, ratio: float, preset: Preset) -> Out
         settings = Settings.preset(preset, motion=motion)
         return tisfm.interpret(pair.frame0, pair.frame1, camera=camera, settings=settings)
 
-    found, field = interpreted("camera"), interpreted("field")
-    seen = found.status not in LITTLE_PARALLAX and found.motions is not None
+    single, field = interpreted("camera"), interpreted("field")
+    seen = single.status not in LITTLE_PARALLAX and single.motions is not None
     exact = two_stage(pair.flow, camera, threshold=EXACT)
     errors = None
-    if seen and found.motions is not None:
-        errors = pose_errors(pose_matrix(found.motions[0]), pose_matrix(pair.motions[0]))
+    if seen and single.motions is not None:
+        errors = pose_errors(pose_matrix(single.motions[0]), pose_matrix(pair.motions[0]))
     return Outcome(
         kind=kind,
         focal=pair.camera.focal,
         ratio=ratio,
-        status=str(found.status),
-        abs_rel=depth_errors(found.depth, pair.depth).abs_rel if seen else None,
-        offset=offset_of(found.inverse_depth, pair.inverse_depth) if seen else None,
+        status=str(single.status),
+        abs_rel=depth_errors(single.depth, pair.depth).abs_rel if seen else None,
+        offset=offset_of(single.inverse_depth, pair.inverse_depth) if seen else None,
         direction=errors.direction if errors else None,
         rotation=errors.rotation if errors else None,
-        flow=endpoint_error(found.flow, pair.flow),
+        flow=endpoint_error(single.flow, pair.flow),
         exact_abs_rel=depth_errors(depth_of(exact.inverse_depth), pair.depth).abs_rel,
         field_abs_rel=depth_errors(field.depth, pair.depth).abs_rel,
         field_flow=endpoint_error(field.flow, pair.flow),
@@ -129,7 +129,7 @@ def offset_of(inverse_depth: NDArray, truth: NDArray) -> float:
 def tables(outcomes: Sequence[Outcome]) -> list[str | Table]:
     """Return a heading and a table for every true focal length."""
     head = ["scene", "taken as, px", "ratio", *(title for title, _ in COLUMNS.values())]
-    found: list[str | Table] = []
+    blocks: list[str | Table] = []
     for focal in sorted({outcome.focal for outcome in outcomes}):
         rows = []
         for outcome in (o for o in outcomes if o.focal == focal):
@@ -138,8 +138,8 @@ def tables(outcomes: Sequence[Outcome]) -> list[str | Table]:
                 value = getattr(outcome, name)
                 row.append(outcome.status if value is None else format(value, form))
             rows.append(row)
-        found += [f"## True focal length {focal:g} px", Table(head, rows)]
-    return found
+        blocks += [f"## True focal length {focal:g} px", Table(head, rows)]
+    return blocks
 
 
 def finding(outcomes: Sequence[Outcome]) -> str:
@@ -175,20 +175,20 @@ def finding(outcomes: Sequence[Outcome]) -> str:
 
 def _comparison(compared: Sequence[tuple[Outcome, Outcome]]) -> str:
     """Return the scenes whose depth is about as good at the second focal length as at the first."""
-    same: list[str] = []
-    other: list[str] = []
+    unaffected: list[str] = []
+    affected: list[str] = []
     for right, wrong in compared:
         if right.abs_rel is None or wrong.abs_rel is None:
-            other.append(f"{right.kind} ({right.status} → {wrong.status})")
+            affected.append(f"{right.kind} ({right.status} → {wrong.status})")
             continue
         text = f"{right.kind} ({right.abs_rel:.4f} → {wrong.abs_rel:.4f}, direction "
         text += f"{right.direction:.2f}° → {wrong.direction:.2f}°, rotation "
         text += f"{right.rotation:.3f}° → {wrong.rotation:.3f}°)"
-        (same if wrong.abs_rel <= HARDLY * right.abs_rel else other).append(text)
+        (unaffected if wrong.abs_rel <= HARDLY * right.abs_rel else affected).append(text)
     return (
         f"To take {_taken(compared[0][1])} hardly matters to depth (abs-rel at most "
-        f"{HARDLY - 1:.0%} worse) in: {', '.join(same) or 'none'}. It matters in: "
-        f"{', '.join(other) or 'none'}."
+        f"{HARDLY - 1:.0%} worse) in: {', '.join(unaffected) or 'none'}. It matters in: "
+        f"{', '.join(affected) or 'none'}."
     )
 
 
@@ -219,8 +219,8 @@ def picture(outcomes: Sequence[Mapping[str, Any]]) -> Figure:
         for column, focal in enumerate(focals):
             axes = grid[row, column]
             for kind, colour, marker in zip(kinds, CURVES, MARKERS, strict=False):
-                mine = [o for o in outcomes if (o["kind"], o["focal"]) == (kind, focal)]
-                known = [(o["ratio"], max(o[name], LEAST)) for o in mine if o[name] is not None]
+                points = [o for o in outcomes if (o["kind"], o["focal"]) == (kind, focal)]
+                known = [(o["ratio"], max(o[name], LEAST)) for o in points if o[name] is not None]
                 if known:
                     axes.plot(
                         *zip(*known, strict=True),

@@ -44,7 +44,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def compare(options: argparse.Namespace, found: Pairs) -> Contest:
+def compare(options: argparse.Namespace, pairs: Pairs) -> Contest:
     """Run the methods of tisfm and of the other libraries."""
     runtime.start(threads=options.threads)
     presets: list[Preset] = ["fast", "balanced", "accurate"]
@@ -57,16 +57,16 @@ def compare(options: argparse.Namespace, found: Pairs) -> Contest:
         names = [method.name for method in methods]
         return hold_with_progress(
             methods,
-            found,
+            pairs,
             options,
             reference=REFERENCE if REFERENCE in names else names[0],
             conditions={
-                "pairs": found.source,
+                "pairs": pairs.source,
                 "threads": options.threads,
                 **machine(),
                 "peers": peers.versions,
             },
-            missing=found.missing | peers.survey.missing,
+            missing=pairs.missing | peers.survey.missing,
         )
 
 

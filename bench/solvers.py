@@ -80,9 +80,9 @@ class System:
     def __init__(self, pair: FlowPair, size: tuple[int, int]) -> None:
         height, width = size
         smaller = width < pair.frame0.shape[1]
-        how = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
+        interpolation = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
         frame0, frame1 = (
-            cv2.resize(grey, (width, height), interpolation=how)
+            cv2.resize(grey, (width, height), interpolation=interpolation)
             for grey in grey_pair(pair.frame0, pair.frame1)
         )
         grid = LaneGrid(height, width, runtime.lanes())
@@ -146,13 +146,13 @@ def cycles_of(system: System, *, conjugate: bool) -> Iterator[tuple[float, float
 
 def methods() -> dict[str, Callable[[System], Iterator[tuple[float, float]]]]:
     """Return name → function that yields work and energy."""
-    found: dict[str, Callable[[System], Iterator[tuple[float, float]]]] = {}
+    result: dict[str, Callable[[System], Iterator[tuple[float, float]]]] = {}
     for relaxation in RELAXATIONS:
         name = "Gauss–Seidel" if relaxation == 1 else f"over-relaxation {relaxation:g}"
-        found[name] = lambda system, value=relaxation: sweeps_of(system, value)  # type: ignore[misc]
-    found["multigrid"] = lambda system: cycles_of(system, conjugate=False)
-    found["multigrid + CG"] = lambda system: cycles_of(system, conjugate=True)
-    return found
+        result[name] = lambda system, value=relaxation: sweeps_of(system, value)  # type: ignore[misc]
+    result["multigrid"] = lambda system: cycles_of(system, conjugate=False)
+    result["multigrid + CG"] = lambda system: cycles_of(system, conjugate=True)
+    return result
 
 
 def courses(pair: FlowPair, size: tuple[int, int]) -> list[Course]:
@@ -162,21 +162,21 @@ def courses(pair: FlowPair, size: tuple[int, int]) -> list[Course]:
     multigrid = system.multigrid()
     for _ in range(CONVERGED):
         multigrid.descend()
-    least = system.energy()
-    found: dict[str, list[tuple[float, float]]] = {}
+    lowest = system.energy()
+    points: dict[str, list[tuple[float, float]]] = {}
     for name, method in methods().items():
         system.unknowns.rho[...] = 0
-        found[name] = list(method(system))
-        least = min(least, *(energy for _, energy in found[name]))
+        points[name] = list(method(system))
+        lowest = min(lowest, *(energy for _, energy in points[name]))
     return [
         Course(
             pair=pair.name,
             method=name,
             size=size,
             work=[work for work, _ in points],
-            gap=[(energy - least) / (first - least) for _, energy in points],
+            gap=[(energy - lowest) / (first - lowest) for _, energy in points],
         )
-        for name, points in found.items()
+        for name, points in points.items()
     ]
 
 
@@ -204,21 +204,21 @@ def wall_times(pair: FlowPair, size: tuple[int, int]) -> dict[str, float]:
     return ratios | {"sweep, ns/px": 1e9 * median(seconds["sweep"]) / math.prod(size)}
 
 
-def gap_table(found: Sequence[Course]) -> Table:
+def gap_table(courses: Sequence[Course]) -> Table:
     """Return the remaining gap after `BUDGET` sweeps, and the work to reach each gap."""
-    sizes = list(dict.fromkeys(course.size for course in found))
-    names = list(dict.fromkeys(course.method for course in found))
+    sizes = list(dict.fromkeys(course.size for course in courses))
+    names = list(dict.fromkeys(course.method for course in courses))
     head = ["", "", f"left after {BUDGET:g}", *(f"to {gap:g}" for gap in GAPS)]
     rows = []
     for size, name in itertools.product(sizes, names):
-        mine = [c for c in found if (c.size, c.method) == (size, name)]
-        left = median(
+        group = [c for c in courses if (c.size, c.method) == (size, name)]
+        remaining = median(
             min((g for w, g in zip(c.work, c.gap, strict=True) if w <= BUDGET), default=1.0)
-            for c in mine
+            for c in group
         )
-        works = [median(course.work_to(gap) for course in mine) for gap in GAPS]
-        most = f"> {mine[0].work[-1]:.0f}"
-        cells = [f"{left:.1e}", *(f"{w:.1f}" if w < math.inf else most for w in works)]
+        works = [median(course.work_to(gap) for course in group) for gap in GAPS]
+        limit = f"> {group[0].work[-1]:.0f}"
+        cells = [f"{remaining:.1e}", *(f"{w:.1f}" if w < math.inf else limit for w in works)]
         rows.append([f"{size[0]}×{size[1]}", name, *cells])
     return Table(head, rows, text_columns=2)
 
@@ -233,20 +233,20 @@ def time_table(times: dict[tuple[int, int], dict[str, float]]) -> Table:
     return Table(["", *names], rows)
 
 
-def draw(found: Sequence[Mapping[str, Any]], path: Path) -> None:
+def draw(courses: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write the picture of the gap over the work, medians over pairs."""
-    sizes = list(dict.fromkeys(course["size"] for course in found))
-    names = list(dict.fromkeys(course["method"] for course in found))
+    sizes = list(dict.fromkeys(course["size"] for course in courses))
+    names = list(dict.fromkeys(course["method"] for course in courses))
     figure = Figure(figsize=(3.4 * len(sizes) + 0.4, 4.2), dpi=130, layout="constrained")
     grid = figure.subplots(1, len(sizes), sharex=True, sharey=True, squeeze=False)[0]
     for axes, size in zip(grid, sizes, strict=True):
         for name, colour in zip(names, CURVES, strict=False):
-            mine = [
-                course for course in found if (course["size"], course["method"]) == (size, name)
+            group = [
+                course for course in courses if (course["size"], course["method"]) == (size, name)
             ]
             points = [
                 (work, max(median(gaps), LEAST_GAP))
-                for work, *gaps in zip(mine[0]["work"], *(c["gap"] for c in mine), strict=True)
+                for work, *gaps in zip(group[0]["work"], *(c["gap"] for c in group), strict=True)
                 if work <= MOST_WORK
             ]
             axes.plot(
@@ -284,7 +284,7 @@ def main(arguments: list[str] | None = None) -> int:
     pairs = [pair for pair in find_pairs(folder)[0] if pair.group == "middlebury"] if folder else []
     pairs = pairs or scene_pairs(240, 320)
     sizes = SIZES[:1] if options.smoke else SIZES
-    found = [course for size in sizes for pair in pairs for course in courses(pair, size)]
+    measured = [course for size in sizes for pair in pairs for course in courses(pair, size)]
     times = {size: wall_times(pairs[0], size) for size in sizes}
     conditions = {
         "pairs": ", ".join(pair.name for pair in pairs) + ", resized; medians over them",
@@ -295,7 +295,7 @@ def main(arguments: list[str] | None = None) -> int:
     }
     path = RESULTS / output_name(options, "solvers")
     tables = (
-        gap_table(found),
+        gap_table(measured),
         "Left: (E − E*)/(E(0) − E*). Work is in sweeps of the finest grid, by the memory to be "
         "moved: a cycle of multigrid is two sweeps, a residual (counted as a sweep) and a "
         f"correction (half) on every level, {CYCLE:.2f} in all; its set-up, once, {SET_UP:g}; "
@@ -305,7 +305,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     print(text_of(*tables))
     picture = f"![Energy over work]({path.stem}.png)"
-    records = [asdict(course) for course in found]
+    records = [asdict(course) for course in measured]
     text = text_of("# Solvers of the linear system", conditions, *tables, picture)
     write(path, text, {**conditions, "courses": records})
     draw(records, path.with_suffix(".png"))

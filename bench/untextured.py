@@ -120,7 +120,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     runtime.start(threads=options.threads)
     scenes = {seed: bare_patches(options.height, options.width, seed=seed) for seed in SEEDS}
-    found = {
+    measured = {
         name: [
             measure(noisy(scene, method.noise, seed) if method.noise else scene, method.settings)
             for seed, scene in scenes.items()
@@ -129,7 +129,7 @@ def main(arguments: list[str] | None = None) -> int:
     }
     means = {
         name: {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
-        for name, rows in found.items()
+        for name, rows in measured.items()
     }
     conditions = {
         "scenes": f"`tisfm.scenes.bare_patches`, {options.height}×{options.width}, means of "
@@ -144,7 +144,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     print(text_of(table(means)))
     text = text_of("# Parts without texture", conditions, table(means), notes)
-    record = {**conditions, "size": [options.height, options.width], "found": found}
+    record = {**conditions, "size": [options.height, options.width], "found": measured}
     write(RESULTS / (options.output or "untextured"), text, record)
     return 0
 

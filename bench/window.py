@@ -153,10 +153,10 @@ def measure(triple: Triple, settings: tisfm.Settings, repetitions: int) -> dict[
 
     window = Window()
     first.interpret(camera=triple.camera, settings=settings, window=window)
-    kept = window.previous
+    previous = window.previous
 
     def of_window() -> tuple[tisfm.Interpretation, float]:
-        window.previous = kept
+        window.previous = previous
         start = time.perf_counter()
         result = last.interpret(camera=triple.camera, settings=settings, window=window)
         return result, time.perf_counter() - start
@@ -200,18 +200,18 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     runtime.start(threads=options.threads)
     sequences = list(triples(options.data))
-    found: dict[str, dict[str, dict[str, float]]] = {}
+    results: dict[str, dict[str, dict[str, float]]] = {}
     sections: list[str | Table] = []
     for preset in options.presets:
         settings = tisfm.Settings.preset(preset)
-        found[preset], rows = {}, []
+        results[preset], rows = {}, []
         for sequence in sequences:
             name = sequence[0].name
-            each = [measure(triple, settings, options.repetitions) for triple in sequence]
-            found[preset][name] = {
-                key: float(np.mean([one[key] for one in each])) for key in each[0]
+            values = [measure(triple, settings, options.repetitions) for triple in sequence]
+            results[preset][name] = {
+                key: float(np.mean([one[key] for one in values])) for key in values[0]
             }
-            rows.append(row(name, found[preset][name]))
+            rows.append(row(name, results[preset][name]))
             print(preset, "|", " | ".join(rows[-1]), flush=True)
         sections += [f"## `{preset}`", Table(HEAD, rows)]
     conditions = {"threads": options.threads, "repetitions": options.repetitions, **machine()}
@@ -222,7 +222,7 @@ def main(arguments: list[str] | None = None) -> int:
         "over runs in turn."
     )
     text = text_of("# Three frames against two", conditions, notes, *sections)
-    write(RESULTS / (options.output or "window"), text, {**conditions, "found": found})
+    write(RESULTS / (options.output or "window"), text, {**conditions, "found": results})
     return 0
 
 

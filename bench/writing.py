@@ -75,13 +75,13 @@ def measure(source: Path, preset: Preset, rounds: int) -> Outcome:
         nonlocal pairs
         pairs = sum(1 for _ in tisfm.interpret_sequence(source, settings=settings))
 
-    with tempfile.TemporaryDirectory() as left:
+    with tempfile.TemporaryDirectory() as output:
         turn = 0
 
         def run(kind: int) -> None:
             nonlocal turn
             turn += 1
-            arguments = ["run", str(source), "-o", f"{left}/{turn}", "--preset", preset]
+            arguments = ["run", str(source), "-o", f"{output}/{turn}", "--preset", preset]
             with contextlib.redirect_stdout(io.StringIO()):
                 code = tisfm_command([*arguments, *OPTIONS[kind]])
             if code != 0:
@@ -92,10 +92,10 @@ def measure(source: Path, preset: Preset, rounds: int) -> Outcome:
         for _ in range(rounds):
             seconds = _seconds(loop), _seconds(lambda: run(0)), _seconds(lambda: run(1))
             times.append(seconds)
-            shutil.rmtree(f"{left}/{turn}")  # a long video fills a disk
+            shutil.rmtree(f"{output}/{turn}")  # a long video fills a disk
             if len(times) < rounds:
-                shutil.rmtree(f"{left}/{turn - 1}")
-        size = sum(file.stat().st_size for file in Path(left, str(turn - 1)).rglob("*"))
+                shutil.rmtree(f"{output}/{turn - 1}")
+        size = sum(file.stat().st_size for file in Path(output, str(turn - 1)).rglob("*"))
     return Outcome(source=source.name, pairs=pairs, times=times, size=size)
 
 

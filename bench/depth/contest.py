@@ -151,23 +151,23 @@ def _measure(
             try:
                 estimates = method.run(pair)
             except MethodFailure as failure:
-                found = Score(
+                score_ = Score(
                     method=method.name, pair=pair.name, group=pair.group, failure=str(failure)
                 )
-                scored.setdefault((method.name, None), found)
+                scored.setdefault((method.name, None), score_)
                 continue
             for estimate in estimates:
                 key = (estimate.method, estimate.threshold)
                 if turn == 0:
                     scored[key] = score(estimate, pair)
                 times.setdefault(key, []).append((estimate.seconds, estimate.flow_seconds))
-    return [_timed(found, times.get(key, [])) for key, found in scored.items()]
+    return [_timed(score_, times.get(key, [])) for key, score_ in scored.items()]
 
 
-def _timed(found: Score, times: list[tuple[float, float | None]]) -> Score:
+def _timed(scored: Score, times: list[tuple[float, float | None]]) -> Score:
     flows = [flow for _, flow in times if flow is not None]
     return replace(
-        found,
+        scored,
         seconds=median(s for s, _ in times) if times else None,
         flow_seconds=median(flows) if flows else None,
     )
@@ -188,8 +188,8 @@ def _small_pairs() -> list[DepthPair]:
     return [pair, replace(pair, pose_given=True)]
 
 
-def _value(found: Score, name: str) -> float:
-    value = getattr(found, name)
+def _value(scored: Score, name: str) -> float:
+    value = getattr(scored, name)
     return WRONG[name] if value is None else max(value, LEAST_ERROR)
 
 

@@ -81,12 +81,12 @@ class Joint:
             raise MethodFailure(f"{type(error).__name__}: {error}") from error
         seconds = time.perf_counter() - started
         seen = result.status not in LITTLE_PARALLAX
-        found = None if result.motions is None else pose_matrix(result.motions[0])
+        pose_found = None if result.motions is None else pose_matrix(result.motions[0])
         return [
             Estimate(
                 method=self.name,
                 seconds=seconds,
-                pose=found,
+                pose=pose_found,
                 inverse_depth=result.inverse_depth if seen else None,
                 deviation=result.inverse_depth_std if seen else None,
                 visible=~result.occlusion,
@@ -118,10 +118,10 @@ class FlowThenDepth:
         for threshold in self.thresholds:
             started = time.perf_counter()
             try:
-                found = two_stage(call.flow, pair.camera, threshold=threshold, pose=pose)
+                depth = two_stage(call.flow, pair.camera, threshold=threshold, pose=pose)
                 failure = ""
             except NoMotion as none:
-                found, failure = None, str(none)
+                depth, failure = None, str(none)
             seconds = call.seconds + time.perf_counter() - started
             estimates.append(
                 Estimate(
@@ -129,8 +129,8 @@ class FlowThenDepth:
                     seconds=seconds,
                     threshold=threshold,
                     flow_seconds=call.seconds,
-                    pose=None if found is None else found.pose,
-                    inverse_depth=None if found is None else found.inverse_depth,
+                    pose=None if depth is None else depth.pose,
+                    inverse_depth=None if depth is None else depth.inverse_depth,
                     failure=failure,
                 )
             )

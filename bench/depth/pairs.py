@@ -32,7 +32,7 @@ ROOM, OFFICE, STEPS = "TartanAir", "HoloLens", "7-Scenes, four apart"
 RENDERED_ROOM, ROOM_SEEDS = "rendered room", (0, 1)
 GIVEN = ", pose given"
 ROOMS = tuple(
-    group + given for group in (RENDERED_ROOM, ROOM, OFFICE, STEPS) for given in (GIVEN, "")
+    group + suffix for group in (RENDERED_ROOM, ROOM, OFFICE, STEPS) for suffix in (GIVEN, "")
 )
 FARTHEST = 40.0  # m: larger true depths do not count in rooms
 WIDE = "fountain"  # views of a wide baseline, with true poses
@@ -94,24 +94,24 @@ SELECTIONS: dict[Layout, list[Selection]] = {
         Selection(group=HARDLY_MOVED, folder="sevenscenes", first=range(0, 20, 3), step=3),
         *(
             Selection(
-                group=STEPS + given,
+                group=STEPS + suffix,
                 folder="sevenscenes",
                 first=range(40, 56),
                 step=4,
-                pose_given=bool(given),
+                pose_given=bool(suffix),
                 raw=True,
             )
-            for given in (GIVEN, "")
+            for suffix in (GIVEN, "")
         ),
     ],
     "calibrated": [
-        Selection(group=group + given, folder=folder, first=first, step=1, pose_given=bool(given))
+        Selection(group=group + suffix, folder=folder, first=first, step=1, pose_given=bool(suffix))
         for group, folder, first in (
             (ROOM, "tartanair", range(2, 27, 4)),
             (OFFICE, "hololens", range(2, 63, 6)),
             (WIDE, "fountain", range(10)),
         )
-        for given in (GIVEN, "")
+        for suffix in (GIVEN, "")
     ],
 }
 STEREO_FOLDERS = {"stereo": STEREO, "kitti": BLOCK_MATCHER}
@@ -130,8 +130,8 @@ def scene_entries(height: int, width: int) -> list[Entry]:
         name = f"two-blocks-{seed}"
         entries.append(Entry(name, MOVING, partial(_blocks, name, seed, height, width)))
     for seed in ROOM_SEEDS:
-        for given in (GIVEN, ""):
-            name, group = f"room-{seed}{given}", RENDERED_ROOM + given
+        for suffix in (GIVEN, ""):
+            name, group = f"room-{seed}{suffix}", RENDERED_ROOM + suffix
             entries.append(Entry(name, group, partial(_room, name, group, seed, height, width)))
     return entries
 
@@ -142,10 +142,10 @@ def data_entries(data: Path) -> tuple[list[Entry], dict[str, str]]:
     missing: dict[str, str] = {}
     for layout, selections in SELECTIONS.items():
         for selection in selections:
-            found = list(_selected(data, layout, selection))
-            if not found:
+            selected = list(_selected(data, layout, selection))
+            if not selected:
                 missing[selection.group] = f"none of its frames in {selection.folder}"
-            entries += found
+            entries += selected
     for folder, group in STEREO_FOLDERS.items():
         pairs = list(LAYOUTS["stereo"].find(data / folder))
         if not pairs:

@@ -54,12 +54,12 @@ def groups(contest: DepthContest) -> list[Group]:
     If a method reports no depth for some pairs of a group, the group without these pairs is added,
     so that all methods are averaged over the same pairs.
     """
-    found = []
+    result = []
     for group in _whole_groups(contest):
-        found.append(group)
+        result.append(group)
         if 0 < len(common(contest, group).pairs) < len(group.pairs):
-            found.append(common(contest, group))
-    return found
+            result.append(common(contest, group))
+    return result
 
 
 def common(contest: DepthContest, group: Group) -> Group:
@@ -70,8 +70,8 @@ def common(contest: DepthContest, group: Group) -> Group:
         for score in contest.best(method, group)
         if score.without_depth
     }
-    kept = tuple(pair for pair in group.pairs if pair not in declined)
-    return Group(name=group.name + COMMON, pairs=kept) if declined else group
+    remaining = tuple(pair for pair in group.pairs if pair not in declined)
+    return Group(name=group.name + COMMON, pairs=remaining) if declined else group
 
 
 def _whole_groups(contest: DepthContest) -> list[Group]:
@@ -82,13 +82,13 @@ def _whole_groups(contest: DepthContest) -> list[Group]:
 
 def summary(contest: DepthContest) -> Table:
     """Return a row for every method, at its best threshold, over the same pairs."""
-    found = {group.name: common(contest, group) for group in _whole_groups(contest)}
-    columns = [column for column in SUMMARY if column[1] in found]
+    common_groups = {group.name: common(contest, group) for group in _whole_groups(contest)}
+    columns = [column for column in SUMMARY if column[1] in common_groups]
     rows = []
     for method in contest.methods:
         row = [_title(contest, method)]
         for _, group, name, reduce, digits in columns:
-            values = _values(contest.best(method, found[group]), name)
+            values = _values(contest.best(method, common_groups[group]), name)
             row.append(f"{reduce(values):.{digits}f}" if values else EMPTY)
         rows.append(row)
     return Table(["method", *(column[0] for column in columns)], rows)
@@ -246,8 +246,8 @@ def _trusted(scores: list[Score]) -> tuple[str, str]:
     converged = [score for score in known if score.status == "converged"]
     wrong = sum((score.abs_rel_all or 0) > HALF for score in converged)
     visible = [s for s in known if s.parallax is not None and s.parallax > PARALLAX]
-    found = sum(not score.without_depth for score in visible)
-    return f"{wrong} of {len(known)}", f"{found} of {len(visible)}" if visible else EMPTY
+    with_depth = sum(not score.without_depth for score in visible)
+    return f"{wrong} of {len(known)}", f"{with_depth} of {len(visible)}" if visible else EMPTY
 
 
 def _time_ratio(contest: DepthContest, method: str, group: Group, scores: list[Score]) -> str:
@@ -298,5 +298,5 @@ def _reduced(scores: Sequence[Score], name: str, reduce: Reduce, form: str) -> s
 
 
 def _three(scores: Sequence[Score], name: str, digits: int) -> str:
-    found = mean_median_worst(_values(scores, name))
-    return EMPTY if found is None else " / ".join(f"{value:.{digits}f}" for value in found)
+    values = mean_median_worst(_values(scores, name))
+    return EMPTY if values is None else " / ".join(f"{value:.{digits}f}" for value in values)

@@ -57,7 +57,7 @@ class Score:
 
 def score(estimate: Estimate, pair: DepthPair) -> Score:
     """Compare an estimate with the truth of its pair."""
-    found = Score(
+    result = Score(
         method=estimate.method,
         pair=pair.name,
         group=pair.group,
@@ -71,19 +71,19 @@ def score(estimate: Estimate, pair: DepthPair) -> Score:
         errors = pose_errors(estimate.pose, pair.pose)
         seen = estimate.inverse_depth is not None
         direction = errors.direction if seen else None
-        found = replace(found, direction=direction, rotation=errors.rotation)
-    found = replace(found, parallax=parallax_of(pair))
+        result = replace(result, direction=direction, rotation=errors.rotation)
+    result = replace(result, parallax=parallax_of(pair))
     if pair.depth is None:
-        return found
+        return result
     if estimate.inverse_depth is None:
-        return replace(found, abs_rel_all=1.0)
+        return replace(result, abs_rel_all=1.0)
     depth, inverse_depth = depth_of(estimate.inverse_depth), estimate.inverse_depth
     if not (known_depth(pair.depth) & np.isfinite(depth)).any():
-        return replace(found, failure="it has no depth where the true depth is known")
+        return replace(result, failure="it has no depth where the true depth is known")
     errors_of_depth = depth_errors(depth, pair.depth)
     raw = None if pair.raw_depth is None else depth_errors(depth, pair.raw_depth).abs_rel
     return replace(
-        found,
+        result,
         abs_rel=errors_of_depth.abs_rel,
         abs_rel_limited=depth_errors(limited(depth), pair.depth).abs_rel,
         abs_rel_raw=raw,
@@ -128,8 +128,8 @@ def parallax_of(pair: DepthPair) -> float | None:
     seen = (turned[2] > 0) & (moved[2] > 0)
     if not seen.any():
         return None
-    apart = (moved[:2] / moved[2] - turned[:2] / turned[2])[:, seen]
-    return float(pair.camera.focal * np.median(np.hypot(*apart)))
+    parallax = (moved[:2] / moved[2] - turned[:2] / turned[2])[:, seen]
+    return float(pair.camera.focal * np.median(np.hypot(*parallax)))
 
 
 def _of_certain(estimate: Estimate, pair: DepthPair) -> float | None:
@@ -147,11 +147,11 @@ def _of_parts(depth: NDArray, pair: DepthPair, *, at_rest: bool) -> float | None
     parts = [part for part in np.unique(pair.movers) if (part == 0) == at_rest]
     total, pixels = 0.0, 0
     for part in parts:
-        mine = pair.movers == part
-        if not known_depth(pair.depth)[mine].any():
+        mask = pair.movers == part
+        if not known_depth(pair.depth)[mask].any():
             return None
-        error = depth_errors(limited(depth), pair.depth, mine).abs_rel
-        total, pixels = total + error * mine.sum(), pixels + int(mine.sum())
+        error = depth_errors(limited(depth), pair.depth, mask).abs_rel
+        total, pixels = total + error * mask.sum(), pixels + int(mask.sum())
     return total / pixels if pixels else None
 
 

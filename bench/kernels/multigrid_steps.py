@@ -39,7 +39,7 @@ class MultigridOperations(TaichiSide):
         arrays, directions = self.system().arrays, self._directions()
         return (
             lambda: line_search.plane(self.grid, arrays, *directions),
-            lambda found: np.concatenate([found[0][np.triu_indices(2)], found[1]])[:, None],
+            lambda sums: np.concatenate([sums[0][np.triu_indices(2)], sums[1]])[:, None],
         )
 
     def descend(self) -> Timed:

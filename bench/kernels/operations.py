@@ -169,9 +169,9 @@ class FieldOperations(TaichiSide):
 
     def share_of_data(self) -> Timed:
         p = self.problem
-        given, out = p.precision.astype(np.float32), np.empty((p.height, p.width), np.float32)
+        precision, out = p.precision.astype(np.float32), np.empty((p.height, p.width), np.float32)
         options = {"tolerated": TOLERATED_SQUARE, "freedom": 2}
-        return lambda: data_precision.share_of_data(given, out, **options), lambda _: out[None]
+        return lambda: data_precision.share_of_data(precision, out, **options), lambda _: out[None]
 
     def motion_fields(self) -> Timed:
         p = self.problem

@@ -136,9 +136,9 @@ def interleaved(planes: np.ndarray) -> np.ndarray:
     return state
 
 
-def _known(apart: np.ndarray, decided: np.ndarray) -> np.ndarray:
+def _known(difference: np.ndarray, decided: np.ndarray) -> np.ndarray:
     """Return a disagreement, -1 if infinite, of the decided pixels, (1, H, W)."""
-    return np.where(np.isfinite(apart), apart, -1)[None] * decided
+    return np.where(np.isfinite(difference), difference, -1)[None] * decided
 
 
 def summary(cost: np.ndarray) -> np.ndarray:
@@ -165,7 +165,7 @@ class Views:
 
     def costs(self, planes: np.ndarray) -> np.ndarray:
         """Return the costs of planes, (3, H, W), under each motion, as `Planes.cost`."""
-        return np.array([each.cost(planes) for each in self._each])
+        return np.array([view.cost(planes) for view in self._each])
 
     def cost(self, planes: np.ndarray) -> np.ndarray:
         """Return the cost of planes in the best frames."""

@@ -80,11 +80,11 @@ class FieldReferences(NumpySide):
             out[:] = (after * out + earlier * before) / np.maximum(1, after + earlier)
             tensor = np.zeros((6, *out.shape[1:]))
             for lines, scale in ((out[:3], SCALES[0]), (out[3:], SCALES[1])):
-                slope_x, slope_y, rest = (lines[k::3] for k in range(3))
-                squared = ((slope_x * p.flow[0] + slope_y * p.flow[1] + rest) ** 2).sum(axis=0)
+                slope_x, slope_y, constant = (lines[k::3] for k in range(3))
+                squared = ((slope_x * p.flow[0] + slope_y * p.flow[1] + constant) ** 2).sum(axis=0)
                 root = np.sqrt(1 + squared / scale)
                 pairs = ((slope_x, slope_x), (slope_x, slope_y), (slope_y, slope_y))
-                pairs += ((slope_x, rest), (slope_y, rest), (rest, rest))
+                pairs += ((slope_x, constant), (slope_y, constant), (constant, constant))
                 tensor += np.array([(one * two).sum(axis=0) for one, two in pairs]) / root
                 tensor[5] += scale * (1 / root + root - 2)
             return np.concatenate([out, tensor])
@@ -116,13 +116,13 @@ class FieldReferences(NumpySide):
         def run() -> np.ndarray:
             nonlocal before
             weights, tensor = before
-            where = (self.motion, self.rho)
-            reference.robust_energy(terms, *where, SCALES)
+            state = (self.motion, self.rho)
+            reference.robust_energy(terms, *state, SCALES)
             reference.smoothness_energy(self.rho, smoothness)
-            reference.half_quadratic_energy(tensor, *where, weights, ALPHA, smoothness)
+            reference.half_quadratic_energy(tensor, *state, weights, ALPHA, smoothness)
             np.linalg.norm(self.rho - previous), np.linalg.norm(self.rho)
             previous[...] = self.rho
-            tensor = reference.robust_tensor(terms, *where, SCALES)
+            tensor = reference.robust_tensor(terms, *state, SCALES)
             weights = reference.edge_weights(self.rho, smoothness)
             before = weights, tensor
             shared = weights.reshape(2, self.n, *weights.shape[1:])[:, : 1 if joint else self.n]
@@ -180,15 +180,15 @@ class FieldReferences(NumpySide):
 
     def defeated(self) -> Run:
         flow, residual = self.problem.flow, self.problem.residual
-        found = _splatted(flow, residual)
+        splatted = _splatted(flow, residual)
 
         def run() -> np.ndarray:
             inside, corners = _arrivals(flow)
-            sums = sum(w * found[:, row, column] for row, column, w in corners)
+            sums = sum(w * splatted[:, row, column] for row, column, w in corners)
             total, badness, u, v = np.split(sums, [1, 2, 3])
-            apart = np.hypot(u - flow[0, inside] * total, v - flow[1, inside] * total)
+            difference = np.hypot(u - flow[0, inside] * total, v - flow[1, inside] * total)
             loses = total > UNIQUENESS["density"]
-            loses &= apart > UNIQUENESS["apart"] * total
+            loses &= difference > UNIQUENESS["apart"] * total
             loses &= residual[inside] * total > badness
             out = np.zeros(residual.shape, bool)
             out[inside] = loses[0]

@@ -72,22 +72,22 @@ class DepthOperations(TaichiSide):
 
     def add_frame(self) -> Timed:
         p = self.problem
-        inverse_depth, _, *place = self._geometry()
-        arguments = self.lay(p.tensor), inverse_depth, self.lay(p.trust[None]), *place
+        inverse_depth, _, *tables = self._geometry()
+        arguments = self.lay(p.tensor), inverse_depth, self.lay(p.trust[None]), *tables
         slopes, sums = self.grid.allocate(6), self.grid.allocate(2)
         motion = np.ascontiguousarray(p.motions[0], np.float32)
         options = {"number": 0, "motion": motion, "focal": p.camera.focal}
         options["tolerated"] = tolerated(p)
         return (
             lambda: shared_depth.add_frame(self.grid, *arguments, slopes, sums, **options),
-            lambda found: np.column_stack(found),
+            lambda result: np.column_stack(result),
         )
 
     def answered(self) -> Timed:
         slopes, sums = (self.lay(array) for array in shared(self.problem))
         return (
             lambda: shared_depth.answered(self.grid, slopes, sums, held=HELD),
-            lambda found: np.column_stack(found),
+            lambda result: np.column_stack(result),
         )
 
     def motion_system(self) -> Timed:
@@ -103,7 +103,7 @@ class DepthOperations(TaichiSide):
         options |= self._motions()
         return (
             lambda: motion_system.motion_system(*arguments, **options),
-            lambda found: np.column_stack(found),
+            lambda result: np.column_stack(result),
         )
 
     def matching_cost(self) -> Timed:
@@ -181,11 +181,11 @@ class DepthReferences(NumpySide):
 
     def along(self) -> Run:
         p = self.problem
-        found = displaced(p)
+        displacement = displaced(p)
         terms = p.constraints.reshape(-1, 3, p.height, p.width)
 
         def run() -> np.ndarray:
-            u, v, a, b = found
+            u, v, a, b = displacement
             depth = p.inverse_depth[0]
             out = np.zeros_like(terms)
             out[:, 0] = terms[:, 0] * a + terms[:, 1] * b
@@ -201,8 +201,8 @@ class DepthReferences(NumpySide):
 
         def run() -> np.ndarray:
             nonlocal sums
-            found = reference.along([p.tensor], moved, direction, p.inverse_depth[0])[0]
-            sums = sums + p.trust * found[[0, 3, 5]]
+            restricted = reference.along([p.tensor], moved, direction, p.inverse_depth[0])[0]
+            sums = sums + p.trust * restricted[[0, 3, 5]]
             return sums
 
         return run
@@ -227,8 +227,8 @@ class DepthReferences(NumpySide):
 
         def run() -> np.ndarray:
             trusted = p.tensor * p.trust / (1 + squares(p) / limit) ** 2
-            found = reference.frame_equations(trusted, p.inverse_depth[0], p.camera, *pose)
-            return np.column_stack(found[:2])
+            equations = reference.frame_equations(trusted, p.inverse_depth[0], p.camera, *pose)
+            return np.column_stack(equations[:2])
 
         return run
 
@@ -284,8 +284,8 @@ class DepthReferences(NumpySide):
             best = cost.argmin(2)[..., None]
             inner = (best > 0) & (best < cost.shape[2] - 1)
             around = [np.clip(best + side, 0, cost.shape[2] - 1) for side in (-1, 0, 1)]
-            below, least, above = (np.take_along_axis(cost, place, 2) for place in around)
-            vertex = (below - above) / np.maximum(below + above - 2 * least, TINY) / 2
+            below, lowest, above = (np.take_along_axis(cost, index, 2) for index in around)
+            vertex = (below - above) / np.maximum(below + above - 2 * lowest, TINY) / 2
             return np.moveaxis(best + inner * np.clip(vertex, -0.5, 0.5), 2, 0)
 
         return run
@@ -319,8 +319,8 @@ def shared(p: Problem) -> tuple[np.ndarray, np.ndarray]:
 def restricted_sums(problem: Problem) -> np.ndarray:
     """Return the tensor restricted to epipolar lines, A, B and C, (3, H, W)."""
     moved, direction = np.split(displaced(problem), 2)
-    found = reference.along([problem.tensor], moved, direction, problem.inverse_depth[0])[0]
-    return single(found[[0, 3, 5]])
+    restricted = reference.along([problem.tensor], moved, direction, problem.inverse_depth[0])[0]
+    return single(restricted[[0, 3, 5]])
 
 
 def squares(problem: Problem) -> np.ndarray:
@@ -329,8 +329,8 @@ def squares(problem: Problem) -> np.ndarray:
     identity = reference.motion_matrix(p.camera, p.height, p.width, 2)
     pose = p.motions[0, :, :3], p.motions[0, :, 3]
     moved = reference.displacement(p.inverse_depth[0], p.camera, *pose)
-    found: np.ndarray = np.maximum(reference.residual(p.tensor, identity, moved), 0)
-    return found
+    result: np.ndarray = np.maximum(reference.residual(p.tensor, identity, moved), 0)
+    return result
 
 
 def tolerated(problem: Problem) -> float:
@@ -346,6 +346,6 @@ def displaced(problem: Problem) -> np.ndarray:
     translation = poses[:, 3]
     moved = np.einsum("ijyx,jyx->iyx", poses[:, :3], ray)
     moved += translation * problem.inverse_depth / focal
-    there = moved[:2] / moved[2]
-    direction = (translation[:2] - there * translation[2]) / moved[2]
-    return np.concatenate([focal * (there - ray[:2]), direction])
+    target = moved[:2] / moved[2]
+    direction = (translation[:2] - target * translation[2]) / moved[2]
+    return np.concatenate([focal * (target - ray[:2]), direction])

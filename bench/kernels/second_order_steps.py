@@ -27,8 +27,8 @@ class Surface:
         rng = np.random.default_rng(5)
         depth = problem.inverse_depth[0]
         true = np.stack([depth, *np.gradient(depth, SPACING, axis=(1, 0))])
-        self.rho, self.previous, rest = single(true + NOISE * rng.normal(size=(3, *true.shape)))
-        self.step = single(self.rho - self.previous + rest - true)
+        self.rho, self.previous, other = single(true + NOISE * rng.normal(size=(3, *true.shape)))
+        self.step = single(self.rho - self.previous + other - true)
         weight = rng.uniform(0.1, 1, depth.shape) * (rng.uniform(size=depth.shape) < ANCHORED)
         self.anchors = single(np.stack([weight, depth + NOISE * rng.normal(size=depth.shape)]))
         self.smoothness = reference.SecondOrder(
@@ -107,7 +107,7 @@ class SecondOrderOperations(TaichiSide):
         arrays = self._slope_system().arrays
         return (
             line_search.bind_plane(self.grid, arrays, SPACING / 2, *directions),
-            lambda found: np.concatenate([found[0][np.triu_indices(2)], found[1]])[:, None],
+            lambda sums: np.concatenate([sums[0][np.triu_indices(2)], sums[1]])[:, None],
         )
 
     def _slope_system(self) -> SecondOrderSystem:

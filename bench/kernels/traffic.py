@@ -30,10 +30,10 @@ class Traffic:
 
     def bytes_per_pixel(self, components: int, lanes: int) -> float:
         """Return the bytes per pixel of a problem with n = `components` unknowns."""
-        fixed, each = (a + b for a, b in zip(self.read, self.written, strict=True))
+        fixed, per_unknown = (a + b for a, b in zip(self.read, self.written, strict=True))
         if lanes * BYTES >= LINE:
-            fixed, each = fixed - self.spared[0], each - self.spared[1]
-        return BYTES * (fixed + each * components)
+            fixed, per_unknown = fixed - self.spared[0], per_unknown - self.spared[1]
+        return BYTES * (fixed + per_unknown * components)
 
 
 VIEWS = 2  # number of other frames in kernels of several frames

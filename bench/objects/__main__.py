@@ -122,20 +122,20 @@ def own_score(preset: Preset, group: str, name: str, pair: SyntheticPair) -> lis
 def stage_scores(method: FlowThenDepth, group: str, name: str, pair: SyntheticPair) -> list[Score]:
     """Return the scores of the two stages after a flow, one for each threshold."""
     scores = []
-    for found in method.run(rendered(name, group, pair)):
+    for estimate in method.run(rendered(name, group, pair)):
         score = Score(
-            method=found.method,
+            method=estimate.method,
             group=group,
             pair=name,
-            seconds=found.seconds,
-            threshold=found.threshold,
-            failure=found.failure,
+            seconds=estimate.seconds,
+            threshold=estimate.threshold,
+            failure=estimate.failure,
         )
-        if found.inverse_depth is not None and found.pose is not None:
-            depth = depth_of(found.inverse_depth)
+        if estimate.inverse_depth is not None and estimate.pose is not None:
+            depth = depth_of(estimate.inverse_depth)
             score = replace(
                 score,
-                objects=compared(pair, depth, found.pose[None], None),
+                objects=compared(pair, depth, estimate.pose[None], None),
                 one_scale=depth_errors(depth, pair.depth).abs_rel,
             )
         scores.append(score)

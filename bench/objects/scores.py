@@ -58,22 +58,22 @@ def compared(
 ) -> tuple[SceneObject, ...]:
     """Return the errors of every object of a scene."""
     true = true_objects(pair)
-    found = []
-    for item in range(int(true.max()) + 1):
-        mine = true == item
-        partner, iou = (0, None) if labels is None else _partner(labels, mine)
-        counted = mine & pair.visible
+    errors = []
+    for number in range(int(true.max()) + 1):
+        mask = true == number
+        partner, iou = (0, None) if labels is None else _partner(labels, mask)
+        counted = mask & pair.visible
         if labels is not None:
             counted &= labels == partner
-        truth = pose_matrix(pair.motions[0 if item == 0 else AT_REST + item - 1])
-        found.append(
+        truth = pose_matrix(pair.motions[0 if number == 0 else AT_REST + number - 1])
+        errors.append(
             SceneObject(
                 iou=iou,
                 abs_rel=_abs_rel(depth, pair.depth, counted),
                 direction=pose_errors(motions[partner], truth).direction,
             )
         )
-    return tuple(found)
+    return tuple(errors)
 
 
 def best(scores: Sequence[Score]) -> list[Score]:
@@ -164,10 +164,10 @@ def _directions(objects: Sequence[SceneObject], digits: int) -> str:
     return f"{fmean(known):.{digits}f}" if known else EMPTY
 
 
-def _partner(labels: NDArray, mine: NDArray) -> tuple[int, float]:
+def _partner(labels: NDArray, mask: NDArray) -> tuple[int, float]:
     """Return the label that overlaps an object most, and the intersection over union."""
     overlaps = [
-        float(((labels == k) & mine).sum() / ((labels == k) | mine).sum())
+        float(((labels == k) & mask).sum() / ((labels == k) | mask).sum())
         for k in range(int(labels.max()) + 1)
     ]
     partner = int(np.argmax(overlaps))

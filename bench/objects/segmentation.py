@@ -23,17 +23,17 @@ def homographies(grey: Sequence[NDArray]) -> list[NDArray[np.float64]]:
 
     Corners are tracked by the method of Lucas and Kanade. RANSAC keeps the largest plane's corners.
     """
-    found = []
+    matrices = []
     for frame, following in pairwise(grey):
         corners = cv2.goodFeaturesToTrack(frame, _CORNERS, 0.005, 5)
         matrix = None
         if corners is not None and len(corners) >= 4:
             moved, good, _ = cv2.calcOpticalFlowPyrLK(frame, following, corners, None)  # type: ignore[call-overload]
-            kept = good.ravel() == 1
-            if kept.sum() >= 4:
-                matrix, _ = cv2.findHomography(corners[kept], moved[kept], cv2.RANSAC, _RANSAC)
-        found.append(np.eye(3) if matrix is None else np.asarray(matrix, np.float64))
-    return found
+            valid = good.ravel() == 1
+            if valid.sum() >= 4:
+                matrix, _ = cv2.findHomography(corners[valid], moved[valid], cv2.RANSAC, _RANSAC)
+        matrices.append(np.eye(3) if matrix is None else np.asarray(matrix, np.float64))
+    return matrices
 
 
 def between(steps: Sequence[NDArray], first: int, second: int) -> NDArray[np.float64]:
@@ -57,21 +57,21 @@ def differences(
     high inside a large object.
     """
     smooth = [cv2.GaussianBlur(frame, (0, 0), 1.5).astype(np.float32) for frame in frames]
-    found = []
+    result = []
     for number, frame in enumerate(smooth):
-        off = [
+        each = [
             np.abs(frame - _warped(smooth[other], between(steps, number, other), np.nan))
             for other in (number - gap, number + gap)
             if 0 <= other < len(frames)
         ]
-        channels = [value if value.ndim == 2 else value.max(axis=2) for value in off]
+        channels = [value if value.ndim == 2 else value.max(axis=2) for value in each]
         if not channels:
-            found.append(np.zeros(frame.shape[:2], np.float32))
+            result.append(np.zeros(frame.shape[:2], np.float32))
             continue
         # Where one neighbour does not show the pixel, the difference from the other is used.
         choose = np.fmin if both else np.fmax
-        found.append(np.nan_to_num(reduce(choose, channels)).astype(np.float32))
-    return found
+        result.append(np.nan_to_num(reduce(choose, channels)).astype(np.float32))
+    return result
 
 
 def mixtures(
@@ -81,15 +81,15 @@ def mixtures(
     threshold: float,  # OpenCV's varThreshold: squared distance from the background, in deviations
 ) -> list[NDArray[np.uint8]]:
     """Return the foreground of OpenCV's MOG2 from neighbours warped to each frame."""
-    found = []
+    masks = []
     for number, frame in enumerate(frames):
         model = cv2.createBackgroundSubtractorMOG2(2 * REACH, threshold, False)
         for other in neighbours(len(frames), number, gap, gap + REACH):
             # Where a neighbour shows no pixel, the pixel of the frame is used.
             moved = _warped(frames[other], between(steps, number, other), None, frame)
             model.apply(moved)
-        found.append((model.apply(frame, learningRate=0) > 0).astype(np.uint8))
-    return found
+        masks.append((model.apply(frame, learningRate=0) > 0).astype(np.uint8))
+    return masks
 
 
 def cleaned(mask: NDArray) -> NDArray[np.uint8]:
@@ -138,29 +138,29 @@ _NEAR = 0.15  # of the image width: distance that counts as much as 1 px of flow
 
 def off_homography(flow: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the flow minus that of its dominant homography, (H, W, 2), and its length, px."""
-    here, there, x, y = _samples(flow)
-    matrix, _ = cv2.findHomography(here, there, cv2.RANSAC, _FLOW_RANSAC)
+    start, end, x, y = _samples(flow)
+    matrix, _ = cv2.findHomography(start, end, cv2.RANSAC, _FLOW_RANSAC)
     if matrix is None:
         return flow, np.zeros(flow.shape[:2], np.float32)
     moved = cv2.perspectiveTransform(np.stack([x, y], axis=-1).reshape(1, -1, 2), matrix)
     background = moved.reshape(flow.shape) - np.stack([x, y], axis=-1)
-    left = (flow - background).astype(np.float32)
-    return left, np.linalg.norm(left, axis=2)
+    residual = (flow - background).astype(np.float32)
+    return residual, np.linalg.norm(residual, axis=2)
 
 
 def off_epipolar_lines(flow: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the flow, and its distance from the dominant epipolar lines (Sampson), px."""
-    here, there, x, y = _samples(flow)
-    matrix, _ = cv2.findFundamentalMat(here, there, cv2.FM_RANSAC, _FLOW_RANSAC, 0.99)
+    start, end, x, y = _samples(flow)
+    matrix, _ = cv2.findFundamentalMat(start, end, cv2.FM_RANSAC, _FLOW_RANSAC, 0.99)
     if matrix is None or matrix.shape != (3, 3):
         return flow, np.zeros(flow.shape[:2], np.float32)
     ones = np.ones_like(x)
     first = np.stack([x, y, ones])
     second = np.stack([x + flow[..., 0], y + flow[..., 1], ones])
     line, back = np.tensordot(matrix, first, 1), np.tensordot(matrix.T, second, 1)
-    off = np.abs((second * line).sum(axis=0))
+    distance = np.abs((second * line).sum(axis=0))
     length = np.sqrt(line[0] ** 2 + line[1] ** 2 + back[0] ** 2 + back[1] ** 2)
-    return flow, (off / np.maximum(length, 1e-12)).astype(np.float32)
+    return flow, (distance / np.maximum(length, 1e-12)).astype(np.float32)
 
 
 def clusters(
@@ -190,8 +190,8 @@ def _samples(flow: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """Return some pixels and the ends of their flow, (n, 2) each, and x and y of all pixels."""
     y, x = (grid.astype(np.float32) for grid in np.mgrid[: flow.shape[0], : flow.shape[1]])
     some = np.s_[_STRIDE // 2 :: _STRIDE, _STRIDE // 2 :: _STRIDE]
-    here = np.column_stack([x[some].ravel(), y[some].ravel()])
-    return here, here + flow[some].reshape(-1, 2), x, y
+    start = np.column_stack([x[some].ravel(), y[some].ravel()])
+    return start, start + flow[some].reshape(-1, 2), x, y
 
 
 def as_one(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
@@ -206,44 +206,44 @@ def tracked(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
     separate. A part gets the label that it overlaps most in the last 10 frames, unless a larger
     part has that label. Otherwise it gets a new label, up to 255.
     """
-    places: dict[int, NDArray[np.bool_]] = {}
+    masks_by_label: dict[int, NDArray[np.bool_]] = {}
     seen: dict[int, int] = {}
     following = 1
     labels = []
     for number, mask in enumerate(masks):
         label = np.zeros(mask.shape, np.uint8)
-        pairs, taken = [], set()
-        found = parts(mask)
-        for place, part in enumerate(found):
-            for known, last in places.items():
+        pairs, used = [], set()
+        components = parts(mask)
+        for index, part in enumerate(components):
+            for known, last in masks_by_label.items():
                 if number - seen[known] <= _LAST and (shared := int((part & last).sum())):
-                    pairs.append((shared, place, known))
+                    pairs.append((shared, index, known))
         names: dict[int, int] = {}
-        for _, place, known in sorted(pairs, reverse=True):
-            if place not in names and known not in taken:
-                names[place] = known
-                taken.add(known)
-        for place, part in enumerate(found):
-            if place not in names:
+        for _, index, known in sorted(pairs, reverse=True):
+            if index not in names and known not in used:
+                names[index] = known
+                used.add(known)
+        for index, part in enumerate(components):
+            if index not in names:
                 if following > _LABELS:
                     continue
-                names[place], following = following, following + 1
-            name = names[place]
+                names[index], following = following, following + 1
+            name = names[index]
             label[part] = name
-            places[name], seen[name] = part, number
+            masks_by_label[name], seen[name] = part, number
         labels.append(label)
     return labels
 
 
 def parts(mask: NDArray) -> list[NDArray[np.bool_]]:
     """Return the connected parts of each value that are large enough, the largest first."""
-    found = []
+    areas_and_parts = []
     for value in np.unique(mask[mask > 0]):
         _, components = cv2.connectedComponents((mask == value).astype(np.uint8))
         areas = np.bincount(components.ravel())
         areas[0] = 0
-        found += [
+        areas_and_parts += [
             (int(areas[k]), components == k)
             for k in np.flatnonzero(areas >= LEAST_AREA * mask.size)
         ]
-    return [part for _, part in sorted(found, key=lambda item: -item[0])]
+    return [part for _, part in sorted(areas_and_parts, key=lambda item: -item[0])]

@@ -67,11 +67,13 @@ class Differences:
         """Yield the labels for each gap, threshold and tracker."""
         steps, aligning = timed(segmentation.homographies, clip.grey)
         for gap, both in product(GAPS, (True, False)):
-            off, seconds = timed(segmentation.differences, clip.frames, steps, gap, both=both)
+            differences, seconds = timed(
+                segmentation.differences, clip.frames, steps, gap, both=both
+            )
             for threshold in DIFFERENCES:
-                masks, cleaning = timed(_above, off, threshold)
-                which = "both" if both else "either"
-                choice = f"{which} at {gap} frames, {threshold:g} grey levels"
+                masks, cleaning = timed(_above, differences, threshold)
+                neighbours = "both" if both else "either"
+                choice = f"{neighbours} at {gap} frames, {threshold:g} grey levels"
                 yield from _by_tracker(choice, masks, aligning + seconds + cleaning)
 
 
@@ -84,8 +86,8 @@ class Mixtures:
         """Yield the labels for each gap, threshold and tracker."""
         steps, aligning = timed(segmentation.homographies, clip.grey)
         for gap, threshold in product(NEAREST, VARIANCES):
-            found, seconds = timed(segmentation.mixtures, clip.frames, steps, gap, threshold)
-            masks, cleaning = timed(_above, found, 0)
+            foreground, seconds = timed(segmentation.mixtures, clip.frames, steps, gap, threshold)
+            masks, cleaning = timed(_above, foreground, 0)
             choice = f"from {gap} frames on, varThreshold {threshold:g}"
             yield from _by_tracker(choice, masks, aligning + seconds + cleaning)
 
@@ -101,11 +103,13 @@ class FlowClusters:
         """Yield the labels for each background model, threshold, count and tracker."""
         flows, flowing = self._flows(clip)
         for name, model in MODELS.items():
-            left, fitting = timed(lambda flows, fit: [fit(flow) for flow in flows], flows, model)
+            residuals, fitting = timed(
+                lambda flows, fit: [fit(flow) for flow in flows], flows, model
+            )
             for threshold in RESIDUALS:
-                masks, cleaning = timed(_above, [length for _, length in left], threshold)
+                masks, cleaning = timed(_above, [length for _, length in residuals], threshold)
                 for count in COUNTS:
-                    labels, seconds = timed(_clustered, left, masks, count)
+                    labels, seconds = timed(_clustered, residuals, masks, count)
                     labels.append(labels[-1])  # the last frame has no flow
                     choice = f"{name}, {threshold:g} px, {count} clusters"
                     seconds += flowing + fitting + cleaning
@@ -157,10 +161,10 @@ class Reconstruct:
         )
 
 
-def timed(function: Callable[..., Any], *given: Any, **options: Any) -> tuple[Any, float]:
+def timed(function: Callable[..., Any], *arguments: Any, **options: Any) -> tuple[Any, float]:
     """Return the result of a function, and its time, s."""
     started = time.perf_counter()
-    answer = function(*given, **options)
+    answer = function(*arguments, **options)
     return answer, time.perf_counter() - started
 
 
@@ -170,12 +174,12 @@ def _above(values: Sequence[NDArray], threshold: float) -> list[NDArray[np.uint8
 
 
 def _clustered(
-    left: Sequence[tuple[NDArray, NDArray]], masks: Sequence[NDArray], count: int
+    residuals: Sequence[tuple[NDArray, NDArray]], masks: Sequence[NDArray], count: int
 ) -> list[NDArray[np.uint8]]:
     """Return the clusters of the moving pixels of each frame."""
     return [
         segmentation.clusters(motion, mask > 0, count)
-        for (motion, _), mask in zip(left, masks, strict=True)
+        for (motion, _), mask in zip(residuals, masks, strict=True)
     ]
 
 

@@ -31,38 +31,38 @@ class ClipScore:
     failure: str = ""
 
 
-def scored(method: str, clip: Clip, found: Found) -> ClipScore:
+def scored(method: str, clip: Clip, result: Found) -> ClipScore:
     """Compare the labels of a method with the truth."""
-    scores = label_scores(found.labels, clip.truth)
-    there = sum(thing.present for thing in scores.objects)
+    scores = label_scores(result.labels, clip.truth)
+    present = sum(item.present for item in scores.objects)
     return ClipScore(
         method=method,
-        variant=found.variant,
+        variant=result.variant,
         clip=clip.name,
         group=clip.group,
         iou=scores.iou,
-        followed=sum(thing.followed for thing in scores.objects) / there,
+        followed=sum(item.followed for item in scores.objects) / present,
         switches=scores.switches,
-        seconds=found.seconds / len(clip.frames),
-        paths=_paths(clip, found, scores),
+        seconds=result.seconds / len(clip.frames),
+        paths=_paths(clip, result, scores),
     )
 
 
-def _paths(clip: Clip, found: Found, scores: LabelScores) -> tuple[ObjectPathErrors | None, ...]:
+def _paths(clip: Clip, result: Found, scores: LabelScores) -> tuple[ObjectPathErrors | None, ...]:
     """Compare the path of each object with the true one, if both are known."""
-    if clip.film is None or found.cameras is None:
+    if clip.film is None or result.cameras is None:
         return ()
-    by_id = {item.id: item for item in found.objects}
+    by_id = {estimate.id: estimate for estimate in result.objects}
     errors: list[ObjectPathErrors | None] = []
-    for thing in scores.objects:
-        item = None if thing.label is None else by_id.get(thing.label)
-        if item is None:
+    for item in scores.objects:
+        estimate = None if item.label is None else by_id.get(item.label)
+        if estimate is None:
             errors.append(None)
             continue
         poses = np.full((len(clip.frames), 4, 4), np.nan)
-        poses[list(item.frames)] = item.poses
-        truth: NDArray[np.float64] = clip.film.body_poses[thing.object_id - 1]
-        errors.append(object_path_errors(poses, truth, found.cameras, clip.film.poses))
+        poses[list(estimate.frames)] = estimate.poses
+        truth: NDArray[np.float64] = clip.film.body_poses[item.object_id - 1]
+        errors.append(object_path_errors(poses, truth, result.cameras, clip.film.poses))
     return tuple(errors)
 
 
@@ -110,10 +110,12 @@ def details(scores: Sequence[ClipScore]) -> Table:
     groups = list(dict.fromkeys(s.group for s in scores))
     rows = []
     for method, variant in dict.fromkeys((s.method, s.variant) for s in scores if not s.failure):
-        mine = [s for s in scores if (s.method, s.variant) == (method, variant) and not s.failure]
+        rows_of_variant = [
+            s for s in scores if (s.method, s.variant) == (method, variant) and not s.failure
+        ]
         row = [method, variant or EMPTY]
         for group in groups:
-            of_group = [s for s in mine if s.group == group]
+            of_group = [s for s in rows_of_variant if s.group == group]
             row += (
                 [f"{fmean(s.iou for s in of_group):.3f}", str(sum(s.switches for s in of_group))]
                 if of_group
@@ -130,10 +132,10 @@ def _iou(score: ClipScore | None) -> str:
 
 def _path_cells(errors: Sequence[ObjectPathErrors | None]) -> list[str]:
     """Return the mean errors of the known paths."""
-    found = [error for error in errors if error is not None]
-    shares = [100 * error.share for error in found if error.share is not None]
+    known = [error for error in errors if error is not None]
+    shares = [100 * error.share for error in known if error.share is not None]
     if not shares:
         return [EMPTY] * 2
-    lost = len(errors) - len(found)
+    lost = len(errors) - len(known)
     note = f" ({lost} not found)" if lost else ""
-    return [f"{fmean(shares):.1f}{note}", f"{fmean(error.rotation for error in found):.1f}"]
+    return [f"{fmean(shares):.1f}{note}", f"{fmean(error.rotation for error in known):.1f}"]

@@ -110,7 +110,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 def score_all(method: Labeller, clip: Clip) -> list[ClipScore]:
     """Return the scores of every variant of a method, or a score with its failure."""
     try:
-        return [scored(method.name, clip, found) for found in method.run(clip)]
+        return [scored(method.name, clip, labels) for labels in method.run(clip)]
     except MethodFailure as failure:
         return [
             ClipScore(

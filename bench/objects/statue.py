@@ -61,8 +61,8 @@ def focals_of(data: Path) -> dict[float, str]:
     """Return focal length, px → origin: `FOCALS`, and the estimate from all frames."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GuessedFocalWarning)
-        found = tisfm.reconstruct(data / FOLDER, depth_of="none")
-    return {**dict.fromkeys(FOCALS, ""), found.camera.focal: ESTIMATED}
+        result = tisfm.reconstruct(data / FOLDER, depth_of="none")
+    return {**dict.fromkeys(FOCALS, ""), result.camera.focal: ESTIMATED}
 
 
 def interpret_pair(
@@ -94,21 +94,21 @@ def interpret_pair(
     )
 
 
-def table(found: Sequence[StatuePair]) -> Table:
+def table(pairs: Sequence[StatuePair]) -> Table:
     """Return the number of labelled pairs: a row for every method and focal length."""
     rows = []
-    for method, focal in dict.fromkeys((s.method, s.focal) for s in found):
-        mine = [s for s in found if (s.method, s.focal) == (method, focal)]
+    for method, focal in dict.fromkeys((s.method, s.focal) for s in pairs):
+        group = [s for s in pairs if (s.method, s.focal) == (method, focal)]
         rows.append(
             [
                 method,
-                f"{focal:.4g} {mine[0].origin}".strip(),
-                str(len(mine)),
-                str(sum(s.man and s.different for s in mine)),
-                str(sum(s.cyclist and s.different for s in mine)),
-                str(sum(s.man and s.cyclist and s.different for s in mine)),
-                f"{fmean(s.labels for s in mine):.1f}",
-                f"{median(s.seconds for s in mine):#.3g}",
+                f"{focal:.4g} {group[0].origin}".strip(),
+                str(len(group)),
+                str(sum(s.man and s.different for s in group)),
+                str(sum(s.cyclist and s.different for s in group)),
+                str(sum(s.man and s.cyclist and s.different for s in group)),
+                f"{fmean(s.labels for s in group):.1f}",
+                f"{median(s.seconds for s in group):#.3g}",
             ]
         )
     head = ["method", "f, px", "pairs", "man", "cyclist", "both, different", "labels, mean", "s"]

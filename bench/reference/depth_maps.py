@@ -22,37 +22,37 @@ def rendered(
     cx, cy = camera.center_for(height, width)
     rows, columns = np.mgrid[:height, :width].astype(np.float64)
     rays = np.stack([(columns - cx) / camera.focal, (rows - cy) / camera.focal, 0 * rows + 1])
-    place = np.einsum("kl,lhw->khw", rotation, rays)
-    place += inverse_depth * translation[:, None, None]
+    target = np.einsum("kl,lhw->khw", rotation, rays)
+    target += inverse_depth * translation[:, None, None]
     nearest, central = np.zeros((2, height, width))
-    for y, x in zip(*np.nonzero((inverse_depth > 0) & (place[2] > 0)), strict=True):
-        there = inverse_depth[y, x] / place[2, y, x]
-        column, row = (place[:2, y, x] / place[2, y, x]) * camera.focal + (cx, cy)
+    for y, x in zip(*np.nonzero((inverse_depth > 0) & (target[2] > 0)), strict=True):
+        projected = inverse_depth[y, x] / target[2, y, x]
+        column, row = (target[:2, y, x] / target[2, y, x]) * camera.focal + (cx, cy)
         around = [(np.floor(row) + j, np.floor(column) + i) for j in (0, 1) for i in (0, 1)]
         closest = np.floor(row + 0.5), np.floor(column + 0.5)
-        for image, places in ((nearest, around), (central, [closest])):
-            for down, right in places:
+        for image, positions in ((nearest, around), (central, [closest])):
+            for down, right in positions:
                 if 0 <= down < height and 0 <= right < width:
                     at = int(down), int(right)
-                    image[at] = max(image[at], there)
+                    image[at] = max(image[at], projected)
     out, spread = np.zeros((2, height, width))
     for y, x in np.ndindex(height, width):
-        for start, least in ((nearest[y, x], 0.5), (central[y, x], 1e-3)):
-            value, deviates = start, 0.0
+        for start, min_weight in ((nearest[y, x], 0.5), (central[y, x], 1e-3)):
+            depth, deviation_of_depth = start, 0.0
             for _ in range(2):
-                if value > 0:
-                    value, deviates = _looked_up(
+                if depth > 0:
+                    depth, deviation_of_depth = _looked_up(
                         inverse_depth,
                         deviation,
                         rays[:, y, x],
-                        value,
+                        depth,
                         rotation,
                         translation,
                         camera,
-                        least,
+                        min_weight,
                     )
-            if value > 0:
-                out[y, x], spread[y, x] = value, deviates
+            if depth > 0:
+                out[y, x], spread[y, x] = depth, deviation_of_depth
                 break
     return out, spread
 
@@ -65,7 +65,7 @@ def _looked_up(
     rotation: np.ndarray,
     translation: np.ndarray,
     camera: Camera,
-    least: float,
+    min_weight: float,
 ) -> tuple[float, float]:
     """Return inverse depth and deviation on a ray of the other view, near `value`.
 
@@ -82,13 +82,13 @@ def _looked_up(
         for right in (int(np.floor(column)), int(np.floor(column)) + 1):
             if not (0 <= down < height and 0 <= right < width):
                 continue
-            there = inverse_depth[down, right]
-            if there > 0 and abs(there - expected) < ALIKE * expected:
+            value_there = inverse_depth[down, right]
+            if value_there > 0 and abs(value_there - expected) < ALIKE * expected:
                 weight = (1 - abs(column - right)) * (1 - abs(row - down))
                 total += weight
-                depth += weight * there
+                depth += weight * value_there
                 spread += weight * deviation[down, right]
-    if total <= least:
+    if total <= min_weight:
         return 0.0, 0.0
     depth, spread = depth / total, spread / total
     first = np.append((np.array([column, row]) - centre) / camera.focal, 1.0)
@@ -108,8 +108,8 @@ def merged(
     differ by less than the share `tolerance` of the larger inverse depth.
     """
     known = inverse_depths > 0
-    least = np.where(known, SUREST * inverse_depths, 1)
-    votes = np.where(known, inverse_depths / np.maximum(deviations, least), 0) ** 2
+    floor = np.where(known, SUREST * inverse_depths, 1)
+    votes = np.where(known, inverse_depths / np.maximum(deviations, floor), 0) ** 2
     difference = np.abs(inverse_depths[:, None] - inverse_depths)
     agree = difference < tolerance * np.maximum(inverse_depths[:, None], inverse_depths)
     shares = votes * (agree & known & known[:, None])  # (N, N, H, W): vote of source j for source i
@@ -136,9 +136,9 @@ def by_look(
         square = (rows - y) ** 2 + (columns - x) ** 2
         votes = np.exp(-np.abs(frame - frame[y, x]) / similar) / (1 + FADING * square)
         votes *= (abs(rows - y) <= RADIUS) & (abs(columns - x) <= RADIUS)
-        mine = inverse_depth[y, x] > middle[y, x]
-        others = votes * ((inverse_depth > middle[y, x]) != mine)
-        if others.sum() > votes.sum() / 2:
-            depth[y, x] = (others * inverse_depth).sum() / others.sum()
-            spread[y, x] = (others * deviation).sum() / others.sum()
+        nearer = inverse_depth[y, x] > middle[y, x]
+        other_votes = votes * ((inverse_depth > middle[y, x]) != nearer)
+        if other_votes.sum() > votes.sum() / 2:
+            depth[y, x] = (other_votes * inverse_depth).sum() / other_votes.sum()
+            spread[y, x] = (other_votes * deviation).sum() / other_votes.sum()
     return depth, spread

@@ -45,16 +45,16 @@ def compare(
         seen = inverse_depth_at(other_inverse_depth, u / g, v / g)
         if seen <= 0:
             continue
-        there = _nearest(u / g, v / g)
+        pixel = _nearest(u / g, v / g)
         slope = turned / g**2
-        apart = seen - d / g
-        limit = tolerance * np.hypot(slope * deviation[y, x], other_deviation[there])
-        if apart < -limit:
+        difference = seen - d / g
+        limit = tolerance * np.hypot(slope * deviation[y, x], other_deviation[pixel])
+        if difference < -limit:
             sums[y, x, 3] = 1
-        elif apart <= limit:
-            precision = (slope / other_deviation[there]) ** 2
-            sums[y, x, :3] = precision, precision * apart / slope, 1
-            colors[y, x] = other_colors[there]
+        elif difference <= limit:
+            precision = (slope / other_deviation[pixel]) ** 2
+            sums[y, x, :3] = precision, precision * difference / slope, 1
+            colors[y, x] = other_colors[pixel]
     return sums, colors
 
 
@@ -78,8 +78,8 @@ def mark_shown(
             for column in (int(np.floor(u / z)), int(np.floor(u / z)) + 1):
                 if 0 <= row < height and 0 <= column < width:
                     limit = tolerance * np.hypot(relative / z, deviation[row, column])
-                    apart = abs(inverse_depth[row, column] - 1 / z)
-                    shown[row, column] |= inverse_depth[row, column] > 0 and apart <= limit
+                    difference = abs(inverse_depth[row, column] - 1 / z)
+                    shown[row, column] |= inverse_depth[row, column] > 0 and difference <= limit
     return shown
 
 
@@ -90,23 +90,23 @@ def blocks_near(
     stride: int,
     rays: Floats,
     truncation: float,
-    places: int,
+    samples: int,
 ) -> set[tuple[int, int, int]]:
     """Return the positions, in blocks, of the blocks of 8³ voxels near the surface of a view."""
-    found = set()
+    blocks = set()
     for y in range(0, inverse_depth.shape[0], stride):
         for x in range(0, inverse_depth.shape[1], stride):
             d = inverse_depth[y, x]
             around = inverse_depth[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2]
-            alike = np.abs(around - d) < max(STEP * d, 3 * deviation[y, x])
-            if d <= 0 or np.count_nonzero(alike) - 1 < SUPPORT:
+            similar = np.abs(around - d) < max(STEP * d, 3 * deviation[y, x])
+            if d <= 0 or np.count_nonzero(similar) - 1 < SUPPORT:
                 continue
-            for depth in 1 / d + truncation * np.linspace(-1, 1, places):
-                place = rays[:, :3] @ (x, y, 1) * depth + rays[:, 3]
+            for depth in 1 / d + truncation * np.linspace(-1, 1, samples):
+                point = rays[:, :3] @ (x, y, 1) * depth + rays[:, 3]
                 for corner in np.ndindex(2, 2, 2) if depth > 0 else ():
-                    block = np.floor((place + 2 * np.array(corner) - 1) / 8).astype(int)
-                    found.add((int(block[0]), int(block[1]), int(block[2])))
-    return found
+                    block = np.floor((point + 2 * np.array(corner) - 1) / 8).astype(int)
+                    blocks.add((int(block[0]), int(block[1]), int(block[2])))
+    return blocks
 
 
 def integrate(
@@ -130,12 +130,12 @@ def integrate(
         u, v, z = corners[b] + np.unravel_index(voxel, (8, 8, 8)) @ steps
         if z <= 0 or not _inside(u / z, v / z, inverse_depth):
             continue
-        there = _nearest(u / z, v / z)
-        d = inverse_depth[there]
+        pixel = _nearest(u / z, v / z)
+        d = inverse_depth[pixel]
         if d > 0 and abs(1 / d - z) <= BESIDE * truncation:
             d = inverse_depth_at(inverse_depth, u / z, v / z)
         if d > 0 and 1 / d - z >= -truncation:
-            deep = deviation[there] / d**2
+            deep = deviation[pixel] / d**2
             distance[b, voxel] = min((1 / d - z) / truncation, 1)
             weight[b, voxel] = spread**2 / (deep**2 + spread**2)
             near[b, voxel] = 1 / d - z <= truncation

@@ -83,21 +83,23 @@ def splat(flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
     w are the bilinear weights of the pixels of frame 0 whose target x + flow lies within 1 px.
     """
     _, height, width = flow.shape
-    found = np.zeros((4, height, width))
+    sums = np.zeros((4, height, width))
     values = np.stack([np.ones_like(residual), residual, *flow])
     for row, column in np.ndindex(height, width):
         x, y = column + flow[0, row, column], row + flow[1, row, column]
         if 0 <= x <= width - 1 and 0 <= y <= height - 1:
             for below, right, weight in _bilinear(x, y, height, width):
-                found[:, below, right] += weight * values[:, row, column]
-    return found
+                sums[:, below, right] += weight * values[:, row, column]
+    return sums
 
 
-def defeated(flow: np.ndarray, residual: np.ndarray, *, density: float, apart: float) -> np.ndarray:
+def defeated(
+    flow: np.ndarray, residual: np.ndarray, *, density: float, flow_difference: float
+) -> np.ndarray:
     """Return hidden pixels: pixels of another flow and smaller residual have the same target."""
     _, height, width = flow.shape
     sums = splat(flow, residual)
-    found = np.zeros((height, width), bool)
+    hidden = np.zeros((height, width), bool)
     for row, column in np.ndindex(height, width):
         x, y = column + flow[0, row, column], row + flow[1, row, column]
         if 0 <= x <= width - 1 and 0 <= y <= height - 1:
@@ -106,8 +108,8 @@ def defeated(flow: np.ndarray, residual: np.ndarray, *, density: float, apart: f
             mean_residual, u, v = np.array(means) / total
             distance = np.hypot(u - flow[0, row, column], v - flow[1, row, column])
             worse = residual[row, column] > mean_residual
-            found[row, column] = total > density and distance > apart and worse
-    return found
+            hidden[row, column] = total > density and distance > flow_difference and worse
+    return hidden
 
 
 def _bilinear(x: float, y: float, height: int, width: int) -> list[tuple[int, int, float]]:

@@ -72,13 +72,13 @@ def flowless_fields(motion: np.ndarray) -> np.ndarray:
     """
     x, y = -motion[0, 2], -motion[1, 2]
     one, zero = np.ones_like(x), np.zeros_like(x)
-    along = [x, y, one, zero, zero, zero]
+    along_ray = [x, y, one, zero, zero, zero]
     about_x = [x * y, 1 + y * y, zero, one, zero, zero]
     about_y = [-1 - x * x, -x * y, zero, zero, one, zero]
     about_z = [y, -x, zero, zero, zero, one]
     if motion.shape[1] == 6:
-        return np.array([along, about_x, about_y, about_z])
-    return np.array([along[:3]])
+        return np.array([along_ray, about_x, about_y, about_z])
+    return np.array([along_ray[:3]])
 
 
 def minimise_over_flowless(

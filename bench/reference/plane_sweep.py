@@ -29,10 +29,10 @@ def matching_cost(
         left, top = np.floor(x).astype(int), np.floor(y).astype(int)
         right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
         a, b = x - left, y - top
-        there = (1 - b) * ((1 - a) * features1[:, top, left] + a * features1[:, top, right])
-        there += b * ((1 - a) * features1[:, below, left] + a * features1[:, below, right])
-        apart = np.abs(there - features0)
-        cost = np.minimum(1, apart[0]) + np.minimum(1, apart[1] + apart[2])
+        sampled = (1 - b) * ((1 - a) * features1[:, top, left] + a * features1[:, top, right])
+        sampled += b * ((1 - a) * features1[:, below, left] + a * features1[:, below, right])
+        difference = np.abs(sampled - features0)
+        cost = np.minimum(1, difference[0]) + np.minimum(1, difference[1] + difference[2])
         costs.append(np.where(inside, cost, 1))
     return np.stack(costs, axis=-1)
 
@@ -51,11 +51,11 @@ def aggregate(
         grey = np.rot90(guide, turn)
         for row in range(1, len(path)):
             before = path[row - 1]
-            least = before.min(axis=-1, keepdims=True)
-            leap = np.maximum(step, jump / (1 + np.abs(grey[row] - grey[row - 1]) / edge))
-            best = np.minimum(before, least + leap[:, None])
+            lowest = before.min(axis=-1, keepdims=True)
+            penalty = np.maximum(step, jump / (1 + np.abs(grey[row] - grey[row - 1]) / edge))
+            best = np.minimum(before, lowest + penalty[:, None])
             best[:, 1:] = np.minimum(best[:, 1:], before[:, :-1] + step)
             best[:, :-1] = np.minimum(best[:, :-1], before[:, 1:] + step)
-            path[row] += best - least
+            path[row] += best - lowest
         total += np.rot90(path, -turn)
     return total

@@ -75,9 +75,9 @@ def second_order_half_quadratic(
     total = (weights * measures**2).sum()
     for weight, full, contrast in zip(weights, whole, smoothness.contrasts, strict=True):
         if np.isfinite(contrast):
-            seen = full > 0
-            b = weight[seen] / full[seen]
-            total += (full[seen] * contrast**2 * (1 - b) ** 2 / b).sum()
+            open_edges = full > 0
+            b = weight[open_edges] / full[open_edges]
+            total += (full[open_edges] * contrast**2 * (1 - b) ** 2 / b).sum()
     return float(total)
 
 
@@ -135,8 +135,8 @@ def second_order_system(
             forms = [(a, [near, far, *slopes], [-1, 1, -spacing / 2, -spacing / 2])]
             forms += [(b, [k * count + near, k * count + far], [-1, 1]) for k in (1, 2)]
             forms += [(c, [near, far], [-1, 1])]
-            for weight, where, row in forms:
-                matrix[np.ix_(where, where)] += weight * np.outer(row, row)
+            for weight, unknowns, row in forms:
+                matrix[np.ix_(unknowns, unknowns)] += weight * np.outer(row, row)
     right = np.zeros(3 * count)
     right[:count] = -tensor[1].ravel()
     return matrix, right
@@ -235,7 +235,7 @@ def minimise_second_order(
             weights = second_order_weights(rho, smoothness)
             matrix, right = second_order_system(tensor, weights, smoothness.spacing)
             # A slope across an image 1 px wide has no cost: a tiny weight keeps it at 0.
-            held = 1e-12 * matrix.diagonal().max() * np.eye(len(matrix))
-            solution = np.linalg.solve(matrix + held, right)
+            regularisation = 1e-12 * matrix.diagonal().max() * np.eye(len(matrix))
+            solution = np.linalg.solve(matrix + regularisation, right)
             rho[...] = solution.reshape(rho.shape)
     return energies

@@ -138,14 +138,14 @@ def measure(options: argparse.Namespace, console: Console) -> Findings:
         if "times" in options.only:
             for preset, motion in TIMED:
                 pair = moving if motion == "objects" else static
-                asked = request(paths[pair.name], preset, motion)
+                question = request(paths[pair.name], preset, motion)
                 name = f"{preset}, {motion}, {pair.name}"
-                times.append(interpretation(name, workers, asked, options.rounds))
+                times.append(interpretation(name, workers, question, options.rounds))
                 console.print(name, *times[-1].ratios(), highlight=False)
         if "starts" in options.only:
-            asked = request(paths[static.name], "balanced", "field")
+            question = request(paths[static.name], "balanced", "field")
             rounds = max(options.rounds // 4, 2)
-            times += starts(checkouts, asked, rounds, threads=options.threads, exchange=folder)
+            times += starts(checkouts, question, rounds, threads=options.threads, exchange=folder)
     conditions = {
         **machine(),
         "threads": options.threads,
@@ -169,14 +169,14 @@ def main(arguments: list[str] | None = None) -> int:
     """Return 0, 1 if a figure is out of bounds, or 2 if nothing could be compared."""
     options = parse(arguments)
     try:
-        found = measure(options, Console(stderr=True))
+        findings = measure(options, Console(stderr=True))
     except (OSError, ValueError, RuntimeError, WorkerDied) as error:
         print(f"bench.regression: {error}", file=sys.stderr)
         return 2
     name = options.output or ("smoke-regression" if options.quick else "regression")
-    write(RESULTS / name, markdown(found))
-    print(markdown(found))
-    return 1 if any(out_of_bounds(found)) else 0
+    write(RESULTS / name, markdown(findings))
+    print(markdown(findings))
+    return 1 if any(out_of_bounds(findings)) else 0
 
 
 if __name__ == "__main__":

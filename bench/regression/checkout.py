@@ -79,9 +79,9 @@ class Paired:
     cpu: Sequence[Sides]
 
     @classmethod
-    def of(cls, name: str, found: Sequence[tuple[Sample, Sample]]) -> "Paired":
+    def of(cls, name: str, samples: Sequence[tuple[Sample, Sample]]) -> "Paired":
         """Return the times of both sides, (before, after) in each round."""
-        wall, cpu = (tuple((before[k], after[k]) for before, after in found) for k in (0, 1))
+        wall, cpu = (tuple((before[k], after[k]) for before, after in samples) for k in (0, 1))
         return cls(name=name, seconds=wall, cpu=cpu)
 
     @property
@@ -99,12 +99,12 @@ class Paired:
 
 def in_turns(rounds: int, measure: Callable[[int], Any]) -> list[tuple[Any, Any]]:
     """Measure sides 0 and 1 in each round, in the order 0 1, 1 0, 0 1, …; return both values."""
-    found = []
+    samples = []
     for turn in range(rounds):
         first = turn % 2
         measured = {side: measure(side) for side in (first, 1 - first)}
-        found.append((measured[0], measured[1]))
-    return found
+        samples.append((measured[0], measured[1]))
+    return samples
 
 
 def interpretation(
@@ -123,8 +123,8 @@ def interpretation(
 
     pace = max(ask(side, times=2)[0] for side in (0, 1))  # the first call compiles kernels
     times = 2 if pace < QUICK else 1
-    found = in_turns(rounds, lambda side: ask(side, times))
-    return Paired.of(name, found)
+    samples = in_turns(rounds, lambda side: ask(side, times))
+    return Paired.of(name, samples)
 
 
 def starts(
@@ -145,8 +145,8 @@ def starts(
         imported, warm = checkouts[side].start(request, cache=cache, **options)
         return imported, cold, warm
 
-    found = in_turns(rounds, measure)
+    samples = in_turns(rounds, measure)
     return [
-        Paired.of(name, [(before[k], after[k]) for before, after in found])
+        Paired.of(name, [(before[k], after[k]) for before, after in samples])
         for k, name in enumerate(("import tisfm", "cold start", "warm start"))
     ]

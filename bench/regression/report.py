@@ -50,21 +50,21 @@ def difference(before: Path, after: Path) -> Difference:
 
 def relative(before: NDArray, after: NDArray) -> NDArray:
     """Return |after − before| over the larger of |before| and `FLOOR` of its median."""
-    apart = _apart(before, after)
+    difference = _apart(before, after)
     known = np.abs(before[np.isfinite(before)])
     floor = FLOOR * float(np.median(known)) if known.size else 0.0
     unit = np.maximum(np.abs(before), floor)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(apart > 0, apart / np.where(np.isfinite(unit), unit, 1.0), 0.0)
+        return np.where(difference > 0, difference / np.where(np.isfinite(unit), unit, 1.0), 0.0)
 
 
 def _apart(before: NDArray, after: NDArray) -> NDArray:
     """Return |after − before|: 0 where both are equal or NaN, and inf where only one is finite."""
     old, new = np.asarray(before, np.float64), np.asarray(after, np.float64)
-    same = (old == new) | (np.isnan(old) & np.isnan(new))
+    equal = (old == new) | (np.isnan(old) & np.isnan(new))
     with np.errstate(invalid="ignore"):
         gap = np.abs(new - old)
-    return np.where(same, 0.0, np.where(np.isfinite(gap), gap, np.inf))
+    return np.where(equal, 0.0, np.where(np.isfinite(gap), gap, np.inf))
 
 
 def _share(before: NDArray | None, after: NDArray | None) -> float:
@@ -104,20 +104,20 @@ class Case:
     def cells(self) -> list[str]:
         """Return the row of the table."""
         status = self.before if self.before == self.after else f"{self.before} → {self.after}"
-        found = self.difference
-        if found is None:
+        difference = self.difference
+        if difference is None:
             values = [EMPTY] * 7
-        elif found.same:
+        elif difference.same:
             values = ["the same bits", *[""] * 6]
         else:
             values = [
-                f"{found.flow_max:.2g}",
-                f"{found.flow_median:.2g}",
-                f"{found.visible:.3%}",
-                f"{found.depth_max:.2g}",
-                f"{found.depth_median:.2g}",
-                f"{found.labels:.3%}",
-                f"{found.occlusion:.3%}",
+                f"{difference.flow_max:.2g}",
+                f"{difference.flow_median:.2g}",
+                f"{difference.visible:.3%}",
+                f"{difference.depth_max:.2g}",
+                f"{difference.depth_median:.2g}",
+                f"{difference.labels:.3%}",
+                f"{difference.occlusion:.3%}",
             ]
         return [self.pair, self.preset, self.motion, *values, status]
 
@@ -132,9 +132,9 @@ class Findings:
     missing: dict[str, str] = field(default_factory=dict)
 
 
-def out_of_bounds(found: Findings) -> Iterator[str]:
+def out_of_bounds(findings: Findings) -> Iterator[str]:
     """Yield results that differ by more than rounding, and calls that are slower."""
-    for case in found.cases:
+    for case in findings.cases:
         if case.before != case.after:
             yield f"{case.name}: the status was {case.before} and is {case.after}"
         elif case.difference is not None and case.difference.visible > 0:
@@ -142,28 +142,28 @@ def out_of_bounds(found: Findings) -> Iterator[str]:
             yield f"{case.name}: flow differs by more than {VISIBLE:g} px at {share} of the pixels"
         elif case.difference is not None and case.difference.labels > 0:
             yield f"{case.name}: {case.difference.labels:.3%} of the labels differ"
-    for paired in found.times:
+    for paired in findings.times:
         low, middle, _ = paired.ratios()
         # On a busy machine, wall time alone proves nothing.
         if low > MOST_SLOWER and paired.ratios(cpu=True)[0] > MOST_SLOWER:
             yield f"{paired.name}: {middle:.3f} times as long, at least {low:.3f} in 3 rounds of 4"
 
 
-def markdown(found: Findings) -> str:
+def markdown(findings: Findings) -> str:
     """Return the results as Markdown."""
     blocks: list[str | Table | list[str]] = []
-    if found.cases:
-        table = Table(ANSWER_HEAD, [case.cells() for case in found.cases], text_columns=3)
-        blocks += ["## Answers", _summary(found.cases), table]
-    if found.times:
+    if findings.cases:
+        table = Table(ANSWER_HEAD, [case.cells() for case in findings.cases], text_columns=3)
+        blocks += ["## Answers", _summary(findings.cases), table]
+    if findings.times:
         note = (
             "Medians of the rounds. In each round both checkouts take their turn; ratios are of "
             "the same round, the median with the lower and upper quartile."
         )
-        blocks += ["## Times", note, Table(TIME_HEAD, [_time_cells(p) for p in found.times])]
-    blocks += ["## Out of bounds", list(out_of_bounds(found)) or "Nothing."]
-    missing = {f"missing: {name}": why for name, why in found.missing.items()}
-    return text_of("# Regression", found.conditions | missing, *blocks)
+        blocks += ["## Times", note, Table(TIME_HEAD, [_time_cells(p) for p in findings.times])]
+    blocks += ["## Out of bounds", list(out_of_bounds(findings)) or "Nothing."]
+    missing = {f"missing: {name}": why for name, why in findings.missing.items()}
+    return text_of("# Regression", findings.conditions | missing, *blocks)
 
 
 def _summary(cases: Sequence[Case]) -> str:

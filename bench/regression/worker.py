@@ -40,11 +40,11 @@ def read(path: str) -> dict[str, Any]:
 def answer(pair: dict[str, Any], request: dict[str, Any]) -> dict[str, Any]:
     """Interpret a pair, store the result if a path is given, and return times and status."""
     settings = tisfm.Settings.preset(**request["settings"])
-    given = {name: value for name, value in pair.items() if name != "pose" or request["pose"]}
+    arguments = {name: value for name, value in pair.items() if name != "pose" or request["pose"]}
     try:
         for _ in range(request["times"]):
             used, started = time.process_time(), time.perf_counter()
-            result = tisfm.interpret(**given, settings=settings)
+            result = tisfm.interpret(**arguments, settings=settings)
             seconds, cpu = time.perf_counter() - started, time.process_time() - used
     except Exception as error:  # of any kind: checkouts may raise different ones
         return {"status": " ".join(f"{type(error).__name__}: {error}".split())}

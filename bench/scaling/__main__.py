@@ -132,40 +132,42 @@ def gib(floats: float, size: str) -> float:
     return floats * FLOAT * math.prod(size_of(size)) / GIB
 
 
-def bars(found: dict[str, Any]) -> Iterator[Bar]:
+def bars(figures: dict[str, Any]) -> Iterator[Bar]:
     """Yield the bars of the figures that were measured with the most threads."""
-    most = max(entry["threads"] for entry in found["runs"])
-    for entry in found["runs"]:
-        if entry["threads"] != most:
+    threads = max(entry["threads"] for entry in figures["runs"])
+    for entry in figures["runs"]:
+        if entry["threads"] != threads:
             continue
         preset = entry["preset"]
-        for (held, size), bound in MOST_OVER_PEER.items():
-            if held == preset and size in entry["times"] and entry["peer"]["size"] == PEER_SIZE:
-                name = f"{preset}, {size}, {most} threads, time over {entry['peer']['name']}'s at "
+        for (bounded, size), bound in MOST_OVER_PEER.items():
+            if bounded == preset and size in entry["times"] and entry["peer"]["size"] == PEER_SIZE:
+                name = (
+                    f"{preset}, {size}, {threads} threads, time over {entry['peer']['name']}'s at "
+                )
                 yield Bar(name + PEER_SIZE, over_peer(entry, size), bound)
         if {MIDDLE, LARGE} <= set(entry["times"]):
             growth = over(entry["times"][LARGE], entry["times"][MIDDLE])
             growth *= math.prod(size_of(MIDDLE)) / math.prod(size_of(LARGE))
-            name = f"{preset}, {most} threads, growth of time per pixel, {MIDDLE} to {LARGE}"
+            name = f"{preset}, {threads} threads, growth of time per pixel, {MIDDLE} to {LARGE}"
             yield Bar(name, growth, MOST_GROWTH)
-        if LARGEST in found["memory"].get(preset, {}):
-            used = gib(found["memory"][preset][LARGEST], LARGEST)
+        if LARGEST in figures["memory"].get(preset, {}):
+            used = gib(figures["memory"][preset][LARGEST], LARGEST)
             yield Bar(f"{preset}, {LARGEST}, peak memory, GiB", used, MOST_GIB)
 
 
-def report(found: dict[str, Any]) -> str:
+def report(figures: dict[str, Any]) -> str:
     """Return all figures as Markdown."""
-    sizes, runs = found["sizes"], found["runs"]
+    sizes, runs = figures["sizes"], figures["runs"]
     rows = []
     for entry in runs:
         before = None
         for size in sizes:
-            times, each = entry["times"][size], per_pixel(entry, size)
+            times, time = entry["times"][size], per_pixel(entry, size)
             spread = f"{median(times):.3g} [{min(times):.3g}–{max(times):.3g}]"
-            growth = cell(None if before is None else each / before, ".2f")
+            growth = cell(None if before is None else time / before, ".2f")
             name = [entry["preset"], str(entry["threads"]), size]
-            rows.append([*name, spread, f"{each:.0f}", growth])
-            before = each
+            rows.append([*name, spread, f"{time:.0f}", growth])
+            before = time
     blocks: list[str | list[str] | Table] = [
         "`two_blocks` at every size; its motion grows with the size. Median of the rounds, in "
         "brackets the least and the most. Growth: time per pixel over that of the size before.",
@@ -188,57 +190,59 @@ def report(found: dict[str, Any]) -> str:
     threads = sorted({entry["threads"] for entry in runs})
     if len(threads) > 1:
         rows = []
-        for preset in found["presets"]:
-            one, two = (_of(found, preset, threads[k])["times"] for k in (0, -1))
+        for preset in figures["presets"]:
+            one, two = (_of(figures, preset, threads[k])["times"] for k in (0, -1))
             rows.append([preset, *(f"{median(one[s]) / median(two[s]):.2f}" for s in sizes)])
         title = f"## Speed-up from {threads[0]} to {threads[-1]} threads"
         blocks += [title, Table(["preset", *sizes], rows)]
     rows = [
         [preset, size, f"{floats:.1f}", f"{gib(floats, size):.2f}"]
-        for preset, by_size in found["memory"].items()
+        for preset, by_size in figures["memory"].items()
         for size, floats in by_size.items()
     ]
     head = ["preset", "size", "float32 per pixel", "GiB"]
     blocks += ["## Peak memory", Table(head, rows, text_columns=2)]
     blocks.append(f"## Time of each stage, % of a pair ({threads[-1]} threads)")
-    for preset in found["presets"]:
-        shares = _of(found, preset, threads[-1])["shares"]
+    for preset in figures["presets"]:
+        shares = _of(figures, preset, threads[-1])["shares"]
         labels = dict.fromkeys(label for size in sizes for label in shares[size])
         rows = [
             [label, *(f"{100 * shares[size].get(label, 0):.1f}" for size in sizes)]
             for label in labels
         ]
         blocks += [f"### {preset}", Table(["stage", *sizes], rows)]
-    if checked := list(map(str, bars(found))):
+    if checked := list(map(str, bars(figures))):
         blocks += ["## Bars", checked]
-    return text_of("# Scaling of a whole pair", found["conditions"], *blocks)
+    return text_of("# Scaling of a whole pair", figures["conditions"], *blocks)
 
 
-def _of(found: dict[str, Any], preset: str, threads: int) -> dict[str, Any]:
+def _of(figures: dict[str, Any], preset: str, threads: int) -> dict[str, Any]:
     return next(
-        entry for entry in found["runs"] if (entry["preset"], entry["threads"]) == (preset, threads)
+        entry
+        for entry in figures["runs"]
+        if (entry["preset"], entry["threads"]) == (preset, threads)
     )
 
 
-def draw(found: dict[str, Any], path: Path) -> None:
+def draw(figures: dict[str, Any], path: Path) -> None:
     """Write the picture of time per pixel over the size."""
     figure = Figure(figsize=(6.5, 4.2), dpi=150, layout="constrained")
     axes = figure.add_subplot()
-    pixels = [math.prod(size_of(size)) for size in found["sizes"]]
-    most = max(entry["threads"] for entry in found["runs"])
-    for entry in found["runs"]:
+    pixels = [math.prod(size_of(size)) for size in figures["sizes"]]
+    threads = max(entry["threads"] for entry in figures["runs"])
+    for entry in figures["runs"]:
         axes.plot(
             pixels,
-            [per_pixel(entry, size) for size in found["sizes"]],
+            [per_pixel(entry, size) for size in figures["sizes"]],
             color=COLOURS[entry["preset"]],
-            linestyle="-" if entry["threads"] == most else ":",
+            linestyle="-" if entry["threads"] == threads else ":",
             marker="o",
             markersize=3.5,
             label=f"{entry['preset']}, {entry['threads']} thread{'s' * (entry['threads'] > 1)}",
         )
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.set_xticks(pixels, [size.replace("x", "×") for size in found["sizes"]], minor=False)
+    axes.set_xticks(pixels, [size.replace("x", "×") for size in figures["sizes"]], minor=False)
     axes.minorticks_off()
     axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.yaxis.set_major_formatter("{x:g}")
@@ -258,7 +262,7 @@ def main(arguments: list[str] | None = None) -> int:
             for preset in options.preset
             for threads in options.threads
         ]
-    found = {
+    figures = {
         "conditions": {
             **machine(),
             "OpenCV": cv2.__version__,
@@ -274,10 +278,10 @@ def main(arguments: list[str] | None = None) -> int:
         },
     }
     path = RESULTS / output_name(options, "scaling")
-    write(path, report(found), found)
-    draw(found, path.with_suffix(".png"))
-    print(report(found))
-    return exit_code(bars(found))
+    write(path, report(figures), figures)
+    draw(figures, path.with_suffix(".png"))
+    print(report(figures))
+    return exit_code(bars(figures))
 
 
 if __name__ == "__main__":

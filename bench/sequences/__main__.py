@@ -74,9 +74,14 @@ def find_methods(options: argparse.Namespace) -> tuple[list[Method], dict[str, s
     """
     methods: list[Method] = []
     missing: dict[str, str] = {}
-    for given in (False, True) if options.poses_given else (False,):
+    for poses_given in (False, True) if options.poses_given else (False,):
         methods += [
-            Own(preset=preset, method="reconstruct", threads=options.threads, poses_given=given)
+            Own(
+                preset=preset,
+                method="reconstruct",
+                threads=options.threads,
+                poses_given=poses_given,
+            )
             for preset in options.preset
         ]
     if options.camera_unknown:
@@ -102,8 +107,8 @@ def _survey(python: Path) -> dict[str, str]:
         done = subprocess.run(
             [python, COLMAP_WORKER, "survey"], capture_output=True, text=True, check=True
         )
-        found: dict[str, str] = json.loads(done.stdout.splitlines()[-1])
-        return found
+        answer: dict[str, str] = json.loads(done.stdout.splitlines()[-1])
+        return answer
     except (OSError, subprocess.CalledProcessError, ValueError, IndexError) as error:
         return {"reason": f"{python.name} does not run its worker: {error}"}
 

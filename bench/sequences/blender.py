@@ -56,27 +56,27 @@ def differences(
     between = expected[:, :3, :3].transpose(0, 2, 1) @ seen["poses"][:, :3, :3]
     turned = np.degrees(Rotation.from_matrix(between).magnitude())
     extent = np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))
-    places = np.linalg.norm(expected[:, :3, 3] - seen["poses"][:, :3, 3], axis=1)
+    distances = np.linalg.norm(expected[:, :3, 3] - seen["poses"][:, :3, 3], axis=1)
     height, width = result.shape
     cx, cy = result.camera.center_for(height, width)
-    apart = []
-    for pose, (across, up, ahead) in zip(poses, seen["places"].transpose(0, 2, 1), strict=True):
+    offsets = []
+    for pose, (across, up, ahead) in zip(poses, seen["positions"].transpose(0, 2, 1), strict=True):
         x, y, depth = ((positions - pose[:3, 3]) @ pose[:3, :3]).T
         with np.errstate(divide="ignore", invalid="ignore"):
             column, row = (result.camera.focal * c / depth for c in (x, y))
         column, row = column + cx + 0.5, row + cy + 0.5
         inside = (depth > 0) & (column > 0) & (column < width) & (row > 0) & (row < height)
-        off = np.hypot(across * width - column, (1 - up) * height - row)
-        apart.append(np.where(ahead > 0, off, np.inf)[inside])
+        offset = np.hypot(across * width - column, (1 - up) * height - row)
+        offsets.append(np.where(ahead > 0, offset, np.inf)[inside])
     angle = 2 * np.arctan(height / 2 / result.camera.focal)
-    found = (
-        places.max() / extent,
+    values = (
+        distances.max() / extent,
         turned.max(),
         abs(np.degrees(float(seen["angle"]) - angle)),
-        np.concatenate(apart).max(),
+        np.concatenate(offsets).max(),
         np.abs(255 * _srgb(seen["colors"][:, :3]) - colors).max(),
     )
-    return dict(zip(BARS, map(float, found), strict=True))
+    return dict(zip(BARS, map(float, values), strict=True))
 
 
 def seen_by_blender(
@@ -96,14 +96,14 @@ def seen_by_blender(
         return {**seen, "points": points}
 
 
-def report(found: dict[str, dict[str, float]], conditions: dict[str, Any]) -> str:
+def report(figures: dict[str, dict[str, float]], conditions: dict[str, Any]) -> str:
     """Return the results as Markdown."""
     rows = [
-        [name, *(f"{one[name]:.2g}" for one in found.values()), f"{bar:g}"]
+        [name, *(f"{one[name]:.2g}" for one in figures.values()), f"{bar:g}"]
         for name, bar in BARS.items()
     ]
     caption = "Largest differences from the reconstruction:"
-    table = Table(["", *found, "bar"], rows)
+    table = Table(["", *figures, "bar"], rows)
     return text_of("# An export in Blender", conditions, caption, table)
 
 
@@ -114,24 +114,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--python", required=True, metavar="FILE", help="a Python that has bpy")
     options, loaded = parse_one(parser, arguments, SEQUENCE)
     frames = np.stack([read_image(file) for file in loaded.frames])
-    stated = loaded.camera
-    if stated is None:
+    whole_camera = loaded.camera
+    if whole_camera is None:
         parser.error(f"{SEQUENCE} does not state its camera")
-    part = tisfm.Camera(focal=stated.focal, center=stated.center_for(*frames.shape[1:3]))
+    part_camera = tisfm.Camera(
+        focal=whole_camera.focal, center=whole_camera.center_for(*frames.shape[1:3])
+    )
     settings = tisfm.Settings.preset(options.preset, motion="camera")
     cases = {
-        "whole frames": (frames, stated),
-        "a part of each": (np.ascontiguousarray(frames[:, : PART[0], : PART[1]]), part),
+        "whole frames": (frames, whole_camera),
+        "a part of each": (np.ascontiguousarray(frames[:, : PART[0], : PART[1]]), part_camera),
     }
-    found, version = {}, ""
-    with tempfile.TemporaryDirectory() as place:
-        for k, (name, (taken, camera)) in enumerate(cases.items()):
+    figures, version = {}, ""
+    with tempfile.TemporaryDirectory() as folder:
+        for k, (name, (images, camera)) in enumerate(cases.items()):
             result = tisfm.reconstruct(
-                taken, camera=camera, settings=settings, folder=Path(place) / f"result{k}"
+                images, camera=camera, settings=settings, folder=Path(folder) / f"result{k}"
             )
             chosen = range(len(result))
-            seen = seen_by_blender(options.python, result, Path(place) / f"export{k}", chosen)
-            found[name], version = differences(result, seen, chosen), str(seen["version"])
+            seen = seen_by_blender(options.python, result, Path(folder) / f"export{k}", chosen)
+            figures[name], version = differences(result, seen, chosen), str(seen["version"])
     conditions = {
         "command": "python -m bench.sequences.blender --python FILE",
         "sequence": SEQUENCE,
@@ -140,11 +142,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "Blender": version,
         **machine(),
     }
-    text = report(found, conditions)
+    text = report(figures, conditions)
     Console(markup=False, highlight=False).print(text)
     write(RESULTS / options.output, text)
     return exit_code(
-        Bar(name, one[name], bar) for one in found.values() for name, bar in BARS.items()
+        Bar(name, one[name], bar) for one in figures.values() for name, bar in BARS.items()
     )
 
 

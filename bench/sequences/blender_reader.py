@@ -17,31 +17,31 @@ from bpy_extras.object_utils import world_to_camera_view
 
 def main(folder: Path, request: Path, answer: Path) -> None:
     """Read an export in the way that docs/exports.md describes."""
-    given = np.load(request)
+    wanted = np.load(request)
     lens = json.loads((folder / "lens.json").read_text())
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    scene.render.fps = int(given["rate"])
+    scene.render.fps = int(wanted["rate"])
     scene.render.resolution_x, scene.render.resolution_y = lens["width"], lens["height"]
     for name in ("camera.gltf", "points.glb"):
         bpy.ops.import_scene.gltf(filepath=str(folder / name))
-    scene.camera = next(one for one in bpy.data.objects if one.type == "CAMERA")
-    cloud = next(one for one in bpy.data.objects if one.type == "MESH")
+    scene.camera = next(item for item in bpy.data.objects if item.type == "CAMERA")
+    cloud = next(item for item in bpy.data.objects if item.type == "MESH")
     angle = scene.camera.data.angle_y
     for name, value in lens["blender"].items():
         setattr(scene.camera.data, name, value)
-    points = [cloud.matrix_world @ cloud.data.vertices[int(k)].co for k in given["points"]]
-    poses, places = [], []
-    for frame in given["frames"]:
+    points = [cloud.matrix_world @ cloud.data.vertices[int(k)].co for k in wanted["points"]]
+    poses, positions = [], []
+    for frame in wanted["frames"]:
         scene.frame_set(int(frame))
         poses.append(np.array(scene.camera.matrix_world))
-        places.append([world_to_camera_view(scene, scene.camera, point) for point in points])
+        positions.append([world_to_camera_view(scene, scene.camera, point) for point in points])
     colors = cloud.data.color_attributes["Color"].data
     np.savez(
         answer,
         poses=np.array(poses),
-        places=np.array(places),
-        colors=np.array([colors[int(k)].color for k in given["points"]]),
+        positions=np.array(positions),
+        colors=np.array([colors[int(k)].color for k in wanted["points"]]),
         angle=angle,
         version=bpy.app.version_string,
     )

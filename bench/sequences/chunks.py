@@ -72,10 +72,12 @@ def real_rows(data: Path, name: str, chunks: Sequence[int], folder: Path) -> Ite
     files = [str(file) for file in loaded.frames]
     for chunk in (AT_ONCE, *chunks):
         result, count = in_chunks(files, folder / f"{name}-{chunk}", loaded.camera, chunk)
-        found = compare_sequence(sequence, loaded, result, camera=result.camera, max_depth=FARTHEST)
-        largest, depth = found.pieces[0], found.depth
+        errors = compare_sequence(
+            sequence, loaded, result, camera=result.camera, max_depth=FARTHEST
+        )
+        largest, depth = errors.pieces[0], errors.depth
         values = (
-            name, found.frames, chunk if chunk < AT_ONCE else "at once", count, len(found.pieces),
+            name, errors.frames, chunk if chunk < AT_ONCE else "at once", count, len(errors.pieces),
             largest.frames, None if largest.share is None else 100 * largest.share,
             None if depth is None else depth.error, None if depth is None else depth.scale_spread,
         )  # fmt: skip

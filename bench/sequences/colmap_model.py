@@ -43,23 +43,25 @@ def figures(model: Any) -> dict[str, float]:
     lost = 0
     for point in points.values():
         seen = [images[element.image_id] for element in point.track.elements]
-        places = np.array(
+        positions = np.array(
             [
                 image.points2D[element.point2D_idx].xy
                 for image, element in zip(seen, point.track.elements, strict=True)
             ]
         )
-        found = pycolmap.estimate_triangulation(
-            places,
+        triangulated = pycolmap.estimate_triangulation(
+            positions,
             [image.cam_from_world() for image in seen],
             [model.cameras[image.camera_id] for image in seen],
         )
-        if found is None:
+        if triangulated is None:
             lost += 1
             continue
-        for image, place in zip(seen, places, strict=True):
-            projected = image.project_point(found["xyz"])
-            errors.append(np.inf if projected is None else float(np.linalg.norm(projected - place)))
+        for image, position in zip(seen, positions, strict=True):
+            projected = image.project_point(triangulated["xyz"])
+            errors.append(
+                np.inf if projected is None else float(np.linalg.norm(projected - position))
+            )
     return {
         "images": len(images),
         "points": len(points),
@@ -70,26 +72,26 @@ def figures(model: Any) -> dict[str, float]:
     }
 
 
-def bars(found: dict[str, float], frames: int) -> list[Bar]:
+def bars(figures: dict[str, float], frames: int) -> list[Bar]:
     """Return the figures that have a bound."""
-    least = f"least tracks of {LEAST_TRACK} frames in an image"
+    name = f"least tracks of {LEAST_TRACK} frames in an image"
     return [
-        Bar(f"images of {frames}", found["images"], LEAST_IMAGES, at_most=False),
-        Bar("points", found["points"], LEAST_POINTS, at_most=False),
-        Bar(least, found[least], 1, at_most=False),
+        Bar(f"images of {frames}", figures["images"], LEAST_IMAGES, at_most=False),
+        Bar("points", figures["points"], LEAST_POINTS, at_most=False),
+        Bar(name, figures[name], 1, at_most=False),
         Bar(
             "median reprojection error, px",
-            found["median reprojection error, px"],
+            figures["median reprojection error, px"],
             MOST_REPROJECTION,
         ),
     ]
 
 
-def report(found: dict[str, float], held: Sequence[Bar], conditions: dict[str, Any]) -> str:
+def report(figures: dict[str, float], bars: Sequence[Bar], conditions: dict[str, Any]) -> str:
     """Return the results as Markdown."""
-    rows = [[name, f"{value:.4g}"] for name, value in found.items()]
+    rows = [[name, f"{value:.4g}"] for name, value in figures.items()]
     title = "# A reconstruction as a model of COLMAP"
-    return text_of(title, conditions, Table(["", ""], rows), list(map(str, held)))
+    return text_of(title, conditions, Table(["", ""], rows), list(map(str, bars)))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -103,8 +105,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             loaded.frames, camera=loaded.camera, settings=settings, folder=Path(folder) / "result"
         )
         write_colmap(result, Path(folder) / "model")
-        found = figures(pycolmap.Reconstruction(str(Path(folder) / "model" / "sparse" / "0")))
-    held = bars(found, len(loaded.frames))
+        values = figures(pycolmap.Reconstruction(str(Path(folder) / "model" / "sparse" / "0")))
+    checked = bars(values, len(loaded.frames))
     conditions = {
         "command": "python -m bench.sequences.colmap_model",
         "sequence": SEQUENCE,
@@ -112,10 +114,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "pycolmap": pycolmap.__version__,
         **machine(),
     }
-    text = report(found, held, conditions)
+    text = report(values, checked, conditions)
     Console(markup=False, highlight=False).print(text)
     write(RESULTS / options.output, text)
-    return exit_code(held)
+    return exit_code(checked)
 
 
 if __name__ == "__main__":

@@ -85,6 +85,6 @@ def peak() -> int:
 if __name__ == "__main__":
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # the output of libraries must not mix with the answer
-    wanted = survey() if sys.argv[1:] == ["survey"] else run(json.loads(sys.stdin.readline()))
-    answers.write(json.dumps(wanted) + "\n")
+    answer = survey() if sys.argv[1:] == ["survey"] else run(json.loads(sys.stdin.readline()))
+    answers.write(json.dumps(answer) + "\n")
     answers.flush()

@@ -251,7 +251,7 @@ def _scores(
             outcome = method.run(loaded, camera, output)
         except MethodFailure as failure:
             return [Score(method=method.name, sequence=entry.name, failure=str(failure))]
-        found = []
+        scores = []
         for name, file in outcome.results.items():
             evaluation = None
             if scored:
@@ -266,7 +266,7 @@ def _scores(
                     max_depth=FARTHEST,
                     with_depth=stored.has_depth,
                 )
-            found.append(
+            scores.append(
                 Score(
                     method=name,
                     sequence=entry.name,
@@ -276,7 +276,7 @@ def _scores(
                     focal=_off(outcome.focal, camera.focal),
                 )
             )
-        return found
+        return scores
 
 
 def _together(before: Score | None, after: Score) -> Score:
@@ -296,8 +296,8 @@ def _together(before: Score | None, after: Score) -> Score:
 def _off(focal: tuple[float, float, bool] | None, true: float) -> tuple[float, float, bool] | None:
     if focal is None:
         return None
-    found, deviation, seen = focal
-    return found / true - 1, deviation / true, seen
+    estimate, deviation, seen = focal
+    return estimate / true - 1, deviation / true, seen
 
 
 def _ask(command: list[str | Path], question: dict[str, Any], threads: int) -> dict[str, Any]:

@@ -55,9 +55,9 @@ def data_entries(data: Path) -> tuple[list[Entry], dict[str, str]]:
     """Return the sequences found in a folder, and why others are missing, by name."""
     entries: list[Entry] = []
     missing: dict[str, str] = {}
-    wanted: list[tuple[str, int, int | None]] = [(name, step, None) for name, step in SELECTED]
-    wanted += [(name, 1, thinned) for name, thinned in THINNED]
-    for name, step, thinned in wanted:
+    choices: list[tuple[str, int, int | None]] = [(name, step, None) for name, step in SELECTED]
+    choices += [(name, 1, thinned) for name, thinned in THINNED]
+    for name, step, thinned in choices:
         try:
             (sequence,) = find_sequences(data / name)
         except FileNotFoundError as error:
@@ -69,8 +69,8 @@ def data_entries(data: Path) -> tuple[list[Entry], dict[str, str]]:
 
 def folder_entries(folders: Sequence[Path], steps: Sequence[int]) -> list[Entry]:
     """Return the sequences in folders, with every step."""
-    found = [sequence for folder in folders for sequence in find_sequences(folder)]
-    return [Entry(sequence=sequence, step=step) for sequence in found for step in steps]
+    sequences = [sequence for folder in folders for sequence in find_sequences(folder)]
+    return [Entry(sequence=sequence, step=step) for sequence in sequences for step in steps]
 
 
 def parse_one(
@@ -81,5 +81,5 @@ def parse_one(
     data = data_folder(options.data)
     if data is None:
         parser.error("no folder of sequences is named: give --data, or set TISFM_DATA")
-    (found,) = find_sequences(data / sequence)
-    return options, found.load(1)
+    (dataset,) = find_sequences(data / sequence)
+    return options, dataset.load(1)

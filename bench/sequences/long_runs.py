@@ -82,7 +82,7 @@ def speed(times: Sequence[float], first: int, last: int) -> float:
 
 def measure_workers(source: Path, rounds: int, begun: int) -> list[tuple[float, float]]:
     """Return pairs per second of one and of two workers with one thread each, for every round."""
-    found = []
+    speeds = []
     for _ in range(rounds):
         both = []
         for workers in (1, 2):
@@ -90,8 +90,8 @@ def measure_workers(source: Path, rounds: int, begun: int) -> list[tuple[float, 
                 end(start(str(source), "-o", folder, "--cluster", address, "--threads", "1"))
                 times = written(Path(folder))
                 both.append(speed(times, begun, len(times)))
-        found.append((both[0], both[1]))
-    return found
+        speeds.append((both[0], both[1]))
+    return speeds
 
 
 def many_frames(folder: Path, count: int) -> Path:
@@ -138,8 +138,8 @@ def cluster(workers: int = 2) -> Iterator[str]:
 
     with LocalCluster(
         n_workers=workers, threads_per_worker=1, dashboard_address=":0", silence_logs=50
-    ) as made:
-        yield made.scheduler_address
+    ) as local:
+        yield local.scheduler_address
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -163,8 +163,8 @@ def measure_kills(
         expected, choice = contents(whole), random.Random(1)
         counts = {"killed": 0, "ended before": 0, "other bytes": 0}
         while counts["killed"] < kills:
-            again = ["--resume"] if output.exists() else []
-            process = start(str(source), "-o", str(output), *options, *again, command=command)
+            resume = ["--resume"] if output.exists() else []
+            process = start(str(source), "-o", str(output), *options, *resume, command=command)
             try:
                 process.communicate(timeout=choice.uniform(0.3, 0.9) * seconds)
             except subprocess.TimeoutExpired:
@@ -180,40 +180,40 @@ def measure_kills(
         return counts
 
 
-def bars(found: Found) -> list[Bar]:
+def bars(results: Found) -> list[Bar]:
     """Return the figures with their bounds."""
     result = []
-    if found.workers:
-        ratio = float(np.median([two / one for one, two in found.workers]))
+    if results.workers:
+        ratio = float(np.median([two / one for one, two in results.workers]))
         result.append(Bar("two workers over one", ratio, FASTER, at_most=False))
-    if found.frames:
-        of = found.frames
+    if results.frames:
+        of = results.frames
         memory = of["memory at the end, MB"] / of["memory early, MB"] - 1
         slower = 1 - of["pairs/s at the end"] / of["pairs/s early"]
         result.append(Bar("share of memory more at the end", memory, APART))
         result.append(Bar("share of speed less at the end", slower, APART))
-    for name, counts in found.kills.items():
+    for name, counts in results.kills.items():
         result.append(Bar(f"{name}: other bytes after kills", counts["other bytes"], 0))
     return result
 
 
-def report(found: Found, conditions: dict[str, Any]) -> str:
+def report(results: Found, conditions: dict[str, Any]) -> str:
     """Return the results as Markdown."""
     tables = []
-    if found.workers:
+    if results.workers:
         head = ["round", "one worker, pairs/s", "two workers, pairs/s", "ratio"]
         rows = [
             [str(number), f"{one:.2f}", f"{two:.2f}", f"{two / one:.2f}"]
-            for number, (one, two) in enumerate(found.workers, 1)
+            for number, (one, two) in enumerate(results.workers, 1)
         ]
         tables.append(Table(head, rows, text_columns=0))
-    if found.frames:
-        cells = [f"{value:.4g}" for value in found.frames.values()]
-        tables.append(Table(list(found.frames), [cells], text_columns=0))
-    if found.kills:
-        rows = [[name, *map(str, counts.values())] for name, counts in found.kills.items()]
+    if results.frames:
+        cells = [f"{value:.4g}" for value in results.frames.values()]
+        tables.append(Table(list(results.frames), [cells], text_columns=0))
+    if results.kills:
+        rows = [[name, *map(str, counts.values())] for name, counts in results.kills.items()]
         tables.append(Table(["killed", "times", "ended before", "other bytes"], rows))
-    return text_of("# Long runs", conditions, *tables, list(map(str, bars(found))))
+    return text_of("# Long runs", conditions, *tables, list(map(str, bars(results))))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -228,38 +228,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
     pairs, begun = PAIRS, BEGUN
     if options.smoke:
         rounds, frames, kills, pairs, begun = 1, 3 * EARLY, 1, 5, 2
-    found = Found()
+    results = Found()
     with tempfile.TemporaryDirectory() as folder:
         size = SMALL if options.smoke else (540, 960)
         Path(folder, "large").mkdir()
         source = options.source or rendered(Path(folder, "large"), pairs, *size)
         if rounds:
-            found.workers = measure_workers(source, rounds, begun)
+            results.workers = measure_workers(source, rounds, begun)
         if frames:
-            found.frames = measure_frames(frames)
+            results.frames = measure_frames(frames)
         if kills:
             Path(folder, "few").mkdir()
             few = rendered(Path(folder, "few"), 40, 96, 128)
-            found.kills["a run"] = measure_kills(few, kills)
-            found.kills["a run of two workers"] = measure_kills(few, kills, "--workers", "2")
+            results.kills["a run"] = measure_kills(few, kills)
+            results.kills["a run of two workers"] = measure_kills(few, kills, "--workers", "2")
             with cluster() as address:
                 name = "a run on a cluster of two workers"
-                found.kills[name] = measure_kills(few, kills, "--cluster", address)
+                results.kills[name] = measure_kills(few, kills, "--cluster", address)
             Path(folder, "film").mkdir()
             room = room_film(rounds_of(48), 96, 128, textured=True, samples=1)
             for number, frame in enumerate(room.frames):
                 write_png(Path(folder, "film", f"{number:03d}.png"), frame)
             focal = ("--focal", str(room.camera.focal))
-            found.kills["a reconstruction in chunks of two workers"] = measure_kills(
+            results.kills["a reconstruction in chunks of two workers"] = measure_kills(
                 Path(folder, "film"), kills, *focal, command=RECONSTRUCT
             )
     name = "rendered, 540 × 960 px" if options.source is None else options.source.name
-    text = report(found, {"workers on": name, "preset": "fast", **machine()})
+    text = report(results, {"workers on": name, "preset": "fast", **machine()})
     print(text)
     if options.smoke:
         return 0
-    write(RESULTS / options.output, text, asdict(found))
-    return exit_code(bars(found))
+    write(RESULTS / options.output, text, asdict(results))
+    return exit_code(bars(results))
 
 
 if __name__ == "__main__":

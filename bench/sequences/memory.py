@@ -62,10 +62,10 @@ def measure(count: int, preset: Preset, depth_of: DepthOf, threads: int) -> dict
     result = tisfm.reconstruct(
         str(folder), stop=count, camera=camera, settings=settings, depth_of=depth_of
     )
-    most = peak() / 1e6
+    memory = peak() / 1e6
     first = np.where((result.piece == 0)[:, None, None], result.poses, np.nan)
     posed = result.piece >= 0
-    values = count, most, len(set(result.piece[posed].tolist())), int(posed.sum())
+    values = count, memory, len(set(result.piece[posed].tolist())), int(posed.sum())
     return dict(zip(FIGURES, (*values, path_error(first, rounds(count))), strict=True))
 
 
@@ -99,10 +99,10 @@ def main(arguments: list[str] | None = None) -> int:
     film(max(options.counts))
     console, rows = Console(), []
     module = [sys.executable, "-m", "bench.sequences.memory", "--here"]
-    same = [f"--{name}={getattr(options, name)}" for name in ("preset", "threads")]
-    same.append(f"--depth-of={options.depth_of}")
+    settings = [f"--{name}={getattr(options, name)}" for name in ("preset", "threads")]
+    settings.append(f"--depth-of={options.depth_of}")
     for count in options.counts:
-        command = [*module, f"--counts={count}", *same]
+        command = [*module, f"--counts={count}", *settings]
         done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
         rows.append(json.loads(done.stdout.splitlines()[-1]))
         console.print(rows[-1])

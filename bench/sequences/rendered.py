@@ -123,8 +123,8 @@ class Checks:
         name = f"{blank} of {count} frames blanked, {room}, seed {seed}"
         posed = float((result.piece == 0).sum())
         yield Bar(f"{name}: the others in one piece", posed, count - blank, False)
-        where = np.where((result.piece == 0)[:, None, None], result.poses, np.nan)
-        yield Bar(f"{name}: ATE, %", path_error(where, film.poses), None)
+        poses = np.where((result.piece == 0)[:, None, None], result.poses, np.nan)
+        yield Bar(f"{name}: ATE, %", path_error(poses, film.poses), None)
 
     def _turn(self, room: str, seed: int) -> Iterator[Bar]:
         part = 6 if self._smoke else 20
@@ -152,8 +152,8 @@ class Checks:
 
     def _frames(self, room: str, seed: int) -> Iterator[Bar]:
         film = self._film("frames", around_one(max(COUNTS)), room, seed)
-        found = [depth_of_window(film, count, self._settings) for count in COUNTS]
-        errors = [error for error, _ in found]
+        depths = [depth_of_window(film, count, self._settings) for count in COUNTS]
+        errors = [error for error, _ in depths]
         self.errors[f"{room}, seed {seed}"] = errors
         name = f"depth from frames, {room}, seed {seed}"
         pair = depth_of_pair(film, self._settings)
@@ -166,26 +166,26 @@ class Checks:
         )
         fall = 100 * (1 - errors[-1] / pair)
         yield Bar(f"{name}: less error at {COUNTS[-1]} than of the pair, %", fall, 50.0, False)
-        yield Bar(f"{name}: within one deviation, %, at least", found[-1][1], 60.0, False)
-        yield Bar(f"{name}: within one deviation, %, at most", found[-1][1], 75.0)
+        yield Bar(f"{name}: within one deviation, %, at least", depths[-1][1], 60.0, False)
+        yield Bar(f"{name}: within one deviation, %, at most", depths[-1][1], 75.0)
 
     def _shutter(self, room: str, seed: int) -> Iterator[Bar]:
         film = self._film("shaken", shaken(12 if self._smoke else 24), room, seed, READOUT)
         name = f"rows read within {READOUT:g} of an interval, {room}, seed {seed}"
         ate: list[float] = []
-        for readout, how in ((0.0, "ignored"), (None, "found and undone")):
+        for readout, treatment in ((0.0, "ignored"), (None, "found and undone")):
             camera = replace(film.camera, readout=readout)
             with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
                 result = tisfm.reconstruct(
                     film.frames, camera=camera, settings=self._settings, folder=Path(folder)
                 )
-                where = np.where((result.piece == 0)[:, None, None], result.poses, np.nan)
-                ate.append(path_error(where, film.poses))
-                yield Bar(f"{name}, {how}: ATE, %", ate[-1], None)
+                poses = np.where((result.piece == 0)[:, None, None], result.poses, np.nan)
+                ate.append(path_error(poses, film.poses))
+                yield Bar(f"{name}, {treatment}: ATE, %", ate[-1], None)
                 error = 100 * depth_in_one_scale(film, result)
-                yield Bar(f"{name}, {how}: error of depth, %", error, None)
-        found = result.calibration.readout
-        yield Bar(f"{name}: readout that is found", found, None)
+                yield Bar(f"{name}, {treatment}: error of depth, %", error, None)
+        estimated = result.calibration.readout
+        yield Bar(f"{name}: readout that is found", estimated, None)
         yield Bar(f"{name}: ATE over that with it ignored", ate[1] / ate[0], 1 / 3)
 
 
@@ -226,10 +226,10 @@ def draw(errors: Errors, path: Path) -> None:
     figure.savefig(path)
 
 
-def write(conditions: dict[str, Any], found: list[Bar], errors: Errors, path: Path) -> None:
+def write(conditions: dict[str, Any], bars: list[Bar], errors: Errors, path: Path) -> None:
     """Write PATH.md, PATH.json and, if depth was estimated from several frames, PATH.png."""
     rows = []
-    for bar in found:
+    for bar in bars:
         value = "not measured" if bar.value is None else f"{bar.value:.3g}"
         bound = "" if bar.bound is None else f"{'≤' if bar.at_most else '≥'} {bar.bound:.3g}"
         verdict = "" if bar.bound is None else "met" if bar.met else "**not met**"
@@ -240,7 +240,7 @@ def write(conditions: dict[str, Any], found: list[Bar], errors: Errors, path: Pa
         rows = [[name, *(f"{100 * v:.2f}" for v in values)] for name, values in errors.items()]
         blocks.append(Table(["", *map(str, COUNTS)], rows))
         draw(errors, path.with_suffix(".png"))
-    record = {"conditions": conditions, "bars": [asdict(bar) for bar in found], "errors": errors}
+    record = {"conditions": conditions, "bars": [asdict(bar) for bar in bars], "errors": errors}
     write_files(path, text_of("# Sequences on rendered films", conditions, *blocks), record)
 
 
@@ -257,14 +257,14 @@ def main(arguments: list[str] | None = None) -> int:
         "threads": options.threads,
         **machine(),
     }
-    console, found = Console(), list[Bar]()
+    console, bars = Console(), list[Bar]()
     for kind in options.kinds:
         for room in options.rooms:
             for bar in checks.of(kind, room):
                 console.print(str(bar), highlight=False, soft_wrap=True)
-                found.append(bar)
-            write(conditions, found, checks.errors, RESULTS / options.output)
-    return 0 if options.smoke else exit_code(found)
+                bars.append(bar)
+            write(conditions, bars, checks.errors, RESULTS / options.output)
+    return 0 if options.smoke else exit_code(bars)
 
 
 if __name__ == "__main__":

@@ -42,10 +42,10 @@ class Take:
         words = repr(sorted((asdict(self) | {"poses": self.poses.tobytes()}).items()))
         path = CACHE / f"{hashlib.sha256(words.encode()).hexdigest()[:16]}.npz"
         if path.exists():
-            with np.load(path) as kept:
-                camera = Camera(focal=float(kept["focal"]))
+            with np.load(path) as stored:
+                camera = Camera(focal=float(stored["focal"]))
                 return Film(
-                    frames=kept["frames"], depth=kept["depth"], poses=self.poses, camera=camera
+                    frames=stored["frames"], depth=stored["depth"], poses=self.poses, camera=camera
                 )
         film = room_film(
             self.poses,
@@ -126,28 +126,28 @@ def centres(poses: Poses) -> np.ndarray:
     return np.asarray(poses[:, :3, 3])
 
 
-def path_error(found: Poses, true: Poses) -> float:
+def path_error(poses: Poses, true: Poses) -> float:
     """Return the ATE of the frames with a pose, % of the true path; NaN with fewer than two."""
-    known = np.isfinite(found[:, 0, 0])
+    known = np.isfinite(poses[:, 0, 0])
     if known.sum() < 2:
         return float("nan")
-    return 100 * absolute_errors(found[known], true[known]).similarity / path_length(true)
+    return 100 * absolute_errors(poses[known], true[known]).similarity / path_length(true)
 
 
-def gap(found: Poses, true: Poses) -> float:
+def gap(poses: Poses, true: Poses) -> float:
     """Return the error of the last position relative to the first pose, % of the true path.
 
     The whole path has one scale.
     """
-    there = align(centres(found), centres(true))
-    both = there.scale * _from_first(found), _from_first(true)
+    alignment = align(centres(poses), centres(true))
+    both = alignment.scale * _from_first(poses), _from_first(true)
     return 100 * float(np.linalg.norm(both[0] - both[1])) / path_length(true)
 
 
-def scale_change(found: Poses, true: Poses, before: slice, after: slice) -> float:
+def scale_change(poses: Poses, true: Poses, before: slice, after: slice) -> float:
     """Return the difference between the scales of two parts of a path, %."""
     one, other = (
-        align(centres(found[part]), centres(true[part])).scale for part in (before, after)
+        align(centres(poses[part]), centres(true[part])).scale for part in (before, after)
     )
     return 100 * abs(other / one - 1)
 
@@ -181,9 +181,9 @@ def share_of_mesh(film: Film, result: tisfm.Reconstruction) -> float:
 
 def depth_in_one_scale(film: Film, result: tisfm.Reconstruction) -> float:
     """Return the mean error of the depth of all frames in one scale; missing depth counts as 1."""
-    found = np.array([result.depth(k) for k in range(len(film.frames))])
-    scale = np.nanmedian(film.depth / found)
-    error = np.abs(scale * found - film.depth) / film.depth
+    depth = np.array([result.depth(k) for k in range(len(film.frames))])
+    scale = np.nanmedian(film.depth / depth)
+    error = np.abs(scale * depth - film.depth) / film.depth
     return float(np.nan_to_num(error, nan=1.0).mean())
 
 
@@ -194,19 +194,19 @@ def depth_of_window(film: Film, count: int, settings: tisfm.Settings) -> tuple[f
     """
     frames = film.frames[:count].astype(np.float32)
     motions = np.array([(np.linalg.inv(pose) @ film.poses[0])[:3] for pose in film.poses[1:count]])
-    found = window_depth(frames[0], list(frames[1:]), motions, film.camera, settings)
-    if found is None:
+    estimate = window_depth(frames[0], list(frames[1:]), motions, film.camera, settings)
+    if estimate is None:
         return float("nan"), float("nan")
-    error = np.abs(1 / found.inverse_depth - film.depth[0]) / film.depth[0]
-    off = np.abs(found.inverse_depth - 1 / film.depth[0])
-    return float(error.mean()), 100 * float(np.mean(off <= found.deviation))
+    error = np.abs(1 / estimate.inverse_depth - film.depth[0]) / film.depth[0]
+    difference = np.abs(estimate.inverse_depth - 1 / film.depth[0])
+    return float(error.mean()), 100 * float(np.mean(difference <= estimate.deviation))
 
 
 def depth_of_pair(film: Film, settings: tisfm.Settings) -> float:
     """Return the mean error of the depth of the first frame from two frames, in its best scale."""
-    found = tisfm.interpret(*film.frames[:2], camera=film.camera, settings=settings).depth
+    depth = tisfm.interpret(*film.frames[:2], camera=film.camera, settings=settings).depth
     true = film.depth[0]
-    scaled = found * np.nanmedian(true / found)
+    scaled = depth * np.nanmedian(true / depth)
     return float(np.nan_to_num(np.abs(scaled - true) / true, nan=1.0).mean())
 
 
@@ -215,9 +215,9 @@ def _from_first(poses: Poses) -> np.ndarray:
     return np.asarray(poses[0, :3, :3].T @ (poses[-1, :3, 3] - poses[0, :3, 3]))
 
 
-def _log_scale(true: np.ndarray, found: np.ndarray) -> float:
-    known = np.isfinite(found)
-    return float(np.log(np.median(true[known] / found[known]))) if known.any() else np.nan
+def _log_scale(true: np.ndarray, estimate: np.ndarray) -> float:
+    known = np.isfinite(estimate)
+    return float(np.log(np.median(true[known] / estimate[known]))) if known.any() else np.nan
 
 
 def _distance(points: np.ndarray, film: Film) -> np.ndarray:
@@ -235,10 +235,10 @@ def _distance(points: np.ndarray, film: Film) -> np.ndarray:
         on = np.flatnonzero((z > 0) & (u >= 0) & (u < width - 1) & (v >= 0) & (v < height - 1))
         column, row = u[on].astype(np.intp), v[on].astype(np.intp)
         # At an edge, the nearest surface of four pixels counts.
-        each = np.stack(
+        distances = np.stack(
             [z[on] / depth[row + j, column + i] - 1 for i, j in itertools.product((0, 1), (0, 1))]
         )
-        nearest = np.take_along_axis(each, np.abs(each).argmin(axis=0)[None], axis=0)[0]
+        nearest = np.take_along_axis(distances, np.abs(distances).argmin(axis=0)[None], axis=0)[0]
         shown = nearest < HIDDEN
         total[on[shown]] += np.abs(nearest[shown])
         count[on[shown]] += 1

@@ -45,18 +45,18 @@ def _metres(score: Score) -> str:
 
 
 def _posed(score: Score) -> str:
-    found = score.evaluation
-    return f"{found.posed} of {found.frames}" if found else EMPTY
+    evaluation = score.evaluation
+    return f"{evaluation.posed} of {evaluation.frames}" if evaluation else EMPTY
 
 
 def _pieces(score: Score) -> str:
-    found = score.evaluation
-    return str(len(found.pieces)) if found and found.pieces else EMPTY
+    evaluation = score.evaluation
+    return str(len(evaluation.pieces)) if evaluation and evaluation.pieces else EMPTY
 
 
 def _largest(score: Score) -> str:
-    found = score.evaluation
-    return f"{100 * found.largest_share:.0f}" if found and found.pieces else EMPTY
+    evaluation = score.evaluation
+    return f"{100 * evaluation.largest_share:.0f}" if evaluation and evaluation.pieces else EMPTY
 
 
 def _depth(name: str, form: str, factor: float = 1.0) -> Callable[[Score], str]:
@@ -79,8 +79,8 @@ def _memory(score: Score) -> str:
 def _focal(score: Score) -> str:
     if score.focal is None:
         return EMPTY
-    off, deviation, seen = score.focal
-    return f"{100 * off:+.1f} ± {100 * deviation:.1f}{'' if seen else ', doubted'}"
+    difference, deviation, seen = score.focal
+    return f"{100 * difference:+.1f} ± {100 * deviation:.1f}{'' if seen else ', doubted'}"
 
 
 COLUMNS: tuple[Column, ...] = (
@@ -105,9 +105,9 @@ def summary(contest: SequenceContest, heading: str) -> Table:
     """Return one figure: a row for every method, a column for every sequence."""
     text = dict(COLUMNS)[heading]
     sequences, methods = _names(contest)
-    found = {(score.method, score.sequence): text(score) for score in contest.scores}
+    cells = {(score.method, score.sequence): text(score) for score in contest.scores}
     rows = [
-        [method, *(found.get((method, sequence), EMPTY) for sequence in sequences)]
+        [method, *(cells.get((method, sequence), EMPTY) for sequence in sequences)]
         for method in methods
     ]
     rows = [row for row in rows if any(cell != EMPTY for cell in row[1:])]

@@ -80,10 +80,10 @@ def _reconstructed(
         piece=[int(piece) for piece in result.piece],
         status=[str(status) for status in result.status],
     )
-    found = result.calibration
-    length = found.focal or result.camera.focal  # in px of the source, like the deviation
-    deviation = found.focal_std if found.origin == "estimated" else length
-    focal = length, deviation, found.seen
+    calibration = result.calibration
+    length = calibration.focal or result.camera.focal  # in px of the source, like the deviation
+    deviation = calibration.focal_std if calibration.origin == "estimated" else length
+    focal = length, deviation, calibration.seen
     return {"results": {"": "result"}, "seconds": seconds, "focal": focal}
 
 
@@ -115,19 +115,19 @@ def _chained(
 
     started = time.perf_counter()
     center = pinhole.center_for(*frame(0).shape[:2])
-    found = chain(len(frames), interpret, keep, focal=pinhole.focal, center=center)
+    chained = chain(len(frames), interpret, keep, focal=pinhole.focal, center=center)
     seconds = time.perf_counter() - started - storing
     store(
         folder,
         "chained",
-        poses=np.array(found.poses),
-        piece=found.piece,
-        status=found.status,
-        units=found.units,
+        poses=np.array(chained.poses),
+        piece=chained.piece,
+        status=chained.status,
+        units=chained.units,
     )
     nothing = [-1] * len(frames)
     without = np.full((len(frames), 4, 4), np.nan)
-    store(folder, "pairs", poses=without, piece=nothing, status=found.status)
+    store(folder, "pairs", poses=without, piece=nothing, status=chained.status)
     return {"results": {"chained pairs": "chained", "pairs": "pairs"}, "seconds": seconds}
 
 
@@ -156,7 +156,7 @@ def chain(
     depth only turns the camera, and the points are passed on. The last frame has the depth of the
     reversed pair.
     """
-    found = Chain()
+    chained = Chain()
     pose, piece = np.eye(4), 0
     # (3, K), in the axes of this frame and the scale of the segment.
     points: NDArray[np.float64] | None = None
@@ -167,10 +167,10 @@ def chain(
         unit = _unit(points, result.inverse_depth, focal, center) if seen else 1.0
         if unit is None:  # the scale is lost: a new segment begins
             pose, piece, unit = np.eye(4), piece + 1, 1.0
-        found.poses.append(pose)
-        found.piece.append(piece)
-        found.status.append(str(result.status))
-        found.units.append(unit)
+        chained.poses.append(pose)
+        chained.piece.append(piece)
+        chained.status.append(str(result.status))
+        chained.units.append(unit)
         if seen:
             keep(index, result)
         if result.motions is None:
@@ -182,7 +182,7 @@ def chain(
         if points is not None:
             points = motion[:3, :3] @ points + motion[:3, 3:]
         pose = pose @ np.linalg.inv(motion)
-    return found
+    return chained
 
 
 def _points(

@@ -49,14 +49,14 @@ def options_parser(module: str, text: str | None, *names: str, **defaults: Any) 
 class Parser(argparse.ArgumentParser):
     """A parser that refuses counts below 1."""
 
-    def parse_args(self, *arguments: Any, **others: Any) -> Any:
+    def parse_args(self, *arguments: Any, **keywords: Any) -> Any:
         """Return the options."""
-        options = super().parse_args(*arguments, **others)
+        options = super().parse_args(*arguments, **keywords)
         for name in COUNTS:
             value = getattr(options, name, None)
-            least = min(value) if isinstance(value, list) else value
-            if least is not None and least < 1:
-                self.error(f"--{name} is {least}: expected at least 1")
+            lowest = min(value) if isinstance(value, list) else value
+            if lowest is not None and lowest < 1:
+                self.error(f"--{name} is {lowest}: expected at least 1")
         return options
 
 
@@ -94,15 +94,15 @@ class Pairs:
 def load_pairs(options: argparse.Namespace) -> Pairs:
     """Return the pairs that the options name; rendered scenes if no folder is named."""
     if options.smoke:
-        found = Pairs(scene_pairs(*SMOKE_SIZE), {}, "small rendered scenes")
+        pairs = Pairs(scene_pairs(*SMOKE_SIZE), {}, "small rendered scenes")
     elif (folder := data_folder(options.data)) is None:
-        found = Pairs(scene_pairs(*SCENE_SIZE), {}, "rendered scenes: no folder of sequences named")
+        pairs = Pairs(scene_pairs(*SCENE_SIZE), {}, "rendered scenes: no folder of sequences named")
     else:
-        found = Pairs(*find_pairs(folder), "real sequences")
-        if not found.pairs:
-            raise ValueError(f"{folder} has none of the sequences: {', '.join(found.missing)}")
-    chosen = choose(found.pairs, options.pairs, kind="pair", name=lambda pair: pair.name)
-    return Pairs(chosen, found.missing, found.source)
+        pairs = Pairs(*find_pairs(folder), "real sequences")
+        if not pairs.pairs:
+            raise ValueError(f"{folder} has none of the sequences: {', '.join(pairs.missing)}")
+    chosen = choose(pairs.pairs, options.pairs, kind="pair", name=lambda pair: pair.name)
+    return Pairs(chosen, pairs.missing, pairs.source)
 
 
 def choose(items: Sequence[T], words: Sequence[str] | None, *, kind: str, name: Any) -> list[T]:
@@ -127,12 +127,12 @@ def progress(total: int) -> Iterator[Callable[[str], None]]:
 
 
 def hold_with_progress(
-    methods: Sequence[Method], found: Pairs, options: argparse.Namespace, **details: Any
+    methods: Sequence[Method], pairs: Pairs, options: argparse.Namespace, **details: Any
 ) -> Contest:
     """Hold a contest and show its progress."""
     rounds = 1 if options.smoke else options.rounds
-    with progress(len(methods) * (1 + (rounds + 1) * len(found.pairs))) as step:
-        return hold(methods, found.pairs, rounds=rounds, step=step, **details)
+    with progress(len(methods) * (1 + (rounds + 1) * len(pairs.pairs))) as step:
+        return hold(methods, pairs.pairs, rounds=rounds, step=step, **details)
 
 
 @dataclass(frozen=True)
@@ -156,8 +156,10 @@ def running_peers(
     """Yield the named methods of other libraries, or all, if they can run here."""
     python, survey = find_peers(options.peer_python)
     if names is not None:
-        kept = {name: why for name, why in survey.reasons.items() if name in (*names, "all peers")}
-        survey = Survey(survey.versions, kept)
+        reasons = {
+            name: why for name, why in survey.reasons.items() if name in (*names, "all peers")
+        }
+        survey = Survey(survey.versions, reasons)
     with contextlib.ExitStack() as stack:
         temporary = stack.enter_context(tempfile.TemporaryDirectory(prefix="tisfm-peers-"))
         folder, methods = Path(temporary), []

@@ -32,9 +32,10 @@ class Column:
 
     def value(self, contest: Contest, method: str) -> float | None:
         """Return the mean, or None if the method failed on a pair of the group."""
-        found = [contest.of(method, pair.name) for pair in self.pairs(contest)]
+        measurements = [contest.of(method, pair.name) for pair in self.pairs(contest)]
         values: list[float | None] = [
-            getattr(measurement, self.metric) if measurement else None for measurement in found
+            getattr(measurement, self.metric) if measurement else None
+            for measurement in measurements
         ]
         known = [value for value in values if value is not None]
         return fmean(known) if known and len(known) == len(values) else None
@@ -102,9 +103,9 @@ def cores(contest: Contest, method: str) -> float | None:
 
 def _measured(contest: Contest, method: str) -> list[Measurement]:
     """Return the measurements of a method on the timed pairs; none if it failed on one."""
-    found = [contest.of(method, pair.name) for pair in timed_pairs(contest)]
-    measured = [m for m in found if m is not None and m.timings]
-    return measured if len(measured) == len(found) else []
+    measurements = [contest.of(method, pair.name) for pair in timed_pairs(contest)]
+    measured = [m for m in measurements if m is not None and m.timings]
+    return measured if len(measured) == len(measurements) else []
 
 
 def _by_round(contest: Contest, method: str) -> dict[int, float]:

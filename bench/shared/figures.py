@@ -51,12 +51,12 @@ class Mark:
 
 def marks(contest: Contest, column: Column) -> list[Mark]:
     """Return the methods that have both a time and an error."""
-    found = []
+    result = []
     for method in contest.methods:
         time, error = standard_time(contest, method), column.value(contest, method)
         if time is not None and error is not None:
-            found.append(Mark(method, time.median, error))
-    return found
+            result.append(Mark(method, time.median, error))
+    return result
 
 
 def draw(contest: Contest, path: Path) -> None:
@@ -104,7 +104,7 @@ def _label(axes: Axes, methods: list[Mark]) -> None:
     """Put each name beside its mark, where it overlaps no mark, no other name and no edge."""
     pixels = axes.figure.dpi / 72
     positions = {mark: axes.transData.transform((mark.time, mark.error)) for mark in methods}
-    taken = [Bbox.from_bounds(x - 8, y - 8, 16, 16) for x, y in positions.values()]
+    occupied = [Bbox.from_bounds(x - 8, y - 8, 16, 16) for x, y in positions.values()]
     inside = axes.get_window_extent()
     for mark in sorted(methods, key=lambda mark: positions[mark][0]):
         text = axes.annotate(
@@ -122,9 +122,9 @@ def _label(axes: Axes, methods: list[Mark]) -> None:
             left = x + dx * pixels - (0 if dx > 1 else size.width if dx < -1 else size.width / 2)
             low = y + dy * pixels - (0 if dy > 1 else size.height if dy < -1 else size.height / 2)
             bounds = Bbox.from_bounds(left, low, size.width, size.height)
-            if bounds.count_overlaps(taken) == 0 and _within(bounds, inside):
+            if bounds.count_overlaps(occupied) == 0 and _within(bounds, inside):
                 break
-        taken.append(bounds)
+        occupied.append(bounds)
         text.set_position(((left - x) / pixels, (low - y) / pixels))
         if math.hypot(dx, dy) >= LEADER_FROM:
             start, end = axes.transData.inverted().transform(

@@ -120,8 +120,8 @@ def write(path: Path, text: str, record: Any = None) -> None:
 
 def gaps(missing: Mapping[str, str], failures: Mapping[str, str]) -> list[str | Mapping[str, str]]:
     """Return the sections of a report about what is missing and what failed."""
-    found = (("## Missing", missing), ("## Failed", failures))
-    return [block for section in found if section[1] for block in section]
+    sections = (("## Missing", missing), ("## Failed", failures))
+    return [block for section in sections if section[1] for block in section]
 
 
 def print_gaps(
@@ -165,8 +165,8 @@ def memory(name: str, process: int | str = "self") -> float | None:
         status = Path(f"/proc/{process}/status").read_text(encoding="utf-8")
     except OSError:
         return None
-    found = re.search(rf"^{name}:\s+(\d+) kB", status, re.MULTILINE)
-    return int(found[1]) * 1024 if found else None
+    match = re.search(rf"^{name}:\s+(\d+) kB", status, re.MULTILINE)
+    return int(match[1]) * 1024 if match else None
 
 
 def _processor() -> str:

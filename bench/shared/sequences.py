@@ -53,11 +53,11 @@ def find_pairs(data: Path) -> tuple[list[FlowPair], dict[str, str]]:
     return pairs, missing
 
 
-def data_folder(given: Path | None = None) -> Path | None:
+def data_folder(path: Path | None = None) -> Path | None:
     """Return the given folder, or else the one of TISFM_DATA, or None."""
-    if given is None and not os.environ.get("TISFM_DATA"):
+    if path is None and not os.environ.get("TISFM_DATA"):
         return None
-    folder = given or Path(os.environ["TISFM_DATA"])
+    folder = path or Path(os.environ["TISFM_DATA"])
     if not folder.is_dir():
         raise NotADirectoryError(f"{folder} is not a folder: expected one with real sequences")
     return folder
@@ -89,10 +89,10 @@ class Source:
 def _read(data: Path, name: str, source: Source) -> FlowPair:
     rule = LAYOUTS[source.layout]
     folder = data / source.folder
-    found = [pair for pair in rule.find(folder) if source.name in ("", pair.name)]
-    if not found:
+    pairs = [pair for pair in rule.find(folder) if source.name in ("", pair.name)]
+    if not pairs:
         raise FileNotFoundError(f"no pair in {folder}: expected {rule.expected}")
-    pair = found[0].load()
+    pair = pairs[0].load()
     if pair.flow is None:
         raise FileNotFoundError(f"no true flow in {folder}: expected {rule.expected}")
     return FlowPair(

@@ -43,21 +43,21 @@ _STEP = np.array((0.1, 0.0, 0.04, 0.0, 0.01, 0.0))  # motion of the camera per f
 _DRIFT = 0.01  # m per frame, added to the long path so that no two cameras coincide
 
 
-def bars(found: Mapping[str, Sequence[Opening]]) -> list[Bar]:
+def bars(results: Mapping[str, Sequence[Opening]]) -> list[Bar]:
     """Return the bar of each kind of result."""
     return [
         Bar(f"{NAMES[kind]}: s until points are seen", median(o.first for o in openings), BAR)
-        for kind, openings in found.items()
+        for kind, openings in results.items()
     ]
 
 
 def report(
-    found: Mapping[str, Sequence[Opening]], frames: int, conditions: Mapping[str, Any]
+    results: Mapping[str, Sequence[Opening]], frames: int, conditions: Mapping[str, Any]
 ) -> str:
     """Return the results as Markdown."""
-    table = Table(HEAD, [_row(kind, openings, frames) for kind, openings in found.items()])
+    table = Table(HEAD, [_row(kind, openings, frames) for kind, openings in results.items()])
     notes = [
-        *map(str, bars(found)),
+        *map(str, bars(results)),
         "Times start with `tisfm view`. The browser, a headless Chromium without a GPU, is already "
         "open and draws on the same cores as the command. Medians over starts, of steps over all "
         "of them. Steps go to frames that were not shown before. Memory is that of the command, "
@@ -96,9 +96,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     frames, rounds, steps, size = options.frames, options.rounds, STEPS, (HEIGHT, WIDTH)
     if options.smoke:
         frames, rounds, steps, size = 30, 1, 2, (240, 320)
-    found: dict[str, list[Opening]] = {"run": [], "reconstruction": []}
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
+    results: dict[str, list[Opening]] = {"run": [], "reconstruction": []}
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
         focal = write_frames(folder / "frames", SHORT, *size)
         write_short(folder / "frames", focal, folder / "short_run", folder / "short_reconstruction")
         lengthened_run(folder / "short_run", folder / "run", frames)
@@ -109,7 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             with browser() as chromium:
                 version = chromium.version
                 for turn in range(rounds + (not options.smoke)):
-                    for kind, openings in found.items():
+                    for kind, openings in results.items():
                         first = 1 + turn * steps
                         visited = [
                             (k * frames // (steps + 1) + first) % frames for k in range(1, 7)
@@ -121,12 +121,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"bench.view: {error}", file=sys.stderr)
             return 1
     about = {"frames": f"{size[0]} × {size[1]} px", "Chromium": version, **machine()}
-    text = report(found, frames, about)
+    text = report(results, frames, about)
     print(text)
     if options.smoke:
         return 0
     write(RESULTS / options.output, text)
-    return exit_code(bars(found))
+    return exit_code(bars(results))
 
 
 def write_frames(folder: Path, count: int, height: int, width: int) -> float:

@@ -88,7 +88,7 @@ def opened(chromium: Any, folder: Path, steps: Sequence[int]) -> Opening:
     """
     tab = chromium.new_context(viewport=WINDOW).new_page()
     tab.add_init_script(_NOTES)
-    came = Arrivals(tab)
+    arrivals = Arrivals(tab)
     begin, began = time.perf_counter(), time.time()
     command = subprocess.Popen(
         [sys.executable, "-c", _STARTS, "view", str(folder), "--no-browser", "--port", "0"],
@@ -97,23 +97,23 @@ def opened(chromium: Any, folder: Path, steps: Sequence[int]) -> Opening:
     )
     try:
         assert command.stderr is not None
-        found = re.search(r"http://\S+:\d+", command.stderr.readline())
-        if found is None:
+        address = re.search(r"http://\S+:\d+", command.stderr.readline())
+        if address is None:
             raise RuntimeError(f"tisfm view serves no page of {folder}")
         served = time.perf_counter() - begin
-        tab.goto(found[0])
+        tab.goto(address[0])
         seen = tab.wait_for_function("window.pointsSeen", timeout=1000 * PATIENCE)
         first = seen.json_value() - began
         processor = _processor_time(command.pid)
-        refined = came.last_after(begin, tab) - begin
+        refined = arrivals.last_after(begin, tab) - begin
         resident = memory("VmRSS", command.pid)
-        taken = tuple(_stepped(tab, came, number) for number in steps)
+        step_times = tuple(_stepped(tab, arrivals, number) for number in steps)
         return Opening(
             served=served,
             first=first,
             processor=processor,
             refined=refined,
-            steps=taken,
+            steps=step_times,
             memory=_megabytes(resident),
             peak=_megabytes(memory("VmHWM", command.pid)),
         )
@@ -138,13 +138,13 @@ class Arrivals:
         """Wait until no more data arrive, and return the time of the last arrival."""
         while True:
             last = max([begin, *self.times])
-            rest = time.perf_counter() - last
-            if rest > _REST:
+            idle = time.perf_counter() - last
+            if idle > _REST:
                 return last
-            tab.wait_for_timeout(1000 * (_REST - rest) + 20)
+            tab.wait_for_timeout(1000 * (_REST - idle) + 20)
 
 
-def _stepped(tab: Any, came: Arrivals, number: int) -> tuple[float, float]:
+def _stepped(tab: Any, arrivals: Arrivals, number: int) -> tuple[float, float]:
     """Step to a frame by the number field of the slider, and return both times."""
     field = (
         tab.get_by_text("Frame", exact=True)
@@ -161,7 +161,7 @@ def _stepped(tab: Any, came: Arrivals, number: int) -> tuple[float, float]:
         timeout=1000 * PATIENCE,
     )
     shown = time.perf_counter() - begin
-    return shown, came.last_after(begin, tab) - begin
+    return shown, arrivals.last_after(begin, tab) - begin
 
 
 def _processor_time(process: int) -> float:

@@ -149,7 +149,7 @@ def test_blocks_near(size, stride, places):
         assert out.min() >= -1
     options["rays"] = rays.astype(float)
     blocks = reference.blocks_near(
-        inverse_depth.astype(float), deviation.astype(float), places=places, **options
+        inverse_depth.astype(float), deviation.astype(float), samples=places, **options
     )
     inside = {b for b in blocks if all(0 <= p < n for p, n in zip(b, extent, strict=True))}
     if size[0] > 7:

@@ -34,7 +34,7 @@ def as_in_blender(result):
     return {
         "points": np.arange(len(cloud)),
         "poses": np.array(poses),
-        "places": np.array(places),
+        "positions": np.array(places),
         "colors": np.column_stack([light, np.ones(len(cloud))]),
         "angle": np.array(2 * np.arctan(height / 2 / focal)),
     }
@@ -48,9 +48,9 @@ def test_where_all_agrees_nothing_differs(result):
 @pytest.mark.parametrize(
     ("name", "change", "quantity", "expected"),
     [
-        ("places", lambda seen: seen + np.array((1 / 61, 0, 0)), "of points, px", 1.0),
-        ("places", lambda seen: seen - np.array((0, 2 / 45, 0)), "of points, px", 2.0),
-        ("places", lambda seen: seen * (1, 1, -1), "of points, px", np.inf),
+        ("positions", lambda seen: seen + np.array((1 / 61, 0, 0)), "of points, px", 1.0),
+        ("positions", lambda seen: seen - np.array((0, 2 / 45, 0)), "of points, px", 2.0),
+        ("positions", lambda seen: seen * (1, 1, -1), "of points, px", np.inf),
         ("poses", lambda seen: seen @ turned(0.3), "of its rotation, deg", 0.3),
         ("poses", lambda seen: seen @ turned(180), "of its rotation, deg", 180.0),
         ("angle", lambda seen: seen + np.radians(0.5), "of its vertical angle, deg", 0.5),
