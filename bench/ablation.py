@@ -12,10 +12,10 @@ from typing import Any, get_args
 from bench.shared.command import (
     Pairs,
     choose,
-    hold_with_progress,
     load_pairs,
     options_parser,
     output_name,
+    run_with_progress,
 )
 from bench.shared.contest import Contest, interpretation
 from bench.shared.contest_report import show, write
@@ -82,7 +82,7 @@ def compare(options: argparse.Namespace, pairs: Pairs) -> Contest:
     methods = [interpretation(reference, base)]
     methods += [interpretation(name, every[name]) for name in chosen if name not in missing]
     runtime.start(threads=options.threads)
-    return hold_with_progress(
+    return run_with_progress(
         methods,
         pairs,
         options,

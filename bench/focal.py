@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 import tisfm
 from bench.depth.methods import two_stage
 from bench.depth.scores import depth_of
-from bench.shared.command import options_parser, words_of
+from bench.shared.command import command_text, options_parser
 from bench.shared.figures import CURVES, tidy
-from bench.shared.results import RESULTS, Table, machine, text_of, write
+from bench.shared.results import RESULTS, Table, machine, markdown_page, write_results
 from tisfm import runtime
 from tisfm.evaluation.pair_errors import LITTLE_PARALLAX
 from tisfm.metrics import depth_errors, endpoint_error, pose_errors
@@ -35,8 +35,10 @@ FOCALS = (320.0, 600.0, 1000.0)  # px, true
 # focal length of 600 px, and 0.6 the reverse.
 RATIOS = (0.5, 0.6, 0.75, 0.9, 1.0, 1.1, 4 / 3, 5 / 3, 2.0)
 PAPER = ((600.0, 5 / 3), (1000.0, 0.6))  # true focal length, px; ratio
-EXACT = 0.01  # px, threshold of the essential matrix for the true flow
-HARDLY = 1.2  # ratio to the error at the true focal length, up to which depth counts as unaffected
+EXACT_THRESHOLD = 0.01  # px, threshold of the essential matrix for the true flow
+UNAFFECTED_RATIO = (
+    1.2  # ratio to the error at the true focal length, up to which depth counts as unaffected
+)
 NOTES = (
     "abs-rel is the mean of |ΔZ|/Z after scaling by the median; direction and rotation are errors "
     'of the camera\'s motion, `motion="camera"`; the field is `motion="field"`, whose depth is by '
@@ -62,8 +64,10 @@ ROWS = {
 }
 TICKS = (0.5, 0.75, 1.0, 1.33, 2.0)
 MARKERS = ("o", "s", "^", "v")
-FEW_DECADES = 30.0  # ratio of largest to smallest error, below which the axis has more ticks
-LEAST = 1e-4  # least error on a logarithmic axis
+MAX_RATIO_OF_DENSE_TICKS = (
+    30.0  # ratio of largest to smallest error, below which the axis has more ticks
+)
+MIN_ERROR = 1e-4  # least error on a logarithmic axis
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +101,7 @@ def measure(pair: SyntheticPair, kind: str, ratio: float, preset: Preset) -> Out
 
     single, field = interpreted("camera"), interpreted("field")
     seen = single.status not in LITTLE_PARALLAX and single.motions is not None
-    exact = two_stage(pair.flow, camera, threshold=EXACT)
+    exact = two_stage(pair.flow, camera, threshold=EXACT_THRESHOLD)
     errors = None
     if seen and single.motions is not None:
         errors = pose_errors(pose_matrix(single.motions[0]), pose_matrix(pair.motions[0]))
@@ -156,7 +160,7 @@ def finding(outcomes: Sequence[Outcome]) -> str:
     if turned:
         low, high = (pick(turned, key=lambda o: o.offset or 0.0) for pick in (min, max))
         ends = " and ".join(
-            f"{o.offset:+.2f} of its median ({o.kind}, {_taken(o)})" for o in (low, high)
+            f"{o.offset:+.2f} of its median ({o.kind}, {_focal_lengths(o)})" for o in (low, high)
         )
         sentences.append(
             "At a wrong focal length, the part of a rotation that the camera cannot explain is "
@@ -184,15 +188,15 @@ def _comparison(compared: Sequence[tuple[Outcome, Outcome]]) -> str:
         text = f"{right.kind} ({right.abs_rel:.4f} → {wrong.abs_rel:.4f}, direction "
         text += f"{right.direction:.2f}° → {wrong.direction:.2f}°, rotation "
         text += f"{right.rotation:.3f}° → {wrong.rotation:.3f}°)"
-        (unaffected if wrong.abs_rel <= HARDLY * right.abs_rel else affected).append(text)
+        (unaffected if wrong.abs_rel <= UNAFFECTED_RATIO * right.abs_rel else affected).append(text)
     return (
-        f"To take {_taken(compared[0][1])} hardly matters to depth (abs-rel at most "
-        f"{HARDLY - 1:.0%} worse) in: {', '.join(unaffected) or 'none'}. It matters in: "
+        f"To take {_focal_lengths(compared[0][1])} hardly matters to depth (abs-rel at most "
+        f"{UNAFFECTED_RATIO - 1:.0%} worse) in: {', '.join(unaffected) or 'none'}. It matters in: "
         f"{', '.join(affected) or 'none'}."
     )
 
 
-def _taken(outcome: Outcome) -> str:
+def _focal_lengths(outcome: Outcome) -> str:
     return f"{outcome.focal:g} px for {outcome.focal * outcome.ratio:.0f} px"
 
 
@@ -200,7 +204,7 @@ def report(outcomes: Sequence[Outcome], conditions: Mapping[str, Any]) -> str:
     """Return the results as Markdown."""
     picture = "![Errors over the ratio of the two focal lengths](focal.png)"
     title = "# A wrong focal length"
-    return text_of(title, conditions, NOTES, picture, finding(outcomes), *tables(outcomes))
+    return markdown_page(title, conditions, NOTES, picture, finding(outcomes), *tables(outcomes))
 
 
 def draw(outcomes: Sequence[Mapping[str, Any]], path: Path) -> None:
@@ -220,7 +224,9 @@ def picture(outcomes: Sequence[Mapping[str, Any]]) -> Figure:
             axes = grid[row, column]
             for kind, colour, marker in zip(kinds, CURVES, MARKERS, strict=False):
                 points = [o for o in outcomes if (o["kind"], o["focal"]) == (kind, focal)]
-                known = [(o["ratio"], max(o[name], LEAST)) for o in points if o[name] is not None]
+                known = [
+                    (o["ratio"], max(o[name], MIN_ERROR)) for o in points if o[name] is not None
+                ]
                 if known:
                     axes.plot(
                         *zip(*known, strict=True),
@@ -248,7 +254,7 @@ def _scale(axes: Axes, values: Sequence[float]) -> None:
     axes.xaxis.set_major_locator(FixedLocator(TICKS))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    if max(values) < FEW_DECADES * max(min(values), LEAST):
+    if max(values) < MAX_RATIO_OF_DENSE_TICKS * max(min(values), MIN_ERROR):
         axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())
@@ -272,7 +278,7 @@ def main(arguments: list[str] | None = None) -> int:
             pair = static_scene(kind, *size, focal=focal)
             outcomes += [measure(pair, kind, ratio, options.preset) for ratio in RATIOS]
     conditions = {
-        "command": words_of("focal", options, ["preset"]),
+        "command": command_text("focal", options, ["preset"]),
         "scenes": f"`tisfm.scenes.static_scene`, {options.height}×{options.width}",
         "preset": options.preset,
         "threads": options.threads,
@@ -282,7 +288,7 @@ def main(arguments: list[str] | None = None) -> int:
     print(text)
     path = RESULTS / (options.output or "focal")
     records = [asdict(outcome) for outcome in outcomes]
-    write(path, text, {**conditions, "found": records})
+    write_results(path, text, {**conditions, "found": records})
     draw(records, path.with_suffix(".png"))
     return 0
 

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 import tisfm
-from bench.shared.results import memory
+from bench.shared.results import process_memory
 from tisfm.settings import Preset
 
 SIZE = (1080, 1920)  # px, height and width
@@ -25,14 +25,14 @@ CLEAR = Path("/proc/self/clear_refs")  # writing 5 resets the peak of resident m
 
 
 def peak() -> int:
-    """Return the peak of resident memory since `restart`, or of the process, bytes."""
-    if (size := memory("VmHWM")) is not None:
+    """Return the peak of resident memory since `reset_peak`, or of the process, bytes."""
+    if (size := process_memory("VmHWM")) is not None:
         return int(size)
     used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return used if sys.platform == "darwin" else used * 1024
 
 
-def restart() -> None:
+def reset_peak() -> None:
     """Reset the peak to the present resident memory, if the system permits."""
     # Without permission, the peak of the tiny interpretation is subtracted as well.
     with contextlib.suppress(OSError):
@@ -49,7 +49,7 @@ def measure(preset: Preset, height: int, width: int) -> float:
     tiny = blobs[:32, :32].copy()
     tisfm.interpret(tiny, np.roll(tiny, 1, axis=1), settings=settings)
     gc.collect()
-    restart()
+    reset_peak()
     before = peak()
     result = tisfm.interpret(frame0, frame1, camera=camera, settings=settings)
     return (peak() - before) / (FLOAT * result.rho[0].size)

@@ -13,17 +13,17 @@ from pathlib import Path
 from bench.shared.command import (
     Pairs,
     choose,
-    hold_with_progress,
     load_pairs,
     options_parser,
     output_name,
+    run_with_progress,
     running_peers,
 )
 from bench.shared.contest import Contest, Method, baseline, preset
 from bench.shared.contest_report import show, write
-from bench.shared.figures import draw
-from bench.shared.peer_process import prepare, survey
-from bench.shared.results import RESULTS, machine, print_gaps, wide_console
+from bench.shared.figures import draw_contest
+from bench.shared.peer_process import make_environment, survey
+from bench.shared.results import RESULTS, machine, print_missing, wide_console
 from tisfm import runtime
 from tisfm.settings import Preset
 
@@ -55,7 +55,7 @@ def compare(options: argparse.Namespace, pairs: Pairs) -> Contest:
         methods += [baseline(), *peers.methods]
         methods = choose(methods, options.only, kind="method", name=lambda method: method.name)
         names = [method.name for method in methods]
-        return hold_with_progress(
+        return run_with_progress(
             methods,
             pairs,
             options,
@@ -76,8 +76,8 @@ def main(arguments: list[str] | None = None) -> int:
     console = wide_console()
     try:
         if options.prepare:
-            python = prepare(options.prepare)
-            print_gaps(console, survey(python).missing)
+            python = make_environment(options.prepare)
+            print_missing(console, survey(python).missing)
             console.print(f"python -m bench.peers --peer-python {python}", soft_wrap=True)
             return 0
         contest = compare(options, load_pairs(options))
@@ -86,7 +86,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     path = RESULTS / output_name(options, "peers")
     write(contest, path, title="tisfm beside other libraries", remarks=REMARKS)
-    draw(contest, path.with_suffix(".png"))
+    draw_contest(contest, path.with_suffix(".png"))
     show(contest, console)
     return 1 if contest.failures() else 0
 

@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 from rich.console import Console
 
-from bench.shared.results import Bar, Table, cell, text_of, write
+from bench.shared.results import Bar, Table, cell, markdown_page, write_results
 from tisfm.runtime import cpu_lanes
 from tisfm.settings import Preset
 
@@ -21,13 +21,13 @@ PAIR_SIZE = (240, 320)  # px, of the pair that the reference also solves
 THREADS = 2
 LANES = cpu_lanes()
 # Bounds of figures, set by hand from measurements of earlier states.
-MOST_NS_PER_PIXEL = 12.0  # ns per pixel of a sweep, edges separate, Cholesky
-MOST_NS_PER_PIXEL_JOINT = 6.0  # ns per pixel of a sweep, edges joint, closed form
-LEAST_RATIO = 70.0  # time of the reference's sweep over that of the kernel
+MAX_NS_PER_PIXEL = 12.0  # ns per pixel of a sweep, edges separate, Cholesky
+MAX_NS_PER_PIXEL_JOINT = 6.0  # ns per pixel of a sweep, edges joint, closed form
+MIN_RATIO = 70.0  # time of the reference's sweep over that of the kernel
 # Of a sweep in two passes: time over the time of its bytes at stream bandwidth.
-MOST_OVER_FLOOR = 1.3
-LEAST_PAIR_RATIO = 50.0  # time of the reference's pair over that of the library
-MOST_FLOATS_PER_PIXEL = 60.0  # float32 per pixel, peak memory
+MAX_OVER_FLOOR = 1.3
+MIN_PAIR_RATIO = 50.0  # time of the reference's pair over that of the library
+MAX_FLOATS_PER_PIXEL = 60.0  # float32 per pixel, peak memory
 # This preset has no bound of memory: its regulariser has 12 weights per pixel, other presets have
 # 2, and its cycles keep coarser levels of the whole system.
 UNBOUNDED = "paper"
@@ -212,7 +212,9 @@ def show(results: Results, console: Console) -> None:
 def write_markdown(results: Results, path: Path, notes: Sequence[str] = ()) -> None:
     """Write the table as Markdown, with further notes."""
     title = f"# Benchmark {path.stem}"
-    write(path, text_of(title, describe(results), table_of(results), [*notes, *NOTES]))
+    write_results(
+        path, markdown_page(title, describe(results), table_of(results), [*notes, *NOTES])
+    )
 
 
 def bars(results: Results) -> Iterator[Bar]:
@@ -220,23 +222,23 @@ def bars(results: Results) -> Iterator[Bar]:
     conditions = f"{THREADS} threads, {LANES} lanes"
     row = _find_row(results, "sweep separate", "cholesky", SIZE)
     sweep = f"rigid sweep, edges separate, Cholesky, {SIZE[0]}x{SIZE[1]}, {conditions}"
-    yield Bar(f"{sweep}, ns/px", row.time if row else None, MOST_NS_PER_PIXEL)
+    yield Bar(f"{sweep}, ns/px", row.time if row else None, MAX_NS_PER_PIXEL)
     yield Bar(
-        f"{sweep}, ratio to sweep_red_black", row.ratio if row else None, LEAST_RATIO, at_most=False
+        f"{sweep}, ratio to sweep_red_black", row.ratio if row else None, MIN_RATIO, at_most=False
     )
     row = _find_row(results, "sweep joint", "closed_form", LARGE)
     sweep = f"rigid sweep, edges joint, closed form, {LARGE[0]}x{LARGE[1]}, {conditions}"
-    yield Bar(f"{sweep}, ns/px", row.time if row else None, MOST_NS_PER_PIXEL_JOINT)
+    yield Bar(f"{sweep}, ns/px", row.time if row else None, MAX_NS_PER_PIXEL_JOINT)
     yield Bar(f"{sweep}, time over memory floor", row.over_floor if row else None, None)
     row = _find_row(results, "sweep_unfused joint", "closed_form", LARGE)
     name = f"unfused {sweep}, time over memory floor"
-    yield Bar(name, row.over_floor if row else None, MOST_OVER_FLOOR)
+    yield Bar(name, row.over_floor if row else None, MAX_OVER_FLOOR)
     row = _find_row(results, "pair balanced", "closed_form", PAIR_SIZE)
     name = f"pair, balanced, {_AT_PAIR_SIZE}, {conditions}, ratio to the reference"
-    yield Bar(name, row.ratio if row else None, LEAST_PAIR_RATIO, at_most=False)
+    yield Bar(name, row.ratio if row else None, MIN_PAIR_RATIO, at_most=False)
     for preset in get_args(Preset):
         name = f"memory at 1080x1920, {preset}, float32 per pixel"
-        bound = None if preset == UNBOUNDED else MOST_FLOATS_PER_PIXEL
+        bound = None if preset == UNBOUNDED else MAX_FLOATS_PER_PIXEL
         yield Bar(name, results.memory.get(preset), bound)
 
 

@@ -18,7 +18,16 @@ from typing import Any
 
 import numpy as np
 
-from bench.shared.results import EMPTY, RESULTS, ROOT, Table, cell, machine, text_of, write
+from bench.shared.results import (
+    EMPTY_CELL,
+    RESULTS,
+    ROOT,
+    Table,
+    cell,
+    machine,
+    markdown_page,
+    write_results,
+)
 
 FACTORS = {"halved": 0.5, "doubled": 2.0}
 SEQUENCES = ("new_tsukuba", "tartanair")  # real sequences
@@ -78,7 +87,7 @@ def change(path: str, suffix: str, factor: float) -> None:
 def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
     """Return name → function that measures the figures of an input."""
     import tisfm  # here and below: imported after the constant was changed
-    from bench.sequences.entries import FARTHEST, data_entries
+    from bench.sequences.entries import MAX_DEPTH, data_entries
     from bench.sequences.rendered_films import depth_in_one_scale, path_error
     from bench.shared.sequences import find_pairs, scene_pairs
     from tisfm.evaluation.sequences import compare_sequence
@@ -115,7 +124,7 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
         loaded = entry.load()
         result = tisfm.reconstruct(loaded.frames, camera=loaded.camera, settings=fast)
         found = compare_sequence(
-            entry.sequence, loaded, result, camera=result.camera, max_depth=FARTHEST
+            entry.sequence, loaded, result, camera=result.camera, max_depth=MAX_DEPTH
         )
         depth = {} if found.depth is None else {"depth error": found.depth.error}
         return {"path, %": 100 * (found.pieces[0].share or np.nan)} | depth
@@ -149,7 +158,7 @@ def rows_of(paths: Sequence[str], common: dict[str, Any], base: Figures) -> Iter
                 found = in_process({**common, "path": path, "suffix": suffix, "factor": factor})
                 head = [f"{path}{suffix}", f"{number:g}", word]
                 if isinstance(found, str):
-                    yield [*head, *[EMPTY] * len(base), f"failed: {found}"]
+                    yield [*head, *[EMPTY_CELL] * len(base), f"failed: {found}"]
                     continue
                 changes = [100 * (found[key] / old - 1) for key, old in base.items()]
                 largest = "none" if found == base else f"{max(map(abs, changes)):.2g}"
@@ -185,8 +194,8 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     table = Table(["constant", "value", "", *base, "largest change, %"], rows, text_columns=3)
     note = "Changes of the figures, %, if one number is halved or doubled; none: the same bits."
-    text = text_of("# Sensitivity to constants", machine(), note, table)
-    write(RESULTS / (options.output or "sensitivity"), text, {"base": base, "rows": rows})
+    text = markdown_page("# Sensitivity to constants", machine(), note, table)
+    write_results(RESULTS / (options.output or "sensitivity"), text, {"base": base, "rows": rows})
     return 0
 
 

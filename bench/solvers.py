@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 from bench.shared.command import options_parser, output_name
 from bench.shared.figures import CURVES, tidy
-from bench.shared.results import RESULTS, Table, machine, text_of, write
+from bench.shared.results import RESULTS, Table, machine, markdown_page, write_results
 from bench.shared.sequences import FlowPair, data_folder, find_pairs, scene_pairs
 from tisfm import runtime
 from tisfm.camera import Camera
@@ -45,8 +45,8 @@ CONVERGED = 30  # cycles with conjugate gradients that give the least energy
 GAPS = (1e-2, 1e-3, 1e-4, 1e-5)
 BUDGET = 16.0  # sweeps
 ROUNDS = 9  # timed calls of each step
-LEAST_GAP = 1e-8  # least gap in the picture: rounding to single precision decides smaller gaps
-MOST_WORK = 130.0  # sweeps, end of the axis
+MIN_GAP = 1e-8  # least gap in the picture: rounding to single precision decides smaller gaps
+MAX_WORK = 130.0  # sweeps, end of the axis
 
 # Work is counted in sweeps of the finest grid, by the words that are moved: a sweep moves 29 words
 # per pixel. Every level has a quarter of the pixels of the finer level, and takes two sweeps, a
@@ -163,11 +163,11 @@ def courses(pair: FlowPair, size: tuple[int, int]) -> list[Course]:
     for _ in range(CONVERGED):
         multigrid.descend()
     lowest = system.energy()
-    points: dict[str, list[tuple[float, float]]] = {}
+    points_of: dict[str, list[tuple[float, float]]] = {}
     for name, method in methods().items():
         system.unknowns.rho[...] = 0
-        points[name] = list(method(system))
-        lowest = min(lowest, *(energy for _, energy in points[name]))
+        points_of[name] = list(method(system))
+        lowest = min(lowest, *(energy for _, energy in points_of[name]))
     return [
         Course(
             pair=pair.name,
@@ -176,7 +176,7 @@ def courses(pair: FlowPair, size: tuple[int, int]) -> list[Course]:
             work=[work for work, _ in points],
             gap=[(energy - lowest) / (first - lowest) for _, energy in points],
         )
-        for name, points in points.items()
+        for name, points in points_of.items()
     ]
 
 
@@ -245,9 +245,9 @@ def draw(courses: Sequence[Mapping[str, Any]], path: Path) -> None:
                 course for course in courses if (course["size"], course["method"]) == (size, name)
             ]
             points = [
-                (work, max(median(gaps), LEAST_GAP))
+                (work, max(median(gaps), MIN_GAP))
                 for work, *gaps in zip(group[0]["work"], *(c["gap"] for c in group), strict=True)
-                if work <= MOST_WORK
+                if work <= MAX_WORK
             ]
             axes.plot(
                 *zip(*points, strict=True),
@@ -303,11 +303,11 @@ def main(arguments: list[str] | None = None) -> int:
         "Time, as multiples of that of one sweep (ω = 1) in the same turn, medians:",
         time_table(times),
     )
-    print(text_of(*tables))
+    print(markdown_page(*tables))
     picture = f"![Energy over work]({path.stem}.png)"
     records = [asdict(course) for course in measured]
-    text = text_of("# Solvers of the linear system", conditions, *tables, picture)
-    write(path, text, {**conditions, "courses": records})
+    text = markdown_page("# Solvers of the linear system", conditions, *tables, picture)
+    write_results(path, text, {**conditions, "courses": records})
     draw(records, path.with_suffix(".png"))
     return 0
 

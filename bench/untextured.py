@@ -13,14 +13,14 @@ import numpy as np
 
 import tisfm
 from bench.shared.command import options_parser
-from bench.shared.results import RESULTS, Table, cell, machine, text_of, write
+from bench.shared.results import RESULTS, Table, cell, machine, markdown_page, write_results
 from tisfm import runtime
 from tisfm.horn_schunck import horn_schunck
 from tisfm.scenes import SyntheticPair, bare_patches
 from tisfm.settings import Preset
 
 MARGIN = 8  # px
-LOW = 0.3  # confidence below which a pixel counts as doubtful
+LOW_CONFIDENCE = 0.3  # confidence below which a pixel counts as doubtful
 SEEDS = (0, 1, 2)
 NOISE = (2, 5)  # grey levels
 COLUMNS = {
@@ -30,7 +30,7 @@ COLUMNS = {
     "wall": "bare, all of the wall",
     "depth_textured": "depth error textured",
     "depth_bare": "bare",
-    "low_bare": f"confidence below {LOW}: bare, %",
+    "low_bare": f"confidence below {LOW_CONFIDENCE}: bare, %",
     "low_textured": "textured, %",
 }
 
@@ -43,7 +43,7 @@ class Method:
     noise: float = 0.0
 
 
-def noisy(pair: SyntheticPair, sigma: float, seed: int) -> SyntheticPair:
+def add_noise(pair: SyntheticPair, sigma: float, seed: int) -> SyntheticPair:
     """Add Gaussian noise to both frames, and round to 8 bits."""
     rng = np.random.default_rng(seed)
     frames = (frame + rng.normal(0, sigma, frame.shape) for frame in (pair.frame0, pair.frame1))
@@ -51,7 +51,7 @@ def noisy(pair: SyntheticPair, sigma: float, seed: int) -> SyntheticPair:
     return replace(pair, frame0=frame0, frame1=frame1)
 
 
-def bare_parts(pair: SyntheticPair) -> np.ndarray:
+def bare_pixels(pair: SyntheticPair) -> np.ndarray:
     """Return the bare pixels, (H, W) bool."""
     outline = np.zeros(pair.labels.shape, bool)
     outline[:, 1:] = np.diff(pair.labels, axis=1) != 0
@@ -61,7 +61,7 @@ def bare_parts(pair: SyntheticPair) -> np.ndarray:
 
 def measure(pair: SyntheticPair, settings: tisfm.Settings | None) -> dict[str, float]:
     """Measure one scene; without settings, the flow of Horn and Schunck, which gives no depth."""
-    bare, textured = bare_parts(pair), pair.textured & pair.visible
+    bare, textured = bare_pixels(pair), pair.textured & pair.visible
     left = np.arange(pair.labels.shape[1]) < pair.labels.shape[1] // 2
     result = None
     if settings is None:
@@ -82,8 +82,8 @@ def measure(pair: SyntheticPair, settings: tisfm.Settings | None) -> dict[str, f
         values |= {
             "depth_textured": depth_error[textured].mean(),
             "depth_bare": depth_error[bare].mean(),
-            "low_bare": 100 * (result.confidence[bare] < LOW).mean(),
-            "low_textured": 100 * (result.confidence[textured] < LOW).mean(),
+            "low_bare": 100 * (result.confidence[bare] < LOW_CONFIDENCE).mean(),
+            "low_textured": 100 * (result.confidence[textured] < LOW_CONFIDENCE).mean(),
         }
     return {name: float(value) for name, value in values.items()}
 
@@ -122,7 +122,9 @@ def main(arguments: list[str] | None = None) -> int:
     scenes = {seed: bare_patches(options.height, options.width, seed=seed) for seed in SEEDS}
     measured = {
         name: [
-            measure(noisy(scene, method.noise, seed) if method.noise else scene, method.settings)
+            measure(
+                add_noise(scene, method.noise, seed) if method.noise else scene, method.settings
+            )
             for seed, scene in scenes.items()
         ]
         for name, method in methods().items()
@@ -142,10 +144,10 @@ def main(arguments: list[str] | None = None) -> int:
         "24, in the scale of the textured pixels. Noise is Gaussian and independent in both "
         "frames; a row without noise in its name has only that of rounding to 8 bits."
     )
-    print(text_of(table(means)))
-    text = text_of("# Parts without texture", conditions, table(means), notes)
+    print(markdown_page(table(means)))
+    text = markdown_page("# Parts without texture", conditions, table(means), notes)
     record = {**conditions, "size": [options.height, options.width], "found": measured}
-    write(RESULTS / (options.output or "untextured"), text, record)
+    write_results(RESULTS / (options.output or "untextured"), text, record)
     return 0
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 import tisfm
 from bench.shared.command import options_parser
-from bench.shared.results import RESULTS, Table, machine, text_of, write
+from bench.shared.results import RESULTS, Table, machine, markdown_page, write_results
 from tisfm import runtime
 from tisfm.formats import read_flo, read_image
 from tisfm.scenes import SyntheticPair, room, room_film, three_blocks, two_blocks
@@ -32,7 +32,7 @@ SEEDS = (10, 11)
 SPEEDS = ((240, 320, 1.0), (240, 320, 3.0), (480, 640, 2.0))
 ROOM_MOTIONS = {"sideways": (0.08, 0.0, 0.0), "forward": (0.02, 0.0, 0.12)}  # m/frame
 REPETITIONS = 5  # timed calls of pair and window
-HIDDEN_BEHIND = 1.02  # times the visible depth: a farther point is hidden
+MIN_HIDDEN_RATIO = 1.02  # times the visible depth: a farther point is hidden
 HEAD = (
     "", "occluded, %", "EPE occluded: pair", "window", "change", "elsewhere: pair", "window",
     "change", "occlusion F1, pair / window", "pair, ms", "time, window / pair",
@@ -51,7 +51,7 @@ class Triple:
     camera: tisfm.Camera
 
 
-def leaving(flow: np.ndarray) -> np.ndarray:
+def leaves_image(flow: np.ndarray) -> np.ndarray:
     """Return the pixels whose flow, (H, W, 2), ends outside the image."""
     height, width = flow.shape[:2]
     x, y = flow[..., 0] + np.arange(width), flow[..., 1] + np.arange(height)[:, None]
@@ -68,13 +68,13 @@ def sintel(folder: Path, name: str) -> Triple:
         name=name,
         frames=frames,
         flow=flow,
-        occluded=hidden | leaving(flow),
+        occluded=hidden | leaves_image(flow),
         known=np.asarray(np.isfinite(flow).all(axis=-1)),
         camera=tisfm.Camera(600.0),
     )
 
 
-def of_pairs(name: str, earlier: SyntheticPair, pair: SyntheticPair) -> Triple:
+def triple_of_pairs(name: str, earlier: SyntheticPair, pair: SyntheticPair) -> Triple:
     """Return the frames of two pairs of a scene, from t back to t−1 and on to t+1."""
     return Triple(
         name=name,
@@ -97,14 +97,14 @@ def blocks(
         for f in (-speed, speed)
     )
     name = f"{make.__name__}, {width}×{height}, {speed:g} times its speed"
-    return of_pairs(name, before, after)
+    return triple_of_pairs(name, before, after)
 
 
 def bare_room(height: int, width: int, seed: int) -> Triple:
     """Render a room with bare walls, for a camera with constant velocity."""
     motion = np.array([0.12, 0.0, 0.08, 0.003, 0.01, 0.006])
     before, after = (room(height, width, seed=seed, camera_motion=f * motion) for f in (-1, 1))
-    return of_pairs(f"room, bare, {width}×{height}", before, after)
+    return triple_of_pairs(f"room, bare, {width}×{height}", before, after)
 
 
 def papered_room(height: int, width: int, seed: int, direction: str) -> Triple:
@@ -122,12 +122,12 @@ def papered_room(height: int, width: int, seed: int, direction: str) -> Triple:
     flow = np.stack([camera.focal * moved[k] / moved[2] - (x, y)[k] for k in (0, 1)], axis=-1)
     target = (flow + np.stack(np.broadcast_arrays(x + cx, y + cy), axis=-1)).astype(np.float32)
     seen = cv2.remap(film.depth[2], target[..., 0], target[..., 1], cv2.INTER_NEAREST)
-    hidden = moved[2] > HIDDEN_BEHIND * seen
+    hidden = moved[2] > MIN_HIDDEN_RATIO * seen
     return Triple(
         name=f"room, papered, {direction}, {width}×{height}",
         frames=list(film.frames),
         flow=flow,
-        occluded=hidden | leaving(flow),
+        occluded=hidden | leaves_image(flow),
         known=moved[2] > 0,
         camera=camera,
     )
@@ -221,8 +221,8 @@ def main(arguments: list[str] | None = None) -> int:
         f"image. Rendered rows are means of {len(SEEDS)} seeds. The ratio of times is the median "
         "over runs in turn."
     )
-    text = text_of("# Three frames against two", conditions, notes, *sections)
-    write(RESULTS / (options.output or "window"), text, {**conditions, "found": results})
+    text = markdown_page("# Three frames against two", conditions, notes, *sections)
+    write_results(RESULTS / (options.output or "window"), text, {**conditions, "found": results})
     return 0
 
 

@@ -20,7 +20,15 @@ import numpy as np
 
 import tisfm
 from bench.shared.command import options_parser
-from bench.shared.results import RESULTS, Bar, Table, exit_code, machine, text_of, write
+from bench.shared.results import (
+    RESULTS,
+    Bar,
+    Table,
+    exit_code,
+    machine,
+    markdown_page,
+    write_results,
+)
 from tisfm import runtime
 from tisfm.cli.command_line import main as tisfm_command
 from tisfm.formats import write_png
@@ -29,7 +37,7 @@ from tisfm.settings import Preset
 
 # Times over that of the loop: without figures, with a figure of every tenth pair; set by hand.
 BARS = 1.3, 1.5
-OPTIONS = ("--no-figures",), ("--figures", "10")
+FIGURE_OPTIONS = ("--no-figures",), ("--figures", "10")
 NAMES = "`tisfm run --no-figures`", "`tisfm run --figures 10`"
 ROUNDS = 7
 PAIRS = 30  # of the rendered frames
@@ -56,7 +64,7 @@ class Outcome:
         return float(low), float(middle), float(high)
 
 
-def rendered(folder: Path, pairs: int, height: int, width: int) -> Path:
+def render_frames(folder: Path, pairs: int, height: int, width: int) -> Path:
     """Write the two frames of a rendered scene in turns, as PNG files."""
     scene = static_scene("sideways", height, width)
     frames = scene.frame0, scene.frame1
@@ -83,7 +91,7 @@ def measure(source: Path, preset: Preset, rounds: int) -> Outcome:
             turn += 1
             arguments = ["run", str(source), "-o", f"{output}/{turn}", "--preset", preset]
             with contextlib.redirect_stdout(io.StringIO()):
-                code = tisfm_command([*arguments, *OPTIONS[kind]])
+                code = tisfm_command([*arguments, *FIGURE_OPTIONS[kind]])
             if code != 0:
                 raise RuntimeError(f"tisfm run ended with exit code {code}")
 
@@ -125,7 +133,9 @@ def report(outcome: Outcome, conditions: dict[str, object]) -> str:
         "quartiles are those of the ratio in a round.",
     ]
     size = f"{outcome.size / 1e6:.0f} MB were written without figures."
-    return text_of("# Cost of storing every result", conditions, Table(HEAD, rows), size, notes)
+    return markdown_page(
+        "# Cost of storing every result", conditions, Table(HEAD, rows), size, notes
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -142,14 +152,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.smoke:
         pairs, rounds, size = 3, 1, (96, 128)
     with tempfile.TemporaryDirectory() as folder:
-        source = options.source or rendered(Path(folder), pairs, *size)
+        source = options.source or render_frames(Path(folder), pairs, *size)
         outcome = measure(source, options.preset, rounds)
     kind = "rendered" if options.source is None else outcome.source
     text = report(outcome, {"source": kind, "preset": options.preset, **machine()})
     print(text)
     if options.smoke:
         return 0
-    write(RESULTS / options.output, text, asdict(outcome) | {"source": kind})
+    write_results(RESULTS / options.output, text, asdict(outcome) | {"source": kind})
     return exit_code(bars(outcome))
 
 

@@ -11,18 +11,18 @@ import sys
 
 import cv2
 
-from bench.depth.contest import DepthContest, hold
-from bench.depth.methods import FlowThenDepth, Joint, Method
+from bench.depth.contest import DepthContest, run_contest
+from bench.depth.methods import FlowThenDepth, Method, OwnMethod
 from bench.depth.pairs import Entry, data_entries, scene_entries
 from bench.depth.report import show, write
 from bench.shared.command import (
     SMOKE_SIZE,
     choose,
+    command_text,
     options_parser,
     output_name,
     progress,
     running_peers,
-    words_of,
 )
 from bench.shared.contest import preset as own_flow
 from bench.shared.results import RESULTS, machine, wide_console
@@ -71,12 +71,12 @@ def compare(options: argparse.Namespace) -> DepthContest:
     with running_peers(options, FLOWS) as peers:
         methods: list[Method] = []
         for preset in options.preset:
-            methods += [Joint(preset, motion) for motion in MOTIONS]
+            methods += [OwnMethod(preset, motion) for motion in MOTIONS]
             methods.append(FlowThenDepth(own_flow(preset)))
         methods += map(FlowThenDepth, peers.methods)
         methods = choose(methods, options.only, kind="method", name=lambda method: method.name)
         conditions = {
-            "command": words_of("depth", options, WORDS),
+            "command": command_text("depth", options, WORDS),
             "pairs": f"{len(entries)}; scenes are of {height}×{width} px",
             "rounds": rounds,
             "threads": options.threads,
@@ -85,7 +85,7 @@ def compare(options: argparse.Namespace) -> DepthContest:
             "peers": peers.versions,
         }
         with progress(len(methods) * (1 + rounds * len(entries))) as step:
-            return hold(
+            return run_contest(
                 methods,
                 entries,
                 rounds=rounds,

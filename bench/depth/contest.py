@@ -14,9 +14,12 @@ from bench.shared.contest import MethodFailure
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import static_scene
 
-WARM_UP = (96, 128)  # px
-LEAST_ERROR = 1e-6  # errors are raised to this before their logarithm is taken
-WRONG = {"direction": 90.0, "abs_rel_limited": 1.0}  # error of a failure, to choose a threshold
+WARM_UP_SIZE = (96, 128)  # px
+MIN_ERROR = 1e-6  # errors are raised to this before their logarithm is taken
+FAILURE_ERROR = {
+    "direction": 90.0,
+    "abs_rel_limited": 1.0,
+}  # error of a failure, to choose a threshold
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +92,7 @@ class DepthContest:
         return [s for s in self.scores if s.method == method]
 
 
-def hold(
+def run_contest(
     methods: Sequence[Method],
     entries: Sequence[Entry],
     *,
@@ -175,7 +178,7 @@ def _timed(scored: Score, times: list[tuple[float, float | None]]) -> Score:
 
 def _small_pairs() -> list[DepthPair]:
     """Return a scene without a given pose, and the same scene with it."""
-    scene = static_scene("sideways+rotation", *WARM_UP)
+    scene = static_scene("sideways+rotation", *WARM_UP_SIZE)
     pair = DepthPair(
         name="warm-up",
         group="",
@@ -190,7 +193,7 @@ def _small_pairs() -> list[DepthPair]:
 
 def _value(scored: Score, name: str) -> float:
     value = getattr(scored, name)
-    return WRONG[name] if value is None else max(value, LEAST_ERROR)
+    return FAILURE_ERROR[name] if value is None else max(value, MIN_ERROR)
 
 
 def _geometric(values: Sequence[float]) -> float:

@@ -23,10 +23,10 @@ from tisfm.rigid import pose_matrix
 from tisfm.settings import Motion, Preset, Settings
 
 THRESHOLDS = (0.001, 0.002, 0.005, 0.02, 0.1, 0.5)  # px, of the essential matrix
-CORRESPONDENCES = 4800  # on a regular grid, about
+GRID_CORRESPONDENCES = 4800  # on a regular grid, about
 CONFIDENCE = 0.9999  # of the random sampling
-ITERATIONS = 10_000  # of the random sampling, at most
-FEWEST_CORRESPONDENCES = 5  # for a sample
+MAX_ITERATIONS = 10_000  # of the random sampling, at most
+MIN_CORRESPONDENCES = 5  # for a sample
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,7 +57,7 @@ class Method(Protocol):
 
 
 @dataclass(frozen=True)
-class Joint:
+class OwnMethod:
     """`tisfm.interpret` with a preset and a motion model."""
 
     preset: Preset
@@ -162,17 +162,17 @@ def two_stage(
     """
     if pose is not None:
         motion = np.array(pose, np.float64)
-        return TwoStage(pose=motion, inverse_depth=triangulated(flow, camera, motion))
+        return TwoStage(pose=motion, inverse_depth=triangulate(flow, camera, motion))
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = _relative_pose(flow, camera, threshold)
-    inverse_depth = triangulated(flow, camera, motion)
+    inverse_depth = triangulate(flow, camera, motion)
     if np.mean(inverse_depth > 0) < 0.5:  # an essential matrix does not determine the sign of t
         motion[:3, 3] *= -1
         inverse_depth = -inverse_depth
     return TwoStage(pose=motion, inverse_depth=inverse_depth)
 
 
-def triangulated(
+def triangulate(
     flow: NDArray,  # (H, W, 2), px/frame
     camera: Camera,  # without distortion
     pose: NDArray,  # (4, 4), P₁ = R P₀ + t
@@ -200,12 +200,12 @@ def triangulated(
 def _relative_pose(flow: NDArray, camera: Camera, threshold: float) -> tuple[NDArray, NDArray]:
     """Return R and t, ‖t‖ = 1 and of either sign, of the essential matrix of a flow."""
     height, width = flow.shape[:2]
-    stride = max(1, round((height * width / CORRESPONDENCES) ** 0.5))
+    stride = max(1, round((height * width / GRID_CORRESPONDENCES) ** 0.5))
     rows, columns = np.mgrid[stride // 2 : height : stride, stride // 2 : width : stride]
     start = np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float64)
     end = start + flow[rows.ravel(), columns.ravel()]
     seen = ((end >= 0) & (end <= (width - 1, height - 1))).all(axis=1)
-    if np.count_nonzero(seen) < FEWEST_CORRESPONDENCES:
+    if np.count_nonzero(seen) < MIN_CORRESPONDENCES:
         raise NoMotion(f"only {np.count_nonzero(seen)} of {len(seen)} points stay in the image")
     cx, cy = camera.center_for(height, width)
     intrinsic = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1.0]])
@@ -216,7 +216,7 @@ def _relative_pose(flow: NDArray, camera: Camera, threshold: float) -> tuple[NDA
         method=cv2.USAC_MAGSAC,
         prob=CONFIDENCE,
         threshold=threshold,
-        maxIters=ITERATIONS,
+        maxIters=MAX_ITERATIONS,
     )
     if essential is None or essential.shape[0] < 3 or not np.isfinite(essential).all():
         raise NoMotion(f"no essential matrix was found at a threshold of {threshold:g} px")

@@ -23,20 +23,20 @@ from tisfm.scenes.block_scenes import STATIC_KINDS
 
 SCENE_FOCALS = (300.0, 320.0, 600.0, 1200.0)  # px at a width of 320, of the seeds 0, 1, 2, 3
 BLOCK_SEEDS = (0, 1)
-AT_REST = 2  # labels below this belong to the background and the floor
+STATIC_LABELS = 2  # labels below this belong to the background and the floor
 
-MOVING = "two blocks"
+TWO_BLOCKS = "two blocks"
 HAND_HELD, HARDLY_MOVED = "7-Scenes", "7-Scenes, hardly moved"
 RENDERED_STUDIO = "New Tsukuba"
-ROOM, OFFICE, STEPS = "TartanAir", "HoloLens", "7-Scenes, four apart"
+ROOM, OFFICE, SPACED = "TartanAir", "HoloLens", "7-Scenes, four apart"
 RENDERED_ROOM, ROOM_SEEDS = "rendered room", (0, 1)
-GIVEN = ", pose given"
+POSE_GIVEN = ", pose given"
 ROOMS = tuple(
-    group + suffix for group in (RENDERED_ROOM, ROOM, OFFICE, STEPS) for suffix in (GIVEN, "")
+    group + suffix for group in (RENDERED_ROOM, ROOM, OFFICE, SPACED) for suffix in (POSE_GIVEN, "")
 )
-FARTHEST = 40.0  # m: larger true depths do not count in rooms
-WIDE = "fountain"  # views of a wide baseline, with true poses
-WIDES = (WIDE + GIVEN, WIDE)
+MAX_ROOM_DEPTH = 40.0  # m: larger true depths do not count in rooms
+WIDE_BASELINE = "fountain"  # views of a wide baseline, with true poses
+WIDE_BASELINES = (WIDE_BASELINE + POSE_GIVEN, WIDE_BASELINE)
 STEREO, BLOCK_MATCHER = "stereo, pose given", "KITTI stereo, pose given"
 
 
@@ -94,14 +94,14 @@ SELECTIONS: dict[Layout, list[Selection]] = {
         Selection(group=HARDLY_MOVED, folder="sevenscenes", first=range(0, 20, 3), step=3),
         *(
             Selection(
-                group=STEPS + suffix,
+                group=SPACED + suffix,
                 folder="sevenscenes",
                 first=range(40, 56),
                 step=4,
                 pose_given=bool(suffix),
                 raw=True,
             )
-            for suffix in (GIVEN, "")
+            for suffix in (POSE_GIVEN, "")
         ),
     ],
     "calibrated": [
@@ -109,9 +109,9 @@ SELECTIONS: dict[Layout, list[Selection]] = {
         for group, folder, first in (
             (ROOM, "tartanair", range(2, 27, 4)),
             (OFFICE, "hololens", range(2, 63, 6)),
-            (WIDE, "fountain", range(10)),
+            (WIDE_BASELINE, "fountain", range(10)),
         )
-        for suffix in (GIVEN, "")
+        for suffix in (POSE_GIVEN, "")
     ],
 }
 STEREO_FOLDERS = {"stereo": STEREO, "kitti": BLOCK_MATCHER}
@@ -128,9 +128,9 @@ def scene_entries(height: int, width: int) -> list[Entry]:
             entries.append(Entry(name, group, load))
     for seed in BLOCK_SEEDS:
         name = f"two-blocks-{seed}"
-        entries.append(Entry(name, MOVING, partial(_blocks, name, seed, height, width)))
+        entries.append(Entry(name, TWO_BLOCKS, partial(_blocks, name, seed, height, width)))
     for seed in ROOM_SEEDS:
-        for suffix in (GIVEN, ""):
+        for suffix in (POSE_GIVEN, ""):
             name, group = f"room-{seed}{suffix}", RENDERED_ROOM + suffix
             entries.append(Entry(name, group, partial(_room, name, group, seed, height, width)))
     return entries
@@ -159,10 +159,13 @@ def _selected(data: Path, layout: Layout, selection: Selection) -> Iterator[Entr
         number = int("".join(filter(str.isdigit, pair.name)))
         if number in selection.first:
             name = pair.name
-            if selection.group in (*ROOMS, *WIDES):  # names are numbers, and each pair occurs twice
+            if selection.group in (
+                *ROOMS,
+                *WIDE_BASELINES,
+            ):  # names are numbers, and each pair occurs twice
                 name = f"{selection.folder} {name}, {selection.step} apart"
             if selection.pose_given:
-                name += GIVEN
+                name += POSE_GIVEN
             load = partial(_loaded, pair, name, selection.group, selection=selection)
             yield Entry(name, selection.group, load)
 
@@ -180,9 +183,9 @@ def _loaded(
     if selection is not None and selection.raw:
         depth, raw = raw, None
     if depth is not None and group in ROOMS:
-        depth = np.where(depth < FARTHEST, depth, np.nan)
+        depth = np.where(depth < MAX_ROOM_DEPTH, depth, np.nan)
     frame0, frame1 = (undistort(frame, camera) for frame in (loaded.frame0, loaded.frame1))
-    if group in WIDES:
+    if group in WIDE_BASELINES:
         assert loaded.pose is not None
         depth = depth_of_matches(frame0, frame1, camera.pinhole(), loaded.pose)
     return DepthPair(
@@ -202,21 +205,21 @@ def _scene(
     name: str, group: str, kind: str, seed: int, focal: float, height: int, width: int
 ) -> DepthPair:
     pair = static_scene(kind, height, width, seed=seed, focal=focal * width / 320)
-    return rendered(name, group, pair)
+    return scene_pair(name, group, pair)
 
 
 def _blocks(name: str, seed: int, height: int, width: int) -> DepthPair:
     pair = two_blocks(height, width, seed=seed)
-    movers = np.where(pair.labels < AT_REST, 0, pair.labels)
-    return rendered(name, MOVING, pair, movers)
+    movers = np.where(pair.labels < STATIC_LABELS, 0, pair.labels)
+    return scene_pair(name, TWO_BLOCKS, pair, movers)
 
 
 def _room(name: str, group: str, seed: int, height: int, width: int) -> DepthPair:
-    pair = rendered(name, group, room(height, width, seed=seed))
-    return replace(pair, pose_given=GIVEN in group)
+    pair = scene_pair(name, group, room(height, width, seed=seed))
+    return replace(pair, pose_given=POSE_GIVEN in group)
 
 
-def rendered(
+def scene_pair(
     name: str, group: str, pair: SyntheticPair, movers: NDArray | None = None
 ) -> DepthPair:
     """Return a rendered scene as a pair whose depth and motion are known."""
@@ -233,7 +236,9 @@ def rendered(
     )
 
 
-OFF = 0.7  # px between a match and its projected point in each frame, at most; set by hand
+MAX_MATCH_ERROR = (
+    0.7  # px between a match and its projected point in each frame, at most; set by hand
+)
 
 
 def depth_of_matches(
@@ -252,7 +257,7 @@ def depth_of_matches(
     met = points[2] > 0
     for view, seen in zip(views, (matches.before, matches.after), strict=True):
         image = view @ points
-        met &= np.linalg.norm(image[:2] / image[2] - seen.T, axis=0) <= OFF
+        met &= np.linalg.norm(image[:2] / image[2] - seen.T, axis=0) <= MAX_MATCH_ERROR
     depth = np.full(frame0.shape[:2], np.nan)
     columns, rows = np.rint(matches.before[met]).astype(int).T
     depth[rows, columns] = points[2, met]

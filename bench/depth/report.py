@@ -11,20 +11,26 @@ from bench.depth.pairs import (
     BLOCK_MATCHER,
     HAND_HELD,
     HARDLY_MOVED,
-    MOVING,
     RENDERED_STUDIO,
     ROOMS,
     STEREO,
-    WIDES,
+    TWO_BLOCKS,
+    WIDE_BASELINES,
 )
-from bench.depth.scores import HORIZON, Score
-from bench.shared.results import EMPTY, Table, gaps, print_gaps, text_of
-from bench.shared.results import write as write_files
+from bench.depth.scores import MAX_RELATIVE_DEPTH, Score
+from bench.shared.results import (
+    EMPTY_CELL,
+    Table,
+    markdown_page,
+    missing_sections,
+    print_missing,
+    write_results,
+)
 
 STATIC = "scenes, all static ones"
-HALF = 0.5  # relative error of a pair that counts as wrong
-PARALLAX = 3.0  # px, median parallax of a pair above which depth is expected; set by hand
-COMMON = ", with depth by every method"
+WRONG_DEPTH_ERROR = 0.5  # relative error of a pair that counts as wrong
+MIN_PARALLAX = 3.0  # px, median parallax of a pair above which depth is expected; set by hand
+COMMON_SUFFIX = ", with depth by every method"
 _STATIC_PREFIX = "scenes, "
 TITLES = {"rooms": "Depth in bare rooms, beside two stages"}  # by name of the output
 
@@ -35,7 +41,7 @@ SUMMARY: tuple[tuple[str, str, str, Reduce, int], ...] = (
     ("scenes abs-rel, mean", STATIC, "abs_rel", fmean, 4),
     ("direction, mean °", STATIC, "direction", fmean, 2),
     ("rotation, mean °", STATIC, "rotation", fmean, 4),
-    ("two blocks abs-rel, mean", MOVING, "abs_rel", fmean, 3),
+    ("two blocks abs-rel, mean", TWO_BLOCKS, "abs_rel", fmean, 3),
     ("7-Scenes abs-rel, median", HAND_HELD, "abs_rel", median, 3),
     ("raw map", HAND_HELD, "abs_rel_raw", median, 3),
     ("direction, median °", HAND_HELD, "direction", median, 2),
@@ -44,7 +50,7 @@ SUMMARY: tuple[tuple[str, str, str, Reduce, int], ...] = (
     ("stereo abs-rel, mean", STEREO, "abs_rel", fmean, 3),
     ("KITTI stereo", BLOCK_MATCHER, "abs_rel", fmean, 3),
     *((f"{room}, all pixels, median", room, "abs_rel_all", median, 3) for room in ROOMS),
-    *((f"{wide} abs-rel, median", wide, "abs_rel", median, 4) for wide in WIDES),
+    *((f"{wide} abs-rel, median", wide, "abs_rel", median, 4) for wide in WIDE_BASELINES),
 )
 
 
@@ -57,12 +63,12 @@ def groups(contest: DepthContest) -> list[Group]:
     result = []
     for group in _whole_groups(contest):
         result.append(group)
-        if 0 < len(common(contest, group).pairs) < len(group.pairs):
-            result.append(common(contest, group))
+        if 0 < len(common_pairs(contest, group).pairs) < len(group.pairs):
+            result.append(common_pairs(contest, group))
     return result
 
 
-def common(contest: DepthContest, group: Group) -> Group:
+def common_pairs(contest: DepthContest, group: Group) -> Group:
     """Return a group without the pairs for which a method reports no depth."""
     declined = {
         score.pair
@@ -71,7 +77,7 @@ def common(contest: DepthContest, group: Group) -> Group:
         if score.without_depth
     }
     remaining = tuple(pair for pair in group.pairs if pair not in declined)
-    return Group(name=group.name + COMMON, pairs=remaining) if declined else group
+    return Group(name=group.name + COMMON_SUFFIX, pairs=remaining) if declined else group
 
 
 def _whole_groups(contest: DepthContest) -> list[Group]:
@@ -82,14 +88,14 @@ def _whole_groups(contest: DepthContest) -> list[Group]:
 
 def summary(contest: DepthContest) -> Table:
     """Return a row for every method, at its best threshold, over the same pairs."""
-    common_groups = {group.name: common(contest, group) for group in _whole_groups(contest)}
+    common_groups = {group.name: common_pairs(contest, group) for group in _whole_groups(contest)}
     columns = [column for column in SUMMARY if column[1] in common_groups]
     rows = []
     for method in contest.methods:
         row = [_title(contest, method)]
         for _, group, name, reduce, digits in columns:
             values = _values(contest.best(method, common_groups[group]), name)
-            row.append(f"{reduce(values):.{digits}f}" if values else EMPTY)
+            row.append(f"{reduce(values):.{digits}f}" if values else EMPTY_CELL)
         rows.append(row)
     return Table(["method", *(column[0] for column in columns)], rows)
 
@@ -115,9 +121,8 @@ def notes(contest: DepthContest) -> list[str]:
     """Return the notes on the tables."""
     lines = [
         "abs-rel: mean of |ΔZ|/Z after scaling every pair by the median, over the pixels with a "
-        "positive depth; their share is the density. Limited: depth beyond "
-        f"{HORIZON:g} medians, or behind the camera, is set to {HORIZON:g} medians, so that all "
-        "pixels count. "
+        "positive depth; their share is the density. Limited: depth behind the camera or beyond "
+        f"{MAX_RELATIVE_DEPTH:g} medians is set to this limit, so that all pixels count. "
         "δ: share of pixels off by a factor below 1.25.",
         "All pixels: the same over every pixel of known depth, limited to [0.1 min Z, 10 max Z]; "
         "a pixel without depth counts as 10 max Z, a pair without depth as 1, and truth beyond 40 "
@@ -156,7 +161,7 @@ def notes(contest: DepthContest) -> list[str]:
 def show(contest: DepthContest, console: Console) -> None:
     """Print the summary, and the missing and failed methods."""
     console.print(summary(contest).rich())
-    print_gaps(console, contest.missing, contest.failures())
+    print_missing(console, contest.missing, contest.failures())
 
 
 def write(contest: DepthContest, path: Path, *, remarks: Sequence[str] = ()) -> None:
@@ -168,15 +173,15 @@ def write(contest: DepthContest, path: Path, *, remarks: Sequence[str] = ()) -> 
     table = thresholds(contest)
     if table.rows:
         blocks += ["## Thresholds of the essential matrix", table]
-    text = text_of(
+    text = markdown_page(
         f"# {title}",
         contest.conditions,
         summary(contest),
         [*remarks, *notes(contest)],
-        *gaps(contest.missing, contest.failures()),
+        *missing_sections(contest.missing, contest.failures()),
         *blocks,
     )
-    write_files(path, text, contest.as_json())
+    write_results(path, text, contest.as_json())
 
 
 def _detail(contest: DepthContest, group: Group) -> Table:
@@ -228,7 +233,7 @@ def _cells(contest: DepthContest, method: str, group: Group) -> list[str]:
         _three(scores, "direction", 2),
         _three(scores, "rotation", 4),
         _reduced(scores, "within", fmean, ".0%"),
-        (f"{silent} of {len(scores)}" if speaks else EMPTY)
+        (f"{silent} of {len(scores)}" if speaks else EMPTY_CELL)
         + (f", {failed} failed" if failed else ""),
         _reduced(scores, "seconds", median, "#.3g"),
         _time_ratio(contest, method, group, scores),
@@ -242,12 +247,12 @@ def _trusted(scores: list[Score]) -> tuple[str, str]:
     """
     known = [score for score in scores if score.status and score.abs_rel_all is not None]
     if not known:
-        return EMPTY, EMPTY
+        return EMPTY_CELL, EMPTY_CELL
     converged = [score for score in known if score.status == "converged"]
-    wrong = sum((score.abs_rel_all or 0) > HALF for score in converged)
-    visible = [s for s in known if s.parallax is not None and s.parallax > PARALLAX]
+    wrong = sum((score.abs_rel_all or 0) > WRONG_DEPTH_ERROR for score in converged)
+    visible = [s for s in known if s.parallax is not None and s.parallax > MIN_PARALLAX]
     with_depth = sum(not score.without_depth for score in visible)
-    return f"{wrong} of {len(known)}", f"{with_depth} of {len(visible)}" if visible else EMPTY
+    return f"{wrong} of {len(known)}", f"{with_depth} of {len(visible)}" if visible else EMPTY_CELL
 
 
 def _time_ratio(contest: DepthContest, method: str, group: Group, scores: list[Score]) -> str:
@@ -258,7 +263,7 @@ def _time_ratio(contest: DepthContest, method: str, group: Group, scores: list[S
         if other.startswith(f"{preset} + "):
             fields = {s.pair: s.flow_seconds for s in contest.best(other, group) if s.flow_seconds}
     ratios = [s.seconds / fields[s.pair] for s in scores if s.seconds and s.pair in fields]
-    return f"{median(ratios):#.3g}" if ratios else EMPTY
+    return f"{median(ratios):#.3g}" if ratios else EMPTY_CELL
 
 
 def _title(contest: DepthContest, method: str) -> str:
@@ -273,10 +278,11 @@ def _heading(group: Group) -> str:
         "picture and of the raw map",
         HARDLY_MOVED: "frames in which the same camera had hardly moved",
         RENDERED_STUDIO: "poses only",
-        MOVING: "moving objects, and a moving camera",
+        TWO_BLOCKS: "moving objects, and a moving camera",
         BLOCK_MATCHER: "the truth is a block matcher's",
         **dict.fromkeys(
-            WIDES, "a wide baseline; the truth is that of matched points, by the true poses"
+            WIDE_BASELINES,
+            "a wide baseline; the truth is that of matched points, by the true poses",
         ),
     }.get(group.name)
     return f"{group.name} ({many}{'; ' + kind if kind else ''})"
@@ -294,9 +300,9 @@ def _values(scores: Sequence[Score], name: str) -> list[float]:
 
 def _reduced(scores: Sequence[Score], name: str, reduce: Reduce, form: str) -> str:
     values = _values(scores, name)
-    return format(reduce(values), form).rstrip("%").rstrip(".") if values else EMPTY
+    return format(reduce(values), form).rstrip("%").rstrip(".") if values else EMPTY_CELL
 
 
 def _three(scores: Sequence[Score], name: str, digits: int) -> str:
     values = mean_median_worst(_values(scores, name))
-    return EMPTY if values is None else " / ".join(f"{value:.{digits}f}" for value in values)
+    return EMPTY_CELL if values is None else " / ".join(f"{value:.{digits}f}" for value in values)

@@ -11,7 +11,7 @@ from tisfm.evaluation.pair_errors import LITTLE_PARALLAX
 from tisfm.metrics import certain_error, depth_errors, pose_errors
 from tisfm.metrics.valid_pixels import is_known
 
-HORIZON = 10.0  # medians of depth, limit of "limited" depth
+MAX_RELATIVE_DEPTH = 10.0  # limit of depth, in medians of the depth of its pair; set by hand
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,8 +29,7 @@ class Score:
     flow_seconds: float | None = None
     # As in `tisfm.metrics.DepthErrors`, after scaling by the median.
     abs_rel: float | None = None
-    # The same, with depth beyond `HORIZON` medians or behind the camera set to `HORIZON` medians:
-    # every pixel counts, and a few pixels cannot dominate.
+    # The same after `limit_depth`: every pixel counts, and a few pixels cannot dominate.
     abs_rel_limited: float | None = None
     abs_rel_raw: float | None = None  # `abs_rel` against the unregistered map of the depth camera
     # Of the static pixels, and of the moving objects, each scaled by its own median.
@@ -85,7 +84,7 @@ def score(estimate: Estimate, pair: DepthPair) -> Score:
     return replace(
         result,
         abs_rel=errors_of_depth.abs_rel,
-        abs_rel_limited=depth_errors(limited(depth), pair.depth).abs_rel,
+        abs_rel_limited=depth_errors(limit_depth(depth), pair.depth).abs_rel,
         abs_rel_raw=raw,
         abs_rel_all=errors_of_depth.abs_rel_all,
         abs_rel_certain=_of_certain(estimate, pair),
@@ -109,10 +108,10 @@ def known_depth(truth: NDArray) -> NDArray[np.bool_]:
     return is_known(truth) & (truth > 0)
 
 
-def limited(depth: NDArray) -> NDArray[np.float64]:
-    """Return depth, (H, W), limited to `HORIZON` medians; unknown depth is set to that limit."""
-    horizon = HORIZON * float(np.nanmedian(depth))
-    return np.where(depth < horizon, depth, horizon)  # False for NaN
+def limit_depth(depth: NDArray) -> NDArray[np.float64]:
+    """Return depth, (H, W), limited to a multiple of its median; unknown depth is at the limit."""
+    limit = MAX_RELATIVE_DEPTH * float(np.nanmedian(depth))
+    return np.where(depth < limit, depth, limit)  # False for NaN
 
 
 def parallax_of(pair: DepthPair) -> float | None:
@@ -150,7 +149,7 @@ def _of_parts(depth: NDArray, pair: DepthPair, *, at_rest: bool) -> float | None
         mask = pair.movers == part
         if not known_depth(pair.depth)[mask].any():
             return None
-        error = depth_errors(limited(depth), pair.depth, mask).abs_rel
+        error = depth_errors(limit_depth(depth), pair.depth, mask).abs_rel
         total, pixels = total + error * mask.sum(), pixels + int(mask.sum())
     return total / pixels if pixels else None
 

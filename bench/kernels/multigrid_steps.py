@@ -4,7 +4,7 @@ import numpy as np
 
 from bench import reference
 from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
-from bench.shared.problems import ALPHA, STEPS
+from bench.shared.problems import ALPHA, LINE_STEPS
 from tisfm.kernels.layout.lanes import LaneData
 from tisfm.kernels.solve import coarsening, line_search
 
@@ -45,7 +45,7 @@ class MultigridOperations(TaichiSide):
     def descend(self) -> Timed:
         directions = self._directions()
         return (
-            lambda: line_search.descend(self.grid, *STEPS, *directions),
+            lambda: line_search.descend(self.grid, *LINE_STEPS, *directions),
             lambda _: np.concatenate([self.read(array) for array in directions]),
         )
 
@@ -129,7 +129,7 @@ class MultigridReferences(NumpySide):
         return run
 
     def descend(self) -> Run:
-        p, (first, second) = self.problem, STEPS
+        p, (first, second) = self.problem, LINE_STEPS
         before, step = p.previous[: self.n].copy(), p.step[: self.n].copy()
         rho = self.rho - before  # the correction, then the new solution
 

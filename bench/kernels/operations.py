@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from bench.kernels.references import bent, mask_moments, other_constraints
+from bench.kernels.references import flow_and_bend, mask_moments, other_constraints
 from bench.kernels.sides import TaichiSide, Timed
 from bench.kernels.unfused import sweep_unfused
 from bench.shared.problems import (
     CONSTRAINTS,
     CONTRAST,
-    RATE,
-    RATIO,
+    DATA_SCALES,
+    DENSITY_RATIO,
+    EDGE_RATE,
     RELAXATION,
-    SCALES,
     TOLERATED_SQUARE,
     UNIQUENESS,
 )
@@ -88,14 +88,17 @@ class FieldOperations(TaichiSide):
             *(self.lay(array) for array in (p.flow, p.mask[None])),
         ]
         out, tensor = self.grid.allocate(9), self.grid.allocate(6)
-        arguments, options = (self.grid, *inputs, out, tensor), {"scales": SCALES, **CONSTRAINTS}
+        arguments, options = (
+            (self.grid, *inputs, out, tensor),
+            {"scales": DATA_SCALES, **CONSTRAINTS},
+        )
         return (
             lambda: constraints.constancy_constraints(*arguments, **options),
             lambda _: np.concatenate([self.read(out), self.read(tensor)]),
         )
 
     def backward_flow(self) -> Timed:
-        arguments = [self.lay(array) for array in bent(self.problem.flow)]
+        arguments = [self.lay(array) for array in flow_and_bend(self.problem.flow)]
         out = self.grid.allocate(2)
         return (
             lambda: three_frames.backward_flow(self.grid, *arguments, out),
@@ -108,14 +111,14 @@ class FieldOperations(TaichiSide):
         inputs = [self.lay(array) for array in (before, trust, *masks[:, None], p.flow)]
         out, tensor = self.lay(p.constraints), self.grid.allocate(6)
         return (
-            lambda: three_frames.join_constraints(self.grid, *inputs, SCALES, out, tensor),
+            lambda: three_frames.join_constraints(self.grid, *inputs, DATA_SCALES, out, tensor),
             lambda _: np.concatenate([self.read(out), self.read(tensor)]),
         )
 
     def image_edges(self) -> Timed:
         image, out = self.problem.frames[0].astype(np.float32), self.grid.allocate(2)
         return (
-            lambda: image_edges.image_edges(self.grid, image, out, rate=RATE),
+            lambda: image_edges.image_edges(self.grid, image, out, rate=EDGE_RATE),
             lambda _: self.read(out),
         )
 
@@ -144,7 +147,7 @@ class FieldOperations(TaichiSide):
             self.lay(p.constraints),
             unknowns.edges,
             contrast=CONTRAST,
-            scales=SCALES,
+            scales=DATA_SCALES,
             along_line=line,
         )
         written = list(weight_update.LINE) if line else slice(None)
@@ -159,7 +162,7 @@ class FieldOperations(TaichiSide):
         rho = self.unknowns.rho
         coarse = self.problem.coarse[: self.n].astype(np.float32)
         return (
-            lambda: prolongation.prolong(self.grid, coarse, rho, ratio=RATIO),
+            lambda: prolongation.prolong(self.grid, coarse, rho, ratio=DENSITY_RATIO),
             lambda _: self.read(rho),
         )
 

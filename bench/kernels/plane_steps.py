@@ -7,7 +7,7 @@ import numpy as np
 from bench import reference
 from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
 from bench.kernels.traffic import VIEWS
-from bench.shared.problems import BORDER, Problem, single
+from bench.shared.problems import UNCERTAIN_BORDER, Problem, in_single_precision
 from tisfm.kernels.rigid.patch_match import STEEPEST, PlaneSearch, disagreement
 from tisfm.kernels.rigid.view_search import ABSENT, ViewSearch
 from tisfm.kernels.rigid.windows import LEVELS, UNSEEN
@@ -32,17 +32,17 @@ class Planes:
         rng, size = np.random.default_rng(6), (problem.height, problem.width)
         self.levels = [np.rint(np.clip(frame, 0, LEVELS)) for frame in problem.frames]
         slopes = 0.02 * rng.normal(size=(2, *size))
-        self.own = single(np.concatenate([problem.inverse_depth, slopes]))
+        self.own = in_single_precision(np.concatenate([problem.inverse_depth, slopes]))
         rows, columns = np.indices(size)
         depth = self.own[0].mean() + PLANE[0] * columns + PLANE[1] * rows
-        self.there = single(np.stack(np.broadcast_arrays(depth, *PLANE)))
+        self.there = in_single_precision(np.stack(np.broadcast_arrays(depth, *PLANE)))
         self.camera = problem.camera
         self.pose = motion[:, :3], motion[:, 3]
         u, v = reference.displacement(self.own[0], self.camera, *self.pose)
         x, y = columns + u, rows + v
         away = [x, x + 1 - problem.width, y, y + 1 - problem.height]
         # Pixels clearly inside or outside the image; for others rounding decides.
-        self.decided = (np.abs(np.abs(away) - 0.5) > BORDER).all(axis=0)
+        self.certain = (np.abs(np.abs(away) - 0.5) > UNCERTAIN_BORDER).all(axis=0)
 
     def cost(self, planes: np.ndarray) -> np.ndarray:
         """Return the cost of planes, (3, H, W), `UNSEEN` for windows without texture."""
@@ -69,7 +69,7 @@ class PlaneOperations(TaichiSide):
     def score(self) -> Timed:
         state = interleaved(self.planes.own)
         search = self._search()
-        return lambda: search.score(state), lambda _: (state[..., 3] * self.planes.decided)[None]
+        return lambda: search.score(state), lambda _: (state[..., 3] * self.planes.certain)[None]
 
     def improve(self) -> Timed:
         state, search = interleaved(self.planes.own), self._search()
@@ -84,7 +84,7 @@ class PlaneOperations(TaichiSide):
         options = {"center": p.camera.center_for(p.height, p.width), "focal": p.camera.focal}
         return (
             lambda: disagreement(*arrays, p.motions[0], out, **options),
-            lambda _: _known(out, planes.decided),
+            lambda _: _known(out, planes.certain),
         )
 
     def _search(self) -> PlaneSearch:
@@ -105,7 +105,7 @@ class PlaneReferences(NumpySide):
 
     def score(self) -> Run:
         planes = self.planes
-        return lambda: (planes.cost(planes.own) * planes.decided)[None]
+        return lambda: (planes.cost(planes.own) * planes.certain)[None]
 
     def improve(self) -> Run:
         planes = self.planes
@@ -115,7 +115,7 @@ class PlaneReferences(NumpySide):
         def run() -> np.ndarray:
             nonlocal state
             for color in range(2):
-                state = reference.improved_planes(
+                state = reference.improve_planes(
                     state, planes.cost, color=color, draws=DRAWS, bounds=BOUNDS, seed=color,
                     **options,
                 )  # fmt: skip
@@ -126,7 +126,7 @@ class PlaneReferences(NumpySide):
     def disagreement(self) -> Run:
         planes = self.planes
         arguments = planes.own, planes.there, planes.camera, *planes.pose
-        return lambda: _known(reference.plane_disagreement(*arguments), planes.decided)
+        return lambda: _known(reference.plane_disagreement(*arguments), planes.certain)
 
 
 def interleaved(planes: np.ndarray) -> np.ndarray:
@@ -136,9 +136,9 @@ def interleaved(planes: np.ndarray) -> np.ndarray:
     return state
 
 
-def _known(difference: np.ndarray, decided: np.ndarray) -> np.ndarray:
-    """Return a disagreement, -1 if infinite, of the decided pixels, (1, H, W)."""
-    return np.where(np.isfinite(difference), difference, -1)[None] * decided
+def _known(difference: np.ndarray, certain: np.ndarray) -> np.ndarray:
+    """Return a disagreement, -1 if infinite, at the certain pixels, (1, H, W)."""
+    return np.where(np.isfinite(difference), difference, -1)[None] * certain
 
 
 def summary(cost: np.ndarray) -> np.ndarray:
@@ -159,9 +159,9 @@ class Views:
         self.motions = problem.motions[:VIEWS]
         self._each = [Planes(problem, motion) for motion in self.motions]
         self.planes = self._each[0]
-        self.decided = np.logical_and.reduce([planes.decided for planes in self._each])
+        self.certain = np.logical_and.reduce([planes.certain for planes in self._each])
         # The kernel also computes costs of bare windows, which the reference skips.
-        self.seen = self.decided & (self.costs(self.planes.own)[0] < UNSEEN)
+        self.seen = self.certain & (self.costs(self.planes.own)[0] < UNSEEN)
 
     def costs(self, planes: np.ndarray) -> np.ndarray:
         """Return the costs of planes, (3, H, W), under each motion, as `Planes.cost`."""
@@ -181,7 +181,7 @@ class ViewOperations(TaichiSide):
 
     def views_score(self) -> Timed:
         state, search = interleaved(self.views.planes.own), self._views_search()
-        return lambda: search.score(state), lambda _: (state[..., 3] * self.views.decided)[None]
+        return lambda: search.score(state), lambda _: (state[..., 3] * self.views.certain)[None]
 
     def views_improve(self) -> Timed:
         state, search = interleaved(self.views.planes.own), self._views_search()
@@ -216,7 +216,7 @@ class ViewReferences(NumpySide):
 
     def views_score(self) -> Run:
         views = self.views
-        return lambda: (views.cost(views.planes.own) * views.decided)[None]
+        return lambda: (views.cost(views.planes.own) * views.certain)[None]
 
     def views_improve(self) -> Run:
         views = self.views
@@ -228,7 +228,7 @@ class ViewReferences(NumpySide):
         def run() -> np.ndarray:
             nonlocal state
             for color in range(2):
-                state = reference.improved_planes(
+                state = reference.improve_planes(
                     state, views.cost, color=color, draws=DRAWS, seed=color, **options
                 )
             return summary(state[3])

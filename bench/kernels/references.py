@@ -7,10 +7,10 @@ from bench.kernels.sides import NumpySide, Run
 from bench.shared.problems import (
     ALPHA,
     CONSTRAINTS,
-    RATE,
-    RATIO,
+    DATA_SCALES,
+    DENSITY_RATIO,
+    EDGE_RATE,
     RELAXATION,
-    SCALES,
     SMOOTHNESS,
     TOLERATED_SQUARE,
     UNIQUENESS,
@@ -47,7 +47,7 @@ class FieldReferences(NumpySide):
         def run() -> np.ndarray:
             terms = reference.constancy_constraints(*arguments, **CONSTRAINTS)
             tensors = reference.tensors_of(terms)
-            tensor = reference.robust_tensor(tensors, identity, p.flow, SCALES)
+            tensor = reference.robust_tensor(tensors, identity, p.flow, DATA_SCALES)
             return np.concatenate(
                 [*(term.reshape(-1, p.height, p.width) for term in terms), tensor]
             )
@@ -61,13 +61,13 @@ class FieldReferences(NumpySide):
 
         def run() -> np.ndarray:
             steps = np.abs(np.concatenate(reference.differences(np.array(image))))
-            edges = inside / (1 + RATE * steps)
+            edges = inside / (1 + EDGE_RATE * steps)
             return edges * (inside.sum() / edges.sum())
 
         return run
 
     def backward_flow(self) -> Run:
-        flow, bend = bent(self.problem.flow)
+        flow, bend = flow_and_bend(self.problem.flow)
         return lambda: bend - flow
 
     def join(self) -> Run:
@@ -79,7 +79,7 @@ class FieldReferences(NumpySide):
             after, earlier = trust * masks
             out[:] = (after * out + earlier * before) / np.maximum(1, after + earlier)
             tensor = np.zeros((6, *out.shape[1:]))
-            for lines, scale in ((out[:3], SCALES[0]), (out[3:], SCALES[1])):
+            for lines, scale in ((out[:3], DATA_SCALES[0]), (out[3:], DATA_SCALES[1])):
                 slope_x, slope_y, constant = (lines[k::3] for k in range(3))
                 squared = ((slope_x * p.flow[0] + slope_y * p.flow[1] + constant) ** 2).sum(axis=0)
                 root = np.sqrt(1 + squared / scale)
@@ -117,12 +117,12 @@ class FieldReferences(NumpySide):
             nonlocal before
             weights, tensor = before
             state = (self.motion, self.rho)
-            reference.robust_energy(terms, *state, SCALES)
+            reference.robust_energy(terms, *state, DATA_SCALES)
             reference.smoothness_energy(self.rho, smoothness)
             reference.half_quadratic_energy(tensor, *state, weights, ALPHA, smoothness)
             np.linalg.norm(self.rho - previous), np.linalg.norm(self.rho)
             previous[...] = self.rho
-            tensor = reference.robust_tensor(terms, *state, SCALES)
+            tensor = reference.robust_tensor(terms, *state, DATA_SCALES)
             weights = reference.edge_weights(self.rho, smoothness)
             before = weights, tensor
             shared = weights.reshape(2, self.n, *weights.shape[1:])[:, : 1 if joint else self.n]
@@ -134,7 +134,7 @@ class FieldReferences(NumpySide):
     def prolong(self) -> Run:
         p = self.problem
         coarse, shape = p.coarse[: self.n], (p.height, p.width)
-        return lambda: reference.prolong(coarse, shape, RATIO)
+        return lambda: reference.prolong(coarse, shape, DENSITY_RATIO)
 
     def data_precision(self) -> Run:
         n, motion = self.n, self.motion
@@ -197,7 +197,7 @@ class FieldReferences(NumpySide):
         return run
 
 
-def bent(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def flow_and_bend(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return a flow, and its bend: the difference of the motions after and before frame 0."""
     return flow, 0.1 * flow[::-1]
 

@@ -6,12 +6,12 @@ from bench import reference
 from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
 from bench.shared.problems import (
     AGGREGATION,
+    DATA_SCALES,
+    GUESS_TRUNCATION,
     HYPOTHESES,
-    NEAR,
-    SCALES,
     TOLERATED_SQUARE,
     Problem,
-    single,
+    in_single_precision,
 )
 from tisfm.kernels.layout.lanes import LaneData, aligned_zeros
 from tisfm.kernels.model import readout
@@ -26,7 +26,7 @@ from tisfm.kernels.rigid import (
 )
 from tisfm.reconstruction.depth.pose_adjustment import OUTLIER_SCALE
 
-HELD = 3.0  # weight of the smoothness of depth while the motion changes
+DEPTH_WEIGHT = 3.0  # weight of the smoothness of depth while the motion changes
 TINY = 1e-6  # least curvature of the costs
 
 
@@ -43,14 +43,14 @@ class DepthOperations(TaichiSide):
 
     def along(self) -> Timed:
         p = self.problem
-        moved, direction = np.split(displaced(p), 2)
+        moved, direction = np.split(displacement_of(p), 2)
         inputs = [self.lay(array) for array in (p.constraints, moved, direction, p.inverse_depth)]
         out = self.grid.allocate(len(p.constraints))
         return lambda: epipolar.along(self.grid, *inputs, out), lambda _: self.read(out)
 
     def add_along(self) -> Timed:
         p = self.problem
-        moved, direction = np.split(displaced(p), 2)
+        moved, direction = np.split(displacement_of(p), 2)
         arrays = p.tensor, moved, direction, p.inverse_depth, p.trust[None]
         inputs, out = [self.lay(array) for array in arrays], self.grid.allocate(3)
         return lambda: several_frames.add_along(self.grid, *inputs, out), lambda _: self.read(out)
@@ -64,7 +64,7 @@ class DepthOperations(TaichiSide):
 
     def squared_residual(self) -> Timed:
         p, out = self.problem, self.grid.allocate(1)
-        inputs = [self.lay(array) for array in (p.tensor, displaced(p)[:2])]
+        inputs = [self.lay(array) for array in (p.tensor, displacement_of(p)[:2])]
         return (
             lambda: shared_depth.squared_residual(self.grid, *inputs, out),
             lambda _: self.read(out),
@@ -77,16 +77,16 @@ class DepthOperations(TaichiSide):
         slopes, sums = self.grid.allocate(6), self.grid.allocate(2)
         motion = np.ascontiguousarray(p.motions[0], np.float32)
         options = {"number": 0, "motion": motion, "focal": p.camera.focal}
-        options["tolerated"] = tolerated(p)
+        options["tolerated"] = tolerated_square(p)
         return (
             lambda: shared_depth.add_frame(self.grid, *arguments, slopes, sums, **options),
             lambda result: np.column_stack(result),
         )
 
     def answered(self) -> Timed:
-        slopes, sums = (self.lay(array) for array in shared(self.problem))
+        slopes, sums = (self.lay(array) for array in shared_sums(self.problem))
         return (
-            lambda: shared_depth.answered(self.grid, slopes, sums, held=HELD),
+            lambda: shared_depth.answered(self.grid, slopes, sums, held=DEPTH_WEIGHT),
             lambda result: np.column_stack(result),
         )
 
@@ -99,7 +99,12 @@ class DepthOperations(TaichiSide):
             inverse_depth,
             labels,
         )
-        options = {"label": 0, "scales": SCALES, "held": HELD, "tolerated": TOLERATED_SQUARE}
+        options = {
+            "label": 0,
+            "scales": DATA_SCALES,
+            "held": DEPTH_WEIGHT,
+            "tolerated": TOLERATED_SQUARE,
+        }
         options |= self._motions()
         return (
             lambda: motion_system.motion_system(*arguments, **options),
@@ -119,11 +124,11 @@ class DepthOperations(TaichiSide):
             "focal": p.camera.focal,
             "first": HYPOTHESES[0],
             "step": HYPOTHESES[1] - HYPOTHESES[0],
-            "near": NEAR,
+            "near": GUESS_TRUNCATION,
         }
         return (
             lambda: plane_sweep.matching_cost(*arrays, *arguments, out, **options),
-            lambda _: np.moveaxis(out.reshape(p.cost.shape) * p.decided, -1, 0),
+            lambda _: np.moveaxis(out.reshape(p.cost.shape) * p.certain, -1, 0),
         )
 
     def aggregate(self) -> Timed:
@@ -177,11 +182,11 @@ class DepthReferences(NumpySide):
     """The same steps by `bench.reference`, or in plain NumPy."""
 
     def displacement(self) -> Run:
-        return lambda: displaced(self.problem)
+        return lambda: displacement_of(self.problem)
 
     def along(self) -> Run:
         p = self.problem
-        displacement = displaced(p)
+        displacement = displacement_of(p)
         terms = p.constraints.reshape(-1, 3, p.height, p.width)
 
         def run() -> np.ndarray:
@@ -196,12 +201,14 @@ class DepthReferences(NumpySide):
 
     def add_along(self) -> Run:
         p = self.problem
-        moved, direction = np.split(displaced(p), 2)
+        moved, direction = np.split(displacement_of(p), 2)
         sums = np.zeros((3, p.height, p.width))
 
         def run() -> np.ndarray:
             nonlocal sums
-            restricted = reference.along([p.tensor], moved, direction, p.inverse_depth[0])[0]
+            restricted = reference.restrict_to_line(
+                [p.tensor], moved, direction, p.inverse_depth[0]
+            )[0]
             sums = sums + p.trust * restricted[[0, 3, 5]]
             return sums
 
@@ -217,13 +224,13 @@ class DepthReferences(NumpySide):
         return run
 
     def squared_residual(self) -> Run:
-        p, moved = self.problem, displaced(self.problem)[:2]
+        p, moved = self.problem, displacement_of(self.problem)[:2]
         identity = reference.motion_matrix(p.camera, p.height, p.width, 2)
         return lambda: np.maximum(reference.residual(p.tensor, identity, moved), 0)[None]
 
     def add_frame(self) -> Run:
         p = self.problem
-        pose, limit = (p.motions[0, :, :3], p.motions[0, :, 3]), tolerated(p)
+        pose, limit = (p.motions[0, :, :3], p.motions[0, :, 3]), tolerated_square(p)
 
         def run() -> np.ndarray:
             trusted = p.tensor * p.trust / (1 + squares(p) / limit) ** 2
@@ -233,11 +240,11 @@ class DepthReferences(NumpySide):
         return run
 
     def answered(self) -> Run:
-        slopes, sums = shared(self.problem)
+        slopes, sums = shared_sums(self.problem)
         rows, (curvature, gradient) = slopes.reshape(len(slopes), -1), sums.reshape(2, -1)
 
         def run() -> np.ndarray:
-            answer = rows / (curvature + HELD)
+            answer = rows / (curvature + DEPTH_WEIGHT)
             return np.column_stack([answer @ rows.T, answer @ gradient])
 
         return run
@@ -245,17 +252,17 @@ class DepthReferences(NumpySide):
     def motion_system(self) -> Run:
         p, weights = self.problem, self.problem.weights(1)
         identity = reference.motion_matrix(p.camera, p.height, p.width, 2)
-        moved, pose = displaced(p)[:2], (p.motions[0, :, :3], p.motions[0, :, 3])
+        moved, pose = displacement_of(p)[:2], (p.motions[0, :, :3], p.motions[0, :, 3])
 
         def run() -> np.ndarray:
-            tensor = reference.robust_tensor(p.terms, identity, moved, SCALES)
+            tensor = reference.robust_tensor(p.terms, identity, moved, DATA_SCALES)
             squares = sum(reference.residual(term, identity, moved) for term in p.terms)
             east, south = np.pad(weights, ((0, 0), (1, 0), (1, 0)))
             around = east[1:, 1:] + east[1:, :-1] + south[1:, 1:] + south[:-1, 1:]
             trusted = (p.labels == 0) / (1 + squares / TOLERATED_SQUARE) ** 2
             return np.column_stack(
                 reference.motion_system(
-                    tensor * trusted, p.inverse_depth[0], HELD * around, p.camera, *pose
+                    tensor * trusted, p.inverse_depth[0], DEPTH_WEIGHT * around, p.camera, *pose
                 )
             )
 
@@ -268,8 +275,8 @@ class DepthReferences(NumpySide):
         def run() -> np.ndarray:
             cost = reference.matching_cost(*p.features, HYPOTHESES, p.camera, *pose)
             away = np.abs(HYPOTHESES - p.guess[..., None])
-            cost += p.trust[..., None] * np.minimum(1, away / NEAR)
-            return np.moveaxis(cost * p.decided, -1, 0)
+            cost += p.trust[..., None] * np.minimum(1, away / GUESS_TRUNCATION)
+            return np.moveaxis(cost * p.certain, -1, 0)
 
         return run
 
@@ -295,7 +302,7 @@ class DepthReferences(NumpySide):
         twists = p.twists[p.labels.astype(int)]
 
         def run() -> np.ndarray:
-            flow = displaced(p)[:2]
+            flow = displacement_of(p)[:2]
             rho = np.moveaxis(twists, 2, 0).copy()
             rho[:3] *= p.inverse_depth
             rho[:2] += flow - reference.flow(p.motion, rho)
@@ -304,7 +311,7 @@ class DepthReferences(NumpySide):
         return run
 
 
-def shared(p: Problem) -> tuple[np.ndarray, np.ndarray]:
+def shared_sums(p: Problem) -> tuple[np.ndarray, np.ndarray]:
     """Return aᵀJB of two frames, (12, H, W), and the sums of aᵀJa and aᵀe, (2, H, W)."""
     parts = [
         reference.frame_equations(
@@ -318,9 +325,11 @@ def shared(p: Problem) -> tuple[np.ndarray, np.ndarray]:
 
 def restricted_sums(problem: Problem) -> np.ndarray:
     """Return the tensor restricted to epipolar lines, A, B and C, (3, H, W)."""
-    moved, direction = np.split(displaced(problem), 2)
-    restricted = reference.along([problem.tensor], moved, direction, problem.inverse_depth[0])[0]
-    return single(restricted[[0, 3, 5]])
+    moved, direction = np.split(displacement_of(problem), 2)
+    restricted = reference.restrict_to_line(
+        [problem.tensor], moved, direction, problem.inverse_depth[0]
+    )[0]
+    return in_single_precision(restricted[[0, 3, 5]])
 
 
 def squares(problem: Problem) -> np.ndarray:
@@ -333,12 +342,12 @@ def squares(problem: Problem) -> np.ndarray:
     return result
 
 
-def tolerated(problem: Problem) -> float:
+def tolerated_square(problem: Problem) -> float:
     """Return the squared residual at which the weight in the adjustment is a quarter."""
     return OUTLIER_SCALE**2 * float(np.median(squares(problem)))
 
 
-def displaced(problem: Problem) -> np.ndarray:
+def displacement_of(problem: Problem) -> np.ndarray:
     """Return the flow under the motion of every pixel, and its derivative in D, (4, H, W)."""
     focal = problem.camera.focal
     ray = np.concatenate([-problem.motion[:, 2], np.ones((1, problem.height, problem.width))])

@@ -7,7 +7,7 @@ import numpy as np
 from bench import reference
 from bench.kernels.multigrid_steps import children, neighbours
 from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
-from bench.shared.problems import NOISE, RELAXATION, SCALES, Problem, single
+from bench.shared.problems import DATA_SCALES, RELAXATION, RHO_NOISE, Problem, in_single_precision
 from tisfm.kernels.layout.lanes import LaneData
 from tisfm.kernels.solve.coarsening import interpolation_columns
 from tisfm.kernels.solve.second_order import coarsening, line_search
@@ -27,18 +27,26 @@ class Surface:
         rng = np.random.default_rng(5)
         depth = problem.inverse_depth[0]
         true = np.stack([depth, *np.gradient(depth, SPACING, axis=(1, 0))])
-        self.rho, self.previous, other = single(true + NOISE * rng.normal(size=(3, *true.shape)))
-        self.step = single(self.rho - self.previous + other - true)
+        self.rho, self.previous, other = in_single_precision(
+            true + RHO_NOISE * rng.normal(size=(3, *true.shape))
+        )
+        self.step = in_single_precision(self.rho - self.previous + other - true)
         weight = rng.uniform(0.1, 1, depth.shape) * (rng.uniform(size=depth.shape) < ANCHORED)
-        self.anchors = single(np.stack([weight, depth + NOISE * rng.normal(size=depth.shape)]))
+        self.anchors = in_single_precision(
+            np.stack([weight, depth + RHO_NOISE * rng.normal(size=depth.shape)])
+        )
         self.smoothness = reference.SecondOrder(
             **STIFFNESS,
             contrasts=CONTRASTS,
             spacing=SPACING,
-            edges=single(rng.uniform(0.1, 2, (2, *depth.shape))),
+            edges=in_single_precision(rng.uniform(0.1, 2, (2, *depth.shape))),
         )
-        self.tensor = single(reference.anchor_tensor(self.previous[0], *self.anchors, ANCHOR_SCALE))
-        self.weights = single(reference.second_order_weights(self.previous, self.smoothness))
+        self.tensor = in_single_precision(
+            reference.anchor_tensor(self.previous[0], *self.anchors, ANCHOR_SCALE)
+        )
+        self.weights = in_single_precision(
+            reference.second_order_weights(self.previous, self.smoothness)
+        )
         # p and c of the constraints p D + c = 0: brightness, and both of its derivatives.
         self.lines = problem.constraints.reshape(3, 3, *depth.shape)[:, ::2]
 
@@ -72,7 +80,7 @@ class SecondOrderOperations(TaichiSide):
             self.lay(self.problem.constraints),
             contrasts=CONTRASTS,
             anchor_scale=ANCHOR_SCALE,
-            scales=SCALES,
+            scales=DATA_SCALES,
         )
         return run, lambda _: np.concatenate([self.read(array) for array in system.arrays])
 
@@ -151,7 +159,7 @@ class SecondOrderReferences(NumpySide):
             np.linalg.norm(depth - previous), np.linalg.norm(depth)
             previous[...] = depth
             terms = surface.lines[:1], surface.lines[1:]
-            _, tensor = reference.line_tensor(terms, depth, SCALES)
+            _, tensor = reference.line_tensor(terms, depth, DATA_SCALES)
             tensor += reference.anchor_tensor(depth, *surface.anchors, ANCHOR_SCALE)
             weights = reference.second_order_weights(rho, smoothness)
             before = tensor, weights

@@ -21,28 +21,28 @@ from rich.console import Console
 
 import tisfm
 from bench.depth.methods import FlowThenDepth
-from bench.depth.pairs import rendered
+from bench.depth.pairs import scene_pair
 from bench.depth.scores import depth_of
-from bench.objects.scores import Score, compared, details, table
+from bench.objects.scores import Score, compare_objects, details, table
 from bench.objects.statue import FOLDER, StatuePair, focals_of, interpret_pair, statue_pairs
 from bench.objects.statue import table as statue_table
 from bench.shared.command import (
     SMOKE_SIZE,
     choose,
+    command_text,
     options_parser,
     output_name,
     running_peers,
-    words_of,
 )
 from bench.shared.contest import MethodFailure
 from bench.shared.results import (
     RESULTS,
     Table,
     machine,
-    print_gaps,
-    text_of,
+    markdown_page,
+    print_missing,
     wide_console,
-    write,
+    write_results,
 )
 from bench.shared.sequences import data_folder
 from tisfm import runtime
@@ -113,7 +113,7 @@ def own_score(preset: Preset, group: str, name: str, pair: SyntheticPair) -> lis
         group=group,
         pair=name,
         seconds=seconds,
-        objects=compared(pair, result.depth, motions, result.labels),
+        objects=compare_objects(pair, result.depth, motions, result.labels),
         labels=len(motions),
     )
     return [score]
@@ -122,7 +122,7 @@ def own_score(preset: Preset, group: str, name: str, pair: SyntheticPair) -> lis
 def stage_scores(method: FlowThenDepth, group: str, name: str, pair: SyntheticPair) -> list[Score]:
     """Return the scores of the two stages after a flow, one for each threshold."""
     scores = []
-    for estimate in method.run(rendered(name, group, pair)):
+    for estimate in method.run(scene_pair(name, group, pair)):
         score = Score(
             method=estimate.method,
             group=group,
@@ -135,7 +135,7 @@ def stage_scores(method: FlowThenDepth, group: str, name: str, pair: SyntheticPa
             depth = depth_of(estimate.inverse_depth)
             score = replace(
                 score,
-                objects=compared(pair, depth, estimate.pose[None], None),
+                objects=compare_objects(pair, depth, estimate.pose[None], None),
                 one_scale=depth_errors(depth, pair.depth).abs_rel,
             )
         scores.append(score)
@@ -176,7 +176,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
                         statue.append(interpret_pair(preset, first, frame0, frame1, focal, origin))
     height, width = SMOKE_SIZE if options.smoke else SIZE
     conditions = {
-        "command": words_of("objects", options, [*WORDS, "statue"]),
+        "command": command_text("objects", options, [*WORDS, "statue"]),
         "scenes": f"{len(chosen)} of {height}×{width} px",
         "threads": options.threads,
         **machine(),
@@ -203,7 +203,7 @@ def report(measured: dict[str, Any]) -> str:
     blocks += ["## Every scene", details(measured["scores"])]
     absent = [f"missing: {name}: {why}" for name, why in measured["missing"].items()]
     title = "# Moving objects, beside two stages"
-    return text_of(title, measured["conditions"], [*NOTES, *absent], *blocks)
+    return markdown_page(title, measured["conditions"], [*NOTES, *absent], *blocks)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -217,13 +217,13 @@ def main(arguments: list[str] | None = None) -> int:
     plain = measured | {
         name: [asdict(score) for score in measured[name]] for name in ("scores", "statue")
     }
-    write(RESULTS / output_name(options, "objects"), report(measured), plain)
+    write_results(RESULTS / output_name(options, "objects"), report(measured), plain)
     console = wide_console()
     for group, scores in groups(measured["scores"]).items():
         console.print(group, table(scores).rich())
     if measured["statue"]:
         console.print("statue", statue_table(measured["statue"]).rich())
-    print_gaps(console, measured["missing"])
+    print_missing(console, measured["missing"])
     return 0
 
 

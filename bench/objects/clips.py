@@ -45,7 +45,7 @@ def grey_of(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(frame), cv2.COLOR_RGB2GRAY), np.uint8)
 
 
-def rendered_clip(*, small: bool = False) -> Clip:
+def render_clip(*, small: bool = False) -> Clip:
     """Return the film of three bodies."""
     height, width = (60, 80) if small else SIZE
     film = bodies_film(bodies_path(SMOKE_FRAMES if small else FRAMES), height, width)

@@ -7,9 +7,9 @@ from statistics import fmean, median
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.depth.pairs import AT_REST
-from bench.depth.scores import limited
-from bench.shared.results import EMPTY, Table
+from bench.depth.pairs import STATIC_LABELS
+from bench.depth.scores import limit_depth
+from bench.shared.results import EMPTY_CELL, Table
 from tisfm.metrics import depth_errors, pose_errors
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair
@@ -47,10 +47,10 @@ class Score:
 
 def true_objects(pair: SyntheticPair) -> NDArray[np.intp]:
     """Return the object of every pixel: 0 for the static scene, then the blocks."""
-    return np.maximum(pair.labels - AT_REST + 1, 0)
+    return np.maximum(pair.labels - STATIC_LABELS + 1, 0)
 
 
-def compared(
+def compare_objects(
     pair: SyntheticPair,
     depth: NDArray,  # (H, W); NaN without a depth
     motions: NDArray,  # (K, 4, 4); motion of each label
@@ -65,7 +65,7 @@ def compared(
         counted = mask & pair.visible
         if labels is not None:
             counted &= labels == partner
-        truth = pose_matrix(pair.motions[0 if number == 0 else AT_REST + number - 1])
+        truth = pose_matrix(pair.motions[0 if number == 0 else STATIC_LABELS + number - 1])
         errors.append(
             SceneObject(
                 iou=iou,
@@ -119,9 +119,9 @@ def table(scores: Sequence[Score]) -> Table:
         rows.append(
             [
                 method if threshold is None else f"{method} ({threshold:g} px)",
-                f"{sum(s.complete for s in chosen)} of {len(chosen)}" if ious else EMPTY,
-                f"{min(ious):.3f}" if ious else EMPTY,
-                f"{fmean(ious):.3f}" if ious else EMPTY,
+                f"{sum(s.complete for s in chosen)} of {len(chosen)}" if ious else EMPTY_CELL,
+                f"{min(ious):.3f}" if ious else EMPTY_CELL,
+                f"{fmean(ious):.3f}" if ious else EMPTY_CELL,
                 *(
                     [
                         f"{fmean(t.abs_rel for t in at_rest):.4f}",
@@ -131,9 +131,9 @@ def table(scores: Sequence[Score]) -> Table:
                         _directions(moving, 1),
                     ]
                     if scenes
-                    else [EMPTY] * 5
+                    else [EMPTY_CELL] * 5
                 ),
-                f"{fmean(whole):.3f}" if whole else EMPTY,
+                f"{fmean(whole):.3f}" if whole else EMPTY_CELL,
                 f"{median(s.seconds for s in chosen):#.3g}",
             ]
         )
@@ -161,7 +161,7 @@ def details(scores: Sequence[Score]) -> Table:
 def _directions(objects: Sequence[SceneObject], digits: int) -> str:
     """Return the mean error of the known directions."""
     known = [item.direction for item in objects if item.direction is not None]
-    return f"{fmean(known):.{digits}f}" if known else EMPTY
+    return f"{fmean(known):.{digits}f}" if known else EMPTY_CELL
 
 
 def _partner(labels: NDArray, mask: NDArray) -> tuple[int, float]:
@@ -179,4 +179,4 @@ def _abs_rel(depth: NDArray, truth: NDArray, counted: NDArray) -> float:
     part = np.where(counted, depth, np.nan)
     if not np.isfinite(part).any():
         return 1.0
-    return depth_errors(limited(part), truth, counted).abs_rel
+    return depth_errors(limit_depth(part), truth, counted).abs_rel

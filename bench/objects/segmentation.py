@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from bench.objects.clips import neighbours
 
-_CORNERS = 1000  # tracked between frames, at most
-_RANSAC = 1.5  # px, RANSAC threshold for tracked corners
-REACH = 8  # frames before, and as many after, in the mixture of Gaussians
-LEAST_AREA = 0.002  # of the image: smaller parts are dropped as noise; set by hand
-_LAST = 10  # frames after which an unseen label is forgotten; set by hand
-_LABELS = 255  # labels, at most, in 8 bits
+MAX_CORNERS = 1000  # tracked between frames, at most
+CORNER_THRESHOLD = 1.5  # px, RANSAC threshold for tracked corners
+MIXTURE_FRAMES = 8  # frames before, and as many after, in the mixture of Gaussians
+MIN_AREA = 0.002  # of the image: smaller parts are dropped as noise; set by hand
+MAX_UNSEEN_FRAMES = 10  # frames after which an unseen label is forgotten; set by hand
+MAX_LABEL = 255  # labels, at most, in 8 bits
 
 
 def homographies(grey: Sequence[NDArray]) -> list[NDArray[np.float64]]:
@@ -25,21 +25,23 @@ def homographies(grey: Sequence[NDArray]) -> list[NDArray[np.float64]]:
     """
     matrices = []
     for frame, following in pairwise(grey):
-        corners = cv2.goodFeaturesToTrack(frame, _CORNERS, 0.005, 5)
+        corners = cv2.goodFeaturesToTrack(frame, MAX_CORNERS, 0.005, 5)
         matrix = None
         if corners is not None and len(corners) >= 4:
             moved, good, _ = cv2.calcOpticalFlowPyrLK(frame, following, corners, None)  # type: ignore[call-overload]
             valid = good.ravel() == 1
             if valid.sum() >= 4:
-                matrix, _ = cv2.findHomography(corners[valid], moved[valid], cv2.RANSAC, _RANSAC)
+                matrix, _ = cv2.findHomography(
+                    corners[valid], moved[valid], cv2.RANSAC, CORNER_THRESHOLD
+                )
         matrices.append(np.eye(3) if matrix is None else np.asarray(matrix, np.float64))
     return matrices
 
 
-def between(steps: Sequence[NDArray], first: int, second: int) -> NDArray[np.float64]:
+def homography_between(steps: Sequence[NDArray], first: int, second: int) -> NDArray[np.float64]:
     """Return the homography from one frame to another, in either direction."""
     if second < first:
-        return np.asarray(np.linalg.inv(between(steps, second, first)))
+        return np.asarray(np.linalg.inv(homography_between(steps, second, first)))
     return np.asarray(reduce(lambda whole, step: step @ whole, steps[first:second], np.eye(3)))
 
 
@@ -60,7 +62,7 @@ def differences(
     result = []
     for number, frame in enumerate(smooth):
         each = [
-            np.abs(frame - _warped(smooth[other], between(steps, number, other), np.nan))
+            np.abs(frame - _warped(smooth[other], homography_between(steps, number, other), np.nan))
             for other in (number - gap, number + gap)
             if 0 <= other < len(frames)
         ]
@@ -83,16 +85,16 @@ def mixtures(
     """Return the foreground of OpenCV's MOG2 from neighbours warped to each frame."""
     masks = []
     for number, frame in enumerate(frames):
-        model = cv2.createBackgroundSubtractorMOG2(2 * REACH, threshold, False)
-        for other in neighbours(len(frames), number, gap, gap + REACH):
+        model = cv2.createBackgroundSubtractorMOG2(2 * MIXTURE_FRAMES, threshold, False)
+        for other in neighbours(len(frames), number, gap, gap + MIXTURE_FRAMES):
             # Where a neighbour shows no pixel, the pixel of the frame is used.
-            moved = _warped(frames[other], between(steps, number, other), None, frame)
+            moved = _warped(frames[other], homography_between(steps, number, other), None, frame)
             model.apply(moved)
         masks.append((model.apply(frame, learningRate=0) > 0).astype(np.uint8))
     return masks
 
 
-def cleaned(mask: NDArray) -> NDArray[np.uint8]:
+def clean_mask(mask: NDArray) -> NDArray[np.uint8]:
     """Return a mask, 0 or 1, after opening and closing."""
     size = max(3, round(mask.shape[1] / 100) | 1)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
@@ -130,16 +132,16 @@ def _warped(
     )
 
 
-_STRIDE = 4  # px between the pixels that are fitted
-_FLOW_RANSAC = 1.0  # px, threshold for flow
-_SAMPLES = 4000  # pixels for the centres of clusters
-_NEAR = 0.15  # of the image width: distance that counts as much as 1 px of flow
+SAMPLE_STRIDE = 4  # px between the pixels that are fitted
+FLOW_THRESHOLD = 1.0  # px, threshold for flow
+CLUSTER_SAMPLES = 4000  # pixels for the centres of clusters
+POSITION_SCALE = 0.15  # of the image width: distance that counts as much as 1 px of flow
 
 
-def off_homography(flow: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def homography_residual(flow: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the flow minus that of its dominant homography, (H, W, 2), and its length, px."""
     start, end, x, y = _samples(flow)
-    matrix, _ = cv2.findHomography(start, end, cv2.RANSAC, _FLOW_RANSAC)
+    matrix, _ = cv2.findHomography(start, end, cv2.RANSAC, FLOW_THRESHOLD)
     if matrix is None:
         return flow, np.zeros(flow.shape[:2], np.float32)
     moved = cv2.perspectiveTransform(np.stack([x, y], axis=-1).reshape(1, -1, 2), matrix)
@@ -148,10 +150,10 @@ def off_homography(flow: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float
     return residual, np.linalg.norm(residual, axis=2)
 
 
-def off_epipolar_lines(flow: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def epipolar_distance(flow: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the flow, and its distance from the dominant epipolar lines (Sampson), px."""
     start, end, x, y = _samples(flow)
-    matrix, _ = cv2.findFundamentalMat(start, end, cv2.FM_RANSAC, _FLOW_RANSAC, 0.99)
+    matrix, _ = cv2.findFundamentalMat(start, end, cv2.FM_RANSAC, FLOW_THRESHOLD, 0.99)
     if matrix is None or matrix.shape != (3, 3):
         return flow, np.zeros(flow.shape[:2], np.float32)
     ones = np.ones_like(x)
@@ -173,11 +175,11 @@ def clusters(
     rows, columns = np.nonzero(moving)
     if count == 1 or len(rows) < 10 * count:
         return labels
-    near = _NEAR * moving.shape[1]
+    near = POSITION_SCALE * moving.shape[1]
     features = np.column_stack([residual[rows, columns], columns / near, rows / near]).astype(
         np.float32
     )
-    chosen = np.linspace(0, len(rows) - 1, min(_SAMPLES, len(rows))).astype(np.intp)
+    chosen = np.linspace(0, len(rows) - 1, min(CLUSTER_SAMPLES, len(rows))).astype(np.intp)
     cv2.setRNGSeed(0)
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 20, 0.1)
     _, _, centres = cv2.kmeans(features[chosen], count, None, stop, 3, cv2.KMEANS_PP_CENTERS)  # type: ignore[call-overload]
@@ -189,17 +191,17 @@ def clusters(
 def _samples(flow: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """Return some pixels and the ends of their flow, (n, 2) each, and x and y of all pixels."""
     y, x = (grid.astype(np.float32) for grid in np.mgrid[: flow.shape[0], : flow.shape[1]])
-    some = np.s_[_STRIDE // 2 :: _STRIDE, _STRIDE // 2 :: _STRIDE]
+    some = np.s_[SAMPLE_STRIDE // 2 :: SAMPLE_STRIDE, SAMPLE_STRIDE // 2 :: SAMPLE_STRIDE]
     start = np.column_stack([x[some].ravel(), y[some].ravel()])
     return start, start + flow[some].reshape(-1, 2), x, y
 
 
-def as_one(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
+def one_label(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
     """Return label 1 for all moving pixels."""
     return [(mask > 0).astype(np.uint8) for mask in masks]
 
 
-def tracked(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
+def track_parts(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
     """Return labels of connected parts, which overlapping parts of later frames inherit.
 
     `masks`, (H, W) for each frame, are 0 for static pixels; parts with different values are
@@ -213,10 +215,12 @@ def tracked(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
     for number, mask in enumerate(masks):
         label = np.zeros(mask.shape, np.uint8)
         pairs, used = [], set()
-        components = parts(mask)
+        components = connected_parts(mask)
         for index, part in enumerate(components):
             for known, last in masks_by_label.items():
-                if number - seen[known] <= _LAST and (shared := int((part & last).sum())):
+                if number - seen[known] <= MAX_UNSEEN_FRAMES and (
+                    shared := int((part & last).sum())
+                ):
                     pairs.append((shared, index, known))
         names: dict[int, int] = {}
         for _, index, known in sorted(pairs, reverse=True):
@@ -225,7 +229,7 @@ def tracked(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
                 used.add(known)
         for index, part in enumerate(components):
             if index not in names:
-                if following > _LABELS:
+                if following > MAX_LABEL:
                     continue
                 names[index], following = following, following + 1
             name = names[index]
@@ -235,7 +239,7 @@ def tracked(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
     return labels
 
 
-def parts(mask: NDArray) -> list[NDArray[np.bool_]]:
+def connected_parts(mask: NDArray) -> list[NDArray[np.bool_]]:
     """Return the connected parts of each value that are large enough, the largest first."""
     areas_and_parts = []
     for value in np.unique(mask[mask > 0]):
@@ -243,7 +247,6 @@ def parts(mask: NDArray) -> list[NDArray[np.bool_]]:
         areas = np.bincount(components.ravel())
         areas[0] = 0
         areas_and_parts += [
-            (int(areas[k]), components == k)
-            for k in np.flatnonzero(areas >= LEAST_AREA * mask.size)
+            (int(areas[k]), components == k) for k in np.flatnonzero(areas >= MIN_AREA * mask.size)
         ]
     return [part for _, part in sorted(areas_and_parts, key=lambda item: -item[0])]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import tisfm
 from bench.objects import segmentation
 from bench.objects.clips import Clip
-from bench.objects.segmentation import as_one, tracked
+from bench.objects.segmentation import one_label, track_parts
 from bench.shared.contest import MethodFailure
 from bench.shared.peer_process import Peer
 from bench.shared.sequences import FlowPair
@@ -27,17 +27,17 @@ VARIANCES = (4.0, 9.0, 16.0)  # squared deviations
 RESIDUALS = (0.5, 1.0, 2.0, 3.0)  # px
 COUNTS = (1, 3)  # clusters
 MODELS = {
-    "homography": segmentation.off_homography,
-    "epipolar lines": segmentation.off_epipolar_lines,
+    "homography": segmentation.homography_residual,
+    "epipolar lines": segmentation.epipolar_distance,
 }
 TRACKERS: dict[str, Callable[[Sequence[NDArray]], list[NDArray[np.uint8]]]] = {
-    "one label": as_one,
-    "parts tracked": tracked,
+    "one label": one_label,
+    "parts tracked": track_parts,
 }
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Found:
+class ClipLabels:
     """Labels of a method for a clip."""
 
     variant: str  # its parameters; "" for a method without variants
@@ -54,7 +54,7 @@ class Labeller(Protocol):
     def name(self) -> str:
         """Name in the tables."""
 
-    def run(self, clip: Clip) -> Iterator[Found]:
+    def run(self, clip: Clip) -> Iterator[ClipLabels]:
         """Yield the labels of each variant, or raise `MethodFailure`."""
 
 
@@ -63,15 +63,15 @@ class Differences:
 
     name = "homography + difference"
 
-    def run(self, clip: Clip) -> Iterator[Found]:
+    def run(self, clip: Clip) -> Iterator[ClipLabels]:
         """Yield the labels for each gap, threshold and tracker."""
-        steps, aligning = timed(segmentation.homographies, clip.grey)
+        steps, aligning = measure_time(segmentation.homographies, clip.grey)
         for gap, both in product(GAPS, (True, False)):
-            differences, seconds = timed(
+            differences, seconds = measure_time(
                 segmentation.differences, clip.frames, steps, gap, both=both
             )
             for threshold in DIFFERENCES:
-                masks, cleaning = timed(_above, differences, threshold)
+                masks, cleaning = measure_time(_above, differences, threshold)
                 neighbours = "both" if both else "either"
                 choice = f"{neighbours} at {gap} frames, {threshold:g} grey levels"
                 yield from _by_tracker(choice, masks, aligning + seconds + cleaning)
@@ -82,12 +82,14 @@ class Mixtures:
 
     name = "homography + MOG2"
 
-    def run(self, clip: Clip) -> Iterator[Found]:
+    def run(self, clip: Clip) -> Iterator[ClipLabels]:
         """Yield the labels for each gap, threshold and tracker."""
-        steps, aligning = timed(segmentation.homographies, clip.grey)
+        steps, aligning = measure_time(segmentation.homographies, clip.grey)
         for gap, threshold in product(NEAREST, VARIANCES):
-            foreground, seconds = timed(segmentation.mixtures, clip.frames, steps, gap, threshold)
-            masks, cleaning = timed(_above, foreground, 0)
+            foreground, seconds = measure_time(
+                segmentation.mixtures, clip.frames, steps, gap, threshold
+            )
+            masks, cleaning = measure_time(_above, foreground, 0)
             choice = f"from {gap} frames on, varThreshold {threshold:g}"
             yield from _by_tracker(choice, masks, aligning + seconds + cleaning)
 
@@ -99,17 +101,19 @@ class FlowClusters:
         self._peer = peer
         self.name = f"{peer.name} + clusters"
 
-    def run(self, clip: Clip) -> Iterator[Found]:
+    def run(self, clip: Clip) -> Iterator[ClipLabels]:
         """Yield the labels for each background model, threshold, count and tracker."""
         flows, flowing = self._flows(clip)
         for name, model in MODELS.items():
-            residuals, fitting = timed(
+            residuals, fitting = measure_time(
                 lambda flows, fit: [fit(flow) for flow in flows], flows, model
             )
             for threshold in RESIDUALS:
-                masks, cleaning = timed(_above, [length for _, length in residuals], threshold)
+                masks, cleaning = measure_time(
+                    _above, [length for _, length in residuals], threshold
+                )
                 for count in COUNTS:
-                    labels, seconds = timed(_clustered, residuals, masks, count)
+                    labels, seconds = measure_time(_clustered, residuals, masks, count)
                     labels.append(labels[-1])  # the last frame has no flow
                     choice = f"{name}, {threshold:g} px, {count} clusters"
                     seconds += flowing + fitting + cleaning
@@ -139,11 +143,11 @@ class Reconstruct:
         self._preset = preset
         self.name = f"tisfm {preset}, objects"
 
-    def run(self, clip: Clip) -> Iterator[Found]:
+    def run(self, clip: Clip) -> Iterator[ClipLabels]:
         """Yield the labels; the camera is given if it is known."""
         settings = Settings.preset(self._preset, motion="objects")
         try:
-            result, seconds = timed(
+            result, seconds = measure_time(
                 tisfm.reconstruct, clip.frames, camera=clip.camera, settings=settings
             )
         except (TypeError, ValueError, RuntimeError) as error:
@@ -152,7 +156,7 @@ class Reconstruct:
             raise MethodFailure(" ".join(str(error).split())) from None
         if not hasattr(result, "labels"):
             raise MethodFailure("the result has no labels")
-        yield Found(
+        yield ClipLabels(
             variant="",
             labels=[np.asarray(result.labels(k)) for k in range(len(clip.frames))],
             seconds=seconds,
@@ -161,7 +165,9 @@ class Reconstruct:
         )
 
 
-def timed(function: Callable[..., Any], *arguments: Any, **options: Any) -> tuple[Any, float]:
+def measure_time(
+    function: Callable[..., Any], *arguments: Any, **options: Any
+) -> tuple[Any, float]:
     """Return the result of a function, and its time, s."""
     started = time.perf_counter()
     answer = function(*arguments, **options)
@@ -170,7 +176,7 @@ def timed(function: Callable[..., Any], *arguments: Any, **options: Any) -> tupl
 
 def _above(values: Sequence[NDArray], threshold: float) -> list[NDArray[np.uint8]]:
     """Return where the values of each frame are above a threshold, after opening and closing."""
-    return [segmentation.cleaned(value > threshold) for value in values]
+    return [segmentation.clean_mask(value > threshold) for value in values]
 
 
 def _clustered(
@@ -185,10 +191,10 @@ def _clustered(
 
 def _by_tracker(
     choice: str, masks: list[NDArray], seconds: float, clusters: int = 1
-) -> Iterator[Found]:
+) -> Iterator[ClipLabels]:
     """Yield the labels of each tracker; numbers of clusters change from frame to frame."""
     for name, track in TRACKERS.items():
         if name == "one label" and clusters > 1:
             continue
-        labels, tracking = timed(track, masks)
-        yield Found(variant=f"{choice}, {name}", labels=labels, seconds=seconds + tracking)
+        labels, tracking = measure_time(track, masks)
+        yield ClipLabels(variant=f"{choice}, {name}", labels=labels, seconds=seconds + tracking)

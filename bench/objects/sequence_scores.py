@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.objects.clips import Clip
-from bench.objects.sequence_methods import Found
-from bench.shared.results import EMPTY, Table
+from bench.objects.sequence_methods import ClipLabels
+from bench.shared.results import EMPTY_CELL, Table
 from tisfm.metrics import LabelScores, ObjectPathErrors, label_scores, object_path_errors
 
 
@@ -31,7 +31,7 @@ class ClipScore:
     failure: str = ""
 
 
-def scored(method: str, clip: Clip, result: Found) -> ClipScore:
+def score_clip(method: str, clip: Clip, result: ClipLabels) -> ClipScore:
     """Compare the labels of a method with the truth."""
     scores = label_scores(result.labels, clip.truth)
     present = sum(item.present for item in scores.objects)
@@ -48,7 +48,9 @@ def scored(method: str, clip: Clip, result: Found) -> ClipScore:
     )
 
 
-def _paths(clip: Clip, result: Found, scores: LabelScores) -> tuple[ObjectPathErrors | None, ...]:
+def _paths(
+    clip: Clip, result: ClipLabels, scores: LabelScores
+) -> tuple[ObjectPathErrors | None, ...]:
     """Compare the path of each object with the true one, if both are known."""
     if clip.film is None or result.cameras is None:
         return ()
@@ -93,12 +95,14 @@ def table(scores: Sequence[ClipScore]) -> Table:
         name = method + (f" ({chosen[0].variant})" if chosen[0].variant else "")
         row = [name, *(_iou(by_clip.get(clip)) for clip in clips)]
         if several:
-            row.append(f"{fmean(s.iou for s in good):.3f}" if len(good) == len(clips) else EMPTY)
+            row.append(
+                f"{fmean(s.iou for s in good):.3f}" if len(good) == len(clips) else EMPTY_CELL
+            )
         if good:
             row.append(f"{100 * fmean(s.followed for s in good):.0f}")
             row += [str(sum(s.switches for s in good)), f"{fmean(s.seconds for s in good):#.3g}"]
         else:
-            row += [EMPTY] * 3
+            row += [EMPTY_CELL] * 3
         if paths:
             row += _path_cells([error for s in good for error in s.paths])
         rows.append(row)
@@ -113,13 +117,13 @@ def details(scores: Sequence[ClipScore]) -> Table:
         rows_of_variant = [
             s for s in scores if (s.method, s.variant) == (method, variant) and not s.failure
         ]
-        row = [method, variant or EMPTY]
+        row = [method, variant or EMPTY_CELL]
         for group in groups:
             of_group = [s for s in rows_of_variant if s.group == group]
             row += (
                 [f"{fmean(s.iou for s in of_group):.3f}", str(sum(s.switches for s in of_group))]
                 if of_group
-                else [EMPTY] * 2
+                else [EMPTY_CELL] * 2
             )
         rows.append(row)
     head = [word for group in groups for word in (f"{group} IoU", f"{group} switches")]
@@ -127,7 +131,7 @@ def details(scores: Sequence[ClipScore]) -> Table:
 
 
 def _iou(score: ClipScore | None) -> str:
-    return EMPTY if score is None or score.failure else f"{score.iou:.3f}"
+    return EMPTY_CELL if score is None or score.failure else f"{score.iou:.3f}"
 
 
 def _path_cells(errors: Sequence[ObjectPathErrors | None]) -> list[str]:
@@ -135,7 +139,7 @@ def _path_cells(errors: Sequence[ObjectPathErrors | None]) -> list[str]:
     known = [error for error in errors if error is not None]
     shares = [100 * error.share for error in known if error.share is not None]
     if not shares:
-        return [EMPTY] * 2
+        return [EMPTY_CELL] * 2
     lost = len(errors) - len(known)
     note = f" ({lost} not found)" if lost else ""
     return [f"{fmean(shares):.1f}{note}", f"{fmean(error.rotation for error in known):.1f}"]

@@ -15,7 +15,7 @@ from typing import Any
 from rich.console import Console
 
 from bench.objects.__main__ import FLOWS, WORDS, groups
-from bench.objects.clips import BODIES, DAVIS, Clip, davis_clip, davis_folders, rendered_clip
+from bench.objects.clips import BODIES, DAVIS, Clip, davis_clip, davis_folders, render_clip
 from bench.objects.sequence_methods import (
     Differences,
     FlowClusters,
@@ -23,17 +23,17 @@ from bench.objects.sequence_methods import (
     Mixtures,
     Reconstruct,
 )
-from bench.objects.sequence_scores import ClipScore, details, scored, table
-from bench.shared.command import choose, options_parser, output_name, running_peers, words_of
+from bench.objects.sequence_scores import ClipScore, details, score_clip, table
+from bench.shared.command import choose, command_text, options_parser, output_name, running_peers
 from bench.shared.contest import MethodFailure
 from bench.shared.results import (
     RESULTS,
     Table,
     machine,
-    print_gaps,
-    text_of,
+    markdown_page,
+    print_missing,
     wide_console,
-    write,
+    write_results,
 )
 from bench.shared.sequences import data_folder
 from tisfm import runtime
@@ -73,7 +73,7 @@ def clips(options: argparse.Namespace) -> Iterator[Clip]:
     named: list[Path | None] = [None, *([] if folder is None else davis_folders(folder))]
     chosen = choose(named, options.pairs, kind="clip", name=lambda it: it.name if it else "bodies")
     for item in chosen:
-        yield rendered_clip(small=options.smoke) if item is None else davis_clip(item)
+        yield render_clip(small=options.smoke) if item is None else davis_clip(item)
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
@@ -98,7 +98,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     if not any(score.group == DAVIS for score in scores):
         missing["DAVIS"] = "small scenes alone" if options.smoke else "no folder has it"
     conditions = {
-        "command": words_of("objects.sequences", options, WORDS),
+        "command": command_text("objects.sequences", options, WORDS),
         "clips": ", ".join(sizes),
         "threads": options.threads,
         **machine(),
@@ -110,7 +110,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 def score_all(method: Labeller, clip: Clip) -> list[ClipScore]:
     """Return the scores of every variant of a method, or a score with its failure."""
     try:
-        return [scored(method.name, clip, labels) for labels in method.run(clip)]
+        return [score_clip(method.name, clip, labels) for labels in method.run(clip)]
     except MethodFailure as failure:
         return [
             ClipScore(
@@ -137,7 +137,7 @@ def report(measured: dict[str, Any]) -> str:
     absent = [f"missing: {name}: {why}" for name, why in measured["missing"].items()]
     notes = [*NOTES, *absent, *failures(measured["scores"])]
     title = "# Moving objects over whole sequences"
-    return text_of(title, measured["conditions"], notes, *blocks)
+    return markdown_page(title, measured["conditions"], notes, *blocks)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -149,13 +149,13 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"bench.objects.sequences: {error}", file=sys.stderr)
         return 2
     plain = measured | {"scores": [asdict(score) for score in measured["scores"]]}
-    write(RESULTS / output_name(options, "objects_sequences"), report(measured), plain)
+    write_results(RESULTS / output_name(options, "objects_sequences"), report(measured), plain)
     console = wide_console()
     for group, scores in groups(measured["scores"]).items():
         console.print(group, table(scores).rich())
     for line in failures(measured["scores"]):
         console.print(line, highlight=False, markup=False)
-    print_gaps(console, measured["missing"])
+    print_missing(console, measured["missing"])
     return 1 if failures(measured["scores"]) else 0
 
 

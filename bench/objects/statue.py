@@ -17,11 +17,11 @@ from tisfm.formats import read_image
 from tisfm.settings import Preset, Settings
 
 FOLDER = "statue"
-STEP = 3  # frames between both frames of a pair; in that time both people move by some 3 px
-EVERY = 2  # frames from one pair to the next
+FRAME_STEP = 3  # frames between both frames of a pair; in that time both people move by some 3 px
+PAIR_STEP = 2  # frames from one pair to the next
 FOCALS = (384.0, 600.0)  # px: the guess for this image size, and the paper's; the truth is unknown
 ESTIMATED = "estimated"  # origin of the focal length from all frames
-LEAST = 0.5  # least share of labelled pixels of a patch that counts as labelled
+MIN_LABELLED_SHARE = 0.5  # least share of labelled pixels of a patch that counts as labelled
 # Centres of the man's upper body and of the cyclist's in every second frame, px.
 MAN = (
     (55, 107), (63, 107), (73, 106), (77, 102), (81, 106), (88, 111), (94, 111), (96, 107),
@@ -53,8 +53,8 @@ class StatuePair:
 def statue_pairs(data: Path) -> Iterator[tuple[int, NDArray, NDArray]]:
     """Yield the number of the first frame, and both frames, of every pair."""
     files = sorted((data / FOLDER).iterdir())
-    for first in range(0, min(len(files) - STEP, EVERY * len(MAN)), EVERY):
-        yield first, read_image(files[first]), read_image(files[first + STEP])
+    for first in range(0, min(len(files) - FRAME_STEP, PAIR_STEP * len(MAN)), PAIR_STEP):
+        yield first, read_image(files[first]), read_image(files[first + FRAME_STEP])
 
 
 def focals_of(data: Path) -> dict[float, str]:
@@ -79,8 +79,8 @@ def interpret_pair(
     result = tisfm.interpret(frame0, frame1, camera=tisfm.Camera(focal=focal), settings=settings)
     seconds = time.perf_counter() - started
     assert result.labels is not None and result.motions is not None  # this motion model has them
-    man = _label(result.labels, MAN[first // EVERY], MAN_SIZE)
-    cyclist = _label(result.labels, CYCLIST[first // EVERY], CYCLIST_SIZE)
+    man = _label(result.labels, MAN[first // PAIR_STEP], MAN_SIZE)
+    cyclist = _label(result.labels, CYCLIST[first // PAIR_STEP], CYCLIST_SIZE)
     return StatuePair(
         method=f"tisfm {preset}, objects",
         pair=f"{FOLDER} {first}",
@@ -121,4 +121,4 @@ def _label(labels: NDArray, centre: tuple[int, int], size: tuple[int, int]) -> i
     patch = labels[y - height // 2 : y + height // 2 + 1, x - width // 2 : x + width // 2 + 1]
     areas = np.bincount(patch.ravel())
     label = int(areas.argmax())
-    return label if areas[label] >= LEAST * patch.size else 0
+    return label if areas[label] >= MIN_LABELLED_SHARE * patch.size else 0

@@ -4,13 +4,15 @@ import numpy as np
 
 from tisfm.camera import Camera
 
-ALIKE = 0.05  # relative difference of inverse depth between pixels of one surface, at most
-SUREST = 1e-3  # least deviation that is trusted, as a share of the inverse depth
+MAX_RELATIVE_STEP = (
+    0.05  # relative difference of inverse depth between pixels of one surface, at most
+)
+MIN_RELATIVE_DEVIATION = 1e-3  # least deviation that is trusted, as a share of the inverse depth
 RADIUS = 3  # px
-FADING = 0.1
+DISTANCE_WEIGHT = 0.1
 
 
-def rendered(
+def render_depth(
     inverse_depth: np.ndarray,  # (H, W) of the first view; 0 is unknown
     deviation: np.ndarray,
     rotation: np.ndarray,  # (3, 3), from the first view's axes to the other's
@@ -41,7 +43,7 @@ def rendered(
             depth, deviation_of_depth = start, 0.0
             for _ in range(2):
                 if depth > 0:
-                    depth, deviation_of_depth = _looked_up(
+                    depth, deviation_of_depth = _sample(
                         inverse_depth,
                         deviation,
                         rays[:, y, x],
@@ -57,7 +59,7 @@ def rendered(
     return out, spread
 
 
-def _looked_up(
+def _sample(
     inverse_depth: np.ndarray,
     deviation: np.ndarray,
     ray: np.ndarray,
@@ -83,7 +85,7 @@ def _looked_up(
             if not (0 <= down < height and 0 <= right < width):
                 continue
             value_there = inverse_depth[down, right]
-            if value_there > 0 and abs(value_there - expected) < ALIKE * expected:
+            if value_there > 0 and abs(value_there - expected) < MAX_RELATIVE_STEP * expected:
                 weight = (1 - abs(column - right)) * (1 - abs(row - down))
                 total += weight
                 depth += weight * value_there
@@ -99,7 +101,7 @@ def _looked_up(
     return depth / moved, spread * abs(turned) / moved**2
 
 
-def merged(
+def merge_depths(
     inverse_depths: np.ndarray, deviations: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the means of inverse depth and deviation over the sources that agree most at a pixel.
@@ -108,7 +110,7 @@ def merged(
     differ by less than the share `tolerance` of the larger inverse depth.
     """
     known = inverse_depths > 0
-    floor = np.where(known, SUREST * inverse_depths, 1)
+    floor = np.where(known, MIN_RELATIVE_DEVIATION * inverse_depths, 1)
     votes = np.where(known, inverse_depths / np.maximum(deviations, floor), 0) ** 2
     difference = np.abs(inverse_depths[:, None] - inverse_depths)
     agree = difference < tolerance * np.maximum(inverse_depths[:, None], inverse_depths)
@@ -122,7 +124,7 @@ def merged(
     return depth, deviation
 
 
-def by_look(
+def align_depth_edges(
     inverse_depth: np.ndarray,  # (H, W)
     deviation: np.ndarray,
     middle: np.ndarray,  # (H, W), between the two surfaces nearby; 0 if there is only one surface
@@ -134,7 +136,7 @@ def by_look(
     rows, columns = np.indices(frame.shape)
     for y, x in zip(*np.nonzero(middle), strict=True):
         square = (rows - y) ** 2 + (columns - x) ** 2
-        votes = np.exp(-np.abs(frame - frame[y, x]) / similar) / (1 + FADING * square)
+        votes = np.exp(-np.abs(frame - frame[y, x]) / similar) / (1 + DISTANCE_WEIGHT * square)
         votes *= (abs(rows - y) <= RADIUS) & (abs(columns - x) <= RADIUS)
         nearer = inverse_depth[y, x] > middle[y, x]
         other_votes = votes * ((inverse_depth > middle[y, x]) != nearer)

@@ -18,7 +18,7 @@ def displacement(
     return camera.focal * (moved[:2] / moved[2] - ray[:2])
 
 
-def along(
+def restrict_to_line(
     terms: list[np.ndarray], flow: np.ndarray, direction: np.ndarray, inverse_depth: np.ndarray
 ) -> list[np.ndarray]:
     """Restrict each tensor to a line: return tensors of D for (u, v) = flow + (D − D₀)·direction.

@@ -5,10 +5,16 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-STEP = 0.05  # relative step of inverse depth between neighbours on one surface, at most
-NEAREST = 0.05  # least depth in another view, as a share of the depth in this view
-SUPPORT = 3  # of the eight neighbours: a pixel with fewer neighbours of similar depth is an error
-BESIDE = 2.0  # truncations: largest distance from the depth of the nearest pixel for interpolation
+MAX_RELATIVE_STEP = (
+    0.05  # relative step of inverse depth between neighbours on one surface, at most
+)
+MIN_DEPTH_RATIO = 0.05  # least depth in another view, as a share of the depth in this view
+MIN_SIMILAR_NEIGHBOURS = (
+    3  # of the eight neighbours: a pixel with fewer neighbours of similar depth is an error
+)
+MAX_INTERPOLATION_DISTANCE = (
+    2.0  # truncations: largest distance from the depth of the nearest pixel for interpolation
+)
 
 
 def inverse_depth_at(image: Floats, x: float, y: float) -> float:
@@ -19,7 +25,7 @@ def inverse_depth_at(image: Floats, x: float, y: float) -> float:
     rows = np.clip([top, top + 1], 0, image.shape[0] - 1)
     columns = np.clip([left, left + 1], 0, image.shape[1] - 1)
     around = image[np.ix_(rows, columns)]
-    if own <= 0 or around.min() <= 0 or np.ptp(around) >= STEP * around.max():
+    if own <= 0 or around.min() <= 0 or np.ptp(around) >= MAX_RELATIVE_STEP * around.max():
         return own
     return float(np.array([1 - down, down]) @ around @ np.array([1 - across, across]))
 
@@ -40,7 +46,11 @@ def compare(
     for (y, x), d in np.ndenumerate(inverse_depth):
         turned = projection[2, :3] @ (x, y, 1)
         u, v, g = projection @ (x, y, 1, d)
-        if d <= 0 or min(g, turned) <= NEAREST or not _inside(u / g, v / g, other_inverse_depth):
+        if (
+            d <= 0
+            or min(g, turned) <= MIN_DEPTH_RATIO
+            or not _inside(u / g, v / g, other_inverse_depth)
+        ):
             continue
         seen = inverse_depth_at(other_inverse_depth, u / g, v / g)
         if seen <= 0:
@@ -98,8 +108,8 @@ def blocks_near(
         for x in range(0, inverse_depth.shape[1], stride):
             d = inverse_depth[y, x]
             around = inverse_depth[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2]
-            similar = np.abs(around - d) < max(STEP * d, 3 * deviation[y, x])
-            if d <= 0 or np.count_nonzero(similar) - 1 < SUPPORT:
+            similar = np.abs(around - d) < max(MAX_RELATIVE_STEP * d, 3 * deviation[y, x])
+            if d <= 0 or np.count_nonzero(similar) - 1 < MIN_SIMILAR_NEIGHBOURS:
                 continue
             for depth in 1 / d + truncation * np.linspace(-1, 1, samples):
                 point = rays[:, :3] @ (x, y, 1) * depth + rays[:, 3]
@@ -132,7 +142,7 @@ def integrate(
             continue
         pixel = _nearest(u / z, v / z)
         d = inverse_depth[pixel]
-        if d > 0 and abs(1 / d - z) <= BESIDE * truncation:
+        if d > 0 and abs(1 / d - z) <= MAX_INTERPOLATION_DISTANCE * truncation:
             d = inverse_depth_at(inverse_depth, u / z, v / z)
         if d > 0 and 1 / d - z >= -truncation:
             deep = deviation[pixel] / d**2

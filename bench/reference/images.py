@@ -93,7 +93,7 @@ def splat(flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
     return sums
 
 
-def defeated(
+def hidden_pixels(
     flow: np.ndarray, residual: np.ndarray, *, density: float, flow_difference: float
 ) -> np.ndarray:
     """Return hidden pixels: pixels of another flow and smaller residual have the same target."""

@@ -89,7 +89,7 @@ def best_mean(costs: np.ndarray, best: int, *, absent: float) -> np.ndarray:
     return mean
 
 
-def improved_planes(
+def improve_planes(
     # (4, H, W): D, px/frame, its slopes, and the cost. A pixel with `SKIPPED_COST` does not change.
     state: np.ndarray,
     cost: Callable[[np.ndarray], np.ndarray],  # takes planes (3, H, W), returns their cost (H, W)

@@ -17,10 +17,10 @@ from typing import Any, get_args
 from rich.console import Console
 
 from bench.regression.checkout import Checkout, Paired, interpretation, starts
-from bench.regression.pairs import QUICK_SIZE, SIZE, TIMED_SIZE, Pair, recorded, rendered
+from bench.regression.pairs import QUICK_SIZE, SIZE, TIMED_SIZE, Pair, real_pairs, scene_pairs
 from bench.regression.report import Case, Findings, difference, markdown, out_of_bounds
 from bench.shared.command import choose, options_parser
-from bench.shared.results import RESULTS, ROOT, machine, write
+from bench.shared.results import RESULTS, ROOT, machine, write_results
 from bench.shared.sequences import data_folder
 from bench.shared.worker import Worker, WorkerDied
 from tisfm.settings import Preset
@@ -66,11 +66,11 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 
 def find_pairs(options: argparse.Namespace) -> tuple[list[Pair], dict[str, str]]:
     """Return the pairs that the options name, and why others are missing."""
-    pairs = rendered(*(QUICK_SIZE if options.quick else SIZE))
+    pairs = scene_pairs(*(QUICK_SIZE if options.quick else SIZE))
     missing: dict[str, str] = {}
     data = None if options.quick else data_folder(options.data)
     if data is not None:
-        real, missing = recorded(data)
+        real, missing = real_pairs(data)
         pairs += real
     return choose(pairs, options.pairs, kind="pair", name=lambda pair: pair.name), missing
 
@@ -133,7 +133,7 @@ def measure(options: argparse.Namespace, console: Console) -> Findings:
                             cases.append(compare(workers, pair, preset, motion, path))
                             console.print(" ".join(cases[-1].cells()), highlight=False)
         times: list[Paired] = []
-        static, moving, _ = rendered(*(QUICK_SIZE if options.quick else TIMED_SIZE))
+        static, moving, _ = scene_pairs(*(QUICK_SIZE if options.quick else TIMED_SIZE))
         paths = {pair.name: pair.store(folder) for pair in (static, moving)}
         if "times" in options.only:
             for preset, motion in TIMED:
@@ -174,7 +174,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"bench.regression: {error}", file=sys.stderr)
         return 2
     name = options.output or ("smoke-regression" if options.quick else "regression")
-    write(RESULTS / name, markdown(findings))
+    write_results(RESULTS / name, markdown(findings))
     print(markdown(findings))
     return 1 if any(out_of_bounds(findings)) else 0
 

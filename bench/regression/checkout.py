@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.shared.contest import QUICK
+from bench.shared.contest import FAST_CALL
 from bench.shared.worker import Worker
 
 WORKER = Path(__file__).with_name("worker.py")
@@ -97,7 +97,7 @@ class Paired:
         return float(low), float(middle), float(high)
 
 
-def in_turns(rounds: int, measure: Callable[[int], Any]) -> list[tuple[Any, Any]]:
+def measure_in_turns(rounds: int, measure: Callable[[int], Any]) -> list[tuple[Any, Any]]:
     """Measure sides 0 and 1 in each round, in the order 0 1, 1 0, 0 1, …; return both values."""
     samples = []
     for turn in range(rounds):
@@ -122,8 +122,8 @@ def interpretation(
         return answer["seconds"], answer["cpu"]
 
     pace = max(ask(side, times=2)[0] for side in (0, 1))  # the first call compiles kernels
-    times = 2 if pace < QUICK else 1
-    samples = in_turns(rounds, lambda side: ask(side, times))
+    times = 2 if pace < FAST_CALL else 1
+    samples = measure_in_turns(rounds, lambda side: ask(side, times))
     return Paired.of(name, samples)
 
 
@@ -145,7 +145,7 @@ def starts(
         imported, warm = checkouts[side].start(request, cache=cache, **options)
         return imported, cold, warm
 
-    samples = in_turns(rounds, measure)
+    samples = measure_in_turns(rounds, measure)
     return [
         Paired.of(name, [(before[k], after[k]) for before, after in samples])
         for k, name in enumerate(("import tisfm", "cold start", "warm start"))

@@ -53,7 +53,7 @@ class Pair:
         return path
 
 
-def rendered(height: int, width: int) -> list[Pair]:
+def scene_pairs(height: int, width: int) -> list[Pair]:
     """Return a static scene, one with moving objects, and one with bare walls."""
     return [
         _of_scene("static_scene", static_scene("forward+rotation", height, width)),
@@ -72,7 +72,7 @@ def _of_scene(name: str, scene: SyntheticPair) -> Pair:
     )
 
 
-def recorded(data: Path) -> tuple[list[Pair], dict[str, str]]:
+def real_pairs(data: Path) -> tuple[list[Pair], dict[str, str]]:
     """Return the real pairs in a folder, and name → reason of the missing ones."""
     pairs, missing = [], {}
     for name, (folder, first, second, focal, center) in SEQUENCES.items():

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.regression.checkout import Paired
-from bench.shared.results import EMPTY, Table, text_of
+from bench.shared.results import EMPTY_CELL, Table, markdown_page
 
-VISIBLE = 1e-3  # px: a larger difference of flow is not only rounding
-FLOOR = 0.01  # share of the median inverse depth: least denominator of relative differences
+MAX_ROUNDING = 1e-3  # px: a larger difference of flow is not only rounding
+MIN_RELATIVE_DEPTH = (
+    0.01  # share of the median inverse depth: least denominator of relative differences
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,12 +23,12 @@ class Difference:
 
     flow_max: float  # of the absolute differences of u and v, px/frame
     flow_median: float
-    visible: float  # share of the pixels whose flow differs by more than `VISIBLE`
+    above_rounding: float  # share of the pixels whose flow differs by more than `MAX_ROUNDING`
     depth_max: float  # of the differences of inverse depth, relative to its value before
     depth_median: float
     labels: float  # share of the pixels that differ
     occlusion: float  # share of the pixels that differ
-    same: bool  # whether every array is equal in every bit
+    identical: bool  # whether every array is equal in every bit
 
 
 def difference(before: Path, after: Path) -> Difference:
@@ -38,21 +40,21 @@ def difference(before: Path, after: Path) -> Difference:
     return Difference(
         flow_max=float(flow.max()),
         flow_median=float(np.median(flow)),
-        visible=float((flow > VISIBLE).mean()),
+        above_rounding=float((flow > MAX_ROUNDING).mean()),
         depth_max=float(depth.max()),
         depth_median=float(np.median(depth)),
         labels=_share(old.get("labels"), new.get("labels")),
         occlusion=_share(old["occlusion"], new["occlusion"]),
-        same=old.keys() == new.keys()
+        identical=old.keys() == new.keys()
         and all(np.array_equal(old[k], new[k], equal_nan=old[k].dtype.kind == "f") for k in old),
     )
 
 
 def relative(before: NDArray, after: NDArray) -> NDArray:
-    """Return |after − before| over the larger of |before| and `FLOOR` of its median."""
+    """Return |after − before| / |before|; small |before| are raised to `MIN_RELATIVE_DEPTH`."""
     difference = _apart(before, after)
     known = np.abs(before[np.isfinite(before)])
-    floor = FLOOR * float(np.median(known)) if known.size else 0.0
+    floor = MIN_RELATIVE_DEPTH * float(np.median(known)) if known.size else 0.0
     unit = np.maximum(np.abs(before), floor)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(difference > 0, difference / np.where(np.isfinite(unit), unit, 1.0), 0.0)
@@ -74,9 +76,9 @@ def _share(before: NDArray | None, after: NDArray | None) -> float:
     return float((before != after).mean())
 
 
-MOST_SLOWER = 1.03  # time after over time before, at most; set by hand
+MAX_SLOWDOWN = 1.03  # time after over time before, at most; set by hand
 ANSWER_HEAD = (
-    "pair", "preset", "motion", "flow, px: largest", "median", f"over {VISIBLE:g} px",
+    "pair", "preset", "motion", "flow, px: largest", "median", f"over {MAX_ROUNDING:g} px",
     "1/Z, relative: largest", "median", "labels", "occlusion", "status",
 )  # fmt: skip
 TIME_HEAD = ("", "before, s", "after, s", "after / before", "the same, CPU time", "rounds")
@@ -106,14 +108,14 @@ class Case:
         status = self.before if self.before == self.after else f"{self.before} → {self.after}"
         difference = self.difference
         if difference is None:
-            values = [EMPTY] * 7
-        elif difference.same:
+            values = [EMPTY_CELL] * 7
+        elif difference.identical:
             values = ["the same bits", *[""] * 6]
         else:
             values = [
                 f"{difference.flow_max:.2g}",
                 f"{difference.flow_median:.2g}",
-                f"{difference.visible:.3%}",
+                f"{difference.above_rounding:.3%}",
                 f"{difference.depth_max:.2g}",
                 f"{difference.depth_median:.2g}",
                 f"{difference.labels:.3%}",
@@ -137,15 +139,15 @@ def out_of_bounds(findings: Findings) -> Iterator[str]:
     for case in findings.cases:
         if case.before != case.after:
             yield f"{case.name}: the status was {case.before} and is {case.after}"
-        elif case.difference is not None and case.difference.visible > 0:
-            share = f"{case.difference.visible:.3%}"
-            yield f"{case.name}: flow differs by more than {VISIBLE:g} px at {share} of the pixels"
-        elif case.difference is not None and case.difference.labels > 0:
-            yield f"{case.name}: {case.difference.labels:.3%} of the labels differ"
+        elif (difference := case.difference) is not None and difference.above_rounding > 0:
+            share = f"{difference.above_rounding:.3%} of the pixels"
+            yield f"{case.name}: flow differs by more than {MAX_ROUNDING:g} px at {share}"
+        elif difference is not None and difference.labels > 0:
+            yield f"{case.name}: {difference.labels:.3%} of the labels differ"
     for paired in findings.times:
         low, middle, _ = paired.ratios()
         # On a busy machine, wall time alone proves nothing.
-        if low > MOST_SLOWER and paired.ratios(cpu=True)[0] > MOST_SLOWER:
+        if low > MAX_SLOWDOWN and paired.ratios(cpu=True)[0] > MAX_SLOWDOWN:
             yield f"{paired.name}: {middle:.3f} times as long, at least {low:.3f} in 3 rounds of 4"
 
 
@@ -163,14 +165,14 @@ def markdown(findings: Findings) -> str:
         blocks += ["## Times", note, Table(TIME_HEAD, [_time_cells(p) for p in findings.times])]
     blocks += ["## Out of bounds", list(out_of_bounds(findings)) or "Nothing."]
     missing = {f"missing: {name}": why for name, why in findings.missing.items()}
-    return text_of("# Regression", findings.conditions | missing, *blocks)
+    return markdown_page("# Regression", findings.conditions | missing, *blocks)
 
 
 def _summary(cases: Sequence[Case]) -> str:
     compared = [case.difference for case in cases if case.difference is not None]
     text = (
-        f"{len(cases)} cases; in {sum(d.same for d in compared)} every array is the same in every "
-        f"bit, in {sum(case.before != case.after for case in cases)} the status differs."
+        f"{len(cases)} cases; in {sum(d.identical for d in compared)} every array is the same in "
+        f"every bit, in {sum(case.before != case.after for case in cases)} the status differs."
     )
     if compared:
         text += (

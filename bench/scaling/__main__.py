@@ -31,8 +31,8 @@ from bench.shared.results import (
     cell,
     exit_code,
     machine,
-    text_of,
-    write,
+    markdown_page,
+    write_results,
 )
 from tisfm.scenes import two_blocks
 
@@ -101,9 +101,9 @@ LARGEST = "2160x3840"
 PEER_SIZE = MIDDLE  # size of the pair for OpenCV's DIS
 # Preset and size → most time over that of the peer. None: the time is at its former bound, so that
 # chance would decide; `bench.regression` shows whether the time has grown.
-MOST_OVER_PEER = {("balanced", LARGE): 57.0, ("fast", PEER_SIZE): None}
-MOST_GROWTH = 1.15  # of the time per pixel from MIDDLE to LARGE; set by hand
-MOST_GIB = 3.0  # GiB, peak memory of a pair of LARGEST; set by hand
+MAX_OVER_PEER = {("balanced", LARGE): 57.0, ("fast", PEER_SIZE): None}
+MAX_GROWTH = 1.15  # of the time per pixel from MIDDLE to LARGE; set by hand
+MAX_MEMORY = 3.0  # GiB, peak memory of a pair of LARGEST; set by hand
 
 
 def size_of(text: str) -> tuple[int, int]:
@@ -117,12 +117,12 @@ def per_pixel(entry: dict[str, Any], size: str) -> float:
     return median(entry["times"][size]) / math.prod(size_of(size)) * 1e9
 
 
-def over_peer(entry: dict[str, Any], size: str) -> float:
+def ratio_to_peer(entry: dict[str, Any], size: str) -> float:
     """Return the median over the rounds of the time of a pair over that of the peer."""
-    return over(entry["times"][size], entry["peer"]["times"])
+    return median_ratio(entry["times"][size], entry["peer"]["times"])
 
 
-def over(times: list[float], others: list[float]) -> float:
+def median_ratio(times: list[float], others: list[float]) -> float:
     """Return the median of the ratios of times in the same rounds."""
     return median(time / other for time, other in zip(times, others, strict=True))
 
@@ -139,20 +139,20 @@ def bars(figures: dict[str, Any]) -> Iterator[Bar]:
         if entry["threads"] != threads:
             continue
         preset = entry["preset"]
-        for (bounded, size), bound in MOST_OVER_PEER.items():
+        for (bounded, size), bound in MAX_OVER_PEER.items():
             if bounded == preset and size in entry["times"] and entry["peer"]["size"] == PEER_SIZE:
                 name = (
                     f"{preset}, {size}, {threads} threads, time over {entry['peer']['name']}'s at "
                 )
-                yield Bar(name + PEER_SIZE, over_peer(entry, size), bound)
+                yield Bar(name + PEER_SIZE, ratio_to_peer(entry, size), bound)
         if {MIDDLE, LARGE} <= set(entry["times"]):
-            growth = over(entry["times"][LARGE], entry["times"][MIDDLE])
+            growth = median_ratio(entry["times"][LARGE], entry["times"][MIDDLE])
             growth *= math.prod(size_of(MIDDLE)) / math.prod(size_of(LARGE))
             name = f"{preset}, {threads} threads, growth of time per pixel, {MIDDLE} to {LARGE}"
-            yield Bar(name, growth, MOST_GROWTH)
+            yield Bar(name, growth, MAX_GROWTH)
         if LARGEST in figures["memory"].get(preset, {}):
             used = gib(figures["memory"][preset][LARGEST], LARGEST)
-            yield Bar(f"{preset}, {LARGEST}, peak memory, GiB", used, MOST_GIB)
+            yield Bar(f"{preset}, {LARGEST}, peak memory, GiB", used, MAX_MEMORY)
 
 
 def report(figures: dict[str, Any]) -> str:
@@ -181,7 +181,7 @@ def report(figures: dict[str, Any]) -> str:
                     entry["preset"],
                     str(entry["threads"]),
                     f"{median(entry['peer']['times']):.3g}",
-                    *(f"{over_peer(entry, size):.2f}" for size in sizes),
+                    *(f"{ratio_to_peer(entry, size):.2f}" for size in sizes),
                 ]
                 for entry in runs
             ],
@@ -213,7 +213,7 @@ def report(figures: dict[str, Any]) -> str:
         blocks += [f"### {preset}", Table(["stage", *sizes], rows)]
     if checked := list(map(str, bars(figures))):
         blocks += ["## Bars", checked]
-    return text_of("# Scaling of a whole pair", figures["conditions"], *blocks)
+    return markdown_page("# Scaling of a whole pair", figures["conditions"], *blocks)
 
 
 def _of(figures: dict[str, Any], preset: str, threads: int) -> dict[str, Any]:
@@ -278,7 +278,7 @@ def main(arguments: list[str] | None = None) -> int:
         },
     }
     path = RESULTS / output_name(options, "scaling")
-    write(path, report(figures), figures)
+    write_results(path, report(figures), figures)
     draw(figures, path.with_suffix(".png"))
     print(report(figures))
     return exit_code(bars(figures))

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import tisfm
-from bench.shared.contest import QUICK
+from bench.shared.contest import FAST_CALL
 from bench.shared.peer_worker import dis
 from tisfm import runtime
 
@@ -103,7 +103,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
         calls[name] = partial(interpret, name)
         if name == request["peer"]:
             calls[PEER] = partial(peer, *frames)
-    times = in_turns(calls, request["rounds"])
+    times = measure_in_turns(calls, request["rounds"])
     beside = {"name": PEER, "size": request["peer"], "times": times.pop(PEER)}
     shares = {}
     for name in pairs:
@@ -116,7 +116,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
     return {"times": times, "shares": shares, "peer": beside, "lanes": runtime.lanes()}
 
 
-def in_turns(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, list[float]]:
+def measure_in_turns(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, list[float]]:
     """Return the times of every call, s; each call runs once per round.
 
     As in `bench.shared.contest`, a quick call also runs once untimed before.
@@ -133,7 +133,7 @@ def in_turns(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, list
     times: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(rounds):
         for name, call in calls.items():
-            if pace[name] < QUICK:
+            if pace[name] < FAST_CALL:
                 call()
             times[name].append(seconds(call))
     return times

@@ -15,14 +15,14 @@ from bench.sequences.contest import (
     COLMAP_WORKER,
     Colmap,
     Method,
-    Own,
+    OwnMethod,
     Score,
     SequenceContest,
-    hold,
+    run_contest,
 )
 from bench.sequences.entries import Entry, data_entries, folder_entries
 from bench.sequences.report import show, write
-from bench.shared.command import choose, options_parser, progress, words_of
+from bench.shared.command import choose, command_text, options_parser, progress
 from bench.shared.results import RESULTS, machine, wide_console
 from bench.shared.sequences import data_folder
 
@@ -76,7 +76,7 @@ def find_methods(options: argparse.Namespace) -> tuple[list[Method], dict[str, s
     missing: dict[str, str] = {}
     for poses_given in (False, True) if options.poses_given else (False,):
         methods += [
-            Own(
+            OwnMethod(
                 preset=preset,
                 method="reconstruct",
                 threads=options.threads,
@@ -86,11 +86,14 @@ def find_methods(options: argparse.Namespace) -> tuple[list[Method], dict[str, s
         ]
     if options.camera_unknown:
         methods += [
-            Own(preset=preset, method="reconstruct", threads=options.threads, camera_given=False)
+            OwnMethod(
+                preset=preset, method="reconstruct", threads=options.threads, camera_given=False
+            )
             for preset in options.preset
         ]
     methods += [
-        Own(preset=preset, method="chain", threads=options.threads) for preset in options.preset
+        OwnMethod(preset=preset, method="chain", threads=options.threads)
+        for preset in options.preset
     ]
     python = options.peer_python or Path(sys.executable)
     about = _survey(python)
@@ -121,7 +124,9 @@ def main(arguments: list[str] | None = None) -> int:
         entries, missing = find_entries(options)
         methods, absent, version = find_methods(options)
         conditions = {
-            "command": words_of("sequences", options, [*WORDS, *["step"] * bool(options.folder)]),
+            "command": command_text(
+                "sequences", options, [*WORDS, *["step"] * bool(options.folder)]
+            ),
             "rounds": options.rounds,
             "threads": options.threads,
             **machine(),
@@ -132,7 +137,7 @@ def main(arguments: list[str] | None = None) -> int:
             def keep(scores: list[Score]) -> None:
                 write(SequenceContest(conditions=conditions, scores=tuple(scores)), path)
 
-            contest = hold(
+            contest = run_contest(
                 methods,
                 entries,
                 rounds=options.rounds,

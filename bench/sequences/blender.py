@@ -22,7 +22,15 @@ from scipy.spatial.transform import Rotation
 import tisfm
 from bench.sequences.entries import parse_one
 from bench.shared.command import options_parser
-from bench.shared.results import RESULTS, Bar, Table, exit_code, machine, text_of, write
+from bench.shared.results import (
+    RESULTS,
+    Bar,
+    Table,
+    exit_code,
+    machine,
+    markdown_page,
+    write_results,
+)
 from tisfm.exports import write_gltf_cameras, write_points
 from tisfm.formats import read_image
 from tisfm.settings import Preset
@@ -104,7 +112,7 @@ def report(figures: dict[str, dict[str, float]], conditions: dict[str, Any]) -> 
     ]
     caption = "Largest differences from the reconstruction:"
     table = Table(["", *figures, "bar"], rows)
-    return text_of("# An export in Blender", conditions, caption, table)
+    return markdown_page("# An export in Blender", conditions, caption, table)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -144,7 +152,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     text = report(figures, conditions)
     Console(markup=False, highlight=False).print(text)
-    write(RESULTS / options.output, text)
+    write_results(RESULTS / options.output, text)
     return exit_code(
         Bar(name, one[name], bar) for one in figures.values() for name, bar in BARS.items()
     )

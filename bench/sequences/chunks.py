@@ -17,11 +17,11 @@ import numpy as np
 from rich.console import Console
 
 import tisfm
-from bench.sequences.entries import FARTHEST
+from bench.sequences.entries import MAX_DEPTH
 from bench.sequences.memory import HEIGHT, WIDTH, film
-from bench.sequences.rendered_films import path_error, rounds
+from bench.sequences.rendered_films import circle_path, path_error
 from bench.shared.command import options_parser
-from bench.shared.results import RESULTS, Table, cell, machine, text_of, write
+from bench.shared.results import RESULTS, Table, cell, machine, markdown_page, write_results
 from bench.shared.sequences import data_folder
 from tisfm.datasets import find_sequences
 from tisfm.evaluation.sequences import compare_sequence
@@ -73,7 +73,7 @@ def real_rows(data: Path, name: str, chunks: Sequence[int], folder: Path) -> Ite
     for chunk in (AT_ONCE, *chunks):
         result, count = in_chunks(files, folder / f"{name}-{chunk}", loaded.camera, chunk)
         errors = compare_sequence(
-            sequence, loaded, result, camera=result.camera, max_depth=FARTHEST
+            sequence, loaded, result, camera=result.camera, max_depth=MAX_DEPTH
         )
         largest, depth = errors.pieces[0], errors.depth
         values = (
@@ -91,10 +91,10 @@ def film_rows(count: int, chunks: Sequence[int], folder: Path) -> Iterator[Row]:
         result, number = in_chunks(str(source), folder / f"rounds-{chunk}", camera, chunk, count)
         inside = result.piece == result.largest_piece
         poses = np.where(inside[:, None, None], result.poses, np.nan)
+        error = path_error(poses, circle_path(count))
         values = (
             f"rounds, {WIDTH}×{HEIGHT} px", count, chunk if chunk < AT_ONCE else "at once", number,
-            int(result.piece.max()) + 1, int(inside.sum()), path_error(poses, rounds(count)), None,
-            None,
+            int(result.piece.max()) + 1, int(inside.sum()), error, None, None,
         )  # fmt: skip
         yield dict(zip(FIGURES, values, strict=True))
 
@@ -132,8 +132,8 @@ def main(arguments: list[str] | None = None) -> int:
         **machine(),
     }
     cells = [[cell(row[word], form) for word, form in FIGURES.items()] for row in rows]
-    text = text_of("# Sequences in chunks of frames", conditions, Table(list(FIGURES), cells))
-    write(RESULTS / options.output, text, {"conditions": conditions, "rows": rows})
+    text = markdown_page("# Sequences in chunks of frames", conditions, Table(list(FIGURES), cells))
+    write_results(RESULTS / options.output, text, {"conditions": conditions, "rows": rows})
     return 0
 
 

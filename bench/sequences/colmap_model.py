@@ -18,23 +18,31 @@ from rich.console import Console
 import tisfm
 from bench.sequences.entries import parse_one
 from bench.shared.command import options_parser
-from bench.shared.results import RESULTS, Bar, Table, exit_code, machine, text_of, write
+from bench.shared.results import (
+    RESULTS,
+    Bar,
+    Table,
+    exit_code,
+    machine,
+    markdown_page,
+    write_results,
+)
 from tisfm.exports import write_colmap
 from tisfm.settings import Preset
 
 SEQUENCE = "tartanair"
 # Bounds for that sequence, set by hand.
-LEAST_IMAGES = 30
-LEAST_POINTS = 5000
-MOST_REPROJECTION = 1.0  # px
-LEAST_TRACK = 3  # frames
+MIN_IMAGES = 30
+MIN_POINTS = 5000
+MAX_REPROJECTION = 1.0  # px
+MIN_TRACK = 3  # frames
 ERROR = "median reprojection error, px"
 
 
 def figures(model: Any) -> dict[str, float]:
     """Return the contents of a model, and the errors of its points triangulated again."""
     images, points = model.images, model.points3D
-    long = {number for number, point in points.items() if point.track.length() >= LEAST_TRACK}
+    long = {number for number, point in points.items() if point.track.length() >= MIN_TRACK}
     tracks = [
         sum(point.has_point3D() and point.point3D_id in long for point in image.points2D)
         for image in images.values()
@@ -65,7 +73,7 @@ def figures(model: Any) -> dict[str, float]:
     return {
         "images": len(images),
         "points": len(points),
-        f"least tracks of {LEAST_TRACK} frames in an image": min(tracks),
+        f"least tracks of {MIN_TRACK} frames in an image": min(tracks),
         ERROR: float(np.median(errors)),
         "its 90th percentile, px": float(np.percentile(errors, 90)),
         "points that cannot be triangulated again": lost,
@@ -74,15 +82,15 @@ def figures(model: Any) -> dict[str, float]:
 
 def bars(figures: dict[str, float], frames: int) -> list[Bar]:
     """Return the figures that have a bound."""
-    name = f"least tracks of {LEAST_TRACK} frames in an image"
+    name = f"least tracks of {MIN_TRACK} frames in an image"
     return [
-        Bar(f"images of {frames}", figures["images"], LEAST_IMAGES, at_most=False),
-        Bar("points", figures["points"], LEAST_POINTS, at_most=False),
+        Bar(f"images of {frames}", figures["images"], MIN_IMAGES, at_most=False),
+        Bar("points", figures["points"], MIN_POINTS, at_most=False),
         Bar(name, figures[name], 1, at_most=False),
         Bar(
             "median reprojection error, px",
             figures["median reprojection error, px"],
-            MOST_REPROJECTION,
+            MAX_REPROJECTION,
         ),
     ]
 
@@ -91,7 +99,7 @@ def report(figures: dict[str, float], bars: Sequence[Bar], conditions: dict[str,
     """Return the results as Markdown."""
     rows = [[name, f"{value:.4g}"] for name, value in figures.items()]
     title = "# A reconstruction as a model of COLMAP"
-    return text_of(title, conditions, Table(["", ""], rows), list(map(str, bars)))
+    return markdown_page(title, conditions, Table(["", ""], rows), list(map(str, bars)))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -116,7 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     text = report(values, checked, conditions)
     Console(markup=False, highlight=False).print(text)
-    write(RESULTS / options.output, text)
+    write_results(RESULTS / options.output, text)
     return exit_code(checked)
 
 

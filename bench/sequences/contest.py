@@ -13,12 +13,12 @@ from typing import Any, Protocol, get_args
 
 import numpy as np
 
-from bench.sequences.entries import FARTHEST, Entry
-from bench.sequences.stored import Stored, store
+from bench.sequences.entries import MAX_DEPTH, Entry
+from bench.sequences.stored import StoredResult, store
 from bench.shared.contest import MethodFailure
-from bench.shared.peer_process import POOLS
+from bench.shared.peer_process import THREAD_VARIABLES
 from bench.shared.results import ROOT
-from bench.shared.worker import LAST_WORDS
+from bench.shared.worker import MESSAGE_LINES
 from tisfm.camera import Camera
 from tisfm.datasets import LoadedSequence
 from tisfm.evaluation.sequences import SequenceEvaluation, as_record, compare_sequence
@@ -32,7 +32,7 @@ TIMEOUT = 3600.0  # s for a method on a sequence
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """One run of a method: name of a result → NAME of `Stored`, s, and peak memory in bytes.
+    """One run of a method: name of a result → NAME of `StoredResult`, s, and peak memory in bytes.
 
     `focal` is an estimated focal length, px: value, standard deviation, and whether it is reliable.
     """
@@ -55,7 +55,7 @@ class Method(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Own:
+class OwnMethod:
     """`tisfm.reconstruct`, or chained pairs, in its own process.
 
     `poses_given`: whether it gets the true poses; `camera_given`: whether it gets the camera.
@@ -201,7 +201,7 @@ class SequenceContest:
         }
 
 
-def hold(
+def run_contest(
     methods: Sequence[Method],
     entries: Sequence[Entry],
     *,
@@ -255,7 +255,7 @@ def _scores(
         for name, file in outcome.results.items():
             evaluation = None
             if scored:
-                stored = Stored(output, file)
+                stored = StoredResult(output, file)
                 evaluation = compare_sequence(
                     entry.sequence,
                     loaded,
@@ -263,7 +263,7 @@ def _scores(
                     camera=camera,
                     step=entry.step,
                     poses_given=getattr(method, "poses_given", False),
-                    max_depth=FARTHEST,
+                    max_depth=MAX_DEPTH,
                     with_depth=stored.has_depth,
                 )
             scores.append(
@@ -309,7 +309,7 @@ def _ask(command: list[str | Path], question: dict[str, Any], threads: int) -> d
             capture_output=True,
             text=True,
             cwd=ROOT,
-            env=os.environ | dict.fromkeys(POOLS, str(threads)),
+            env=os.environ | dict.fromkeys(THREAD_VARIABLES, str(threads)),
             timeout=TIMEOUT,
             check=False,
         )
@@ -317,7 +317,7 @@ def _ask(command: list[str | Path], question: dict[str, Any], threads: int) -> d
         raise MethodFailure(str(error)) from None
     lines = done.stdout.splitlines()
     if done.returncode or not lines:
-        words = " ".join(done.stderr.strip().splitlines()[-LAST_WORDS:])
+        words = " ".join(done.stderr.strip().splitlines()[-MESSAGE_LINES:])
         raise MethodFailure(f"its process ended with status {done.returncode}: {words}")
     answer: dict[str, Any] = json.loads(lines[-1])
     return answer

@@ -23,7 +23,7 @@ SELECTED = (
 )
 # Folder, and the frame from which every second frame is left out, as if the car drove faster.
 THINNED = (("kitti_odometry_06", 25),)
-FARTHEST = 40.0  # m: larger true depths do not count
+MAX_DEPTH = 40.0  # m: larger true depths do not count
 
 
 @dataclass(frozen=True, kw_only=True)

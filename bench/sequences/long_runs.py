@@ -25,23 +25,32 @@ from typing import Any
 
 import numpy as np
 
-from bench.sequences.rendered_films import rounds as rounds_of
+from bench.sequences.rendered_films import circle_path as rounds_of
 from bench.shared.command import options_parser
-from bench.shared.results import RESULTS, Bar, Table, exit_code, machine, memory, text_of, write
-from bench.writing import rendered
+from bench.shared.results import (
+    RESULTS,
+    Bar,
+    Table,
+    exit_code,
+    machine,
+    markdown_page,
+    process_memory,
+    write_results,
+)
+from bench.writing import render_frames
 from tisfm.formats import write_png
 from tisfm.scenes import room_film, static_scene
 
-FASTER = 1.7  # least speed of two workers over that of one; set by hand
-APART = 0.05  # largest relative change of memory and speed in a long run; set by hand
+MIN_SPEEDUP = 1.7  # least speed of two workers over that of one; set by hand
+MAX_CHANGE = 0.05  # largest relative change of memory and speed in a long run; set by hand
 ROUNDS = 3  # rounds of the speed of workers
 PAIRS = 120  # pairs of the video for workers
 FRAMES = 10_000  # frames of the long run
 KILLS = 20  # kills of each command
-BEGUN = 12  # pairs after which every worker has begun
-EARLY = 100  # pairs after which memory and speed are first measured
-STRETCH = 1000  # pairs over which a speed is measured
-SMALL = (48, 64)  # px, height and width of the frames of the long run
+START_PAIRS = 12  # pairs after which every worker has begun
+EARLY_PAIRS = 100  # pairs after which memory and speed are first measured
+SPEED_PAIRS = 1000  # pairs over which a speed is measured
+FRAME_SIZE = (48, 64)  # px, height and width of the frames of the long run
 COMMAND = [sys.executable, "-c", "import sys; from tisfm.cli.command_line import main; "
            "sys.exit(main())"]  # fmt: skip
 RUN = ("run", "--preset", "fast", "--no-figures")
@@ -49,7 +58,7 @@ RECONSTRUCT = ("reconstruct", "--preset", "fast", "--workers", "2", "--chunk", "
 
 
 @dataclass
-class Found:
+class Results:
     """The figures; figures of skipped parts are empty."""
 
     workers: list[tuple[float, float]] = field(default_factory=list)  # pairs/s of one and two
@@ -96,7 +105,7 @@ def measure_workers(source: Path, rounds: int, begun: int) -> list[tuple[float, 
 
 def many_frames(folder: Path, count: int) -> Path:
     """Make a folder of small frames: two frames of a scene alternate, as hard links."""
-    scene = static_scene("sideways", *SMALL)
+    scene = static_scene("sideways", *FRAME_SIZE)
     kinds = []
     for number, frame in enumerate((scene.frame0, scene.frame1)):
         kinds.append(folder / f"kind{number}.png")
@@ -116,17 +125,17 @@ def measure_frames(count: int) -> dict[str, float]:
         early, last = 0.0, 0.0
         while process.poll() is None:
             time.sleep(0.2)
-            last = (memory("VmRSS", process.pid) or 0.0) / 1e6 or last
-            if early == 0 and output.exists() and len(os.listdir(output)) > 4 * EARLY:
+            last = (process_memory("VmRSS", process.pid) or 0.0) / 1e6 or last
+            if early == 0 and output.exists() and len(os.listdir(output)) > 4 * EARLY_PAIRS:
                 early = last
         end(process)
         times = written(output)
-        stretch = min(STRETCH, len(times) // 4)
+        stretch = min(SPEED_PAIRS, len(times) // 4)
         return {
             "pairs": len(times),
             "memory early, MB": early,
             "memory at the end, MB": last,
-            "pairs/s early": speed(times, EARLY, EARLY + stretch),
+            "pairs/s early": speed(times, EARLY_PAIRS, EARLY_PAIRS + stretch),
             "pairs/s at the end": speed(times, len(times) - stretch, len(times)),
         }
 
@@ -180,24 +189,24 @@ def measure_kills(
         return counts
 
 
-def bars(results: Found) -> list[Bar]:
+def bars(results: Results) -> list[Bar]:
     """Return the figures with their bounds."""
     result = []
     if results.workers:
         ratio = float(np.median([two / one for one, two in results.workers]))
-        result.append(Bar("two workers over one", ratio, FASTER, at_most=False))
+        result.append(Bar("two workers over one", ratio, MIN_SPEEDUP, at_most=False))
     if results.frames:
         of = results.frames
         memory = of["memory at the end, MB"] / of["memory early, MB"] - 1
         slower = 1 - of["pairs/s at the end"] / of["pairs/s early"]
-        result.append(Bar("share of memory more at the end", memory, APART))
-        result.append(Bar("share of speed less at the end", slower, APART))
+        result.append(Bar("share of memory more at the end", memory, MAX_CHANGE))
+        result.append(Bar("share of speed less at the end", slower, MAX_CHANGE))
     for name, counts in results.kills.items():
         result.append(Bar(f"{name}: other bytes after kills", counts["other bytes"], 0))
     return result
 
 
-def report(results: Found, conditions: dict[str, Any]) -> str:
+def report(results: Results, conditions: dict[str, Any]) -> str:
     """Return the results as Markdown."""
     tables = []
     if results.workers:
@@ -213,7 +222,7 @@ def report(results: Found, conditions: dict[str, Any]) -> str:
     if results.kills:
         rows = [[name, *map(str, counts.values())] for name, counts in results.kills.items()]
         tables.append(Table(["killed", "times", "ended before", "other bytes"], rows))
-    return text_of("# Long runs", conditions, *tables, list(map(str, bars(results))))
+    return markdown_page("# Long runs", conditions, *tables, list(map(str, bars(results))))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -225,21 +234,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--kills", type=int, default=KILLS, help="of each kind; 0 for none")
     options = parser.parse_args(arguments)
     rounds, frames, kills = options.worker_rounds, options.pairs, options.kills
-    pairs, begun = PAIRS, BEGUN
+    pairs, begun = PAIRS, START_PAIRS
     if options.smoke:
-        rounds, frames, kills, pairs, begun = 1, 3 * EARLY, 1, 5, 2
-    results = Found()
+        rounds, frames, kills, pairs, begun = 1, 3 * EARLY_PAIRS, 1, 5, 2
+    results = Results()
     with tempfile.TemporaryDirectory() as folder:
-        size = SMALL if options.smoke else (540, 960)
+        size = FRAME_SIZE if options.smoke else (540, 960)
         Path(folder, "large").mkdir()
-        source = options.source or rendered(Path(folder, "large"), pairs, *size)
+        source = options.source or render_frames(Path(folder, "large"), pairs, *size)
         if rounds:
             results.workers = measure_workers(source, rounds, begun)
         if frames:
             results.frames = measure_frames(frames)
         if kills:
             Path(folder, "few").mkdir()
-            few = rendered(Path(folder, "few"), 40, 96, 128)
+            few = render_frames(Path(folder, "few"), 40, 96, 128)
             results.kills["a run"] = measure_kills(few, kills)
             results.kills["a run of two workers"] = measure_kills(few, kills, "--workers", "2")
             with cluster() as address:
@@ -258,7 +267,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(text)
     if options.smoke:
         return 0
-    write(RESULTS / options.output, text, asdict(results))
+    write_results(RESULTS / options.output, text, asdict(results))
     return exit_code(bars(results))
 
 

@@ -19,9 +19,9 @@ from rich.console import Console
 
 import tisfm
 from bench.pair_memory import peak
-from bench.sequences.rendered_films import CACHE, path_error, rounds
+from bench.sequences.rendered_films import CACHE, circle_path, path_error
 from bench.shared.command import options_parser
-from bench.shared.results import RESULTS, Table, machine, text_of, write
+from bench.shared.results import RESULTS, Table, machine, markdown_page, write_results
 from tisfm import runtime
 from tisfm.reconstruction.progress import DepthOf
 from tisfm.scenes import room_film
@@ -29,7 +29,7 @@ from tisfm.settings import Preset
 
 HEIGHT = 120  # px
 WIDTH = 160  # px
-LOT = 50  # frames that are rendered together
+BATCH = 50  # frames that are rendered together
 FIGURES = {  # name of a figure → its format
     "frames": "g",
     "peak memory, MB": ".0f",
@@ -43,12 +43,14 @@ def film(count: int) -> tuple[Path, tisfm.Camera]:
     """Return a folder with at least `count` rendered frames, and their camera."""
     folder = CACHE / f"rounds-{HEIGHT}x{WIDTH}"
     folder.mkdir(parents=True, exist_ok=True)
-    camera = room_film(rounds(1), 8, WIDTH, samples=1).camera
-    for begin in range(0, count, LOT):
-        files = [folder / f"{k:05d}.png" for k in range(begin, begin + LOT)]
+    camera = room_film(circle_path(1), 8, WIDTH, samples=1).camera
+    for begin in range(0, count, BATCH):
+        files = [folder / f"{k:05d}.png" for k in range(begin, begin + BATCH)]
         if all(file.exists() for file in files):
             continue
-        some = room_film(rounds(begin + LOT)[begin:], HEIGHT, WIDTH, textured=True, samples=2)
+        some = room_film(
+            circle_path(begin + BATCH)[begin:], HEIGHT, WIDTH, textured=True, samples=2
+        )
         for file, frame in zip(files, some.frames, strict=True):
             cv2.imwrite(str(file), frame)
     return folder, camera
@@ -66,14 +68,14 @@ def measure(count: int, preset: Preset, depth_of: DepthOf, threads: int) -> dict
     first = np.where((result.piece == 0)[:, None, None], result.poses, np.nan)
     posed = result.piece >= 0
     values = count, memory, len(set(result.piece[posed].tolist())), int(posed.sum())
-    return dict(zip(FIGURES, (*values, path_error(first, rounds(count))), strict=True))
+    return dict(zip(FIGURES, (*values, path_error(first, circle_path(count))), strict=True))
 
 
 def report(conditions: dict[str, Any], rows: list[dict[str, float]]) -> str:
     """Return the results as Markdown."""
     cells = [[format(row[word], form) for word, form in FIGURES.items()] for row in rows]
     table = Table(list(FIGURES), cells, text_columns=0)
-    return text_of("# Memory of a sequence over its frames", conditions, table)
+    return markdown_page("# Memory of a sequence over its frames", conditions, table)
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -115,7 +117,7 @@ def main(arguments: list[str] | None = None) -> int:
         **machine(),
     }
     text = report(conditions, rows)
-    write(RESULTS / options.output, text, {"conditions": conditions, "rows": rows})
+    write_results(RESULTS / options.output, text, {"conditions": conditions, "rows": rows})
     return 0
 
 

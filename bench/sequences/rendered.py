@@ -24,24 +24,31 @@ from bench.sequences.rendered_films import (
     COUNTS,
     SIZE,
     Take,
-    around_one,
     depth_in_one_scale,
     depth_of_pair,
     depth_of_window,
     flicker,
     gap,
+    keyframe_path,
     path_error,
-    round_trip,
+    round_trip_path,
     scale_change,
-    shaken,
+    shake_path,
     share_of_mesh,
-    turned,
-    walked,
+    turn_path,
+    walk_path,
 )
-from bench.shared.command import options_parser, words_of
+from bench.shared.command import command_text, options_parser
 from bench.shared.figures import CURVES, tidy
-from bench.shared.results import RESULTS, Bar, Table, exit_code, machine, text_of
-from bench.shared.results import write as write_files
+from bench.shared.results import (
+    RESULTS,
+    Bar,
+    Table,
+    exit_code,
+    machine,
+    markdown_page,
+    write_results,
+)
 from tisfm import runtime
 from tisfm.scenes import Film
 from tisfm.settings import Preset
@@ -99,7 +106,7 @@ class Checks:
 
     def _trip(self, room: str, seed: int) -> Iterator[Bar]:
         count = 16 if self._smoke else 200
-        film = self._film("trip", round_trip(count), room, seed)
+        film = self._film("trip", round_trip_path(count), room, seed)
         with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
             result = self._reconstruct(film, Path(folder))
             name = f"round trip of {count} frames, {room}, seed {seed}"
@@ -112,7 +119,7 @@ class Checks:
 
     def _blanked(self, room: str, seed: int) -> Iterator[Bar]:
         count, blank = (12, 2) if self._smoke else (40, 10)
-        film = self._film("walk", walked(count), room, seed)
+        film = self._film("walk", walk_path(count), room, seed)
         frames = film.frames.copy()
         first = (count - blank) // 2
         frames[first : first + blank] = 0
@@ -128,7 +135,7 @@ class Checks:
 
     def _turn(self, room: str, seed: int) -> Iterator[Bar]:
         part = 6 if self._smoke else 20
-        film = self._film("turn", turned(part, part, part), room, seed)
+        film = self._film("turn", turn_path(part, part, part), room, seed)
         with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
             poses = self._reconstruct(film, Path(folder)).poses
         name = f"{part} frames of rotation, {room}, seed {seed}"
@@ -139,7 +146,7 @@ class Checks:
 
     def _walk(self, room: str, seed: int) -> Iterator[Bar]:
         count = 12 if self._smoke else 40
-        film = self._film("walk", walked(count), room, seed)
+        film = self._film("walk", walk_path(count), room, seed)
         with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
             result = self._reconstruct(film, Path(folder))
             name = f"walk of {count} frames, {room}, seed {seed}"
@@ -151,7 +158,7 @@ class Checks:
             yield Bar(f"{name}: flicker over that of pairs", ratio, 1 / 3)
 
     def _frames(self, room: str, seed: int) -> Iterator[Bar]:
-        film = self._film("frames", around_one(max(COUNTS)), room, seed)
+        film = self._film("frames", keyframe_path(max(COUNTS)), room, seed)
         depths = [depth_of_window(film, count, self._settings) for count in COUNTS]
         errors = [error for error, _ in depths]
         self.errors[f"{room}, seed {seed}"] = errors
@@ -170,7 +177,7 @@ class Checks:
         yield Bar(f"{name}: within one deviation, %, at most", depths[-1][1], 75.0)
 
     def _shutter(self, room: str, seed: int) -> Iterator[Bar]:
-        film = self._film("shaken", shaken(12 if self._smoke else 24), room, seed, READOUT)
+        film = self._film("shaken", shake_path(12 if self._smoke else 24), room, seed, READOUT)
         name = f"rows read within {READOUT:g} of an interval, {room}, seed {seed}"
         ate: list[float] = []
         for readout, treatment in ((0.0, "ignored"), (None, "found and undone")):
@@ -241,7 +248,7 @@ def write(conditions: dict[str, Any], bars: list[Bar], errors: Errors, path: Pat
         blocks.append(Table(["", *map(str, COUNTS)], rows))
         draw(errors, path.with_suffix(".png"))
     record = {"conditions": conditions, "bars": [asdict(bar) for bar in bars], "errors": errors}
-    write_files(path, text_of("# Sequences on rendered films", conditions, *blocks), record)
+    write_results(path, markdown_page("# Sequences on rendered films", conditions, *blocks), record)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -252,7 +259,7 @@ def main(arguments: list[str] | None = None) -> int:
     checks = Checks(settings, smoke=options.smoke, seeds=options.seeds)
     size = SMOKE_SIZE if options.smoke else SIZE
     conditions = {
-        "command": words_of("sequences.rendered", options, WORDS),
+        "command": command_text("sequences.rendered", options, WORDS),
         "size": f"{size[0]}×{size[1]} px",
         "threads": options.threads,
         **machine(),

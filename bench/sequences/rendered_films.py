@@ -19,8 +19,8 @@ from tisfm.scenes import Film, room_film
 SIZE = 240, 320  # px, height and width
 CACHE = Path(tempfile.gettempdir()) / "tisfm-rendered-films"
 COUNTS = (2, 3, 4, 6, 8)  # numbers of frames for the depth of a keyframe
-WITHIN = 0.02  # share of the true depth: largest error of a correct vertex
-HIDDEN = 0.05  # share of the visible depth: points farther behind are hidden
+MAX_VERTEX_ERROR = 0.02  # share of the true depth: largest error of a correct vertex
+MIN_HIDDEN_DISTANCE = 0.05  # share of the visible depth: points farther behind are hidden
 
 Poses = np.ndarray  # (N, 4, 4), camera to world
 
@@ -63,12 +63,12 @@ class Take:
         return film
 
 
-def walked(count: int) -> np.ndarray:
+def walk_path(count: int) -> np.ndarray:
     """Return the poses of a camera that moves sideways and forward, and turns slightly."""
     return np.array([pose_matrix((0.04 * k, 0, 0.02 * k, 0, 0.01 * k, 0)) for k in range(count)])
 
 
-def round_trip(count: int) -> np.ndarray:
+def round_trip_path(count: int) -> np.ndarray:
     """Return the poses of a camera that circles in the room and ends at its first position.
 
     It looks at one corner of the room, and to the left and right of the corner.
@@ -78,7 +78,7 @@ def round_trip(count: int) -> np.ndarray:
     return _looking(positions, 0.35 * np.sin(at))
 
 
-def rounds(count: int, of_round: int = 225) -> np.ndarray:
+def circle_path(count: int, of_round: int = 225) -> np.ndarray:
     """Return the poses of a camera that circles repeatedly and looks outward.
 
     Rounds have different radii and heights.
@@ -89,7 +89,7 @@ def rounds(count: int, of_round: int = 225) -> np.ndarray:
     return _looking(np.stack([radius * np.sin(at), height, radius * np.cos(at)], axis=1), at)
 
 
-def turned(before: int, turning: int, after: int, step: float = 0.02) -> np.ndarray:
+def turn_path(before: int, turning: int, after: int, step: float = 0.02) -> np.ndarray:
     """Return the poses of a camera that moves, turns on the spot, and moves on; step in rad."""
     going = np.array([0.035, 0, 0.02])
     shift = np.r_[np.arange(before), np.full(turning, before - 1), before + np.arange(after)]
@@ -97,7 +97,7 @@ def turned(before: int, turning: int, after: int, step: float = 0.02) -> np.ndar
     return _looking((shift - shift[0])[:, None] * going, angle - step * turning / 2)
 
 
-def shaken(count: int) -> np.ndarray:
+def shake_path(count: int) -> np.ndarray:
     """Return the poses of a moving camera that shakes by up to 3° between frames."""
     at = np.arange(count)
     turns = 0.03 * np.sin(0.9 * at), 0.04 * (np.cos(0.7 * at) - 1), 0.02 * np.sin(1.3 * at)
@@ -105,7 +105,7 @@ def shaken(count: int) -> np.ndarray:
     return np.array([pose_matrix(twist) for twist in twists])
 
 
-def around_one(count: int) -> np.ndarray:
+def keyframe_path(count: int) -> np.ndarray:
     """Return the poses of a keyframe, and of frames on both sides at growing distances."""
     factors = [0, *(sign * k for k in range(1, count) for sign in (1, -1))][:count]
     motion = np.array([0.12, 0.0, 0.08, 0.003, 0.01, 0.006])
@@ -176,7 +176,7 @@ def share_of_mesh(film: Film, result: tisfm.Reconstruction) -> float:
     if not len(vertices):
         return 0.0
     moved = align(centres(result.poses), centres(film.poses)).apply(vertices)
-    return 100 * float(np.mean(_distance(moved, film) < WITHIN))
+    return 100 * float(np.mean(_distance(moved, film) < MAX_VERTEX_ERROR))
 
 
 def depth_in_one_scale(film: Film, result: tisfm.Reconstruction) -> float:
@@ -239,7 +239,7 @@ def _distance(points: np.ndarray, film: Film) -> np.ndarray:
             [z[on] / depth[row + j, column + i] - 1 for i, j in itertools.product((0, 1), (0, 1))]
         )
         nearest = np.take_along_axis(distances, np.abs(distances).argmin(axis=0)[None], axis=0)[0]
-        shown = nearest < HIDDEN
+        shown = nearest < MIN_HIDDEN_DISTANCE
         total[on[shown]] += np.abs(nearest[shown])
         count[on[shown]] += 1
     return np.where(count > 0, total / np.maximum(count, 1), np.inf)

@@ -6,8 +6,15 @@ from pathlib import Path
 from rich.console import Console
 
 from bench.sequences.contest import Score, SequenceContest
-from bench.shared.results import EMPTY, Table, cell, gaps, print_gaps, text_of
-from bench.shared.results import write as write_files
+from bench.shared.results import (
+    EMPTY_CELL,
+    Table,
+    cell,
+    markdown_page,
+    missing_sections,
+    print_missing,
+    write_results,
+)
 
 NOTES = (
     "ATE: root mean square distance of the centres of the largest piece after the best similarity, "
@@ -35,28 +42,30 @@ Column = tuple[str, Callable[[Score], str]]
 
 def _ate(score: Score) -> str:
     pieces = score.evaluation.pieces if score.evaluation else ()
-    return f"{100 * pieces[0].share:.2f}" if pieces and pieces[0].share is not None else EMPTY
+    return f"{100 * pieces[0].share:.2f}" if pieces and pieces[0].share is not None else EMPTY_CELL
 
 
 def _metres(score: Score) -> str:
     pieces = score.evaluation.pieces if score.evaluation else ()
     absolute = pieces[0].absolute if pieces else None
-    return EMPTY if absolute is None else f"{absolute.similarity:.4f}"
+    return EMPTY_CELL if absolute is None else f"{absolute.similarity:.4f}"
 
 
 def _posed(score: Score) -> str:
     evaluation = score.evaluation
-    return f"{evaluation.posed} of {evaluation.frames}" if evaluation else EMPTY
+    return f"{evaluation.posed} of {evaluation.frames}" if evaluation else EMPTY_CELL
 
 
 def _pieces(score: Score) -> str:
     evaluation = score.evaluation
-    return str(len(evaluation.pieces)) if evaluation and evaluation.pieces else EMPTY
+    return str(len(evaluation.pieces)) if evaluation and evaluation.pieces else EMPTY_CELL
 
 
 def _largest(score: Score) -> str:
     evaluation = score.evaluation
-    return f"{100 * evaluation.largest_share:.0f}" if evaluation and evaluation.pieces else EMPTY
+    return (
+        f"{100 * evaluation.largest_share:.0f}" if evaluation and evaluation.pieces else EMPTY_CELL
+    )
 
 
 def _depth(name: str, form: str, factor: float = 1.0) -> Callable[[Score], str]:
@@ -78,7 +87,7 @@ def _memory(score: Score) -> str:
 
 def _focal(score: Score) -> str:
     if score.focal is None:
-        return EMPTY
+        return EMPTY_CELL
     difference, deviation, seen = score.focal
     return f"{100 * difference:+.1f} ± {100 * deviation:.1f}{'' if seen else ', doubted'}"
 
@@ -107,10 +116,10 @@ def summary(contest: SequenceContest, heading: str) -> Table:
     sequences, methods = _names(contest)
     cells = {(score.method, score.sequence): text(score) for score in contest.scores}
     rows = [
-        [method, *(cells.get((method, sequence), EMPTY) for sequence in sequences)]
+        [method, *(cells.get((method, sequence), EMPTY_CELL) for sequence in sequences)]
         for method in methods
     ]
-    rows = [row for row in rows if any(cell != EMPTY for cell in row[1:])]
+    rows = [row for row in rows if any(cell != EMPTY_CELL for cell in row[1:])]
     return Table(["method", *sequences], rows)
 
 
@@ -127,7 +136,7 @@ def show(contest: SequenceContest, console: Console) -> None:
     for heading, table in _summaries(contest).items():
         console.print(heading)
         console.print(table.rich())
-    print_gaps(console, contest.missing, contest.failures)
+    print_missing(console, contest.missing, contest.failures)
 
 
 def write(contest: SequenceContest, path: Path) -> None:
@@ -138,15 +147,15 @@ def write(contest: SequenceContest, path: Path) -> None:
     sections: list[str | Table] = []
     for sequence in _names(contest)[0]:
         sections += [f"## {sequence}", details(contest, sequence)]
-    text = text_of(
+    text = markdown_page(
         "# Sequences: path and depth",
         contest.conditions,
         *blocks,
         NOTES,
-        *gaps(contest.missing, contest.failures),
+        *missing_sections(contest.missing, contest.failures),
         *sections,
     )
-    write_files(path, text, contest.as_json())
+    write_results(path, text, contest.as_json())
 
 
 def _summaries(contest: SequenceContest) -> dict[str, Table]:

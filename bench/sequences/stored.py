@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-class Stored:
+class StoredResult:
     """A stored result with the interface that `tisfm.evaluation.compare_sequence` needs.
 
     NAME.json in its folder has the pose of each frame, (4, 4) or None, its segment, its status, and

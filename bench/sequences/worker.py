@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tisfm
-from bench.pair_memory import peak, restart
+from bench.pair_memory import peak, reset_peak
 from bench.sequences.stored import store, store_map
 from tisfm import runtime
 from tisfm.evaluation.pair_errors import LITTLE_PARALLAX
@@ -30,7 +30,9 @@ from tisfm.lens import undistort
 from tisfm.rigid import pose_matrix
 
 STRIDE = 4  # px between the pixels whose points are passed to the next pair
-FEWEST = 0.003  # share of these pixels with both depths, below which the scale is lost; set by hand
+MIN_OVERLAP = (
+    0.003  # share of these pixels with both depths, below which the scale is lost; set by hand
+)
 
 # Arguments: a frame, and the other frame of its pair.
 Interpret = Callable[[int, int], Interpretation]
@@ -48,7 +50,7 @@ def run(request: dict[str, Any]) -> dict[str, Any]:
     tisfm.interpret(*first, camera=camera.pinhole(), settings=settings)  # compiles kernels
     del first
     gc.collect()
-    restart()
+    reset_peak()
     method = {"reconstruct": _reconstructed, "chain": _chained}[request["method"]]
     return method(request, frames, camera, settings) | {"peak": peak()}
 
@@ -219,7 +221,7 @@ def _unit(
     here = inverse_depth[y[inside].astype(np.intp), x[inside].astype(np.intp)]
     ratios = ahead[2, inside] * here
     ratios = ratios[np.isfinite(ratios) & (ratios > 0)]
-    fewest = FEWEST * inverse_depth.size / STRIDE**2
+    fewest = MIN_OVERLAP * inverse_depth.size / STRIDE**2
     return float(np.median(ratios)) if len(ratios) > fewest else None
 
 

@@ -11,14 +11,14 @@ from typing import Any, TypeVar, get_args
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from bench.shared.contest import Contest, Method, hold
+from bench.shared.contest import Contest, Method, run_contest
 from bench.shared.peer_process import Peer, Survey, find_peers
 from bench.shared.sequences import FlowPair, data_folder, find_pairs, scene_pairs
 from tisfm.settings import Preset
 
 SMOKE_SIZE = (96, 128)  # px, height and width of scenes in a smoke run
 SCENE_SIZE = (480, 640)  # px, of scenes without a folder of sequences
-COUNTS = ("threads", "rounds", "repetitions", "frames")  # options that are 1 or more
+POSITIVE_OPTIONS = ("threads", "rounds", "repetitions", "frames")  # options that are 1 or more
 
 # Option → arguments for argparse.
 OPTIONS: dict[str, dict[str, Any]] = {
@@ -32,7 +32,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "output": {"metavar": "NAME", "help": "name of the files in bench/results"},
     "peer-python": {"type": Path, "metavar": "PATH", "help": "the peers' interpreter"},
 }
-OTHER_NAMES = {"only": ("--methods",)}
+ALIASES = {"only": ("--methods",)}
 
 T = TypeVar("T")
 
@@ -41,7 +41,7 @@ def options_parser(module: str, text: str | None, *names: str, **defaults: Any) 
     """Return the parser of ``python -m bench.MODULE`` with some of `OPTIONS`."""
     parser = Parser(prog=f"python -m bench.{module}", description=text)
     for name in names:
-        parser.add_argument(f"--{name}", *OTHER_NAMES.get(name, ()), **OPTIONS[name])
+        parser.add_argument(f"--{name}", *ALIASES.get(name, ()), **OPTIONS[name])
     parser.set_defaults(**defaults)
     return parser
 
@@ -52,7 +52,7 @@ class Parser(argparse.ArgumentParser):
     def parse_args(self, *arguments: Any, **keywords: Any) -> Any:
         """Return the options."""
         options = super().parse_args(*arguments, **keywords)
-        for name in COUNTS:
+        for name in POSITIVE_OPTIONS:
             value = getattr(options, name, None)
             lowest = min(value) if isinstance(value, list) else value
             if lowest is not None and lowest < 1:
@@ -60,7 +60,7 @@ class Parser(argparse.ArgumentParser):
         return options
 
 
-def words_of(module: str, options: argparse.Namespace, names: Sequence[str]) -> str:
+def command_text(module: str, options: argparse.Namespace, names: Sequence[str]) -> str:
     """Return the command of a run; folders and interpreters appear as DIR and PATH."""
     words = [f"python -m bench.{module}"]
     for name in names:
@@ -126,13 +126,13 @@ def progress(total: int) -> Iterator[Callable[[str], None]]:
         yield lambda text: bar.update(task, description=text, advance=1)
 
 
-def hold_with_progress(
+def run_with_progress(
     methods: Sequence[Method], pairs: Pairs, options: argparse.Namespace, **details: Any
 ) -> Contest:
     """Hold a contest and show its progress."""
     rounds = 1 if options.smoke else options.rounds
     with progress(len(methods) * (1 + (rounds + 1) * len(pairs.pairs))) as step:
-        return hold(methods, pairs.pairs, rounds=rounds, step=step, **details)
+        return run_contest(methods, pairs.pairs, rounds=rounds, step=step, **details)
 
 
 @dataclass(frozen=True)

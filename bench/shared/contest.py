@@ -18,11 +18,11 @@ from tisfm.horn_schunck import horn_schunck
 from tisfm.metrics import angular_error, endpoint_error, outlier_rate
 from tisfm.settings import Preset, Settings
 
-WARM_UP = (96, 128)  # px, of the first call of every method
+WARM_UP_SIZE = (96, 128)  # px, of the first call of every method
 # A method that takes less runs once untimed before each timed call, so that caches are warm.
-QUICK = 0.5  # s
-SLOW = 3.0  # s: a slower call has no warm-up on each pair
-SLOW_ROUNDS = 3  # rounds of such a slow method, at most
+FAST_CALL = 0.5  # s
+SLOW_CALL = 3.0  # s: a slower call has no warm-up on each pair
+MAX_SLOW_ROUNDS = 3  # rounds of such a slow method, at most
 
 
 class MethodFailure(Exception):  # noqa: N818 (the error is the method's)
@@ -97,7 +97,7 @@ class Contest:
     measurements: tuple[Measurement, ...]
     missing: dict[str, str] = field(default_factory=dict)  # missing method or pair → the reason
 
-    def of(self, method: str, pair: str) -> Measurement | None:
+    def measurement(self, method: str, pair: str) -> Measurement | None:
         """Return the measurement of a method on a pair."""
         return next((m for m in self.measurements if (m.method, m.pair) == (method, pair)), None)
 
@@ -110,13 +110,13 @@ class Contest:
         return asdict(self)
 
 
-def hold(
+def run_contest(
     methods: Sequence[Method],
     pairs: Sequence[FlowPair],
     *,
     reference: str,  # the method whose time is the unit of the ratios
     # Timed calls of each method and pair, after one untimed call; slow methods have fewer, see
-    # `SLOW`. The flow of the first call is scored.
+    # `SLOW_CALL`. The flow of the first call is scored.
     rounds: int,
     conditions: dict[str, Any],  # as in `Contest`
     missing: dict[str, str],
@@ -128,7 +128,7 @@ def hold(
         raise ValueError("there is no pair to measure on")
     missing, ready = dict(missing), []
     pace: dict[str, float] = {}  # s per pixel
-    small = pairs[0].crop(*WARM_UP)
+    small = pairs[0].crop(*WARM_UP_SIZE)
     for method in methods:
         step(f"{method.name}: first call")
         try:
@@ -162,15 +162,15 @@ def _measure(
     scores: dict[str, Measurement] = {}
     timings: dict[str, list[Timing]] = {method.name: [] for method in methods}
     failures: dict[str, str] = {}
-    slow = {method.name for method in methods if pace[method.name] * pixels > SLOW}
+    slow = {method.name for method in methods if pace[method.name] * pixels > SLOW_CALL}
     for turn in range(rounds + 1):  # the 0th is the warm-up
         for method in methods:
             name = method.name
-            if name in failures or (name in slow and not 1 <= turn <= SLOW_ROUNDS):
+            if name in failures or (name in slow and not 1 <= turn <= MAX_SLOW_ROUNDS):
                 continue
             step(f"{pair.name}: {name}")
             try:
-                if turn > 0 and pace[name] * pixels < QUICK:
+                if turn > 0 and pace[name] * pixels < FAST_CALL:
                     method.run(pair)
                 call = method.run(pair)
                 if name not in scores:
@@ -204,7 +204,7 @@ def score(flow: NDArray, pair: FlowPair, method: str) -> Measurement:
 
 
 @dataclass(frozen=True)
-class Own:
+class OwnMethod:
     """A method of tisfm, on frames as they were read."""
 
     name: str
@@ -221,16 +221,16 @@ class Own:
         return Call(flow=flow, seconds=seconds, cpu=cpu)
 
 
-def interpretation(name: str, settings: Settings) -> Own:
+def interpretation(name: str, settings: Settings) -> OwnMethod:
     """Return `tisfm.interpret` with settings; its time includes depth, motion and confidence."""
-    return Own(name, lambda *frames: tisfm.interpret(*frames, settings=settings).flow)
+    return OwnMethod(name, lambda *frames: tisfm.interpret(*frames, settings=settings).flow)
 
 
-def preset(name: Preset) -> Own:
+def preset(name: Preset) -> OwnMethod:
     """Return a preset of `tisfm.interpret`."""
     return interpretation(f"tisfm {name}", Settings.preset(name))
 
 
-def baseline() -> Own:
+def baseline() -> OwnMethod:
     """Return tisfm's Horn and Schunck."""
-    return Own("tisfm Horn–Schunck", horn_schunck)
+    return OwnMethod("tisfm Horn–Schunck", horn_schunck)

@@ -9,13 +9,27 @@ from typing import Literal
 
 from rich.console import Console
 
-from bench.shared.contest import QUICK, SLOW, SLOW_ROUNDS, Contest, Measurement, PairInfo
-from bench.shared.results import EMPTY, Table, cell, gaps, print_gaps, text_of
-from bench.shared.results import write as write_files
+from bench.shared.contest import (
+    FAST_CALL,
+    MAX_SLOW_ROUNDS,
+    SLOW_CALL,
+    Contest,
+    Measurement,
+    PairInfo,
+)
+from bench.shared.results import (
+    EMPTY_CELL,
+    Table,
+    cell,
+    markdown_page,
+    missing_sections,
+    print_missing,
+    write_results,
+)
 
 Metric = Literal["epe", "aae", "outliers"]
 STANDARD_SIZE = (480, 640)  # px, height and width of the pairs with compared times
-DETAILS: tuple[tuple[Metric, str], ...] = (
+DETAIL_TITLES: tuple[tuple[Metric, str], ...] = (
     ("epe", "EPE, px"),
     ("aae", "AAE, degrees"),
     ("outliers", "Outliers, %"),
@@ -32,7 +46,7 @@ class Column:
 
     def value(self, contest: Contest, method: str) -> float | None:
         """Return the mean, or None if the method failed on a pair of the group."""
-        measurements = [contest.of(method, pair.name) for pair in self.pairs(contest)]
+        measurements = [contest.measurement(method, pair.name) for pair in self.pairs(contest)]
         values: list[float | None] = [
             getattr(measurement, self.metric) if measurement else None
             for measurement in measurements
@@ -59,7 +73,7 @@ COLUMNS = (
 )
 
 
-def present(contest: Contest) -> list[Column]:
+def measured_columns(contest: Contest) -> list[Column]:
     """Return the columns whose groups have a pair in the contest."""
     return [column for column in COLUMNS if column.pairs(contest)]
 
@@ -69,8 +83,8 @@ class Spread:
     """Median and extremes over the rounds."""
 
     median: float
-    least: float
-    most: float
+    lowest: float
+    highest: float
 
     @classmethod
     def of(cls, values: list[float]) -> "Spread | None":
@@ -88,13 +102,13 @@ def standard_time(contest: Contest, method: str) -> Spread | None:
     return Spread.of(list(_by_round(contest, method).values()))
 
 
-def ratio(contest: Contest, method: str) -> Spread | None:
+def relative_time(contest: Contest, method: str) -> Spread | None:
     """Return the time as a multiple of that of the reference in the same round."""
     own, unit = _by_round(contest, method), _by_round(contest, contest.reference)
     return Spread.of([own[turn] / unit[turn] for turn in own if turn in unit])
 
 
-def cores(contest: Contest, method: str) -> float | None:
+def busy_cores(contest: Contest, method: str) -> float | None:
     """Return the mean number of busy cores during the timed calls."""
     timings = [t for m in _measured(contest, method) for t in m.timings]
     wall = sum(timing.seconds for timing in timings)
@@ -103,7 +117,7 @@ def cores(contest: Contest, method: str) -> float | None:
 
 def _measured(contest: Contest, method: str) -> list[Measurement]:
     """Return the measurements of a method on the timed pairs; none if it failed on one."""
-    measurements = [contest.of(method, pair.name) for pair in timed_pairs(contest)]
+    measurements = [contest.measurement(method, pair.name) for pair in timed_pairs(contest)]
     measured = [m for m in measurements if m is not None and m.timings]
     return measured if len(measured) == len(measurements) else []
 
@@ -125,7 +139,7 @@ def summary(contest: Contest, *, changes: bool = False) -> Table:
 
     With `changes`, each error is followed by its difference from the reference's, %.
     """
-    columns = present(contest)
+    columns = measured_columns(contest)
     height, width = STANDARD_SIZE
     head = [
         "method",
@@ -139,8 +153,8 @@ def summary(contest: Contest, *, changes: bool = False) -> Table:
             method,
             *(_error(contest, column, method, changes) for column in columns),
             _spread(standard_time(contest, method)),
-            _spread(ratio(contest, method)),
-            _text(cores(contest, method), ".1f"),
+            _spread(relative_time(contest, method)),
+            _text(busy_cores(contest, method), ".1f"),
         ]
         for method in contest.methods
     ]
@@ -152,14 +166,14 @@ def details(contest: Contest) -> dict[str, Table]:
 
     def table(cell_of: Callable[[Measurement | None], str]) -> Table:
         rows = [
-            [method, *(cell_of(contest.of(method, pair.name)) for pair in contest.pairs)]
+            [method, *(cell_of(contest.measurement(method, pair.name)) for pair in contest.pairs)]
             for method in contest.methods
         ]
         return Table(["method", *(pair.name for pair in contest.pairs)], rows)
 
     tables = {
         title: table(lambda measured, metric=metric: _figure(metric, getattr(measured, metric)))  # type: ignore[misc]
-        for metric, title in DETAILS
+        for metric, title in DETAIL_TITLES
     }
     return tables | {
         "Seconds, median": table(lambda m: _text(m.seconds if m else None, "#.3g")),
@@ -183,8 +197,8 @@ def notes(contest: Contest) -> list[str]:
         f"Seconds per {width}×{height} pair: {basis}; median over the rounds, in brackets the "
         "least and the most. In every round each method runs once, one after the other; ratios "
         "are taken within a round. The first call of each method on each pair is not timed; a call "
-        f"of less than {QUICK:g} s runs once more, untimed, before each timed call. Methods of "
-        f"more than {SLOW:g} s have no untimed calls and at most {SLOW_ROUNDS} rounds.",
+        f"of less than {FAST_CALL:g} s runs once more, untimed, before each timed call. Methods of "
+        f"more than {SLOW_CALL:g} s have no untimed calls and at most {MAX_SLOW_ROUNDS} rounds.",
         "Cores busy: processor time over wall time.",
     ]
 
@@ -192,7 +206,7 @@ def notes(contest: Contest) -> list[str]:
 def show(contest: Contest, console: Console, *, changes: bool = False) -> None:
     """Print the summary, and the missing and failed methods."""
     console.print(summary(contest, changes=changes).rich())
-    print_gaps(console, contest.missing, contest.failures())
+    print_missing(console, contest.missing, contest.failures())
 
 
 def write(
@@ -207,15 +221,15 @@ def write(
     sections = [
         block for heading, table in details(contest).items() for block in (f"## {heading}", table)
     ]
-    text = text_of(
+    text = markdown_page(
         f"# {title}",
         contest.conditions,
         summary(contest, changes=changes),
         [*remarks, *notes(contest)],
-        *gaps(contest.missing, contest.failures()),
+        *missing_sections(contest.missing, contest.failures()),
         *sections,
     )
-    write_files(path, text, contest.as_json())
+    write_results(path, text, contest.as_json())
 
 
 def _error(contest: Contest, column: Column, method: str, changes: bool) -> str:
@@ -229,15 +243,15 @@ def _error(contest: Contest, column: Column, method: str, changes: bool) -> str:
 
 def _figure(metric: Metric, value: float | None) -> str:
     if value is None:
-        return EMPTY
+        return EMPTY_CELL
     return {"epe": f"{value:.3f}", "aae": f"{value:.2f}", "outliers": f"{100 * value:.1f}"}[metric]
 
 
 def _spread(spread: Spread | None) -> str:
     if spread is None:
-        return EMPTY
+        return EMPTY_CELL
     low, middle, high = (
-        f"{v:#.3g}".rstrip(".") for v in (spread.least, spread.median, spread.most)
+        f"{v:#.3g}".rstrip(".") for v in (spread.lowest, spread.median, spread.highest)
     )
     return middle if low == high else f"{middle} [{low}–{high}]"
 

@@ -12,7 +12,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from matplotlib.transforms import Bbox
 
 from bench.shared.contest import Contest
-from bench.shared.contest_report import STANDARD_SIZE, Column, present, standard_time
+from bench.shared.contest_report import STANDARD_SIZE, Column, measured_columns, standard_time
 from tisfm.show.palette import as_hex, category_colors
 
 # Dark colours first; without yellow, which is too faint for a line. The palette is that of
@@ -21,12 +21,12 @@ BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = (
     as_hex(category_colors(8)[k]) for k in (5, 6, 3, 7, 1, 2)
 )
 CURVES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
-OURS = VERMILION
-THEIRS = BLUE
-DIRECTIONS = 16  # directions from a mark in which its label is tried
-DISTANCES = (7, 10, 14, 20, 28, 38, 50)  # points, at which a label is tried
-LEADER_FROM = 14  # points: a label at this distance or more has a line to its mark
-LOGARITHMIC_FROM = 4  # ratio of largest to smallest error: above, the axis is logarithmic
+OWN_COLOUR = VERMILION
+PEER_COLOUR = BLUE
+LABEL_DIRECTIONS = 16  # directions from a mark in which its label is tried
+LABEL_DISTANCES = (7, 10, 14, 20, 28, 38, 50)  # points, at which a label is tried
+MIN_LEADER_LENGTH = 14  # points: a label at this distance or more has a line to its mark
+MIN_LOGARITHMIC_RATIO = 4  # ratio of largest to smallest error: above, the axis is logarithmic
 
 
 def tidy(axes: Axes) -> None:
@@ -46,7 +46,7 @@ class Mark:
     @property
     def colour(self) -> str:
         """Tisfm has another colour than the other libraries."""
-        return OURS if self.name.startswith("tisfm") else THEIRS
+        return OWN_COLOUR if self.name.startswith("tisfm") else PEER_COLOUR
 
 
 def marks(contest: Contest, column: Column) -> list[Mark]:
@@ -59,14 +59,14 @@ def marks(contest: Contest, column: Column) -> list[Mark]:
     return result
 
 
-def draw(contest: Contest, path: Path) -> None:
+def draw_contest(contest: Contest, path: Path) -> None:
     """Write the picture of the contest's first column over time."""
-    picture(contest).savefig(path)
+    contest_figure(contest).savefig(path)
 
 
-def picture(contest: Contest) -> Figure:
+def contest_figure(contest: Contest) -> Figure:
     """Return the picture of the contest's first column over time."""
-    column = present(contest)[0]
+    column = measured_columns(contest)[0]
     methods = marks(contest, column)
     if not methods:
         raise ValueError("no method has both a time and an error: there is nothing to draw")
@@ -92,7 +92,7 @@ def _scale(axes: Axes, methods: list[Mark]) -> None:
     axes.xaxis.set_major_formatter(plain)
     axes.xaxis.set_minor_formatter(NullFormatter())
     errors = [mark.error for mark in methods]
-    if max(errors) > LOGARITHMIC_FROM * min(errors):
+    if max(errors) > MIN_LOGARITHMIC_RATIO * min(errors):
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 3, 5)))
         axes.yaxis.set_major_formatter(plain)
@@ -126,7 +126,7 @@ def _label(axes: Axes, methods: list[Mark]) -> None:
                 break
         occupied.append(bounds)
         text.set_position(((left - x) / pixels, (low - y) / pixels))
-        if math.hypot(dx, dy) >= LEADER_FROM:
+        if math.hypot(dx, dy) >= MIN_LEADER_LENGTH:
             start, end = axes.transData.inverted().transform(
                 [(x, y), (x + dx * pixels, y + dy * pixels)]
             )
@@ -135,9 +135,9 @@ def _label(axes: Axes, methods: list[Mark]) -> None:
 
 def _offsets() -> Iterator[tuple[float, float]]:
     """Yield offsets in points: near ones first, and among these the right first."""
-    for distance, turn in itertools.product(DISTANCES, range(DIRECTIONS)):
+    for distance, turn in itertools.product(LABEL_DISTANCES, range(LABEL_DIRECTIONS)):
         half = (turn + 1) // 2 * (-1) ** turn  # 0, -1, 1, -2, 2 … sixteenths of a turn
-        angle = 2 * math.pi * half / DIRECTIONS
+        angle = 2 * math.pi * half / LABEL_DIRECTIONS
         yield distance * math.cos(angle), distance * math.sin(angle)
 
 

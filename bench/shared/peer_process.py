@@ -13,15 +13,15 @@ import numpy as np
 
 from bench.shared.contest import Call, MethodFailure
 from bench.shared.sequences import FlowPair
-from bench.shared.worker import LAST_WORDS, Worker, WorkerDied
+from bench.shared.worker import MESSAGE_LINES, Worker, WorkerDied
 
 WORKER = Path(__file__).with_name("peer_worker.py")
 PACKAGES = ("opencv-contrib-python-headless", "scikit-image", "numpy")
 # Environment variables that bound the threads of OpenMP and of BLAS.
-POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def prepare(folder: Path) -> Path:
+def make_environment(folder: Path) -> Path:
     """Make a virtual environment with the peers' libraries; return its interpreter."""
     if folder.exists() and any(folder.iterdir()) and not (folder / "pyvenv.cfg").exists():
         raise FileExistsError(f"{folder} is not empty: name a new folder for the environment")
@@ -60,7 +60,7 @@ def survey(python: Path) -> Survey:
     except (OSError, subprocess.TimeoutExpired, ValueError, IndexError) as error:
         raise RuntimeError(f"{python} does not run the peers' worker: {error}") from None
     except subprocess.CalledProcessError as error:
-        words = " ".join(error.stderr.split("\n")[-1 - LAST_WORDS :])
+        words = " ".join(error.stderr.split("\n")[-1 - MESSAGE_LINES :])
         raise RuntimeError(f"{python} does not run the peers' worker: {words}") from None
 
 
@@ -89,7 +89,7 @@ class Peer:
         self._folder = folder
         self._worker = Worker(
             [python, WORKER, "serve", name, str(threads)],
-            environment=os.environ | dict.fromkeys(POOLS, str(threads)),
+            environment=os.environ | dict.fromkeys(THREAD_VARIABLES, str(threads)),
             messages=folder / f"{_file_name(name)}.txt",
             timeout=timeout,
         )

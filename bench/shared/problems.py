@@ -16,17 +16,19 @@ SMOOTHNESS = {
 }
 RELAXATION = 1.9
 CONSTRAINTS = {"brightness": 0.3, "gradient": 1.0, "normalization": 0.1}
-SCALES = (0.3 * 0.1**2, 0.1**2)  # m ε² of both
+DATA_SCALES = (0.3 * 0.1**2, 0.1**2)  # m ε² of both
 UNIQUENESS = {"density": 1.23, "apart": 0.07}  # pixels per pixel; px/frame
-RATIO = 0.7  # coarse over fine sampling density
-NOISE = 0.1  # px/frame, on ρ̂, so that weights of edges lie well between 0 and 1
-STEPS = (0.5, -1.0)  # along two directions; repeated steps neither grow nor vanish
-RATE = 0.2  # of edge weights, per grey level
+DENSITY_RATIO = 0.7  # coarse over fine sampling density
+RHO_NOISE = 0.1  # px/frame, on ρ̂, so that weights of edges lie well between 0 and 1
+LINE_STEPS = (0.5, -1.0)  # along two directions; repeated steps neither grow nor vanish
+EDGE_RATE = 0.2  # of edge weights, per grey level
 TOLERATED_SQUARE = 0.15**2  # px²
 HYPOTHESES = 0.5 + np.arange(16)  # px/frame, of inverse depth; fill whole vectors of lanes
-NEAR = 4.0  # px/frame
+GUESS_TRUNCATION = 4.0  # px/frame
 AGGREGATION = {"step": 0.3, "jump": 5.0, "edge": 1.2}
-BORDER = 0.01  # px from the image border within which rounding decides about inside or outside
+UNCERTAIN_BORDER = (
+    0.01  # px from the image border within which rounding decides about inside or outside
+)
 
 
 class Problem:
@@ -39,38 +41,42 @@ class Problem:
     def __init__(self, height: int, width: int) -> None:
         pair = scenes.two_blocks(height, width, samples=1)
         self.height, self.width, self.camera = height, width, pair.camera
-        self.frames = [single(pair.frame0), single(pair.frame1)]
+        self.frames = [in_single_precision(pair.frame0), in_single_precision(pair.frame1)]
         self.expected: dict[tuple, np.ndarray] = {}
         rng = np.random.default_rng(0)
         truth = pair.camera.focal * np.concatenate([pair.tau, pair.omega])
-        self.rho = single(truth + NOISE * rng.normal(size=truth.shape))
-        self.previous = single(self.rho + NOISE * rng.normal(size=truth.shape))
-        shape = (6, round(RATIO * height), round(RATIO * width))
-        self.coarse = single(rng.normal(size=shape))
-        self.parents = single(rng.normal(size=(6, -(-height // 2), -(-width // 2))))
-        self.step = single(self.rho - self.previous + NOISE * rng.normal(size=truth.shape))
+        self.rho = in_single_precision(truth + RHO_NOISE * rng.normal(size=truth.shape))
+        self.previous = in_single_precision(self.rho + RHO_NOISE * rng.normal(size=truth.shape))
+        shape = (6, round(DENSITY_RATIO * height), round(DENSITY_RATIO * width))
+        self.coarse = in_single_precision(rng.normal(size=shape))
+        self.parents = in_single_precision(rng.normal(size=(6, -(-height // 2), -(-width // 2))))
+        self.step = in_single_precision(
+            self.rho - self.previous + RHO_NOISE * rng.normal(size=truth.shape)
+        )
         self.motion = reference.motion_matrix(self.camera, height, width, 6)
-        self.flow = single(reference.flow(self.motion, self.rho))
+        self.flow = in_single_precision(reference.flow(self.motion, self.rho))
         # Lengths in units of the background's step: D is then in px/frame.
         unit = np.linalg.norm(pair.motions[0, :3])
         poses = [np.column_stack(rigid_motion(twist)) for twist in pair.motions]
-        self.motions = single(np.array(poses) / [1, 1, 1, unit])
-        self.inverse_depth = single(unit * pair.camera.focal / pair.depth)[None]
-        self.labels = single(pair.labels)
+        self.motions = in_single_precision(np.array(poses) / [1, 1, 1, unit])
+        self.inverse_depth = in_single_precision(unit * pair.camera.focal / pair.depth)[None]
+        self.labels = in_single_precision(pair.labels)
         self._weights: dict[tuple[int, bool], np.ndarray] = {}
 
     def weights(self, components: int, *, joint: bool = False) -> np.ndarray:
         """Return the edge weights of the first components of ρ̂, one for each even if joint."""
         if (components, joint) not in self._weights:
             weights = reference.edge_weights(self.rho[:components], SMOOTHNESS[joint])
-            self._weights[components, joint] = single(weights)
+            self._weights[components, joint] = in_single_precision(weights)
         return self._weights[components, joint]
 
     @cached_property
     def gradients(self) -> np.ndarray:
         """(I_x, I_y, I_t) of frame 0 and frame 1 warped, with a border of 2 px, (3, H+4, W+4)."""
         warped, _ = reference.warp(self.frames[1], self.flow)
-        return single(np.array(reference.derivatives(self.frames[0], warped, "five_tap", halo=2)))
+        return in_single_precision(
+            np.array(reference.derivatives(self.frames[0], warped, "five_tap", halo=2))
+        )
 
     @cached_property
     def mask(self) -> np.ndarray:
@@ -80,20 +86,22 @@ class Problem:
     @cached_property
     def residual(self) -> np.ndarray:
         """Residual of the constraints of each pixel, grey levels; random, (H, W)."""
-        return single(np.random.default_rng(1).uniform(0, 5, (self.height, self.width)))
+        return in_single_precision(
+            np.random.default_rng(1).uniform(0, 5, (self.height, self.width))
+        )
 
     @cached_property
     def tensor(self) -> np.ndarray:
         """Motion tensor, (6, H, W)."""
         inner = tuple(self.gradients[:, 2:-2, 2:-2])
-        return single(reference.brightness_tensor(inner, self.flow, self.mask))
+        return in_single_precision(reference.brightness_tensor(inner, self.flow, self.mask))
 
     @cached_property
     def constraints(self) -> np.ndarray:
         """Constraints of brightness and gradient constancy, normalised, (9, H, W)."""
         gradients = tuple(self.gradients)
         terms = reference.constancy_constraints(gradients, self.flow, self.mask, **CONSTRAINTS)
-        return single(np.concatenate(terms).reshape(9, self.height, self.width))
+        return in_single_precision(np.concatenate(terms).reshape(9, self.height, self.width))
 
     @cached_property
     def terms(self) -> list[np.ndarray]:
@@ -108,7 +116,7 @@ class Problem:
         covariance = np.stack([a[0] ** 2, a[0] * a[1], a[1] ** 2])
         covariance += np.stack([b[0] ** 2, b[0] * b[1], b[1] ** 2])
         curvature = [cv2.boxFilter(entry, -1, (15, 15)) for entry in self.tensor[:3]]
-        return single(np.stack([*curvature, self.residual, *covariance]))
+        return in_single_precision(np.stack([*curvature, self.residual, *covariance]))
 
     @cached_property
     def signs(self) -> np.ndarray:
@@ -121,45 +129,45 @@ class Problem:
         unit = 2.4 * np.abs(np.diff(self.frames[0])).mean()
         frames = np.array(self.frames) / unit
         slopes = np.gradient(frames, axis=(2, 1))
-        return single(np.stack([frames, *(4 * slope for slope in slopes)], axis=1))
+        return in_single_precision(np.stack([frames, *(4 * slope for slope in slopes)], axis=1))
 
     @cached_property
     def guess(self) -> np.ndarray:
         """A prior inverse depth, px/frame, (H, W)."""
-        return single(self.inverse_depth[0] + self.residual)
+        return in_single_precision(self.inverse_depth[0] + self.residual)
 
     @cached_property
     def trust(self) -> np.ndarray:
         """Weight of the prior inverse depth, (H, W)."""
-        return single(self.residual / 10)
+        return in_single_precision(self.residual / 10)
 
     @cached_property
     def twists(self) -> np.ndarray:
         """T and f·ω of every motion; random, (K, 6)."""
-        return single(np.random.default_rng(4).normal(size=(len(self.motions), 6)))
+        return in_single_precision(np.random.default_rng(4).normal(size=(len(self.motions), 6)))
 
     @cached_property
     def cost(self) -> np.ndarray:
         """Costs of all hypotheses; random, (H, W, N)."""
         shape = (self.height, self.width, len(HYPOTHESES))
-        return single(np.random.default_rng(3).uniform(0, 2, shape))
+        return in_single_precision(np.random.default_rng(3).uniform(0, 2, shape))
 
     @cached_property
-    def decided(self) -> np.ndarray:
+    def certain(self) -> np.ndarray:
         """Whether a hypothesis moves a pixel clearly inside or outside the image, (H, W, N)."""
         rows, columns = np.mgrid[: self.height, : self.width]
         rotation, translation = self.motions[0, :, :3], self.motions[0, :, 3]
-        decided = []
+        certain = []
         for hypothesis in HYPOTHESES:
             depth = np.full(rows.shape, hypothesis)
             u, v = reference.displacement(depth, self.camera, rotation, translation)
             x, y = columns + u, rows + v
             away = [x, x - self.width + 1, y, y - self.height + 1]
-            decided.append((np.abs(away) > BORDER).all(axis=0))
-        return np.stack(decided, axis=-1)
+            certain.append((np.abs(away) > UNCERTAIN_BORDER).all(axis=0))
+        return np.stack(certain, axis=-1)
 
 
-def single(values: np.ndarray) -> np.ndarray:
+def in_single_precision(values: np.ndarray) -> np.ndarray:
     """Return the values rounded to float32, as float64."""
     return np.asarray(values, np.float32).astype(np.float64)
 

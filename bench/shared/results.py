@@ -15,7 +15,7 @@ from rich.table import Table as RichTable
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "bench" / "results"
-EMPTY = "–"  # cell of a figure that was not measured
+EMPTY_CELL = "–"  # cell of a figure that was not measured
 TABLE_WIDTH = 160  # columns of a console that is not a terminal
 
 
@@ -46,7 +46,9 @@ class Table:
 
     def without_empty_columns(self) -> "Table":
         """Return the table without the columns in which every cell is empty."""
-        filled = [k for k in range(len(self.head)) if any(row[k] != EMPTY for row in self.rows)]
+        filled = [
+            k for k in range(len(self.head)) if any(row[k] != EMPTY_CELL for row in self.rows)
+        ]
         return Table(
             [self.head[k] for k in filled], [[row[k] for k in filled] for row in self.rows]
         )
@@ -87,10 +89,10 @@ def exit_code(bars: Iterable[Bar]) -> int:
 
 def cell(value: float | None, form: str) -> str:
     """Return a formatted figure, or the empty cell for None."""
-    return EMPTY if value is None else format(value, form)
+    return EMPTY_CELL if value is None else format(value, form)
 
 
-def text_of(*blocks: str | Mapping[str, Any] | Sequence[str] | Table) -> str:
+def markdown_page(*blocks: str | Mapping[str, Any] | Sequence[str] | Table) -> str:
     """Return a Markdown page of blocks, separated by empty lines.
 
     A string is a heading or a paragraph, a mapping a list of ``name: value``, and another sequence
@@ -109,7 +111,7 @@ def text_of(*blocks: str | Mapping[str, Any] | Sequence[str] | Table) -> str:
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def write(path: Path, text: str, record: Any = None) -> None:
+def write_results(path: Path, text: str, record: Any = None) -> None:
     """Write PATH.md and, if there is a record of all figures, PATH.json."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.with_suffix(".md").write_text(text, encoding="utf-8")
@@ -118,13 +120,15 @@ def write(path: Path, text: str, record: Any = None) -> None:
         path.with_suffix(".json").write_text(content + "\n", encoding="utf-8")
 
 
-def gaps(missing: Mapping[str, str], failures: Mapping[str, str]) -> list[str | Mapping[str, str]]:
+def missing_sections(
+    missing: Mapping[str, str], failures: Mapping[str, str]
+) -> list[str | Mapping[str, str]]:
     """Return the sections of a report about what is missing and what failed."""
     sections = (("## Missing", missing), ("## Failed", failures))
     return [block for section in sections if section[1] for block in section]
 
 
-def print_gaps(
+def print_missing(
     console: Console, missing: Mapping[str, str], failures: Mapping[str, str] | None = None
 ) -> None:
     """Print what is missing and what failed."""
@@ -156,7 +160,7 @@ def machine() -> dict[str, Any]:
     }
 
 
-def memory(name: str, process: int | str = "self") -> float | None:
+def process_memory(name: str, process: int | str = "self") -> float | None:
     """Return a size that Linux reports of a process, bytes; None if the system does not.
 
     `name` is VmRSS for resident memory, or VmHWM for its peak.

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-LAST_WORDS = 3  # last lines of the messages of a dead worker, which are shown
-PATIENCE = 20.0  # s until a worker that should end is killed
+MESSAGE_LINES = 3  # last lines of the messages of a dead worker, which are shown
+CLOSE_TIMEOUT = 20.0  # s until a worker that should end is killed
 
 
 class WorkerDied(Exception):  # noqa: N818 (the error is the worker's)
@@ -59,7 +59,7 @@ class Worker:
         assert self._process is not None
         return self._converse(self._process, question)
 
-    def close(self, patience: float = PATIENCE) -> None:
+    def close(self, patience: float = CLOSE_TIMEOUT) -> None:
         """End the worker; kill it if it runs on for `patience` seconds."""
         process, self._process = self._process, None
         if process is None:
@@ -101,5 +101,5 @@ class Worker:
             return f"its process was ended after {self._timeout:g} s without an answer"
         code = process.wait()
         words = self._messages.read_text(encoding="utf-8", errors="replace").strip()
-        last = " ".join(words.splitlines()[-LAST_WORDS:])
+        last = " ".join(words.splitlines()[-MESSAGE_LINES:])
         return f"its process died with status {code}" + (f": {last}" if last else "")

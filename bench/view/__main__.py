@@ -17,8 +17,16 @@ from typing import Any
 import numpy as np
 
 from bench.shared.command import options_parser
-from bench.shared.results import RESULTS, Bar, Table, exit_code, machine, text_of, write
-from bench.view.opening import Opening, browser, opened
+from bench.shared.results import (
+    RESULTS,
+    Bar,
+    Table,
+    exit_code,
+    machine,
+    markdown_page,
+    write_results,
+)
+from bench.view.opening import Opening, browser, measure_opening
 from tisfm.cli.command_line import main as tisfm_command
 from tisfm.formats import write_png
 from tisfm.reconstruction.result.folder import DEPTH, PICTURES, depth_path, write_record
@@ -27,12 +35,12 @@ from tisfm.rigid import pose_matrix
 from tisfm.scenes import room_film
 
 FRAMES = 1000  # of each result
-SHORT = 8  # frames of the short results that are repeated
+SHORT_FRAMES = 8  # frames of the short results that are repeated
 HEIGHT = 480  # px
 WIDTH = 640  # px
 ROUNDS = 5  # starts of the command on each result
 STEPS = 6  # of the slider in each start
-BAR = 3.0  # s until points are visible; set by hand
+MAX_SECONDS = 3.0  # s until points are visible; set by hand
 NAMES = {"run": "`tisfm run`", "reconstruction": "`tisfm reconstruct`"}
 HEAD = (
     "", "frames", "page served, s", "points seen, s", "in the slowest start, s",
@@ -46,7 +54,11 @@ _DRIFT = 0.01  # m per frame, added to the long path so that no two cameras coin
 def bars(results: Mapping[str, Sequence[Opening]]) -> list[Bar]:
     """Return the bar of each kind of result."""
     return [
-        Bar(f"{NAMES[kind]}: s until points are seen", median(o.first for o in openings), BAR)
+        Bar(
+            f"{NAMES[kind]}: s until points are seen",
+            median(o.first for o in openings),
+            MAX_SECONDS,
+        )
         for kind, openings in results.items()
     ]
 
@@ -63,7 +75,7 @@ def report(
         "of them. Steps go to frames that were not shown before. Memory is that of the command, "
         "after the first picture and at most.",
     ]
-    return text_of("# The viewer on long results", conditions, table, notes)
+    return markdown_page("# The viewer on long results", conditions, table, notes)
 
 
 def _row(kind: str, openings: Sequence[Opening], frames: int) -> list[str]:
@@ -99,12 +111,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     results: dict[str, list[Opening]] = {"run": [], "reconstruction": []}
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        focal = write_frames(folder / "frames", SHORT, *size)
+        focal = write_frames(folder / "frames", SHORT_FRAMES, *size)
         write_short(folder / "frames", focal, folder / "short_run", folder / "short_reconstruction")
-        lengthened_run(folder / "short_run", folder / "run", frames)
-        lengthened_reconstruction(
-            folder / "short_reconstruction", folder / "reconstruction", frames
-        )
+        lengthen_run(folder / "short_run", folder / "run", frames)
+        lengthen_reconstruction(folder / "short_reconstruction", folder / "reconstruction", frames)
         try:
             with browser() as chromium:
                 version = chromium.version
@@ -114,7 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                         visited = [
                             (k * frames // (steps + 1) + first) % frames for k in range(1, 7)
                         ]
-                        opening = opened(chromium, folder / kind, visited[:steps])
+                        opening = measure_opening(chromium, folder / kind, visited[:steps])
                         if turn or options.smoke:  # else it reads cold files
                             openings.append(opening)
         except RuntimeError as error:
@@ -125,7 +135,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(text)
     if options.smoke:
         return 0
-    write(RESULTS / options.output, text)
+    write_results(RESULTS / options.output, text)
     return exit_code(bars(results))
 
 
@@ -154,7 +164,7 @@ def write_short(frames: Path, focal: float, run: Path, reconstruction: Path) -> 
             raise RuntimeError(f"tisfm {arguments[0]} ended with exit code {code}")
 
 
-def lengthened_run(short: Path, long: Path, count: int) -> None:
+def lengthen_run(short: Path, long: Path, count: int) -> None:
     """Write a run of `count` pairs, which repeats the pairs of a short one."""
     long.mkdir()
     record = json.loads((short / "run.json").read_text(encoding="utf-8"))
@@ -168,7 +178,7 @@ def lengthened_run(short: Path, long: Path, count: int) -> None:
     (long / "run.json").write_text(text, encoding="utf-8")
 
 
-def lengthened_reconstruction(short: Path, long: Path, count: int) -> None:
+def lengthen_reconstruction(short: Path, long: Path, count: int) -> None:
     """Write a reconstruction of `count` frames that runs to and fro through a short one.
 
     Raise ValueError if a frame of the short one has no pose.

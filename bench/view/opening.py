@@ -16,16 +16,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bench.shared.results import memory
+from bench.shared.results import process_memory
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 OPTIONS = (
     "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
 )  # fmt: skip
 WINDOW = {"width": 1280, "height": 800}
-PATIENCE = 120.0  # s to wait for the page
-_REST = 1.5  # s without data after which a frame counts as complete; set by hand
-_LEAST_PAYLOAD = 10_000  # least bytes of a message with points or pictures
+PAGE_TIMEOUT = 120.0  # s to wait for the page
+IDLE_TIME = 1.5  # s without data after which a frame counts as complete; set by hand
+MIN_PAYLOAD = 10_000  # least bytes of a message with points or pictures
 # Notes the second picture after the first call that draws 1,000 points or more.
 _NOTES = """
 const draw = WebGL2RenderingContext.prototype.drawArrays;
@@ -81,7 +81,7 @@ def browser() -> Iterator[Any]:
             started.close()
 
 
-def opened(chromium: Any, folder: Path, steps: Sequence[int]) -> Opening:
+def measure_opening(chromium: Any, folder: Path, steps: Sequence[int]) -> Opening:
     """Start the command on a result, open its page, and step to frames.
 
     Raise RuntimeError if the command serves no page.
@@ -102,11 +102,11 @@ def opened(chromium: Any, folder: Path, steps: Sequence[int]) -> Opening:
             raise RuntimeError(f"tisfm view serves no page of {folder}")
         served = time.perf_counter() - begin
         tab.goto(address[0])
-        seen = tab.wait_for_function("window.pointsSeen", timeout=1000 * PATIENCE)
+        seen = tab.wait_for_function("window.pointsSeen", timeout=1000 * PAGE_TIMEOUT)
         first = seen.json_value() - began
         processor = _processor_time(command.pid)
         refined = arrivals.last_after(begin, tab) - begin
-        resident = memory("VmRSS", command.pid)
+        resident = process_memory("VmRSS", command.pid)
         step_times = tuple(_stepped(tab, arrivals, number) for number in steps)
         return Opening(
             served=served,
@@ -115,7 +115,7 @@ def opened(chromium: Any, folder: Path, steps: Sequence[int]) -> Opening:
             refined=refined,
             steps=step_times,
             memory=_megabytes(resident),
-            peak=_megabytes(memory("VmHWM", command.pid)),
+            peak=_megabytes(process_memory("VmHWM", command.pid)),
         )
     finally:
         command.kill()
@@ -131,7 +131,7 @@ class Arrivals:
         tab.on("websocket", lambda socket: socket.on("framereceived", self._note))
 
     def _note(self, payload: str | bytes) -> None:
-        if len(payload) > _LEAST_PAYLOAD:
+        if len(payload) > MIN_PAYLOAD:
             self.times.append(time.perf_counter())
 
     def last_after(self, begin: float, tab: Any) -> float:
@@ -139,9 +139,9 @@ class Arrivals:
         while True:
             last = max([begin, *self.times])
             idle = time.perf_counter() - last
-            if idle > _REST:
+            if idle > IDLE_TIME:
                 return last
-            tab.wait_for_timeout(1000 * (_REST - idle) + 20)
+            tab.wait_for_timeout(1000 * (IDLE_TIME - idle) + 20)
 
 
 def _stepped(tab: Any, arrivals: Arrivals, number: int) -> tuple[float, float]:
@@ -158,7 +158,7 @@ def _stepped(tab: Any, arrivals: Arrivals, number: int) -> tuple[float, float]:
     tab.wait_for_function(
         "want => document.querySelector('[data-testid=status]')?.innerText.includes(want)",
         arg=f", {number + 1} of ",
-        timeout=1000 * PATIENCE,
+        timeout=1000 * PAGE_TIMEOUT,
     )
     shown = time.perf_counter() - begin
     return shown, arrivals.last_after(begin, tab) - begin

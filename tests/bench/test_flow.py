@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bench import ablation, peers, untextured, window
-from bench.shared.figures import picture
+from bench.shared.figures import contest_figure
 from bench.untextured import Method
 from tests.bench.shared.fakes import Fake, contest, flow_pair
 from tisfm.scenes import bare_patches
@@ -34,7 +34,7 @@ def test_names_in_the_picture_overlap_neither_each_other_nor_the_marks():
         Fake(f"method number {k}", [], error=1 + 0.02 * k, seconds=1e-3 * (1 + 0.01 * k))
         for k in range(6)
     ]
-    figure = picture(contest(methods, [flow_pair()]))
+    figure = contest_figure(contest(methods, [flow_pair()]))
     (axes,) = figure.axes
     boxes = [text.get_window_extent() for text in axes.texts]
     assert len(boxes) == 6
@@ -84,7 +84,7 @@ def test_parts_without_texture(tmp_path, monkeypatch, capsys):
 
 def test_the_noise_is_what_it_says():
     pair = bare_patches(90, 120)
-    noise = untextured.noisy(pair, 5, seed=0).frame1 - pair.frame1.astype(float)
+    noise = untextured.add_noise(pair, 5, seed=0).frame1 - pair.frame1.astype(float)
     assert noise.std() == pytest.approx(5, rel=0.05)
     assert {method.noise for method in untextured.methods().values()} == {0, 2, 5}
 

@@ -237,7 +237,7 @@ def test_splatting_and_who_loses_them(size, any_order):
 
     out = np.full(size, 9, np.int32)
     defeated(flow, residual, sums, out, density=1.2, apart=0.1)
-    expected = reference.defeated(flow, residual, density=1.2, flow_difference=0.1)
+    expected = reference.hidden_pixels(flow, residual, density=1.2, flow_difference=0.1)
     np.testing.assert_array_equal(out, expected)
     if min(size) > 4:
         assert 0 < expected.mean() < 0.5

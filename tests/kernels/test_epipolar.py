@@ -145,7 +145,7 @@ def test_along(size, lanes, count, make_problem):
         problem.to_lanes(direction), problem.unknowns.rho, out,
     )  # fmt: skip
     terms = reference.tensors_of(split(constraints))
-    expected = reference.along(terms, flow, direction, problem.rho[0])
+    expected = reference.restrict_to_line(terms, flow, direction, problem.rho[0])
     restricted = problem.from_lanes(out).reshape(count, 3, *size).astype(float)
     actual = reference.tensors_of(split(restricted))
     identity = reference.motion_matrix(problem.camera, *size, 2)

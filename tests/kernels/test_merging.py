@@ -34,7 +34,7 @@ def test_kernel_is_the_reference(size, count):
     deviation = (0.05 * random.random(shape)).astype(np.float32)
     before = depth.copy(), deviation.copy()
     out, spread = merge(depth, deviation)
-    expected, its_spread = reference.merged(depth.astype(float), deviation.astype(float), 0.1)
+    expected, its_spread = reference.merge_depths(depth.astype(float), deviation.astype(float), 0.1)
     # Sums of a few products in single precision.
     np.testing.assert_allclose(out, expected, rtol=1e-5)
     np.testing.assert_allclose(spread, its_spread, rtol=1e-5, atol=1e-8)

@@ -114,7 +114,7 @@ def test_improved_planes_are_those_of_the_reference(size, draws):
     options = {"spread": 2.0, "tilt": 0.05, "steepest": 3 / camera.focal, "bounds": (1e-3, largest)}
     for color in range(2):
         before = state
-        state = reference.improved_planes(
+        state = reference.improve_planes(
             state, cost, color=color, draws=draws, seed=6 + color, **options
         )
         assert (state != before).any(axis=0).mean() > 0.1

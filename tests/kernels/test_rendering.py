@@ -33,7 +33,7 @@ def test_kernel_is_the_reference(size):
     deviation = (0.05 * random.random(size)).astype(np.float32)
     motion = rigid_motion(TWIST)
     out, spread = show(depth, deviation, motion, camera)
-    expected, its_spread = reference.rendered(
+    expected, its_spread = reference.render_depth(
         depth.astype(float), deviation.astype(float), *motion, camera
     )
     # A pixel on a limit of a comparison may fall to either side of it in single precision.

@@ -27,7 +27,7 @@ def test_what_frames_say_is_added_up(size, lanes, count, make_problem):
             grid, problem.to_lanes(tensor), problem.to_lanes(flow), problem.to_lanes(direction),
             problem.unknowns.rho, problem.to_lanes(weight[None]), sums,
         )  # fmt: skip
-        restricted = reference.along([tensor.astype(float)], flow, direction, depth)[0]
+        restricted = reference.restrict_to_line([tensor.astype(float)], flow, direction, depth)[0]
         expected += weight * restricted[[0, 3, 5]]
     scale = np.abs(expected).max()
     np.testing.assert_allclose(problem.from_lanes(sums), expected, atol=1e-5 * scale)

@@ -26,7 +26,7 @@ def test_kernel_is_the_reference(size):
     given = [image.astype(np.float32) for image in images]
     before = [image.copy() for image in given]
     out = moved(*given)
-    expected = reference.by_look(*(image.astype(float) for image in given), 10.0)
+    expected = reference.align_depth_edges(*(image.astype(float) for image in given), 10.0)
     # Of votes that are equal but for rounding, either may win.
     close = np.isclose(out[0], expected[0], rtol=1e-5)
     assert close.mean() > 0.99

@@ -91,7 +91,7 @@ def test_improved_planes_are_those_of_the_reference(size, draws):
 
     options = {"spread": 2.0, "tilt": 0.05, "steepest": 3 / CAMERA.focal, "bounds": (1e-3, 6.0)}
     for color in range(2):
-        state = reference.improved_planes(
+        state = reference.improve_planes(
             state, cost, color=color, draws=draws, seed=6 + color, **options
         )
     off = np.abs(np.moveaxis(planes, -1, 0) - state).max(axis=0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from bench.untextured import bare_parts
+from bench.untextured import bare_pixels
 from tests.noise import moving_noise
 from tests.rendered import bare_patches, two_blocks
 
@@ -71,7 +71,7 @@ def test_median(count):
 def bare(request):
     """A scene with bare parts, and what is more than 8 px inside them."""
     pair = bare_patches(seed=request.param)
-    return pair, bare_parts(pair)
+    return pair, bare_pixels(pair)
 
 
 @pytest.mark.parametrize("preset", ["balanced", "accurate"])

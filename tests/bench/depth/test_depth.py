@@ -12,25 +12,25 @@ import tisfm
 from bench import focal
 from bench.depth import __main__ as depth
 from bench.depth import scores
-from bench.depth.contest import hold
-from bench.depth.methods import Estimate, FlowThenDepth, NoMotion, triangulated, two_stage
+from bench.depth.contest import run_contest
+from bench.depth.methods import Estimate, FlowThenDepth, NoMotion, triangulate, two_stage
 from bench.depth.pairs import (
-    GIVEN,
     HAND_HELD,
     HARDLY_MOVED,
-    MOVING,
     OFFICE,
+    POSE_GIVEN,
     RENDERED_ROOM,
     RENDERED_STUDIO,
     ROOM,
     ROOMS,
-    STEPS,
+    SPACED,
+    TWO_BLOCKS,
     Entry,
     data_entries,
     scene_entries,
 )
 from bench.depth.report import (
-    COMMON,
+    COMMON_SUFFIX,
     STATIC,
     _trusted,
     details,
@@ -40,7 +40,7 @@ from bench.depth.report import (
     thresholds,
     write,
 )
-from bench.depth.scores import HORIZON, Score, limited, parallax_of, score
+from bench.depth.scores import MAX_RELATIVE_DEPTH, Score, limit_depth, parallax_of, score
 from bench.focal import picture
 from bench.shared.contest import Call, MethodFailure
 from tisfm.metrics import pose_errors
@@ -81,9 +81,9 @@ def test_what_is_beside_the_epipolar_line_is_taken_to_its_nearest_point():
     pose = np.eye(4)
     pose[:3, 3] = (-1, 0, 0)  # moves the scene to the left: the flow is (-f/Z, 0)
     flow = np.full((*SIZE, 2), [-5.0, 0.7])
-    np.testing.assert_allclose(triangulated(flow, camera, pose), 0.1, rtol=1e-9)
+    np.testing.assert_allclose(triangulate(flow, camera, pose), 0.1, rtol=1e-9)
     away = np.full((*SIZE, 2), [5.0, 0.7])
-    np.testing.assert_allclose(triangulated(away, camera, pose), -0.1, rtol=1e-9)
+    np.testing.assert_allclose(triangulate(away, camera, pose), -0.1, rtol=1e-9)
 
 
 def test_flow_out_of_the_image_has_no_essential_matrix():
@@ -122,7 +122,7 @@ def test_a_true_estimate_has_no_errors_and_one_of_known_noise_its_share_within()
 
 def test_things_that_move_have_scales_of_their_own():
     pair = small_entries("two-blocks-0")[0].load()
-    assert pair.group == MOVING and set(np.unique(pair.movers)) == {0, 2, 3}
+    assert pair.group == TWO_BLOCKS and set(np.unique(pair.movers)) == {0, 2, 3}
     factors = np.select([pair.movers == 2, pair.movers == 3], [3.0, 0.5], 1.0)
     found = score(replace(exact(pair), inverse_depth=factors / pair.depth), pair)
     assert found.abs_rel > 0.1
@@ -229,8 +229,8 @@ def test_what_a_status_promises_is_counted():
 
 def test_the_rooms_are_there_with_and_without_their_pose(shared_data):
     entries, _ = data_entries(shared_data)
-    for group, count in ((ROOM, 7), (OFFICE, 11), (STEPS, 16)):
-        for given in (GIVEN, ""):
+    for group, count in ((ROOM, 7), (OFFICE, 11), (SPACED, 16)):
+        for given in (POSE_GIVEN, ""):
             mine = [entry for entry in entries if entry.group == group + given]
             assert len(mine) == count
             pair = mine[0].load()
@@ -242,7 +242,9 @@ def test_the_rooms_are_there_with_and_without_their_pose(shared_data):
 
 def test_limited_depth_has_neither_gaps_nor_depths_beyond_the_horizon():
     depth_map = np.array([[1.0, 1.0, 1.0], [np.nan, 1e6, 2.0]])
-    np.testing.assert_array_equal(limited(depth_map), [[1, 1, 1], [HORIZON, HORIZON, 2]])
+    np.testing.assert_array_equal(
+        limit_depth(depth_map), [[1, 1, 1], [MAX_RELATIVE_DEPTH, MAX_RELATIVE_DEPTH, 2]]
+    )
 
 
 class TrueFlow:
@@ -281,7 +283,9 @@ def true_flow():
 
 
 def contest(methods, *names, rounds=1):
-    return hold(methods, small_entries(*names), rounds=rounds, conditions={"x": 1}, missing={})
+    return run_contest(
+        methods, small_entries(*names), rounds=rounds, conditions={"x": 1}, missing={}
+    )
 
 
 def test_every_threshold_is_scored_from_one_flow_and_the_best_is_reported(tmp_path):
@@ -337,7 +341,7 @@ class Silent:
 def test_pairs_without_depth_are_named():
     pipeline = FlowThenDepth(true_flow(), thresholds=(0.02,))
     held = contest([Silent(), pipeline], "forward-f320", "forward-f300", "sideways-f320")
-    assert [group.name for group in groups(held)][:2] == [STATIC, STATIC + COMMON]
+    assert [group.name for group in groups(held)][:2] == [STATIC, STATIC + COMMON_SUFFIX]
     assert groups(held)[1].pairs == ("forward-f300", "sideways-f320")
     mean = np.mean([s.abs_rel for s in held.scores if s.method == pipeline.name][1:])
     assert summary(held).rows[1][1] == f"{mean:.4f}"  # over the pairs that both have
@@ -379,8 +383,10 @@ def test_without_the_peers_interpreter_own_rows_are_left_and_one_line_says_why(
 def test_the_pairs_are_those_of_every_group(shared_data):
     entries, missing = data_entries(shared_data)
     assert not missing
-    count = {name: sum(entry.group == name for entry in entries) for name in (HAND_HELD, MOVING)}
-    assert count == {HAND_HELD: 16, MOVING: 0}
+    count = {
+        name: sum(entry.group == name for entry in entries) for name in (HAND_HELD, TWO_BLOCKS)
+    }
+    assert count == {HAND_HELD: 16, TWO_BLOCKS: 0}
     assert sum(entry.group == RENDERED_STUDIO for entry in entries) == 25
     first = next(entry for entry in entries if entry.group == HARDLY_MOVED).load()
     assert first.depth.shape == first.raw_depth.shape == first.frame0.shape[:2]

@@ -9,7 +9,7 @@ import pytest
 
 from bench.objects import __main__ as objects
 from bench.objects import statue
-from bench.objects.scores import Score, best, compared, details, table, true_objects
+from bench.objects.scores import Score, best, compare_objects, details, table, true_objects
 from bench.objects.statue import StatuePair
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import two_blocks
@@ -33,7 +33,7 @@ def test_what_is_true_has_no_error(scene):
     order = np.array([2, 0, 1])  # of labels, any
     poses = np.empty((3, 4, 4))
     poses[order] = true_poses(scene)
-    found = compared(scene, depth, poses, order[labels])
+    found = compare_objects(scene, depth, poses, order[labels])
     assert len(found) == 3
     for item in found:
         assert item.iou == 1
@@ -42,16 +42,16 @@ def test_what_is_true_has_no_error(scene):
 
 
 def test_one_motion_for_all_has_no_labels_and_the_wrong_direction_on_things(scene):
-    found = compared(scene, scene.depth, true_poses(scene)[:1], None)
+    found = compare_objects(scene, scene.depth, true_poses(scene)[:1], None)
     assert [item.iou for item in found] == [None] * 3
     assert found[0].direction == pytest.approx(0, abs=1e-4) and found[1].direction > 5
-    nothing = compared(scene, np.full(SIZE, np.nan), true_poses(scene)[:1], None)
+    nothing = compare_objects(scene, np.full(SIZE, np.nan), true_poses(scene)[:1], None)
     assert [item.abs_rel for item in nothing] == [1.0] * 3
 
 
 def test_a_shared_label_is_seen(scene):
     labels = np.minimum(true_objects(scene), 1)
-    found = compared(scene, scene.depth, true_poses(scene)[:2], labels)
+    found = compare_objects(scene, scene.depth, true_poses(scene)[:2], labels)
     assert found[1].iou < 1 and found[2].iou < 0.9
     score = Score(method="a", group="g", pair="p", seconds=1.0, objects=found, labels=2)
     assert not score.complete and replace(score, labels=3).complete
@@ -60,7 +60,7 @@ def test_a_shared_label_is_seen(scene):
 
 
 def test_two_stages_are_taken_at_their_best_threshold(scene):
-    objects = compared(scene, scene.depth, true_poses(scene)[:1], None)
+    objects = compare_objects(scene, scene.depth, true_poses(scene)[:1], None)
     rough = tuple(replace(item, abs_rel=0.5) for item in objects)
     given = {"method": "a", "group": "g", "pair": "p", "seconds": 1.0}
     scores = [

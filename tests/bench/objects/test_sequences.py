@@ -10,10 +10,10 @@ import pytest
 
 import tisfm
 from bench.objects import segmentation, sequences
-from bench.objects.clips import davis_clip, davis_folders, neighbours, rendered_clip
-from bench.objects.segmentation import as_one, tracked
-from bench.objects.sequence_methods import Found, Reconstruct
-from bench.objects.sequence_scores import ClipScore, best, details, scored, table
+from bench.objects.clips import davis_clip, davis_folders, neighbours, render_clip
+from bench.objects.segmentation import one_label, track_parts
+from bench.objects.sequence_methods import ClipLabels, Reconstruct
+from bench.objects.sequence_scores import ClipScore, best, details, score_clip, table
 from bench.shared.contest import MethodFailure
 from tests.noise import moving_noise
 from tisfm.formats import write_png
@@ -23,7 +23,7 @@ THREADS = str(os.cpu_count())  # as the tests started Taichi
 
 @pytest.fixture(scope="module")
 def clip():
-    return rendered_clip(small=True)
+    return render_clip(small=True)
 
 
 def panned(count=5, size=(120, 180)):
@@ -50,10 +50,12 @@ def test_homographies_are_those_of_the_background():
     steps = segmentation.homographies(frames)
     assert len(steps) == 4
     corners = np.array([[[20.0, 20], [160, 20], [160, 100]]])
-    for matrix, shift in ((segmentation.between(steps, 0, 4), -12), (steps[1], -3)):
+    for matrix, shift in ((segmentation.homography_between(steps, 0, 4), -12), (steps[1], -3)):
         moved = cv2.perspectiveTransform(corners, matrix)
         np.testing.assert_allclose(moved - corners, np.full((1, 3, 2), (shift, 0)), atol=1)
-    back = segmentation.between(steps, 4, 0) @ segmentation.between(steps, 0, 4)
+    back = segmentation.homography_between(steps, 4, 0) @ segmentation.homography_between(
+        steps, 0, 4
+    )
     np.testing.assert_allclose(back, np.eye(3), atol=1e-9)
 
 
@@ -63,7 +65,7 @@ def test_what_differs_from_the_background_moves():
     # In 3 frames it moves by more than its width.
     for both, least in ((True, 0.7), (False, 0.3)):
         off = segmentation.differences(frames, steps, 3, both=both)
-        assert overlap(segmentation.cleaned(off[3] > 25), masks[3]) > least
+        assert overlap(segmentation.clean_mask(off[3] > 25), masks[3]) > least
         before = (masks[0] > 0) & (masks[3] == 0)
         shown = np.roll(before, -9, axis=1)  # where it was, in the axes of frame 3
         assert (np.median(off[3][shown]) < 10) == both
@@ -78,10 +80,10 @@ def test_flow_off_the_background_is_what_is_left():
     flow = np.zeros((60, 80, 2), np.float32)
     flow[..., 0] = 2 + 0.01 * np.arange(80)
     flow[20:40, 30:50] += (3, -1)
-    left, length = segmentation.off_homography(flow)
+    left, length = segmentation.homography_residual(flow)
     np.testing.assert_allclose(left[30, 40], (3, -1), atol=0.05)
     assert length[5, 5] < 0.05 and length[30, 40] == pytest.approx(np.sqrt(10), abs=0.05)
-    _, off = segmentation.off_epipolar_lines(flow)
+    _, off = segmentation.epipolar_distance(flow)
     assert off[5, 5] < 0.1 < 0.3 < off[30, 40]
 
 
@@ -105,7 +107,7 @@ def test_parts_keep_their_label_where_they_overlap():
         if k != 1:  # lost for a while
             masks[k, 20:28, 20:30] = 2
     masks[2, 0, 39] = 1  # too small
-    labels = tracked(masks)
+    labels = track_parts(masks)
     assert [sorted(np.unique(label)) for label in labels] == [
         [0, 1, 2],
         [0, 1],
@@ -114,10 +116,11 @@ def test_parts_keep_their_label_where_they_overlap():
     ]
     assert all((label == 1).sum() == 100 for label in labels)
     assert all(
-        (one > 0).sum() == (mask > 0).sum() for one, mask in zip(as_one(masks), masks, strict=True)
+        (one > 0).sum() == (mask > 0).sum()
+        for one, mask in zip(one_label(masks), masks, strict=True)
     )
     masks[3] = np.roll(masks[3], 20, axis=1)  # both elsewhere
-    assert set(np.unique(tracked(masks)[3])) - {0} != {1, 2}
+    assert set(np.unique(track_parts(masks)[3])) - {0} != {1, 2}
 
 
 def test_clips_of_davis_are_read(tmp_path):
@@ -138,20 +141,20 @@ def test_clips_of_davis_are_read(tmp_path):
 
 
 def test_scores_are_those_of_the_metrics(clip):
-    perfect = scored("a", clip, Found(variant="x", labels=clip.truth, seconds=12.0))
+    perfect = score_clip("a", clip, ClipLabels(variant="x", labels=clip.truth, seconds=12.0))
     assert perfect.iou == 1 and perfect.followed == 1 and perfect.switches == 0
     assert perfect.seconds == 2 and perfect.paths == ()
     items = tuple(
         SimpleNamespace(id=k + 1, frames=(0, 1, 2, 4), poses=clip.film.body_poses[k, [0, 1, 2, 4]])
         for k in (0, 1)
     )
-    found = Found(
+    found = ClipLabels(
         variant="", labels=clip.truth, seconds=1.0, objects=items, cameras=clip.film.poses
     )
-    paths = scored("b", clip, found).paths
+    paths = score_clip("b", clip, found).paths
     assert paths[2] is None and [error.frames for error in paths[:2]] == [4, 4]
     assert paths[0].share < 1e-6
-    rows = table([perfect, scored("b", clip, found)]).rows
+    rows = table([perfect, score_clip("b", clip, found)]).rows
     assert rows[0] == ["a (x)", "1.000", "100", "0", "2.00", "–", "–"]
     assert rows[1][-2:] == ["0.0 (1 not found)", "0.0"]
 
@@ -182,7 +185,7 @@ def test_a_result_with_labels_is_read(clip, monkeypatch):
     monkeypatch.setattr(tisfm, "reconstruct", reconstruct)
     (found,) = Reconstruct("fast").run(clip)
     assert asked[0]["settings"].motion == "objects" and asked[0]["camera"] == clip.camera
-    assert scored("tisfm", clip, found).iou == 1
+    assert score_clip("tisfm", clip, found).iou == 1
     monkeypatch.setattr(tisfm, "reconstruct", lambda frames, **_: SimpleNamespace())
     with pytest.raises(MethodFailure, match="no labels"):
         next(Reconstruct("fast").run(clip))

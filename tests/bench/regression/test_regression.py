@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bench.regression import __main__ as regression
-from bench.regression.checkout import Paired, in_turns
+from bench.regression.checkout import Paired, measure_in_turns
 from bench.regression.report import (
     Case,
     Difference,
@@ -58,8 +58,8 @@ def test_no_difference_is_exactly_none(tmp_path):
     both = answer(inverse_depth=((0, 0), np.nan))
     found = compared(tmp_path, both, both)
     assert found == Difference(
-        flow_max=0, flow_median=0, visible=0, depth_max=0, depth_median=0, labels=0,
-        occlusion=0, same=True,
+        flow_max=0, flow_median=0, above_rounding=0, depth_max=0, depth_median=0, labels=0,
+        occlusion=0, identical=True,
     )  # fmt: skip
 
 
@@ -76,14 +76,14 @@ def test_no_difference_is_exactly_none(tmp_path):
 def test_each_difference_is_seen(tmp_path, change, field, expected):
     found = compared(tmp_path, answer(), answer(**change))
     assert getattr(found, field) == pytest.approx(expected)
-    assert not found.same
+    assert not found.identical
 
 
 def test_arrays_of_one_side_only_and_confidence_count(tmp_path):
     without = {name: value for name, value in answer().items() if name != "labels"}
     assert compared(tmp_path, answer(), without).labels == 1
     assert compared(tmp_path, without, without).labels == 0
-    assert not compared(tmp_path, answer(), answer(confidence=((0, 0), 0.5))).same
+    assert not compared(tmp_path, answer(), answer(confidence=((0, 0), 0.5))).identical
 
 
 def test_inverse_depth_is_compared_relatively_with_a_floor():
@@ -94,7 +94,7 @@ def test_inverse_depth_is_compared_relatively_with_a_floor():
 
 def test_sides_take_turns():
     log = []
-    found = in_turns(3, lambda side: log.append(side) or (side, len(log)))
+    found = measure_in_turns(3, lambda side: log.append(side) or (side, len(log)))
     assert log == [0, 1, 1, 0, 0, 1]
     assert found == [((0, 1), (1, 2)), ((0, 4), (1, 3)), ((0, 5), (1, 6))]
 
@@ -108,7 +108,7 @@ def test_out_of_bounds():
     case = {"pair": "p", "preset": "fast", "motion": "field", "before": "converged"}
     nothing = {
         "flow_max": 0.0, "flow_median": 0.0, "visible": 0.0, "depth_max": 1e-6,
-        "depth_median": 0.0, "labels": 0.0, "occlusion": 0.0, "same": False,
+        "depth_median": 0.0, "labels": 0.0, "occlusion": 0.0, "identical": False,
     }  # fmt: skip
 
     def reasons(times=(), after="converged", **changes):
@@ -120,7 +120,7 @@ def test_out_of_bounds():
         return " ".join(listed)
 
     assert reasons() == ""
-    assert "0.500% of the pixels" in reasons(visible=0.005)
+    assert "0.500% of the pixels" in reasons(above_rounding=0.005)
     assert "labels differ" in reasons(labels=0.01)
     assert "was converged and is diverged" in reasons(after="diverged")
     assert "1.100 times as long" in reasons([paired(1.1, 1.1)])

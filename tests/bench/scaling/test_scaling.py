@@ -108,12 +108,12 @@ def test_calls_take_turns_and_quick_ones_are_doubled(monkeypatch):
     monkeypatch.setattr(scaling_worker, "QUICK", -1.0)
     log = []
     calls = {name: lambda name=name: log.append(name) for name in "ab"}
-    times = scaling_worker.in_turns(calls, 2)
+    times = scaling_worker.measure_in_turns(calls, 2)
     assert log == list("ab" * 4)  # two warm up
     assert {name: len(values) for name, values in times.items()} == {"a": 2, "b": 2}
     monkeypatch.setattr(scaling_worker, "QUICK", 1.0)
     log.clear()
-    scaling_worker.in_turns(calls, 1)
+    scaling_worker.measure_in_turns(calls, 1)
     assert log == list("abab" + "aabb")
 
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from bench.sequences.__main__ import main
-from bench.sequences.contest import COLMAP_WORKER, Colmap, Outcome, Own, Score, hold
+from bench.sequences.contest import COLMAP_WORKER, Colmap, Outcome, OwnMethod, Score, run_contest
 from bench.sequences.entries import SELECTED, Entry, data_entries, folder_entries
 from bench.sequences.report import COLUMNS, details, summary, write
-from bench.sequences.stored import Stored, store, store_map
+from bench.sequences.stored import StoredResult, store, store_map
 from bench.shared.contest import MethodFailure
 from tests.evaluation.reconstructed import PATH, N, Result, make_sequence
 from tisfm.datasets import find_sequences
@@ -50,7 +50,7 @@ def entries(tmp_path):
 
 def held(entries, methods, **options):
     settings = {"rounds": 1, "conditions": {"threads": 2}, "missing": {}} | options
-    return hold(methods, entries, **settings)
+    return run_contest(methods, entries, **settings)
 
 
 def test_what_is_stored_comes_back(tmp_path):
@@ -60,7 +60,7 @@ def test_what_is_stored_comes_back(tmp_path):
     piece = [int(number) for number in result.piece]
     units = [1, 2, 3, 4, 5, 6]
     store(tmp_path, "x", poses=result.poses, piece=piece, status=result.status, units=units)
-    found = Stored(tmp_path, "x")
+    found = StoredResult(tmp_path, "x")
     np.testing.assert_array_equal(found.poses, result.poses)
     np.testing.assert_array_equal(found.piece, result.piece)
     assert found.status == result.status and found.has_depth
@@ -139,14 +139,14 @@ def test_a_process_that_fails_is_a_failure_of_the_method(entries, tmp_path):
     assert len(list((here / "images").iterdir())) == N
     poses = loaded.poses.copy()
     poses[0] = np.nan
-    given = Own(preset="fast", method="reconstruct", threads=1, poses_given=True)
+    given = OwnMethod(preset="fast", method="reconstruct", threads=1, poses_given=True)
     with pytest.raises(MethodFailure, match="not all poses are known"):
         given.run(replace(loaded, poses=poses), loaded.camera, here)
 
 
 def test_an_unknown_camera_is_told(entries, tmp_path):
     loaded = entries[0].load()
-    unknown = Own(preset="fast", method="reconstruct", threads=1, camera_given=False)
+    unknown = OwnMethod(preset="fast", method="reconstruct", threads=1, camera_given=False)
     assert unknown.name == "tisfm fast, camera unknown"
     lens = replace(loaded.camera, distortion=(-0.3, 0, 0, 0))
     with pytest.raises(MethodFailure, match="distortion"):
@@ -184,7 +184,7 @@ class Few(Entry):
 def test_chained_pairs_of_real_frames(shared_data):
     (sequence,) = find_sequences(shared_data / "tartanair")
     entry = Few(sequence=sequence)
-    method = Own(preset="fast", method="chain", threads=1)
+    method = OwnMethod(preset="fast", method="chain", threads=1)
     contest = held([entry], [method])
     scores = {score.method: score for score in contest.scores}
     assert set(scores) == {"chained pairs, fast", "pairs, fast"} and not contest.failures

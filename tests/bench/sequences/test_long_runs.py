@@ -6,7 +6,7 @@ from bench.sequences import long_runs
 
 
 def found(two, last, slower, other):
-    return long_runs.Found(
+    return long_runs.Results(
         workers=[(10.0, two), (10.0, two), (5.0, 20.0)],
         frames={
             "pairs": 9999,

@@ -12,16 +12,16 @@ from bench.sequences.rendered_films import (
     COUNTS,
     Take,
     _distance,
-    around_one,
+    circle_path,
     depth_in_one_scale,
     gap,
+    keyframe_path,
     path_error,
-    round_trip,
-    rounds,
+    round_trip_path,
     scale_change,
-    shaken,
-    turned,
-    walked,
+    shake_path,
+    turn_path,
+    walk_path,
 )
 from bench.shared.results import Bar
 
@@ -36,7 +36,7 @@ def similar(poses, scale=1.0):
 
 
 def test_round_trips_end_where_they_began():
-    poses = round_trip(20)
+    poses = round_trip_path(20)
     np.testing.assert_allclose(poses[0], poses[-1], atol=1e-12)
     assert gap(similar(poses, 3.0), poses) == pytest.approx(0, abs=1e-6)
     off = similar(poses, 3.0)
@@ -47,8 +47,8 @@ def test_round_trips_end_where_they_began():
 
 
 def test_rounds_go_on_as_they_began():
-    poses = rounds(460)
-    np.testing.assert_array_equal(rounds(300), poses[:300])
+    poses = circle_path(460)
+    np.testing.assert_array_equal(circle_path(300), poses[:300])
     np.testing.assert_allclose(poses[225, :3, :3], poses[0, :3, :3], atol=1e-12)
     assert np.linalg.norm(poses[225, :3, 3] - poses[0, :3, 3]) > 0.1
     looking = poses[:, :3, 2]
@@ -57,7 +57,7 @@ def test_rounds_go_on_as_they_began():
 
 
 def test_the_camera_turns_where_it_is():
-    poses = turned(5, 7, 6, step=0.03)
+    poses = turn_path(5, 7, 6, step=0.03)
     assert len(poses) == 18
     way = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     assert (way[4:11] == 0).all() and (way[:4] > 0.03).all() and (way[11:] > 0.03).all()
@@ -68,7 +68,7 @@ def test_the_camera_turns_where_it_is():
 
 
 def test_a_change_of_scale_is_seen():
-    poses = turned(5, 5, 5)
+    poses = turn_path(5, 5, 5)
     found = similar(poses)
     found[10:, :3, 3] = found[9, :3, 3] + 1.1 * (found[10:, :3, 3] - found[9, :3, 3])
     change = scale_change(found, poses, slice(0, 5), slice(10, None))
@@ -76,7 +76,7 @@ def test_a_change_of_scale_is_seen():
 
 
 def test_a_shaken_camera_turns_between_frames():
-    poses = shaken(20)
+    poses = shake_path(20)
     turns = poses[:-1, :3, :3].transpose(0, 2, 1) @ poses[1:, :3, :3]
     angle = np.degrees(np.arccos(np.clip((np.trace(turns, axis1=1, axis2=2) - 1) / 2, -1, 1)))
     assert 2 < angle.max() < 3.2 and np.linalg.norm(poses[-1, :3, 3]) > 0.5
@@ -94,15 +94,15 @@ def test_depth_in_one_scale_counts_what_has_none():
 
 
 def test_frames_around_one():
-    poses = around_one(5)
+    poses = keyframe_path(5)
     np.testing.assert_allclose(poses[0], np.eye(4), atol=1e-12)
     np.testing.assert_allclose(poses[1] @ poses[2], np.eye(4), atol=1e-12)
-    assert len(walked(7)) == 7
+    assert len(walk_path(7)) == 7
 
 
 def test_films_are_kept_and_points_on_them_are_right(tmp_path, monkeypatch):
     monkeypatch.setattr(rendered_films, "CACHE", tmp_path / "films")
-    take = Take(name="x", poses=walked(2), textured=True, height=24, width=32)
+    take = Take(name="x", poses=walk_path(2), textured=True, height=24, width=32)
     film = take.film()
     monkeypatch.setattr(rendered_films, "room_film", None)
     again = take.film()

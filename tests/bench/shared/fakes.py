@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bench.shared.contest import Call, MethodFailure, hold
+from bench.shared.contest import Call, MethodFailure, run_contest
 from bench.shared.sequences import FlowPair
 
 SIZE = (48, 64)
@@ -34,6 +34,6 @@ class Fake:
 def contest(methods, pairs, rounds=2):
     conditions = {"threads": 2}
     reference = methods[0].name
-    return hold(
+    return run_contest(
         methods, pairs, reference=reference, rounds=rounds, conditions=conditions, missing={}
     )

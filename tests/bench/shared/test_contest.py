@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.shared import contest_report
-from bench.shared.contest_report import cores, present, ratio, standard_time
+from bench.shared.contest_report import busy_cores, measured_columns, relative_time, standard_time
 from tests.bench.shared.fakes import SIZE, Fake, contest, flow_pair
 
 
@@ -22,17 +22,17 @@ def test_methods_take_turns_in_every_round():
 def test_first_calls_and_those_before_quick_ones_are_not_timed():
     held = contest([Fake("a", [])], [flow_pair()], rounds=2)
     # Calls 1 and 2 warm up, 3 is the pair's first, 4 and 6 come before those timed.
-    assert [round(t.seconds * 1e3) for t in held.of("a", "Grove2").timings] == [5, 7]
-    assert cores(held, "a") == pytest.approx(2)
+    assert [round(t.seconds * 1e3) for t in held.measurement("a", "Grove2").timings] == [5, 7]
+    assert busy_cores(held, "a") == pytest.approx(2)
 
 
 def test_a_slow_method_has_fewer_rounds_and_no_warm_up_of_each_pair():
     log = []
     methods = [Fake("a", log), Fake("slow", log, seconds=100.0)]
     held = contest(methods, [flow_pair()], rounds=5)
-    assert [t.round for t in held.of("slow", "Grove2").timings] == [1, 2, 3]
-    assert [t.round for t in held.of("a", "Grove2").timings] == [1, 2, 3, 4, 5]
-    assert ratio(held, "slow").median > 1e4
+    assert [t.round for t in held.measurement("slow", "Grove2").timings] == [1, 2, 3]
+    assert [t.round for t in held.measurement("a", "Grove2").timings] == [1, 2, 3, 4, 5]
+    assert relative_time(held, "slow").median > 1e4
 
 
 def test_a_failure_costs_one_pair_and_is_reported(tmp_path):
@@ -40,11 +40,11 @@ def test_a_failure_costs_one_pair_and_is_reported(tmp_path):
     pairs = [flow_pair(), flow_pair("Urban2"), flow_pair("kitti", "kitti")]
     held = contest([Fake("a", log), Fake("b", log, fails_on="Urban2")], pairs)
     assert held.failures() == {"b on Urban2": "broken"}
-    middlebury, kitti = present(held)
+    middlebury, kitti = measured_columns(held)
     assert middlebury.value(held, "a") == pytest.approx(1)
     assert middlebury.value(held, "b") is None
     assert kitti.value(held, "b") == 0
-    assert ratio(held, "b") is None
+    assert relative_time(held, "b") is None
     contest_report.write(held, tmp_path / "out", title="title")
     text = (tmp_path / "out.md").read_text(encoding="utf-8")
     assert "- b on Urban2: broken" in text

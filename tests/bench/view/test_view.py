@@ -3,7 +3,7 @@
 import pytest
 
 from bench.view import __main__ as view
-from bench.view.__main__ import lengthened_reconstruction, lengthened_run
+from bench.view.__main__ import lengthen_reconstruction, lengthen_run
 from bench.view.opening import Opening, browser_path
 from tests.view.results import write_reconstruction, write_run
 from tisfm.results.opening import open_result
@@ -19,12 +19,12 @@ def opening(first, **changes):
 
 def test_long_results_have_all_frames(tmp_path):
     write_run(tmp_path / "short", 3)
-    lengthened_run(tmp_path / "short", tmp_path / "long", 20)
+    lengthen_run(tmp_path / "short", tmp_path / "long", 20)
     result = open_result(tmp_path / "long")
     assert len(result.names) == 20
     assert (result.read(19).picture == open_result(tmp_path / "short").read(1).picture).all()
     shot = write_reconstruction(tmp_path / "made")
-    lengthened_reconstruction(tmp_path / "made", tmp_path / "longer", 20)
+    lengthen_reconstruction(tmp_path / "made", tmp_path / "longer", 20)
     result = open_result(tmp_path / "longer")
     assert len(result.names) == 20 and (result.piece == 0).all()
     assert result.read(7).inverse_depth == pytest.approx(1 / shot.depth[1], rel=2e-3)  # back
