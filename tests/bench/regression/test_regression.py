@@ -66,7 +66,7 @@ def test_no_difference_is_exactly_none(tmp_path):
 @pytest.mark.parametrize(
     ("change", "field", "expected"),
     [
-        ({"flow": ((2, 3, 1), 100.0)}, "visible", 1 / 48),
+        ({"flow": ((2, 3, 1), 100.0)}, "above_rounding", 1 / 48),
         ({"flow": ((2, 3, 1), np.nan)}, "flow_max", np.inf),
         ({"inverse_depth": ((2, 3), np.inf)}, "depth_max", np.inf),
         ({"occlusion": ((2, 3), True)}, "occlusion", 1 / 48),
@@ -107,7 +107,7 @@ def paired(ratio, cpu):
 def test_out_of_bounds():
     case = {"pair": "p", "preset": "fast", "motion": "field", "before": "converged"}
     nothing = {
-        "flow_max": 0.0, "flow_median": 0.0, "visible": 0.0, "depth_max": 1e-6,
+        "flow_max": 0.0, "flow_median": 0.0, "above_rounding": 0.0, "depth_max": 1e-6,
         "depth_median": 0.0, "labels": 0.0, "occlusion": 0.0, "identical": False,
     }  # fmt: skip
 
