@@ -1,93 +1,80 @@
-"""``python -m bench.sensitivity NAME …``: change of the errors if a constant is halved or doubled.
+"""``python -m bench.sensitivity NAME …``: change of the errors if a setting is halved or doubled.
 
-NAME is a number or a tuple of numbers of a module (``tisfm.motion.camera.CONSTANT``), or a frozen
-dataclass or its instance, whose fields are changed one at a time. Each case runs in its own
-process, which sets the value before other modules import it. Inputs are rendered scenes and, if a
-folder of real sequences is named, real pairs and sequences. The table is left in bench/results.
+NAME is the settings object of a stage, such as ``tisfm.reconstruction.tracks.settings.TRACKS``.
+Its numbers are changed one at a time. Inputs are rendered scenes and, if a folder of real sequences
+is named, real pairs and sequences. The table is left in bench/results.
 """
 
 import importlib
-import json
-import subprocess
+import math
+import multiprocessing
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import fields, is_dataclass, replace
-from functools import partial
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import fields
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bench.shared.results import (
-    EMPTY_CELL,
-    RESULTS,
-    ROOT,
-    Table,
-    cell,
-    machine,
-    markdown_page,
-    write_results,
-)
+from bench.shared.results import RESULTS, Table, machine, text_of, write
 
 FACTORS = {"halved": 0.5, "doubled": 2.0}
 SEQUENCES = ("new_tsukuba", "tartanair")  # real sequences
 INPUTS = ("flow", "camera", "film", *SEQUENCES)
 STEP = (0.05, 0.0, 0.02, 0.0, 0.01, 0.0)  # m and rad per frame, of the rendered film
 Figures = dict[str, float]
+Changes = dict[str, float] | str  # % by figure, empty for the same bits; or the message of an error
+Row = tuple[str, float, list[Changes]]  # setting, value, and changes for each factor
 
 
-def find(path: str) -> tuple[Any, str, Any]:
-    """Return the module of a constant, its name in the module, and its value."""
+def settings_of(path: str) -> Any:
+    """Return the settings object of a dotted path."""
     module, _, name = path.rpartition(".")
-    owner = importlib.import_module(module)
-    return owner, name, getattr(owner, name)
+    settings = getattr(importlib.import_module(module), name)
+    fields(settings)  # a TypeError if it is no dataclass
+    return settings
 
 
-def numbers_of(value: Any) -> dict[str, float]:
-    """Return suffix → number for all numbers in a constant; a plain number has the suffix ""."""
-    if is_dataclass(value):
-        parts = {f".{f.name}": getattr(value, f.name, None) for f in fields(value)}
-    elif isinstance(value, tuple):
-        parts = {f"[{index}]": part for index, part in enumerate(value)}
+def numbers_of(settings: Any) -> dict[tuple[str, int | None], float]:
+    """Return (field, index in a tuple or None) → number for all numbers of a settings object."""
+    found = {}
+    for name in (field.name for field in fields(settings)):
+        value = getattr(settings, name)
+        parts = enumerate(value) if isinstance(value, tuple) else [(None, value)]
+        for index, part in parts:
+            if isinstance(part, (int, float)) and not isinstance(part, bool):
+                found[name, index] = part
+    return found
+
+
+def scaled(value: float, factor: float) -> float:
+    """Return a number times a factor; an integer stays an integer, at least 1."""
+    return max(1, round(value * factor)) if isinstance(value, int) else value * factor
+
+
+@contextmanager
+def changed(settings: Any, name: str, index: int | None, factor: float) -> Iterator[None]:
+    """Scale one number of a settings object inside a ``with`` block."""
+    value = getattr(settings, name)
+    if index is None:
+        new = scaled(value, factor)
     else:
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        return {"": value} if number else {}
-    return {name + rest: n for name, part in parts.items() for rest, n in numbers_of(part).items()}
-
-
-def scaled(value: Any, suffix: str, factor: float) -> Any:
-    """Return a constant with one number scaled; an integer stays an integer, at least 1."""
-    if not suffix:
-        return max(1, round(value * factor)) if isinstance(value, int) else value * factor
-    if isinstance(value, tuple):
-        index, _, rest = suffix[1:].partition("]")
-        part = scaled(value[int(index)], rest, factor)
-        return (*value[: int(index)], part, *value[int(index) + 1 :])
-    name = suffix[1:].partition("[")[0].partition(".")[0]
-    part = scaled(getattr(value, name), suffix[1 + len(name) :], factor)
-    return replace(value, **{name: part})
-
-
-def change(path: str, suffix: str, factor: float) -> None:
-    """Scale one number of a constant, in its module and in modules that have imported it."""
-    owner, name, value = find(path)
-    if isinstance(value, type):  # a dataclass: its defaults are changed
-        changed, init = scaled(value(), suffix, factor), value.__init__  # type: ignore[misc]
-        positional = [f.name for f in fields(changed) if f.init and not f.kw_only]
-        count = len(init.__defaults__ or ())
-        init.__defaults__ = tuple(getattr(changed, n) for n in positional[-count:] if count)
-        init.__kwdefaults__ = {n: getattr(changed, n) for n in init.__kwdefaults__ or {}}
-        return
-    changed = scaled(value, suffix, factor)
-    for module in [owner, *(m for n, m in list(sys.modules.items()) if n.startswith("tisfm"))]:
-        if vars(module).get(name) is value:
-            setattr(module, name, changed)
+        new = (*value[:index], scaled(value[index], factor), *value[index + 1 :])
+    object.__setattr__(settings, name, new)  # modules share this frozen object
+    try:
+        yield
+    finally:
+        object.__setattr__(settings, name, value)
 
 
 def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
     """Return name → function that measures the figures of an input."""
-    import tisfm  # here and below: imported after the constant was changed
-    from bench.sequences.entries import MAX_DEPTH, data_entries
+    import tisfm
+    from bench.sequences.entries import FARTHEST, data_entries
     from bench.sequences.rendered_films import depth_in_one_scale, path_error
     from bench.shared.sequences import find_pairs, scene_pairs
     from tisfm.evaluation.sequences import compare_sequence
@@ -124,7 +111,7 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
         loaded = entry.load()
         result = tisfm.reconstruct(loaded.frames, camera=loaded.camera, settings=fast)
         found = compare_sequence(
-            entry.sequence, loaded, result, camera=result.camera, max_depth=MAX_DEPTH
+            entry.sequence, loaded, result, camera=result.camera, max_depth=FARTHEST
         )
         depth = {} if found.depth is None else {"depth error": found.depth.error}
         return {"path, %": 100 * (found.pieces[0].share or np.nan)} | depth
@@ -133,69 +120,96 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
     return {"flow": flow, "camera": camera, "film": film, **real}
 
 
-def measure(case: dict[str, Any]) -> Figures:
-    """Return the figures of a case in this process."""
-    if case["suffix"] is not None:
-        change(case["path"], case["suffix"], case["factor"])
-    found = inputs(case["data"] and Path(case["data"]))
-    chosen = {name: run() for name, run in found.items() if name in case["inputs"]}
-    return {f"{name}: {key}": v for name, figures in chosen.items() for key, v in figures.items()}
+@cache
+def unchanged(chosen: tuple[str, ...], data: Path | None) -> Figures:
+    """Return the figures with unchanged settings, measured once in a process."""
+    return measure(chosen, data)
 
 
-def in_process(case: dict[str, Any]) -> Figures | str:
-    """Return the figures of a case from its own process, or its last message if it failed."""
-    command = [sys.executable, "-m", "bench.sensitivity", "--case", json.dumps(case)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    last = ((done.stderr if done.returncode else done.stdout).strip().splitlines() or [""])[-1]
-    return last if done.returncode else json.loads(last)
+def measure(chosen: tuple[str, ...], data: Path | None) -> Figures:
+    """Return the figures of the chosen inputs."""
+    found = inputs(data)
+    figures = {name: found[name]() for name in chosen if name in found}
+    return {
+        f"{name}: {key}": value for name, each in figures.items() for key, value in each.items()
+    }
 
 
-def rows_of(paths: Sequence[str], common: dict[str, Any], base: Figures) -> Iterator[list[str]]:
-    """Yield a row for every changed number: the changes of the figures, %, and the largest."""
-    for path in paths:
-        for suffix, number in numbers_of(find(path)[2]).items():
-            for word, factor in FACTORS.items():
-                found = in_process({**common, "path": path, "suffix": suffix, "factor": factor})
-                head = [f"{path}{suffix}", f"{number:g}", word]
-                if isinstance(found, str):
-                    yield [*head, *[EMPTY_CELL] * len(base), f"failed: {found}"]
-                    continue
-                changes = [100 * (found[key] / old - 1) for key, old in base.items()]
-                largest = "none" if found == base else f"{max(map(abs, changes)):.2g}"
-                yield [*head, *(cell(value, "+.2g") for value in changes), largest]
+def row_of(case: tuple[str, str, int | None], chosen: tuple[str, ...], data: Path | None) -> Row:
+    """Return the changes of all figures if one number is halved and doubled."""
+    warnings.simplefilter("ignore")  # the notes of the library on its inputs
+    path, name, index = case
+    settings = settings_of(path)
+    base = unchanged(chosen, data)
+    changes: list[Changes] = []
+    for factor in FACTORS.values():
+        with changed(settings, name, index, factor):
+            try:
+                found = measure(chosen, data)
+            except Exception as error:
+                changes.append(f"{type(error).__name__}: {error}")
+                continue
+        same = found == base
+        changes.append({} if same else {key: 100 * (found[key] / base[key] - 1) for key in base})
+    title = f"{path.rpartition('.')[2]}.{name}" + ("" if index is None else f"[{index}]")
+    return title, numbers_of(settings)[name, index], changes
+
+
+def largest(changes: Changes) -> tuple[float, str]:
+    """Return the largest change, %, and its cell: ``none`` for the same bits."""
+    if isinstance(changes, str):
+        return math.inf, changes
+    if not changes:
+        return 0.0, "none"
+    key = max(changes, key=lambda key: abs(np.nan_to_num(changes[key], nan=math.inf)))
+    size = float(np.nan_to_num(abs(changes[key]), nan=math.inf))
+    return size, f"{changes[key]:+.2g} ({key})"
+
+
+def report(rows: Sequence[Row], base: Figures) -> str:
+    """Return the report: settings by their largest change, then those without any change."""
+    ranked = sorted(rows, key=lambda row: -max(largest(changes)[0] for changes in row[2]))
+    cells = [
+        [name, f"{number:g}", *(largest(change)[1] for change in changes)]
+        for name, number, changes in ranked
+        if any(changes)
+    ]
+    table = Table(["setting", "value", "halved, %", "doubled, %"], cells, text_columns=1)
+    same = [name for name, _, changes in rows if not any(changes)]
+    figures = ", ".join(f"{key} {value:.4g}" for key, value in base.items())
+    note = (
+        "Largest change of a figure if one number is halved or doubled, in %, and the figure. "
+        f"Unchanged: {figures}. {len(same)} of {len(rows)} numbers leave the same bits: "
+        f"{', '.join(same) or 'none'}."
+    )
+    return text_of("# Sensitivity to settings", machine(), note, table)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure, print and write the table; return 0, or 2 if a constant cannot be measured."""
-    if "--case" in (arguments or sys.argv):
-        print(json.dumps(measure(json.loads((arguments or sys.argv)[-1]))))
-        return 0
+    """Measure, print and write the table; return 0, or 2 if there are no such settings."""
     from bench.shared.command import options_parser
     from bench.shared.sequences import data_folder
 
     parser = options_parser("sensitivity", __doc__, "data", "smoke", "output")
-    parser.add_argument("names", nargs="+", metavar="NAME", help="constants or settings")
+    parser.add_argument("names", nargs="+", metavar="NAME", help="settings objects")
     parser.add_argument("--inputs", nargs="+", choices=INPUTS, default=INPUTS)
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
     options = parser.parse_args(arguments)
     data = None if options.smoke else data_folder(options.data)
-    common = {"inputs": options.inputs, "data": data and str(data)}
     try:
-        for path in options.names:
-            find(path)  # fails for an unknown name
-        base = in_process({**common, "suffix": None})
-        if isinstance(base, str):
-            raise ValueError(f"the inputs cannot be measured: {base}")
-        rows = [["unchanged, absolute", "", "", *(f"{v:.4g}" for v in base.values()), ""]]
-        for row in rows_of(options.names, common, base):
-            print(*row, sep=" | ", flush=True)
-            rows.append(row)
-    except (AttributeError, ImportError, ValueError) as error:
+        cases = [(path, *key) for path in options.names for key in numbers_of(settings_of(path))]
+    except (AttributeError, ImportError, TypeError) as error:
         print(f"bench.sensitivity: {error}", file=sys.stderr)
         return 2
-    table = Table(["constant", "value", "", *base, "largest change, %"], rows, text_columns=3)
-    note = "Changes of the figures, %, if one number is halved or doubled; none: the same bits."
-    text = markdown_page("# Sensitivity to constants", machine(), note, table)
-    write_results(RESULTS / (options.output or "sensitivity"), text, {"base": base, "rows": rows})
+    common = {"chosen": tuple(options.inputs), "data": data}
+    rows = []
+    with ProcessPoolExecutor(options.jobs, multiprocessing.get_context("spawn")) as pool:
+        base = pool.submit(unchanged, **common)
+        for row in pool.map(partial(row_of, **common), cases):
+            print(row[0], f"{row[1]:g}", *(largest(c)[1] for c in row[2]), sep=" | ", flush=True)
+            rows.append(row)
+    record = {"base": base.result(), "rows": rows}
+    write(RESULTS / (options.output or "sensitivity"), report(rows, base.result()), record)
     return 0
 
 
