@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.shared.results import RESULTS, Table, machine, text_of, write
+from bench.shared.results import RESULTS, Table, machine, markdown_page, write_results
 
 FACTORS = {"halved": 0.5, "doubled": 2.0}
 SEQUENCES = ("new_tsukuba", "tartanair")  # real sequences
@@ -74,7 +74,7 @@ def changed(settings: Any, name: str, index: int | None, factor: float) -> Itera
 def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
     """Return name → function that measures the figures of an input."""
     import tisfm
-    from bench.sequences.entries import FARTHEST, data_entries
+    from bench.sequences.entries import MAX_DEPTH, data_entries
     from bench.sequences.rendered_films import depth_in_one_scale, path_error
     from bench.shared.sequences import find_pairs, scene_pairs
     from tisfm.evaluation.sequences import compare_sequence
@@ -111,7 +111,7 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
         loaded = entry.load()
         result = tisfm.reconstruct(loaded.frames, camera=loaded.camera, settings=fast)
         found = compare_sequence(
-            entry.sequence, loaded, result, camera=result.camera, max_depth=FARTHEST
+            entry.sequence, loaded, result, camera=result.camera, max_depth=MAX_DEPTH
         )
         depth = {} if found.depth is None else {"depth error": found.depth.error}
         return {"path, %": 100 * (found.pieces[0].share or np.nan)} | depth
@@ -182,7 +182,7 @@ def report(rows: Sequence[Row], base: Figures) -> str:
         f"Unchanged: {figures}. {len(same)} of {len(rows)} numbers leave the same bits: "
         f"{', '.join(same) or 'none'}."
     )
-    return text_of("# Sensitivity to settings", machine(), note, table)
+    return markdown_page("# Sensitivity to settings", machine(), note, table)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -209,7 +209,7 @@ def main(arguments: list[str] | None = None) -> int:
             print(row[0], f"{row[1]:g}", *(largest(c)[1] for c in row[2]), sep=" | ", flush=True)
             rows.append(row)
     record = {"base": base.result(), "rows": rows}
-    write(RESULTS / (options.output or "sensitivity"), report(rows, base.result()), record)
+    write_results(RESULTS / (options.output or "sensitivity"), report(rows, base.result()), record)
     return 0
 
 
