@@ -68,9 +68,11 @@ class Settings:
     image_edges : float
         κ: the smoothness across an edge of the image is divided by 1 + κ|ΔI| / mean |ΔI|; the mean
         smoothness stays the same. 0 in the paper.
-    brightness, gradient : float
-        Weights of the constancy of brightness (eq. 4) and of the constancy of its gradient, which
-        changes of illumination hardly affect. At least one is above 0; 1 and 0 in the paper.
+    brightness : float
+        Weight of the constancy of brightness (eq. 4); 1 in the paper. It or `gradient` is above 0.
+    gradient : float
+        Weight of the constancy of the brightness gradient, on which changes of illumination have
+        little effect; 0 in the paper.
     normalization : float or None
         ζ, as a share of the mean |ΔI| between neighbours in frame 0. Every constraint is divided
         by |∇I|² + ζ²; it is then a distance in px, independent of the contrast and the scale of

@@ -19,7 +19,7 @@ def test_names_are_printed_as_they_are(tisfm_run, place):  # noqa: F811
 
 
 @pytest.mark.parametrize(
-    ("scale", "why"), [("0 99 1", "6 frames are taken"), ("0 0 1", "two frames")], ids=str
+    ("scale", "why"), [("0 99 1", "the sequence has 6 frames"), ("0 0 1", "two frames")], ids=str
 )
 def test_a_scale_of_missing_frames_is_refused(tisfm_run, place, scale, why):  # noqa: F811
     write_folder(place / "a", FRAMES)

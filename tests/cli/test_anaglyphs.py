@@ -54,7 +54,7 @@ def test_by_default_it_is_in_the_middle(tisfm_run, frames):
     before = files("out")
     assert tisfm_run(*RUN, "--resume")[0] == 0 and files("out") == before
     code, _, err = tisfm_run(*RUN, "--resume", "--screen", "0.5")
-    assert_one_line(code, err, "another camera, other settings or outputs", "screen")
+    assert_one_line(code, err, "a run with other options", "screen")
     assert files("out") == before
 
 
@@ -69,8 +69,8 @@ def test_what_is_impossible_is_refused_before_any_work(tisfm_run, frames):
         assert_one_line(code, err, said)
     without_anaglyph = ["npz" if word == "anaglyph,npz" else word for word in RUN]
     for option, said in (
-        (("--screen", "0.5"), "--screen is of anaglyphs: let anaglyph be"),
-        (("--disparity", "0.1"), "--disparity is of anaglyphs: let"),
+        (("--screen", "0.5"), "--screen is only for anaglyphs: add anaglyph"),
+        (("--disparity", "0.1"), "--disparity is only for anaglyphs: add"),
     ):
         code, _, err = tisfm_run(*without_anaglyph, *option)
         assert_one_line(code, err, said)

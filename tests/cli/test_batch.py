@@ -54,7 +54,7 @@ def test_sequences_are_reconstructed(tisfm_run, frames, jobs):
     assert code == 0 and err.endswith("1 of 1 done\n")
     assert Path("out/reconstruction.json").exists()
     code, _, err = tisfm_run("batch", "jobs.csv", "--command", "reconstruct", "--resume")
-    assert code == 0 and err.startswith("out: out is complete: nothing is left to do.")
+    assert code == 0 and err.startswith("out: out is already complete.")
 
 
 @pytest.mark.parametrize(

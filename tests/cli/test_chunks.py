@@ -80,7 +80,7 @@ def test_nothing_is_left_to_do(tisfm_run, frames, place, monkeypatch):
     before = contents(place / "out")
     monkeypatch.setattr(runs, "reconstruct", None)
     code, _, err = tisfm_run(*run, "--resume")
-    assert (code, err) == (0, "out is complete: nothing is left to do. Results in out.\n")
+    assert (code, err) == (0, "out is already complete. Results in out.\n")
     assert contents(place / "out") == before
 
 

@@ -13,8 +13,10 @@ import pytest
 
 from tests.cli.command_line import assert_one_line
 from tests.waiting import PATIENCE
+from tisfm.cli.evaluate import LayoutName
 from tisfm.cli.export import FormatName
 from tisfm.cli.run import Output
+from tisfm.datasets import LAYOUTS, SEQUENCE_LAYOUTS
 from tisfm.exports.formats import FORMATS
 from tisfm.folders.run_record import ENDINGS
 
@@ -58,14 +60,21 @@ def test_bash_completes_commands_options_and_values(complete):
     assert {"camera", "objects"} <= set(complete("tisfm reconstruct --motion "))
     assert complete("tisfm figures a b --fo") == ["--focal"]  # its help has several lines
     assert complete("tisfm eval --seq") == ["--sequence"]
-    assert complete("tisfm export x --to mesh-") == ["mesh-ply", "mesh-glb"]
-    assert complete("tisfm export x --to ply --to depth-t") == ["depth-tum", "depth-tiff"]
+    assert complete("tisfm export x --to mesh-") == ["mesh-glb", "mesh-ply"]
+    assert complete("tisfm export x --to ply --to depth-t") == ["depth-tiff", "depth-tum"]
+    assert complete("tisfm export x --to tum,ki") == ["tum,kitti"]
     assert complete("tisfm run x --outputs np") == ["npz"]
+    assert complete("tisfm run x --outputs depth,npz,fl") == ["depth,npz,flow"]
+    assert complete("tisfm run --focal g") == ["guess"]
+    assert "None" not in complete("tisfm reconstruct --calibrate ")
+    assert complete("tisfm --v") == ["--version"]
+    assert complete("tisfm --completion ") == ["bash", "fish", "tcsh", "zsh"]
     assert complete("tisfm demo --pre") == []  # an option of other commands
 
 
-def test_the_names_of_formats_and_outputs_are_whole():
+def test_the_names_of_formats_outputs_and_layouts_are_whole():
     assert get_args(FormatName) == tuple(FORMATS)
+    assert set(get_args(LayoutName)) == {*LAYOUTS, *SEQUENCE_LAYOUTS}
     assert get_args(Output) == tuple(ENDINGS)
 
 
@@ -98,7 +107,8 @@ def test_fish_gets_a_script(fish_script):
         ("tisfm run x -o y --no-fig", ["--no-figures"]),
         ("tisfm reconstruct --motion ", ["camera", "objects"]),
         ("tisfm export x --to mesh-", ["mesh-glb", "mesh-ply"]),
-        ("tisfm run x --outputs np", ["npz"]),
+        ("tisfm run x --outputs depth,fl", ["depth,flow"]),
+        ("tisfm --v", ["--version"]),
         ("tisfm demo --pre", []),
     ],
 )

@@ -17,7 +17,7 @@ def folders(place):
 
 def test_masks_are_compared(tisfm_run, folders):
     code, out, err = tisfm_run("eval", "camel", "--objects", "--result", "found", "-o", "out")
-    assert code == 0 and err == "1 thing in 4 frames. Every number in out.\n"
+    assert code == 0 and err == "1 object in 4 frames. Every number in out.\n"
     assert "Moving objects of camel" in out and "1.000" in out and "4 of 4" in out
     record = json.loads(Path("out/eval.json").read_text(encoding="utf-8"))["objects"]
     assert record["name"] == "camel" and record["iou"] == 1 and record["switches"] == 0
@@ -29,20 +29,20 @@ def test_several_things_have_a_mean(tisfm_run, folders, place):
     two[:, 7, 8:] = 7
     save(place / "camel" / "masks", two, name="{:05d}.png")
     code, out, err = tisfm_run("eval", "camel/masks", "--objects", "--result", "found")
-    assert code == 0 and err == "2 things in 4 frames.\n"
+    assert code == 0 and err == "2 objects in 4 frames.\n"
     assert "0.500" in out and "4 of 8" in out and "all" in out
 
 
 def test_a_step_is_taken(tisfm_run, folders, place):
     save(place / "half" / "masks", truth()[::2] // 255, indexed=True)
     code, _, err = tisfm_run("eval", "camel", "--objects", "--result", "half", "--step", "2")
-    assert code == 0 and err == "1 thing in 2 frames.\n"
+    assert code == 0 and err == "1 object in 2 frames.\n"
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["camel", "--objects"], ["result is missing", "--objects --result DIR"]),
+        (["camel", "--objects"], ["--result is missing", "--objects --result DIR"]),
         (["camel", "found", "--objects", "--result", "found"], ["2 folders, camel, found"]),
         (["camel", "--objects", "--result", "camel/masks"], ["has no folder masks", "--motion"]),
         (["gone", "--objects", "--result", "found"], ["there is no folder gone"]),

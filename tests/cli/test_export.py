@@ -55,7 +55,7 @@ def test_a_path_and_its_camera(tisfm_run, place):
     told = err.splitlines()
     assert told[0] == "tum: out/trajectory.tum, out/trajectory-piece2.tum".replace("/", _slash())
     assert "tum: 1 frame without a pose left out" in told
-    assert "tum: 2 pieces (3, 2 frames), each in a scale of its own, a file for each" in told
+    assert "tum: 2 pieces (3, 2 frames), each with its own scale and its own file" in told
     assert len([line for line in told if "without a pose" in line]) == 1  # it is said once
     assert names(place / "out") == [
         "camera-piece2.chan", "camera-piece2.gltf", "camera.chan", "camera.gltf", "lens.json",
@@ -91,7 +91,10 @@ def test_a_unit_is_that_of_a_piece(tisfm_run, place):
     arguments = ("export", "walk", "--to", "tum", "-o", "out")
     code, _, err = tisfm_run(*arguments, "--scale", "2", "3", "7")
     assert code == 0
-    assert "--scale: the unit of the piece of 4 frames that these two are of; other pieces" in err
+    assert (
+        "--scale sets the unit of the piece of these two frames, which has 4 frames; other pieces"
+        in err
+    )
     found = read_tum(place / "out" / "trajectory.tum").poses
     assert np.linalg.norm(found[1, :3, 3] - found[0, :3, 3]) == pytest.approx(7)
     other = read_tum(place / "out" / "trajectory-piece2.tum").poses
@@ -113,7 +116,7 @@ def test_all_that_a_sequence_has(tisfm_run, place):
     for kind in ("tum", "kitti", "exr", "tiff", "pfm", "dpt"):
         assert len([name for name in found if name.startswith(f"depth-{kind}/")]) == 4
     assert "2 frames without depth left out" in err
-    assert "25 a second are assumed" in err
+    assert "25 per second are assumed" in err
     assert "depth is value / 256, in the unit of the path" in err
     assert not [name for name in found if name.endswith(".tmp")]
 
@@ -187,12 +190,12 @@ def test_pairs_have_no_path(tisfm_run, place, name):
             ["--to", "video-anaglyph", "--screen", "0.5", "--screen-depth", "3"],
             ["give one of them"],
         ),
-        (["--to", "tum", "--screen", "0.5"], ["--screen is of video-anaglyph and video-wiggle"]),
-        (["--to", "ply,tum", "--disparity", "0.1"], ["--disparity is of", "leave it out"]),
+        (["--to", "tum", "--screen", "0.5"], ["--screen is only for video-anaglyph and"]),
+        (["--to", "ply,tum", "--disparity", "0.1"], ["--disparity is only for", "leave it out"]),
         (["--to", "tum", "--scale", "0", "0", "1"], ["of one place"]),
         # What comes last is refused before anything is written.
         (["--to", "tum,masks"], ["--motion objects"]),
-        (["--to", "tum", "--to", "video-flow"], ["keeps no image motion", "tisfm run"]),
+        (["--to", "tum", "--to", "video-flow"], ["has no image motion", "tisfm run"]),
         (["--to", "tum,undistortion-tiff"], ["no distortion"]),
         (["--to", "tum,depth-tum", "--scale", "0", "1", "9999"], ["beyond 13.11", "--scale"]),
     ],
@@ -210,7 +213,7 @@ def test_pairs_with_units_of_their_own_have_no_depth_of_the_screen(tisfm_run, pl
     code, _, err = tisfm_run(
         "export", "pairs", "-o", "out", "--to", "video-anaglyph", "--screen-depth", "3"
     )
-    assert_one_line(code, err, "--screen-depth", "unit of its own", "--screen")
+    assert_one_line(code, err, "--screen-depth", "each pair of pairs has its own", "--screen")
     assert not (place / "out").exists()
 
 
@@ -225,7 +228,7 @@ def test_without_a_pose_there_is_no_depth_to_ask_for(tisfm_run, place):
     result = made(place / "walk", count=2, with_depth=())
     write_record(place / "walk", replace(result, piece=np.full(2, -1, np.int32), unit=()))
     code, _, err = tisfm_run("export", "walk", "--to", "video-depth", "-o", "out")
-    assert_one_line(code, err, "none has a pose either")
+    assert_one_line(code, err, "no frame has a pose")
 
 
 def test_a_unit_is_of_frames_with_a_pose(tisfm_run, place):
@@ -238,7 +241,7 @@ def test_depth_that_is_gone_is_told(tisfm_run, place):
     made(place / "walk")
     shutil.rmtree(place / "walk" / "depth")
     code, _, err = tisfm_run("export", "walk", "--to", "video-depth", "-o", "out")
-    assert_one_line(code, err, "its folder depth is gone")
+    assert_one_line(code, err, "its folder depth was removed")
 
 
 def test_folders_that_are_none(tisfm_run, place):
@@ -286,4 +289,4 @@ def test_long_work_is_announced(tisfm_run, place, monkeypatch):
     usage = shutil.disk_usage(place)
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage._replace(free=5))
     code, _, err = tisfm_run("export", "walk", "--to", "depth-tiff", "-o", "out")
-    assert code == 0 and "but 0 MB are free: --start, --stop and --step choose" in err
+    assert code == 0 and "but 0 MB are free: choose frames with --start, --stop, --step" in err

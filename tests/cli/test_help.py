@@ -52,7 +52,7 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
     assert re.search(r"--preset {paper,fast,balanced,accurate} .{0,100}\(default: paper\)", text)
     for name, value in vars(Settings.preset("paper")).items():
         option = "--" + name.replace("_", "-")
-        following = re.split(re.escape(option) + "[ ,]", text, maxsplit=1)[1]
+        following = re.split(re.escape(option) + "(?:, --no-| [A-Z{])", text, maxsplit=1)[1]
         shown = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
         assert re.search(r"\(default: ([^)]*)\)", following).group(1) == shown, option
 

@@ -223,7 +223,7 @@ def test_the_demo_keeps_what_no_demo_wrote(tisfm_run, d, place, nothing_interpre
     target = place / "out" / name
     target.parent.mkdir(parents=True)
     shutil.copy("d/x.png", target)
-    words = ("would replace", target.name, "not of a demo")
+    words = ("would replace", target.name, "no demo wrote")
     assert_refused(tisfm_run, place, "demo", "-o", "out", words=words)
 
 
@@ -237,7 +237,7 @@ def test_a_demo_that_was_killed_is_replaced(place):
     for folder in (out, out / "camera", out / "objects"):
         folder.mkdir()
     write_png(out / "demo_depth.png", FRAMES[0])
-    with pytest.raises(ValueError, match="not of a demo"):
+    with pytest.raises(ValueError, match="no demo wrote"):
         demo._refuse_foreign([out])
     (out / LOCK).touch()
     demo._refuse_foreign([out, out / "camera", out / "objects"])

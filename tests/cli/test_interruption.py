@@ -108,7 +108,7 @@ def test_what_is_read_is_refused_before_anything_is_removed(tisfm_run, frames):
     before = files("out")
     options = ("run", "frames", "-o", "out", "--step", "2", "--mask", "out/f2_depth.png")
     code, _, err = tisfm_run(*options)
-    assert_one_line(code, err, "would replace", "which is read")
+    assert_one_line(code, err, "would replace the input")
     assert files("out") == before
 
 
@@ -211,7 +211,7 @@ def test_the_table_has_a_row_for_each_pair(tisfm_run, frames):
 
 def test_a_window_of_three_goes_on_from_files(tisfm_run, frames):
     code, _, err = tisfm_run(*QUIET, "--window", "3", "--resume", "--outputs", "flow")
-    assert_one_line(code, err, "let npz be among the outputs")
+    assert_one_line(code, err, "add npz to --outputs")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="names of files there are Unicode")

@@ -330,7 +330,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(tisfm_run, monkeypatch, wh
     code, _, err = tisfm_run(
         "run", "frames", "-o", "out", "--focal", "96", "--no-figures", "--resume"
     )
-    assert_one_line(code, err, "another camera, other settings")
+    assert_one_line(code, err, "a run with other options")
 
 
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0\n"

@@ -67,7 +67,7 @@ def test_depth_of_keyframes_or_none(tisfm_run, film, place):
 
 def test_nothing_is_fused_without_depth(tisfm_run, film, place):
     code, _, err = tisfm_run("reconstruct", "film", *options(film, "--depth-of", "none", "--ply"))
-    assert_one_line(code, err, "nothing to fuse")
+    assert_one_line(code, err, "estimates no depth, which --ply and --mesh need")
     assert not (place / "out").exists()
 
 
@@ -246,7 +246,7 @@ def test_a_scale_that_says_nothing_is_refused_at_once(tisfm_run, film, place, sc
 
 def test_the_scale_of_a_frame_that_is_not_there(tisfm_run, film, place):
     code, _, err = tisfm_run("reconstruct", "film", *options(film, "--scale", "0", "9", "1"))
-    assert_one_line(code, err, "9 frames are taken: expected numbers from 0 to 8")
+    assert_one_line(code, err, "the sequence has 9 frames: expected numbers from 0 to 8")
     assert not (place / "out").exists()
 
 

@@ -32,7 +32,7 @@ def test_a_page_that_plays_by_itself(place, capsys):
     ("arguments", "words"),
     [
         (["nowhere"], ["there is no folder nowhere"]),
-        (["empty"], ["empty is no result of tisfm"]),
+        (["empty"], ["empty is not a result of tisfm"]),
         (["r", "--frame", "5"], ["--frame is 5", "0 to 4"]),
         (["r", "--frame=-1"], ["--frame is -1"]),
         (["r", "--points", "0"], ["--points is 0"]),
@@ -74,7 +74,7 @@ def test_it_serves_a_run_as_soon_as_it_has_a_pair_until_it_is_interrupted(place)
     (place / "r").mkdir()
     with locked_folder(place / "r"), begun("r") as process:
         line = process.stderr.readline()
-        assert "waiting for it" in line
+        assert "waits for it" in line
         url = re.search(r"http://127\.0\.0\.1:\d+", line)[0]
         assert_answers(url)
         shot = write_run(place / "r", 2)
@@ -93,9 +93,9 @@ def test_it_waits_for_a_run_no_longer_than_that_goes_on(place):
     with ExitStack() as stack:
         with locked_folder(place / "r"):
             process = stack.enter_context(begun("r"))
-            assert "no complete reconstruction yet: waiting" in process.stderr.readline()
+            assert "no complete reconstruction yet: http" in process.stderr.readline()
         out, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 1 and out == "" and "no command continues it" in err
+    assert process.returncode == 1 and out == "" and "no command writes to it" in err
 
 
 def assert_answers(url):
@@ -110,4 +110,4 @@ def test_a_page_that_leaves_out_frames_says_so(place, capsys):
     assert main(["view", "r", "--html", "view.html"]) == 0
     out, err = capsys.readouterr()
     assert out == "" and "4 of 5 frames in view.html" in err
-    assert "left out, as it cannot be read: f2:" in err
+    assert "left out, because it cannot be read: f2:" in err

@@ -28,7 +28,7 @@ def test_a_run_that_goes_on_has_its_window(tisfm_run, frames):
     assert tisfm_run(*run, "--resume")[0] == 0
     assert files("out") == before
     code, _, err = tisfm_run(*run[:-2], "--resume")
-    assert_one_line(code, err, "other settings")
+    assert_one_line(code, err, "other options")
 
 
 def test_windows_that_are_refused(tisfm_run, frames):

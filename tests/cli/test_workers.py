@@ -154,7 +154,7 @@ def test_an_error_in_a_worker_is_one_line(quick_workers, tisfm_run, film):
     [
         (("--workers", "0"), "workers is 0"),
         (("--workers", "2", "--cluster", "tcp://127.0.0.1:1"), "give one of them"),
-        (("--workers", "2", "--window", "3"), "a window of 3 goes on from pair to pair"),
+        (("--workers", "2", "--window", "3"), "several workers cannot share the pairs"),
         (("--cluster", "tcp://127.0.0.1:1"), "the cluster tcp://127.0.0.1:1 does not answer"),
         (("--cluster", "nonsense"), "nonsense"),
     ],
@@ -190,7 +190,7 @@ def chunk(folder, **changes):
 def test_a_worker_of_another_version(film, place):
     (place / "alive").touch()
     error = interpret_chunk(chunk(place, version="0.0.7")).error
-    assert isinstance(error, RuntimeError) and "was started by 0.0.7" in str(error)
+    assert isinstance(error, RuntimeError) and "the command has 0.0.7" in str(error)
 
 
 def test_a_worker_that_does_not_see_the_folder(film, place):
@@ -201,7 +201,7 @@ def test_a_worker_that_does_not_see_the_folder(film, place):
 def test_a_worker_with_other_vectors(film, place):
     (place / "alive").touch()
     error = interpret_chunk(chunk(place, lanes=4)).error
-    assert isinstance(error, RuntimeError) and "and that of the command 4" in str(error)
+    assert isinstance(error, RuntimeError) and "that of the command 4" in str(error)
 
 
 @pytest.mark.parametrize("first", [1, COUNT - 2])

@@ -38,10 +38,10 @@ WRONG = {
     "run frames -o out --focal gues": ("did you mean guess?", "a number or guess"),
     "run frames -o out --center 1": ("--center is '1'", "expected 2 numbers"),
     "export walk -o out --to tum --scale 0 b 2": ("--scale is '0 b 2'", "expected 3 numbers"),
-    "run frames -o out --report yes": ("no place for yes",),
+    "run frames -o out --report yes": ("does not take yes",),
     "figures a -o out": ("takes 2 frames",),
     "run frames": ("needs -o DIR",),
-    "run frames -o": ("-o/--output stands without its value: expected DIR",),
+    "run frames -o": ("-o/--output has no value: expected DIR",),
     "eval flows --layout midlebury": ("did you mean middlebury?",),
     "demo more": ("more", "tisfm demo --help"),
     "reconstruct frames -o out --mesh stl": ("'stl'", "ply, glb"),
@@ -107,7 +107,7 @@ def test_a_word_for_a_number_is_told_in_words(tisfm_run, command):
     for name in [*numeric][:2]:
         code, out, err = tisfm_run(command, *words, name)
         assert out == "" and code == 2, name
-        assert_one_line(code, err, f"{name} stands without its value: expected ", "number")
+        assert_one_line(code, err, f"{name} has no value: expected ", "number")
 
 
 def test_options_that_take_numbers_are_found():

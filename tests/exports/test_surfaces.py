@@ -92,6 +92,6 @@ def test_points_and_surface_of_a_film(tmp_path):
 
 def test_nothing_to_see_is_an_error(tmp_path):
     result = made(tmp_path / "walk", with_depth=())
-    with pytest.raises(ValueError, match="shows no point"):
+    with pytest.raises(ValueError, match="has no points"):
         write_points(result, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["walk"]

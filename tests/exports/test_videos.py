@@ -256,15 +256,15 @@ def test_damaged_runs(tmp_path):
     folder = run_of(tmp_path / "run")
     record = json.loads((folder / "run.json").read_text())
     (folder / "p1.npz").unlink()
-    with pytest.raises(FileNotFoundError, match=r"no p1\.npz, which was removed.*run again"):
+    with pytest.raises(FileNotFoundError, match=r"no p1\.npz.* it was removed; run again"):
         PairFrames(folder)
     record["outputs"] = ["depth"]
     (folder / "run.json").write_text(json.dumps(record))
-    with pytest.raises(FileNotFoundError, match=r"no p1\.npz, which was left out by --outputs"):
+    with pytest.raises(FileNotFoundError, match=r"no p1\.npz.*--outputs left it out"):
         PairFrames(folder)
     out = {f"../{name}": pair for name, pair in record["pairs"].items()}
     for pairs, message in (
-        ({}, "no pair that is complete"),
+        ({}, "no complete pair"),
         ([], "damaged or of another kind"),
         (out, "is not the name of a pair"),
     ):

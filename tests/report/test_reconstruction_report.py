@@ -98,6 +98,6 @@ def test_a_budget_is_kept_whatever_the_pictures():
 
 def test_what_is_no_report_is_not_replaced(tmp_path):
     (tmp_path / REPORT).write_text("mine")
-    with pytest.raises(ValueError, match="no report of tisfm"):
+    with pytest.raises(ValueError, match="not a report of tisfm"):
         write_reconstruction_report(reconstruction(tmp_path / "r", pieces=[0]), tmp_path)
     assert (tmp_path / REPORT).read_text() == "mine"

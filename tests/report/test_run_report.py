@@ -83,7 +83,7 @@ def test_it_is_refused_before_any_work(tisfm_run, frames, place):  # noqa: F811
     (place / "out" / REPORT).write_text("mine")
     for command in ("run", "reconstruct"):
         code, _, err = tisfm_run(command, "frames", "-o", "out", "--report")
-        assert_one_line(code, err, REPORT, "no report of tisfm")
+        assert_one_line(code, err, REPORT, "not a report of tisfm")
     assert (place / "out" / REPORT).read_text() == "mine"
 
 
@@ -180,9 +180,9 @@ def test_a_reconstruction_has_a_report(tisfm_run, place):  # noqa: F811
     # It is no part of what the folder is held against: it may be made again, or removed.
     (place / "out" / REPORT).unlink()
     code, _, err = tisfm_run(*call, "--resume")
-    assert code == 0 and "is complete" in err and not (place / "out" / REPORT).exists()
+    assert code == 0 and "is already complete" in err and not (place / "out" / REPORT).exists()
     code, _, err = tisfm_run(*call, "--resume", "--report")
-    assert code == 0 and "is complete" in err
+    assert code == 0 and "is already complete" in err
     again = (place / "out" / REPORT).read_bytes()
     assert again == first
     shutil.copytree("out", "copy")

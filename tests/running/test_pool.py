@@ -49,7 +49,7 @@ def test_what_died_is_done_again(tmp_path):
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="processes are not killed here")
 def test_what_always_dies_is_said(tmp_path):
-    with open_pool(2) as two, pytest.raises(RuntimeError, match="a worker was killed, and 3 times"):
+    with open_pool(2) as two, pytest.raises(RuntimeError, match="workers were killed 3 times"):
         list(two.map_unordered(square_or_die, [(2, str(tmp_path), 100)]))
 
 

@@ -93,8 +93,8 @@ RECORD = json.dumps({"format": 2, "version": "1", "settings": {"motion": "field"
 @pytest.mark.parametrize(
     ("name", "text", "yet", "ended"),
     [
-        ("reconstruction.begun", "", "no complete reconstruction yet", "no command continues it"),
-        ("run.json", RECORD, "no finished pair yet", "no run writes to it"),
+        ("reconstruction.begun", "", "no complete reconstruction yet", "no command writes to it"),
+        ("run.json", RECORD, "no finished pair yet", "no command writes to it"),
         (None, "", "no finished pair yet", "neither run.json nor reconstruction.json"),
     ],
 )

@@ -122,8 +122,8 @@ def test_a_page_that_waits_in_vain_says_so(tmp_path):
             thread.start()
             wait_for(lambda: "as soon as there is one" in waiting._text.content)
         wait_for(lambda: raised)
-        assert "no command continues it" in raised[0]
-        assert "no command continues it" in waiting._text.content
+        assert "no command writes to it" in raised[0]
+        assert "no command writes to it" in waiting._text.content
         assert "as soon as there is one" not in waiting._text.content
     finally:
         stop_server(server)

@@ -40,22 +40,22 @@ _FLAGS = {"yes": "--", "no": "--no-"}
 class Batch:
     """Interpret or reconstruct many videos, each in a process of its own.
 
-    LIST is a CSV file: its first line names the columns source, output and, as they are needed,
-    options of the command, such as preset, focal or motion; then a line for each video. An empty
-    cell leaves an option out, yes and no turn one on and off. Paths are relative to where the
-    command runs. What fails is said, and stops no other.
+    LIST is a CSV file. Its first line names the columns: source, output, and options of the
+    command, such as preset, focal or motion. Each further line is a video. An empty cell leaves the
+    option out; yes and no switch an option on and off. Paths are relative to the current folder. A
+    failure is printed, and does not stop the other videos.
     """
 
     jobs: Annotated[Positional[Path], arg(metavar="LIST")]
     """A CSV file with columns source and output, and one for each option, such as focal."""
     command: Literal["run", "reconstruct"] = "run"
-    """What is done with each."""
+    """Command for each video."""
     workers: int = 1
-    """Videos at a time."""
+    """Number of videos at a time."""
     threads: int | None = None
-    """Most CPU threads of each; by default its share of all cores."""
+    """Maximum number of CPU threads for each video. By default its share of all cores."""
     resume: bool = False
-    """Continue runs and reconstructions that were interrupted."""
+    """Continue interrupted runs and reconstructions."""
 
     def __call__(self) -> int:
         """Run the command and return the exit code."""
@@ -136,8 +136,8 @@ def batch(
 ) -> int:
     """Run a command for every line of a list; return the exit code, 1 if any of them failed.
 
-    Each job has a process of its own,
-    with so many threads, by default its share of the cores. One that is killed is begun again.
+    Each job has a process of its own with `threads` threads, by default its share of the cores. A
+    process that is killed is started again.
     """
     if workers < 1:
         raise InputError(f"workers is {workers}: expected a positive number")

@@ -1,8 +1,10 @@
 """The command line: its commands, the text of errors, and exit codes."""
 
+import ast
 import contextlib
 import io
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -20,19 +22,30 @@ from tisfm.checks import hint
 from tisfm.cli.console import tell_error
 from tisfm.cli.exit_codes import BROKEN_PIPE, INTERRUPTED, WRONG_OPTION
 from tisfm.cli.options import SettingsOptions
-from tisfm.cli.parsing import WrongOptionError, parse, suggestion
+from tisfm.cli.parsing import SEVERAL, WrongOptionError, parse, suggestion, wrapped_help
 from tisfm.errors import MissingPackageError, TisfmError, is_user_error
 from tisfm.machine.memory import advice, ran_out
 from tisfm.settings import Preset, Settings
 from tisfm.version import __version__
 
 SHELLS = ("bash", "zsh", "fish", "tcsh")
+# Python in tyro's scripts, after the data: if options of `SEVERAL` have values with commas between,
+# the last value is completed.
+_COMPLETE_AFTER_COMMAS = """
+_given = sys.argv[int(sys.argv[-1]) + 1 : -1][:1]
+_before = _given[0].rpartition(',')[0] + ',' if _given and ',' in _given[0] else ''
+for _name, _command in COMPLETION_SPEC['subcommands'].items():
+    for _option in _command['options']:
+        if set(_option['flags']) & set(SEVERAL.get(_name, ())):
+            _option['choices'] = [_before + choice for choice in _option['choices']]
+"""
 # Lines that tyro's scripts lack: complete file names where no option or value fits.
 _COMPLETE_FILES = {
     "bash": "complete -o default -F _tyro_tisfm tisfm",
     "zsh": "(( compstate[nmatches] )) || _files",
     "fish": "complete --command tisfm --force-files",
 }
+_DATA = "COMPLETION_SPEC = "  # beginning of the line of tyro's scripts with the options
 OF_TISFM = ("--help", "--version", "--completion")
 # Commands in the order of the help, with their modules and classes. A module is imported when its
 # command is called.
@@ -50,8 +63,8 @@ COMMANDS = {
 }
 _DESCRIPTION = (
     "Dense structure and 3D motion from image sequences, on a CPU, without training. "
-    "Try `tisfm demo` first. `tisfm run --help` explains every setting. `tisfm doctor` says what "
-    "is wrong with an installation. `tisfm --completion bash` prints a script by which the shell "
+    "Try `tisfm demo` first. `tisfm run --help` explains every setting. `tisfm doctor` finds "
+    "faults of an installation. `tisfm --completion bash` prints a script with which the shell "
     "completes commands and options."
 )
 
@@ -115,8 +128,7 @@ def parse_command(arguments: Sequence[str]) -> Command:
     """
     if not arguments:
         raise WrongOptionError(
-            f"a command is missing: give one of {', '.join(COMMANDS)}; tisfm demo is a good "
-            "beginning"
+            f"a command is missing: give one of {', '.join(COMMANDS)}; begin with tisfm demo"
         )
     name, *others = arguments
     if name in COMMANDS:
@@ -127,9 +139,7 @@ def parse_command(arguments: Sequence[str]) -> Command:
         _all_commands(["--help"])
     option = name.partition("=")[0]
     if option in OF_TISFM:
-        raise WrongOptionError(
-            f"{option} stands alone, or with its value after a space; see tisfm --help"
-        )
+        raise WrongOptionError(f"{option} takes no command: give it alone; see tisfm --help")
     if name.startswith("-"):
         raise WrongOptionError(
             f"tisfm has no option {option}{suggestion(option, OF_TISFM)}; see tisfm --help"
@@ -161,8 +171,12 @@ def _all_commands(arguments: list[str]) -> None:
     for name in COMMANDS:
         command, default = _command(name)
         given = {} if default is None else {"default": default}
-        kinds.append(Annotated[command, subcommand(name, prefix_name=False, **given)])
-    tyro.cli(reduce(or_, kinds), prog="tisfm", args=arguments, description=_DESCRIPTION)
+        summary = (command.__doc__ or "").partition("\n")[0]
+        kinds.append(
+            Annotated[command, subcommand(name, prefix_name=False, description=summary, **given)]
+        )
+    with wrapped_help(_DESCRIPTION) as description:
+        tyro.cli(reduce(or_, kinds), prog="tisfm", args=arguments, description=description)
 
 
 def _print_completion(shells: Sequence[str]) -> int:
@@ -183,10 +197,42 @@ def _print_completion(shells: Sequence[str]) -> int:
             f"completion for {shell} needs shtab, which is not installed: pip install shtab"
         ) from error
     for line in script.getvalue().splitlines():
-        # A shell would offer the words behind a line break of a help text as values.
-        print(line.replace("\\n", " ") if line.startswith("COMPLETION_SPEC") else line)
+        name, is_data, data = line.partition(_DATA)
+        if is_data and not name:
+            # A script for fish has the data in a text, whose quotes and dollars are escaped.
+            escaped = shell == "fish"
+            data = re.sub(r"\\(.)", r"\1", data) if escaped else data
+            added = f"{_completed(ast.literal_eval(data))!r}\nSEVERAL = {SEVERAL!r}"
+            added += f"\nimport sys{_COMPLETE_AFTER_COMMAS}"
+            line = _DATA + (re.sub(r'(["\\$])', r"\\\1", added) if escaped else added)
+        print(line)
     print(_COMPLETE_FILES.get(shell, ""))
     return 0
+
+
+def _completed(spec: dict[str, Any]) -> dict[str, Any]:
+    """Return the commands and options of tyro's script, with those that tyro does not know.
+
+    The order of values is always the same.
+    """
+    for command in spec["subcommands"].values():
+        for option in command["options"]:
+            if option["flags"] == ["--focal"] and "guess" in option["description"]:
+                option |= {"type": "choice", "choices": ["guess"]}
+            # A shell would offer the words behind a line break of a help text as values.
+            option["description"] = " ".join(option["description"].split())
+            option["choices"] = sorted({*option.get("choices", ())} - {"None"})
+    shell = {
+        "type": "choice",
+        "choices": sorted(SHELLS),
+        "description": "print a script for a shell",
+    }
+    version = {"type": "flag", "description": "print the version"}
+    spec["options"] += [
+        {"flags": ["--version"], "nargs": 0, **version},
+        {"flags": ["--completion"], "nargs": None, **shell},
+    ]
+    return spec
 
 
 def _fail(text: str, code: int = 1) -> int:

@@ -36,26 +36,26 @@ from tisfm.threads import usable_cores
 
 @dataclass(kw_only=True)
 class Demo:
-    """Render scenes whose truth is known, interpret them, and compare.
+    """Render scenes with a known truth, interpret them, and print the errors.
 
-    Two textured blocks move each on its own, in front of a background and on a floor, before a
-    camera that moves sideways: errors against the truth of the preset "paper", the default preset
-    and Horn and Schunck. Three blocks at rest, before a camera that moves forward and turns:
-    errors of motion "field" and "camera". DIR receives every output of `tisfm run` for the first
-    scene and the paper's comparisons of settings, DIR/camera and DIR/objects those of the
-    motions "camera" and "objects".
+    In the first scene the camera moves sideways, and two textured blocks on a floor move
+    independently. A table compares the preset paper, the default preset, and the method of Horn and
+    Schunck. In the second scene the camera moves forward and rotates before three static blocks. A
+    table compares the motions field and camera, and the motion objects on the first scene. DIR
+    receives the outputs of tisfm run for the first scene, and the paper's comparisons of settings;
+    DIR/camera and DIR/objects receive the outputs of these two motion models.
     """
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")] = Path("tisfm-demo")
-    """Folder for the results; made if need be."""
+    """Folder for the results; made if it does not exist."""
     height: int = 240
     """Height of the rendered frames, px."""
     width: int = 320
     """Width of the rendered frames, px."""
     seed: int = 0
-    """Seed of the textures."""
+    """Seed of the random textures."""
     threads: int | None = None
-    """Most CPU threads; by default all cores."""
+    """Maximum number of CPU threads. By default all cores."""
 
     def __call__(self) -> int:
         """Run the command and return the exit code."""
@@ -80,15 +80,15 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
     height, width : int
         Size of the frames, px.
     seed : int
-        Of the textures.
+        Seed of the random textures.
     threads : int or None
-        Most CPU threads, of all parts that are done at a time together.
+        Maximum number of CPU threads of all processes together.
 
     Raises
     ------
     OSError, ValueError
-        If the folder cannot be written to or holds files of these names that no demo wrote, or if
-        an option is impossible.
+        If the folder cannot be written to, if it holds files of these names that no demo wrote, or
+        if an option is impossible.
     """
     if height * width > MOST_PIXELS:
         raise InputError(
@@ -129,8 +129,8 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
         f"Pictures and data in {output}. Open {first} first, then {' and '.join(map(str, others))}."
     )
     tell(
-        f"{output / ANIMATION} shows depth by a moving camera: open it in a browser. "
-        f"tisfm view {output} shows it all around (pip install 'tisfm[view]')."
+        f"{output / ANIMATION} is an animation of the depth: open it in a browser. "
+        f"tisfm view {output} shows the scene from any side (pip install 'tisfm[view]')."
     )
     tell("Your own frames: tisfm run VIDEO -o results --report, and open results/report.html.")
     return 0
@@ -162,8 +162,8 @@ def _refuse_foreign(folders: Iterable[Path]) -> None:
         for name in (*pairs, *PAPER_FIGURES, ANIMATION):
             if (folder / name).exists():
                 raise InputError(
-                    f"the demo would replace {folder / name}, which is not of a demo: give "
-                    "another folder with -o"
+                    f"the demo would replace {folder / name}, which no demo wrote: give another "
+                    "folder with -o"
                 )
 
 

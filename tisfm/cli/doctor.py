@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 @dataclass(kw_only=True)
 class Doctor:
-    """Say what is wrong with the installation or this machine, and what to do.
+    """Find faults of the installation or of this machine, and say how to correct them.
 
-    Looks at versions, builds of OpenCV that clash, cores, memory, limits, Taichi and its cache of
-    kernels, GPUs, folders and optional packages. The exit code is 1 if something is broken.
+    The command checks versions, conflicting builds of OpenCV, cores, memory, limits, Taichi and its
+    cache of kernels, GPUs, folders and optional packages. The exit code is 1 after a fault.
     """
 
     json: bool = False
-    """Print JSON, for scripts."""
+    """Print the findings as JSON, for scripts."""
 
     def __call__(self) -> int:
         """Run the command and return the exit code."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
@@ -13,7 +13,7 @@ from tisfm.camera import Camera
 from tisfm.cli.console import print_whole, start_kernels, tell
 from tisfm.cli.options import SettingsOptions, StatedCameraOptions
 from tisfm.cli.progress import TimeEstimate, progress_bar
-from tisfm.datasets import LAYOUTS, Layout, LoadedPair, SequenceLayout, find_pairs
+from tisfm.datasets import LAYOUTS, Layout, LoadedPair, find_pairs
 from tisfm.errors import InputError
 from tisfm.evaluation.files import EVALUATION_RECORD, EvaluationWriter
 from tisfm.evaluation.pair_tables import evaluation_tables
@@ -24,34 +24,41 @@ from tisfm.interpretation import Interpretation
 from tisfm.runtime import Arch
 from tisfm.settings import Preset, Settings
 
+LayoutName = Literal[
+    "middlebury", "kitti", "sintel", "yosemite", "stereo", "new_tsukuba", "sevenscenes",
+    "calibrated", "tum", "kitti_odometry",
+]  # fmt: skip
+
 
 @dataclass(kw_only=True)
 class Eval:
-    """Compare with the true flow, depth and pose of benchmarks.
+    """Compare results with the true flow, depth and poses of benchmarks.
 
-    Interprets every pair found in the folders and prints tables of errors. Of the flow: end-point
-    (EPE) and angular (AAE), outliers as KITTI counts them (Fl), the share off by 1 px or more
-    (R1.0), and, where the dataset says what is occluded, EPE without it (noc) and how well it is
-    found (occ F1). Of the depth, after scaling by the median: abs-rel, SILog, and the share off by
-    a factor below 1.25. Of the pose, with --motion camera: the angles between the directions of
-    translation and between the rotations. Known layouts are those of Middlebury, KITTI 2012 and
-    2015, Sintel, Yosemite, New Tsukuba, 7-Scenes, stereo pairs with a disparity, and folders of
-    images/ with camera.txt, and poses.txt or depth/. With --sequence those of New Tsukuba,
-    7-Scenes, TUM RGB-D, KITTI's odometry and such folders.
+    The command interprets every pair in the folders and prints tables of errors. Errors of flow:
+    end-point error (EPE), angular error (AAE), outliers as KITTI defines them (Fl), and the share
+    of pixels with an error of 1 px or more (R1.0). If the dataset marks occluded pixels, also the
+    EPE without them (noc), and the F1 score of the estimated occlusion (occ F1). Errors of depth,
+    after scaling by the median: abs-rel, SILog, and the share of pixels within a factor of 1.25.
+    Errors of the pose, with --motion camera: the angle between the directions of translation, and
+    the angle between the rotations.
 
-    With --sequence, every sequence is reconstructed as a whole, and its path (ATE, RPE, drift) and
-    depth, in one scale for all frames, are compared. DIR receives NAME.tum, the path of
-    the largest piece, NAME-piece2.tum of the next one, and eval.json.
+    Layouts for pairs: Middlebury, KITTI 2012 and 2015, Sintel, Yosemite, New Tsukuba, 7-Scenes,
+    stereo pairs with a disparity, and folders of images/ with camera.txt, and poses.txt or depth/.
+    Layouts for --sequence: New Tsukuba, 7-Scenes, TUM RGB-D, KITTI odometry, and such folders.
 
-    With --objects, the masks of moving things that a reconstruction saved are compared with the
-    true ones of a sequence, as those of DAVIS: the intersection over union of each thing, and how
-    often it got another label. Where FOLDER has an objects.json, as a reconstruction writes it, and
-    poses.txt of the camera, so are the paths of things.
+    With --sequence, the command reconstructs each sequence and compares its path (ATE, RPE, drift)
+    and its depth, with one scale for all frames. DIR receives NAME.tum, the path of the largest
+    piece, NAME-piece2.tum, the path of the next piece, and eval.json.
 
-    With -o, DIR receives for a pair NAME of DATASET: DATASET/NAME_flow.flo; NAME_error.png
-    (end-point error, on one scale for all) and NAME_flow.png (recovered beside true flow), or
-    NAME_depth_error.png (recovered beside true depth, and the relative error), or both, as there
-    is a truth; and eval.json with versions, settings and every number.
+    With --objects, the command compares the masks of moving objects in a reconstruction with the
+    true masks of a sequence, such as those of DAVIS: intersection over union of each object, and
+    the number of its label switches. If FOLDER has an objects.json like that of a reconstruction,
+    and poses.txt of the camera, it also compares the paths of the objects.
+
+    With -o, DIR receives eval.json with versions, settings and every number, and files for each
+    pair NAME of DATASET. For true flow: DATASET/NAME_flow.flo, NAME_error.png (end-point error, one
+    colour scale for all pairs), NAME_flow.png (estimated beside true flow). For true depth:
+    NAME_depth_error.png (estimated and true depth, and the relative error).
     """
 
     folders: Annotated[
@@ -60,30 +67,35 @@ class Eval:
     ]
     """Folders of datasets, or folders above them."""
     output: Annotated[Path | None, arg(aliases=["-o"], metavar="DIR")] = None
-    """Folder for pictures, flow and eval.json; made if need be. By default nothing is written."""
-    layout: Layout | SequenceLayout | None = None
-    """Layout of the folders; by default every one that is recognised."""
+    """Folder for pictures, flow and eval.json; made if it does not exist. By default nothing is
+    written."""
+    layout: LayoutName | None = None
+    """Layout of the folders. By default every layout that is recognised."""
     step: int | None = None
-    """Frames from the first to the second of a pair, in sequences; by default 3 for 7-Scenes and 1
-    for others."""
+    """For pairs of a sequence: the number of frames from the first to the second of a pair; by
+    default 3 for 7-Scenes and 1 for others. With --sequence: use every STEP-th frame. With
+    --objects: use every STEP-th true mask."""
     give_poses: bool = False
-    """Give every true pose, and compare only the depth; with --motion camera."""
+    """Use the true poses, and compare only the depth; with --motion camera or --sequence."""
     max_depth: float | None = None
-    """True depth beyond it does not count, in the unit of the dataset. By default all counts."""
+    """Ignore pixels whose true depth is larger, in the unit of the dataset. By default no pixel is
+    ignored."""
     sequence: bool = False
     """Reconstruct whole sequences instead of pairs, and compare their paths and depth."""
     objects: bool = False
-    """Compare masks of moving things: FOLDER holds the true ones, by itself or in masks/. With
+    """Compare masks of moving objects: FOLDER, or its folder masks/, has the true masks. Needs
     --result."""
     result: Annotated[Path | None, arg(metavar="PATH")] = None
-    """Compare this with one sequence instead: a trajectory in TUM's or KITTI's format, of whatever
-    program, or a folder of tisfm.Reconstruction.save. With --sequence; a folder with --objects."""
+    """Compare this result, and reconstruct nothing. With --sequence: a trajectory of any program in
+    the format of TUM or KITTI, or the folder of a reconstruction. With --objects: the folder of a
+    reconstruction."""
     preset: Preset = "balanced"
-    """Settings to start from; the settings below show its values, and change them."""
+    """Settings to start from. The defaults of the settings below are those of this preset."""
     arch: Arch | None = None
-    """Where kernels run; by default what the variable TI_ARCH says, or else the CPU."""
+    """Processor that runs the kernels. By default the environment variable TI_ARCH decides, or else
+    it is the CPU."""
     threads: int | None = None
-    """Most CPU threads; by default all cores. Errors do not depend on it."""
+    """Maximum number of CPU threads. By default all cores. Results do not depend on it."""
     camera: OmitArgPrefixes[StatedCameraOptions] = field(default_factory=StatedCameraOptions)
     settings: OmitArgPrefixes[SettingsOptions] = field(default_factory=SettingsOptions)
 
@@ -96,7 +108,7 @@ class Eval:
                 "FOLDER is missing: give the folder of a dataset, as in: tisfm eval FOLDER -o DIR"
             )
         if self.sequence and self.objects:
-            raise InputError("sequence and objects are both asked for: give one of them")
+            raise InputError("--sequence and --objects are both given: give one of them")
         if self.objects:
             return evaluate_objects(self.folders, self.output, result=self.result, step=self.step)
         if self.sequence:
@@ -118,7 +130,9 @@ class Eval:
                 threads=self.threads,
             )
         if self.result is not None:
-            raise InputError(f"result is {self.result}, but pairs are compared: give --sequence")
+            raise InputError(
+                f"--result is {self.result}, but pairs are compared: give --sequence or --objects"
+            )
         return evaluate(
             self.folders,
             self.output,
@@ -136,7 +150,7 @@ class Eval:
 def _layout_of_pairs(layout: str | None) -> Layout | None:
     if layout is None or layout in LAYOUTS:
         return layout  # type: ignore[return-value]
-    raise InputError(f"layout is {layout!r}, which has sequences alone: give --sequence")
+    raise InputError(f"--layout is {layout!r}, which has only sequences: give --sequence")
 
 
 def evaluate(

@@ -236,7 +236,7 @@ def evaluate_objects(
     """
     if result is None:
         raise InputError(
-            "result is missing: give the folder of a reconstruction, as in: "
+            "--result is missing: give the folder of a reconstruction, as in: "
             "tisfm eval FOLDER --objects --result DIR"
         )
     if len(folders) > 1:
@@ -275,5 +275,5 @@ def evaluate_objects(
         print_whole(object_path_table(name, paths))
     where = "" if output is None else f" Every number in {output}."
     count = len(scores.objects)
-    tell(f"{count} thing{'s' * (count != 1)} in {scores.frames} frames.{where}")
+    tell(f"{count} object{'s' * (count != 1)} in {scores.frames} frames.{where}")
     return 0

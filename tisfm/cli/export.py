@@ -37,43 +37,47 @@ FormatName = Literal[
 
 @dataclass(kw_only=True)
 class Export:
-    """Write a result in the files that other programs read.
+    """Write a result in the file formats of other programs.
 
-    DIR is what `tisfm reconstruct` or `tisfm run` wrote. FORMAT is, of the path: tum, kitti,
-    gltf-camera, chan, and with the frames and points measured in them colmap, colmap-text,
-    nerfstudio; of what was seen: ply, glb, mesh-ply, mesh-glb; of the lens: undistortion,
-    undistortion-tiff; of every frame: depth-tum, depth-kitti, depth-exr, depth-tiff, depth-pfm,
-    depth-dpt, masks; videos: video-depth, video-flow, video-side-by-side, video-anaglyph,
-    video-wiggle. A path and a surface are of reconstructions alone, video-flow is of runs. Where a
-    sequence fell into pieces, each has a file, that of the largest first.
+    DIR is the folder that tisfm reconstruct or tisfm run wrote. Formats of the camera path: tum,
+    kitti, gltf-camera, chan. Path, frames, and points measured in the frames: colmap, colmap-text,
+    nerfstudio. Points and surfaces: ply, glb, mesh-ply, mesh-glb. Lens: undistortion,
+    undistortion-tiff. Every frame: depth-tum, depth-kitti, depth-exr, depth-tiff, depth-pfm,
+    depth-dpt, masks. Videos: video-depth, video-flow, video-side-by-side, video-anaglyph,
+    video-wiggle. Paths and surfaces need a reconstruction, video-flow needs a run. If a sequence
+    fell into several pieces, each piece has its own file; the largest piece comes first.
     """
 
     folder: Annotated[Positional[Path], arg(metavar="DIR")]
     """The folder of a reconstruction or a run."""
     to: UseAppendAction[tuple[FormatName, ...]]
-    """What to write: give it once for each, or several with commas."""
+    """Formats to write: names with commas between, or the option several times."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="OUT")]
-    """Folder for the files, another than DIR; made if need be. Files of the same name are
+    """Folder for the files, other than DIR; made if it does not exist. Files of the same name are
     replaced."""
     start: int = 0
-    """Number of the first frame that is taken, as DIR counts them, from 0."""
+    """Number of the first frame to export, as DIR counts them, from 0."""
     stop: int | None = None
-    """Number of the first frame that is not taken any more; by default all are."""
+    """Number of the first frame after the last one exported. By default all frames."""
     step: int = 1
-    """Take every STEP-th frame."""
+    """Export every STEP-th frame."""
     fps: float | None = None
-    """Frames a second, of videos, the moving camera and the times of the path. By default what the
-    times of the frames say; where there are none 25, and numbers of frames as times of the path."""
+    """Frames per second of videos, of the moving camera and of the times of the path. By default it
+    follows from the times of the frames. Without times it is 25, and the path has frame numbers as
+    times."""
     scale: Annotated[tuple[int, int, float] | None, arg(metavar="FRAME FRAME DISTANCE")] = None
-    """The distance of the camera's places at two frames, by their numbers from 0: the unit."""
+    """Two frame numbers, from 0, and the distance between the positions of the camera at these
+    frames. It sets the unit."""
     disparity: float | None = None
-    """Of anaglyphs and the swinging camera: how far the nearest moves against the farthest from one
-    view to the other, as a share of the width. By default 0.03, and 0.015 to either side."""
+    """For video-anaglyph and video-wiggle: how far the nearest point moves against the farthest one
+    between two views, as a share of the width. By default 0.03 between the eyes of an anaglyph, and
+    0.015 to either side of the swinging camera."""
     screen: float | None = None
-    """Of the same: the plane of the screen, which stays in place, as a quantile of the depth, 0 for
-    the farthest and 1 for the nearest. By default it is half as near as the nearest."""
+    """For video-anaglyph and video-wiggle: the plane of the screen, whose points do not move, as a
+    quantile of the depth; 0 is the farthest point, 1 the nearest. By default the screen is twice as
+    far away as the nearest point."""
     screen_depth: float | None = None
-    """The same as a depth, in the unit of the result."""
+    """The plane of the screen as a depth, in the unit of the result, instead of --screen."""
 
     def __call__(self) -> int:
         """Run the command and return the exit code."""
@@ -108,8 +112,8 @@ def export(
 ) -> int:
     """Write a result in other formats, and return the exit code.
 
-    `frames` are start, stop and step; `scale` are two frames and the distance of the camera's
-    places. All is checked, as far as it can be, before anything is written.
+    `frames` are start, stop and step; `scale` are two frames and the distance between the positions
+    of the camera. Everything that can be checked is checked before the first file is written.
     """
     from tisfm.exports.chosen_frames import check_rate
     from tisfm.exports.export_request import ExportRequest
@@ -124,14 +128,14 @@ def export(
     given = [f"--{name}" for name, value in depths.items() if value is not None]
     if given and not wanted.keys() & _WITH_SCREEN:
         raise InputError(
-            f"{given[0]} is of {' and '.join(sorted(_WITH_SCREEN))}: ask for one with --to, or "
-            "leave it out"
+            f"{given[0]} is only for {' and '.join(sorted(_WITH_SCREEN))}: give one of them with "
+            "--to, or leave it out"
         )
     _refuse_inside(output, folder)
     result, found = _opened(folder, scale)
     if screen_depth is not None and not found.has_one_scale:
         raise InputError(
-            f"--screen-depth is a depth, and each pair of {folder} has a unit of its own: give "
+            f"--screen-depth needs one unit of depth, but each pair of {folder} has its own: give "
             "--screen, a quantile"
         )
     asked = ExportRequest(
@@ -152,8 +156,8 @@ def export(
         piece = int(result.piece[scale[0]])
         sizes = [int((result.piece == k).sum()) for k in range(len(result.unit))]
         tell(
-            f"--scale: the unit of the piece of {sizes[piece]} frames that these two are of; other "
-            "pieces keep their own"
+            f"--scale sets the unit of the piece of these two frames, which has {sizes[piece]} "
+            "frames; other pieces keep their units"
         )
     said: set[str] = set()
     for name, form in wanted.items():
@@ -174,7 +178,7 @@ def _formats(names: Sequence[str]) -> "dict[str, Format]":
     unknown = [name for name in names if name not in FORMATS]
     if unknown or not names:
         meant = hint(unknown[0], FORMATS) if unknown else ""
-        what = f"{unknown[0]!r} is no format{meant}" if unknown else "no format is given"
+        what = f"{unknown[0]!r} is not a format{meant}" if unknown else "no format is given"
         listed = "" if meant else f": expected some of {', '.join(FORMATS)}"
         raise InputError(f"--to: {what}{listed}")
     return {name: FORMATS[name] for name in names}
@@ -203,7 +207,9 @@ def _opened(
             "tisfm run wrote"
         )
     if scale is not None:
-        raise InputError(f"--scale is of a path, and {folder} is of tisfm run: leave it out")
+        raise InputError(
+            f"--scale needs the path of a reconstruction, but {folder} is a run: leave it out"
+        )
     return None, PairFrames(folder)
 
 
@@ -224,7 +230,7 @@ def _refuse_inside(output: Path, folder: Path) -> None:
     """Raise InputError if the output lies in the folder of the result."""
     place, result = output.resolve(), folder.resolve()
     if result in (place, *place.parents):
-        raise InputError(f"{output} lies in {folder}, which is read: give another folder with -o")
+        raise InputError(f"{output} lies in {folder}, the input: give another folder with -o")
 
 
 def _announce(wanted: "dict[str, Format]", asked: "ExportRequest") -> None:
@@ -235,7 +241,7 @@ def _announce(wanted: "dict[str, Format]", asked: "ExportRequest") -> None:
     free = shutil.disk_usage(asked.folder).free
     about = f"up to {as_size(expected)} for {len(asked.chosen)} frames of {width}×{height} px"
     if expected > free:
-        tell(f"{about}, but {as_size(free)} are free: --start, --stop and --step choose")
+        tell(f"{about}, but {as_size(free)} are free: choose frames with --start, --stop, --step")
     elif expected > MUCH:
         tell(f"{about} in {asked.folder}")
 

@@ -22,18 +22,18 @@ from tisfm.sources import FrameSource
 
 @dataclass(kw_only=True)
 class Figures:
-    """Draw the paper's comparisons of settings (its Fig. 6 and 8) for two frames of yours.
+    """Draw the paper's comparisons of settings (its Fig. 6 and 8) for two of your frames.
 
-    Depth for λ = 1e8 and 1e9, with and without smoothing the frames first, and with the paper's
-    contrast, which is inert, beside the default one.
+    The figures show depth for λ = 1e8 and 1e9; with and without smoothing of the frames; and with
+    the paper's contrast, which has no effect, and the default contrast.
     """
 
     frames: Annotated[Positional[tuple[str, str]], arg(metavar="FRAME FRAME")]
     """Two images."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
-    """Folder for the figures; made if need be."""
+    """Folder for the figures; made if it does not exist."""
     threads: int | None = None
-    """Most CPU threads; by default all cores."""
+    """Maximum number of CPU threads. By default all cores."""
     camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
 
     def __call__(self) -> int:

@@ -1,5 +1,7 @@
 """Options that several commands share: the frames, the camera, the settings."""
 
+import inspect
+import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,10 +16,10 @@ from tisfm.settings import Motion, Settings
 
 @dataclass(frozen=True, kw_only=True)
 class FrameOptions(FrameSelection):
-    """The frames that are taken, and what part of them."""
+    """The frames to use, and the part of each frame."""
 
     crop: Annotated[tuple[int, int, int, int] | None, arg(metavar="LEFT TOP WIDTH HEIGHT")] = None
-    """Use this part of the frames alone, px. It is cut out before the rest is shrunk."""
+    """Use only this part of the frames, px. It is cut out before it is shrunk."""
 
     def selection(self) -> FrameSelection:
         """Return a plain selection, which other processes can load without the command line."""
@@ -29,37 +31,39 @@ class CameraOptions:
     """The camera that took the frames."""
 
     file: Annotated[Path | None, arg(name="camera", metavar="FILE")] = None
-    """The camera.json that tisfm reconstruct wrote of the same lens, or its folder."""
+    """The camera.json that tisfm reconstruct wrote for the same lens, or its folder."""
     focal: float | Literal["guess"] | None = None
-    """Focal length, px of the frames before any crop or resizing. 'guess' takes the first image's
-    EXIF data, or else its size. By default the paper's 600 where motion is 'field', else the guess.
-    """
+    """Focal length, px of the frames before they are cropped or shrunk. guess computes it from the
+    EXIF data of the first image, or else from its size. By default 600 for motion field, as in the
+    paper, and a guess otherwise."""
     center: tuple[float, float] | None = None
     """Principal point (cx, cy), px. By default the centre of the image."""
     distortion: Annotated[str | None, arg(metavar="K1,K2,P1,P2[,K3...]")] = None
-    """OpenCV's coefficients of the lens, 4, 5, 8, 12 or 14 with commas between; removed first."""
+    """Coefficients of the lens distortion as in OpenCV: 4, 5, 8, 12 or 14 numbers with commas
+    between. The distortion is removed first."""
     aspect: float = 1.0
-    """fy / fx, where pixels are not square; --focal is then the smaller of both. Frames are
+    """fy / fx, if pixels are not square; --focal is then the smaller of the two. Frames are
     resampled first."""
     readout: float | None = None
-    """How long a frame is read, row after row, as a share of the time from a frame to the next; 0
-    where all rows are read at once. By default reconstruct finds it for motion 'camera'; elsewhere
-    it counts as 0. What it moves is undone by reconstruct, and in pairs for motion 'camera'."""
+    """Readout time of a rolling shutter, as a share of the time between two frames: the delay from
+    the first row to the last; 0 if all rows are read at once. By default reconstruct estimates it
+    for motion camera; otherwise it is 0. reconstruct, and run for motion camera, correct the frames
+    for it."""
 
     def guess(self, motion: Motion) -> bool:
-        """Return whether the focal length has to be guessed."""
+        """Return whether to guess the focal length."""
         if self.file is not None:
             return False
         return self.focal == "guess" or (self.focal is None and motion != "field")
 
     def camera(self) -> Camera | Path:
         """Return the camera, with a focal length of 600 px if it is not given, or its file."""
-        stated = (self.focal, self.center, self.distortion, self.readout)
+        values = (self.focal, self.center, self.distortion, self.readout)
         if self.file is not None:
-            if any(value is not None for value in stated) or self.aspect != 1:
+            if any(value is not None for value in values) or self.aspect != 1:
                 raise InputError(
-                    f"{self.file} states the camera: give neither --focal nor --center, "
-                    "--distortion, --aspect or --readout"
+                    f"{self.file} states the camera: leave out --focal, --center, --distortion, "
+                    "--aspect and --readout"
                 )
             return self.file
         focal = self.focal if isinstance(self.focal, float) else 600.0
@@ -75,7 +79,7 @@ class CameraOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class SettingsOptions(Settings):
-    """What is minimised, and how. The defaults shown are those of --preset."""
+    """Settings of the energy and its minimisation. The defaults shown are those of --preset."""
 
     def __post_init__(self) -> None:
         """Skip the checks: the parser would report their errors in its own words."""
@@ -85,14 +89,32 @@ class SettingsOptions(Settings):
         return Settings(**asdict(self))
 
 
+def _with_options(text: str) -> str:
+    """Return a docstring in which options replace names of settings, and values have no marks."""
+    text = re.sub(r'``"(\w+)"``', r"\1", text)
+    return re.sub(
+        r"`{1,2}(\w+)(?:=\"?(\w+)\"?)?`{1,2}",
+        lambda found: " ".join(["--" + found[1].replace("_", "-"), *filter(None, [found[2]])]),
+        text,
+    )
+
+
+# The help of the settings is in the docstring of `Settings`, between these two headings.
+_PARAMETERS = (
+    inspect.cleandoc(Settings.__doc__ or "").partition("Parameters\n")[2].partition("Raises\n")[0]
+)
+SettingsOptions.__doc__ = f"{SettingsOptions.__doc__}\n\nParameters\n{_with_options(_PARAMETERS)}"
+
+
 @dataclass(kw_only=True)
 class StatedCameraOptions:
-    """The camera, where the dataset does not state one or another is wanted."""
+    """The camera, if the dataset does not state it, or to replace the stated one."""
 
     focal: float | None = None
-    """Focal length of every pair, px. By default what the dataset states, or else 600."""
+    """Focal length for all pairs, px. By default the focal length that the dataset states, or else
+    600."""
     center: tuple[float, float] | None = None
-    """Principal point (cx, cy) that goes with --focal, px. By default the centre of the image."""
+    """Principal point (cx, cy), px; only with --focal. By default the centre of the image."""
 
     def camera(self) -> Camera | None:
         """Return the camera of every pair; None if each dataset states its own."""

@@ -1,12 +1,19 @@
 """Parsing of arguments by tyro, with an error of one line if tyro refuses an argument.
 
-The errors are made from the events of `tyro._errors`, a private module: pyproject.toml bounds
-tyro by its minor version, and tests/cli/test_wrong_options.py checks every kind of event.
+The errors are made from the events of `tyro._errors`, a private module, and help texts are joined
+by a function of `tyro._strings`: pyproject.toml bounds tyro by its minor version, and
+tests/cli/test_wrong_options.py and test_help.py check both.
 """
 
+import inspect
+import shutil
+import sys
+import textwrap
 import types
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
+from functools import partial
 from itertools import takewhile
 from typing import (
     Annotated,
@@ -21,7 +28,7 @@ from typing import (
 )
 
 import tyro
-from tyro import _errors
+from tyro import _errors, _strings
 
 from tisfm.checks import nearest
 from tisfm.errors import InputError
@@ -65,8 +72,30 @@ def parse(name: str, command: type[T], arguments: Sequence[str], default: T | No
         raise WrongOptionError(f"{_explanation(name, event, words)}; see tisfm {name} --help")
 
     given: dict[str, Any] = {} if default is None else {"default": default}
-    with _errors.on_parse_error(refuse):
-        return tyro.cli(command, prog=f"tisfm {name}", args=words, **given)
+    text = inspect.cleandoc(command.__doc__ or "")
+    with _errors.on_parse_error(refuse), wrapped_help(text) as description:
+        return tyro.cli(command, prog=f"tisfm {name}", args=words, description=description, **given)
+
+
+@contextmanager
+def wrapped_help(text: str) -> Iterator[str]:
+    """Yield a description wrapped for the terminal; let tyro join the lines of the help of options.
+
+    By itself, tyro wraps no description, and keeps the line breaks of indented docstrings.
+    """
+    width = shutil.get_terminal_size().columns
+
+    def joined(lines: str, width: int = sys.maxsize) -> str:
+        fill = partial(textwrap.fill, width=width, break_on_hyphens=False)
+        return "\n\n".join(map(fill, map(inspect.cleandoc, lines.split("\n\n"))))
+
+    description = joined(text, width)
+    original = _strings.remove_single_line_breaks
+    _strings.remove_single_line_breaks = lambda text: text if text == description else joined(text)
+    try:
+        yield description
+    finally:
+        _strings.remove_single_line_breaks = original
 
 
 def _marker(annotated: Any) -> Any:
@@ -144,11 +173,11 @@ def _explanation(name: str, event: _errors.ParseErrorEvent, words: Sequence[str]
         option, expected = argument.display_name(), _expected(argument)
         given = _values_of(argument.lowered.name_or_flags, words)
         if not given:
-            return f"{option} stands without its value: expected {expected}"
+            return f"{option} has no value: expected {expected}"
         text = " ".join(given)
         return f"{option} is {text!r}{suggestion(text, _literals(argument))}; expected {expected}"
     if isinstance(event, _errors.UnrecognizedArgs):
-        return f"tisfm {name} has no place for {' '.join(event.tokens)}"
+        return f"tisfm {name} does not take {' '.join(event.tokens)}"
     if isinstance(event, _errors.MissingArgs):
         missing = [
             one.arg.lowered.metavar
@@ -188,17 +217,18 @@ def _alternatives(kind: Any) -> list[Any]:
 
 def _expected(argument: Any) -> str:
     """Return in words the values that an option takes, such as "a whole number"."""
-    told: list[str] = []
+    texts: list[str] = []
     for kind in _alternatives(argument.field.type_stripped):
         parts = get_args(kind) if get_origin(kind) is tuple else (kind,)
         if get_origin(kind) is Literal:
-            told += map(str, get_args(kind)[:_LISTED])
+            choices = list(map(str, get_args(kind)))
+            texts += choices[:_LISTED] + ["…"] * (len(choices) > _LISTED)
         elif set(parts) <= {int, float}:
             noun = "whole number" if set(parts) == {int} else "number"
-            told.append(f"a {noun}" if len(parts) == 1 else f"{len(parts)} {noun}s")
+            texts.append(f"a {noun}" if len(parts) == 1 else f"{len(parts)} {noun}s")
         else:
-            told.append(str(argument.lowered.metavar or "a value"))
-    return " or ".join(dict.fromkeys(told))
+            texts.append(str(argument.lowered.metavar or "a value"))
+    return " or ".join(dict.fromkeys(texts))
 
 
 def _values_of(names: Sequence[str], words: Sequence[str]) -> list[str]:

@@ -47,14 +47,15 @@ from tisfm.trajectory.times import times_or_numbers
 
 @dataclass(kw_only=True)
 class Reconstruct:
-    """Reconstruct a sequence: one path of the camera, and depth of every frame in its scale.
+    """Reconstruct a sequence: one path of the camera, and the depth of every frame in its scale.
 
     SOURCE is a video, a folder of images in order, a quoted glob, or images. DIR receives
-    reconstruction.json, path.npz, depth/ and frames/ for tisfm.Reconstruction.load; the path as
+    reconstruction.json, path.npz, depth/ and frames/ for tisfm.Reconstruction.load, and the path as
     trajectory.txt (TUM: time tx ty tz qx qy qz qw) and poses.txt (KITTI: rows of (R | t), camera to
-    world), of the largest piece where the sequence fell into several; with --ply points.ply, a
-    coloured point cloud, and with --mesh a surface, of what its keyframes agree on; with --motion
-    objects masks/, which thing each pixel belongs to, and objects.json, their paths.
+    world). If the sequence falls into several pieces, these two files are of the largest. With
+    --ply, points.ply is a coloured point cloud; with --mesh, mesh.ply or mesh.glb is a surface;
+    both show points on which several keyframes agree. With --motion objects, masks/ has the moving
+    object at each pixel, and objects.json the paths of the objects.
     """
 
     source: Annotated[
@@ -63,33 +64,36 @@ class Reconstruct:
     ]
     """A video, a folder, a quoted glob, two or more images in order, or a webcam."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
-    """Folder for the results, new or empty, or of an earlier reconstruction, which is replaced."""
+    """Folder for the results: new, empty, or with an earlier reconstruction, which is replaced."""
     preset: Preset = "balanced"
-    """How much effort: fast, balanced or accurate."""
+    """fast, balanced or accurate: more accuracy takes more time."""
     calibrate: Calibrate | None = None
-    """Find the focal length from the frames; or with 'radial' a coefficient of the lens as well,
-    whose distortion is removed. By default the focal length is found unless --focal or --camera
-    states it; with --calibrate focal, --focal is a first guess."""
+    """Estimate the camera from the frames: its focal length (focal), starting from --focal if
+    given; also one coefficient of the lens distortion, which is then removed (radial); or nothing.
+    By default the focal length, unless --focal or --camera states it."""
     poses: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Known poses of the frames that are taken, as TUM or KITTI have them: depth alone is found.
-    Those of TUM go by their times where frames have times, else by their order."""
+    """File of known poses in the format of TUM or KITTI; then only depth is estimated. If all
+    frames have times, poses of TUM belong to the frames nearest in time; otherwise the file has a
+    pose for each used frame, in order."""
     mask: Annotated[str | None, arg(metavar="MASK")] = None
-    """A picture, or a folder of one for every frame: black pixels are ignored everywhere. With
-    --motion objects, a folder of pictures with a palette of colours is --labels instead."""
+    """A picture, or a folder with a picture for every frame: black pixels are ignored. With
+    --motion objects, give a folder of pictures with a palette of colours as --labels instead."""
     labels: Annotated[str | None, arg(metavar="LABELS")] = None
-    """With --motion objects, what moves, if that is known: a folder of pictures whose values, or
-    indices of a palette, are 0 at rest, 1 to 254 for the thing of this id, and 255 where ignored;
-    of every frame, or of some that they are called like, from which they are carried to others."""
+    """With --motion objects: known moving objects, a folder of pictures. Their values, or indices
+    of a palette, are 0 for the static scene, 1 to 254 for the object with this id, and 255 for
+    ignored pixels. A picture belongs to the frame of the same name; frames without a picture get
+    the labels of the nearest labelled frame."""
     motion: Literal["camera", "objects"] = "camera"
-    """What moves on its own is left out where it does not fit ('camera'); or found, labelled in
-    masks/ and objects.json, and given a path and a depth of its own ('objects')."""
+    """camera: pixels that do not move with the static scene are left out. objects: moving objects
+    are labelled in masks/ and objects.json, and each gets a path and depth of its own."""
     object_sizes: Annotated[tuple[str, ...], arg(metavar="ID=LENGTH [ID=LENGTH ...]")] = ()
-    """With --motion objects, how long things are, by their ids: the longest side of the smallest
-    box around each, in the unit of --poses. It sets their scale."""
+    """With --motion objects: lengths of objects by their ids, in the unit of --poses. A length is
+    the longest side of the smallest box around the object. It sets the scale of the object."""
     depth_of: DepthOf = "all"
-    """The frames that depth is found of: all, keyframes alone, or none, for the path alone."""
+    """Frames that get depth: all, only keyframes, or none, for the path alone."""
     scale: Annotated[tuple[int, int, float] | None, arg(metavar="FRAME FRAME DISTANCE")] = None
-    """The distance of the camera's places at two frames, by their numbers from 0: the unit."""
+    """Two frame numbers, from 0, and the distance between the positions of the camera at these
+    frames. It sets the unit of the result."""
     ply: bool = False
     """Write points.ply, a coloured point cloud."""
     mesh: Literal["ply", "glb"] | None = None
@@ -97,20 +101,22 @@ class Reconstruct:
     report: bool = False
     """Write report.html, one page for a browser: summary, path, statuses with advice, pictures."""
     workers: int = 1
-    """Processes at a time, each with chunks of frames, which are joined. For motion 'camera'."""
+    """Number of processes. Each reconstructs chunks of frames, which are then joined. Only with
+    --motion camera."""
     cluster: Annotated[str | None, arg(metavar="ADDRESS")] = None
-    """Make chunks of frames on the workers of a Dask cluster, such as tcp://10.0.0.1:8786. They
-    read SOURCE and write DIR under the same paths."""
+    """Address of the scheduler of a Dask cluster whose workers reconstruct the chunks, such as
+    tcp://10.0.0.1:8786. They must find SOURCE and DIR under the same paths."""
     chunk: int | None = None
-    """Frames of a chunk, at most: 150 with --workers or --cluster. It changes the result; how many
-    workers there are does not."""
+    """Maximum number of frames in a chunk; 150 with --workers or --cluster. The result depends on
+    it, but not on the number of workers."""
     resume: bool = False
-    """Go on with the same command, however it was interrupted: with chunks that are complete. What
-    is complete already is left as it is."""
+    """Continue an interrupted command with the same options: complete chunks are kept. A complete
+    result stays as it is."""
     arch: Arch | None = None
-    """Where kernels run; by default what the variable TI_ARCH says, or else the CPU."""
+    """Processor that runs the kernels. By default the environment variable TI_ARCH decides, or else
+    it is the CPU."""
     threads: int | None = None
-    """Most CPU threads; by default all cores. Results do not depend on it."""
+    """Maximum number of CPU threads. By default all cores. Results do not depend on it."""
     frames: OmitArgPrefixes[FrameOptions] = field(default_factory=FrameOptions)
     camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
 
@@ -153,11 +159,11 @@ class Reconstruct:
         stated = (options.center, options.distortion, options.readout)
         if any(value is not None for value in stated) or options.aspect != 1:
             raise InputError(
-                "--center, --distortion, --aspect and --readout are of a camera whose focal length "
-                "is known: give --focal as well; with --calibrate focal, a guess will do"
+                "--center, --distortion, --aspect and --readout need a focal length: give --focal; "
+                "with --calibrate focal, an approximate value is enough"
             )
         if options.focal == "guess" and self.calibrate not in (None, "nothing"):
-            raise InputError("--focal guess is not found from the frames: drop it, or --calibrate")
+            raise InputError("--focal guess excludes --calibrate: leave out one of them")
         return None
 
 
@@ -205,29 +211,29 @@ def reconstruct(
 ) -> int:
     """Reconstruct a sequence, write its folder, and return the exit code.
 
-    `camera` may be a file of one; `poses` is a trajectory of the frames that are taken; `scale` are
-    two frames and the distance of the camera's places; `mesh` is "ply" or "glb". With `report`,
-    ``report.html`` is written at the end, or made again. With `workers`, a `cluster` or a `chunk`,
-    it is made in chunks of frames.
+    `camera` may be a camera file; `poses` is a trajectory of the used frames; `scale` is two frames
+    and the distance between the positions of the camera; `mesh` is "ply" or "glb". With `report`,
+    ``report.html`` is written at the end. With `workers`, a `cluster` or a `chunk`, the sequence is
+    reconstructed in chunks of frames.
     """
     in_chunks = workers != 1 or cluster is not None or chunk is not None
     check_workers(workers, cluster)
     if in_chunks and (labels is not None or object_sizes):
         raise InputError(
-            "--labels and --object-sizes are of things that move on their own, which are not found "
-            "in chunks: drop --workers, --cluster and --chunk"
+            "--labels and --object-sizes need moving objects, which chunks do not estimate: leave "
+            "out --workers, --cluster and --chunk"
         )
     given = None if poses is None else read_trajectory(poses)
     for file in (poses, camera):
         if isinstance(file, Path):
             _refuse_inside(file, output)
     if depth_of == "none" and (ply or mesh is not None):
-        raise InputError("--depth-of none leaves nothing to fuse: drop --ply and --mesh, or it")
+        raise InputError(
+            "--depth-of none estimates no depth, which --ply and --mesh need: leave out one of them"
+        )
     # Check now whether the last steps are possible: the steps before take long.
     if scale is not None and object_sizes:
-        raise InputError(
-            "--scale would change the unit that --object-sizes are in: give one of them, or --poses"
-        )
+        raise InputError("--scale changes the unit of --object-sizes: give one of them, or --poses")
     if scale is not None:
         _check_scale(*scale, count=_count(source, frames))
     if mesh is not None:
@@ -264,13 +270,13 @@ def reconstruct(
     )
     if resume and run.is_done():
         run.finish()  # remove the leftovers of a killed command
-        tell(f"{output} is complete: nothing is left to do. Results in {output}.")
+        tell(f"{output} is already complete. Results in {output}.")
         if report:
             report_reconstruction(Reconstruction.load(output), output, source=source)
         return 0
     endless = isinstance(source, str) and webcam_number(source) is not None and frames.stop is None
     if endless:
-        tell("Ctrl-C ends the recording; a second one ends the command.")
+        tell("Ctrl-C ends the recording; a second Ctrl-C ends the command.")
     if not endless:
         _announce(source, output, frames, depth_of)
     tell_device(arch)
@@ -370,7 +376,7 @@ def _refuse_inside(file: Path, output: Path) -> None:
     """Raise InputError for a file in the output folder, whose contents are replaced."""
     place = output.resolve()
     if place in (file.resolve(), *file.resolve().parents):
-        raise InputError(f"{file} lies in {output}, which is written to: give another folder")
+        raise InputError(f"{file} lies in {output}, whose files are replaced: give another folder")
 
 
 def _count(source: Source, frames: FrameSelection) -> int | None:
@@ -390,8 +396,8 @@ def _check_scale(frame0: int, frame1: int, distance: float, *, count: int | None
         )
     if count is not None and max(frame0, frame1) >= count:
         raise InputError(
-            f"--scale is {frame0} {frame1} {distance:g}, but {count} frames are taken: expected "
-            f"numbers from 0 to {count - 1}"
+            f"--scale is {frame0} {frame1} {distance:g}, but the sequence has {count} frames: "
+            f"expected numbers from 0 to {count - 1}"
         )
 
 
@@ -443,7 +449,7 @@ def _tell(result: Reconstruction, output: Path) -> None:
     sizes = np.bincount(result.piece[result.piece >= 0])
     pieces = f"{len(sizes)} piece{'s' * (len(sizes) != 1)}"
     if len(sizes) > 1:
-        pieces += f" ({', '.join(map(str, sizes))} frames, each in a scale of its own)"
+        pieces += f" ({', '.join(map(str, sizes))} frames, each with its own scale)"
     tell(
         f"{placed} of {count} frames have a pose, in {pieces}; {len(result.keyframes)} keyframes. "
         f"Results in {output}."
@@ -458,8 +464,8 @@ def _tell(result: Reconstruction, output: Path) -> None:
         tell(f"focal length: {about.message}" if about.seen else about.message)
     if about.readout:
         tell(
-            f"rolling shutter: the rows of a frame are read within {about.readout:.2f} ± "
-            f"{about.readout_std:.1g} of the time to the next; what that moves has been undone"
+            f"rolling shutter: the readout takes {about.readout:.2f} ± {about.readout_std:.1g} of "
+            "the time between two frames; frames and poses are corrected for it"
         )
     counts = Counter(str(status) for status in result.status if status != "converged")
     for code, number in counts.items():

@@ -19,9 +19,9 @@ from tisfm.sources import Source
 class Report:
     """Show a run or a reconstruction on one page.
 
-    DIR is the folder that tisfm run or tisfm reconstruct wrote. It receives report.html, which
-    needs no network and no other file: a summary, the path of the camera, statuses with advice,
-    pictures of the frames with a slider, and settings.
+    DIR is the folder that tisfm run or tisfm reconstruct wrote. It receives report.html: a summary,
+    the path of the camera, statuses with advice, pictures of the frames with a slider, and the
+    settings. The page needs no network and no other file.
     """
 
     folder: Annotated[Positional[Path], arg(metavar="DIR")]
@@ -40,8 +40,8 @@ def report(folder: Path) -> int:
         report_run(folder)
     else:
         raise FileNotFoundError(
-            f"{folder} holds neither {RECORD} of tisfm run nor {RECONSTRUCTION} of tisfm "
-            "reconstruct: give the folder that one of them wrote"
+            f"{folder} has neither {RECORD} of tisfm run nor {RECONSTRUCTION} of tisfm "
+            "reconstruct: give the folder that one of these commands wrote"
         )
     return 0
 
@@ -50,7 +50,7 @@ def report_run(folder: Path, source: Source | None = None) -> None:
     """Write the report of a run, and print its path."""
     record = read_record(folder)
     if record is None:
-        raise FileNotFoundError(f"{folder} holds no {RECORD}: the run wrote nothing")
+        raise FileNotFoundError(f"{folder} has no {RECORD}: the run finished no pair")
     path = write_run_report(folder, record, source=title_of(source))
     tell(f"Open {path} in a browser.")
 

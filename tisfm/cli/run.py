@@ -29,11 +29,11 @@ class Run:
     """Interpret every pair of consecutive frames of a sequence.
 
     SOURCE is two or more images, a folder of images, a quoted glob such as 'frames/*.png', a video,
-    or webcam:0 for a camera, with --stop. For a pair named NAME after its first frame, DIR receives
-    NAME_depth.png (grey levels, near is bright), NAME_depth16.png (16-bit depth, its scale in the
-    file and in run.json), NAME_anaglyph.png (red-cyan), NAME_figure.png, for motion 'camera' or
-    'objects' NAME_pose.txt, with --flo NAME_flow.flo, with --ply NAME.ply and, when all is written,
-    NAME.npz for tisfm.Interpretation.load: everything, rounded a little.
+    or webcam:0, the camera of this computer. NAME is the name of the first frame of a pair. For
+    each pair, DIR receives NAME_depth.png (depth in grey levels, near is bright), NAME_depth16.png
+    (depth in 16 bits; the file and run.json state its scale), NAME_anaglyph.png (red-cyan) and
+    NAME_figure.png; with --motion camera or objects NAME_pose.txt; with --flo NAME_flow.flo; with
+    --ply NAME.ply; and last NAME.npz, the whole result, for tisfm.Interpretation.load.
     """
 
     source: Annotated[
@@ -42,34 +42,36 @@ class Run:
     ]
     """Two or more images, a folder, a quoted glob, a video, or a webcam such as webcam:0."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
-    """Folder for the results; made if need be."""
+    """Folder for the results; made if it does not exist."""
     preset: Preset = "balanced"
-    """Settings to start from; the settings below show its values, and change them."""
+    """Settings to start from. The defaults of the settings below are those of this preset."""
     poses: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Known poses, for depth in their unit: a line of 12 numbers for every frame, the rows of
-    (R | t) from camera to world, as KITTI has them. For motion 'camera'."""
+    """File of known poses, for --motion camera; depth is then in their unit. It has a line of 12
+    numbers for every frame of SOURCE, as in KITTI: the rows of (R | t), camera to world."""
     mask: Annotated[str | None, arg(metavar="MASK")] = None
-    """A picture, or a folder of one for every frame: black pixels are ignored everywhere."""
+    """A picture, or a folder with a picture for every frame: black pixels are ignored."""
     window: WindowSize = 2
-    """Frames that an interpretation sees: 3 adds the frame before the pair, for motion 'field'."""
+    """Frames that an interpretation uses: 2 is the pair; 3 adds the frame before it, for --motion
+    field."""
     resume: bool = False
-    """Continue a run that was interrupted: skip the pairs it finished."""
+    """Continue an interrupted run: skip the pairs that it finished."""
     outputs: UseAppendAction[tuple[Output, ...]] = ()
-    """What is written of each pair: several with commas between, or the option several times. By
+    """The files to write for each pair: names with commas between, or the option several times. By
     default all but flow and ply, which are large."""
     figures: int = 1
-    """Draw NAME_figure.png, the slowest output, of every so many pairs; 0 for none."""
+    """Draw NAME_figure.png, the slowest output, for the first pair and every N-th pair after it; 0
+    draws none."""
     no_figures: Annotated[bool, FlagCreatePairsOff] = False
-    """Draw none: the same as --figures 0."""
+    """Draw no NAME_figure.png: the same as --figures 0."""
     disparity: float | None = None
-    """Of anaglyphs: how far the nearest moves against the farthest from one eye's view to the
-    other's, as a share of the width. By default 0.03."""
+    """For anaglyphs: how far the nearest point moves against the farthest one between the views of
+    the two eyes, as a share of the width. By default 0.03."""
     screen: float | None = None
-    """Of anaglyphs: the plane of the screen, as a quantile of the depth of the first pair that
-    shows some, 0 for the farthest and 1 for the nearest. By default it is half as near as the
-    nearest."""
+    """For anaglyphs: the plane of the screen, as a quantile of the depth of the first pair with
+    depth; 0 is the farthest point, 1 the nearest. By default the screen is twice as far away as the
+    nearest point."""
     flo: bool = False
-    """Write NAME_flow.flo, the image motion without the rounding that NAME.npz has."""
+    """Write NAME_flow.flo, the image motion, which NAME.npz has with rounding."""
     ply: bool = False
     """Write NAME.ply, a coloured point cloud of the pixels that are visible in both frames."""
     report: bool = False
@@ -77,13 +79,14 @@ class Run:
     workers: int = 1
     """Processes that share the pairs. Results do not depend on it."""
     cluster: Annotated[str | None, arg(metavar="ADDRESS")] = None
-    """The scheduler of a Dask cluster whose workers share the pairs, such as tcp://10.0.0.1:8786.
-    They see the frames and DIR by the same paths."""
+    """Address of the scheduler of a Dask cluster whose workers share the pairs, such as
+    tcp://10.0.0.1:8786. They must find the frames and DIR under the same paths."""
     arch: Arch | None = None
-    """Where kernels run; by default what the variable TI_ARCH says, or else the CPU."""
+    """Processor that runs the kernels. By default the environment variable TI_ARCH decides, or else
+    it is the CPU."""
     threads: int | None = None
-    """Most CPU threads, of each worker if there are several; by default all cores, or its share of
-    them. Results do not depend on it."""
+    """Maximum number of CPU threads, for each worker if there are several. By default all cores, or
+    its share of them. Results do not depend on it."""
     frames: OmitArgPrefixes[FrameOptions] = field(default_factory=FrameOptions)
     camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
     settings: OmitArgPrefixes[SettingsOptions] = field(default_factory=SettingsOptions)
@@ -129,11 +132,11 @@ class Run:
 
 
 def run(sequence: SequenceRun, *, report: bool) -> int:
-    """Interpret all pairs, tell the result, write the report if wanted; return the exit code."""
+    """Interpret all pairs, print a summary, write the report if requested; return the exit code."""
     if report:
         if "npz" not in sequence.outputs:
             raise InputError(
-                "the report shows what NAME.npz holds: let npz be among the outputs, or leave out "
+                "the report shows the contents of NAME.npz: add npz to --outputs, or leave out "
                 "--report"
             )
         check_report(sequence.folder)

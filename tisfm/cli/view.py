@@ -27,32 +27,32 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class View:
-    """Look at a result in the browser: points, the camera's path, pictures, numbers at a pixel.
+    """Show a result in the browser: points, the path of the camera, pictures, values at a pixel.
 
-    DIR is what `tisfm run` or `tisfm reconstruct` wrote, or is writing: pairs appear as they are
-    finished, a reconstruction at its end. Frames are read when they are looked at. Only this
-    computer can open the page, unless --host says otherwise: whoever can reach it sees the result.
-    It needs pip install 'tisfm[view]'. Ctrl-C ends it.
+    DIR is the folder that tisfm run or tisfm reconstruct wrote, or is writing. Pairs appear when
+    they are finished, a reconstruction when it is complete. By default only this computer can open
+    the page; with --host, everyone who can reach this computer sees the result. The command needs
+    pip install 'tisfm[view]'. Ctrl-C ends it.
     """
 
     folder: Annotated[Positional[Path], arg(metavar="DIR")]
     """The folder of a result."""
     host: str = "127.0.0.1"
-    """Address that the page is served at; 0.0.0.0 lets all of the network see it."""
+    """Address of the server; 0.0.0.0 makes the page visible to the whole network."""
     port: int = 8080
-    """Port, or the next one that is free."""
+    """Port of the server. If it is in use, the next free port is taken."""
     browser: bool = True
     """Open the page in the browser of this computer."""
     frame: int = 0
-    """Frame that is shown first, from 0."""
+    """Number of the frame that is shown first, from 0."""
     points: int = 200_000
-    """Points of a frame, at most, at first; a slider changes it."""
+    """Maximum number of points of a frame; a slider on the page changes it."""
     html: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Write a page that plays without Python and without a network, and end."""
+    """Write an HTML file instead, which plays the result without Python and without a network."""
     html_frames: int = 120
-    """Frames in it, at most: others are left out, evenly."""
+    """Maximum number of frames in the file of --html; they are evenly spaced."""
     html_points: int = 20_000
-    """Points of each frame in it, at most."""
+    """Maximum number of points of each frame in the file of --html."""
 
     def __call__(self) -> int:
         """Run the command and return the exit code."""
@@ -88,7 +88,7 @@ def view(folder: Path, *, host: str, port: int, browser: bool, frame: int, point
         server=server,
     )
     try:
-        tell(f"{folder} at {page.url}: Ctrl-C ends it")
+        tell(f"{folder} is shown at {page.url}; Ctrl-C ends the command")
         if browser and server is None:
             webbrowser.open(page.url)
         while True:  # a wait without an end cannot be interrupted on Windows
@@ -121,7 +121,7 @@ def write_static(folder: Path, path: Path, *, frames: int, points: int) -> int:
     size = len(page.text) / 1e6
     tell(f"{page.frames} of {len(result.names)} frames in {path}, {size:.1f} MB")
     for unread in page.unread:
-        tell(f"left out, as it cannot be read: {unread}")
+        tell(f"left out, because it cannot be read: {unread}")
     return 0
 
 
@@ -138,7 +138,7 @@ def _opened(
         return result, None
     except NotReadyError as error:
         server = start_server(host, port)
-        tell(f"{error}: waiting for it at {url_of(server)}, Ctrl-C ends that")
+        tell(f"{error}: {url_of(server)} waits for it; Ctrl-C ends the command")
     try:
         if browser:
             webbrowser.open(url_of(server))

@@ -35,8 +35,8 @@ class ExportRequest:
         """The reconstruction; raises ValueError for a folder of pairs."""
         if self.result is None:
             raise InputError(
-                f"{self.frames.folder} is of tisfm run, whose pairs have no common scale and no "
-                "path: export what `tisfm reconstruct` makes of the same frames"
+                f"{self.frames.folder} is a run, whose pairs have no common scale and no path: "
+                "export the result of tisfm reconstruct for the same frames"
             )
         return self.result
 
@@ -57,8 +57,8 @@ def source_camera(export: ExportRequest) -> tuple[Camera, tuple[int, int]]:
     file = export.frames.folder / CAMERA
     if not file.is_file():
         raise FileNotFoundError(
-            f"{export.frames.folder} has no {CAMERA}, which tisfm reconstruct writes: the lens of "
-            "the frames is not known"
+            f"{export.frames.folder} has no {CAMERA}, so the lens of the frames is unknown: run "
+            "tisfm reconstruct again"
         )
     record = record_in(file)
     return read_camera(file), (int(record["height"]), int(record["width"]))

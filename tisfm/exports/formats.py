@@ -175,9 +175,9 @@ def _model(
 
     def check(export: ExportRequest) -> None:
         if max(map(len, pieces_of(export.sequence, export.chosen))) < 2:
-            raise InputError(f"{name} takes pieces of two frames or more, and there is none")
+            raise InputError(f"{name} needs a piece of two frames or more, but there is none")
         if len(export.chosen) < len(export.frames):
-            raise InputError(f"{name} takes all frames: leave out --start, --stop and --step")
+            raise InputError(f"{name} exports all frames: leave out --start, --stop and --step")
         subfolder = export.folder / name
         if subfolder.exists():
             refuse_others(subfolder)

@@ -26,7 +26,7 @@ def note_poses(export: ExportRequest) -> list[str]:
     if len(pieces) > 1:
         sizes = ", ".join(str(len(piece)) for piece in pieces)
         notes.append(
-            f"{len(pieces)} pieces ({sizes} frames), each in a scale of its own, a file for each"
+            f"{len(pieces)} pieces ({sizes} frames), each with its own scale and its own file"
         )
     return notes
 
@@ -40,7 +40,7 @@ def note_models(export: ExportRequest) -> list[str]:
     if len(pieces) > 1:
         sizes = ", ".join(str(len(piece)) for piece in pieces)
         notes.append(
-            f"{len(pieces)} pieces ({sizes} frames), each in a scale and a model of its own"
+            f"{len(pieces)} pieces ({sizes} frames), each with its own scale and its own model"
         )
     return notes
 
@@ -49,14 +49,14 @@ def note_largest(export: ExportRequest) -> list[str]:
     """Note frames outside the largest piece."""
     largest = max(map(len, pieces_of(export.sequence, export.chosen)))
     without = len(export.chosen) - largest
-    return [f"the largest piece; {_frames(without)} not in it left out"] if without else []
+    return [f"only the largest piece; {_frames(without)} left out"] if without else []
 
 
 def note_times(export: ExportRequest) -> list[str]:
     """Note that frame numbers replace times."""
     if are_increasing(export.frames.times) or export.frames_per_second is not None:
         return []
-    return [f"{_without(export)}: their numbers stand for seconds; --fps says how many a second"]
+    return [f"{_without(export)}: frame numbers replace seconds; --fps sets the frames per second"]
 
 
 def note_rate(export: ExportRequest) -> list[str]:
@@ -64,7 +64,7 @@ def note_rate(export: ExportRequest) -> list[str]:
     known = are_increasing([export.frames.times[frame] for frame in export.chosen])
     if (known and len(export.chosen) > 1) or export.frames_per_second is not None:
         return []
-    return [f"{_without(export)}: {FRAME_RATE:g} a second are assumed; --fps says how many"]
+    return [f"{_without(export)}: {FRAME_RATE:g} per second are assumed; --fps sets another rate"]
 
 
 def note_lens(export: ExportRequest) -> list[str]:
@@ -75,8 +75,8 @@ def note_lens(export: ExportRequest) -> list[str]:
     cx, cy = result.camera.center_for(*result.shape)
     size = at_size(result.shape)
     return [
-        f"the principal point is at ({cx:.1f}, {cy:.1f}) px{size}, not in the middle, which the "
-        "file cannot store: set the shift of the lens by lens.json"
+        f"the principal point is at ({cx:.1f}, {cy:.1f}) px{size}, not in the middle: the file "
+        "cannot store it; set the lens shift from lens.json"
     ]
 
 
@@ -84,7 +84,7 @@ def note_shutter(export: ExportRequest) -> list[str]:
     """Note that the maps do not undo a rolling shutter."""
     if not source_camera(export)[0].readout:
         return []
-    return ["the maps do not undo the rolling shutter, which is undone in the frames of the result"]
+    return ["the maps do not correct the rolling shutter; the frames of the result are corrected"]
 
 
 def note_depth(export: ExportRequest) -> list[str]:
@@ -108,7 +108,7 @@ def note_scale(export: ExportRequest, kind: DepthKind) -> list[str]:
     beyond = check_fits(export.frames, frames_with_depth(export.frames, export.chosen), kind)
     unit = "the unit of the path"
     if isinstance(export.frames, PairFrames):
-        unit = "the unit of the poses" if export.frames.has_one_scale else "each pair's own unit"
+        unit = "the unit of the poses" if export.frames.has_one_scale else "the unit of each pair"
     notes = [f"depth is value / {scale:g}, in {unit}"]
     if beyond:
         notes.append(

@@ -66,7 +66,7 @@ def write_points(
             save_points(points, file)
             written.append(file)
     if not written:
-        raise InputError(f"{result.folder} shows no point: it has too little depth, or none")
+        raise InputError(f"{result.folder} has no points: it has too little depth, or none")
     return written
 
 
@@ -114,7 +114,7 @@ def write_meshes(
             mesh.save(file)
             written.append(file)
     if not written:
-        raise InputError(f"{result.folder} shows no surface: it has too little depth, or none")
+        raise InputError(f"{result.folder} has no surface: it has too little depth, or none")
     return written
 
 

@@ -61,8 +61,8 @@ class InputFiles:
             for identity in _identities(output):
                 if identity in self._known:
                     raise InputError(
-                        f"the result {os.fspath(output)} would replace "
-                        f"{self._known[identity]}, which is read: give another folder with -o"
+                        f"the result {os.fspath(output)} would replace the input "
+                        f"{self._known[identity]}: give another folder with -o"
                     )
 
 

@@ -123,9 +123,9 @@ class RunRecord:
         )
         if differences:
             raise InputError(
-                f"{self._folder} holds a run with another camera, other settings or outputs, of "
-                f"another version, or of another kind of processor ({differences}): repeat its "
-                "options, or run without --resume to start again"
+                f"{self._folder} holds a run with other options, of another version, or on another "
+                f"kind of processor ({differences}): give the same options, or run without "
+                "--resume to start again"
             )
         self._about = _checked(before, self._folder / RECORD)
         self.statuses.update(pair["status"] for pair in self.pairs.values())
@@ -210,9 +210,8 @@ def is_unchanged(
     """
     if pair["frames"] != digest:
         raise InputError(
-            f"{folder} holds a run in which {name} was another pair of frames, or had another pose "
-            "or mask: give the same frames and step again, and the same poses and masks, or run "
-            "without --resume to start again"
+            f"{folder} holds a run in which {name} had other frames, or another pose or mask: give "
+            "the same frames, step, poses and masks, or run without --resume to start again"
         )
     return set(pair["files"]) == set(endings) and all(
         file_checksum(folder / f"{name}{ending}") == tuple(known)
@@ -239,13 +238,13 @@ def _of_any_format(folder: Path) -> dict[str, Any] | None:
     try:
         about = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(about, dict) or "version" not in about:
-            raise InputError("it is of no run")
+            raise InputError("it is not the record of a run")
         for name, pair in about["pairs"].items():
             if os.path.basename(name) != name:
                 raise InputError(f"{name!r} is not the name of a pair")
             Status(pair["status"], pair["message"])  # raises if it is not a status
             if not set(pair["files"]) <= set(ENDINGS.values()):
-                raise InputError(f"it names files of {name} that no pair has")
+                raise InputError(f"it lists unknown kinds of files of {name}")
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         refuse_other_format(path, about)
         raise _damaged(path, error) from error
@@ -267,9 +266,9 @@ def _checked(about: dict[str, Any], path: Path) -> dict[str, Any]:
                 numbers += [length, total]
             numbers.append(pair["number"])
             if not all(isinstance(text, str) for text in texts):
-                raise InputError(f"it does not say enough of {name}")
+                raise InputError(f"the entry of {name} has a value that is not a text")
             if not all(map(_is_number, numbers)):
-                raise InputError(f"numbers of {name} are none")
+                raise InputError(f"the entry of {name} has a value that is not a number")
     except (ValueError, LookupError, TypeError, AttributeError) as error:
         raise _damaged(path, error) from error
     return about

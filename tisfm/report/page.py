@@ -99,7 +99,7 @@ def check_report(folder: Path) -> Path:
     path = folder / REPORT
     if path.exists() and not is_report(path):
         raise InputError(
-            f"{path} is no report of tisfm, and would be replaced: give another folder with -o"
+            f"{path} is not a report of tisfm, and would be replaced: give another folder with -o"
         )
     return path
 

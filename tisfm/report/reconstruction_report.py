@@ -56,7 +56,7 @@ def _report(result: Reconstruction, folder: Path, source: str | None) -> Report:
     whole = len(slides) == len(result)
     pieces = _pieces(result)
     text = (
-        "The camera begins at the circle and ends at the square, early dark and late light. "
+        "The path begins at the circle, in dark colours, and ends at the square, in light colours. "
         "Numbers are in the unit of the path"
         f"{', and each piece has its own unit' if len(pieces) > 1 else ''}."
     )
@@ -76,7 +76,7 @@ def _report(result: Reconstruction, folder: Path, source: str | None) -> Report:
         slides_text="All frames." if whole else f"{len(slides)} of {len(result)} frames.",
         legends=[
             depth_legend(_DEPTH, "of a piece"),
-            flow_legend(_MOTION, f"{_MOTION}, of what is at rest", flow_limit),
+            flow_legend(_MOTION, f"{_MOTION}, of the static scene", flow_limit),
             deviation_legend(_DEVIATION),
         ],
         tables=[

@@ -40,7 +40,7 @@ def write_run_report(
 ) -> Path:
     """Write ``report.html`` of a run into its folder; return its path.
 
-    Raises OSError, ValueError if a file cannot be read or written, or the record is no record of a
+    Raises OSError, ValueError if a file cannot be read or written, or the record is not one of a
     run.
     """
     path = check_report(folder)
@@ -78,7 +78,7 @@ class _Run:
 
 
 def _read(folder: Path, record: Mapping[str, Any]) -> _Run:
-    """Read a record; raise ValueError if it is no record of a run."""
+    """Read a record; raise ValueError if it is not the record of a run."""
     try:
         pairs = [
             _Pair(
@@ -105,7 +105,7 @@ def _read(folder: Path, record: Mapping[str, Any]) -> _Run:
             notes=[str(note) for note in record["notes"]],
         )
     except (LookupError, TypeError, AttributeError, ValueError) as error:
-        raise InputError(f"{folder} holds no run that a report can be made of ({error})") from error
+        raise InputError(f"{folder} has no record of a run for a report ({error})") from error
 
 
 def _report(folder: Path, run: _Run, source: str | None) -> Report:

@@ -29,7 +29,7 @@ def open_result(folder: Path) -> ResultFrames:
     if not folder.exists():
         raise FileNotFoundError(f"there is no folder {folder}")
     if not folder.is_dir():
-        raise NotADirectoryError(f"{folder} is no folder: give the one that a command wrote")
+        raise NotADirectoryError(f"{folder} is not a folder: give the folder that a command wrote")
     if (folder / RECONSTRUCTION).is_file():
         return SequenceFrames.open(folder)
     if (folder / RUN).is_file():
@@ -58,11 +58,13 @@ def _require_writer(folder: Path) -> None:
         return
     if (folder / BEGUN).is_file():
         raise FileNotFoundError(
-            f"the reconstruction in {folder} is not complete, and no command continues it: run "
+            f"the reconstruction in {folder} is not complete, and no command writes to it: run "
             "tisfm reconstruct again"
         )
     if (folder / RUN).is_file():
-        raise FileNotFoundError(f"{folder} has no finished pair, and no run writes to it")
+        raise FileNotFoundError(
+            f"{folder} has no finished pair, and no command writes to it: run tisfm run again"
+        )
     raise FileNotFoundError(
-        f"{folder} is no result of tisfm: it has neither {RUN} nor {RECONSTRUCTION}"
+        f"{folder} is not a result of tisfm: it has neither {RUN} nor {RECONSTRUCTION}"
     )

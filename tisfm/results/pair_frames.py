@@ -186,7 +186,7 @@ class PairFrames:
         pairs = sorted(record["pairs"].items(), key=lambda item: item[1]["number"])
         kept = [(name, pair) for name, pair in pairs if self._is_complete or _has_npz(pair)]
         if pairs and not kept:
-            raise InputError("it has no .npz of any pair: run again with npz among --outputs")
+            raise InputError("it lists no .npz file: run again with npz among --outputs")
         for name, _ in kept:
             if os.path.basename(name) != name or not name:
                 raise InputError(f"{name!r} is not the name of a pair")
@@ -218,15 +218,13 @@ class PairFrames:
     def _require_files(self, were_written: bool) -> None:
         """Raise an error if there is no pair, or a pair has no file."""
         if not self.names:
-            raise InputError(
-                f"{self.folder} has no pair that is complete: run again, with --resume"
-            )
+            raise InputError(f"{self.folder} has no complete pair: run again, with --resume")
         missing = [name for name in self.names if not self._file(name).is_file()]
         if missing:
-            why = "was removed" if were_written else "was left out by --outputs"
+            reason = "it was removed" if were_written else "--outputs left it out"
             raise FileNotFoundError(
-                f"{self.folder} has no {missing[0]}.npz, which {why}, and of which everything is "
-                "exported: run again with npz among --outputs"
+                f"{self.folder} has no {missing[0]}.npz, which every export needs: {reason}; run "
+                "again with npz among --outputs"
             )
 
 

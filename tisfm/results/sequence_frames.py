@@ -83,9 +83,9 @@ class SequenceFrames:
     def depth_advice(self) -> str:
         """How to get depth for frames without depth."""
         if not (self.piece >= 0).any():
-            return "none has a pose either; the statuses of the reconstruction say why"
+            return "no frame has a pose; the statuses of the reconstruction say why"
         if not (self.folder / DEPTH).is_dir():
-            return f"its folder {DEPTH} is gone"
+            return f"its folder {DEPTH} was removed"
         return "reconstruct with --depth-of all"
 
     def read(self, number: int) -> ResultFrame:
@@ -122,15 +122,15 @@ class SequenceFrames:
     def flow(self, number: int) -> NDArray[np.float32]:
         """Raise ValueError: a reconstruction keeps no image motion."""
         raise InputError(
-            f"{self.folder} is of tisfm reconstruct, which keeps no image motion: export what "
-            "`tisfm run` makes of the same frames"
+            f"{self.folder} is a reconstruction, which has no image motion: export the results of "
+            "tisfm run for the same frames"
         )
 
     def masks(self, number: int) -> dict[str, NDArray[np.bool_]]:
         """Return the mask of the static scene, and of every moving object."""
         if self._result.settings.motion != "objects":
             raise InputError(
-                f"{self.folder} has no labels of what moves: reconstruct with --motion objects"
+                f"{self.folder} has no labels of moving objects: reconstruct with --motion objects"
             )
         labels = self._result.labels(number)
         moving = {f"object-{one.id}": labels == one.id for one in self.objects}

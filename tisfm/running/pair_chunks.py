@@ -184,7 +184,9 @@ def interpret_with_workers(
 def check_sharable(source: Source, pairs: FrameSource) -> int:
     """Return the number of pairs of a source; raise InputError if processes cannot share them."""
     if isinstance(source, str) and webcam_number(source) is not None:
-        raise InputError(f"{source} is no file, which several workers could read: leave them out")
+        raise InputError(
+            f"{source} is not a file, so several workers cannot read it: leave them out"
+        )
     if not is_path(source) and not (
         isinstance(source, (list, tuple)) and all(map(is_path, source))
     ):
@@ -204,8 +206,8 @@ def check_whole_levels(pair: FramePair) -> None:
     """Raise InputError for frames with decimals: several processes would scale them differently."""
     if pair.frame0.dtype.kind == "f":
         raise InputError(
-            f"frame {pair.name0} has decimals: the scale of such frames depends on all frames "
-            "before, which several workers do not see; leave out workers"
+            f"frame {pair.name0} has decimals: the scale of such frames depends on all earlier "
+            "frames, which several workers do not read; leave out workers"
         )
 
 

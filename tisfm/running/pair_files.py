@@ -209,7 +209,7 @@ class PairFiles:
         }
         gone = [ending for ending, known in files.items() if known is None]
         if gone:
-            raise OSError(f"{path}{gone[0]} was removed while the run went on: run again")
+            raise OSError(f"{path}{gone[0]} was removed during the run: run again")
         return about, {ending: known for ending, known in files.items() if known is not None}
 
     def _wanted(self, number: int) -> list[str]:
@@ -223,8 +223,10 @@ def checked_outputs(outputs: Collection[str]) -> tuple[str, ...]:
     """Return outputs in the order in which they are written; ValueError for unknown ones."""
     unknown = sorted(set(outputs) - set(ENDINGS))
     if unknown or not outputs:
-        what = f"{unknown[0]!r} is none{hint(unknown[0], ENDINGS)}" if unknown else "there are none"
-        raise InputError(f"outputs: {what}: expected some of {', '.join(ENDINGS)}")
+        fault = "no output is given"
+        if unknown:
+            fault = f"{unknown[0]!r} is not an output{hint(unknown[0], ENDINGS)}"
+        raise InputError(f"outputs: {fault}: expected some of {', '.join(ENDINGS)}")
     return tuple(output for output in ENDINGS if output in outputs)
 
 

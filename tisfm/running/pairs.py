@@ -28,18 +28,18 @@ class FrameSelection:
     """The frames of a source that are used, and the part of each frame."""
 
     step: int = 1
-    """Take every STEP-th frame, for slow motion."""
+    """Use every STEP-th frame, for slow motion."""
     start: int = 0
-    """Number of the first frame that is taken; the first of the source is 0."""
+    """Number of the first frame to use; the first frame of the source is 0."""
     stop: int | None = None
-    """Number of the first frame that is not taken any more. By default all are."""
+    """Number of the first frame after the last one used. By default all frames are used."""
     size: int | None = None
-    """Longer side of the frames, px: larger frames are shrunk. Give the camera and --focal for the
-    frames before shrinking."""
+    """Longer side of the frames, px: larger frames are shrunk. Give --focal and the other options
+    of the camera for the frames before shrinking."""
     crop: tuple[int, int, int, int] | None = None
-    """Use this part of the frames alone, px. It is cut out before the rest is shrunk."""
+    """Use only this part of the frames, px. It is cut out before it is shrunk."""
     bad_frames: BadFrames = "raise"
-    """What becomes of damaged frames: an error, or they are left out."""
+    """A damaged frame ends the command (raise), or is left out (skip)."""
 
     def open(self, source: Source, *, mask: str | None = None) -> FrameSource:
         """Open a source, with its masks."""

@@ -79,8 +79,8 @@ class WorkerPool:
                 kills += 1
                 if kills >= MOST_ATTEMPTS:
                     raise RunError(
-                        f"a worker was killed, and {MOST_ATTEMPTS} times nothing was finished in "
-                        "between: it may lack memory; give fewer workers"
+                        f"workers were killed {MOST_ATTEMPTS} times, and finished nothing in "
+                        "between: there may be too little memory; give fewer workers"
                     ) from None
                 for future in list(running):
                     if future.done() and future.exception() is None:
@@ -165,7 +165,7 @@ def _cluster_pool(address: str) -> Iterator[WorkerPool]:
         try:
             yield pool
         except (KilledWorker, CancelledError) as error:
-            raise RunError(f"the cluster {address} lost what it had to do: {error}") from error
+            raise RunError(f"the cluster {address} lost its work: {error}") from error
         finally:
             pool.close()
 
@@ -198,8 +198,8 @@ def check_worker(
     """
     if version != __version__:
         raise RunError(
-            f"a worker has tisfm {__version__}, but the command was started by {version}: install "
-            "the same everywhere"
+            f"a worker has tisfm {__version__}, but the command has {version}: install the same "
+            "version everywhere"
         )
     if not alive.exists():
         raise RunError(
@@ -208,8 +208,8 @@ def check_worker(
         )
     if lanes != here:
         raise RunError(
-            f"a worker's processor has vectors of {here} lanes, and that of the command {lanes}: "
-            "their results differ in the last digits; leave such machines out"
+            f"the processor of a worker has vectors of {here} lanes, that of the command {lanes}: "
+            "their results differ in the last digits; leave out such machines"
         )
 
 

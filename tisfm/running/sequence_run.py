@@ -106,20 +106,20 @@ class SequenceRun:
         check_screen(self.screen, None)
         if "anaglyph" not in self.outputs and (self.disparity, self.screen) != (None, None):
             raise InputError(
-                f"--{'disparity' if self.screen is None else 'screen'} is of anaglyphs: let "
-                "anaglyph be among the outputs, or leave it out"
+                f"--{'disparity' if self.screen is None else 'screen'} is only for anaglyphs: add "
+                "anaglyph to --outputs, or leave it out"
             )
         window = window_of(self.window, self.settings)
         if window is not None and self.resume and "npz" not in self.outputs:
             raise InputError(
-                "resume with a window of 3 goes on from the .npz of the pair before: let npz be "
-                "among the outputs"
+                "with a window of 3, --resume needs the .npz of the previous pair: add npz to "
+                "--outputs"
             )
         check_workers(self.workers, self.cluster)
         if self.is_shared and window is not None:
             raise InputError(
-                "a window of 3 goes on from pair to pair, which several workers cannot: leave out "
-                "one of them"
+                "with a window of 3, each pair needs the result of the previous pair, so several "
+                "workers cannot share the pairs: leave out one of them"
             )
         return window
 
@@ -350,8 +350,8 @@ def _refuse_mixing(
     )
     if among or (glob.has_magic(os.fspath(source)) and _matches(folder, Path(source).parent)):
         raise InputError(
-            f"the results would lie among the {kind} in {folder}, and count as {kind} the "
-            "next time: give another folder with -o"
+            f"the results would lie among the {kind} in {folder}, and the next run would read them "
+            f"as {kind}: give another folder with -o"
         )
 
 

@@ -257,8 +257,8 @@ def test_a_chunk_that_is_being_made_is_waited_for(frames, whole, begun, tmp_path
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"version": "0.0.7"}, "was started by 0.0.7"),
-        ({"lanes": 4}, "and that of the command 4"),
+        ({"version": "0.0.7"}, "the command has 0.0.7"),
+        ({"lanes": 4}, "that of the command 4"),
         ({"listing": Listing(3, "")}, "sees other files in"),
     ],
     ids=["version", "processor", "files"],
