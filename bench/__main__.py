@@ -34,7 +34,6 @@ from tisfm.settings import Preset
 RUNNERS = {"pytest": "pytest", "pytest-benchmark": "pytest_benchmark", "pytest-xdist": "xdist"}
 FAILED = 1  # exit code of pytest if a test failed; other faults have other codes
 DISAGREED = "an answer disagreed with the reference, or a benchmark failed: see above"
-
 FULL = {
     "sizes": ["240x320", "480x640", "1080x1920"],
     "threads": [1, 2],

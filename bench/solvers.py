@@ -55,7 +55,6 @@ LEVELS = 4 / 3
 CYCLE = LEVELS * 3.5
 SET_UP = 1.0  # coarse tensors and weights, 23 words, on all levels
 PLANE = 2.5  # conjugate gradients, added to a cycle: 35 words for the scalars, 36 for the step
-
 CONSTANCY = Constancy(brightness=1.0, gradient=0.0, normalization=None, derivatives="cube")
 
 

@@ -11,7 +11,6 @@ from tisfm import templates as html
 TAG = re.compile(r"</?[a-z!]", re.IGNORECASE)
 # Values that are not escaped: a constant, drawings of Matplotlib, and what a template returned.
 TRUSTED = {"MARK", "f'<svg {box[0]} role=\"img\">{rest}'"}
-
 FILES = {".html", ".css", ".js"}
 
 

@@ -13,7 +13,6 @@ ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "process.md").read_text(encoding="utf-8")
 # The one function of Taichi that is replaced, and the release whose function it replaces.
 REPLACED = ["taichi.lang.ast.ast_transformer_utils.ASTTransformerContext.get_pos_info"]
-
 STATE = """
 import json, os, sys, warnings
 sys.argv = ["tisfm", "doctor"]  # as if it were the command: the library must not look at it

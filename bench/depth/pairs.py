@@ -24,7 +24,6 @@ from tisfm.scenes.block_scenes import STATIC_KINDS
 SCENE_FOCALS = (300.0, 320.0, 600.0, 1200.0)  # px at a width of 320, of the seeds 0, 1, 2, 3
 BLOCK_SEEDS = (0, 1)
 STATIC_LABELS = 2  # labels below this belong to the background and the floor
-
 TWO_BLOCKS = "two blocks"
 HAND_HELD, HARDLY_MOVED = "7-Scenes", "7-Scenes, hardly moved"
 RENDERED_STUDIO = "New Tsukuba"

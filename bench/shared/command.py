@@ -33,7 +33,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "peer-python": {"type": Path, "metavar": "PATH", "help": "the peers' interpreter"},
 }
 ALIASES = {"only": ("--methods",)}
-
 T = TypeVar("T")
 
 

@@ -23,7 +23,6 @@ NOWHERE = 1.0  # cost of a hypothesis that moves the pixel out of frame 1: the s
 SIMILAR = 20.0  # grey levels: pixels with this difference from the centre have about weight 1/e
 MOST_PIXELS = 2**24  # float32 represents all whole numbers up to this only
 LEVELS = 255  # largest grey level of frame 1, which is stored in bytes
-
 _PADDED = [[float(offset[axis]) for offset in WINDOW] for axis in (1, 0)]
 ACROSS, DOWN = ([values[:VECTOR], values[VECTOR:]] for values in _PADDED)
 

@@ -290,9 +290,9 @@ def test_software_vulkan_is_not_a_gpu():
 
 def test_text_and_json():
     findings = [
-        Finding(name="A", verdict="ok", text="1.0"),
-        Finding(name="Long name", verdict="wrong", text="word " * 40, advice="do this"),
-        Finding(name="C", verdict="warning", text="", advice="do that"),
+        Finding("A", "ok", "1.0"),
+        Finding("Long name", "wrong", "word " * 40, advice="do this"),
+        Finding("C", "warning", "", advice="do that"),
     ]
     lines = as_text(findings).splitlines()
     assert lines[0] == "ok       A          1.0" and max(map(len, lines)) <= 100

@@ -135,7 +135,6 @@ def _frames(video: Any) -> None:
 
 _SAYS = (ValueError, OSError)  # of readers that document ValueError
 _VIDEO = dict(seeds=seeds.videos, raises=_SAYS, memory=512 * MIB, seconds=20.0, slow=True)
-
 TARGETS: dict[str, Target] = {
     "interpretation": Target(read=Interpretation.load, seeds=seeds.interpretations, suffix=".npz"),
     "disparity": Target(read=read_disparity, seeds=seeds.disparities, suffix=".npz"),

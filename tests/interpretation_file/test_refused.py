@@ -246,7 +246,6 @@ def test_load_without_an_entry(saved, name):
 
 
 N = 4  # iterations
-
 FAULTS = {
     "rho": [
         np.zeros((3, H, W), np.float16),

@@ -13,8 +13,6 @@ from tisfm.rigid import pose_matrix
 
 SETTINGS = tisfm.Settings.preset("balanced", motion="objects")
 SIZE = (240, 320)
-
-
 AT_REST = np.zeros((2, 6))
 
 

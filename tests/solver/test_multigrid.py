@@ -11,7 +11,6 @@ from tests.rendered import two_blocks
 
 SIZES = [(5, 1), (7, 9), (13, 37), (6, 64), (21, 5), (16, 35)]
 ALPHA = 40.0
-
 MODELS = [6, 3, 2, 1]
 
 each_size = pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")

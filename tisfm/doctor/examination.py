@@ -53,9 +53,7 @@ def examine() -> list[Finding]:
             found += [seen] if isinstance(seen, Finding) else list(seen)
         except Exception as error:  # a failed examination is a finding, too
             text = " ".join(str(error).split())
-            found.append(
-                Finding(name="doctor", verdict="warning", text=f"{type(error).__name__}: {text}")
-            )
+            found.append(Finding("doctor", "warning", f"{type(error).__name__}: {text}"))
     return found
 
 

@@ -7,16 +7,11 @@ from dataclasses import asdict, dataclass
 from typing import Literal
 
 Verdict = Literal["ok", "warning", "wrong", "absent"]
-_SHOWN: dict[Verdict, str] = {
-    "ok": "ok",
-    "warning": "warning",
-    "wrong": "WRONG",
-    "absent": "-",
-}
+_SHOWN: dict[Verdict, str] = {"ok": "ok", "warning": "warning", "wrong": "WRONG", "absent": "-"}
 _WIDTH = 100
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Finding:
     """The result of one examination."""
 

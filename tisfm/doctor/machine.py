@@ -31,12 +31,12 @@ def about_cores() -> Finding:
     if reasons:
         most = max(1, int(min(usable, share or usable)))
         return Finding(
-            name="Cores",
-            verdict="warning",
-            text=text,
-            advice=f"give --threads {most}: by default {there} threads start, and share them",
+            "Cores",
+            "warning",
+            text,
+            f"give --threads {most}: by default {there} threads start, and share them",
         )
-    return Finding(name="Cores", verdict="ok", text=text)
+    return Finding("Cores", "ok", text)
 
 
 def about_memory() -> Finding:
@@ -44,7 +44,7 @@ def about_memory() -> Finding:
     total, free = _memory()
     group = group_limits().memory
     if total is None:
-        return Finding(name="Memory", verdict="ok", text="not known on this system")
+        return Finding("Memory", "ok", "not known on this system")
     text = f"{total / 1e9:.1f} GB"
     if free is not None:
         text += f", {free / 1e9:.1f} GB of it free"
@@ -53,12 +53,12 @@ def about_memory() -> Finding:
         free = min(group, free or group)
     if free is not None and free < _LEAST_MEMORY:
         return Finding(
-            name="Memory",
-            verdict="warning",
-            text=text,
-            advice="frames of 1920 × 1080 px take 2 GB: give --size 960 for smaller ones",
+            "Memory",
+            "warning",
+            text,
+            "frames of 1920 × 1080 px take 2 GB: give --size 960 for smaller ones",
         )
-    return Finding(name="Memory", verdict="ok", text=text)
+    return Finding("Memory", "ok", text)
 
 
 def is_limited() -> bool:
@@ -71,30 +71,30 @@ def about_addresses() -> Finding:
     """Return the finding about the limit of the address space."""
     bound = limit()
     if bound is None:
-        return Finding(name="Address space", verdict="ok", text="not limited (ulimit -v)")
+        return Finding("Address space", "ok", "not limited (ulimit -v)")
     text = f"limited to {bound / 1e9:.2f} GB (ulimit -v)"
     if is_limited():
         return Finding(
-            name="Address space",
-            verdict="warning",
-            text=text,
-            advice="the libraries reserve far more than they use: ulimit -v 3000000 or more",
+            "Address space",
+            "warning",
+            text,
+            "the libraries reserve far more than they use: ulimit -v 3000000 or more",
         )
-    return Finding(name="Address space", verdict="ok", text=text)
+    return Finding("Address space", "ok", text)
 
 
 def about_cache() -> Iterator[Finding]:
     """Yield findings about the folder of compiled kernels and a lock left there."""
     folder = cache_folder()
     if folder is None:
-        yield Finding(name="Kernel cache", verdict="ok", text="where Taichi keeps it on Windows")
+        yield Finding("Kernel cache", "ok", "where Taichi keeps it on Windows")
         return
     if not _is_writable(folder):
         yield Finding(
-            name="Kernel cache",
-            verdict="warning",
-            text=f"{folder} cannot be written to: kernels are compiled anew in every process",
-            advice="set TI_OFFLINE_CACHE_FILE_PATH to a folder of yours",
+            "Kernel cache",
+            "warning",
+            f"{folder} cannot be written to: kernels are compiled anew in every process",
+            "set TI_OFFLINE_CACHE_FILE_PATH to a folder of yours",
         )
         return
     size, count = 0, 0
@@ -104,9 +104,7 @@ def about_cache() -> Iterator[Finding]:
         except OSError:  # another process removes it
             continue
     yield Finding(
-        name="Kernel cache",
-        verdict="ok",
-        text=f"{folder}, {count} kernel{'s' * (count != 1)}, {size / 1e6:.0f} MB",
+        "Kernel cache", "ok", f"{folder}, {count} kernel{'s' * (count != 1)}, {size / 1e6:.0f} MB"
     )
     try:
         age = time.time() - (folder / LOCK).stat().st_mtime
@@ -114,10 +112,10 @@ def about_cache() -> Iterator[Finding]:
         return
     if age > STALE:
         yield Finding(
-            name="Cache lock",
-            verdict="warning",
-            text=f"{folder / LOCK} was left by a process that was killed, {age / 60:.0f} min ago",
-            advice="the next command of tisfm removes it",
+            "Cache lock",
+            "warning",
+            f"{folder / LOCK} was left by a process that was killed, {age / 60:.0f} min ago",
+            "the next command of tisfm removes it",
         )
 
 
@@ -125,27 +123,22 @@ def about_folder(folder: Path) -> Finding:
     """Return the finding about the working folder."""
     name = "Working folder"
     if _is_writable(folder, make=False):
-        return Finding(name=name, verdict="ok", text=f"{folder} can be written to")
+        return Finding(name, "ok", f"{folder} can be written to")
     return Finding(
-        name=name,
-        verdict="warning",
-        text=f"{folder} cannot be written to",
-        advice="give a folder of yours with -o, or go to one",
+        name,
+        "warning",
+        f"{folder} cannot be written to",
+        "give a folder of yours with -o, or go to one",
     )
 
 
 def about_temporary() -> Finding:
     """Return the finding about the folder for temporary files."""
     try:
-        return Finding(
-            name="Temporary files", verdict="ok", text=f"{tempfile.gettempdir()} can be written to"
-        )
+        return Finding("Temporary files", "ok", f"{tempfile.gettempdir()} can be written to")
     except OSError as error:
         return Finding(
-            name="Temporary files",
-            verdict="wrong",
-            text=str(error),
-            advice="set TMPDIR to a folder that can be written to",
+            "Temporary files", "wrong", str(error), "set TMPDIR to a folder that can be written to"
         )
 
 
@@ -154,23 +147,20 @@ def about_kernel(tried: TrialResults) -> Iterator[Finding]:
     about = tried["kernel:default"]
     if "error" in about:
         yield Finding(
-            name="Kernels",
-            verdict="wrong",
-            text=f"Taichi does not run: {about['error']}",
-            advice=_advice_of_taichi(),
+            "Kernels", "wrong", f"Taichi does not run: {about['error']}", _advice_of_taichi()
         )
         return
     arch, lanes = about["arch"], about["lanes"]
     yield Finding(
-        name="Kernels",
-        verdict="ok",
-        text=f"one was compiled and run on {arch}, with the import of Taichi in "
+        "Kernels",
+        "ok",
+        f"one was compiled and run on {arch}, with the import of Taichi in "
         f"{about['seconds']:.1f} s",
     )
     if arch == "cpu":
         width = {16: "16 numbers (AVX-512)", 8: "8 numbers (AVX2, or as NEON has them)"}
-        yield Finding(name="Vectors", verdict="ok", text=f"of {width.get(lanes, lanes)}")
-        yield Finding(name="Threads", verdict="ok", text=f"{about['threads']} by default")
+        yield Finding("Vectors", "ok", f"of {width.get(lanes, lanes)}")
+        yield Finding("Threads", "ok", f"{about['threads']} by default")
 
 
 def about_gpus(tried: TrialResults, started: TrialResults) -> Finding:
@@ -178,10 +168,10 @@ def about_gpus(tried: TrialResults, started: TrialResults) -> Finding:
     about = tried["archs"]
     if "error" in about:
         return Finding(
-            name="GPU",
-            verdict="absent",
-            text=f"not known: {about['error']}",
-            advice="none is needed; give --arch cpu if TI_ARCH says otherwise",
+            "GPU",
+            "absent",
+            f"not known: {about['error']}",
+            "none is needed; give --arch cpu if TI_ARCH says otherwise",
         )
     software = software_vulkan_in(tried)
     gpus = [arch for arch in about["archs"] if not (arch == "vulkan" and software)]
@@ -192,7 +182,7 @@ def about_gpus(tried: TrialResults, started: TrialResults) -> Finding:
         text = f"kernels run on {', '.join(works)}: --arch {works[0]}"
         if software:
             text += f". {emulated}"
-        return Finding(name="GPU", verdict="ok", text=text)
+        return Finding("GPU", "ok", text)
     text = "none that Taichi can use"
     if fails:
         error = started[f"kernel:{fails[0]}"]["error"]
@@ -200,10 +190,10 @@ def about_gpus(tried: TrialResults, started: TrialResults) -> Finding:
     if software:
         text += f". {emulated}"
     return Finding(
-        name="GPU",
-        verdict="absent",
-        text=f"{text}; none is needed",
-        advice="leave out --arch vulkan: the CPU alone is faster" if software else "",
+        "GPU",
+        "absent",
+        f"{text}; none is needed",
+        "leave out --arch vulkan: the CPU alone is faster" if software else "",
     )
 
 

@@ -71,12 +71,12 @@ def about_python() -> Finding:
     text = f"{version}, {platform.system()} {platform.machine()}, {sys.executable}"
     if not (3, 10) <= sys.version_info[:2] < (3, 14):
         return Finding(
-            name="Python",
-            verdict="wrong",
-            text=text,
-            advice="Taichi has builds for Python 3.10 to 3.13: make an environment with one",
+            "Python",
+            "wrong",
+            text,
+            "Taichi has builds for Python 3.10 to 3.13: make an environment with one",
         )
-    return Finding(name="Python", verdict="ok", text=text)
+    return Finding("Python", "ok", text)
 
 
 def about_tisfm(tried: TrialResults, unread: str = "") -> Iterator[Finding]:
@@ -88,31 +88,31 @@ def about_tisfm(tried: TrialResults, unread: str = "") -> Iterator[Finding]:
         version = metadata.version("tisfm")
     except metadata.PackageNotFoundError:
         yield Finding(
-            name="tisfm",
-            verdict="warning",
-            text="not installed; what it asks for is not known",
-            advice="in the checkout: pip install -e .",
+            "tisfm",
+            "warning",
+            "not installed; what it asks for is not known",
+            "in the checkout: pip install -e .",
         )
         return
     error = tried.get("tisfm", {}).get("error")
     if error:
         yield Finding(
-            name="tisfm",
-            verdict="wrong",
-            text=f"{version} cannot be imported: {error}",
-            advice=RAISE_LIMIT
+            "tisfm",
+            "wrong",
+            f"{version} cannot be imported: {error}",
+            RAISE_LIMIT
             if is_limited()
             else "first do what the lines below say; if nothing: pip install --force-reinstall "
             "tisfm",
         )
     else:
-        yield Finding(name="tisfm", verdict="ok", text=version)
+        yield Finding("tisfm", "ok", version)
     if unread:
         yield Finding(
-            name="Packages",
-            verdict="wrong",
-            text=f"what tisfm asks for cannot be read, so that none is looked at: {unread}",
-            advice="pip install --force-reinstall packaging",
+            "Packages",
+            "wrong",
+            f"what tisfm asks for cannot be read, so that none is looked at: {unread}",
+            "pip install --force-reinstall packaging",
         )
 
 
@@ -132,9 +132,7 @@ def about_extras(extras: Mapping[str, Mapping[str, str]], tried: TrialResults) -
         for name, versions in packages.items():
             found = _about(name, versions, tried, missing="absent", command=command)
             advice = f"for {use}: {command}" if found.verdict == "absent" else found.advice
-            yield Finding(
-                name=f"{name} [{extra}]", verdict=found.verdict, text=found.text, advice=advice
-            )
+            yield Finding(f"{name} [{extra}]", found.verdict, found.text, advice)
 
 
 def about_opencv() -> Finding:
@@ -143,50 +141,43 @@ def about_opencv() -> Finding:
     listed = ", ".join(f"{name} {version}" for name, version in found.items())
     if len(found) > 1:
         return Finding(
-            name="OpenCV builds",
-            verdict="wrong",
-            text=f"{listed}: they have the same files, and the last one installed wins",
-            advice=f"pip uninstall {' '.join(found)}; then pip install opencv-python-headless",
+            "OpenCV builds",
+            "wrong",
+            f"{listed}: they have the same files, and the last one installed wins",
+            f"pip uninstall {' '.join(found)}; then pip install opencv-python-headless",
         )
     if found and "opencv-python-headless" not in found:
         return Finding(
-            name="OpenCV builds",
-            verdict="warning",
-            text=f"{listed}, another build than tisfm asks for",
-            advice=f"pip uninstall {' '.join(found)}; then pip install opencv-python-headless",
+            "OpenCV builds",
+            "warning",
+            f"{listed}, another build than tisfm asks for",
+            f"pip uninstall {' '.join(found)}; then pip install opencv-python-headless",
         )
-    return Finding(name="OpenCV builds", verdict="ok", text=listed or "none")
+    return Finding("OpenCV builds", "ok", listed or "none")
 
 
 def _about(name: str, versions: str, tried: TrialResults, *, missing: str, command: str) -> Finding:
     version = _version(name)
     error = tried.get(module_of(name), {}).get("error")
     if version is None and (error or module_of(name) not in tried):
-        return Finding(
-            name=name,
-            verdict="wrong" if missing == "wrong" else "absent",
-            text="not installed",
-            advice=command,
-        )
+        return Finding(name, "wrong" if missing == "wrong" else "absent", "not installed", command)
     if error:
         return Finding(
-            name=name,
-            verdict="wrong" if missing == "wrong" else "warning",
-            text=f"{version} cannot be imported: {error}",
-            advice=RAISE_LIMIT
-            if is_limited()
-            else f"pip install --force-reinstall '{name}{versions}'",
+            name,
+            "wrong" if missing == "wrong" else "warning",
+            f"{version} cannot be imported: {error}",
+            RAISE_LIMIT if is_limited() else f"pip install --force-reinstall '{name}{versions}'",
         )
     if version is None:
-        return Finding(name=name, verdict="ok", text="version unknown")
+        return Finding(name, "ok", "version unknown")
     if not _suits(version, versions):
         return Finding(
-            name=name,
-            verdict="wrong" if missing == "wrong" else "warning",
-            text=f"{version}, but tisfm asks for {versions}",
-            advice=command,
+            name,
+            "wrong" if missing == "wrong" else "warning",
+            f"{version}, but tisfm asks for {versions}",
+            command,
         )
-    return Finding(name=name, verdict="ok", text=version)
+    return Finding(name, "ok", version)
 
 
 def _version(name: str) -> str | None:

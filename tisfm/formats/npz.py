@@ -25,7 +25,6 @@ from tisfm.formats.reading import FormatError, open_file
 
 _SUFFIX = ".npy"
 _ENCRYPTED = 1  # bit of a part's flags
-
 ALLOWED_COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """Compressions that NumPy writes. With others, one read may unpack to any size at once."""
 

@@ -15,20 +15,10 @@ from pathlib import Path
 from tisfm.errors import OutOfMemoryError
 
 _SIGNS = ("cannot allocate memory", "failed to map segment", "can't start new thread", "bad_alloc")
-
-
 _OPENCV = 0.28e9  # that NumPy and OpenCV reserve with one thread each, bytes; measured
-
-
 _OPENCV_THREADS = 0.19e9  # more that they reserve with several threads, bytes; measured
-
-
 _SCIPY = 0.28e9  # that SciPy and the other libraries reserve, bytes; measured
-
-
 _STACK = 8 << 20  # of a thread, bytes, as most systems have it
-
-
 _ARENA = 64 << 20  # that the C library reserves for a thread's allocations, bytes
 
 

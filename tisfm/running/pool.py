@@ -30,7 +30,6 @@ from tisfm.version import __version__
 
 T = TypeVar("T")
 R = TypeVar("R")
-
 MOST_ATTEMPTS = 3  # for an item whose process was killed; set by hand
 _QUEUED_PER_WORKER = 2  # items: one that the worker computes, and one that waits for it
 _CLUSTER_TIMEOUT = 10  # s for the scheduler of a cluster to answer; set by hand

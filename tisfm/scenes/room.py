@@ -37,7 +37,6 @@ _FINEST_WAVE = 4.0  # px, the finest wave without detail, in an image of this wi
 _REFERENCE_WIDTH = 320  # px
 _SHUTTER_ROWS = 2  # rows that are rendered at one instant, with a rolling shutter
 _FIRST_TEXTURED = 5  # labels below this one are bare walls and the ceiling
-
 _AXES = (  # of the room in columns: right, down, ahead
     rigid_motion((0, 0, 0, _PITCH, 0, 0))[0] @ rigid_motion((0, 0, 0, 0, -_YAW, 0))[0]
 )

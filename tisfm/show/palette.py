@@ -37,7 +37,6 @@ FAINT = "#8c8c8c"  # grids and frames
 ESTIMATE = "#0072b2"  # curves of results
 OTHER = "#d55e00"  # curves that contrast with results
 HIDDEN = (255, 0, 60)  # pixels that are not visible in the next frame
-
 _MAPS = {
     "depth": cv2.COLORMAP_MAGMA,
     "confidence": cv2.COLORMAP_CIVIDIS,

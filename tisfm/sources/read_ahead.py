@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any, TypeVar
 
 AHEAD = 2  # items beside the one in use; more items would only take memory
-
 T = TypeVar("T")
 _END = object()
 

@@ -94,8 +94,6 @@ class Potts:
 
 # Steps to the eight neighbours; the steps of indices k and k ^ 1 are opposite.
 STEPS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 1))
-
-
 ITERATIONS = 15
 
 
