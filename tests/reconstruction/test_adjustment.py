@@ -59,7 +59,7 @@ def test_frames_that_are_held_stay_and_draw_others_to_them():
     images = [frame.astype(np.float32) for frame in film.frames]
     found = adjust_poses(
         {**start, **held}, stars_of(film, (0, 4, 8), noise=0.02), images.__getitem__, film.camera,
-        SETTINGS, held=held, rounds=5,
+        SETTINGS, fixed_frames=held, rounds=5,
     )  # fmt: skip
     for frame, pose in held.items():
         np.testing.assert_array_equal(found[frame], pose)

@@ -26,12 +26,12 @@ def noisy(frame):
 
 
 def test_sureness_is_that_of_slopes_along_epipolar_lines():
-    from tisfm.reconstruction.depth.match_deviation import INNER_SIDE, deviation_of_match
+    from tisfm.reconstruction.depth.match_deviation import INNER_SIDE, match_deviation
 
     ramp = np.broadcast_to(8 * np.arange(60, dtype=np.float32) % 240, (40, 60))
     steep = noisy(ramp)
     depth = np.full((40, 60), 5, np.float32)
-    along, across = (deviation_of_match(shifted(steep, t), depth) for t in ((1, 0, 0), (0, 1, 0)))
+    along, across = (match_deviation(shifted(steep, t), depth) for t in ((1, 0, 0), (0, 1, 0)))
     inside = np.s_[8:-8, 6:24]
     # Noise of the grey levels over the root of the summed squares of the slopes, 8 per px. Frames
     # and their noise are smoothed a little before.
@@ -41,7 +41,7 @@ def test_sureness_is_that_of_slopes_along_epipolar_lines():
 
 
 def test_directions_are_derivatives_of_places():
-    from tisfm.reconstruction.depth.match_deviation import _moved
+    from tisfm.reconstruction.depth.match_deviation import _position_slopes
 
     key, others, motions, camera = views("room").first(3)
     window = window_of(key, others, motions, camera)
@@ -50,7 +50,7 @@ def test_directions_are_derivatives_of_places():
     cx, cy = window.camera_of(window.level).center_for(*window.shape)
     focal = window.camera_of(window.level).focal
     rays = np.stack([(columns - cx) / focal, (rows - cy) / focal, np.ones(window.shape)])
-    for motion, found in zip(window.motions, _moved(window, depth), strict=True):
+    for motion, found in zip(window.motions, _position_slopes(window, depth), strict=True):
 
         def places(d, motion=motion):
             p = np.einsum("ij,jyx->iyx", motion[:, :3], rays)
@@ -73,13 +73,13 @@ def test_bare_cells_beside_an_outline_do_not_count():
         level=0,
         inverse_depth=depth,
         slopes=np.zeros((2, 40, 60), np.float32),
-        believed=np.ones((40, 60), bool),
+        reliable=np.ones((40, 60), bool),
     )
     weight, target = match_weights(shifted(step, (1, 0, 0)), planes)
     assert (weight[:, 29:31] > 0.9).all()
     assert weight[:, :25].mean() < 0.3 > weight[:, 35:].mean()
     np.testing.assert_array_equal(target, np.where(weight > 0, 5, 0))
-    nowhere = replace(planes, believed=np.zeros((40, 60), bool))
+    nowhere = replace(planes, reliable=np.zeros((40, 60), bool))
     assert not match_weights(shifted(step, (1, 0, 0)), nowhere).any()
 
 

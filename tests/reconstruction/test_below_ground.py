@@ -44,8 +44,8 @@ def labelled(speed):
         finder.add(np.rint(frame).astype(np.uint8))
         poses.append(pose)
         true.append(labels)
-    list(finder.found())
-    return np.stack(list(finder.found(poses, CAMERA))), np.stack(true)
+    list(finder.labels())
+    return np.stack(list(finder.labels(poses, CAMERA))), np.stack(true)
 
 
 @pytest.mark.parametrize("speed", nightly_except(0.25, of=[0.25, 0.35]))

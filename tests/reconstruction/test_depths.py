@@ -15,9 +15,9 @@ from tisfm.reconstruction.depth.segment_depth import depth_effort
 from tisfm.reconstruction.depth.view_fusion import (
     DIFFERENCE_LIMIT,
     FILLED_DEVIATION,
+    add_difference_to_deviation,
     fill_holes,
     fuse_views,
-    raise_deviation_where_different,
     relative_difference,
     upsample,
 )
@@ -72,7 +72,7 @@ def test_what_shows_nothing_is_not_compared():
 
 def test_views_are_unsure_by_what_others_say():
     views = [(flat(0.5), flat(0.01)), (flat(0.5), flat(0.02)), (flat(0.4), flat(0.01))]
-    first, second, third = raise_deviation_where_different(views, 2.0)
+    first, second, third = add_difference_to_deviation(views, 2.0)
     np.testing.assert_array_equal(first[0], 0.5)
     np.testing.assert_allclose(first[1], np.hypot(0.01, 2 * 0.1 * 0.5), rtol=1e-5)
     np.testing.assert_allclose(second[1], np.hypot(0.02, 2 * 0.1 * 0.5), rtol=1e-5)

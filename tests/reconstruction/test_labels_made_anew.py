@@ -98,7 +98,7 @@ def test_labels_move_with_the_pixels(tmp_path, what):
     assert (found != labels)[seen].mean() > 0.02
     bright = frames.grey(0) > 120
     assert ((found > 0) != bright)[seen].mean() < 0.003
-    assert not frames.counted(0)[found > 0].any()
+    assert not frames.used_pixels(0)[found > 0].any()
 
 
 @pytest.mark.parametrize("is_given", [True, False])

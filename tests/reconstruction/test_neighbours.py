@@ -18,7 +18,7 @@ def line(positions):
 
 def test_frames_of_enough_parallax_are_chosen_and_from_both_sides():
     poses = line(0.01 * np.arange(-40, 41))  # 3 px a frame at depth 1
-    chosen = choose_neighbours(poses, 40, 1.0, CAMERA, SHAPE, most=4)
+    chosen = choose_neighbours(poses, 40, 1.0, CAMERA, SHAPE, max_count=4)
     apart = np.array(chosen) - 40
     assert len(chosen) == 4
     assert (apart < 0).any() and (apart > 0).any()
@@ -69,5 +69,5 @@ def test_unknown_depth_counts_as_the_median():
 def test_no_more_than_asked_for():
     poses = line(0.01 * np.arange(-40, 41))
     for most in (1, 6):
-        chosen = choose_neighbours(poses, 40, 1.0, CAMERA, SHAPE, most=most)
+        chosen = choose_neighbours(poses, 40, 1.0, CAMERA, SHAPE, max_count=most)
         assert len(chosen) == most == len(set(chosen))

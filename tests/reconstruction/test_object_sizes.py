@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import tisfm
 from tests.rendered import bodies_film
-from tisfm.reconstruction.objects.object_scale import longest_side, reach
+from tisfm.reconstruction.objects.object_scale import longest_side, trimmed_extent
 from tisfm.scenes import bodies_path
 
 OBJECTS = tisfm.Settings.preset("fast", motion="objects")
@@ -88,7 +88,7 @@ def test_the_longest_side_is_that_of_a_box_however_it_is_turned(turn, faces):
 def test_what_lies_outside_is_left_out():
     points = np.random.default_rng(0).uniform(0, 1, (1000, 3))
     points[:10] = 100
-    np.testing.assert_allclose(reach(points), 1, atol=0.1)
+    np.testing.assert_allclose(trimmed_extent(points), 1, atol=0.1)
 
 
 # Errors

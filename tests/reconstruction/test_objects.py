@@ -242,7 +242,7 @@ def test_clips_of_one_thing_that_moves(clip, least):
     finder = SequenceLabels(tisfm.Camera(focal=1.2 * frames[0].shape[1]))
     for frame in frames:
         finder.add(frame)
-    labels = list(finder.found())
+    labels = list(finder.labels())
     true = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) > 127 for path in masks]
     scores = [
         np.mean([iou(a == k, b) for a, b in zip(labels, true, strict=True)]) for k in range(1, 4)
@@ -258,4 +258,4 @@ def test_the_camera_of_smaller_frames_has_its_center_in_their_middle(shape):
     x, y = motion.camera().center_for(height, width)
     assert abs(x - (width - 1) / 2) <= 0.5
     assert abs(y - (height - 1) / 2) <= 0.5
-    assert motion.camera(tisfm.Camera(focal=300.0)).focal == 300.0 * motion.share
+    assert motion.camera(tisfm.Camera(focal=300.0)).focal == 300.0 * motion.scale

@@ -40,7 +40,7 @@ class Part:
     def grey(self, number):
         return film().frames[number].astype(np.float32)
 
-    def counted(self, number):
+    def used_pixels(self, number):
         return self._counted
 
 
@@ -74,7 +74,7 @@ def test_depth_is_as_of_whole_frames(where):
         known = np.isfinite(one.inverse_depth)
         assert known[counted].all() and known.mean() < 0.6
         assert not np.isfinite(one.deviation[~counted]).any()
-    rows, columns = own_path._box_of(frames, range(COUNT))
+    rows, columns = own_path._bounding_box(frames, range(COUNT))
     assert rows.start % BOX_ALIGNMENT == columns.start % BOX_ALIGNMENT == 0
     assert rows.stop <= SIZE[0] and columns.stop <= SIZE[1]
 

@@ -137,7 +137,7 @@ def test_nothing_is_lost_wherever_a_run_is_killed(earlier, monkeypatch, phase, s
         if phase == "aside":
             patch()
             # A killed process does not put files back.
-            inner.setattr(renewal, "_put_back", lambda path: None)
+            inner.setattr(renewal, "_restore", lambda path: None)
         with contextlib.suppress(Killed, ValueError):
             start()
     assert len(moved) == step

@@ -50,15 +50,15 @@ def test_tracks_are_the_same_along_image_motion_that_is_found_before():
     found, given = Tracker(CAMERA, TRACKING_SETTINGS), Tracker(CAMERA, TRACKING_SETTINGS)
     for number, frame in enumerate(frames):
         one = found.track(frame)
-        two = given.track(frame, flow=flow.to(number) if number else None)
+        two = given.track(frame, flow=flow.flow_to(number) if number else None)
         np.testing.assert_array_equal(one.tracks, two.tracks)
         np.testing.assert_allclose(one.points, two.points, atol=0.02)  # 3 px have 11 bits
     times = len(asked)
-    np.testing.assert_array_equal(flow.to(1), flow.to(1))
+    np.testing.assert_array_equal(flow.flow_to(1), flow.flow_to(1))
     assert len(asked) == times
     misled = Tracker(CAMERA, TRACKING_SETTINGS)
     first = misled.track(frames[0])
-    here, _ = first.shared(misled.track(frames[1], flow=flow.to(1) + 50))
+    here, _ = first.shared(misled.track(frames[1], flow=flow.flow_to(1) + 50))
     assert len(here) < 0.1 * len(first.tracks)
 
 

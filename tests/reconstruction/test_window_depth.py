@@ -66,7 +66,7 @@ def test_effort_is_how_dense_cells_are():
     scene = views("sideways", 240, 320, 2)
     found = {effort: found_in(scene.first(2), effort=effort) for effort in ("fast", "balanced")}
     assert [found[effort].level for effort in found] == [1, 0]
-    assert found["fast"].believed.shape == (120, 160)
+    assert found["fast"].reliable.shape == (120, 160)
     assert scene.errors(found["balanced"]).mean() < scene.errors(found["fast"]).mean() < 0.03
 
 
@@ -95,8 +95,8 @@ def test_what_masks_hide_does_not_count():
     noise = key.copy()
     noise[:, 100:] = rng.uniform(0, 255, noise[:, 100:].shape)
     found = found_in((noise, others, motions, camera), key_mask=mask)
-    assert not found.believed[:, 100:].any()
-    assert found.believed[:, :100].mean() > 0.3
+    assert not found.reliable[:, 100:].any()
+    assert found.reliable[:, :100].mean() > 0.3
 
 
 def test_bare_frames_say_nothing():

@@ -18,7 +18,7 @@ from tisfm.errors import InputError, InputTypeError
 from tisfm.reconstruction.path.given_poses import poses_of_frames
 from tisfm.reconstruction.progress import DepthOf, Progress
 from tisfm.reconstruction.result.calibration import Calibrate
-from tisfm.reconstruction.result.earlier_labels import labels_of_result
+from tisfm.reconstruction.result.earlier_labels import find_result_labels
 from tisfm.reconstruction.result.folder import CACHE
 from tisfm.reconstruction.result.object_sizes import checked_object_sizes
 from tisfm.reconstruction.result.reconstruction import Reconstruction
@@ -175,7 +175,7 @@ def reconstruct(
         raise InputError('poses are given and depth_of="none": there is nothing to find')
     given = None if poses is None else checked_poses(poses)
     mask, labels = _mask_and_labels(mask, labels, settings)
-    of_result = labels_of_result(labels, source)
+    of_result = find_result_labels(labels, source)
     sizes = checked_object_sizes(object_sizes)
     if sizes and settings.motion != "objects":
         raise InputError(
@@ -234,7 +234,7 @@ def reconstruct(
                     folder=path,
                     depth_of=depth_of,
                     object_sizes=sizes,
-                    labels_stay=of_result is not None and of_result.camera is not None,
+                    labels_are_prepared=of_result is not None and of_result.camera is not None,
                 )
                 if progress is not None:
                     job = replace(job, progress=progress)

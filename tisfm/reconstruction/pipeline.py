@@ -29,7 +29,7 @@ from tisfm.reconstruction.progress import DepthOf, Enough, Progress
 from tisfm.reconstruction.result.calibration import Calibrate, Calibration, as_json
 from tisfm.reconstruction.result.folder import CACHE, PICTURES, write_depth, write_record
 from tisfm.reconstruction.result.moving_object import MovingObject
-from tisfm.reconstruction.result.object_sizes import refuse_unknown
+from tisfm.reconstruction.result.object_sizes import refuse_unknown_ids
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations
@@ -69,7 +69,7 @@ class Job:
     # known lengths of moving objects, by their ids
     object_sizes: Mapping[int, float] = field(default_factory=dict)
     # whether given labels already belong to frames without distortion and readout effect
-    labels_stay: bool = False
+    labels_are_prepared: bool = False
 
     @property
     def has_objects(self) -> bool:
@@ -140,7 +140,7 @@ def read_frames(job: Job) -> ReadFrames:
                     camera.used,
                     job.folder / CACHE,
                     job.folder / PICTURES,
-                    labels_stay=job.labels_stay,
+                    labels_are_prepared=job.labels_are_prepared,
                 )
                 if not job.has_objects:
                     tracker = _tracker(job, frames.camera, job.calibrate)
@@ -202,7 +202,7 @@ def solve_path(job: Job, read: ReadFrames) -> SolvedPath:
     def path_of_static(calibrate: Calibrate | None) -> CameraPath:
         tracker = _tracker(job, frames.camera, calibrate or job.calibrate)
         for number in range(frames.count):
-            tracker.add(*frames.tracked(number), frames.flow(number))
+            tracker.add(*frames.tracker_input(number), frames.flow(number))
         return _path(job, read, tracker.finish(), calibrate or job.calibrate)
 
     if read.tracks is not None:
@@ -212,7 +212,7 @@ def solve_path(job: Job, read: ReadFrames) -> SolvedPath:
         if read.labels is None:
             _label_all(job, read)
         path = find_static_path(frames, read.labels, path_of_static, correct)
-        refuse_unknown(job.object_sizes, frames.things())
+        refuse_unknown_ids(job.object_sizes, frames.object_ids())
     job.progress("path", len(read.names), len(read.names))
     return SolvedPath(path=path, camera=full)
 
@@ -320,7 +320,7 @@ def _label_all(job: Job, read: ReadFrames) -> None:
             "for at least one"
         )
     label_remaining_frames(read.frames, read.labelled)
-    refuse_unknown(job.object_sizes, read.frames.things())  # before the long computation
+    refuse_unknown_ids(job.object_sizes, read.frames.object_ids())  # before the long computation
 
 
 def _calibration(job: Job, read: ReadFrames, solved: SolvedPath) -> Calibration:
@@ -370,7 +370,7 @@ def _piece_depth(
         seen,
         job.settings,
         effort=depth_effort(job.settings),
-        after=max(piece.poses) if job.depth_of == "keyframes" else -1,
+        written_until=max(piece.poses) if job.depth_of == "keyframes" else -1,
     )
     kinds: dict[int, str] = {}
     unit = 1.0

@@ -5,7 +5,7 @@ from pathlib import Path
 from tisfm.errors import InputError
 from tisfm.folders.result_folder import is_locked
 from tisfm.folders.run_record import RECORD as RUN
-from tisfm.reconstruction.result.folder import BEGUN, DEPTH, PICTURES
+from tisfm.reconstruction.result.folder import DEPTH, MARKER, PICTURES
 from tisfm.reconstruction.result.folder import RECORD as RECONSTRUCTION
 from tisfm.results.pair_frames import PairFrames
 from tisfm.results.result_frames import ResultFrames
@@ -37,14 +37,14 @@ def open_result(folder: Path) -> ResultFrames:
         if pairs.names:
             return pairs
     _require_writer(folder)
-    if (folder / BEGUN).is_file():
+    if (folder / MARKER).is_file():
         raise NotReadyError(f"{folder} has no complete reconstruction yet")
     raise NotReadyError(f"{folder} has no finished pair yet")
 
 
 def describe_progress(folder: Path) -> str:
     """Return how far a reconstruction is, in words; empty for a run."""
-    if not (folder / BEGUN).is_file():
+    if not (folder / MARKER).is_file():
         return ""
     pictures, depths = (len(list((folder / part).glob("*.*"))) for part in (PICTURES, DEPTH))
     if not pictures:
@@ -56,7 +56,7 @@ def _require_writer(folder: Path) -> None:
     """Raise FileNotFoundError if no command writes to a folder without a result."""
     if is_locked(folder):
         return
-    if (folder / BEGUN).is_file():
+    if (folder / MARKER).is_file():
         raise FileNotFoundError(
             f"the reconstruction in {folder} is not complete, and no command writes to it: run "
             "tisfm reconstruct again"

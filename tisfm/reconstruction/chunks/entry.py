@@ -37,13 +37,13 @@ from tisfm.reconstruction.path.given_poses import poses_of_frames
 from tisfm.reconstruction.progress import DepthOf, Progress
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.reconstruction import Reconstruction
-from tisfm.reconstruction.result.renewal import CHUNKS, refuse_others, renewed
+from tisfm.reconstruction.result.renewal import CHUNKS, refuse_others, renewed_locked_folder
 from tisfm.reconstruction.result.request import (
-    digest_of,
     is_done,
     make_request,
     read_request,
-    refuse_differing,
+    refuse_differing_request,
+    request_digest,
     write_request,
 )
 from tisfm.runtime import Arch
@@ -170,7 +170,7 @@ class ChunkedRun:
                 settings=settings,
                 poses=None if known is None else known[span.of(self._taken)],
                 depth_of=depth_of,
-                asked=digest_of(self.asked),
+                asked=request_digest(self.asked),
                 listing=sources.listing,
                 stop=stop,
                 arch=arch,
@@ -187,7 +187,7 @@ class ChunkedRun:
         chunks = read_request(self.folder / CHUNKS)
         if chunks is None:
             return is_done(self.folder, self.asked)
-        refuse_differing(self.folder, chunks["asked"], self.asked)
+        refuse_differing_request(self.folder, chunks["asked"], self.asked)
         whole = read_request(self.folder)
         same = whole is not None and whole["asked"] == self.asked
         return same and is_done(self.folder, self.asked)
@@ -233,7 +233,7 @@ class ChunkedRun:
                 for one in chunks
             ]
             places = place_chunks(parts, are_given=chunks[0].poses is not None)
-            with renewed(path):
+            with renewed_locked_folder(path):
                 return write_whole(
                     path,
                     parts,
@@ -253,7 +253,7 @@ class ChunkedRun:
         remove_link(chunks)  # chunks would be written outside the folder
         before = read_request(chunks) if resume else None
         if before is not None:
-            refuse_differing(self.folder, before["asked"], self.asked)
+            refuse_differing_request(self.folder, before["asked"], self.asked)
             remove_temporaries(chunks)
             return
         remove(chunks)

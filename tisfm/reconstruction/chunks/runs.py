@@ -20,7 +20,7 @@ from tisfm.reconstruction.result.request import (
     is_done,
     make_request,
     read_request,
-    refuse_differing,
+    refuse_differing_request,
     write_request,
 )
 from tisfm.running.pairs import FrameSelection
@@ -90,7 +90,7 @@ class WholeRun:
             )
         chunks = read_request(self._folder / CHUNKS)
         if chunks is not None:
-            refuse_differing(self._folder, chunks["asked"], self._request)
+            refuse_differing_request(self._folder, chunks["asked"], self._request)
         return is_done(self._folder, self._request)
 
     def result(self, *, resume: bool, progress: Progress) -> Reconstruction:

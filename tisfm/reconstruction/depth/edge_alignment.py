@@ -27,23 +27,23 @@ def align_edges(
     if not np.isfinite(inverse_depth).all():
         return inverse_depth, deviation
     depth = np.ascontiguousarray(inverse_depth)
-    spread = np.ascontiguousarray(deviation)
+    std = np.ascontiguousarray(deviation)
     out, out_deviation = np.empty((2, *depth.shape), np.float32)
-    by_look(depth, spread, _middle(depth), frame, out, out_deviation, similar=GREY_SCALE)
+    by_look(depth, std, _surface_threshold(depth), frame, out, out_deviation, similar=GREY_SCALE)
     return out, out_deviation
 
 
-def _middle(inverse_depth: np.ndarray) -> np.ndarray:
+def _surface_threshold(inverse_depth: np.ndarray) -> np.ndarray:
     """Return the geometric mean of the extremes in a window around a depth edge; elsewhere 0."""
-    near, window = (np.ones((side, side), np.uint8) for side in (3, 2 * RADIUS + 1))
-    jump = _apart(inverse_depth, near)
+    neighbourhood, window = (np.ones((side, side), np.uint8) for side in (3, 2 * RADIUS + 1))
+    edge = _has_edge(inverse_depth, neighbourhood)
     # Pixels so near to the edge that the window holds pixels of both surfaces.
-    around = cv2.dilate(jump.astype(np.uint8), np.ones((2 * RADIUS - 1,) * 2, np.uint8)) > 0
+    near_edge = cv2.dilate(edge.astype(np.uint8), np.ones((2 * RADIUS - 1,) * 2, np.uint8)) > 0
     lowest, highest = cv2.erode(inverse_depth, window), cv2.dilate(inverse_depth, window)
-    return np.where(around, np.sqrt(lowest * highest), np.float32(0))
+    return np.where(near_edge, np.sqrt(lowest * highest), np.float32(0))
 
 
-def _apart(inverse_depth: np.ndarray, window: np.ndarray) -> np.ndarray:
+def _has_edge(inverse_depth: np.ndarray, window: np.ndarray) -> np.ndarray:
     highest = cv2.dilate(inverse_depth, window)
-    apart: np.ndarray = highest - cv2.erode(inverse_depth, window) > MIN_JUMP * highest
-    return apart
+    has_edge: np.ndarray = highest - cv2.erode(inverse_depth, window) > MIN_JUMP * highest
+    return has_edge

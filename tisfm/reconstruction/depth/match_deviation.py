@@ -26,14 +26,14 @@ SOBEL_NOISE_GAIN = 3 / 16
 def match_weights(window: Window, planes: WindowPlanes) -> np.ndarray:
     """Return the weight, from 0 to 1, and the matched D of every cell, (2, h, w) float32."""
     depth = planes.inverse_depth
-    if planes.believed.any():
-        depth = np.where(planes.believed, depth, np.median(depth[planes.believed]))
-    deviation = deviation_of_match(window, depth.astype(np.float32))
-    weight = np.where(planes.believed, 1 / (1 + (deviation / HALF_WEIGHT_DEVIATION) ** 2), 0)
+    if planes.reliable.any():
+        depth = np.where(planes.reliable, depth, np.median(depth[planes.reliable]))
+    deviation = match_deviation(window, depth.astype(np.float32))
+    weight = np.where(planes.reliable, 1 / (1 + (deviation / HALF_WEIGHT_DEVIATION) ** 2), 0)
     return np.stack([weight, np.where(weight > 0, depth, 0)]).astype(np.float32)
 
 
-def deviation_of_match(
+def match_deviation(
     window: Window,
     inverse_depth: np.ndarray,  # (h, w) float32: D, cells
 ) -> np.ndarray:  # (h, w) float32: infinite where the image is flat
@@ -42,16 +42,16 @@ def deviation_of_match(
     It is the deviation of a least-squares fit of D to grey levels with noise σ: σ_D² =
     2 σ² / Σ (∇I·∂x/∂D)². The sum goes over the cells close by and over the best frames.
     """
-    frame = window.of_cells(0)
+    frame = window.at_cell_level(0)
     noise = noise_deviation(frame) ** 2
-    slopes = [
+    gradients = [
         cv2.Sobel(frame, cv2.CV_32F, *axis, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
         for axis in ((1, 0), (0, 1))
     ]
     total = np.zeros_like(frame)
-    for across, down in _moved(window, inverse_depth):
-        total += (slopes[0] * across + slopes[1] * down) ** 2
-        total -= np.float32(SOBEL_NOISE_GAIN * noise) * (across**2 + down**2)
+    for slope_x, slope_y in _position_slopes(window, inverse_depth):
+        total += (gradients[0] * slope_x + gradients[1] * slope_y) ** 2
+        total -= np.float32(SOBEL_NOISE_GAIN * noise) * (slope_x**2 + slope_y**2)
     total *= np.float32(window.best / len(window.motions))
     square = cv2.boxFilter(total, -1, (INNER_SIDE, INNER_SIDE), normalize=False)
     with np.errstate(divide="ignore"):
@@ -59,18 +59,20 @@ def deviation_of_match(
     return deviation
 
 
-def _moved(window: Window, inverse_depth: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+def _position_slopes(
+    window: Window, inverse_depth: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return ∂x/∂D of every cell in every frame, px/px, along the columns and along the rows."""
     height, width = inverse_depth.shape
     camera = window.camera_of(window.level)
     cx, cy = camera.center_for(*window.frames[0][window.level].shape)
     x = (np.arange(width, dtype=np.float32) - np.float32(cx)) / np.float32(camera.focal)
     y = (np.arange(height, dtype=np.float32)[:, None] - np.float32(cy)) / np.float32(camera.focal)
-    near = inverse_depth / np.float32(camera.focal)
-    found = []
+    scaled_depth = inverse_depth / np.float32(camera.focal)
+    slopes = []
     for motion in window.motions.astype(np.float32):
-        p1, p2, p3 = (row[0] * x + row[1] * y + row[2] + row[3] * near for row in motion)
+        p1, p2, p3 = (row[0] * x + row[1] * y + row[2] + row[3] * scaled_depth for row in motion)
         p3 = np.maximum(p3, np.float32(NEAREST))
         t1, t2, t3 = motion[:, 3]
-        found.append(((t1 - p1 / p3 * t3) / p3, (t2 - p2 / p3 * t3) / p3))
-    return found
+        slopes.append(((t1 - p1 / p3 * t3) / p3, (t2 - p2 / p3 * t3) / p3))
+    return slopes

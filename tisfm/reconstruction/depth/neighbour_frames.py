@@ -8,7 +8,7 @@ from tisfm.errors import InputError
 # Values without a stated source were set by hand.
 
 # Rows and columns of the grid of image points whose parallax is computed.
-GRID = (9, 12)
+GRID_SHAPE = (9, 12)
 # Parallax, as a share of the image width, beyond which a frame gets no better.
 FULL_PARALLAX = 0.03
 # Parallax, as a share of the image width, beyond which windows look less and less alike.
@@ -28,10 +28,10 @@ def choose_neighbours(
     camera: Camera,  # a pinhole
     shape: tuple[int, int],  # height and width of the frames, px
     *,
-    most: int = 4,  # largest number of chosen frames
+    max_count: int = 4,  # largest number of chosen frames
     # Height and width of the uncropped frames, px, if the frames are crops. Parallax is a share of
     # this width.
-    whole: tuple[int, int] | None = None,
+    uncropped_shape: tuple[int, int] | None = None,
 ) -> list[int]:  # numbers of the chosen frames, the best first
     """Choose frames with good parallax for each part of a keyframe, from both sides.
 
@@ -46,84 +46,86 @@ def choose_neighbours(
     poses = np.asarray(poses, np.float64)
     if not np.isfinite(poses[key]).all():
         raise InputError(f"poses[{key}] is not finite: expected a pose of the keyframe")
-    rays, depth = _points(inverse_depth, camera, shape)
-    known = np.isfinite(poses).all(axis=(1, 2))
-    known[key] = False
-    candidates = np.flatnonzero(known)
-    shown, side = _shown(poses, key, candidates, rays, depth, camera, shape, (whole or shape)[1])
+    rays, inverse_depths = _grid_points(inverse_depth, camera, shape)
+    has_pose = np.isfinite(poses).all(axis=(1, 2))
+    has_pose[key] = False
+    candidates = np.flatnonzero(has_pose)
+    values, directions = _parallax_values(
+        poses, key, candidates, rays, inverse_depths, camera, shape, (uncropped_shape or shape)[1]
+    )
     chosen: list[int] = []
     sums = np.zeros((2, rays.shape[1]))
     reference = None
-    for _ in range(min(most, len(candidates))):
-        ahead = np.ones(shown.shape, bool)
+    for _ in range(min(max_count, len(candidates))):
+        same_side = np.ones(values.shape, bool)
         if reference is not None:
-            ahead = np.einsum("jkp,kp->jp", side, reference) >= 0
+            same_side = np.einsum("jkp,kp->jp", directions, reference) >= 0
         gains = np.zeros(len(candidates))
-        for same, total in zip((ahead, ~ahead), sums, strict=True):
-            gains += (np.sqrt(total + shown * same) - np.sqrt(total)).mean(axis=1)
+        for is_same, total in zip((same_side, ~same_side), sums, strict=True):
+            gains += (np.sqrt(total + values * is_same) - np.sqrt(total)).mean(axis=1)
         gains[chosen] = 0
         best = int(np.argmax(gains))
         if gains[best] < MIN_GAIN:
             break
-        for same, total in zip((ahead, ~ahead), sums, strict=True):
-            total += shown[best] * same[best]
+        for is_same, total in zip((same_side, ~same_side), sums, strict=True):
+            total += values[best] * is_same[best]
         if reference is None:
-            reference = side[best].copy()
-        unset = ~reference.any(axis=0)
-        reference[:, unset] = side[best][:, unset]
+            reference = directions[best].copy()
+        without_reference = ~reference.any(axis=0)
+        reference[:, without_reference] = directions[best][:, without_reference]
         chosen.append(best)
     return [int(candidates[j]) for j in chosen]
 
 
-def _points(
+def _grid_points(
     inverse_depth: np.ndarray | float, camera: Camera, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the rays (3, P) of a grid of image points, and their inverse depth (P,)."""
     height, width = shape
     cx, cy = camera.center_for(height, width)
     rows, columns = (
-        ((np.arange(count) + 0.5) * side / count - 0.5)
-        for count, side in zip(GRID, shape, strict=True)
+        ((np.arange(count) + 0.5) * length / count - 0.5)
+        for count, length in zip(GRID_SHAPE, shape, strict=True)
     )
-    values = np.broadcast_to(np.asarray(inverse_depth, np.float64), shape)
-    near = values[np.ix_(rows.astype(int), columns.astype(int))].ravel()
-    known = np.isfinite(near) & (near > 0)
-    if not known.any():
+    depth_map = np.broadcast_to(np.asarray(inverse_depth, np.float64), shape)
+    inverse_depths = depth_map[np.ix_(rows.astype(int), columns.astype(int))].ravel()
+    valid = np.isfinite(inverse_depths) & (inverse_depths > 0)
+    if not valid.any():
         raise InputError("inverse_depth is nowhere positive: expected a rough depth of the frame")
-    near = np.where(known, near, np.median(near[known]))
+    inverse_depths = np.where(valid, inverse_depths, np.median(inverse_depths[valid]))
     x, y = np.meshgrid((columns - cx) / camera.focal, (rows - cy) / camera.focal)
-    return np.stack([x.ravel(), y.ravel(), np.ones(x.size)]), near
+    return np.stack([x.ravel(), y.ravel(), np.ones(x.size)]), inverse_depths
 
 
-def _shown(
+def _parallax_values(
     poses: np.ndarray,
     key: int,
     candidates: np.ndarray,
     rays: np.ndarray,
-    depth: np.ndarray,
+    inverse_depths: np.ndarray,
     camera: Camera,
     shape: tuple[int, int],
-    full: int,
+    full_width: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return how well candidates show points (J, P), and the directions of parallax (J, 2, P).
 
-    Parallax is a share of `full`, an image width in px.
+    Parallax is a share of `full_width`, an image width in px.
     """
     height, width = shape
     cx, cy = camera.center_for(height, width)
     motions = np.linalg.inv(poses[candidates]) @ poses[key]
-    turned = motions[:, :3, :3] @ rays
-    moved = turned + depth * motions[:, :3, 3:]
+    rotated = motions[:, :3, :3] @ rays
+    points = rotated + inverse_depths * motions[:, :3, 3:]
     with np.errstate(divide="ignore", invalid="ignore"):
-        there = camera.focal * moved[:, :2] / moved[:, 2:]
-        apart = there - camera.focal * turned[:, :2] / turned[:, 2:]
-        u, v = cx + there[:, 0], cy + there[:, 1]
-        inside = (moved[:, 2] > 0) & (turned[:, 2] > 0)
+        projected = camera.focal * points[:, :2] / points[:, 2:]
+        displacement = projected - camera.focal * rotated[:, :2] / rotated[:, 2:]
+        u, v = cx + projected[:, 0], cy + projected[:, 1]
+        inside = (points[:, 2] > 0) & (rotated[:, 2] > 0)
         inside &= (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
-    apart = np.where(inside[:, None], apart, 0)
-    parallax = np.hypot(apart[:, 0], apart[:, 1]) / full
-    shown = np.minimum(1, parallax / FULL_PARALLAX) * np.minimum(
+    displacement = np.where(inside[:, None], displacement, 0)
+    parallax = np.hypot(displacement[:, 0], displacement[:, 1]) / full_width
+    values = np.minimum(1, parallax / FULL_PARALLAX) * np.minimum(
         1, MAX_PARALLAX / np.maximum(parallax, 1e-9)
     )
-    direction = apart / np.maximum(full * parallax, 1e-9)[:, None]
-    return shown * inside, direction
+    direction = displacement / np.maximum(full_width * parallax, 1e-9)[:, None]
+    return values * inside, direction

@@ -83,7 +83,7 @@ def make_keyframe_window(
     # pixel with a large deviation gets a small weight.
     inverse_depth: np.ndarray,
     deviation: np.ndarray,
-    counted: np.ndarray | None = None,  # (H, W) bool: pixels that are used; by default all
+    used_pixels: np.ndarray | None = None,  # (H, W) bool: pixels that are used; by default all
 ) -> KeyframeWindow:
     """Return the window of a keyframe."""
     level = 0
@@ -93,23 +93,23 @@ def make_keyframe_window(
     height, width = small.shape
     stride = 2**level
     half = stride // 2
-    near = [image[half::stride, half::stride] for image in (inverse_depth, deviation)]
-    near = [np.pad(image, [(0, 1)] * 2, mode="edge")[:height, :width] for image in near]
-    depth = near[0]
-    known = np.isfinite(depth) & (depth > 0)
+    sampled = [image[half::stride, half::stride] for image in (inverse_depth, deviation)]
+    sampled = [np.pad(image, [(0, 1)] * 2, mode="edge")[:height, :width] for image in sampled]
+    depth = sampled[0]
+    valid = np.isfinite(depth) & (depth > 0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        sure = 1 / (1 + (near[1] / depth / HALF_WEIGHT_DEVIATION) ** 2)
+        certainty = 1 / (1 + (sampled[1] / depth / HALF_WEIGHT_DEVIATION) ** 2)
     variance = window_variance(small, TEXTURE_WINDOW)
     texture = variance / (variance + HALF_WEIGHT_TEXTURE * noise_deviation(small) ** 2)
-    weight = np.where(known, np.nan_to_num(sure) * texture, 0)
-    if counted is not None:
-        shown = np.pad(counted[half::stride, half::stride], [(0, 1)] * 2, mode="edge")
-        weight *= shown[:height, :width]
-    usual = np.median(depth[known]) if known.any() else np.float32(1)
+    weight = np.where(valid, np.nan_to_num(certainty) * texture, 0)
+    if used_pixels is not None:
+        mask = np.pad(used_pixels[half::stride, half::stride], [(0, 1)] * 2, mode="edge")
+        weight *= mask[:height, :width]
+    median_depth = np.median(depth[valid]) if valid.any() else np.float32(1)
     return KeyframeWindow(
         key=key,
         members=tuple(members),
-        inverse_depth=np.where(known, depth, usual).astype(np.float32),
+        inverse_depth=np.where(valid, depth, median_depth).astype(np.float32),
         weight=weight.astype(np.float32),
         level=level,
     )
@@ -122,27 +122,33 @@ def adjust_poses(
     camera: Camera,  # a pinhole, of the frames
     settings: Settings,
     *,
-    held: Collection[int] = (),  # frames whose poses are fixed; by default the first frame
+    fixed_frames: Collection[int] = (),  # frames whose poses are fixed; by default the first frame
     rounds: int = ROUNDS,  # Gauss–Newton steps
 ) -> dict[int, np.ndarray]:
     """Return poses that fit the images better. The depth of the windows is changed in place."""
-    found = {frame: np.array(pose, np.float64) for frame, pose in poses.items()}
+    adjusted = {frame: np.array(pose, np.float64) for frame, pose in poses.items()}
     windows = [
-        window for window in windows if any(f in found and f != window.key for f in window.members)
+        window
+        for window in windows
+        if any(f in adjusted and f != window.key for f in window.members)
     ]
     if not windows:
-        return found
-    seen = _FrameCache(frames, camera, settings)
-    for number in range(rounds):
-        systems = [_linearise(window, found, seen, move_depth=number > 0) for window in windows]
-        moved = {frame: _twist_between(found[frame], pose) for frame, pose in poses.items()}
-        steps = _solve(systems, sorted(found), moved, held or (min(found),))
+        return adjusted
+    cache = _FrameCache(frames, camera, settings)
+    for step_index in range(rounds):
+        systems = [
+            _linearise(window, adjusted, cache, move_depth=step_index > 0) for window in windows
+        ]
+        displacements = {
+            frame: _twist_between(adjusted[frame], pose) for frame, pose in poses.items()
+        }
+        steps = _solve(systems, sorted(adjusted), displacements, fixed_frames or (min(adjusted),))
         for frame, step in steps.items():
-            turn, shift = rigid_motion(step)
-            back = np.eye(4)
-            back[:3, :3], back[:3, 3] = turn.T, -turn.T @ shift
-            found[frame] = found[frame] @ back
-    return found
+            rotation, translation = rigid_motion(step)
+            inverse_step = np.eye(4)
+            inverse_step[:3, :3], inverse_step[:3, 3] = rotation.T, -rotation.T @ translation
+            adjusted[frame] = adjusted[frame] @ inverse_step
+    return adjusted
 
 
 class _FrameCache:
@@ -150,19 +156,19 @@ class _FrameCache:
 
     def __init__(self, frames: Frames, camera: Camera, settings: Settings) -> None:
         self._frames, self._camera, self._settings = frames, camera, settings
-        self._held: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
+        self._cached: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
 
-    def shrunk(self, number: int, level: int) -> tuple[np.ndarray, np.ndarray]:
+    def shrunk_frame(self, number: int, level: int) -> tuple[np.ndarray, np.ndarray]:
         """Return a frame, (h, w) float32, and its spline's taps."""
         key = number, level
-        if key in self._held:
-            self._held[key] = self._held.pop(key)  # now removed last
-            return self._held[key]
-        while len(self._held) >= CACHED_FRAMES:
-            self._held.pop(next(iter(self._held)))
+        if key in self._cached:
+            self._cached[key] = self._cached.pop(key)  # now the most recently used
+            return self._cached[key]
+        while len(self._cached) >= CACHED_FRAMES:
+            self._cached.pop(next(iter(self._cached)))
         small = _shrink(self._frames(number), level)
-        self._held[key] = small, spline_taps(small)
-        return self._held[key]
+        self._cached[key] = small, spline_taps(small)
+        return self._cached[key]
 
     def camera(self, number: int, level: int) -> Camera:
         """Return the camera of a shrunk frame."""
@@ -186,15 +192,15 @@ class _NormalEquations:
 
 
 def _linearise(
-    window: KeyframeWindow, poses: Mapping[int, np.ndarray], views: _FrameCache, *, move_depth: bool
+    window: KeyframeWindow, poses: Mapping[int, np.ndarray], cache: _FrameCache, *, move_depth: bool
 ) -> _NormalEquations:
     """Linearise the images of a window about its poses and depth.
 
     With `move_depth`, the depth is changed in place to fit these poses. This comes last, since the
     equations eliminate the depth before the change.
     """
-    key, _ = views.shrunk(window.key, window.level)
-    camera = views.camera(window.key, window.level)
+    key, _ = cache.shrunk_frame(window.key, window.level)
+    camera = cache.camera(window.key, window.level)
     members = [frame for frame in window.members if frame in poses and frame != window.key]
     unit = 1 / float(np.median(window.inverse_depth))
     grid = runtime.lane_grid(*key.shape)
@@ -205,7 +211,7 @@ def _linearise(
     image_to_lanes(grid, window.weight, weight)
     flow, direction = grid.allocate(2, zeros=False), grid.allocate(2, zeros=False)
     tensor, residual = grid.allocate(6), grid.allocate(1, zeros=False)
-    off = np.empty((1, *key.shape), np.float32)
+    residual_image = np.empty((1, *key.shape), np.float32)
     count = len(members)
     slopes, sums = grid.allocate(6 * count), grid.allocate(2)
     matrix, vector = np.zeros((6 * count, 6 * count)), np.zeros(6 * count)
@@ -214,41 +220,45 @@ def _linearise(
         relative = (np.linalg.inv(poses[frame]) @ poses[window.key])[:3]
         relative[:, 3] /= unit
         data = DataTerm(
-            grid, key, *views.shrunk(frame, window.level), views.constancy(camera.focal),
+            grid, key, *cache.shrunk_frame(frame, window.level), cache.constancy(camera.focal),
             mean_step(key),
         )  # fmt: skip
         motions = np.ascontiguousarray(relative[None], np.float32)
-        place = unknowns.x_hat, unknowns.y_hat
+        image_points = unknowns.x_hat, unknowns.y_hat
         in_turn(
             displacement.bind(
-                grid, unknowns.rho, labels, *place, flow, direction, motions=motions,
+                grid, unknowns.rho, labels, *image_points, flow, direction, motions=motions,
                 focal=camera.focal,
             ),
             data.bind_linearise(flow, tensor),
             squared_residual.bind(grid, tensor, flow, residual),
         )()  # fmt: skip
-        lanes_to_images(grid, residual, off)
-        counting = off[0, window.weight > 0]
-        usual = float(np.median(counting[counting > 0])) if (counting > 0).any() else 1.0
+        lanes_to_images(grid, residual, residual_image)
+        weighted = residual_image[0, window.weight > 0]
+        median_square = float(np.median(weighted[weighted > 0])) if (weighted > 0).any() else 1.0
         block = slice(6 * j, 6 * j + 6)
         matrix[block, block], vector[block] = add_frame(
-            grid, tensor, unknowns.rho, weight, *place, slopes, sums, number=j,
-            motion=motions[0], focal=camera.focal, tolerated=max(OUTLIER_SCALE**2 * usual, 1e-12),
+            grid, tensor, unknowns.rho, weight, *image_points, slopes, sums, number=j,
+            motion=motions[0], focal=camera.focal,
+            tolerated=max(OUTLIER_SCALE**2 * median_square, 1e-12),
         )  # fmt: skip
-        turn, shift = relative[:, :3], relative[:, 3]
+        rotation, translation = relative[:, :3], relative[:, 3]
         to_members[block, 6 * (j + 1) : 6 * (j + 2)] = np.eye(6)
         to_members[block, :6] = -np.block(
-            [[turn, cross_matrices(shift[None])[0] @ turn], [np.zeros((3, 3)), turn]]
+            [
+                [rotation, cross_matrices(translation[None])[0] @ rotation],
+                [np.zeros((3, 3)), rotation],
+            ]
         )
     # Translations of the steps are in the unit of the poses.
     for j in range(count + 1):
         to_members[:, 6 * j : 6 * j + 3] /= unit
-    held = DEPTH_DAMPING * max(float(sums[0].sum()) / key.size, 1e-12) + 1e-12
-    answer, pull = answered(grid, slopes, sums, held=held)
-    matrix -= answer
-    vector -= pull
+    depth_damping = DEPTH_DAMPING * max(float(sums[0].sum()) / key.size, 1e-12) + 1e-12
+    depth_matrix, depth_vector = answered(grid, slopes, sums, held=depth_damping)
+    matrix -= depth_matrix
+    vector -= depth_vector
     if move_depth:
-        _move_depth(window, grid, sums, held, camera.focal * unit)
+        _move_depth(window, grid, sums, depth_damping, camera.focal * unit)
     return _NormalEquations(
         frames=[window.key, *members],
         matrix=to_members.T @ matrix @ to_members,
@@ -257,19 +267,19 @@ def _linearise(
 
 
 def _move_depth(
-    window: KeyframeWindow, grid: LaneGrid, sums: LaneData, held: float, scale: float
+    window: KeyframeWindow, grid: LaneGrid, sums: LaneData, damping: float, scale: float
 ) -> None:
-    """Change the depth of a window, D / `scale`, by (aᵀJa + held) δD = −aᵀe.
+    """Change the depth of a window, D / `scale`, by (aᵀJa + damping) δD = −aᵀe.
 
     `sums` has aᵀJa and aᵀe.
     """
     images = np.empty((2, grid.height, grid.width), np.float32)
     lanes_to_images(grid, sums, images)
     # Single pixels are noisy, so the depth of a neighbourhood moves together.
-    curvature, pull = (cv2.blur(values, (DEPTH_WINDOW, DEPTH_WINDOW)) for values in images)
+    curvature, gradient = (cv2.blur(values, (DEPTH_WINDOW, DEPTH_WINDOW)) for values in images)
     depth = window.inverse_depth
-    change = -pull / (curvature + np.float32(held)) / np.float32(scale)
-    window.inverse_depth = depth + np.clip(change, -MAX_DEPTH_STEP * depth, MAX_DEPTH_STEP * depth)
+    step = -gradient / (curvature + np.float32(damping)) / np.float32(scale)
+    window.inverse_depth = depth + np.clip(step, -MAX_DEPTH_STEP * depth, MAX_DEPTH_STEP * depth)
 
 
 def _twist_between(pose: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -281,33 +291,33 @@ def _twist_between(pose: np.ndarray, other: np.ndarray) -> np.ndarray:
 def _solve(
     systems: Sequence[_NormalEquations],
     frames: Sequence[int],
-    moved: Mapping[int, np.ndarray],
-    held: Collection[int],
+    displacements: Mapping[int, np.ndarray],
+    fixed_frames: Collection[int],
 ) -> dict[int, np.ndarray]:
     """Return the step of every frame; it is 0 for fixed frames.
 
     Windows hardly constrain the motion between distant frames. There, a weak prior pulls each frame
-    back by `moved`, its motion from the pose before the adjustment.
+    back by its twist in `displacements` from the pose before the adjustment.
     """
     steps: dict[int, np.ndarray] = {}
     for begin in range(0, len(frames), MAX_FRAMES):
         batch = frames[begin : begin + MAX_FRAMES]
-        number = {frame: k for k, frame in enumerate(batch)}
+        batch_index = {frame: k for k, frame in enumerate(batch)}
         matrix, vector = np.zeros((6 * len(batch),) * 2), np.zeros(6 * len(batch))
         for system in systems:
-            own = [k for k, frame in enumerate(system.frames) if frame in number]
-            rows = _pose_rows(own)
-            there = _pose_rows([number[system.frames[k]] for k in own])
-            matrix[np.ix_(there, there)] += system.matrix[np.ix_(rows, rows)]
-            vector[there] += system.vector[rows]
+            members = [k for k, frame in enumerate(system.frames) if frame in batch_index]
+            rows = _pose_rows(members)
+            batch_rows = _pose_rows([batch_index[system.frames[k]] for k in members])
+            matrix[np.ix_(batch_rows, batch_rows)] += system.matrix[np.ix_(rows, rows)]
+            vector[batch_rows] += system.vector[rows]
         diagonal = np.diag(matrix).copy()
         prior = np.where(diagonal > 0, POSE_DAMPING * diagonal, 1.0)
         matrix += np.diag(prior)
-        vector += prior * np.concatenate([moved[frame] for frame in batch])
-        free = _pose_rows([number[frame] for frame in batch if frame not in held])
+        vector += prior * np.concatenate([displacements[frame] for frame in batch])
+        free = _pose_rows([batch_index[frame] for frame in batch if frame not in fixed_frames])
         step = np.zeros(6 * len(batch))
         step[free] = -np.linalg.solve(matrix[np.ix_(free, free)], vector[free])
-        steps.update({frame: step[6 * k : 6 * k + 6] for frame, k in number.items()})
+        steps.update({frame: step[6 * k : 6 * k + 6] for frame, k in batch_index.items()})
     return steps
 
 

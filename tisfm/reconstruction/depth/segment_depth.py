@@ -15,9 +15,9 @@ from tisfm.reconstruction.depth.neighbour_frames import choose_neighbours
 from tisfm.reconstruction.depth.pose_adjustment import KeyframeWindow, make_keyframe_window
 from tisfm.reconstruction.depth.view_fusion import (
     View,
+    add_difference_to_deviation,
     fill_holes,
     fuse_views,
-    raise_deviation_where_different,
     upsample,
 )
 from tisfm.reconstruction.depth.window_depth import Effort, WindowDepth, window_depth
@@ -67,7 +67,7 @@ class Frames(Protocol):
     def grey(self, number: int) -> np.ndarray:
         """Return a frame, (H, W) float32."""
 
-    def counted(self, number: int) -> np.ndarray | None:
+    def used_pixels(self, number: int) -> np.ndarray | None:
         """Return the mask of the pixels that count, (H, W) bool; None if all do."""
 
 
@@ -78,81 +78,94 @@ class PieceDepths:
         self,
         frames: Frames,
         piece: Piece,
-        seen: Sequence[Observations],  # tracks of every frame
+        observations: Sequence[Observations],  # tracks of every frame
         settings: Settings,
         effort: Effort,
         *,
         # (int, WindowDepth): a keyframe whose depth is known already, and this depth. Depth is
         # found for later frames only.
-        before: tuple[int, WindowDepth] | None = None,
-        after: int = -1,  # frames up to this number are skipped, except keyframes
+        start_keyframe: tuple[int, WindowDepth] | None = None,
+        written_until: int = -1,  # frames up to this number are skipped, except keyframes
         # Height and width of the uncropped frames, if the frames are crops. Depth is found as in
         # the uncropped frames.
-        whole: tuple[int, int] | None = None,
+        uncropped_shape: tuple[int, int] | None = None,
     ) -> None:
-        self._frames, self._piece, self._seen = frames, piece, seen
+        self._frames, self._piece, self._observations = frames, piece, observations
         self._settings, self._effort = settings, effort
         self._camera = frames.camera
-        self._whole = whole or frames.shape
-        self._previous, self._after = None if before is None else before[0], after
-        # `_known` has the depth of each keyframe in use from its own window (except for `before`),
-        # `settled` the final depth.
-        self._known: dict[int, WindowDepth] = {} if before is None else dict([before])
+        self._uncropped_shape = uncropped_shape or frames.shape
+        self._start_key, self._written_until = (
+            None if start_keyframe is None else start_keyframe[0],
+            written_until,
+        )
+        # `_window_depths` has the depth of each keyframe in use from its own window (except for
+        # `start_keyframe`), `final_depths` the final depth.
+        self._window_depths: dict[int, WindowDepth] = (
+            {} if start_keyframe is None else dict([start_keyframe])
+        )
         # final depth of the last keyframe and of the one before it: fused with the depth of their
         # neighbour keyframes
-        self.settled = dict(self._known)
+        self.final_depths = dict(self._window_depths)
         # Chosen at the start. The iteration removes keyframes that get no depth.
-        self.keyframes = choose_keyframes(piece, seen, max(self._whole), self._previous)
+        self.keyframes = choose_keyframes(
+            piece, observations, max(self._uncropped_shape), self._start_key
+        )
 
     def __iter__(self) -> Iterator[FrameDepth]:
         """Yield the depth of each frame that has any; a keyframe waits until the next is known."""
-        previous = self._previous
+        previous = self._start_key
         for key in list(self.keyframes):
-            found = self._keyframe(key, previous, self._effort)
-            if found is None:
+            depth = self._keyframe_depth(key, previous, self._effort)
+            if depth is None:
                 self.keyframes.remove(key)
                 continue
-            self._known[key] = found
+            self._window_depths[key] = depth
             if previous is not None:
-                yield from self._up_to(previous)
-                self._known = {k: v for k, v in self._known.items() if k >= previous}
+                yield from self._finish_keyframe(previous)
+                self._window_depths = {
+                    k: v for k, v in self._window_depths.items() if k >= previous
+                }
             previous = key
         if previous is not None:
-            yield from self._up_to(previous)
-            yield from self._between(previous, max(self._piece.poses) + 1)
+            yield from self._finish_keyframe(previous)
+            yield from self._frames_between(previous, max(self._piece.poses) + 1)
 
-    def _up_to(self, key: int) -> Iterator[FrameDepth]:
+    def _finish_keyframe(self, key: int) -> Iterator[FrameDepth]:
         """Yield a keyframe with known neighbours, and the frames between it and the one before."""
-        if key in self.settled:
+        if key in self.final_depths:
             return
-        after = max(self.settled, default=min(self._piece.poses) - 1)
-        found = self.settled[key] = self._compared(key)
-        yield self._given_out(key, found.inverse_depth, found.deviation)
-        yield from self._between(after, key)
-        self.settled = {key: found}
+        after = max(self.final_depths, default=min(self._piece.poses) - 1)
+        depth = self.final_depths[key] = self._fuse_neighbours(key)
+        yield self._written_depth(key, depth.inverse_depth, depth.deviation)
+        yield from self._frames_between(after, key)
+        self.final_depths = {key: depth}
 
-    def _compared(self, key: int) -> WindowDepth:
+    def _fuse_neighbours(self, key: int) -> WindowDepth:
         """Return the depth of a keyframe, fused with that of the keyframes before and after it.
 
         Differences between the keyframes raise the deviation: they show errors of poses and of
         matches that a single window cannot see.
         """
-        found = self._known[key]
+        depth = self._window_depths[key]
         shape = self._frames.shape
-        own, spread = (
+        own_depth, own_deviation = (
             image[::COMPARE_STRIDE, ::COMPARE_STRIDE]
-            for image in (found.inverse_depth, found.deviation)
+            for image in (depth.inverse_depth, depth.deviation)
         )
         others = [
-            self._shown(self._known[k], k, key, COMPARE_STRIDE) for k in self._known if k != key
+            self._render_keyframe(self._window_depths[k], k, key, COMPARE_STRIDE)
+            for k in self._window_depths
+            if k != key
         ]
         mean, deviation = fuse_views(
-            raise_deviation_where_different([(own, spread), *others], DIFFERENCE_TO_DEVIATION)
+            add_difference_to_deviation(
+                [(own_depth, own_deviation), *others], DIFFERENCE_TO_DEVIATION
+            )
         )
         # The keyframe's own depth is known at every pixel; only the correction is upsampled.
-        inverse_depth = found.inverse_depth * upsample(mean / own, COMPARE_STRIDE, shape)
+        inverse_depth = depth.inverse_depth * upsample(mean / own_depth, COMPARE_STRIDE, shape)
         deviation = upsample(deviation, COMPARE_STRIDE, shape)
-        return replace(found, inverse_depth=inverse_depth, deviation=deviation)
+        return replace(depth, inverse_depth=inverse_depth, deviation=deviation)
 
     def keyframe_windows(self) -> list[KeyframeWindow]:
         """Return windows of keyframes with rough depth, and the frames up to the next keyframes."""
@@ -160,109 +173,114 @@ class PieceDepths:
         limits = [frames[0], *self.keyframes, frames[-1]]
         windows = []
         for number, key in enumerate(self.keyframes):
-            found = self._keyframe(key, None, "fast")
-            if found is None:
+            depth = self._keyframe_depth(key, None, "fast")
+            if depth is None:
                 continue
             first, last = limits[number], limits[number + 2]
             members = [frame for frame in frames if first <= frame <= last and frame != key]
-            about = self._frames.grey(key), found.inverse_depth, found.deviation
-            for begin in range(0, len(members), MAX_WINDOW_FRAMES):
-                lot = members[begin : begin + MAX_WINDOW_FRAMES]
-                windows.append(make_keyframe_window(key, lot, *about, self._frames.counted(key)))
+            images = self._frames.grey(key), depth.inverse_depth, depth.deviation
+            for start in range(0, len(members), MAX_WINDOW_FRAMES):
+                batch = members[start : start + MAX_WINDOW_FRAMES]
+                windows.append(
+                    make_keyframe_window(key, batch, *images, self._frames.used_pixels(key))
+                )
         return windows
 
-    def _between(self, after: int, before: int) -> Iterator[FrameDepth]:
+    def _frames_between(self, after: int, before: int) -> Iterator[FrameDepth]:
         for frame in sorted(self._piece.poses):
-            if max(after, self._after) < frame < before:
-                inverse_depth, deviation = self._rendered(frame)
+            if max(after, self._written_until) < frame < before:
+                inverse_depth, deviation = self._render_depth(frame)
                 if np.isfinite(inverse_depth).any():
-                    yield self._given_out(frame, inverse_depth, deviation)
+                    yield self._written_depth(frame, inverse_depth, deviation)
 
-    def _given_out(
+    def _written_depth(
         self, frame: int, inverse_depth: np.ndarray, deviation: np.ndarray
     ) -> FrameDepth:
         """Return the depth to write; masked pixels show other objects and get no certainty."""
-        counted = self._frames.counted(frame)
-        if counted is not None:
-            deviation = np.where(counted, deviation, np.float32(np.inf))
+        used_pixels = self._frames.used_pixels(frame)
+        if used_pixels is not None:
+            deviation = np.where(used_pixels, deviation, np.float32(np.inf))
         return FrameDepth(frame=frame, inverse_depth=inverse_depth, deviation=deviation)
 
-    def _keyframe(self, key: int, previous: int | None, effort: Effort) -> WindowDepth | None:
+    def _keyframe_depth(self, key: int, previous: int | None, effort: Effort) -> WindowDepth | None:
         """Return the depth of a keyframe from the frames around it; None if they do not show it.
 
         The frames are chosen with a rough depth from the tracks, or else from the keyframe before.
         """
         poses = self._piece.poses
-        places, depths = track_depths(self._seen[key], self._piece.points, poses[key])
-        rough = _spread(places, depths, self._frames.shape)
+        points, depths = track_depths(self._observations[key], self._piece.points, poses[key])
+        rough = _nearest_track_depth(points, depths, self._frames.shape)
         if rough is None and previous is not None:
-            rough = self._shown(self._known[previous], previous, key, 1)[0]
+            rough = self._render_keyframe(self._window_depths[previous], previous, key, 1)[0]
         if rough is None or not np.isfinite(rough).any():
             return None
-        near = [f for f in poses if abs(f - key) <= MAX_FRAME_DISTANCE]
+        nearby = [f for f in poses if abs(f - key) <= MAX_FRAME_DISTANCE]
         neighbours = choose_neighbours(
-            np.array([poses[f] for f in near]),
-            near.index(key),
+            np.array([poses[f] for f in nearby]),
+            nearby.index(key),
             rough,
             self._camera,
             self._frames.shape,
-            most=MAX_NEIGHBOURS[effort],
-            whole=self._whole,
+            max_count=MAX_NEIGHBOURS[effort],
+            uncropped_shape=self._uncropped_shape,
         )
-        chosen = [near[k] for k in neighbours]
-        if not chosen:
+        others = [nearby[k] for k in neighbours]
+        if not others:
             return None
-        motions = np.array([(np.linalg.inv(poses[f]) @ poses[key])[:3] for f in chosen])
+        motions = np.array([(np.linalg.inv(poses[f]) @ poses[key])[:3] for f in others])
         return window_depth(
             self._frames.grey(key),
-            [self._frames.grey(f) for f in chosen],
+            [self._frames.grey(f) for f in others],
             motions,
             self._camera,
             self._settings,
             effort=effort,
-            key_mask=self._frames.counted(key),
-            masks=[self._frames.counted(f) for f in chosen],
-            whole=self._whole,
+            key_mask=self._frames.used_pixels(key),
+            masks=[self._frames.used_pixels(f) for f in others],
+            uncropped_shape=self._uncropped_shape,
         )
 
-    def _shown(self, known: WindowDepth, key: int, frame: int, stride: int) -> View:
+    def _render_keyframe(self, source: WindowDepth, key: int, frame: int, stride: int) -> View:
         """Return the depth of a keyframe, rendered into a frame, and its deviation; NaN for none.
 
         They have every `stride`-th row and column, from 0.
         """
         poses = self._piece.poses
         motion = (np.linalg.inv(poses[frame]) @ poses[key])[:3]
-        depth, spread = (
-            np.ascontiguousarray(np.nan_to_num(one[::stride, ::stride], posinf=0.0))
-            for one in (known.inverse_depth, known.deviation)
+        depth, std = (
+            np.ascontiguousarray(np.nan_to_num(image[::stride, ::stride], posinf=0.0))
+            for image in (source.inverse_depth, source.deviation)
         )
-        out, deviation = (np.empty(depth.shape, np.float32) for _ in range(2))
+        inverse_depth, deviation = (np.empty(depth.shape, np.float32) for _ in range(2))
         cx, cy = self._camera.center_for(*self._frames.shape)
         rendered(
             depth,
-            spread,
+            std,
             motion,
-            out,
+            inverse_depth,
             deviation,
             center=(cx / stride, cy / stride),
             focal=self._camera.focal / stride,
         )
-        seen = out > 0
-        return np.where(seen, out, np.nan), np.where(seen, deviation, np.nan)
+        visible = inverse_depth > 0
+        return np.where(visible, inverse_depth, np.nan), np.where(visible, deviation, np.nan)
 
-    def _rendered(self, frame: int) -> View:
+    def _render_depth(self, frame: int) -> View:
         """Return the depth of a frame, rendered from the keyframes, and its deviation."""
         stride = RENDER_STRIDE[self._effort]
-        views = [self._shown(known, key, frame, stride) for key, known in self.settled.items()]
+        views = [
+            self._render_keyframe(depth, key, frame, stride)
+            for key, depth in self.final_depths.items()
+        ]
         inverse_depth, deviation = fuse_views(views)
         grey = np.ascontiguousarray(self._frames.grey(frame)[::stride, ::stride])
-        found, spread = align_edges(*fill_holes(inverse_depth, deviation, grey), grey)
+        filled, filled_deviation = align_edges(*fill_holes(inverse_depth, deviation, grey), grey)
         shape = self._frames.shape
-        return upsample(found, stride, shape), upsample(spread, stride, shape)
+        return upsample(filled, stride, shape), upsample(filled_deviation, stride, shape)
 
 
 def choose_keyframes(
-    piece: Piece, seen: Sequence[Observations], side: int, previous: int | None = None
+    piece: Piece, observations: Sequence[Observations], side: int, previous: int | None = None
 ) -> list[int]:
     """Return the frames of a piece, in order, between which the tracks move far enough.
 
@@ -271,26 +289,28 @@ def choose_keyframes(
     frames = sorted(piece.poses)
     keys = frames[:1] if previous is None else [previous]
     for frame in frames[bisect_right(frames, keys[0]) :]:
-        before, now = seen[keys[-1]], seen[frame]
-        index0, index1 = before.shared(now)
-        if len(index0) < max(1, MIN_KEPT_TRACKS * len(before.tracks)):
+        last, current = observations[keys[-1]], observations[frame]
+        index0, index1 = last.shared(current)
+        if len(index0) < max(1, MIN_KEPT_TRACKS * len(last.tracks)):
             keys.append(frame)
             continue
-        moved = np.hypot(*(now.points[index1] - before.points[index0]).T)
-        if np.median(moved) > MIN_MOTION * side:
+        distances = np.hypot(*(current.points[index1] - last.points[index0]).T)
+        if np.median(distances) > MIN_MOTION * side:
             keys.append(frame)
     return keys if previous is None else keys[1:]
 
 
-def _spread(places: np.ndarray, depths: np.ndarray, shape: tuple[int, int]) -> np.ndarray | None:
+def _nearest_track_depth(
+    points: np.ndarray, depths: np.ndarray, shape: tuple[int, int]
+) -> np.ndarray | None:
     """Return the inverse depth of the nearest track at every pixel; None without tracks."""
     if len(depths) == 0:
         return None
-    x, y = np.rint(places).astype(np.intp).T
-    values, unknown = np.zeros(shape, np.float32), np.ones(shape, np.uint8)
-    values[y, x], unknown[y, x] = 1 / depths, 0
+    x, y = np.rint(points).astype(np.intp).T
+    values, no_track = np.zeros(shape, np.float32), np.ones(shape, np.uint8)
+    values[y, x], no_track[y, x] = 1 / depths, 0
     _, nearest = cv2.distanceTransformWithLabels(
-        unknown, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+        no_track, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
     )
     table = np.zeros(nearest.max() + 1, np.float32)
     table[nearest[y, x]] = values[y, x]
@@ -299,8 +319,8 @@ def _spread(places: np.ndarray, depths: np.ndarray, shape: tuple[int, int]) -> n
 
 def median_depth(inverse_depth: np.ndarray) -> float:
     """Return the median depth of a frame; 1 if it has none."""
-    known = inverse_depth[np.isfinite(inverse_depth) & (inverse_depth > 0)]
-    return 1 / float(np.median(known)) if len(known) else 1.0
+    valid = inverse_depth[np.isfinite(inverse_depth) & (inverse_depth > 0)]
+    return 1 / float(np.median(valid)) if len(valid) else 1.0
 
 
 def depth_effort(settings: Settings) -> Effort:

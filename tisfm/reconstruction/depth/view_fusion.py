@@ -43,30 +43,32 @@ def relative_difference(
     """Return the mean relative difference of others from an inverse depth around every pixel."""
     total, count = np.zeros((2, *inverse_depth.shape), np.float32)
     for other in others:
-        share = np.abs(other - inverse_depth) / inverse_depth
-        shown = np.isfinite(share)
-        total += np.where(shown, np.minimum(share, np.float32(DIFFERENCE_LIMIT)), 0)
-        count += shown
-    seen = count > 0
-    if not seen.any():
+        difference = np.abs(other - inverse_depth) / inverse_depth
+        valid = np.isfinite(difference)
+        total += np.where(valid, np.minimum(difference, np.float32(DIFFERENCE_LIMIT)), 0)
+        count += valid
+    compared = count > 0
+    if not compared.any():
         return total
-    usual = np.float32(MEDIAN_WEIGHT) * np.median(total[seen] / count[seen])
+    median_term = np.float32(MEDIAN_WEIGHT) * np.median(total[compared] / count[compared])
     side = 2 * round(WINDOW_SHARE * max(inverse_depth.shape) / 2) + 1
-    around = cv2.blur(np.dstack([total, count]), (side, side))
-    apart: np.ndarray = (around[..., 0] + usual) / (around[..., 1] + np.float32(MEDIAN_WEIGHT))
-    return apart
+    blurred = cv2.blur(np.dstack([total, count]), (side, side))
+    mean_difference: np.ndarray = (blurred[..., 0] + median_term) / (
+        blurred[..., 1] + np.float32(MEDIAN_WEIGHT)
+    )
+    return mean_difference
 
 
-def raise_deviation_where_different(views: Sequence[View], times: float) -> list[View]:
-    """Return views whose deviation is raised by `times` their difference from the others."""
+def add_difference_to_deviation(views: Sequence[View], factor: float) -> list[View]:
+    """Return views whose deviation is raised by `factor` times their difference from the others."""
     depths = [depth for depth, _ in views]
-    unsure = []
+    raised = []
     for number, (depth, deviation) in enumerate(views):
-        apart = np.float32(times) * relative_difference(
+        difference = np.float32(factor) * relative_difference(
             depth, depths[:number] + depths[number + 1 :]
         )
-        unsure.append((depth, np.hypot(deviation, apart * depth)))
-    return unsure
+        raised.append((depth, np.hypot(deviation, difference * depth)))
+    return raised
 
 
 def fuse_views(
@@ -77,12 +79,12 @@ def fuse_views(
     Returns inverse_depth, deviation, (H, W) float32: naN where there is none. The keyframes are
     found from overlapping sets of images, so the mean has no smaller deviation than they have.
     """
-    depths, spreads = map(np.stack, zip(*views, strict=True))
-    known = np.isfinite(depths) & np.isfinite(spreads)
-    depths, spreads = (np.where(known, each, np.float32(0)) for each in (depths, spreads))
-    out, deviation = np.empty((2, *depths.shape[1:]), np.float32)
-    merged(depths, spreads, out, deviation, alike=MAX_DIFFERENCE)
-    return np.where(out > 0, out, np.nan), np.where(out > 0, deviation, np.nan)
+    depths, deviations = map(np.stack, zip(*views, strict=True))
+    valid = np.isfinite(depths) & np.isfinite(deviations)
+    depths, deviations = (np.where(valid, each, np.float32(0)) for each in (depths, deviations))
+    out, out_deviation = np.empty((2, *depths.shape[1:]), np.float32)
+    merged(depths, deviations, out, out_deviation, alike=MAX_DIFFERENCE)
+    return np.where(out > 0, out, np.nan), np.where(out > 0, out_deviation, np.nan)
 
 
 def fill_holes(
@@ -95,24 +97,24 @@ def fill_holes(
 
     Slopes are continued as well, up to image edges (`tisfm.solver.second_order`).
     """
-    known = np.isfinite(inverse_depth)
-    if known.all() or not known.any():
-        return inverse_depth, np.where(known, deviation, np.inf).astype(np.float32)
+    valid = np.isfinite(inverse_depth)
+    if valid.all() or not valid.any():
+        return inverse_depth, np.where(valid, deviation, np.inf).astype(np.float32)
     level = 0
     while frame.size >> 2 * level > MAX_FILL_CELLS:
         level += 1
     side = 2**level
     height, width = (-(-length // side) for length in frame.shape)
-    least = np.float32(np.quantile(inverse_depth[known], FAR_SHARE) / MAX_DEPTH_FACTOR)
-    scale = np.float32(FILL_MEDIAN / np.median(inverse_depth[known]))
-    images = np.stack([known, np.where(known, scale * inverse_depth, 0), frame])
-    share, target, small = reduced(images.astype(np.float32), side, height, width)
-    target = np.divide(target, share, out=np.zeros_like(target), where=share > 0)
-    carried, _ = fill(target, share, small, second_order(level), iterations=1)
-    value = np.maximum(enlarged(carried[None] / scale, side, *frame.shape)[0], least)
+    min_value = np.float32(np.quantile(inverse_depth[valid], FAR_SHARE) / MAX_DEPTH_FACTOR)
+    scale = np.float32(FILL_MEDIAN / np.median(inverse_depth[valid]))
+    images = np.stack([valid, np.where(valid, scale * inverse_depth, 0), frame])
+    coverage, target, small_frame = reduced(images.astype(np.float32), side, height, width)
+    target = np.divide(target, coverage, out=np.zeros_like(target), where=coverage > 0)
+    filled, _ = fill(target, coverage, small_frame, second_order(level), iterations=1)
+    value = np.maximum(enlarged(filled[None] / scale, side, *frame.shape)[0], min_value)
     return (
-        np.where(known, inverse_depth, value).astype(np.float32),
-        np.where(known, deviation, FILLED_DEVIATION * value).astype(np.float32),
+        np.where(valid, inverse_depth, value).astype(np.float32),
+        np.where(valid, deviation, FILLED_DEVIATION * value).astype(np.float32),
     )
 
 
@@ -127,14 +129,14 @@ def upsample(
     and the pixel repeats the value before it.
     """
     while stride > 1:
-        image = _twice_the_rows(_twice_the_rows(image).T).T
+        image = _double_rows(_double_rows(image).T).T
         stride //= 2
     return np.ascontiguousarray(image[: shape[0], : shape[1]])
 
 
-def _twice_the_rows(image: np.ndarray) -> np.ndarray:
+def _double_rows(image: np.ndarray) -> np.ndarray:
     out = image.repeat(2, axis=0)
-    before, after = image[:-1], image[1:]
-    alike = np.abs(after - before) < MAX_SMOOTH_STEP * np.minimum(before, after)
-    out[1:-1:2] = np.where(alike, (before + after) / 2, before)
+    previous, following = image[:-1], image[1:]
+    is_smooth = np.abs(following - previous) < MAX_SMOOTH_STEP * np.minimum(previous, following)
+    out[1:-1:2] = np.where(is_smooth, (previous + following) / 2, previous)
     return out

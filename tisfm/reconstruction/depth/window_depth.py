@@ -29,7 +29,7 @@ from tisfm.reconstruction.depth.window_planes import (
     MAX_COST,
     Window,
     WindowPlanes,
-    costs_of,
+    plane_costs,
     window_planes,
 )
 from tisfm.settings import Settings
@@ -97,7 +97,7 @@ class WindowDepth:
 
     inverse_depth: np.ndarray  # (H, W) float32: 1/unit of the poses; positive
     deviation: np.ndarray  # (H, W) float32: standard deviation of the inverse depth
-    believed: np.ndarray  # (h, w) bool: cells, 2^`level` px a side, with a reliable match
+    reliable: np.ndarray  # (h, w) bool: cells, 2^`level` px a side, with a reliable match
     level: int
 
 
@@ -113,7 +113,8 @@ def window_depth(
     key_mask: np.ndarray | None = None,
     # sequence of (H, W) bool or None: pixels of each other frame that count
     masks: Sequence[np.ndarray | None] | None = None,
-    whole: tuple[int, int] | None = None,  # H and W of the uncropped frames, as for `Window`
+    uncropped_shape: tuple[int, int]
+    | None = None,  # H and W of the uncropped frames, as for `Window`
 ) -> WindowDepth | None:  # none if there are too few reliable matches
     """Estimate the inverse depth of every pixel of a keyframe.
 
@@ -123,7 +124,7 @@ def window_depth(
     others = list(others)
     if effort not in CELLS:
         raise InputError(f"effort is {effort!r}: expected one of {', '.join(map(repr, CELLS))}")
-    motions = _checked(key, others, motions, key_mask, masks)
+    motions = _check_motions(key, others, motions, key_mask, masks)
     runtime.start()
     window = Window(
         key,
@@ -133,24 +134,24 @@ def window_depth(
         cells=CELLS[effort],
         key_mask=key_mask,
         masks=masks,
-        whole=whole,
+        uncropped_shape=uncropped_shape,
     )
     planes = window_planes(window)
     anchors = match_weights(window, planes)
-    planes = replace(planes, believed=anchors[0] > 0)
-    if planes.believed.sum() < max(1, MIN_MATCHED_SHARE * window.counted.sum()):
+    planes = replace(planes, reliable=anchors[0] > 0)
+    if planes.reliable.sum() < max(1, MIN_MATCHED_SHARE * window.used_cells.sum()):
         return None
-    state = _Data(window, settings, anchors)
+    refinement = _DepthRefinement(window, settings, anchors)
     for _ in range(WARPS):
-        state.step()
-    depth = state.depth()
-    least = np.quantile(planes.inverse_depth[planes.believed], FAR_SHARE) / MAX_DEPTH_FACTOR
-    depth = np.maximum(depth, np.float32(least))
-    deviation = _deviation(planes, depth, state.residual())
+        refinement.step()
+    depth = refinement.depth()
+    min_depth = np.quantile(planes.inverse_depth[planes.reliable], FAR_SHARE) / MAX_DEPTH_FACTOR
+    depth = np.maximum(depth, np.float32(min_depth))
+    deviation = _deviation(planes, depth, refinement.residual())
     side, scale = 2**window.level, window.unit * window.camera_of(window.level).focal
-    found = enlarged(np.stack([depth, deviation]) / np.float32(scale), side, *key.shape)
+    images = enlarged(np.stack([depth, deviation]) / np.float32(scale), side, *key.shape)
     return WindowDepth(
-        inverse_depth=found[0], deviation=found[1], believed=planes.believed, level=window.level
+        inverse_depth=images[0], deviation=images[1], reliable=planes.reliable, level=window.level
     )
 
 
@@ -170,7 +171,7 @@ def second_order(level: int) -> SecondOrderSettings:
     )
 
 
-class _Data:
+class _DepthRefinement:
     """Depth of the cells, its slopes, and the data terms of all frames."""
 
     def __init__(
@@ -180,18 +181,20 @@ class _Data:
         anchors: np.ndarray,  # (2, h, w) float32: weight of each cell, and its matched D, cells
     ) -> None:
         level = window.level
-        frame, camera = window.of_cells(0), window.camera_of(level)
+        frame, camera = window.at_cell_level(0), window.camera_of(level)
         smoothness = second_order(level)
         depth, slopes = fill(anchors[1], anchors[0], frame, smoothness, iterations=1)
         self._grid = grid = runtime.lane_grid(*frame.shape)
         unknowns = Unknowns(grid, camera, 1)
-        textured = texture_weight(frame, half_variance=HALF_WEIGHT_TEXTURE) * window.counted
-        held = np.stack([anchors[0] * (1 - (1 - MATCH_SHARE_LEFT) * textured), anchors[1]])
+        textured = texture_weight(frame, half_variance=HALF_WEIGHT_TEXTURE) * window.used_cells
+        weighted_anchors = np.stack(
+            [anchors[0] * (1 - (1 - MATCH_SHARE_LEFT) * textured), anchors[1]]
+        )
         constraint = grid.allocate(3)
         self._sums = sums = grid.allocate(3)
         self._minimiser = minimiser = SecondOrderMinimiser(
             grid,
-            anchors_in_lanes(grid, held),
+            anchors_in_lanes(grid, weighted_anchors),
             image_edges_in_lanes(grid, frame, smoothness.image_edges),
             smoothness,
             constraints=constraint,
@@ -203,13 +206,15 @@ class _Data:
         flow, direction = grid.allocate(2, zeros=False), grid.allocate(2, zeros=False)
         tensor = grid.allocate(6)
         constancy = depth_problem(settings, camera.focal).constancy
-        seen = np.maximum(1 - costs_of(window, depth, slopes) / np.float32(MAX_COST), 0) * textured
+        visibility = (
+            np.maximum(1 - plane_costs(window, depth, slopes) / np.float32(MAX_COST), 0) * textured
+        )
         self._linearise: list[Callable[[], None]] = []
         for j, motion in enumerate(window.motions):
-            other = window.of_cells(1 + j)
+            other = window.at_cell_level(1 + j)
             data = DataTerm(grid, frame, other, spline_taps(other), constancy, mean_step(frame))
             weight = grid.allocate(1)
-            image_to_lanes(grid, np.float32(DATA_WEIGHT) * seen[j], weight)
+            image_to_lanes(grid, np.float32(DATA_WEIGHT) * visibility[j], weight)
             self._linearise.append(
                 in_turn(
                     displacement.bind(
@@ -227,14 +232,14 @@ class _Data:
                     add_along.bind(grid, tensor, flow, direction, inverse_depth, weight, sums),
                 )
             )
-        self._as_constraint = as_constraint.bind(grid, sums, constraint)
+        self._bound_constraint = as_constraint.bind(grid, sums, constraint)
 
     def step(self) -> None:
         """Linearise every frame once, and minimise."""
         self._sums.fill(0)
         for linearise in self._linearise:
             linearise()
-        self._as_constraint()
+        self._bound_constraint()
         self._minimiser.update()
         self._minimiser.minimise(ITERATIONS)
 
@@ -254,27 +259,27 @@ def _deviation(
     planes: WindowPlanes, depth: np.ndarray, residual: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
     """Return the standard deviation of D, (h, w) float32, cells."""
-    far = cv2.distanceTransform((~planes.believed).astype(np.uint8), cv2.DIST_L2, 5)
-    far *= 2**planes.level
+    distance = cv2.distanceTransform((~planes.reliable).astype(np.uint8), cv2.DIST_L2, 5)
+    distance *= 2**planes.level
     precision, square = (cv2.blur(image, AVERAGING_WINDOW) for image in residual)
     square = np.minimum(square / np.maximum(precision, LEAST_DIVISOR), MAX_RESIDUAL**2)
-    believed = planes.believed.astype(np.float32)
-    moved = cv2.blur(believed * np.abs(depth - planes.inverse_depth), AVERAGING_WINDOW)
-    moved = moved / np.maximum(
-        cv2.blur(believed, AVERAGING_WINDOW), np.float32(1 / math.prod(AVERAGING_WINDOW))
+    reliable = planes.reliable.astype(np.float32)
+    difference = cv2.blur(reliable * np.abs(depth - planes.inverse_depth), AVERAGING_WINDOW)
+    difference = difference / np.maximum(
+        cv2.blur(reliable, AVERAGING_WINDOW), np.float32(1 / math.prod(AVERAGING_WINDOW))
     )
-    moved = np.float32(DIFFERENCE_SHARE) * moved**2 / (moved + SCATTER_SHARE)
+    difference = np.float32(DIFFERENCE_SHARE) * difference**2 / (difference + SCATTER_SHARE)
     deviation: np.ndarray = np.sqrt(
         MIN_DEVIATION**2
         + RESIDUAL_SHARE**2 * square
-        + moved**2
-        + (DEVIATION_PER_PIXEL * far * depth) ** 2,
+        + difference**2
+        + (DEVIATION_PER_PIXEL * distance * depth) ** 2,
         dtype=np.float32,
     )
     return deviation
 
 
-def _checked(
+def _check_motions(
     key: np.ndarray,
     others: list[np.ndarray],
     motions: np.ndarray,

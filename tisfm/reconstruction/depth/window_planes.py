@@ -63,7 +63,7 @@ class WindowPlanes:
     level: int
     inverse_depth: np.ndarray  # (h, w) float32: D, px
     slopes: np.ndarray  # (2, h, w) float32: ∂D/∂x and ∂D/∂y, px per cell
-    believed: np.ndarray  # (h, w) bool
+    reliable: np.ndarray  # (h, w) bool
 
 
 class Window:
@@ -85,7 +85,7 @@ class Window:
         Pixels of the keyframe that count; by default all.
     masks : sequence of (H, W) bool or None, optional
         Pixels of each other frame that count.
-    whole : (int, int), optional
+    uncropped_shape : (int, int), optional
         H and W of the uncropped frames, if the frames are crops. Density of cells and search range
         are those of the uncropped frames.
 
@@ -105,7 +105,7 @@ class Window:
         Largest D of the search, px of level 0.
     finest, level : int
         The level whose windows are compared last, and the level of the cells.
-    counted : (h, w) bool
+    used_cells : (h, w) bool
         Cells of the keyframe that count.
     """
 
@@ -119,16 +119,16 @@ class Window:
         cells: int,
         key_mask: np.ndarray | None = None,
         masks: Sequence[np.ndarray | None] | None = None,
-        whole: tuple[int, int] | None = None,
+        uncropped_shape: tuple[int, int] | None = None,
     ) -> None:
         self.camera = camera
-        height, width = whole or key.shape
+        height, width = uncropped_shape or key.shape
         self.unit = self._unit(motions, key.shape)
         self.motions = np.array(motions, np.float64)
         self.motions[:, :, 3] /= self.unit
         self.size = key.shape
-        met = float(np.median([_where_axes_meet(motion) for motion in self.motions]))
-        self.largest = LARGEST * max(height, width) + camera.focal * met
+        axes_depth = float(np.median([_axes_meeting_depth(motion) for motion in self.motions]))
+        self.largest = LARGEST * max(height, width) + camera.focal * axes_depth
         self.finest = self.level = 0
         while height * width >> 2 * self.finest > MOST:
             self.finest += 1
@@ -141,10 +141,10 @@ class Window:
             gaussian_pyramid(smooth(frame, PRESMOOTHING), 0.5, levels) for frame in (key, *others)
         ]
         height, width = self.shape
-        self.counted = np.ones((height, width), bool)
+        self.used_cells = np.ones((height, width), bool)
         if key_mask is not None:
-            self.counted = _share_of_cells(key_mask, 2**self.level) > 0.5
-            self.counted = self.counted[:height, :width]
+            self.used_cells = _cell_coverage(key_mask, 2**self.level) > 0.5
+            self.used_cells = self.used_cells[:height, :width]
         self._masks = masks or [None] * len(others)
 
     @property
@@ -163,7 +163,7 @@ class Window:
         """Return the camera of a level."""
         return self.camera.scaled(0.5**level, *self.size) if level else self.camera
 
-    def of_cells(self, frame: int) -> np.ndarray:
+    def at_cell_level(self, frame: int) -> np.ndarray:
         """Return a frame, by its number (0 is the keyframe), at the level of the cells."""
         height, width = self.shape
         return np.ascontiguousarray(self.frames[frame][self.level][:height, :width])
@@ -189,7 +189,7 @@ class Window:
         return self._search(self.finest, 2 ** (self.level - self.finest))
 
     def _search(self, level: int, stride: int) -> ViewSearch:
-        low, gain, noise = self._greys
+        low, gain, noise = self._grey_scaling
         density = 0.5 ** (level - self.finest)
         frames = [
             np.clip(gain * (frame[level] - low), 0, LEVELS).astype(np.float32)
@@ -197,7 +197,7 @@ class Window:
         ]
         for levels, mask in zip(frames[1:], self._masks, strict=True):
             if mask is not None:
-                _hide(levels, mask)
+                _replace_masked(levels, mask)
         camera = self.camera_of(level)
         scale = 0.5**level
         return ViewSearch(
@@ -215,7 +215,7 @@ class Window:
         )
 
     @cached_property
-    def _greys(self) -> tuple[np.float32, np.float32, float]:
+    def _grey_scaling(self) -> tuple[np.float32, np.float32, float]:
         """Scaling of grey levels before comparison: the lowest, a factor, and the scaled noise."""
         finest = [frame[self.finest] for frame in self.frames]
         low, gain = grey_scale(finest[0], finest[1])
@@ -236,48 +236,48 @@ def mean_parallax(motion: np.ndarray, camera: Camera, shape: tuple[int, ...]) ->
     return float(np.sqrt(np.mean((t1 - x * t3) ** 2 + (t2 - y * t3) ** 2)))
 
 
-def _where_axes_meet(motion: np.ndarray) -> float:
+def _axes_meeting_depth(motion: np.ndarray) -> float:
     """Return the inverse depth at which the optical axes of two cameras come nearest, or 0."""
-    sight, translation = motion[:2, 2], motion[:2, 3]
+    axis, translation = motion[:2, 2], motion[:2, 3]
     square = float(translation @ translation)
-    return max(0.0, -float(sight @ translation) / square) if square > 0 else 0.0
+    return max(0.0, -float(axis @ translation) / square) if square > 0 else 0.0
 
 
 def window_planes(window: Window) -> WindowPlanes:
     """Match planes of a keyframe in several frames at once, from coarse cells to fine ones."""
     searches = window.searches()
     level, search, _ = searches[0]
-    planes = _drawn(window, search, level)
+    planes = _random_planes(window, search, level)
     side = 0
-    for turn, (finer, search, stride) in enumerate(searches):
-        if turn:
+    for index, (finer, search, stride) in enumerate(searches):
+        if index:
             if side > stride * 2**finer:
-                planes = _halved(planes)
-            planes = _fitted(planes, search.shape)
+                planes = _halve_cells(planes)
+            planes = _resized(planes, search.shape)
             planes[..., :3] *= np.float32(2.0 ** (level - finer))
         level, side = finer, stride * 2**finer
         search.score(planes)
-        for repeat in range(SEARCH_ROUNDS[min(turn, len(SEARCH_ROUNDS) - 1)]):
-            narrower = DRAW_SHRINKAGE**repeat
+        for search_round in range(SEARCH_ROUNDS[min(index, len(SEARCH_ROUNDS) - 1)]):
+            shrinkage = DRAW_SHRINKAGE**search_round
             search.improve(
                 planes,
                 draws=RANDOM_DRAWS,
-                spread=(DRAW_SPREAD[1] if turn else DRAW_SPREAD[0]) * narrower,
-                tilt=stride * DRAW_TILT * narrower,
-                seed=turn * max(SEARCH_ROUNDS) + repeat,
+                spread=(DRAW_SPREAD[1] if index else DRAW_SPREAD[0]) * shrinkage,
+                tilt=stride * DRAW_TILT * shrinkage,
+                seed=index * max(SEARCH_ROUNDS) + search_round,
             )
     planes[..., :3] *= np.float32(0.5 ** (window.level - level))
     depth = np.ascontiguousarray(planes[..., 0])
-    believed = (planes[..., 3] < MAX_COST) & (depth > 0) & window.counted
+    reliable = (planes[..., 3] < MAX_COST) & (depth > 0) & window.used_cells
     return WindowPlanes(
         level=window.level,
         inverse_depth=depth,
         slopes=np.ascontiguousarray(np.moveaxis(planes[..., 1:3], -1, 0)),
-        believed=_without_islands(depth, believed, max(1, MIN_REGION >> 2 * window.level)),
+        reliable=_remove_small_regions(depth, reliable, max(1, MIN_REGION >> 2 * window.level)),
     )
 
 
-def costs_of(
+def plane_costs(
     window: Window,
     inverse_depth: np.ndarray,  # (h, w) float32: D, px of the cells
     slopes: np.ndarray,  # (2, h, w) float32
@@ -293,7 +293,7 @@ def costs_of(
     return out
 
 
-def _drawn(window: Window, search: ViewSearch, level: int) -> np.ndarray:
+def _random_planes(window: Window, search: ViewSearch, level: int) -> np.ndarray:
     """Return random planes, (h, w, 4) float32."""
     random = np.random.default_rng(0).random((*search.shape, 4), np.float32)
     focal = window.camera_of(level).focal
@@ -302,17 +302,17 @@ def _drawn(window: Window, search: ViewSearch, level: int) -> np.ndarray:
     return random
 
 
-def _halved(planes: np.ndarray) -> np.ndarray:
+def _halve_cells(planes: np.ndarray) -> np.ndarray:
     """Return the planes of cells with half the side."""
     finer = planes.repeat(2, axis=0).repeat(2, axis=1)
     for k, axis in ((1, 1), (2, 0)):
         finer[..., k] *= 0.5
-        side = np.where(np.arange(finer.shape[axis]) % 2, 0.5, -0.5).astype(np.float32)
-        finer[..., 0] += finer[..., k] * (side if axis else side[:, None])
+        offset = np.where(np.arange(finer.shape[axis]) % 2, 0.5, -0.5).astype(np.float32)
+        finer[..., 0] += finer[..., k] * (offset if axis else offset[:, None])
     return finer
 
 
-def _fitted(planes: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def _resized(planes: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Return planes cut to a size, or with their last row and column repeated up to it."""
     height, width = shape
     below, right = max(0, height - planes.shape[0]), max(0, width - planes.shape[1])
@@ -321,15 +321,15 @@ def _fitted(planes: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     return np.ascontiguousarray(planes[:height, :width])
 
 
-def _hide(levels: np.ndarray, mask: np.ndarray) -> None:
+def _replace_masked(levels: np.ndarray, mask: np.ndarray) -> None:
     """Replace masked-out pixels by noise, in place."""
     size = levels.shape[::-1]
-    kept = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    used = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     random = np.random.default_rng(MASKED_SEED).random(levels.shape, np.float32)
-    levels[~kept] = (LEVELS * random)[~kept]
+    levels[~used] = (LEVELS * random)[~used]
 
 
-def _share_of_cells(mask: np.ndarray, side: int) -> np.ndarray:
+def _cell_coverage(mask: np.ndarray, side: int) -> np.ndarray:
     """Return the share of every cell, `side` px wide, that a mask covers, (h, w) float32."""
     height, width = (-(-length // side) for length in mask.shape)
     below, right = side * height - mask.shape[0], side * width - mask.shape[1]
@@ -339,9 +339,9 @@ def _share_of_cells(mask: np.ndarray, side: int) -> np.ndarray:
     return cv2.resize(padded, (width, height), interpolation=cv2.INTER_AREA)
 
 
-def _without_islands(depth: np.ndarray, believed: np.ndarray, island: int) -> np.ndarray:
-    """Return the reliable cells of connected regions with at least `island` cells, (h, w) bool."""
-    fixed = np.where(believed, REGION_UNITS * depth + 1, 0).clip(0, np.iinfo(np.int16).max)
-    fixed = fixed.astype(np.int16)
-    cv2.filterSpeckles(fixed, 0, island, REGION_UNITS)
-    return fixed > 0
+def _remove_small_regions(depth: np.ndarray, reliable: np.ndarray, min_cells: int) -> np.ndarray:
+    """Return the reliable cells in regions of at least `min_cells` cells, (h, w) bool."""
+    levels = np.where(reliable, REGION_UNITS * depth + 1, 0).clip(0, np.iinfo(np.int16).max)
+    levels = levels.astype(np.int16)
+    cv2.filterSpeckles(levels, 0, min_cells, REGION_UNITS)
+    return levels > 0

@@ -11,7 +11,7 @@ from typing import IO, Generic, TypeVar
 import numpy as np
 
 T = TypeVar("T")
-_FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
+_DISK_FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
 class DiskCache(Sequence[T], Generic[T]):
@@ -22,13 +22,13 @@ class DiskCache(Sequence[T], Generic[T]):
 
     def __init__(
         self,
-        arrays_of: Callable[[T], tuple[np.ndarray, ...]],  # returns the arrays of an item
-        made_of: Callable[..., T],  # returns the item for such arrays
+        to_arrays: Callable[[T], tuple[np.ndarray, ...]],  # returns the arrays of an item
+        from_arrays: Callable[..., T],  # returns the item for such arrays
     ) -> None:
-        self._arrays_of, self._made_of = arrays_of, made_of
+        self._to_arrays, self._from_arrays = to_arrays, from_arrays
         self._file = tempfile.TemporaryFile(prefix="tisfm-")  # noqa: SIM115
         weakref.finalize(self, _close, self._file)
-        self._end = 0
+        self._file_size = 0
         # For each item: its offset in the file, bytes, and the dtype and shape of each array.
         self._items: list[tuple[int, tuple[tuple[str, tuple[int, ...]], ...]]] = []
 
@@ -37,35 +37,35 @@ class DiskCache(Sequence[T], Generic[T]):
 
         Raises OSError if the temporary file cannot be written.
         """
-        arrays = [np.ascontiguousarray(array) for array in self._arrays_of(item)]
+        arrays = [np.ascontiguousarray(array) for array in self._to_arrays(item)]
         try:
-            self._file.seek(self._end)
+            self._file.seek(self._file_size)
             for array in arrays:
                 self._file.write(array.tobytes())
             self._file.flush()
         except OSError as error:  # for example, the disk is full
             # Another folder does not help against a limit on the size of files (ulimit -f).
-            advice = "; set TMPDIR to another folder" if error.errno in _FULL else ""
+            advice = "; set TMPDIR to another folder" if error.errno in _DISK_FULL else ""
             raise OSError(
                 f"cannot write a temporary file in {tempfile.gettempdir()}: "
                 f"{error.strerror}{advice}"
             ) from error
-        what = tuple((array.dtype.str, array.shape) for array in arrays)
-        self._items.append((self._end, what))
-        self._end += sum(array.nbytes for array in arrays)
+        layouts = tuple((array.dtype.str, array.shape) for array in arrays)
+        self._items.append((self._file_size, layouts))
+        self._file_size += sum(array.nbytes for array in arrays)
 
     def __len__(self) -> int:
         return len(self._items)
 
     def __getitem__(self, number: int) -> T:  # type: ignore[override]
-        begin, what = self._items[number]
-        self._file.seek(begin)
+        offset, layouts = self._items[number]
+        self._file.seek(offset)
         arrays = []
-        for kind, shape in what:
-            size = np.dtype(kind).itemsize * math.prod(shape)
+        for dtype, shape in layouts:
+            size = np.dtype(dtype).itemsize * math.prod(shape)
             content = bytearray(self._file.read(size))  # a bytearray makes the arrays writable
-            arrays.append(np.frombuffer(content, kind).reshape(shape))
-        return self._made_of(*arrays)
+            arrays.append(np.frombuffer(content, dtype).reshape(shape))
+        return self._from_arrays(*arrays)
 
     def __iter__(self) -> Iterator[T]:
         return (self[number] for number in range(len(self)))

@@ -14,7 +14,7 @@ from tisfm.solver.coarse_to_fine import coarse_to_fine
 from tisfm.solver.image_pyramid import ImagePyramid
 
 # Smallest number of pixels of the shrunk frames for image motion. Set by hand.
-FLOW_PIXELS = 2**16
+MIN_FLOW_PIXELS = 2**16
 # Settings of the image motion that tracks follow.
 TRACKING_SETTINGS = Settings.preset("fast")
 
@@ -23,27 +23,27 @@ def find_flow(
     # small0, small1: (h, w) float32
     small0: np.ndarray,
     small1: np.ndarray,
-    share: float,  # scale of the shrunk frames, from `flow_scale`
+    scale: float,  # scale of the shrunk frames, from `flow_scale`
     camera: Camera,  # pinhole camera of the frames
     settings: Settings,
     *,
     # whether to search for objects that move far in relation to their size
-    fast_things: bool = False,
+    search_fast_objects: bool = False,
 ) -> np.ndarray:
     """Return the image motion between two frames of `shrink_for_flow`.
 
     Returns (h, w, 2) float32: motion, px of the shrunk frames; limited to the sum of their sides.
     """
-    scaled = Camera(focal=camera.focal * share)
+    small_camera = Camera(focal=camera.focal * scale)
     pyramid = ImagePyramid(
         small0,
         small1,
-        scaled,
+        small_camera,
         factor=settings.pyramid_factor,
         presmoothing=settings.presmoothing,
     )
-    problem = flow_problem(settings, scaled.focal)
-    amendment = flow_proposals(pyramid, problem) if fast_things else None
+    problem = flow_problem(settings, small_camera.focal)
+    amendment = flow_proposals(pyramid, problem) if search_fast_objects else None
     solution = coarse_to_fine(pyramid, problem, amendment=amendment)
     flow, limit = solution.unknowns.flow(), float(sum(small0.shape))
     if not (flow.min() >= -limit and flow.max() <= limit):  # it diverged, perhaps to NaN
@@ -52,13 +52,13 @@ def find_flow(
 
 
 def shrink_for_flow(grey: np.ndarray) -> np.ndarray:
-    """Return a frame as float32, halved until a further step leaves fewer than `FLOW_PIXELS`."""
+    """Return a frame as float32, halved while it keeps `MIN_FLOW_PIXELS`."""
     small: np.ndarray = grey.astype(np.float32)
-    while small.size >= 4 * FLOW_PIXELS:
+    while small.size >= 4 * MIN_FLOW_PIXELS:
         height, width = small.shape
         size = (width + 1) // 2, (height + 1) // 2
-        even = cv2.copyMakeBorder(small, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)
-        small = cv2.resize(even, size, interpolation=cv2.INTER_AREA)
+        padded = cv2.copyMakeBorder(small, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)
+        small = cv2.resize(padded, size, interpolation=cv2.INTER_AREA)
     return small
 
 
@@ -76,18 +76,18 @@ class FlowCache:
         grey: Callable[[int], np.ndarray],  # returns a frame, (H, W) uint8
     ) -> None:
         self._camera, self._grey = camera, grey
-        self._places: dict[int, int] = {}
-        self._found: DiskCache[np.ndarray] = DiskCache(
+        self._cache_indices: dict[int, int] = {}
+        self._flows: DiskCache[np.ndarray] = DiskCache(
             lambda flow: (flow.astype(np.float16),), lambda flow: flow.astype(np.float32)
         )
 
-    def to(self, number: int) -> np.ndarray:
+    def flow_to(self, number: int) -> np.ndarray:
         """Return the motion from the previous frame, (h, w, 2) float32, px of the shrunk frames."""
-        if number not in self._places:
+        if number not in self._cache_indices:
             before, now = self._grey(number - 1), self._grey(number)
             small = shrink_for_flow(now)
-            share = flow_scale(small, now)
-            flow = find_flow(shrink_for_flow(before), small, share, self._camera, TRACKING_SETTINGS)
-            self._places[number] = len(self._found)
-            self._found.append(flow)
-        return self._found[self._places[number]]
+            scale = flow_scale(small, now)
+            flow = find_flow(shrink_for_flow(before), small, scale, self._camera, TRACKING_SETTINGS)
+            self._cache_indices[number] = len(self._flows)
+            self._flows.append(flow)
+        return self._flows[self._cache_indices[number]]

@@ -14,7 +14,7 @@ from tisfm.settings import Settings
 # px: largest distance from the start after forward and backward motion. Set by hand.
 MAX_RETURN_ERROR = 0.5
 # This share of the length of the motion is added to that distance. Set by hand.
-MAX_RETURN_SHARE = 0.05
+MAX_RELATIVE_RETURN_ERROR = 0.05
 # Flow pairs in memory: more than the longest chain has steps.
 CACHED_PAIRS = 20
 
@@ -44,9 +44,11 @@ class ChainedFlow:
 
     frame: int  # the other frame
     steps: int  # number of frame intervals between the two frames
-    places: np.ndarray  # (H, W, 2) float32: position (x, y) of every pixel in the other frame, px
+    positions: (
+        np.ndarray
+    )  # (H, W, 2) float32: position (x, y) of every pixel in the other frame, px
     # (H, W) bool: whether forward and backward motion agree at every step of the chain
-    found: np.ndarray
+    valid: np.ndarray
 
 
 class ImageMotion:
@@ -61,91 +63,97 @@ class ImageMotion:
 
     Attributes
     ----------
-    share : float
+    scale : float
         Scale of the shrunk frames, their px per px of the sequence's frames.
     """
 
     def __init__(self, camera: Camera, settings: Settings) -> None:
         self._camera, self._settings = camera, settings
-        self._greys = DiskCache(lambda grey: (grey,), lambda grey: grey)
-        self._steps = DiskCache(FlowPair.arrays, FlowPair.of_arrays)
-        self._cached: dict[int, tuple[FlowPair, np.ndarray, np.ndarray]] = {}
+        self._frames = DiskCache(lambda grey: (grey,), lambda grey: grey)
+        self._pairs = DiskCache(FlowPair.arrays, FlowPair.of_arrays)
+        self._cached_pairs: dict[int, tuple[FlowPair, np.ndarray, np.ndarray]] = {}
         self._shape = (0, 0)  # of the sequence's frames
-        self.share = 1.0
+        self.scale = 1.0
 
     def add(self, grey: np.ndarray) -> None:
         """Add the next frame, (H, W) uint8."""
         self._shape = grey.shape
         small = shrink_for_flow(grey)
-        self.share = flow_scale(small, grey)
-        if len(self._greys):
-            before = self._greys[len(self._greys) - 1]
-            self._steps.append(
-                FlowPair(forward=self._flow(before, small), backward=self._flow(small, before))
+        self.scale = flow_scale(small, grey)
+        if len(self._frames):
+            previous = self._frames[len(self._frames) - 1]
+            self._pairs.append(
+                FlowPair(forward=self._flow(previous, small), backward=self._flow(small, previous))
             )
-        self._greys.append(small)
+        self._frames.append(small)
 
     def __len__(self) -> int:
         """Return the number of frames."""
-        return len(self._greys)
+        return len(self._frames)
 
     def grey(self, frame: int) -> np.ndarray:
         """Return a shrunk frame, (H, W) float32."""
-        return self._greys[frame]
+        return self._frames[frame]
 
-    def camera(self, of_frames: Camera | None = None) -> Camera:
+    def camera(self, frame_camera: Camera | None = None) -> Camera:
         """Return the camera of the shrunk frames, from a camera of the sequence's frames."""
-        return (of_frames or self._camera).scaled(self.share, *self._shape)
+        return (frame_camera or self._camera).scaled(self.scale, *self._shape)
 
     def forward(self, frame: int) -> np.ndarray:
         """Return the motion from a frame to the next, (H, W, 2) float32."""
-        return self._step(frame)[0].forward
+        return self._pair(frame)[0].forward
 
     def backward(self, frame: int) -> np.ndarray:
         """Return the motion from a frame to the previous one, (H, W, 2) float32."""
-        return self._step(frame - 1)[0].backward
+        return self._pair(frame - 1)[0].backward
 
-    def chained_flows(self, frame: int, furthest: int) -> Iterator[ChainedFlow]:
-        """Yield chains to later frames, at most `furthest` frames away, then to earlier frames."""
+    def chained_flows(self, frame: int, max_steps: int) -> Iterator[ChainedFlow]:
+        """Yield chains to later frames, at most `max_steps` frames away, then to earlier frames."""
         start = pixel_grid(self.grey(frame).shape)
         for direction in (1, -1):
-            places, found, at = start, np.ones(start.shape[:2], bool), frame
-            for steps in range(1, furthest + 1):
-                if not 0 <= at + direction < len(self):
+            positions, valid, current = start, np.ones(start.shape[:2], bool), frame
+            for steps in range(1, max_steps + 1):
+                if not 0 <= current + direction < len(self):
                     break
-                step, returns, comes = self._step(min(at, at + direction))
-                motion, fits = (step.forward, returns) if direction > 0 else (step.backward, comes)
-                moved = sample_image(motion, places)
-                found = found & (sample_image(fits, places) > 0.99)
-                places, at = places + moved, at + direction
-                yield ChainedFlow(frame=at, steps=steps, places=places, found=found)
+                pair, forward_valid, backward_valid = self._pair(min(current, current + direction))
+                flow, flow_valid = (
+                    (pair.forward, forward_valid)
+                    if direction > 0
+                    else (pair.backward, backward_valid)
+                )
+                displacement = sample_image(flow, positions)
+                valid = valid & (sample_image(flow_valid, positions) > 0.99)
+                positions, current = positions + displacement, current + direction
+                yield ChainedFlow(frame=current, steps=steps, positions=positions, valid=valid)
 
-    def _step(self, frame: int) -> tuple[FlowPair, np.ndarray, np.ndarray]:
+    def _pair(self, frame: int) -> tuple[FlowPair, np.ndarray, np.ndarray]:
         """Return the flow pair from a frame to the next, and the consistency mask of each."""
-        if frame not in self._cached:
-            while len(self._cached) >= CACHED_PAIRS:
-                self._cached.pop(next(iter(self._cached)))
-            step = self._steps[frame]
-            self._cached[frame] = (
-                step,
-                returns_to_start(step.forward, step.backward),
-                returns_to_start(step.backward, step.forward),
+        if frame not in self._cached_pairs:
+            while len(self._cached_pairs) >= CACHED_PAIRS:
+                self._cached_pairs.pop(next(iter(self._cached_pairs)))
+            pair = self._pairs[frame]
+            self._cached_pairs[frame] = (
+                pair,
+                consistency_mask(pair.forward, pair.backward),
+                consistency_mask(pair.backward, pair.forward),
             )
-        return self._cached[frame]
+        return self._cached_pairs[frame]
 
-    def _flow(self, small0: np.ndarray, small1: np.ndarray) -> np.ndarray:
-        return find_flow(small0, small1, self.share, self._camera, self._settings, fast_things=True)
+    def _flow(self, frame0: np.ndarray, frame1: np.ndarray) -> np.ndarray:
+        return find_flow(
+            frame0, frame1, self.scale, self._camera, self._settings, search_fast_objects=True
+        )
 
 
-def returns_to_start(there: np.ndarray, back: np.ndarray) -> np.ndarray:
-    """Return 1 where motion there and back ends near its start, else 0, (H, W) float32."""
-    height, width = there.shape[:2]
-    places = pixel_grid((height, width)) + there
-    missed = vector_lengths(there + sample_image(back, places))
-    fits = missed < MAX_RETURN_ERROR + MAX_RETURN_SHARE * vector_lengths(there)
-    x, y = cv2.split(places)
+def consistency_mask(flow: np.ndarray, reverse_flow: np.ndarray) -> np.ndarray:
+    """Return 1 where the reverse flow leads back near the start, else 0, (H, W) float32."""
+    height, width = flow.shape[:2]
+    positions = pixel_grid((height, width)) + flow
+    error = vector_lengths(flow + sample_image(reverse_flow, positions))
+    consistent = error < MAX_RETURN_ERROR + MAX_RELATIVE_RETURN_ERROR * vector_lengths(flow)
+    x, y = cv2.split(positions)
     inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
-    return np.float32(fits & inside)
+    return np.float32(consistent & inside)
 
 
 def vector_lengths(vectors: np.ndarray) -> np.ndarray:
@@ -159,8 +167,8 @@ def pixel_grid(shape: tuple[int, ...]) -> np.ndarray:
     return np.stack([columns, rows], axis=-1)
 
 
-def sample_image(image: np.ndarray, places: np.ndarray, *, nearest: bool = False) -> np.ndarray:
+def sample_image(image: np.ndarray, positions: np.ndarray, *, nearest: bool = False) -> np.ndarray:
     """Sample an image, (H, W[, C]), at positions, (h, w, 2) px, bilinearly or at nearest pixels."""
-    x, y = cv2.split(np.ascontiguousarray(places, np.float32))
-    how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
-    return cv2.remap(image, x, y, how, borderMode=cv2.BORDER_REPLICATE)
+    x, y = cv2.split(np.ascontiguousarray(positions, np.float32))
+    interpolation = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
+    return cv2.remap(image, x, y, interpolation, borderMode=cv2.BORDER_REPLICATE)

@@ -23,8 +23,8 @@ from tisfm.sources.frame_reader import SourceFrame
 if TYPE_CHECKING:
     from tisfm.reconstruction.frames.frame_flow import FlowCache
 
-QUALITY = 95  # of the JPEG pictures, from which colours are read
-HELD = 24  # frames in memory at a time
+JPEG_QUALITY = 95  # of the JPEG pictures, from which colours are read
+CACHED_FRAMES = 24  # frames in memory at a time
 
 
 class PreparedFrames:
@@ -36,18 +36,18 @@ class PreparedFrames:
         cache: Path,  # folder for grey levels; it may be deleted after the reconstruction
         pictures: Path,  # folder for pictures, (H, W[, 3]) with 8 bits
         *,
-        labels_stay: bool = False,  # whether labels already belong to prepared frames
+        labels_are_prepared: bool = False,  # whether labels already belong to prepared frames
     ) -> None:
         self.camera = camera.pinhole()  # the pinhole of the prepared frames
         self.shape = (0, 0)  # height and width, px; (0, 0) before the first frame
         self.count = 0
         self._lens: Undistortion | None = None
-        self._labels_stay = labels_stay
-        self._taken, self._cache, self._pictures = camera, cache, pictures
-        self._held: dict[int, np.ndarray] = {}
+        self._labels_are_prepared = labels_are_prepared
+        self._source_camera, self._cache, self._pictures = camera, cache, pictures
+        self._cached_frames: dict[int, np.ndarray] = {}
         self._masked: set[int] = set()
         self._labelled: set[int] = set()  # frames that show a moving object
-        self._as_read: set[int] = set()  # frames whose uncorrected files are kept too
+        self._provisional: set[int] = set()  # frames whose uncorrected files are kept too
         self._flow: FlowCache | None = None
 
     def add(self, frame: SourceFrame) -> tuple[np.ndarray, np.ndarray | None]:
@@ -64,27 +64,27 @@ class PreparedFrames:
         ignored, labels = frame.ignored, frame.labels
         if ignored is not None and ignored.any():
             grey = filled(grey, ignored)
-        if not self._taken.is_pinhole:
+        if not self._source_camera.is_pinhole:
             if self._lens is None:
-                self._lens = Undistortion(self._taken, *grey.shape)
+                self._lens = Undistortion(self._source_camera, *grey.shape)
             grey, picture = self._lens.apply(grey), self._lens.apply(picture)
             if ignored is not None:
                 ignored = self._lens.nearest(ignored.astype(np.float32)) > 0
-            if labels is not None and not self._labels_stay:
-                labels = _moved(labels, self._lens)
-            missing = ~self._lens.valid
-            ignored = missing if ignored is None else ignored | missing
+            if labels is not None and not self._labels_are_prepared:
+                labels = _resample_labels(labels, self._lens)
+            outside = ~self._lens.valid
+            ignored = outside if ignored is None else ignored | outside
         self.shape = grey.shape
-        whole = np.rint(grey).clip(0, 255).astype(np.uint8)
-        write_npy(self._grey_path(number), whole if (whole == grey).all() else grey)
+        levels = np.rint(grey).clip(0, 255).astype(np.uint8)
+        write_npy(self._grey_path(number), levels if (levels == grey).all() else grey)
         if ignored is not None and ignored.any():
             write_npy(self._mask_path(number), ignored)
             self._masked.add(number)
         write_picture(self._picture_path(number), picture)
         if labels is not None:
-            self.label(number, labels)
+            self.set_labels(number, labels)
         self.count += 1
-        return whole, ignored
+        return levels, ignored
 
     def correct(
         self,
@@ -99,78 +99,78 @@ class PreparedFrames:
         if not camera.is_pinhole and self.count:
             lens = Undistortion(camera, *self.shape)
             for number in range(self.count):
-                self._make_anew(number, lens)
+                self._resample(number, lens)
         if rolling is not None:
             for number in sorted(rolling.rates):
-                self._make_anew(number, UnrolledFrame(rolling, number, self.shape))
+                self._resample(number, UnrolledFrame(rolling, number, self.shape))
             self.camera = replace(self.camera, readout=0.0)
 
-    def unroll_again(self, rolling: Rolling | None) -> None:
+    def replace_correction(self, rolling: Rolling | None) -> None:
         """Restore the uncorrected unsettled frames, and correct them for a new estimate."""
-        for number in sorted(self._as_read):
+        for number in sorted(self._provisional):
             for path in self._paths(number):
-                if _as_it_was(path).exists():
-                    _as_it_was(path).replace(path)
+                if _uncorrected_file(path).exists():
+                    _uncorrected_file(path).replace(path)
                 else:
                     path.unlink(missing_ok=True)
-            self._held.pop(number, None)
+            self._cached_frames.pop(number, None)
             self._masked.discard(number)
             if self._mask_path(number).exists():
                 self._masked.add(number)
-        self._as_read = set()
+        self._provisional = set()
         if rolling is None:
             return
         for number in sorted(rolling.rates):
             for path in self._paths(number):
                 if path.exists():
-                    copy_file(path, _as_it_was(path))
-            self._as_read.add(number)
-            self._make_anew(number, UnrolledFrame(rolling, number, self.shape))
+                    copy_file(path, _uncorrected_file(path))
+            self._provisional.add(number)
+            self._resample(number, UnrolledFrame(rolling, number, self.shape))
 
-    def settle(self, last: int) -> None:
+    def finalise_corrections(self, last: int) -> None:
         """Make the correction of the frames up to `last` final."""
-        for number in [k for k in self._as_read if k <= last]:
+        for number in [k for k in self._provisional if k <= last]:
             for path in self._paths(number):
-                _as_it_was(path).unlink(missing_ok=True)
-            self._as_read.discard(number)
+                _uncorrected_file(path).unlink(missing_ok=True)
+            self._provisional.discard(number)
 
     def flow(self, number: int) -> np.ndarray | None:
         """Return the image motion from the previous frame to a frame; None for the first frame.
 
-        It is what `FlowCache.to` returns: computed once, and again after frames were corrected.
+        It is computed once (`FlowCache.flow_to`), and again after frames were corrected.
         """
         if number == 0:
             return None
         if self._flow is None:
             from tisfm.reconstruction.frames.frame_flow import FlowCache
 
-            self._flow = FlowCache(self.camera, lambda one: self.tracked(one)[0])
-        return self._flow.to(number)
+            self._flow = FlowCache(self.camera, lambda one: self.tracker_input(one)[0])
+        return self._flow.flow_to(number)
 
-    def _make_anew(self, number: int, map_: Resampling) -> None:
+    def _resample(self, number: int, resampling: Resampling) -> None:
         self._flow = None
-        ignored = ~map_.valid
+        ignored = ~resampling.valid
         if number in self._masked:
             before = np.load(self._mask_path(number)).astype(np.float32)
-            ignored |= map_.nearest(before) > 0
+            ignored |= resampling.nearest(before) > 0
         grey = self.grey(number)
-        self._held.pop(number)
-        write_npy(self._grey_path(number), map_.apply(grey))
+        self._cached_frames.pop(number)
+        write_npy(self._grey_path(number), resampling.apply(grey))
         if ignored.any():
             write_npy(self._mask_path(number), ignored)
             self._masked.add(number)
         picture = read_picture(self._pictures.parent, number)
-        write_picture(self._picture_path(number), map_.apply(picture))
-        if number in self._labelled and not self._labels_stay:
-            self.label(number, _moved(self.labels(number), map_))
+        write_picture(self._picture_path(number), resampling.apply(picture))
+        if number in self._labelled and not self._labels_are_prepared:
+            self.set_labels(number, _resample_labels(self.labels(number), resampling))
 
-    def tracked(self, number: int) -> tuple[np.ndarray, np.ndarray | None]:
+    def tracker_input(self, number: int) -> tuple[np.ndarray, np.ndarray | None]:
         """Return a frame in the form for the tracker, as `add` does."""
-        counted = self.counted(number)
-        whole = np.rint(self.grey(number)).clip(0, 255).astype(np.uint8)
-        return whole, None if counted is None else ~counted
+        used_pixels = self.used_pixels(number)
+        levels = np.rint(self.grey(number)).clip(0, 255).astype(np.uint8)
+        return levels, None if used_pixels is None else ~used_pixels
 
-    def label(self, number: int, labels: np.ndarray) -> bool:
+    def set_labels(self, number: int, labels: np.ndarray) -> bool:
         """Set and write the labels of a frame, (H, W) uint8; labelled pixels are ignored later.
 
         Return whether the set of labelled pixels changed. Masked pixels get label 0.
@@ -191,7 +191,7 @@ class PreparedFrames:
             return np.zeros(self.shape, np.uint8)
         return read_labels(self._pictures.parent, number, self.shape)
 
-    def things(self) -> set[int]:
+    def object_ids(self) -> set[int]:
         """Return the ids of the moving objects in all frames."""
         return {int(k) for number in self._labelled for k in np.unique(self.labels(number)) if k}
 
@@ -202,27 +202,29 @@ class PreparedFrames:
         ignored: np.ndarray = np.load(self._mask_path(number))
         return ignored
 
-    def forget(self, number: int) -> None:
+    def delete(self, number: int) -> None:
         """Delete a frame; the numbers of other frames stay."""
-        self._held.pop(number, None)
+        self._cached_frames.pop(number, None)
         self._masked.discard(number)
         self._labelled.discard(number)
-        self._as_read.discard(number)
+        self._provisional.discard(number)
         for path in self._paths(number):
             path.unlink(missing_ok=True)
-            _as_it_was(path).unlink(missing_ok=True)
+            _uncorrected_file(path).unlink(missing_ok=True)
 
     def grey(self, number: int) -> np.ndarray:
         """Return a frame, (H, W) float32, grey levels on the 8-bit scale."""
-        if number not in self._held:
-            while len(self._held) >= HELD:
-                self._held.pop(next(iter(self._held)))
-            self._held[number] = np.load(self._grey_path(number))
+        if number not in self._cached_frames:
+            while len(self._cached_frames) >= CACHED_FRAMES:
+                self._cached_frames.pop(next(iter(self._cached_frames)))
+            self._cached_frames[number] = np.load(self._grey_path(number))
         else:
-            self._held[number] = self._held.pop(number)  # now the most recently used
-        return self._held[number].astype(np.float32)
+            self._cached_frames[number] = self._cached_frames.pop(
+                number
+            )  # now the most recently used
+        return self._cached_frames[number].astype(np.float32)
 
-    def counted(self, number: int) -> np.ndarray | None:
+    def used_pixels(self, number: int) -> np.ndarray | None:
         """Return the pixels of a frame that are used, (H, W) bool; None if all are used."""
         ignored = self.ignored(number)
         if number in self._labelled:
@@ -247,20 +249,20 @@ class PreparedFrames:
         return self._pictures / f"{number:06d}.jpg"
 
 
-def _moved(labels: np.ndarray, map_: Resampling) -> np.ndarray:
+def _resample_labels(labels: np.ndarray, resampling: Resampling) -> np.ndarray:
     """Return labels, (H, W) uint8, resampled with a map; 0 outside the frame."""
-    return np.nan_to_num(map_.nearest(labels.astype(np.float32))).astype(np.uint8)
+    return np.nan_to_num(resampling.nearest(labels.astype(np.float32))).astype(np.uint8)
 
 
-def _as_it_was(path: Path) -> Path:
+def _uncorrected_file(path: Path) -> Path:
     return path.with_name(f"{path.stem}_read{path.suffix}")
 
 
 def write_picture(path: Path, picture: np.ndarray) -> None:
     """Write a JPEG picture, (H, W) or (H, W, 3) RGB uint8, completely or not at all."""
-    turned = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
-    encoded, data = cv2.imencode(".jpg", turned, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    if not encoded:
+    bgr = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+    is_encoded, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    if not is_encoded:
         raise InputError(f"{path} cannot be encoded: the picture is {picture.shape}")
     with atomic_write(path) as file:
         file.write(data.tobytes())

@@ -64,21 +64,21 @@ class StaticDepth:
     """Depth of the static pixels of a frame, under the camera path."""
 
     inverse_depth: np.ndarray  # (H, W) float32
-    at_rest: np.ndarray  # (H, W) bool: pixels that are known to be static
+    static_pixels: np.ndarray  # (H, W) bool: pixels that are known to be static
 
     @classmethod
-    def unknown(cls, shape: tuple[int, ...]) -> "StaticDepth":
+    def empty(cls, shape: tuple[int, ...]) -> "StaticDepth":
         """Return a depth without static pixels."""
-        return cls(inverse_depth=np.zeros(shape, np.float32), at_rest=np.zeros(shape, bool))
+        return cls(inverse_depth=np.zeros(shape, np.float32), static_pixels=np.zeros(shape, bool))
 
     @classmethod
-    def of_arrays(cls, inverse_depth: np.ndarray, at_rest: np.ndarray) -> "StaticDepth":
+    def of_arrays(cls, inverse_depth: np.ndarray, static_pixels: np.ndarray) -> "StaticDepth":
         """Return the object with these arrays."""
-        return cls(inverse_depth=inverse_depth.astype(np.float32), at_rest=at_rest)
+        return cls(inverse_depth=inverse_depth.astype(np.float32), static_pixels=static_pixels)
 
     def arrays(self) -> tuple[np.ndarray, ...]:
         """Return its arrays; the unit of depth is arbitrary, so all bits are kept."""
-        return self.inverse_depth, self.at_rest
+        return self.inverse_depth, self.static_pixels
 
 
 class BelowGround:
@@ -96,57 +96,57 @@ class BelowGround:
         self._motion, self._poses, self._camera, self._depths = motion, poses, camera, depths
         self._rays = _rays(camera, motion.grey(0).shape)
         self._grounds = [
-            None if pose is None else self._ground(depth)
+            None if pose is None else self._fit_ground(depth)
             for pose, depth in zip(poses, depths, strict=True)
         ]
 
     def evidence(
         self,
         frame: int,
-        moving: np.ndarray,  # (H, W) bool: pixels that are known to move
+        moving_pixels: np.ndarray,  # (H, W) bool: pixels that are known to move
     ) -> Evidence | None:
         """Return the evidence of pixels whose apparent depth lies below the ground, or None."""
-        ground = self._steady_ground(frame)
-        if ground is None:
+        plane = self._steady_ground(frame)
+        if plane is None:
             return None
-        depth, height = self._rays @ ground, self._depths[frame].inverse_depth
+        ground, apparent = self._rays @ plane, self._depths[frame].inverse_depth
         below = (
-            (depth > MIN_JUDGED_DEPTH * np.abs(depth).max())
-            & (height * MIN_DEPTH_RATIO < depth)
-            & ~moving
+            (ground > MIN_JUDGED_DEPTH * np.abs(ground).max())
+            & (apparent * MIN_DEPTH_RATIO < ground)
+            & ~moving_pixels
         )
-        parts = list(_inner_parts(below))
-        if not parts:
+        regions = list(_inner_regions(below))
+        if not regions:
             return None
-        hiding = self._hiding(frame)
-        found = np.zeros(below.shape, bool)
-        for part in parts:
-            found |= part & (np.count_nonzero(hiding & part) > MIN_HIDDEN * part.sum() ** 0.5)
-        if not found.any():
+        hiding = self._hiding_pixels(frame)
+        mask = np.zeros(below.shape, bool)
+        for region in regions:
+            mask |= region & (np.count_nonzero(hiding & region) > MIN_HIDDEN * region.sum() ** 0.5)
+        if not mask.any():
             return None
-        weight = np.float32(found * self._clear(frame, depth))
-        return Evidence(moving=MOVING_EVIDENCE * weight, weight=weight)
+        weight = np.float32(mask * self._refuted_ground(frame, ground))
+        return Evidence(total=MOVING_EVIDENCE * weight, weight=weight)
 
-    def _ground(self, depth: StaticDepth) -> np.ndarray | None:
+    def _fit_ground(self, depth: StaticDepth) -> np.ndarray | None:
         """Return the ground plane, (3,), or None. Its product with a ray is the inverse depth."""
-        below_middle = depth.at_rest & (self._rays[..., 1] > 0)
-        rays, inverse_depth = self._rays[below_middle], depth.inverse_depth[below_middle]
-        if len(rays) < MIN_GROUND * depth.at_rest.size:
+        lower_half = depth.static_pixels & (self._rays[..., 1] > 0)
+        rays, inverse_depth = self._rays[lower_half], depth.inverse_depth[lower_half]
+        if len(rays) < MIN_GROUND * depth.static_pixels.size:
             return None
-        drawn = np.random.default_rng(0)
-        some = drawn.integers(len(rays), size=min(RANSAC_POINTS, len(rays)))
-        triples = drawn.integers(len(rays), size=(RANSAC_TRIALS, 3))
+        random = np.random.default_rng(0)
+        sample = random.integers(len(rays), size=min(RANSAC_POINTS, len(rays)))
+        triples = random.integers(len(rays), size=(RANSAC_TRIALS, 3))
         solvable = np.abs(np.linalg.det(rays[triples])) > 1e-9
         planes = np.linalg.solve(rays[triples[solvable]], inverse_depth[triples[solvable], None])
         planes = planes[..., 0]
         planes = planes[_is_upright(planes)]
         if not len(planes):
             return None
-        fits = _fits(rays[some] @ planes.T, inverse_depth[some, None])
+        fits = _plane_inliers(rays[sample] @ planes.T, inverse_depth[sample, None])
         plane = planes[np.argmax(fits.sum(axis=0))]
         for _ in range(FIT_ROUNDS):
-            inliers = _fits(rays @ plane, inverse_depth)
-            if inliers.sum() < MIN_GROUND * depth.at_rest.size:
+            inliers = _plane_inliers(rays @ plane, inverse_depth)
+            if inliers.sum() < MIN_GROUND * depth.static_pixels.size:
                 return None
             plane = np.linalg.lstsq(rays[inliers], inverse_depth[inliers], rcond=None)[0]
         return plane if _is_upright(plane) else None
@@ -156,75 +156,86 @@ class BelowGround:
 
         None if the height of the camera above the ground changes, or too few frames show it.
         """
-        around = slice(max(0, frame - HEIGHT_FRAMES), frame + HEIGHT_FRAMES + 1)
-        planes = [plane for plane in self._grounds[around] if plane is not None]
+        window = slice(max(0, frame - HEIGHT_FRAMES), frame + HEIGHT_FRAMES + 1)
+        planes = [plane for plane in self._grounds[window] if plane is not None]
         if self._poses[frame] is None or len(planes) < max(
-            3, MIN_STEADY_SHARE * len(self._grounds[around])
+            3, MIN_STEADY_SHARE * len(self._grounds[window])
         ):
             return None
         plane = np.median(planes, axis=0)
-        least, most = np.quantile(np.array(planes)[:, 1], (0.1, 0.9))
-        return plane if most - least < MAX_HEIGHT_CHANGE * plane[1] else None
+        low, high = np.quantile(np.array(planes)[:, 1], (0.1, 0.9))
+        return plane if high - low < MAX_HEIGHT_CHANGE * plane[1] else None
 
-    def _hiding(self, frame: int) -> np.ndarray:
+    def _hiding_pixels(self, frame: int) -> np.ndarray:
         """Return the pixels, (H, W) bool, that hide static points nearer than their apparent depth.
 
         The static points are known from other frames. The image motion loses them on the way to
         this frame. At their projected position, this frame has other grey levels and a larger
         apparent depth.
         """
-        found = np.zeros(self._rays.shape[:2], bool)
+        hiding = np.zeros(self._rays.shape[:2], bool)
         grey, own = self._motion.grey(frame), self._depths[frame]
         height, width = self._motion.grey(frame).shape
-        for way in (-1, 1):
+        for direction in (-1, 1):
             for steps in HIDDEN_STEPS:
-                number = frame + way * steps
+                number = frame + direction * steps
                 if not 0 <= number < len(self._poses) or self._poses[number] is None:
                     continue
                 other = self._depths[number]
-                at_rest = self._at_rest(number, frame)
-                places = at_rest.places(other.inverse_depth)
-                there = at_rest.inverse_depth(other.inverse_depth)
-                inside = (places > 0).all(axis=-1) & (places < (width - 1, height - 1)).all(axis=-1)
-                lost = other.at_rest & inside & ~self._led(number, frame).found
-                behind = sample_image(own.inverse_depth, places) * MIN_DEPTH_RATIO < there
-                known = sample_image(np.float32(own.at_rest), places) > 0.5
-                unlike = (
-                    grey_difference(grey, places, self._motion.grey(number)) > MIN_GREY_DIFFERENCE
+                static = self._static_motion(number, frame)
+                positions = static.positions(other.inverse_depth)
+                expected = static.inverse_depth(other.inverse_depth)
+                inside = (positions > 0).all(axis=-1) & (positions < (width - 1, height - 1)).all(
+                    axis=-1
                 )
-                x, y = np.rint(places[lost & behind & known & unlike]).astype(int).T
-                found[y, x] = True
-        return found
+                is_lost = other.static_pixels & inside & ~self._chained_flow(number, frame).valid
+                is_farther = sample_image(own.inverse_depth, positions) * MIN_DEPTH_RATIO < expected
+                is_static = sample_image(np.float32(own.static_pixels), positions) > 0.5
+                is_different = (
+                    grey_difference(grey, positions, self._motion.grey(number))
+                    > MIN_GREY_DIFFERENCE
+                )
+                x, y = (
+                    np.rint(positions[is_lost & is_farther & is_static & is_different])
+                    .astype(int)
+                    .T
+                )
+                hiding[y, x] = True
+        return hiding
 
-    def _clear(self, frame: int, ground: np.ndarray) -> np.ndarray:
+    def _refuted_ground(self, frame: int, ground: np.ndarray) -> np.ndarray:
         """Return how clearly the images refute that a pixel lies on the ground, (H, W), 0 to 1."""
         grey, depth = self._motion.grey(frame), self._depths[frame].inverse_depth
-        clear = np.zeros(depth.shape, np.float32)
-        for way in (-1, 1):
-            furthest = [
-                frame + way * steps
+        refutation = np.zeros(depth.shape, np.float32)
+        for direction in (-1, 1):
+            numbers = [
+                frame + direction * steps
                 for steps in HIDDEN_STEPS
-                if 0 <= frame + way * steps < len(self._poses)
-                and self._poses[frame + way * steps] is not None
+                if 0 <= frame + direction * steps < len(self._poses)
+                and self._poses[frame + direction * steps] is not None
             ]
-            if not furthest:
+            if not numbers:
                 continue
-            at_rest, other = self._at_rest(frame, furthest[-1]), self._motion.grey(furthest[-1])
-            missed = grey_difference(other, at_rest.places(depth), grey)
-            on_ground = grey_difference(other, at_rest.places(ground), grey)
-            clear = np.maximum(clear, (on_ground - missed) / (REFUTING_DIFFERENCE + missed))
-        return np.clip(clear, 0, 1)
+            static, other = self._static_motion(frame, numbers[-1]), self._motion.grey(numbers[-1])
+            difference = grey_difference(other, static.positions(depth), grey)
+            on_ground = grey_difference(other, static.positions(ground), grey)
+            refutation = np.maximum(
+                refutation, (on_ground - difference) / (REFUTING_DIFFERENCE + difference)
+            )
+        return np.clip(refutation, 0, 1)
 
-    def _at_rest(self, frame: int, other: int) -> StaticMotion:
-        pose, pose_of_other = self._poses[frame], self._poses[other]
-        assert pose is not None and pose_of_other is not None
-        relative = np.linalg.inv(pose_of_other) @ pose
+    def _static_motion(self, frame: int, other: int) -> StaticMotion:
+        pose, other_pose = self._poses[frame], self._poses[other]
+        assert pose is not None and other_pose is not None
+        relative = np.linalg.inv(other_pose) @ pose
         shape = self._rays.shape[:2]
         return StaticMotion(relative[:3, :3], relative[:3, 3], self._camera, shape)
 
-    def _led(self, frame: int, other: int) -> ChainedFlow:
+    def _chained_flow(self, frame: int, other: int) -> ChainedFlow:
         steps = abs(other - frame)
-        return next(led for led in self._motion.chained_flows(frame, steps) if led.frame == other)
+        return next(
+            chain for chain in self._motion.chained_flows(frame, steps) if chain.frame == other
+        )
 
 
 def _rays(camera: Camera, shape: tuple[int, ...]) -> np.ndarray:
@@ -237,22 +248,22 @@ def _rays(camera: Camera, shape: tuple[int, ...]) -> np.ndarray:
 
 def _is_upright(planes: np.ndarray) -> np.ndarray:
     """Return which planes, (..., 3), are ground below an upright camera."""
-    across, down, middle = np.moveaxis(planes, -1, 0)
-    return (np.abs(across) < MIN_VERTICAL_SLOPE * down) & (
-        np.abs(middle) < MIN_SLOPE_TO_CENTRE * down
+    slope_x, slope_y, center = np.moveaxis(planes, -1, 0)
+    return (np.abs(slope_x) < MIN_VERTICAL_SLOPE * slope_y) & (
+        np.abs(center) < MIN_SLOPE_TO_CENTRE * slope_y
     )
 
 
-def _fits(of_plane: np.ndarray, inverse_depth: np.ndarray) -> np.ndarray:
-    return np.abs(inverse_depth - of_plane) < FIT_TOLERANCE * np.abs(of_plane)
+def _plane_inliers(plane_depth: np.ndarray, inverse_depth: np.ndarray) -> np.ndarray:
+    return np.abs(inverse_depth - plane_depth) < FIT_TOLERANCE * np.abs(plane_depth)
 
 
-def _inner_parts(below: np.ndarray) -> Iterator[np.ndarray]:
+def _inner_regions(mask: np.ndarray) -> Iterator[np.ndarray]:
     """Yield the large connected parts, (H, W) bool, that touch neither side of the frame."""
-    opened = cv2.morphologyEx(below.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    count, parts, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
-    width = below.shape[1]
-    for part in range(1, count):
-        left, _, columns, _, area = statistics[part]
-        if area >= smallest_object(below.size) and left > 1 and left + columns < width - 1:
-            yield parts == part
+    opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    count, labels, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
+    width = mask.shape[1]
+    for label in range(1, count):
+        left, _, columns, _, area = statistics[label]
+        if area >= smallest_object(mask.size) and left > 1 and left + columns < width - 1:
+            yield labels == label

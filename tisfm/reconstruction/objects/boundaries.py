@@ -34,39 +34,41 @@ def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np
     numbers = np.unique(labels)
     if len(numbers) < 2:
         return labels
-    grey, places = motion.grey(frame), pixel_grid(labels.shape)
+    grey, grid = motion.grey(frame), pixel_grid(labels.shape)
     window = np.ones((2 * MAX_SHIFT + 1, 2 * MAX_SHIFT + 1), np.uint8)
-    near = np.stack([cv2.dilate(np.uint8(labels == k), window) > 0 for k in numbers])
-    band = near.sum(axis=0) > 1
-    missed = np.full((len(numbers), *labels.shape), np.inf, np.float32)
-    for led in motion.chained_flows(frame, 1):
-        flow, other = led.places - places, motion.grey(led.frame)
+    surroundings = np.stack([cv2.dilate(np.uint8(labels == k), window) > 0 for k in numbers])
+    band = surroundings.sum(axis=0) > 1
+    differences = np.full((len(numbers), *labels.shape), np.inf, np.float32)
+    for chain in motion.chained_flows(frame, 1):
+        flow, other = chain.positions - grid, motion.grey(chain.frame)
         for index, number in enumerate(numbers):
-            mine = labels == number
-            core = cv2.erode(np.uint8(mine), np.ones((RIM_WIDTH, RIM_WIDTH), np.uint8)) > 0
-            source = core if core.sum() >= MIN_CORE else mine
-            gone = _going_on(flow, source)
-            off = np.abs(sample_image(other, places + gone) - grey)
-            x, y = np.moveaxis(places + gone, -1, 0)
+            mask = labels == number
+            core = cv2.erode(np.uint8(mask), np.ones((RIM_WIDTH, RIM_WIDTH), np.uint8)) > 0
+            source = core if core.sum() >= MIN_CORE else mask
+            continued = _continued_flow(flow, source)
+            difference = np.abs(sample_image(other, grid + continued) - grey)
+            x, y = np.moveaxis(grid + continued, -1, 0)
             outside = (x < 0) | (y < 0) | (x > labels.shape[1] - 1) | (y > labels.shape[0] - 1)
-            off = np.where(outside, np.inf, cv2.blur(off, (3, 3)))
-            missed[index] = np.minimum(missed[index], off)
-    own = np.take_along_axis(missed, np.searchsorted(numbers, labels)[None], axis=0)[0]
-    usual = MIN_DIFFERENCE + 1.5 * float(np.median(own[np.isfinite(own)]))
-    costs = np.minimum((missed / usual) ** 2, MAX_COST)
+            difference = np.where(outside, np.inf, cv2.blur(difference, (3, 3)))
+            differences[index] = np.minimum(differences[index], difference)
+    own_difference = np.take_along_axis(
+        differences, np.searchsorted(numbers, labels)[None], axis=0
+    )[0]
+    scale = MIN_DIFFERENCE + 1.5 * float(np.median(own_difference[np.isfinite(own_difference)]))
+    costs = np.minimum((differences / scale) ** 2, MAX_COST)
     costs += CHANGE_COST * (labels != numbers[:, None, None])
-    costs[~near] = 2 * MAX_COST
+    costs[~surroundings] = 2 * MAX_COST
     weight = np.where(band, BAND_WEIGHT, 1).astype(np.float32)
-    found = numbers[Potts(grey).assign(costs.astype(np.float32), weight)]
-    return np.where(band, found, labels).astype(np.int32)
+    best = numbers[Potts(grey).assign(costs.astype(np.float32), weight)]
+    return np.where(band, best, labels).astype(np.int32)
 
 
-def _going_on(flow: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def _continued_flow(flow: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Return a flow, (H, W, 2), continued beyond a mask from the nearest pixel inside."""
     _, nearest = cv2.distanceTransformWithLabels(
         np.uint8(~mask), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
     table = np.zeros((int(nearest.max()) + 1, 2), np.float32)
     table[nearest[mask]] = flow[mask]
-    beyond = cv2.blur(table[nearest], (RIM_WIDTH, RIM_WIDTH))
-    return np.where(mask[..., None], flow, beyond)
+    extrapolated = cv2.blur(table[nearest], (RIM_WIDTH, RIM_WIDTH))
+    return np.where(mask[..., None], flow, extrapolated)

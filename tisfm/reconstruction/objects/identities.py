@@ -12,8 +12,8 @@ from tisfm.motion.objects.layers import fill_nearest
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.frames.image_motion import (
     ImageMotion,
+    consistency_mask,
     pixel_grid,
-    returns_to_start,
     sample_image,
 )
 from tisfm.reconstruction.objects.boundaries import refine_boundaries
@@ -81,22 +81,22 @@ class _Object:
     """The state of an object."""
 
     id: int
-    seen: int  # the last frame in which it was labelled
-    whole: np.ndarray  # (H, W) bool: its mask in that frame, with its occluded parts
+    last_frame: int  # the last frame in which it was labelled
+    mask: np.ndarray  # (H, W) bool: its mask in that frame, with its occluded parts
     velocity: np.ndarray  # (2,) float64: its mean motion in that frame, px/frame
-    look: np.ndarray  # (BINS,) float64: its grey-level histogram; the sum is 1
-    core: int = 0  # number of frames in which its region has a core (`find_moving_regions`)
-    pixels: int = 0  # its labelled pixels in all frames
+    histogram: np.ndarray  # (BINS,) float64: its grey-level histogram; the sum is 1
+    core_frames: int = 0  # number of frames in which its region has a core (`find_moving_regions`)
+    pixel_count: int = 0  # its labelled pixels in all frames
     # dict of int to (2,) float64: by frame: its mean motion minus the motion of its surroundings,
     # px/frame
     motions: dict[int, np.ndarray] = field(default_factory=dict)
     # dict of int to (3,) float64: by frame: its centre, (x, y), and its size, the square root of
     # its area, px
-    places: dict[int, np.ndarray] = field(default_factory=dict)
+    positions: dict[int, np.ndarray] = field(default_factory=dict)
 
     def center(self) -> np.ndarray:
         """Return the centre of its last mask, (x, y) px."""
-        return _center(self.whole)
+        return _center(self.mask)
 
 
 class ObjectTracker:
@@ -110,159 +110,177 @@ class ObjectTracker:
     ) -> None:
         self._motion, self._evidence = motion, evidence
         self._objects: dict[int, _Object] = {}
-        self._touching: dict[tuple[int, int], int] = {}
+        self._touching_frames: dict[tuple[int, int], int] = {}
 
     def labels(self) -> Iterator[np.ndarray]:
         """Yield the labels of every frame, (H, W) uint8, in the size of the image motion.
 
         Static pixels have 0. Objects are numbered from 1 in the order in which they appear.
         """
-        found: DiskCache[np.ndarray] = DiskCache(lambda labels: (labels,), lambda labels: labels)
-        before = None
+        result: DiskCache[np.ndarray] = DiskCache(lambda labels: (labels,), lambda labels: labels)
+        previous = None
         for frame in range(len(self._motion)):
-            before = self._label_frame(frame, before)
-            found.append(before)
+            previous = self._label_frame(frame, previous)
+            result.append(previous)
         table = self._final_labels()
-        for labels in found:
+        for labels in result:
             yield table[labels]
 
-    def _label_frame(self, frame: int, before: np.ndarray | None) -> np.ndarray:
+    def _label_frame(self, frame: int, previous: np.ndarray | None) -> np.ndarray:
         """Return the labels of a frame, (H, W) int32, from the labels of the previous frame."""
         grey = self._motion.grey(frame)
         labels = np.zeros(grey.shape, np.int32)
-        carried = np.zeros_like(labels) if before is None else self._propagate(frame, before)
-        sure = [number for number, obj in self._objects.items() if obj.core >= MIN_FRAMES]
-        regions = list(find_moving_regions(grey, self._evidence[frame], np.isin(carried, sure)))
-        motions_of = SmoothMotions(self._motion, frame)
+        propagated = np.zeros_like(labels) if previous is None else self._propagate(frame, previous)
+        confirmed_ids = [
+            number for number, obj in self._objects.items() if obj.core_frames >= MIN_FRAMES
+        ]
+        regions = list(
+            find_moving_regions(grey, self._evidence[frame], np.isin(propagated, confirmed_ids))
+        )
+        motions = SmoothMotions(self._motion, frame)
         for region, _ in regions:
-            counts = np.bincount(carried[region], minlength=1)
+            counts = np.bincount(propagated[region], minlength=1)
             counts[0] = 0
-            enough = min(MIN_PROPAGATED * region.sum(), self._smallest(region) / 2)
-            known = [int(k) for k in np.flatnonzero(counts) if counts[k] >= enough]
-            if not known:
-                known = [
-                    self._reappeared(frame, region, labels, carried) or self._new_object(frame)
+            min_pixels = min(MIN_PROPAGATED * region.sum(), self._min_pixels(region) / 2)
+            ids = [int(k) for k in np.flatnonzero(counts) if counts[k] >= min_pixels]
+            if not ids:
+                ids = [
+                    self._find_reappeared(frame, region, labels, propagated)
+                    or self._new_object(frame)
                 ]
-                labels[region] = known[0]
+                labels[region] = ids[0]
             else:
-                labels[region] = fill_nearest(carried, region & np.isin(carried, known))[region]
-            self._assign_by_motion(frame, region, known, labels, carried, motions_of)
+                labels[region] = fill_nearest(propagated, region & np.isin(propagated, ids))[region]
+            self._assign_by_motion(frame, region, ids, labels, propagated, motions)
         labels = refine_boundaries(labels, self._motion, frame)
-        self._update(frame, labels, regions, motions_of)
+        self._update(frame, labels, regions, motions)
         return labels
 
     def _assign_by_motion(
         self,
         frame: int,
         region: np.ndarray,
-        known: list[int],
+        ids: list[int],
         labels: np.ndarray,
-        carried: np.ndarray,
-        motions_of: SmoothMotions,
+        propagated: np.ndarray,
+        motions: SmoothMotions,
     ) -> None:
         """Assign each pixel of a region to the object whose motion it follows.
 
         Pixels that follow no known motion become an object that was occluded, or a new one.
         """
-        far: dict[int, np.ndarray] = {}  # error of each motion, px
-        unlike = np.full(region.shape, np.inf, np.float32)  # smallest error, in standard deviations
-        usual = np.inf
-        for number in known:
+        errors: dict[int, np.ndarray] = {}  # error of each motion, px
+        min_deviations = np.full(
+            region.shape, np.inf, np.float32
+        )  # smallest error, in standard deviations
+        scale = np.inf
+        for number in ids:
             obj = self._objects[number]
-            followed = obj.seen == frame - 1
-            mine = region & (carried == number)
-            mine = mine if mine.sum() >= MIN_PIXELS else region & (labels == number)
-            share = mine.sum() / max(1, obj.whole.sum()) if followed else 1.0
-            terms: Terms = 6 if share >= MIN_QUADRATIC else 3 if share >= MIN_AFFINE else 1
-            velocity = obj.velocity if followed else None
-            far[number], deviation = motions_of.beside(mine, velocity, terms=terms)
-            usual = min(usual, deviation)
-            unlike = np.minimum(unlike, far[number] / deviation)
-            if followed:
-                far[number][~self._predicted_mask(obj)] = np.inf
-        rest = np.uint8(region & (unlike > MAX_MOTION_DEVIATIONS))
-        opened = cv2.morphologyEx(rest, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
-        count, numbered, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
+            is_tracked = obj.last_frame == frame - 1
+            pixels = region & (propagated == number)
+            pixels = pixels if pixels.sum() >= MIN_PIXELS else region & (labels == number)
+            visible = pixels.sum() / max(1, obj.mask.sum()) if is_tracked else 1.0
+            terms: Terms = 6 if visible >= MIN_QUADRATIC else 3 if visible >= MIN_AFFINE else 1
+            velocity = obj.velocity if is_tracked else None
+            errors[number], deviation = motions.residuals_from(pixels, velocity, terms=terms)
+            scale = min(scale, deviation)
+            min_deviations = np.minimum(min_deviations, errors[number] / deviation)
+            if is_tracked:
+                errors[number][~self._predicted_mask(obj)] = np.inf
+        outliers = np.uint8(region & (min_deviations > MAX_MOTION_DEVIATIONS))
+        opened = cv2.morphologyEx(outliers, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
+        count, components, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
         for k in range(1, count):
-            piece = numbered == k
-            if statistics[k, cv2.CC_STAT_AREA] < self._smallest(region):
+            part = components == k
+            if statistics[k, cv2.CC_STAT_AREA] < self._min_pixels(region):
                 continue
-            own, _ = motions_of.beside(piece)
-            nearest = np.min([one[piece] for one in far.values()], axis=0)
-            if np.median(own[piece]) > MAX_OWN_ERROR * np.median(nearest):
+            own_errors, _ = motions.residuals_from(part)
+            nearest = np.min([error[part] for error in errors.values()], axis=0)
+            if np.median(own_errors[part]) > MAX_OWN_ERROR * np.median(nearest):
                 continue
-            there, gone = np.where(piece, 0, labels), np.where(piece, 0, carried)
-            number = self._reappeared(frame, piece, there, gone) or self._new_object(frame)
-            labels[piece], far[number] = number, own
-        if len(far) < 2:
+            other_labels, other_propagated = (
+                np.where(part, 0, labels),
+                np.where(part, 0, propagated),
+            )
+            number = self._find_reappeared(
+                frame, part, other_labels, other_propagated
+            ) or self._new_object(frame)
+            labels[part], errors[number] = number, own_errors
+        if len(errors) < 2:
             return
         top, left, height, width = _box(region)
         window = np.s_[top : top + height, left : left + width]
-        distance = np.stack([np.minimum(one[window], MAX_ERROR) for one in far.values()])
-        nearest = distance.min(axis=0)
-        tolerated = (
-            usual**2 + (ERROR_TOLERANCE * nearest) ** 2
+        distances = np.stack([np.minimum(error[window], MAX_ERROR) for error in errors.values()])
+        nearest = distances.min(axis=0)
+        tolerance = (
+            scale**2 + (ERROR_TOLERANCE * nearest) ** 2
         )  # where no motion fits, only a clear difference counts
-        costs = np.minimum((distance**2 - nearest**2) / tolerated, MAX_COST)
-        numbers = np.array(list(far))
+        costs = np.minimum((distances**2 - nearest**2) / tolerance, MAX_COST)
+        numbers = np.array(list(errors))
         costs += CHANGE_COST * (labels[window] != numbers[:, None, None])
         weight = np.where(
-            motions_of.known[window] & region[window], KNOWN_WEIGHT, UNKNOWN_WEIGHT
+            motions.valid[window] & region[window], KNOWN_WEIGHT, UNKNOWN_WEIGHT
         ).astype(np.float32)
         grey = np.ascontiguousarray(self._motion.grey(frame)[window])
         best = numbers[Potts(grey).assign(costs.astype(np.float32), weight)]
         labels[window][region[window]] = best[region[window]]
 
     @staticmethod
-    def _predicted_mask(obj: _Object, *, grown: bool = True) -> np.ndarray:
-        """Return the mask of an object predicted for the next frame, enlarged if `grown`."""
+    def _predicted_mask(obj: _Object, *, enlarge: bool = True) -> np.ndarray:
+        """Return the mask of an object predicted for the next frame, enlarged if `enlarge`."""
         x, y = obj.velocity
         shifted = cv2.warpAffine(
-            np.uint8(obj.whole), np.array([[1, 0, x], [0, 1, y]]), obj.whole.shape[::-1]
+            np.uint8(obj.mask), np.array([[1, 0, x], [0, 1, y]]), obj.mask.shape[::-1]
         )
-        if not grown:
+        if not enlarge:
             return shifted > 0
-        side = 1 + 2 * round(REACH_SHARE * obj.whole.sum() ** 0.5 + 1)
+        side = 1 + 2 * round(REACH_SHARE * obj.mask.sum() ** 0.5 + 1)
         return cv2.dilate(shifted, np.ones((side, side), np.uint8)) > 0
 
-    def _reappeared(
-        self, frame: int, region: np.ndarray, labels: np.ndarray, carried: np.ndarray
+    def _find_reappeared(
+        self, frame: int, region: np.ndarray, labels: np.ndarray, propagated: np.ndarray
     ) -> int:
         """Return the id of the occluded object that reappears in a region; 0 for none."""
-        there = set(np.unique(labels)) | set(np.unique(carried))
-        place = np.array([*_center(region), region.sum() ** 0.5])
-        look = self._histogram(frame, region)
-        best, found = 0.0, 0
+        visible_ids = set(np.unique(labels)) | set(np.unique(propagated))
+        position = np.array([*_center(region), region.sum() ** 0.5])
+        histogram = self._histogram(frame, region)
+        max_similarity, best_id = 0.0, 0
         for obj in self._objects.values():
-            away = frame - obj.seen
-            hidden = obj.id not in there and 0 < away <= MAX_OCCLUSION + 1
-            if not hidden or region.sum() <= MIN_REAPPEARED * obj.whole.sum():
+            gap = frame - obj.last_frame
+            is_occluded = obj.id not in visible_ids and 0 < gap <= MAX_OCCLUSION + 1
+            if not is_occluded or region.sum() <= MIN_REAPPEARED * obj.mask.sum():
                 continue
-            alike = self._likeness(obj, place, look, away)
-            if alike > best:
-                best, found = alike, obj.id
-        return found
+            similarity = self._similarity(obj, position, histogram, gap)
+            if similarity > max_similarity:
+                max_similarity, best_id = similarity, obj.id
+        return best_id
 
     @staticmethod
-    def _likeness(obj: _Object, place: np.ndarray, look: np.ndarray, away: int) -> float:
-        """Return the likeness of a region and an object last seen `away` frames ago; 0 for none."""
-        if not obj.whole.any():
+    def _similarity(obj: _Object, position: np.ndarray, histogram: np.ndarray, gap: int) -> float:
+        """Return the likeness of a region and an object last seen `gap` frames ago; 0 for none."""
+        if not obj.mask.any():
             return 0.0
-        size = max(place[2], obj.whole.sum() ** 0.5)
-        expected = obj.center() + away * obj.velocity
-        far = float(np.linalg.norm(place[:2] - expected) / (size * (1 + DISTANCE_GROWTH * away)))
-        alike = float(np.sqrt(look * obj.look).sum())
-        return alike / (1 + far) if far < MAX_DISTANCE and alike > MIN_HISTOGRAM_OVERLAP else 0.0
+        size = max(position[2], obj.mask.sum() ** 0.5)
+        expected = obj.center() + gap * obj.velocity
+        distance = float(
+            np.linalg.norm(position[:2] - expected) / (size * (1 + DISTANCE_GROWTH * gap))
+        )
+        overlap = float(np.sqrt(histogram * obj.histogram).sum())
+        return (
+            overlap / (1 + distance)
+            if distance < MAX_DISTANCE and overlap > MIN_HISTOGRAM_OVERLAP
+            else 0.0
+        )
 
     def _new_object(self, frame: int) -> int:
         number = 1 + max(self._objects, default=0)
-        nowhere = np.zeros(self._motion.grey(frame).shape, bool)
+        empty = np.zeros(self._motion.grey(frame).shape, bool)
         self._objects[number] = _Object(
             id=number,
-            seen=frame,
-            whole=nowhere,
+            last_frame=frame,
+            mask=empty,
             velocity=np.zeros(2),
-            look=np.zeros(BINS),
+            histogram=np.zeros(BINS),
         )
         return number
 
@@ -271,121 +289,133 @@ class ObjectTracker:
         frame: int,
         labels: np.ndarray,
         regions: Sequence[tuple[np.ndarray, bool]],
-        motions_of: SmoothMotions,
+        motions: SmoothMotions,
     ) -> None:
         """Update the state of the objects in a frame, and count the pairs that touch."""
-        flow = motions_of.flow
+        flow = motions.flow
         for number in np.unique(labels[labels > 0]):
             obj, mask = self._objects[number], labels == number
-            beside = cv2.dilate(np.uint8(mask), np.ones((5, 5), np.uint8)) > 0
-            is_whole = not (beside & (labels > 0) & ~mask).any()
-            kept = self._predicted_mask(obj, grown=False) if obj.seen == frame - 1 else mask
-            known_well = is_whole or mask.sum() >= MIN_QUADRATIC * kept.sum()
-            obj.whole = mask if is_whole else kept | mask if known_well else kept
-            obj.seen = frame
-            obj.pixels += int(mask.sum())
-            moved = np.median(flow[mask], axis=0).astype(np.float64)
-            if known_well:
-                obj.velocity, obj.look = moved, self._histogram(frame, mask)
-            around = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
-            around &= labels == 0
-            rest = np.median(flow[around], axis=0) if around.any() else np.zeros(2)
-            obj.motions[frame] = moved - rest
-            obj.places[frame] = np.array([*_center(mask), mask.sum() ** 0.5])
-        moving = cv2.connectedComponents((labels > 0).astype(np.uint8), connectivity=4)[1]
-        for region, core in regions:
+            neighbourhood = cv2.dilate(np.uint8(mask), np.ones((5, 5), np.uint8)) > 0
+            is_unoccluded = not (neighbourhood & (labels > 0) & ~mask).any()
+            predicted = (
+                self._predicted_mask(obj, enlarge=False) if obj.last_frame == frame - 1 else mask
+            )
+            is_reliable = is_unoccluded or mask.sum() >= MIN_QUADRATIC * predicted.sum()
+            obj.mask = mask if is_unoccluded else predicted | mask if is_reliable else predicted
+            obj.last_frame = frame
+            obj.pixel_count += int(mask.sum())
+            velocity = np.median(flow[mask], axis=0).astype(np.float64)
+            if is_reliable:
+                obj.velocity, obj.histogram = velocity, self._histogram(frame, mask)
+            surroundings = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
+            surroundings &= labels == 0
+            background = (
+                np.median(flow[surroundings], axis=0) if surroundings.any() else np.zeros(2)
+            )
+            obj.motions[frame] = velocity - background
+            obj.positions[frame] = np.array([*_center(mask), mask.sum() ** 0.5])
+        components = cv2.connectedComponents((labels > 0).astype(np.uint8), connectivity=4)[1]
+        for region, has_core in regions:
             for number in np.unique(labels[region & (labels > 0)]):
-                self._objects[int(number)].core += core
-        for joined in range(1, moving.max() + 1):
-            inside = [int(number) for number in np.unique(labels[moving == joined])]
-            for i, first in enumerate(inside):
-                for second in inside[i + 1 :]:
+                self._objects[int(number)].core_frames += has_core
+        for component in range(1, components.max() + 1):
+            ids = [int(number) for number in np.unique(labels[components == component])]
+            for i, first in enumerate(ids):
+                for second in ids[i + 1 :]:
                     pair = first, second
-                    self._touching[pair] = self._touching.get(pair, 0) + 1
+                    self._touching_frames[pair] = self._touching_frames.get(pair, 0) + 1
 
     def _final_labels(self) -> np.ndarray:
         """Return the final label of each object, (K,) uint8; 0 for an object that is dropped."""
         count = 1 + max(self._objects, default=0)
-        whole = np.arange(count)  # the object that each object is a part of
-        by_size = sorted(self._objects, key=lambda k: self._objects[k].pixels)
-        for place, region in enumerate(by_size):
-            larger = [k for k in by_size[place + 1 :] if self._is_part_of(region, k)]
+        root = np.arange(count)  # the object that each object is a part of
+        by_size = sorted(self._objects, key=lambda k: self._objects[k].pixel_count)
+        for index, smaller in enumerate(by_size):
+            larger = [k for k in by_size[index + 1 :] if self._is_part_of(smaller, k)]
             if larger:
-                whole[region] = larger[-1]  # the largest
-        for region in reversed(by_size):  # larger objects first
-            whole[region] = whole[whole[region]]
-        for late in sorted(self._objects):  # objects that reappear
-            if whole[late] == late and (earlier := self._same_before(late, whole)):
-                whole[whole == late] = whole[earlier]
+                root[smaller] = larger[-1]  # the largest
+        for smaller in reversed(by_size):  # larger objects first
+            root[smaller] = root[root[smaller]]
+        for later in sorted(self._objects):  # objects that reappear
+            if root[later] == later and (earlier := self._earlier_object(later, root)):
+                root[root == later] = root[earlier]
         table, number = np.zeros(count, np.uint8), 0
         for obj in sorted(self._objects):
-            if whole[obj] != obj:
+            if root[obj] != obj:
                 continue
-            same = np.flatnonzero(whole == obj)
-            frames = {frame for k in same for frame in self._objects[int(k)].motions}
-            lasting = min(MIN_FRAMES, len(self._motion))
-            core = sum(self._objects[int(k)].core for k in same)
-            if len(frames) >= lasting and core >= lasting - 1 and number < MAX_OBJECTS:
+            members = np.flatnonzero(root == obj)
+            frames = {frame for k in members for frame in self._objects[int(k)].motions}
+            min_frames = min(MIN_FRAMES, len(self._motion))
+            core_frames = sum(self._objects[int(k)].core_frames for k in members)
+            if len(frames) >= min_frames and core_frames >= min_frames - 1 and number < MAX_OBJECTS:
                 number += 1
-                table[same] = number
+                table[members] = number
         return table
 
-    def _same_before(self, late: int, whole: np.ndarray) -> int:
+    def _earlier_object(self, later: int, root: np.ndarray) -> int:
         """Return the object, occluded earlier, that looks like a later one; 0 for none."""
-        obj = self._objects[late]
-        frames = [f for k in np.flatnonzero(whole == late) for f in self._objects[int(k)].motions]
+        obj = self._objects[later]
+        frames = [f for k in np.flatnonzero(root == later) for f in self._objects[int(k)].motions]
         if not frames:  # the refined boundary left no pixel of the object
             return 0
         first = min(frames)
-        best, found = 0.0, 0
+        max_similarity, best_id = 0.0, 0
         for other in self._objects.values():
-            away = first - other.seen
-            if not 0 < away <= MAX_OCCLUSION + 1 or first not in obj.places:
+            gap = first - other.last_frame
+            if not 0 < gap <= MAX_OCCLUSION + 1 or first not in obj.positions:
                 continue
-            alike = self._likeness(other, obj.places[first], obj.look, away)
-            if alike > best:
-                best, found = alike, other.id
-        return found
+            similarity = self._similarity(other, obj.positions[first], obj.histogram, gap)
+            if similarity > max_similarity:
+                max_similarity, best_id = similarity, other.id
+        return best_id
 
-    def _is_part_of(self, region: int, other: int) -> bool:
+    def _is_part_of(self, smaller: int, larger: int) -> bool:
         """Return whether an object is a part of another one: they touch and move alike."""
-        touching = self._times(self._touching, region, other)
-        mine, others = self._objects[region].motions, self._objects[other].motions
-        both = len(mine.keys() & others.keys())
-        if touching < max(1, MIN_TOUCHING_LOOSE * len(mine)) or not both:
+        touching_frames = self._pair_count(self._touching_frames, smaller, larger)
+        smaller_motions, larger_motions = (
+            self._objects[smaller].motions,
+            self._objects[larger].motions,
+        )
+        common_frames = len(smaller_motions.keys() & larger_motions.keys())
+        if touching_frames < max(1, MIN_TOUCHING_LOOSE * len(smaller_motions)) or not common_frames:
             return False
-        differing = self._motion_difference(region, other)
-        if touching >= MIN_TOUCHING * len(mine) and differing < MAX_SAME_MOTION:
+        difference = self._motion_difference(smaller, larger)
+        if touching_frames >= MIN_TOUCHING * len(smaller_motions) and difference < MAX_SAME_MOTION:
             return True
-        return touching >= MIN_TOUCHING_OF_BOTH * both and differing < MAX_SIMILAR_MOTION
+        return (
+            touching_frames >= MIN_TOUCHING_OF_BOTH * common_frames
+            and difference < MAX_SIMILAR_MOTION
+        )
 
     @staticmethod
-    def _times(counts: dict[tuple[int, int], int], first: int, second: int) -> int:
+    def _pair_count(counts: dict[tuple[int, int], int], first: int, second: int) -> int:
         return counts.get((min(first, second), max(first, second)), 0)
 
     def _motion_difference(self, first: int, second: int) -> float:
         """Return the difference of the motions of two objects, as a share of the faster one."""
-        one, two = self._objects[first].motions, self._objects[second].motions
-        frames = sorted(one.keys() & two.keys())
-        apart = np.linalg.norm([one[f] - two[f] for f in frames], axis=1)
-        fast = np.maximum(*(np.linalg.norm([m[f] for f in frames], axis=1) for m in (one, two)))
-        return float(np.median(apart) / max(np.median(fast), 1e-9))
+        motions0, motions1 = self._objects[first].motions, self._objects[second].motions
+        frames = sorted(motions0.keys() & motions1.keys())
+        differences = np.linalg.norm([motions0[f] - motions1[f] for f in frames], axis=1)
+        speeds = np.maximum(
+            *(np.linalg.norm([m[f] for f in frames], axis=1) for m in (motions0, motions1))
+        )
+        return float(np.median(differences) / max(np.median(speeds), 1e-9))
 
-    def _propagate(self, frame: int, before: np.ndarray) -> np.ndarray:
+    def _propagate(self, frame: int, previous: np.ndarray) -> np.ndarray:
         """Return the labels of the previous frame, propagated by the image motion; 0 for none."""
         backward = self._motion.backward(frame)
-        carried = sample_image(
-            before.astype(np.float32), pixel_grid(before.shape) + backward, nearest=True
+        propagated = sample_image(
+            previous.astype(np.float32), pixel_grid(previous.shape) + backward, nearest=True
         )
-        returns = returns_to_start(backward, self._motion.forward(frame - 1)) > 0
-        return np.where(returns, carried.astype(np.int32), 0)
+        consistent = consistency_mask(backward, self._motion.forward(frame - 1)) > 0
+        return np.where(consistent, propagated.astype(np.int32), 0)
 
     def _histogram(self, frame: int, mask: np.ndarray) -> np.ndarray:
         grey = self._motion.grey(frame)[mask]
-        shares, _ = np.histogram(grey, BINS, (0, 256))
-        return shares / max(1, shares.sum())
+        counts, _ = np.histogram(grey, BINS, (0, 256))
+        return counts / max(1, counts.sum())
 
-    def _smallest(self, image: np.ndarray) -> int:
+    def _min_pixels(self, image: np.ndarray) -> int:
         return smallest_object(image.size)
 
 

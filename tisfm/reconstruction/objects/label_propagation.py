@@ -20,9 +20,9 @@ LOST_WEIGHT = 0.02
 
 def propagate_labels(
     motion: ImageMotion,
-    known: Sequence[int],  # frames that have labels, in order; at least one
+    labelled_frames: Sequence[int],  # frames that have labels, in order; at least one
     # returns the labels of such a frame, (H, W), in the size of the frames of the image motion
-    labelled: Callable[[int], np.ndarray],
+    labels_of: Callable[[int], np.ndarray],
 ) -> Iterator[tuple[int, np.ndarray]]:
     """Yield the frames without labels and labels for them, (H, W) int32, from the nearest frame.
 
@@ -30,23 +30,27 @@ def propagate_labels(
     disagree, as at surfaces that were hidden, the neighbours and the image edges decide.
     `refine_boundaries` refines the boundaries in every frame. The labels of hidden pixels are lost.
     """
-    for place, frame in enumerate(known):
-        before = known[place - 1] if place else -frame - 1
-        after = known[place + 1] if place + 1 < len(known) else 2 * len(motion) - frame
-        first, last = frame - (frame - before - 1) // 2, frame + (after - frame) // 2
-        for way, end in ((1, min(last, len(motion) - 1)), (-1, max(first, 0))):
-            labels = labelled(frame).astype(np.int32)
-            for at in range(frame + way, end + way, way):
-                labels = _carried(motion, at, at - way, labels)
-                yield at, labels
+    for index, frame in enumerate(labelled_frames):
+        previous = labelled_frames[index - 1] if index else -frame - 1
+        following = (
+            labelled_frames[index + 1]
+            if index + 1 < len(labelled_frames)
+            else 2 * len(motion) - frame
+        )
+        first, last = frame - (frame - previous - 1) // 2, frame + (following - frame) // 2
+        for direction, last_frame in ((1, min(last, len(motion) - 1)), (-1, max(first, 0))):
+            labels = labels_of(frame).astype(np.int32)
+            for current in range(frame + direction, last_frame + direction, direction):
+                labels = _propagate(motion, current, current - direction, labels)
+                yield current, labels
 
 
-def _carried(motion: ImageMotion, frame: int, other: int, labels: np.ndarray) -> np.ndarray:
+def _propagate(motion: ImageMotion, frame: int, other: int, labels: np.ndarray) -> np.ndarray:
     """Return the labels of a frame, (H, W) int32, from the labels of a neighbour frame."""
     numbers = np.unique(labels)
-    led = next(led for led in motion.chained_flows(frame, 1) if led.frame == other)
-    shares = np.stack([sample_image(np.float32(labels == k), led.places) for k in numbers])
-    costs = np.where(led.found, CHANGE_COST * (1 - shares), 0).astype(np.float32)
-    weight = np.where(led.found, FOLLOWED_WEIGHT, LOST_WEIGHT).astype(np.float32)
-    found = numbers[Potts(motion.grey(frame)).assign(costs, weight)]
-    return refine_boundaries(found, motion, frame)
+    chain = next(chain for chain in motion.chained_flows(frame, 1) if chain.frame == other)
+    shares = np.stack([sample_image(np.float32(labels == k), chain.positions) for k in numbers])
+    costs = np.where(chain.valid, CHANGE_COST * (1 - shares), 0).astype(np.float32)
+    weight = np.where(chain.valid, FOLLOWED_WEIGHT, LOST_WEIGHT).astype(np.float32)
+    best = numbers[Potts(motion.grey(frame)).assign(costs, weight)]
+    return refine_boundaries(best, motion, frame)

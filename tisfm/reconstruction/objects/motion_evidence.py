@@ -54,53 +54,53 @@ class Evidence:
 
     # (H, W) float32: sum over frames: positive for a pixel that moves on its own, negative for a
     # static one
-    moving: np.ndarray
+    total: np.ndarray
     weight: np.ndarray  # (H, W) float32: number of frames with evidence; each counts 1 at most
 
     @classmethod
-    def of_arrays(cls, moving: np.ndarray, weight: np.ndarray) -> "Evidence":
+    def of_arrays(cls, total: np.ndarray, weight: np.ndarray) -> "Evidence":
         """Return the object with these arrays."""
-        return cls(moving=moving.astype(np.float32), weight=weight.astype(np.float32))
+        return cls(total=total.astype(np.float32), weight=weight.astype(np.float32))
 
     def arrays(self) -> tuple[np.ndarray, ...]:
         """Return its arrays, with 11 significant bits."""
-        return self.moving.astype(np.float16), self.weight.astype(np.float16)
+        return self.total.astype(np.float16), self.weight.astype(np.float16)
 
     def mean(self) -> np.ndarray:
         """Return the mean evidence, (H, W) float32; pixels without evidence are static."""
-        return (self.moving + np.float32(STATIC_PRIOR * STATIC_EVIDENCE)) / (
+        return (self.total + np.float32(STATIC_PRIOR * STATIC_EVIDENCE)) / (
             self.weight + np.float32(STATIC_PRIOR)
         )
 
-    def judged_by(self, many: "Evidence") -> "Evidence":
+    def combine_with(self, multi_frame: "Evidence") -> "Evidence":
         """Return this evidence of frame pairs together with that of many frames.
 
         A pixel that looks static in two frames may move along epipolar lines. Evidence for a static
         pixel counts only where many frames support it.
         """
-        confirms_large_motion = (self.moving > 0) | (many.moving < 0)
+        valid = (self.total > 0) | (multi_frame.total < 0)
         return Evidence(
-            moving=confirms_large_motion * self.moving + many.moving,
-            weight=confirms_large_motion * self.weight + many.weight,
+            total=valid * self.total + multi_frame.total,
+            weight=valid * self.weight + multi_frame.weight,
         )
 
-    def at_rest_in(self, place: np.ndarray) -> "Evidence":
+    def with_static_pixels(self, mask: np.ndarray) -> "Evidence":
         """Return the evidence with the pixels of a mask, (H, W) bool, set to static."""
         return Evidence(
-            moving=np.where(place, np.float32(STATIC_EVIDENCE), self.moving),
-            weight=np.where(place, np.float32(1), self.weight),
+            total=np.where(mask, np.float32(STATIC_EVIDENCE), self.total),
+            weight=np.where(mask, np.float32(1), self.weight),
         )
 
-    def overruled_by(self, other: "Evidence") -> "Evidence":
+    def override_with(self, other: "Evidence") -> "Evidence":
         """Return the evidence, overruled by one that finds objects which look static here."""
-        counts = (self.moving > 0) | (other.weight == 0)
+        valid = (self.total > 0) | (other.weight == 0)
         return Evidence(
-            moving=counts * self.moving + other.moving,
-            weight=counts * self.weight + other.weight,
+            total=valid * self.total + other.total,
+            weight=valid * self.weight + other.weight,
         )
 
 
-def evidence_of(motion: ImageMotion, frame: int) -> Evidence:
+def frame_evidence(motion: ImageMotion, frame: int) -> Evidence:
     """Return the evidence of the image motion from a frame to others.
 
     One rigid motion is fitted to the image motion between two frames, where it is consistent.
@@ -109,64 +109,72 @@ def evidence_of(motion: ImageMotion, frame: int) -> Evidence:
     """
     shape, camera = motion.grey(frame).shape, motion.camera()
     total, weight = (np.zeros(shape, np.float32) for _ in range(2))
-    start, grey = pixel_grid(shape), motion.grey(frame)
-    for led in motion.chained_flows(frame, max(FRAME_STEPS)):
-        if led.steps not in FRAME_STEPS:
+    grid, grey = pixel_grid(shape), motion.grey(frame)
+    for chain in motion.chained_flows(frame, max(FRAME_STEPS)):
+        if chain.steps not in FRAME_STEPS:
             continue
-        flow = led.places - start
+        flow = chain.positions - grid
         try:
-            fitted = camera_motion(flow, np.float32(led.found), camera)
+            fit = camera_motion(flow, np.float32(chain.valid), camera)
         except TooFewPixelsError:
             continue
-        usual = fitted.residual + MIN_DEVIATION * max(shape) * led.steps**0.5
-        at_rest = StaticMotion(fitted.rotation, fitted.translation, camera, shape)
-        inverse_depth = at_rest.nearest(led.places)
-        far = np.linalg.norm(at_rest.places(inverse_depth) - led.places, axis=-1) / usual
-        says = np.clip((far / NEUTRAL_DEVIATIONS) ** 2 - 1, STATIC_EVIDENCE, MOVING_EVIDENCE)
-        resting = inverse_depth[led.found & (says < 0)]
-        view = motion.grey(led.frame), led.places, led.found, at_rest
-        clear = support_of_motion(grey, [view], inverse_depth, resting)
-        seen = np.where(says > 0, clear, 1)
-        seen *= led.found
-        total += seen * says
-        weight += seen
+        deviation = fit.residual + MIN_DEVIATION * max(shape) * chain.steps**0.5
+        static = StaticMotion(fit.rotation, fit.translation, camera, shape)
+        inverse_depth = static.nearest(chain.positions)
+        error = (
+            np.linalg.norm(static.positions(inverse_depth) - chain.positions, axis=-1) / deviation
+        )
+        vote = np.clip((error / NEUTRAL_DEVIATIONS) ** 2 - 1, STATIC_EVIDENCE, MOVING_EVIDENCE)
+        static_depths = inverse_depth[chain.valid & (vote < 0)]
+        view = motion.grey(chain.frame), chain.positions, chain.valid, static
+        support = support_of_motion(grey, [view], inverse_depth, static_depths)
+        frame_weight = np.where(vote > 0, support, 1)
+        frame_weight *= chain.valid
+        total += frame_weight * vote
+        weight += frame_weight
     comparisons = 2 * len(FRAME_STEPS)
-    return Evidence(moving=total / comparisons, weight=weight / comparisons)
+    return Evidence(total=total / comparisons, weight=weight / comparisons)
 
 
 def accumulate_evidence(motion: ImageMotion, evidence: Sequence[Evidence]) -> Sequence[Evidence]:
     """Return the evidence of every frame, accumulated along the image motion in both directions."""
-    before, after = _one_way(motion, evidence, 1), _one_way(motion, evidence, -1)
-    found = DiskCache(Evidence.arrays, Evidence.of_arrays)
+    forward, backward = _accumulate(motion, evidence, 1), _accumulate(motion, evidence, -1)
+    result = DiskCache(Evidence.arrays, Evidence.of_arrays)
     for frame, own in enumerate(evidence):
-        one, two = before[frame], after[len(evidence) - 1 - frame]
-        found.append(
+        from_earlier, from_later = forward[frame], backward[len(evidence) - 1 - frame]
+        result.append(
             Evidence(
-                moving=one.moving + two.moving - own.moving,
-                weight=one.weight + two.weight - own.weight,
+                total=from_earlier.total + from_later.total - own.total,
+                weight=from_earlier.weight + from_later.weight - own.weight,
             )
         )
-    return found
+    return result
 
 
-def _one_way(motion: ImageMotion, evidence: Sequence[Evidence], way: int) -> DiskCache[Evidence]:
+def _accumulate(
+    motion: ImageMotion, evidence: Sequence[Evidence], direction: int
+) -> DiskCache[Evidence]:
     """Return the evidence accumulated from earlier frames, or, with way −1, from later ones.
 
     The result has the frames in the order of accumulation.
     """
-    found, last = DiskCache(Evidence.arrays, Evidence.of_arrays), None
-    for frame in range(len(evidence))[::way]:
+    result, previous = DiskCache(Evidence.arrays, Evidence.of_arrays), None
+    for frame in range(len(evidence))[::direction]:
         own = evidence[frame]
-        if last is not None:
-            led = next(led for led in motion.chained_flows(frame, 1) if led.frame == frame - way)
-            kept = np.float32(PASSED_SHARE) * led.found
-            own = Evidence(
-                moving=own.moving + kept * sample_image(last.moving, led.places),
-                weight=own.weight + kept * sample_image(last.weight, led.places),
+        if previous is not None:
+            chain = next(
+                chain
+                for chain in motion.chained_flows(frame, 1)
+                if chain.frame == frame - direction
             )
-        found.append(own)
-        last = own
-    return found
+            factor = np.float32(PASSED_SHARE) * chain.valid
+            own = Evidence(
+                total=own.total + factor * sample_image(previous.total, chain.positions),
+                weight=own.weight + factor * sample_image(previous.weight, chain.positions),
+            )
+        result.append(own)
+        previous = own
+    return result
 
 
 class StaticMotion:
@@ -182,58 +190,58 @@ class StaticMotion:
     ) -> None:
         self._focal = np.float32(camera.focal)
         self._center = np.array(camera.center_for(*shape[:2]), np.float32)
-        start = (pixel_grid(shape) - self._center) / self._focal
-        rays = cv2.merge([*cv2.split(start), np.ones(shape[:2], np.float32)])
-        self._turned = cv2.transform(rays, rotation.astype(np.float32))
+        image_points = (pixel_grid(shape) - self._center) / self._focal
+        rays = cv2.merge([*cv2.split(image_points), np.ones(shape[:2], np.float32)])
+        self._rays = cv2.transform(rays, rotation.astype(np.float32))
         self._translation = translation.astype(np.float32)
 
-    def places(self, inverse_depth: np.ndarray | float) -> np.ndarray:
+    def positions(self, inverse_depth: np.ndarray | float) -> np.ndarray:
         """Return positions, (H, W, 2) float32, of points with an inverse depth, 1/unit of t."""
-        moved = [
-            turned + np.float32(inverse_depth) * part
-            for turned, part in zip(cv2.split(self._turned), self._translation, strict=True)
+        point = [
+            ray + np.float32(inverse_depth) * component
+            for ray, component in zip(cv2.split(self._rays), self._translation, strict=True)
         ]
-        scale = self._focal / np.maximum(moved[2], np.float32(MIN_DEPTH))
+        scale = self._focal / np.maximum(point[2], np.float32(MIN_DEPTH))
         x, y = self._center
-        return cv2.merge([moved[0] * scale + x, moved[1] * scale + y])
+        return cv2.merge([point[0] * scale + x, point[1] * scale + y])
 
     def inverse_depth(self, inverse_depth: np.ndarray) -> np.ndarray:
         """Return the inverse depth in the other frame, (H, W) float32."""
-        ahead = self._turned[..., 2] + inverse_depth * self._translation[2]
-        return inverse_depth / np.maximum(ahead, np.float32(MIN_DEPTH))
+        depth = self._rays[..., 2] + inverse_depth * self._translation[2]
+        return inverse_depth / np.maximum(depth, np.float32(MIN_DEPTH))
 
-    def slope_and_missed(
-        self, inverse_depth: np.ndarray, places: np.ndarray
+    def slope_and_residual(
+        self, inverse_depth: np.ndarray, positions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivative of positions by inverse depth, and the error of the positions, px.
 
         (H, W, 2) float32 each.
         """
-        x, y, ahead = (
-            turned + inverse_depth * part
-            for turned, part in zip(cv2.split(self._turned), self._translation, strict=True)
+        x, y, depth = (
+            ray + inverse_depth * component
+            for ray, component in zip(cv2.split(self._rays), self._translation, strict=True)
         )
-        scale = self._focal / np.maximum(ahead, np.float32(MIN_DEPTH))
-        along_x, along_y, along = self._translation
-        at_x, at_y = x * scale, y * scale
+        scale = self._focal / np.maximum(depth, np.float32(MIN_DEPTH))
+        t1, t2, t3 = self._translation
+        projected_x, projected_y = x * scale, y * scale
         slope = [
-            scale * along_x - at_x * scale / self._focal * along,
-            scale * along_y - at_y * scale / self._focal * along,
+            scale * t1 - projected_x * scale / self._focal * t3,
+            scale * t2 - projected_y * scale / self._focal * t3,
         ]
-        missed = places - self._center - cv2.merge([at_x, at_y])
-        return cv2.merge(slope), missed
+        residual = positions - self._center - cv2.merge([projected_x, projected_y])
+        return cv2.merge(slope), residual
 
-    def nearest(self, places: np.ndarray) -> np.ndarray:
+    def nearest(self, positions: np.ndarray) -> np.ndarray:
         """Return the inverse depth, (H, W) float32, whose position is nearest to given ones."""
-        target = (places - self._center) / self._focal
-        along, ahead = self._translation[:2], self._translation[2]
-        turned, inverse_depth = self._turned, np.zeros(target.shape[:2], np.float32)
+        target = (positions - self._center) / self._focal
+        t12, t3 = self._translation[:2], self._translation[2]
+        ray, inverse_depth = self._rays, np.zeros(target.shape[:2], np.float32)
         for _ in range(2):  # the second round has the weights of the first result
-            depth = np.maximum(turned[..., 2] + inverse_depth * ahead, np.float32(MIN_DEPTH))
-            missed = (target * turned[..., 2:] - turned[..., :2]) / depth[..., None]
-            slope = (target * ahead - along) / depth[..., None]
-            steep = np.maximum((slope * slope).sum(axis=-1), np.float32(1e-12))
-            inverse_depth = np.maximum(-(missed * slope).sum(axis=-1) / steep, np.float32(0))
+            depth = np.maximum(ray[..., 2] + inverse_depth * t3, np.float32(MIN_DEPTH))
+            residual = (target * ray[..., 2:] - ray[..., :2]) / depth[..., None]
+            slope = (target * t3 - t12) / depth[..., None]
+            square = np.maximum((slope * slope).sum(axis=-1), np.float32(1e-12))
+            inverse_depth = np.maximum(-(residual * slope).sum(axis=-1) / square, np.float32(0))
         return inverse_depth
 
 
@@ -245,7 +253,7 @@ def support_of_motion(
     views: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, StaticMotion]],
     # (H, W) float32: the inverse depth whose static position is nearest to these positions
     nearest: np.ndarray,
-    usual: np.ndarray,  # (N,) float32: inverse depths of static points
+    static_depths: np.ndarray,  # (N,) float32: inverse depths of static points
 ) -> np.ndarray:  # (H, W) float32: from `MIN_SUPPORT` to 1
     """Return how far the images support the image motion against every static position.
 
@@ -253,37 +261,46 @@ def support_of_motion(
     the image motion is wrong, some static depth fits the images as well or better. One depth has to
     fit all given frames.
     """
-    furthest = float(np.quantile(usual, 0.99)) * TRIED_DEPTH_FACTOR if len(usual) else 0.0
-    reach = [
-        np.median(np.linalg.norm(at_rest.places(furthest) - at_rest.places(0.0), axis=-1))
-        for *_, at_rest in views
+    max_inverse = (
+        float(np.quantile(static_depths, 0.99)) * TRIED_DEPTH_FACTOR if len(static_depths) else 0.0
+    )
+    shifts = [
+        np.median(np.linalg.norm(static.positions(max_inverse) - static.positions(0.0), axis=-1))
+        for *_, static in views
     ]
-    count = int(np.clip(max(reach) / TRIED_STEP, *TRIED_COUNTS))
-    missed = _missed(grey, [(other, led, found) for other, led, found, _ in views])
-    least = np.full(grey.shape, np.inf, np.float32)
-    tried: list[np.ndarray | float] = [nearest, *map(float, np.linspace(0, furthest, count))]
-    for inverse_depth in tried:
-        at_rest_places = [
-            (other, at_rest.places(inverse_depth), found) for other, _, found, at_rest in views
+    count = int(np.clip(max(shifts) / TRIED_STEP, *TRIED_COUNTS))
+    difference = _mean_difference(
+        grey, [(other, positions, valid) for other, positions, valid, _ in views]
+    )
+    min_difference = np.full(grey.shape, np.inf, np.float32)
+    candidates: list[np.ndarray | float] = [
+        nearest,
+        *map(float, np.linspace(0, max_inverse, count)),
+    ]
+    for inverse_depth in candidates:
+        static_views = [
+            (other, static.positions(inverse_depth), valid) for other, _, valid, static in views
         ]
-        least = np.minimum(least, _missed(grey, at_rest_places))
-    return np.clip((least - missed) / (REFUTING_DIFFERENCE + missed), MIN_SUPPORT, 1)
+        min_difference = np.minimum(min_difference, _mean_difference(grey, static_views))
+    return np.clip(
+        (min_difference - difference) / (REFUTING_DIFFERENCE + difference), MIN_SUPPORT, 1
+    )
 
 
-def _missed(
+def _mean_difference(
     grey: np.ndarray, views: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]
 ) -> np.ndarray:
     """Return the mean difference of pixels and positions in other frames, grey levels, (H, W)."""
     total, count = np.zeros(grey.shape, np.float32), np.zeros(grey.shape, np.float32)
-    for other, places, found in views:
-        total += found * grey_difference(other, places, grey)
-        count += found
+    for other, positions, valid in views:
+        total += valid * grey_difference(other, positions, grey)
+        count += valid
     return total / np.maximum(count, 1)
 
 
-def grey_difference(other: np.ndarray, places: np.ndarray, grey: np.ndarray) -> np.ndarray:
+def grey_difference(other: np.ndarray, positions: np.ndarray, grey: np.ndarray) -> np.ndarray:
     """Return the difference of two frames at positions, grey levels, (H, W) float32.
 
     It is averaged over windows.
     """
-    return cv2.blur(np.abs(sample_image(other, places) - grey), (COMPARE_WINDOW, COMPARE_WINDOW))
+    return cv2.blur(np.abs(sample_image(other, positions) - grey), (COMPARE_WINDOW, COMPARE_WINDOW))

@@ -34,12 +34,12 @@ MIN_DATA_SHARE = 0.02
 def find_moving_regions(
     grey: np.ndarray,  # (H, W) float32
     evidence: Evidence,
-    known: np.ndarray,  # (H, W) bool: pixels of objects that moved in earlier frames
+    object_mask: np.ndarray,  # (H, W) bool: pixels of objects that moved in earlier frames
 ) -> Iterator[tuple[np.ndarray, bool]]:
     """Yield the connected parts of a frame that move, (H, W) bool, and whether they have a core."""
     mean = evidence.mean()
     core = (mean > CORE_EVIDENCE) & (evidence.weight > MIN_CORE_FRAMES)
-    mean += np.float32(KNOWN_OBJECT_BONUS) * known
+    mean += np.float32(KNOWN_OBJECT_BONUS) * object_mask
     costs = np.stack(
         [2 * np.clip(mean - REGION_EVIDENCE, 0, 3), 4 * np.clip(REGION_EVIDENCE - mean, 0, 1)]
     )
@@ -47,14 +47,15 @@ def find_moving_regions(
         (evidence.weight + STATIC_PRIOR) / FULL_WEIGHT_FRAMES, MIN_DATA_SHARE, 1
     )
     moving = Potts(grey).assign(costs.astype(np.float32), weight.astype(np.float32)) == 1
-    count, parts, statistics, _ = cv2.connectedComponentsWithStats(
+    count, components, statistics, _ = cv2.connectedComponentsWithStats(
         moving.astype(np.uint8), connectivity=4
     )
-    cores = np.bincount(parts[core], minlength=count)
+    cores = np.bincount(components[core], minlength=count)
     smallest = smallest_object(grey.size)
-    for part in range(1, count):
-        if statistics[part, cv2.CC_STAT_AREA] >= smallest:
-            enough = max(
-                MIN_CORE_OF_SMALLEST * smallest, MIN_CORE_SHARE * statistics[part, cv2.CC_STAT_AREA]
+    for component in range(1, count):
+        if statistics[component, cv2.CC_STAT_AREA] >= smallest:
+            min_core = max(
+                MIN_CORE_OF_SMALLEST * smallest,
+                MIN_CORE_SHARE * statistics[component, cv2.CC_STAT_AREA],
             )
-            yield parts == part, bool(cores[part] >= enough)
+            yield components == component, bool(cores[component] >= min_core)

@@ -8,9 +8,9 @@ import numpy as np
 
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.objects.object_path import ObjectPath, find_object_path
-from tisfm.reconstruction.objects.object_scale import find_object_scale, reach
+from tisfm.reconstruction.objects.object_scale import find_object_scale, trimmed_extent
 from tisfm.reconstruction.result.folder import depth_path, read_depth, write_depth
-from tisfm.reconstruction.result.moving_object import MovingObject, ScaleFrom, seen_objects
+from tisfm.reconstruction.result.moving_object import MovingObject, ScaleFrom, labelled_objects
 from tisfm.settings import Settings
 
 NO_PATH = "the camera has no path where it is seen, or another one than the longest"
@@ -30,62 +30,66 @@ def objects_with_depth(
 ) -> tuple[MovingObject, ...]:
     """Return the moving objects. Their depth is written into the depth files of the frames."""
 
-    def at_rest(frame: int) -> np.ndarray:
+    def static_depth(frame: int) -> np.ndarray:
         return read_depth(folder, frame, frames.shape)[0]
 
-    known = piece[piece >= 0]
-    largest = int(np.bincount(known).argmax()) if len(known) else 0
+    valid = piece[piece >= 0]
+    largest = int(np.bincount(valid).argmax()) if len(valid) else 0
     world = np.where((piece == largest)[:, None, None], poses, np.nan)
-    found = []
-    for obj in seen_objects(len(poses), frames.labels):
-        found_path = find_object_path(obj, frames, frames.labels, settings, with_depth=with_depth)
-        if isinstance(found_path, str):
-            found.append(replace(obj, message=found_path))
+    result = []
+    for obj in labelled_objects(len(poses), frames.labels):
+        path = find_object_path(obj, frames, frames.labels, settings, with_depth=with_depth)
+        if isinstance(path, str):
+            result.append(replace(obj, message=path))
             continue
-        in_world = {
+        poses_in_world = {
             number: pose
-            for number, pose in found_path.piece.poses.items()
-            if np.isfinite(world[found_path.frames[number]]).all()
+            for number, pose in path.piece.poses.items()
+            if np.isfinite(world[path.frames[number]]).all()
         }
-        if not in_world:
-            found.append(replace(obj, message=NO_PATH))
+        if not poses_in_world:
+            result.append(replace(obj, message=NO_PATH))
             continue
-        found_path = replace(
-            found_path,
-            piece=replace(found_path.piece, poses=in_world),
-            depths=[depth for depth in found_path.depths if depth.frame in in_world],
+        path = replace(
+            path,
+            piece=replace(path.piece, poses=poses_in_world),
+            depths=[depth for depth in path.depths if depth.frame in poses_in_world],
         )
         size = (sizes or {}).get(obj.id)
-        scale, scale_from = find_object_scale(found_path, obj.id, at_rest, frames.labels, size)
-        found.append(place_object(obj, found_path, world, scale, scale_from))
-        for depth in found_path.depths:
-            frame = found_path.frames[depth.frame]
+        scale, scale_from = find_object_scale(path, obj.id, static_depth, frames.labels, size)
+        result.append(with_world_path(obj, path, world, scale, scale_from))
+        for depth in path.depths:
+            frame = path.frames[depth.frame]
             if not depth_path(folder, frame).exists():
                 continue
-            mine = (frames.labels(frame) == obj.id) & np.isfinite(depth.inverse_depth)
+            object_pixels = (frames.labels(frame) == obj.id) & np.isfinite(depth.inverse_depth)
             inverse_depth, deviation = read_depth(folder, frame, frames.shape)
-            inverse_depth[mine] = depth.inverse_depth[mine] / scale
-            deviation[mine] = depth.deviation[mine] / scale
+            inverse_depth[object_pixels] = depth.inverse_depth[object_pixels] / scale
+            deviation[object_pixels] = depth.deviation[object_pixels] / scale
             write_depth(folder, frame, inverse_depth, deviation)
-    return tuple(found)
+    return tuple(result)
 
 
-def place_object(
+def with_world_path(
     obj: MovingObject,
-    found_path: ObjectPath,
+    path: ObjectPath,
     poses: np.ndarray,  # (N, 4, 4) array: poses of the camera, camera to world
-    scale: float,  # length of the unit of `found_path`, in the unit of the world
+    scale: float,  # length of the unit of `path`, in the unit of the world
     scale_from: ScaleFrom,
 ) -> MovingObject:
     """Return an object with its path in the world."""
-    points = found_path.points()
-    moved = np.eye(4)
-    moved[:3, 3] = -np.median(points, axis=0)
-    at = {frame: k for k, frame in enumerate(obj.frames)}
-    found = obj.poses.copy()
-    for number, pose in found_path.piece.poses.items():
-        frame = found_path.frames[number]
-        own_to_camera = np.linalg.inv(moved @ pose)  # pose of the object, in the unit of found_path
-        own_to_camera[:3, 3] *= scale
-        found[at[frame]] = poses[frame] @ own_to_camera
-    return replace(obj, poses=found, extent=scale * reach(points), scale_from=scale_from)
+    points = path.points()
+    centering = np.eye(4)
+    centering[:3, 3] = -np.median(points, axis=0)
+    indices = {frame: k for k, frame in enumerate(obj.frames)}
+    object_poses = obj.poses.copy()
+    for number, pose in path.piece.poses.items():
+        frame = path.frames[number]
+        object_to_camera = np.linalg.inv(
+            centering @ pose
+        )  # pose of the object, in the unit of `path`
+        object_to_camera[:3, 3] *= scale
+        object_poses[indices[frame]] = poses[frame] @ object_to_camera
+    return replace(
+        obj, poses=object_poses, extent=scale * trimmed_extent(points), scale_from=scale_from
+    )

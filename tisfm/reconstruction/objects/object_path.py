@@ -49,20 +49,20 @@ class ObjectPath:
         return np.array([*self.piece.points.values()]).reshape(-1, 3)
 
 
-class _FramesOf:
+class _ObjectFrames:
     """The frames that show an object; only pixels of the object count."""
 
     def __init__(
         self,
         frames: PreparedFrames,
         numbers: Sequence[int],
-        labelled: Callable[[int], np.ndarray],  # returns the labels of a frame, (H, W)
+        labels_of: Callable[[int], np.ndarray],  # returns the labels of a frame, (H, W)
         number: int,  # id of the object
     ) -> None:
         self.camera: Camera = frames.camera
         self.shape = frames.shape
         self._frames, self._numbers = frames, numbers
-        self._labelled, self._number = labelled, number
+        self._labels_of, self._number = labels_of, number
 
     def grey(self, number: int) -> np.ndarray:
         """Return a frame, (H, W) float32."""
@@ -74,37 +74,37 @@ class _FramesOf:
         follows = number > 0 and self._numbers[number - 1] == frame - 1
         return self._frames.flow(frame) if follows else None
 
-    def counted(self, number: int) -> np.ndarray:
+    def used_pixels(self, number: int) -> np.ndarray:
         """Return the mask of the object, (H, W) bool."""
-        return self._labelled(self._numbers[number]) == self._number
+        return self._labels_of(self._numbers[number]) == self._number
 
 
 def find_object_path(
-    thing: MovingObject,
+    obj: MovingObject,
     frames: PreparedFrames,
-    labelled: Callable[[int], np.ndarray],  # returns the labels of a frame, (H, W)
+    labels_of: Callable[[int], np.ndarray],  # returns the labels of a frame, (H, W)
     settings: Settings,
     *,
     with_depth: bool = True,  # whether depth is found in addition to the path
 ) -> ObjectPath | str:
     """Return the path and depth of an object, or the reason why it has none."""
-    numbers = [frame for frame in thing.frames if (labelled(frame) == thing.id).sum() >= MIN_PIXELS]
+    numbers = [frame for frame in obj.frames if (labels_of(frame) == obj.id).sum() >= MIN_PIXELS]
     if len(numbers) < MIN_FRAMES:
         return f"it is too small, or seen in fewer than {MIN_FRAMES} frames"
-    own = _FramesOf(frames, numbers, labelled, thing.id)
-    side = float(np.median(np.sqrt(thing.boxes[:, 2] * thing.boxes[:, 3])))
-    longer = max(frames.shape)
-    cells = min(CELLS * longer / max(side, 1.0), longer / MIN_TRACK_DISTANCE)
+    object_frames = _ObjectFrames(frames, numbers, labels_of, obj.id)
+    object_side = float(np.median(np.sqrt(obj.boxes[:, 2] * obj.boxes[:, 3])))
+    frame_side = max(frames.shape)
+    cells = min(CELLS * frame_side / max(object_side, 1.0), frame_side / MIN_TRACK_DISTANCE)
     rim = np.ones((RIM_WIDTH, RIM_WIDTH), np.uint8)
 
-    def tracked(number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        grey = np.rint(own.grey(number)).clip(0, 255).astype(np.uint8)
-        inside = cv2.erode(np.uint8(own.counted(number)), rim)
-        return grey, inside == 0, own.flow(number)
+    def tracker_input(number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        grey = np.rint(object_frames.grey(number)).clip(0, 255).astype(np.uint8)
+        inside = cv2.erode(np.uint8(object_frames.used_pixels(number)), rim)
+        return grey, inside == 0, object_frames.flow(number)
 
     try:
         path = find_path(
-            map(tracked, range(len(numbers))),
+            map(tracker_input, range(len(numbers))),
             frames.camera,
             readout=0.0,
             cells=max(CELLS, round(cells)),
@@ -114,48 +114,48 @@ def find_object_path(
         return "what it shows from frame to frame does not fit together"
     if not path.pieces:
         return "it does not turn or come nearer enough, or is not rigid: its motion shows no depth"
-    piece = max(path.pieces, key=lambda one: len(one.poses))
-    depths = find_object_depths(own, piece, path.seen, settings) if with_depth else []
+    piece = max(path.pieces, key=lambda piece: len(piece.poses))
+    depths = find_object_depths(object_frames, piece, path.seen, settings) if with_depth else []
     return ObjectPath(frames=numbers, piece=piece, depths=depths)
 
 
 def find_object_depths(
-    own: Frames,
+    frames: Frames,
     piece: Piece,
-    seen: Sequence[Observations],  # tracks of every frame, on counted pixels
+    observations: Sequence[Observations],  # tracks of every frame, on counted pixels
     settings: Settings,
 ) -> list[FrameDepth]:
     """Return the depth of frames within the bounding box of the counted pixels of all frames.
 
     Pixels outside the box get no depth.
     """
-    part = _PartOf(own, _box_of(own, piece.poses))
-    top, left = part.corner
-    moved = [replace(one, points=one.points - (left, top)) for one in seen]
-    found = PieceDepths(
-        part, piece, moved, settings, effort=depth_effort(settings), whole=own.shape
+    crop = _CroppedFrames(frames, _bounding_box(frames, piece.poses))
+    top, left = crop.corner
+    cropped = [replace(each, points=each.points - (left, top)) for each in observations]
+    depths = PieceDepths(
+        crop, piece, cropped, settings, effort=depth_effort(settings), uncropped_shape=frames.shape
     )
-    return [part.within_the_whole(depth) for depth in found]
+    return [crop.uncrop(depth) for depth in depths]
 
 
-def _box_of(own: Frames, frames: Iterable[int]) -> tuple[slice, slice]:
+def _bounding_box(frames: Frames, numbers: Iterable[int]) -> tuple[slice, slice]:
     """Return the rows and columns of the bounding box of counted pixels, with a margin."""
-    counts = np.zeros(own.shape, bool)
-    for frame in frames:
-        counted = own.counted(frame)
-        counts |= True if counted is None else counted
-    left, top, width, height = cv2.boundingRect(np.uint8(counts))
+    mask = np.zeros(frames.shape, bool)
+    for number in numbers:
+        used_pixels = frames.used_pixels(number)
+        mask |= True if used_pixels is None else used_pixels
+    left, top, width, height = cv2.boundingRect(np.uint8(mask))
     rows, columns = (
         slice(
             max(0, first - BOX_MARGIN) // BOX_ALIGNMENT * BOX_ALIGNMENT,
-            min(first + length + BOX_MARGIN, most),
+            min(first + length + BOX_MARGIN, limit),
         )
-        for first, length, most in zip((top, left), (height, width), own.shape, strict=True)
+        for first, length, limit in zip((top, left), (height, width), frames.shape, strict=True)
     )
     return rows, columns
 
 
-class _PartOf:
+class _CroppedFrames:
     """Crops of frames, with their camera."""
 
     def __init__(
@@ -174,12 +174,12 @@ class _PartOf:
         """Return the crop of a frame, (h, w) float32."""
         return np.ascontiguousarray(self._frames.grey(number)[self._box])
 
-    def counted(self, number: int) -> np.ndarray | None:
+    def used_pixels(self, number: int) -> np.ndarray | None:
         """Return the counted pixels, (h, w) bool; None for all."""
-        counted = self._frames.counted(number)
-        return None if counted is None else np.ascontiguousarray(counted[self._box])
+        used_pixels = self._frames.used_pixels(number)
+        return None if used_pixels is None else np.ascontiguousarray(used_pixels[self._box])
 
-    def within_the_whole(self, depth: FrameDepth) -> FrameDepth:
+    def uncrop(self, depth: FrameDepth) -> FrameDepth:
         """Return the depth of a crop in the size of the whole frame."""
         inverse_depth, deviation = (
             np.full(self._frames.shape, value, np.float32) for value in (np.nan, np.inf)

@@ -27,44 +27,44 @@ MAX_BOX_POINTS = 1000
 
 
 def find_object_scale(
-    own: ObjectPath,
-    number: int,  # label of the object
+    path: ObjectPath,
+    object_id: int,  # label of the object
     # returns the static inverse depth of a frame, (H, W), 1/unit of the world
-    inverse_depth: Callable[[int], np.ndarray],
-    labelled: Callable[[int], np.ndarray],  # returns the labels of a frame, (H, W)
+    static_depth: Callable[[int], np.ndarray],
+    labels_of: Callable[[int], np.ndarray],  # returns the labels of a frame, (H, W)
     # known length of the object, as `longest_side` measures it, in the unit of the world
     size: float | None = None,
 ) -> tuple[float, ScaleFrom]:
     """Return the scale of an object, and its source."""
     if size is not None:
-        side = longest_side(own.points())
-        return (size / side, "size") if side > 0 else (1.0, "none")
-    contacts, around = [], []
-    for depth in own.depths:
-        frame = own.frames[depth.frame]
-        behind, labels = inverse_depth(frame), labelled(frame)
-        mine = labels == number
-        sure = mine & np.isfinite(depth.deviation) & (depth.inverse_depth > 0)
-        if not sure.any() or not np.isfinite(behind).any():
+        length = longest_side(path.points())
+        return (size / length, "size") if length > 0 else (1.0, "none")
+    contacts, surroundings = [], []
+    for depth in path.depths:
+        frame = path.frames[depth.frame]
+        background, labels = static_depth(frame), labels_of(frame)
+        object_pixels = labels == object_id
+        valid = object_pixels & np.isfinite(depth.deviation) & (depth.inverse_depth > 0)
+        if not valid.any() or not np.isfinite(background).any():
             continue
-        both = np.where(mine, depth.inverse_depth, behind).astype(np.float32)
-        contact = contact_scale(both, labels, mine & ~sure, number)
+        combined = np.where(object_pixels, depth.inverse_depth, background).astype(np.float32)
+        contact = contact_scale(combined, labels, object_pixels & ~valid, object_id)
         if contact is not None:
             contacts.append(1 / contact)
         window = np.ones((2 * SURROUNDINGS + 1, 2 * SURROUNDINGS + 1), np.uint8)
-        ring = (cv2.dilate(np.uint8(mine), window) > 0) & (labels == 0) & (behind > 0)
+        ring = (cv2.dilate(np.uint8(object_pixels), window) > 0) & (labels == 0) & (background > 0)
         if ring.any():
             # The object occludes its surroundings, so it is at least as near as their nearest part.
-            nearest = np.quantile(behind[ring], 0.9)
-            around.append(float(np.median(depth.inverse_depth[sure]) / nearest))
-    if len(contacts) >= max(2, len(own.depths) / 4):
+            nearest = np.quantile(background[ring], 0.9)
+            surroundings.append(float(np.median(depth.inverse_depth[valid]) / nearest))
+    if len(contacts) >= max(2, len(path.depths) / 4):
         return float(np.median(contacts)), "contact"
-    if around:
-        return float(np.median(around)), "around"
+    if surroundings:
+        return float(np.median(surroundings)), "around"
     return 1.0, "none"
 
 
-def reach(points: np.ndarray) -> np.ndarray:
+def trimmed_extent(points: np.ndarray) -> np.ndarray:
     """Return the extent of points, (N, 3), along each axis, (3,), without the outermost ones."""
     low, high = np.quantile(points, [TRIMMED_SHARE, 1 - TRIMMED_SHARE], axis=0)
     return np.asarray(high - low)
@@ -73,11 +73,11 @@ def reach(points: np.ndarray) -> np.ndarray:
 def longest_side(points: np.ndarray) -> float:
     """Return the longest side of the box with the least surface around points, (N, 3).
 
-    It does not depend on the orientation of the points. `reach` measures the sides.
+    It does not depend on the orientation of the points. `trimmed_extent` measures the sides.
     """
-    some = points[:: 1 + len(points) // MAX_BOX_POINTS]
+    sample = points[:: 1 + len(points) // MAX_BOX_POINTS]
     random = np.random.default_rng(0)
-    turns = Rotation.from_quat(random.normal(size=(BOX_TRIALS, 4))).as_matrix()
-    sides = np.stack([reach(some @ turn) for turn in turns])
-    surface = (sides * np.roll(sides, 1, axis=1)).sum(axis=1)
-    return float(sides[surface.argmin()].max())
+    rotations = Rotation.from_quat(random.normal(size=(BOX_TRIALS, 4))).as_matrix()
+    extents = np.stack([trimmed_extent(sample @ rotation) for rotation in rotations])
+    areas = (extents * np.roll(extents, 1, axis=1)).sum(axis=1)
+    return float(extents[areas.argmin()].max())

@@ -27,7 +27,7 @@ FRAME_STEPS = (1, 2, 3, 5, 8)
 # Reweighted rounds of the robust fit of depth.
 FIT_ROUNDS = 3
 # px per square root of the frame distance: error with half the weight.
-OUTLIER_PIXELS = 3.0
+OUTLIER_ERROR = 3.0
 # Largest usual error, as a share of the longer side; with a larger one, the path does not fit the
 # static points.
 MAX_USUAL_ERROR = 1.5e-3
@@ -40,7 +40,7 @@ def path_evidence(
     # frame without a pose
     poses: Sequence[np.ndarray | None],
     camera: Camera,  # a pinhole, for the frames of the image motion
-    moving: np.ndarray,  # (H, W) bool: pixels that are known to move
+    moving_pixels: np.ndarray,  # (H, W) bool: pixels that are known to move
 ) -> tuple[Evidence, np.ndarray] | None:
     """Return the evidence of many frames on a frame's pixels, under known poses, or None.
 
@@ -51,32 +51,35 @@ def path_evidence(
         return None
     shape = motion.grey(frame).shape
     views: list[tuple[ChainedFlow, StaticMotion]] = []
-    for led in motion.chained_flows(frame, max(FRAME_STEPS)):
-        other = poses[led.frame]
-        if led.steps in FRAME_STEPS and other is not None:
+    for chain in motion.chained_flows(frame, max(FRAME_STEPS)):
+        other = poses[chain.frame]
+        if chain.steps in FRAME_STEPS and other is not None:
             relative = np.linalg.inv(other) @ pose
-            views.append((led, StaticMotion(relative[:3, :3], relative[:3, 3], camera, shape)))
+            views.append((chain, StaticMotion(relative[:3, :3], relative[:3, 3], camera, shape)))
     if len(views) < 2:
         return None
-    inverse_depth, far = _joint_depth(views, shape)
-    seen = np.sum([led.found for led, _ in views], axis=0)
-    resting = (seen >= 2) & ~moving
-    if resting.sum() < 100:
+    inverse_depth, error = _joint_depth(views, shape)
+    count = np.sum([chain.valid for chain, _ in views], axis=0)
+    static_pixels = (count >= 2) & ~moving_pixels
+    if static_pixels.sum() < 100:
         return None
-    usual = 1.48 * float(np.median(far[resting]))
-    if usual > MAX_USUAL_ERROR * max(shape):
+    deviation = 1.48 * float(np.median(error[static_pixels]))
+    if deviation > MAX_USUAL_ERROR * max(shape):
         return None
-    usual += MIN_DEVIATION / 2 * max(shape)  # many frames are more certain than one
-    says = np.clip((far / (usual * NEUTRAL_DEVIATIONS)) ** 2 - 1, STATIC_EVIDENCE, MOVING_EVIDENCE)
-    near = inverse_depth[resting & (says < 0)]
-    last = {led.frame > frame: (led, at_rest) for led, at_rest in views}  # by side
+    deviation += MIN_DEVIATION / 2 * max(shape)  # many frames are more certain than one
+    vote = np.clip(
+        (error / (deviation * NEUTRAL_DEVIATIONS)) ** 2 - 1, STATIC_EVIDENCE, MOVING_EVIDENCE
+    )
+    static_depths = inverse_depth[static_pixels & (vote < 0)]
+    last_views = {chain.frame > frame: (chain, static) for chain, static in views}  # by side
     compared = [
-        (motion.grey(led.frame), led.places, led.found, at_rest) for led, at_rest in last.values()
+        (motion.grey(chain.frame), chain.positions, chain.valid, static)
+        for chain, static in last_views.values()
     ]
-    clear = support_of_motion(motion.grey(frame), compared, inverse_depth, near)
-    weight = np.where(says > 0, clear, 1) * np.minimum(seen / len(views) * 2, 1) * (seen >= 2)
-    found = Evidence(moving=np.float32(says * weight), weight=np.float32(weight))
-    return found, inverse_depth
+    support = support_of_motion(motion.grey(frame), compared, inverse_depth, static_depths)
+    weight = np.where(vote > 0, support, 1) * np.minimum(count / len(views) * 2, 1) * (count >= 2)
+    evidence = Evidence(total=np.float32(vote * weight), weight=np.float32(weight))
+    return evidence, inverse_depth
 
 
 def _joint_depth(
@@ -84,20 +87,20 @@ def _joint_depth(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the inverse depth that fits all views best, and its error, px, (H, W) each."""
     inverse_depth = np.zeros(shape, np.float32)
-    for number in range(FIT_ROUNDS):
+    for fit_round in range(FIT_ROUNDS):
         squares, products = np.full(shape, 1e-12, np.float32), np.zeros(shape, np.float32)
-        for led, at_rest in views:
-            slope, missed = at_rest.slope_and_missed(inverse_depth, led.places)
-            weight = led.found / np.float32(led.steps)  # errors add up along a chain
-            if number:
-                off = np.linalg.norm(missed, axis=-1) / np.float32(led.steps**0.5)
-                weight = weight / (1 + (off / OUTLIER_PIXELS) ** 2)
+        for chain, static in views:
+            slope, residual = static.slope_and_residual(inverse_depth, chain.positions)
+            weight = chain.valid / np.float32(chain.steps)  # errors add up along a chain
+            if fit_round:
+                error = np.linalg.norm(residual, axis=-1) / np.float32(chain.steps**0.5)
+                weight = weight / (1 + (error / OUTLIER_ERROR) ** 2)
             squares += weight * (slope * slope).sum(axis=-1)
-            products += weight * (slope * missed).sum(axis=-1)
+            products += weight * (slope * residual).sum(axis=-1)
         inverse_depth = np.maximum(inverse_depth + products / squares, 0)
     total, count = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    for led, at_rest in views:
-        off = np.linalg.norm(at_rest.places(inverse_depth) - led.places, axis=-1)
-        total += led.found * off**2 / led.steps
-        count += led.found
+    for chain, static in views:
+        error = np.linalg.norm(static.positions(inverse_depth) - chain.positions, axis=-1)
+        total += chain.valid * error**2 / chain.steps
+        count += chain.valid
     return inverse_depth, np.sqrt(total / np.maximum(count, 1))

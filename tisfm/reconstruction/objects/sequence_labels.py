@@ -15,13 +15,15 @@ from tisfm.reconstruction.objects.motion_evidence import (
     STATIC_EVIDENCE,
     Evidence,
     accumulate_evidence,
-    evidence_of,
+    frame_evidence,
 )
 from tisfm.reconstruction.objects.moving_regions import REGION_EVIDENCE
 from tisfm.reconstruction.objects.path_evidence import path_evidence
 
-# Static depth needs evidence of more than KNOWN frames, with a mean below HALF.
-KNOWN, HALF = 0.3, STATIC_EVIDENCE / 2
+# Frames with evidence that a static depth needs. Set by hand.
+MIN_STATIC_WEIGHT = 0.3
+# Largest mean evidence of a static depth. Set by hand.
+MAX_STATIC_MEAN = STATIC_EVIDENCE / 2
 
 
 class SequenceLabels:
@@ -34,14 +36,14 @@ class SequenceLabels:
         self._motion = ImageMotion(camera, TRACKING_SETTINGS)
         self._shape = (0, 0)
         self._evidence = DiskCache(Evidence.arrays, Evidence.of_arrays)
-        self._together: Sequence[Evidence] = ()
+        self._accumulated: Sequence[Evidence] = ()
 
     def add(self, grey: np.ndarray) -> None:
         """Take the next frame, (H, W) uint8."""
         self._shape = grey.shape
         self._motion.add(grey)
 
-    def found(
+    def labels(
         self,
         # sequence of (4, 4) array or None: camera to world, if the path is known; the evidence of
         # many frames under this path is added. None for a frame without a pose.
@@ -54,72 +56,81 @@ class SequenceLabels:
             ground = self._add_path(poses, camera)
         elif not len(self._evidence):
             for frame in range(len(self._motion)):
-                self._evidence.append(evidence_of(self._motion, frame))
-        self._together = accumulate_evidence(self._motion, self._evidence)
-        labels = ObjectTracker(self._motion, self._together).labels()
-        for labelled in labels if ground is None else self._with_ground(labels, ground):
-            yield enlarge_labels(labelled, self._motion.share, self._shape)
+                self._evidence.append(frame_evidence(self._motion, frame))
+        self._accumulated = accumulate_evidence(self._motion, self._evidence)
+        tracked = ObjectTracker(self._motion, self._accumulated).labels()
+        for frame_labels in tracked if ground is None else self._with_ground(tracked, ground):
+            yield enlarge_labels(frame_labels, self._motion.scale, self._shape)
 
     def _add_path(self, poses: Sequence[np.ndarray | None], camera: Camera) -> BelowGround:
         """Add the evidence of the camera path, and return the search below the ground."""
-        small = self._motion.camera(camera)
-        both = DiskCache(Evidence.arrays, Evidence.of_arrays)
+        small_camera = self._motion.camera(camera)
+        combined = DiskCache(Evidence.arrays, Evidence.of_arrays)
         depths = DiskCache(StaticDepth.arrays, StaticDepth.of_arrays)
         for frame, own in enumerate(self._evidence):
-            moving = self._together[frame].mean() > REGION_EVIDENCE
-            more = path_evidence(self._motion, frame, poses, small, moving)
-            if more is None:
-                both.append(own)
-                depths.append(StaticDepth.unknown(moving.shape))
+            moving_pixels = self._accumulated[frame].mean() > REGION_EVIDENCE
+            path_result = path_evidence(self._motion, frame, poses, small_camera, moving_pixels)
+            if path_result is None:
+                combined.append(own)
+                depths.append(StaticDepth.empty(moving_pixels.shape))
                 continue
-            many, inverse_depth = more
-            both.append(own.judged_by(many))
-            at_rest = ~moving & (many.weight > KNOWN) & (many.moving < HALF * many.weight)
-            depths.append(StaticDepth(inverse_depth=inverse_depth, at_rest=at_rest))
-        self._evidence = both
-        return BelowGround(self._motion, poses, small, depths)
+            multi_frame, inverse_depth = path_result
+            combined.append(own.combine_with(multi_frame))
+            static_pixels = (
+                ~moving_pixels
+                & (multi_frame.weight > MIN_STATIC_WEIGHT)
+                & (multi_frame.total < MAX_STATIC_MEAN * multi_frame.weight)
+            )
+            depths.append(StaticDepth(inverse_depth=inverse_depth, static_pixels=static_pixels))
+        self._evidence = combined
+        return BelowGround(self._motion, poses, small_camera, depths)
 
     def _with_ground(
-        self, labels: Iterator[np.ndarray], ground: BelowGround
+        self, tracked: Iterator[np.ndarray], ground: BelowGround
     ) -> Iterator[np.ndarray]:
         """Yield the labels of every frame, with objects below the ground added.
 
         They get ids of their own. Their lower boundary on the ground is unknown, so a region below
         the ground may run into another moving object.
         """
-        known: DiskCache[np.ndarray] = DiskCache(lambda labels: (labels,), lambda labels: labels)
+        stored: DiskCache[np.ndarray] = DiskCache(lambda labels: (labels,), lambda labels: labels)
         evidence = DiskCache(Evidence.arrays, Evidence.of_arrays)
-        count, is_any = 0, False
-        for frame, labelled in enumerate(labels):
-            known.append(labelled)
-            count = max(count, int(labelled.max()))
-            own = self._evidence[frame].at_rest_in(labelled > 0)
-            below = ground.evidence(frame, labelled > 0)
-            is_any |= below is not None
-            evidence.append(own if below is None else own.overruled_by(below))
-        if not is_any:
-            yield from known
+        count, has_any = 0, False
+        for frame, frame_labels in enumerate(tracked):
+            stored.append(frame_labels)
+            count = max(count, int(frame_labels.max()))
+            static = self._evidence[frame].with_static_pixels(frame_labels > 0)
+            below_ground = ground.evidence(frame, frame_labels > 0)
+            has_any |= below_ground is not None
+            evidence.append(static if below_ground is None else static.override_with(below_ground))
+        if not has_any:
+            yield from stored
             return
-        more = ObjectTracker(self._motion, accumulate_evidence(self._motion, evidence)).labels()
-        for labelled, others in zip(known, more, strict=True):
-            is_new = (labelled == 0) & (others > 0) & (others <= MAX_OBJECTS - count)
-            yield np.where(is_new, others + np.uint8(count), labelled)
+        other_labels = ObjectTracker(
+            self._motion, accumulate_evidence(self._motion, evidence)
+        ).labels()
+        for frame_labels, other in zip(stored, other_labels, strict=True):
+            is_new = (frame_labels == 0) & (other > 0) & (other <= MAX_OBJECTS - count)
+            yield np.where(is_new, other + np.uint8(count), frame_labels)
 
 
 def enlarge_labels(
     labels: np.ndarray,  # (h, w) array
-    share: float,  # pixels of the shrunk frames per pixel of the frames
+    scale: float,  # pixels of the shrunk frames per pixel of the frames
     shape: Sequence[int],  # height and width of the frames, px
 ) -> np.ndarray:
     """Return labels of shrunk frames, (h, w), in the size of the frames, (H, W) uint8."""
-    if share == 1:
+    if scale == 1:
         return labels.astype(np.uint8)
     height, width = shape
-    size = round(labels.shape[1] / share), round(labels.shape[0] / share)
-    best, found = np.full((height, width), 0.5, np.float32), np.zeros((height, width), np.uint8)
+    size = round(labels.shape[1] / scale), round(labels.shape[0] / scale)
+    max_coverage, enlarged = (
+        np.full((height, width), 0.5, np.float32),
+        np.zeros((height, width), np.uint8),
+    )
     for number in np.unique(labels[labels > 0]):
-        mine = cv2.resize(np.float32(labels == number), size, interpolation=cv2.INTER_CUBIC)
-        mine = mine[:height, :width]
-        found[mine > best] = number
-        best = np.maximum(best, mine)
-    return found
+        coverage = cv2.resize(np.float32(labels == number), size, interpolation=cv2.INTER_CUBIC)
+        coverage = coverage[:height, :width]
+        enlarged[coverage > max_coverage] = number
+        max_coverage = np.maximum(max_coverage, coverage)
+    return enlarged

@@ -17,12 +17,12 @@ from tisfm.reconstruction.result.calibration import Calibrate
 
 def find_static_path(
     frames: PreparedFrames,  # the labels are stored in them
-    labels: SequenceLabels | None,  # with all frames added; None if the frames have given labels
+    search: SequenceLabels | None,  # with all frames added; None if the frames have given labels
     # Returns the path of the frames in their present state. Its argument states which camera
     # parameters are calibrated.
-    path_of: Callable[[Calibrate | None], CameraPath],
+    find_path: Callable[[Calibrate | None], CameraPath],
     # sets the camera of the frames to that of a path, and prepares the frames anew if needed
-    take_camera: Callable[[CameraPath], None],
+    set_camera: Callable[[CameraPath], None],
 ) -> CameraPath:
     """Label the moving objects, unless labels are given, and return the path of the static rest.
 
@@ -31,49 +31,51 @@ def find_static_path(
     rolling shutter, the frames are undistorted first, and all starts again as if this camera had
     been given.
     """
-    if labels is not None:
-        _label(frames, labels.found())
-    path = path_of(None)
+    if search is not None:
+        _set_labels(frames, search.labels())
+    path = find_path(None)
     focal = path.focal
     calibrate: Calibrate | None = None
-    if labels is not None and (path.rolling is not None or not path.camera.is_pinhole):
-        take_camera(path)
-        labels, calibrate = SequenceLabels(frames.camera), "nothing"
+    if search is not None and (path.rolling is not None or not path.camera.is_pinhole):
+        set_camera(path)
+        search, calibrate = SequenceLabels(frames.camera), "nothing"
         for number in range(frames.count):
-            labels.add(frames.tracked(number)[0])
-        _label(frames, labels.found())
-        path = path_of(calibrate)
-    if labels is not None and _label(
-        frames, labels.found(_poses(path, frames.count), path.camera.pinhole())
+            search.add(frames.tracker_input(number)[0])
+        _set_labels(frames, search.labels())
+        path = find_path(calibrate)
+    if search is not None and _set_labels(
+        frames, search.labels(_largest_piece_poses(path, frames.count), path.camera.pinhole())
     ):
-        path = path_of(calibrate)
-    take_camera(path)
+        path = find_path(calibrate)
+    set_camera(path)
     return path if calibrate is None else replace(path, focal=focal)
 
 
-def label_remaining_frames(frames: PreparedFrames, known: Sequence[int]) -> None:
-    """Propagate the labels of the `known` frames, in order, to the frames without labels."""
-    if len(known) == frames.count:
+def label_remaining_frames(frames: PreparedFrames, labelled_frames: Sequence[int]) -> None:
+    """Propagate the labels of the `labelled_frames`, in order, to the frames without labels."""
+    if len(labelled_frames) == frames.count:
         return
     motion = ImageMotion(frames.camera, TRACKING_SETTINGS)
     for number in range(frames.count):
-        motion.add(frames.tracked(number)[0])
+        motion.add(frames.tracker_input(number)[0])
     height, width = motion.grey(0).shape
 
-    def labelled(number: int) -> np.ndarray:
+    def labels_of(number: int) -> np.ndarray:
         size = (width, height)
         return cv2.resize(frames.labels(number), size, interpolation=cv2.INTER_NEAREST_EXACT)
 
-    for number, labels in propagate_labels(motion, known, labelled):
-        frames.label(number, enlarge_labels(labels, motion.share, frames.shape))
+    for number, labels in propagate_labels(motion, labelled_frames, labels_of):
+        frames.set_labels(number, enlarge_labels(labels, motion.scale, frames.shape))
 
 
-def _label(frames: PreparedFrames, labels: Iterable[np.ndarray]) -> bool:
+def _set_labels(frames: PreparedFrames, labels: Iterable[np.ndarray]) -> bool:
     """Label every frame, and return whether any label changed."""
-    return any([frames.label(number, labelled) for number, labelled in enumerate(labels)])
+    return any(
+        [frames.set_labels(number, frame_labels) for number, frame_labels in enumerate(labels)]
+    )
 
 
-def _poses(path: CameraPath, count: int) -> list[np.ndarray | None]:
+def _largest_piece_poses(path: CameraPath, count: int) -> list[np.ndarray | None]:
     """Return the poses of the largest piece, by frame."""
     poses: list[np.ndarray | None] = [None] * count
     if path.pieces:

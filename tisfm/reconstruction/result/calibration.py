@@ -68,33 +68,33 @@ def describe_focal(focal: float, deviation: float, shape: tuple[int, int] | None
 
     A deviation that is 0 or infinite is left out.
     """
-    told = f"{focal:.4g}"
+    text = f"{focal:.4g}"
     if 0 < deviation < math.inf:
-        told += f" ± {float(f'{deviation:.1g}'):g}"  # one significant digit
-    return f"{told} px{at_size(shape)}"
+        text += f" ± {float(f'{deviation:.1g}'):g}"  # one significant digit
+    return f"{text} px{at_size(shape)}"
 
 
 def as_json(calibration: Calibration) -> dict[str, Any]:
     """Return the calibration as JSON, which has no infinite numbers."""
-    about = asdict(calibration)
+    values = asdict(calibration)
     if math.isinf(calibration.focal_std):
-        about["focal_std"] = None
-    return about
+        values["focal_std"] = None
+    return values
 
 
-def from_json(about: dict[str, Any]) -> Calibration:
+def from_json(stored: dict[str, Any]) -> Calibration:
     """Return the calibration that `as_json` wrote."""
-    deviation = math.inf if about["focal_std"] is None else float(about["focal_std"])
-    known = {field.name for field in fields(Calibration)}  # later versions may have more fields
-    kinds: dict[str, Any] = {"origin": str, "seen": bool, "message": str, "shape": _shape}
+    deviation = math.inf if stored["focal_std"] is None else float(stored["focal_std"])
+    names = {field.name for field in fields(Calibration)}  # later versions may have more fields
+    converters: dict[str, Any] = {"origin": str, "seen": bool, "message": str, "shape": _shape}
     # The file of a camera has null for an unknown readout time.
-    stated = [name for name in known - {"focal_std"} if about.get(name) is not None]
-    values = {name: kinds.get(name, float)(about[name]) for name in stated}
+    stored_names = [name for name in names - {"focal_std"} if stored.get(name) is not None]
+    values = {name: converters.get(name, float)(stored[name]) for name in stored_names}
     return Calibration(**values, focal_std=deviation)
 
 
-def _shape(given: Any) -> tuple[int, int]:
-    height, width = map(int, given)
+def _shape(values: Any) -> tuple[int, int]:
+    height, width = map(int, values)
     return height, width
 
 
@@ -115,14 +115,14 @@ def calibration_in(
     if "origin" not in record:
         return GIVEN
     try:
-        about = from_json({"focal_std": 0.0} | record)
+        calibration = from_json({"focal_std": 0.0} | record)
         ratio = focal / float(record["focal"])
     except (ValueError, KeyError, TypeError, ArithmeticError) as error:
         raise FormatError(f"{file_of(path)} is damaged: {error}") from error
     return replace(
-        about,
+        calibration,
         focal=focal,
-        focal_std=ratio * about.focal_std,
+        focal_std=ratio * calibration.focal_std,
         shape=None,  # the size of these frames is unknown here
         readout=0.0,  # from now on it counts as given
         readout_std=0.0,

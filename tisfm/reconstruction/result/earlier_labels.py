@@ -15,8 +15,8 @@ from tisfm.camera_file import read_camera
 from tisfm.errors import InputError
 from tisfm.reconstruction.result.folder import MASKS, PICTURES, RECORD, mask_path, read_record
 
-MOST_COEFFICIENTS = 14
-SAME = 1e-6  # relative difference below which two cameras are equal
+MAX_COEFFICIENTS = 14
+SAME_CAMERA_TOLERANCE = 1e-6  # relative difference below which two cameras are equal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,10 +29,12 @@ class ResultLabels:
     # fit the frames as they are read
     camera: Camera | None
 
-    def check(self, stated: Camera | None, calibrate: str) -> None:
+    def check(self, given_camera: Camera | None, calibrate: str) -> None:
         """Raise InputError unless frames are prepared like those of the labels."""
         if self.camera is None or (
-            stated is not None and calibrate == "nothing" and _is_same(self.camera, stated)
+            given_camera is not None
+            and calibrate == "nothing"
+            and _is_same_camera(self.camera, given_camera)
         ):
             return
         raise InputError(
@@ -41,7 +43,7 @@ class ResultLabels:
         )
 
 
-def labels_of_result(
+def find_result_labels(
     # labels, source: As for `tisfm.reconstruct`. If the source is the frames folder of that
     # reconstruction, the labels fit its frames.
     labels: Any,
@@ -62,23 +64,23 @@ def labels_of_result(
     if isinstance(source, (str, os.PathLike)) and Path(source).resolve() == pictures:
         return ResultLabels(folder=folder, files={f.stem: f for f in files}, camera=None)
     camera = read_camera(folder)
-    made_anew = not camera.is_pinhole or bool(camera.readout)
-    by_name = dict(zip(names, files, strict=True))
-    return ResultLabels(folder=folder, files=by_name, camera=camera if made_anew else None)
+    is_corrected = not camera.is_pinhole or bool(camera.readout)
+    files_by_name = dict(zip(names, files, strict=True))
+    return ResultLabels(folder=folder, files=files_by_name, camera=camera if is_corrected else None)
 
 
-def _is_same(one: Camera, other: Camera) -> bool:
-    first, second = (
+def _is_same_camera(camera0: Camera, camera1: Camera) -> bool:
+    values0, values1 = (
         (camera.focal, camera.aspect, *(camera.center or ()), *_padded(camera.distortion or ()))
-        for camera in (one, other)
+        for camera in (camera0, camera1)
     )
     return (
-        len(first) == len(second)
-        and np.allclose(first, second, rtol=SAME, atol=SAME)
-        and abs((one.readout or 0) - (other.readout or 0)) < SAME
+        len(values0) == len(values1)
+        and np.allclose(values0, values1, rtol=SAME_CAMERA_TOLERANCE, atol=SAME_CAMERA_TOLERANCE)
+        and abs((camera0.readout or 0) - (camera1.readout or 0)) < SAME_CAMERA_TOLERANCE
     )
 
 
 def _padded(distortion: Sequence[float]) -> tuple[float, ...]:
     """Return all distortion coefficients; missing ones are zero."""
-    return (*distortion, *(0.0,) * (MOST_COEFFICIENTS - len(distortion)))
+    return (*distortion, *(0.0,) * (MAX_COEFFICIENTS - len(distortion)))

@@ -32,16 +32,16 @@ from tisfm.status import Status
 from tisfm.trajectory.poses import check_poses
 
 FORMAT, OBJECTS_FORMAT = 2, 1
-RECORD, BEGUN = "reconstruction.json", "reconstruction.begun"
+RECORD, MARKER = "reconstruction.json", "reconstruction.begun"
 PATH, DEPTH, PICTURES, CACHE = "path.npz", "depth", "frames", "cache"
 MASKS, OBJECTS = "masks", "objects.json"
-LARGEST_HALF = 60000.0  # values are scaled to at most this: float16 ends at 65504
+MAX_HALF = 60000.0  # values are scaled to at most this: float16 ends at 65504
 # Errors that other JSON, or numbers outside NumPy's range, raise when read.
-_DAMAGE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
+_DAMAGE_ERRORS = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA, MASKS, OBJECTS)
-_HALVES = ("inverse_depth", "inverse_depth_std")
+_HALF_ARRAYS = ("inverse_depth", "inverse_depth_std")
 REQUEST = "asked.json"  # the request of `tisfm reconstruct`
-OTHERS = (
+OPTIONAL_FILES = (
     REQUEST, "poses.txt", "trajectory.txt", "points.ply", "mesh.ply", "mesh.glb", REPORT, TIMINGS
 )  # fmt: skip
 
@@ -54,16 +54,16 @@ def write_depth(
     deviation: np.ndarray,
 ) -> None:
     """Write the depth of a frame, with 11 significant bits."""
-    scale = largest_of(inverse_depth) / LARGEST_HALF or 1.0
+    scale = max_finite(inverse_depth) / MAX_HALF or 1.0
     with np.errstate(over="ignore"):
         halves = [
             (values / np.float32(scale)).astype("<f2") for values in (inverse_depth, deviation)
         ]
-    parts = {"inverse_depth": halves[0], "inverse_depth_std": halves[1], "scale": np.array(scale)}
-    write_npz(depth_path(folder, number), parts)
+    arrays = {"inverse_depth": halves[0], "inverse_depth_std": halves[1], "scale": np.array(scale)}
+    write_npz(depth_path(folder, number), arrays)
 
 
-def largest_of(values: np.ndarray) -> float:
+def max_finite(values: np.ndarray) -> float:
     """Return the largest finite value, 0 if there is none."""
     return float(np.max(values, where=np.isfinite(values), initial=0.0))
 
@@ -81,16 +81,16 @@ def read_depth(folder: Path, number: int, shape: tuple[int, int]) -> tuple[np.nd
             raise FileNotFoundError(f"there is no {path.parent}: the folder is not complete")
         return np.full(shape, np.nan, np.float32), np.full(shape, np.inf, np.float32)
     with NpzFile(path) as file:
-        for name in (*_HALVES, "scale"):
+        for name in (*_HALF_ARRAYS, "scale"):
             layout = file.header(name)
-            expected = (shape, np.dtype("<f2")) if name in _HALVES else ((), np.dtype("<f8"))
+            expected = (shape, np.dtype("<f2")) if name in _HALF_ARRAYS else ((), np.dtype("<f8"))
             if layout != expected:
                 raise FormatError(f"{path} has {name} of {layout}: expected {expected}")
         scale = np.float32(file.read("scale"))
         if not (np.isfinite(scale) and scale > 0):
             raise FormatError(f"{path} has the scale {scale}: expected a finite positive number")
-        found = [file.read(name) for name in _HALVES]
-    inverse_depth, deviation = (values.astype(np.float32) * scale for values in found)
+        stored = [file.read(name) for name in _HALF_ARRAYS]
+    inverse_depth, deviation = (values.astype(np.float32) * scale for values in stored)
     return inverse_depth, deviation
 
 
@@ -118,9 +118,9 @@ def mask_path(folder: Path, number: int) -> Path:
 
 def write_objects(folder: Path, objects: Sequence[MovingObject]) -> None:
     """Write the moving objects as JSON."""
-    about = {"format": OBJECTS_FORMAT, "objects": [thing.as_json() for thing in objects]}
+    record = {"format": OBJECTS_FORMAT, "objects": [obj.as_json() for obj in objects]}
     with atomic_write(folder / OBJECTS) as file:
-        file.write(json.dumps(about, allow_nan=False).encode())
+        file.write(json.dumps(record, allow_nan=False).encode())
 
 
 def _read_objects(folder: Path, settings: Settings, count: int) -> tuple[MovingObject, ...]:
@@ -132,22 +132,22 @@ def _read_objects(folder: Path, settings: Settings, count: int) -> tuple[MovingO
         if not part.exists():
             raise FormatError(f"{folder} has no {part.name}: it is not complete")
     try:
-        about = read_json(path)
-        if about["format"] != OBJECTS_FORMAT:
+        record = read_json(path)
+        if record["format"] != OBJECTS_FORMAT:
             raise InputError(
-                f"it is of format {about['format']}, this version reads {OBJECTS_FORMAT}: "
+                f"it is of format {record['format']}, this version reads {OBJECTS_FORMAT}: "
                 "reconstruct anew"
             )
-        things = tuple(MovingObject.of_json(thing) for thing in about["objects"])
-        for thing in things:
-            if not set(thing.frames) <= set(range(count)):
-                raise InputError(f"thing {thing.id} is seen in other frames than those there are")
+        objects = tuple(MovingObject.of_json(obj) for obj in record["objects"])
+        for obj in objects:
+            if not set(obj.frames) <= set(range(count)):
+                raise InputError(f"thing {obj.id} is seen in other frames than those there are")
     except FormatError:
         raise
-    except _DAMAGE as error:
+    except _DAMAGE_ERRORS as error:
         reason = " ".join(str(error).split())
         raise FormatError(f"{path} is damaged or of another kind: {reason}") from error
-    return things
+    return objects
 
 
 def depth_path(folder: Path, number: int) -> Path:
@@ -178,7 +178,7 @@ def write_record(folder: Path, result: Any) -> None:
         "unit": np.array(result.unit, np.float64),
     }
     write_npz(folder / PATH, path)
-    about = {
+    record = {
         "format": FORMAT,
         "version": result.version,
         "camera": asdict(result.camera),
@@ -194,8 +194,8 @@ def write_record(folder: Path, result: Any) -> None:
     if result.settings.motion == "objects":
         write_objects(folder, result.objects)
     with atomic_write(folder / RECORD) as file:
-        file.write(json.dumps(about, indent=1).encode())
-    (folder / BEGUN).unlink(missing_ok=True)
+        file.write(json.dumps(record, indent=1).encode())
+    (folder / MARKER).unlink(missing_ok=True)
 
 
 def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
@@ -207,14 +207,14 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
     """
     path = Path(folder)
     if not (path / RECORD).is_file():
-        what = "is not complete" if (path / DEPTH).is_dir() else "is not that of a reconstruction"
-        raise FileNotFoundError(f"the folder {path} {what}: it has no {RECORD}")
+        reason = "is not complete" if (path / DEPTH).is_dir() else "is not that of a reconstruction"
+        raise FileNotFoundError(f"the folder {path} {reason}: it has no {RECORD}")
     try:
-        about = read_json(path / RECORD)
-        if about["format"] != FORMAT:
+        record = read_json(path / RECORD)
+        if record["format"] != FORMAT:
             raise InputError(
-                f"it is of format {about['format']}, written by tisfm {about.get('version')}; this "
-                f"version reads format {FORMAT}: reconstruct anew"
+                f"it has format {record['format']}, written by tisfm {record.get('version')}; this "
+                f"version reads format {FORMAT}: reconstruct the source again"
             )
         with NpzFile(path / PATH) as file:
             poses, piece, times, unit = (
@@ -228,29 +228,29 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
         ):
             if values.dtype.kind != kind:
                 raise InputError(f"{name} of {PATH} are of type {values.dtype}")
-        count = len(about["names"])
+        count = len(record["names"])
         if poses.shape != (count, 4, 4) or piece.shape != (count,) or times.shape != (count,):
             raise InputError(f"{PATH} does not have {count} frames")
         if unit.shape != (int(piece.max(initial=-1)) + 1,):
             raise InputError(f"{PATH} does not have a unit for every piece")
-        if len(about["status"]) != count:
-            raise InputError(f"it has {len(about['status'])} statuses of {count} frames")
-        if not set(about["keyframes"]) <= set(range(count)):
+        if len(record["status"]) != count:
+            raise InputError(f"it has {len(record['status'])} statuses of {count} frames")
+        if not set(record["keyframes"]) <= set(range(count)):
             raise InputError(f"a keyframe is none of its {count} frames")
-        camera = about["camera"]
-        stiffness = tuple(about["settings"]["stiffness"])
-        settings = Settings(**{**about["settings"], "stiffness": stiffness})
+        camera = record["camera"]
+        stiffness = tuple(record["settings"]["stiffness"])
+        settings = Settings(**{**record["settings"], "stiffness": stiffness})
         return dict(
             poses=check_poses(poses),
             piece=piece.astype(np.int32),
             unit=tuple(map(float, unit)),
             times=tuple(None if np.isnan(time) else float(time) for time in times),
-            status=tuple(Status(code, message) for code, message in about["status"]),
-            keyframes=tuple(int(k) for k in about["keyframes"]),
-            skipped=tuple((int(index), str(reason)) for index, reason in about["skipped"]),
-            notes=tuple(map(str, about["notes"])),
-            names=tuple(map(str, about["names"])),
-            shape=_shape(about["shape"]),
+            status=tuple(Status(code, message) for code, message in record["status"]),
+            keyframes=tuple(int(k) for k in record["keyframes"]),
+            skipped=tuple((int(index), str(reason)) for index, reason in record["skipped"]),
+            notes=tuple(map(str, record["notes"])),
+            names=tuple(map(str, record["names"])),
+            shape=_shape(record["shape"]),
             camera=Camera(
                 focal=camera["focal"],
                 center=None if camera["center"] is None else tuple(camera["center"]),
@@ -258,21 +258,21 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
                 aspect=camera["aspect"],
                 readout=camera["readout"],
             ),
-            calibration=from_json(about["calibration"]),
+            calibration=from_json(record["calibration"]),
             settings=settings,
-            version=str(about["version"]),
+            version=str(record["version"]),
             objects=_read_objects(path, settings, count),
         )
     except FormatError:
         raise
-    except _DAMAGE as error:
+    except _DAMAGE_ERRORS as error:
         reason = " ".join(str(error).split())
         raise FormatError(f"{path / RECORD} is damaged or of another kind: {reason}") from error
 
 
-def _shape(given: Any) -> tuple[int, int]:
+def _shape(values: Any) -> tuple[int, int]:
     """Return height and width of frames; ValueError for other values."""
-    height, width = map(int, given)
+    height, width = map(int, values)
     if height < 1 or width < 1 or height * width > LARGEST_PICTURE:
         raise InputError(f"its frames are {height} × {width} px")
     return height, width

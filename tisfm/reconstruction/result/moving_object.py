@@ -42,10 +42,10 @@ class MovingObject:
     --------
     >>> import tisfm
     >>> result = tisfm.Reconstruction.load("bodies")  # of ``motion="objects"``
-    >>> thing = result.objects[0]
-    >>> thing.id, thing.boxes.shape[1], thing.poses.shape[1:], thing.extent.shape
+    >>> moving = result.objects[0]
+    >>> moving.id, moving.boxes.shape[1], moving.poses.shape[1:], moving.extent.shape
     (1, 4, (4, 4), (3,))
-    >>> len(thing.frames) == len(thing.boxes) == len(thing.poses)
+    >>> len(moving.frames) == len(moving.boxes) == len(moving.poses)
     True
     """
 
@@ -57,13 +57,13 @@ class MovingObject:
     scale_from: ScaleFrom = "none"
     message: str = ""
 
-    def rescaled(self, factor: float, rescaled: np.ndarray) -> "MovingObject":
-        """Return the object with lengths times a factor in some frames, (N,) bool."""
-        mine = rescaled[list(self.frames)]
+    def rescaled(self, factor: float, frame_mask: np.ndarray) -> "MovingObject":
+        """Return the object with lengths times a factor in some frames, `frame_mask` (N,) bool."""
+        chosen = frame_mask[list(self.frames)]
         poses = self.poses.copy()
-        poses[mine, :3, 3] *= factor
+        poses[chosen, :3, 3] *= factor
         known = np.isfinite(poses).all(axis=(1, 2))
-        extent = self.extent * (factor if (mine & known).any() else 1.0)
+        extent = self.extent * (factor if (chosen & known).any() else 1.0)
         return replace(self, poses=poses, extent=extent)
 
     def as_json(self) -> dict[str, Any]:
@@ -79,7 +79,7 @@ class MovingObject:
         }
 
     @classmethod
-    def of_json(cls, about: dict[str, Any]) -> "MovingObject":
+    def of_json(cls, entry: dict[str, Any]) -> "MovingObject":
         """Return the object that `as_json` wrote.
 
         Raises
@@ -87,29 +87,29 @@ class MovingObject:
         KeyError, TypeError, ValueError
             If the entry is not of this form.
         """
-        count = len(about["frames"])
-        if about["scale_from"] not in get_args(ScaleFrom):
-            raise InputError(f"scale_from is {about['scale_from']!r}")
-        nowhere = np.full((4, 4), np.nan)
-        poses = [nowhere if pose is None else pose for pose in about["poses"]]
-        extent = [np.nan] * 3 if about["extent"] is None else about["extent"]
+        count = len(entry["frames"])
+        if entry["scale_from"] not in get_args(ScaleFrom):
+            raise InputError(f"scale_from is {entry['scale_from']!r}")
+        no_pose = np.full((4, 4), np.nan)
+        poses = [no_pose if pose is None else pose for pose in entry["poses"]]
+        extent = [np.nan] * 3 if entry["extent"] is None else entry["extent"]
         return cls(
-            id=int(about["id"]),
-            frames=tuple(map(int, about["frames"])),
-            boxes=np.array(about["boxes"], np.int32).reshape(count, 4),
+            id=int(entry["id"]),
+            frames=tuple(map(int, entry["frames"])),
+            boxes=np.array(entry["boxes"], np.int32).reshape(count, 4),
             poses=np.array(poses, np.float64).reshape(count, 4, 4),
             extent=np.array(extent, np.float64).reshape(3),
-            scale_from=about["scale_from"],
-            message=str(about["message"]),
+            scale_from=entry["scale_from"],
+            message=str(entry["message"]),
         )
 
 
-def seen_objects(count: int, labelled: Callable[[int], np.ndarray]) -> list[MovingObject]:
+def labelled_objects(count: int, labels_of: Callable[[int], np.ndarray]) -> list[MovingObject]:
     """Return the objects in the labels, (H, W), of frames, without paths."""
     frames: dict[int, list[int]] = {}
     boxes: dict[int, list[tuple[int, ...]]] = {}
     for frame in range(count):
-        labels = labelled(frame)
+        labels = labels_of(frame)
         for number in np.unique(labels[labels > 0]):
             frames.setdefault(int(number), []).append(frame)
             box = cv2.boundingRect(np.uint8(labels == number))

@@ -18,7 +18,7 @@ def checked_object_sizes(sizes: Mapping[int, float] | None) -> dict[int, float]:
         raise InputTypeError(
             f"object_sizes is {sizes!r}: expected lengths by ids, such as {{1: 4.5}}"
         )
-    found: dict[int, float] = {}
+    checked: dict[int, float] = {}
     for number, size in (sizes or {}).items():
         if not is_integer(number):
             raise InputTypeError(f"object_sizes has the id {number!r}: expected a whole number")
@@ -26,15 +26,15 @@ def checked_object_sizes(sizes: Mapping[int, float] | None) -> dict[int, float]:
             raise InputTypeError(f"object_sizes[{number}] is {size!r}: expected a length")
         if not (np.isfinite(size) and size > 0):
             raise InputError(f"object_sizes[{number}] is {size}: expected a positive length")
-        found[int(number)] = float(size)
-    return found
+        checked[int(number)] = float(size)
+    return checked
 
 
-def refuse_unknown(sizes: Collection[int], things: Collection[int]) -> None:
+def refuse_unknown_ids(sizes: Collection[int], object_ids: Collection[int]) -> None:
     """Raise InputError if the size of an unknown object is given."""
-    unknown = sorted(set(sizes) - set(things))
+    unknown = sorted(set(sizes) - set(object_ids))
     if unknown:
-        ids = ", ".join(map(str, sorted(things))) or "none"
+        ids = ", ".join(map(str, sorted(object_ids))) or "none"
         raise InputError(
             f"object_sizes has one of {', '.join(map(str, unknown))}, but the ids of what moves "
             f"are: {ids}"

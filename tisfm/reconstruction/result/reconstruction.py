@@ -207,8 +207,10 @@ class Reconstruction:
         from tisfm.fusion import fused_points
 
         views = self._views(frames)
-        most = min(agreeing, max(1, len(views)))
-        return fused_points(views, agreeing=most, max_relative_std=max_relative_std, voxel=voxel)
+        max_agreeing = min(agreeing, max(1, len(views)))
+        return fused_points(
+            views, agreeing=max_agreeing, max_relative_std=max_relative_std, voxel=voxel
+        )
 
     def mesh(
         self,
@@ -257,10 +259,10 @@ class Reconstruction:
         from tisfm.fusion import fused_mesh
 
         views = self._views(frames)
-        most = min(agreeing, max(1, len(views)))
+        max_agreeing = min(agreeing, max(1, len(views)))
         return fused_mesh(
             views,
-            agreeing=most,
+            agreeing=max_agreeing,
             max_relative_std=max_relative_std,
             voxel=voxel,
             truncation=truncation,
@@ -291,24 +293,26 @@ class Reconstruction:
         >>> round(float(np.linalg.norm(metres.poses[8, :3, 3] - metres.poses[0, :3, 3])), 6)
         1.04
         """
-        first, second = self._number(frame0), self._number(frame1)
-        piece = int(self.piece[first])
-        for frame in (first, second):
+        number0, number1 = self._number(frame0), self._number(frame1)
+        piece = int(self.piece[number0])
+        for frame in (number0, number1):
             if self.piece[frame] < 0:
                 raise InputError(f"frame {frame} has no pose: give two that have one, of one piece")
-        if piece != self.piece[second]:
+        if piece != self.piece[number1]:
             raise InputError(
-                f"frames {first} and {second} are of pieces {piece} and {self.piece[second]}: "
+                f"frames {number0} and {number1} are of pieces {piece} and {self.piece[number1]}: "
                 "expected one piece, as its scale is its own"
             )
         if not (np.isfinite(distance) and distance > 0):
             raise InputError(f"distance is {distance}: expected a positive length")
-        moved = float(np.linalg.norm(self.poses[first, :3, 3] - self.poses[second, :3, 3]))
-        if moved == 0:
-            raise InputError(f"frames {first} and {second} are of one place: give two others")
-        factor, poses = distance / moved, self.poses.copy()
+        current_distance = float(
+            np.linalg.norm(self.poses[number0, :3, 3] - self.poses[number1, :3, 3])
+        )
+        if current_distance == 0:
+            raise InputError(f"frames {number0} and {number1} are of one place: give two others")
+        factor, poses = distance / current_distance, self.poses.copy()
         poses[self.piece == piece, :3, 3] *= factor
-        objects = tuple(thing.rescaled(factor, self.piece == piece) for thing in self.objects)
+        objects = tuple(obj.rescaled(factor, self.piece == piece) for obj in self.objects)
         unit = tuple(u * factor if k == piece else u for k, u in enumerate(self.unit))
         return replace(self, poses=poses, unit=unit, objects=objects)
 
@@ -376,14 +380,14 @@ class Reconstruction:
     def _views(self, frames: Iterable[int] | None) -> "_Views":
         if frames is None:
             return _Views(self, self._keyframes_of(self.largest_piece))
-        chosen = [self._number(frame) for frame in frames]
-        pieces = sorted({int(self.piece[frame]) for frame in chosen} - {-1})
+        numbers = [self._number(frame) for frame in frames]
+        pieces = sorted({int(self.piece[frame]) for frame in numbers} - {-1})
         if len(pieces) > 1:
             raise InputError(
                 f"frames are of pieces {', '.join(map(str, pieces))}: expected those of one, as "
                 "each has a scale of its own"
             )
-        return _Views(self, [frame for frame in chosen if self.piece[frame] >= 0])
+        return _Views(self, [frame for frame in numbers if self.piece[frame] >= 0])
 
     def _keyframes_of(self, piece: int) -> list[int]:
         return [frame for frame in self.keyframes if self.piece[frame] == piece]

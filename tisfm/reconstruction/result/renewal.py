@@ -18,12 +18,12 @@ from tisfm.folders.result_folder import (
 from tisfm.folders.side_files import REPORT, is_report
 from tisfm.formats.atomic import copy_file, is_temporary
 from tisfm.reconstruction.result.folder import (
-    BEGUN,
     CACHE,
     CAMERA,
     DEPTH,
+    MARKER,
     MASKS,
-    OTHERS,
+    OPTIONAL_FILES,
     PARTS,
     PICTURES,
     RECORD,
@@ -32,10 +32,10 @@ from tisfm.reconstruction.result.folder import (
 
 EARLIER = ".tisfm-earlier"  # holds the earlier result until the new one is complete
 # Names of this folder while files are moved into it, and while they are moved back.
-LEAVING, RESTORING = ".tisfm-leaving", ".tisfm-restoring"
+MOVING_OUT, MOVING_BACK = ".tisfm-leaving", ".tisfm-restoring"
 # Chunks of a result that is not yet complete.
 CHUNKS = ".tisfm-chunks"
-_FOLDERS = (EARLIER, LEAVING, RESTORING, CHUNKS)
+_FOLDERS = (EARLIER, MOVING_OUT, MOVING_BACK, CHUNKS)
 
 
 @contextmanager
@@ -53,19 +53,19 @@ def renewed_folder(
     """
     path = make_result_folder(folder)
     with locked_folder(path):
-        with renewed(path):
+        with renewed_locked_folder(path):
             yield path
         try_to_remove(path / CHUNKS)  # left by an interrupted run
 
 
 @contextmanager
-def renewed(path: Path) -> Iterator[None]:
+def renewed_locked_folder(path: Path) -> Iterator[None]:
     """As `renewed_folder`, for a folder that exists and is locked."""
     try:
-        _begin(path)
+        _prepare(path)
         yield
     except BaseException:
-        _put_back(path)
+        _restore(path)
         raise
     try_to_remove(path / EARLIER)
 
@@ -89,22 +89,22 @@ def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
         write_record(path, result)
 
 
-def _begin(path: Path) -> None:
+def _prepare(path: Path) -> None:
     """Put an earlier result aside, remove an incomplete one, and make the inner folders."""
     refuse_others(path)
-    for name in (*_FOLDERS, BEGUN):  # tisfm makes no links; a link would lead out of the folder
+    for name in (*_FOLDERS, MARKER):  # tisfm makes no links; a link would lead out of the folder
         remove_link(path / name)
-    (path / BEGUN).touch()
+    (path / MARKER).touch()
     # First complete the step at which an earlier run was killed.
-    if (path / RESTORING).exists():
-        _move(path / RESTORING, path)
-        (path / RESTORING).rmdir()
+    if (path / MOVING_BACK).exists():
+        _move(path / MOVING_BACK, path)
+        (path / MOVING_BACK).rmdir()
     if os.path.lexists(path / RECORD) and (path / EARLIER).exists():
         remove(path / EARLIER)  # the newer one is complete
-    if os.path.lexists(path / RECORD) or (path / LEAVING).exists():
-        (path / LEAVING).mkdir(exist_ok=True)
-        _move(path, path / LEAVING)
-        (path / LEAVING).rename(path / EARLIER)
+    if os.path.lexists(path / RECORD) or (path / MOVING_OUT).exists():
+        (path / MOVING_OUT).mkdir(exist_ok=True)
+        _move(path, path / MOVING_OUT)
+        (path / MOVING_OUT).rename(path / EARLIER)
     _remove(path)
     for name in (DEPTH, PICTURES, CACHE):
         (path / name).mkdir()
@@ -112,36 +112,38 @@ def _begin(path: Path) -> None:
 
 def refuse_others(path: Path) -> None:
     """Raise FileExistsError if a folder holds other files than those of a reconstruction."""
-    known = {*PARTS, *OTHERS, CACHE, BEGUN}
+    expected = {*PARTS, *OPTIONAL_FILES, CACHE, MARKER}
     if not is_report(path / REPORT):  # a report.html that tisfm did not write
-        known.discard(REPORT)
-    there = sorted(item.name for item in path.iterdir())
-    ours = {name for name in there if name in (LOCK, *_FOLDERS) or is_temporary(name)}
-    others = [name for name in there if name not in known | ours]
-    if not others and not ours & set(_FOLDERS) and not {RECORD, BEGUN} & set(there):
-        others = [name for name in there if name not in ours]  # known names, but no mark of tisfm
+        expected.discard(REPORT)
+    names = sorted(item.name for item in path.iterdir())
+    internal = {name for name in names if name in (LOCK, *_FOLDERS) or is_temporary(name)}
+    others = [name for name in names if name not in expected | internal]
+    if not others and not internal & set(_FOLDERS) and not {RECORD, MARKER} & set(names):
+        others = [
+            name for name in names if name not in internal
+        ]  # known names, but no mark of tisfm
     if others:
         raise FileExistsError(
             f"{path} has other files, such as {others[0]}: give a new folder, or an empty one"
         )
 
 
-def _put_back(path: Path) -> None:
+def _restore(path: Path) -> None:
     """Restore the earlier result, if there was one."""
-    if (path / LEAVING).exists():  # no file of the new result exists yet
-        (path / LEAVING).rename(path / RESTORING)
+    if (path / MOVING_OUT).exists():  # no file of the new result exists yet
+        (path / MOVING_OUT).rename(path / MOVING_BACK)
     elif (path / EARLIER).exists():
         _remove(path)
-        (path / EARLIER).rename(path / RESTORING)
-    if (path / RESTORING).exists():
-        _move(path / RESTORING, path)
-        (path / RESTORING).rmdir()
-        (path / BEGUN).unlink(missing_ok=True)
+        (path / EARLIER).rename(path / MOVING_BACK)
+    if (path / MOVING_BACK).exists():
+        _move(path / MOVING_BACK, path)
+        (path / MOVING_BACK).rmdir()
+        (path / MARKER).unlink(missing_ok=True)
 
 
 def _move(source: Path, target: Path) -> None:
     """Move the files of a result; its record is the last."""
-    for name in (*(name for name in (*PARTS, *OTHERS) if name != RECORD), RECORD):
+    for name in (*(name for name in (*PARTS, *OPTIONAL_FILES) if name != RECORD), RECORD):
         if os.path.lexists(source / name):
             (source / name).replace(target / name)
 
@@ -149,5 +151,5 @@ def _move(source: Path, target: Path) -> None:
 def _remove(path: Path) -> None:
     """Remove the files of a result, except the file that marks the folder as ours."""
     remove(path / RECORD)  # first: without it the result is not complete
-    for name in {*PARTS, *OTHERS, CACHE} - {RECORD}:
+    for name in {*PARTS, *OPTIONAL_FILES, CACHE} - {RECORD}:
         remove(path / name)

@@ -22,7 +22,7 @@ from tisfm.folders.result_folder import LOCK
 from tisfm.folders.side_files import REPORT, TIMINGS
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.reading import read_json
-from tisfm.reconstruction.result.folder import BEGUN, RECORD, REQUEST
+from tisfm.reconstruction.result.folder import MARKER, RECORD, REQUEST
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource
 from tisfm.sources.paths import files_of_pattern
@@ -45,37 +45,37 @@ def make_request(
     files: Mapping[str, str | None] | None = None,
 ) -> Request:
     """Return everything that a result depends on, as JSON values."""
-    taken = frames.frame_files
-    asked = {
+    frame_files = frames.frame_files
+    request = {
         "version": __version__,
         "arch": arch or os.environ.get("TI_ARCH", "cpu"),
         "lanes": runtime.cpu_lanes(),
-        "frames": files_digest(taken if frames.names is None else taken[frames.chosen]),
+        "frames": files_digest(frame_files if frames.names is None else frame_files[frames.chosen]),
         "start": frames.chosen.start,
         "stop": frames.chosen.stop,
         "step": frames.chosen.step,
         "camera": record_in(camera) if isinstance(camera, Path) else camera and asdict(camera),
         "settings": asdict(settings),
-        "poses": None if poses is None else _digest(poses),
-        **{name: path and files_digest(_files(path)) for name, path in (files or {}).items()},
+        "poses": None if poses is None else _trajectory_digest(poses),
+        **{name: path and files_digest(_files_of(path)) for name, path in (files or {}).items()},
         **others,
     }
-    plain: Request = json.loads(json.dumps(asked))
+    plain: Request = json.loads(json.dumps(request))
     return plain
 
 
-def digest_of(asked: Request) -> str:
+def request_digest(request: Request) -> str:
     """Return a short digest of a request."""
-    return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:32]
+    return hashlib.sha256(json.dumps(request, sort_keys=True).encode()).hexdigest()[:32]
 
 
-def _digest(poses: Trajectory) -> str:
+def _trajectory_digest(poses: Trajectory) -> str:
     digest = hashlib.sha256(poses.poses.tobytes())
     digest.update(b"" if poses.times is None else poses.times.tobytes())
     return digest.hexdigest()[:32]
 
 
-def _files(path: str) -> Sequence[Path]:
+def _files_of(path: str) -> Sequence[Path]:
     """Return the files of a path: a file, a folder or a pattern."""
     if Path(path).is_dir():
         return [file for file in sorted(Path(path).rglob("*")) if file.is_file()]
@@ -90,51 +90,51 @@ def files_below(folder: Path) -> dict[str, list[int]]:
     Left out are hidden files, a report (it may be made later), timings (they differ each time), and
     the files that mark a result as begun and hold its request.
     """
-    found = {}
+    checksums = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
-        if name.startswith(".") or name in (LOCK, REQUEST, BEGUN, REPORT, TIMINGS):
+        if name.startswith(".") or name in (LOCK, REQUEST, MARKER, REPORT, TIMINGS):
             continue
-        total = file_checksum(path)
-        if total is not None:
-            found[name] = list(total)
-    return found
+        checksum = file_checksum(path)
+        if checksum is not None:
+            checksums[name] = list(checksum)
+    return checksums
 
 
-def write_request(folder: Path, asked: Request) -> None:
+def write_request(folder: Path, request: Request) -> None:
     """Write the request and the checksums of the result's files: the result is complete."""
-    about = {"asked": asked, "files": files_below(folder)}
+    record = {"asked": request, "files": files_below(folder)}
     with atomic_write(folder / REQUEST, durable=True) as file:
-        file.write((json.dumps(about, indent=1) + "\n").encode())
+        file.write((json.dumps(record, indent=1) + "\n").encode())
 
 
 def read_request(folder: Path) -> Request | None:
     """Return the content of the request file, with ``asked`` and ``files``; None without one."""
     try:
-        about = read_json(folder / REQUEST)
+        record = read_json(folder / REQUEST)
     except (FormatError, OSError):
         return None
-    known = isinstance(about, dict) and all(
-        isinstance(about.get(name), dict) for name in ("asked", "files")
+    is_complete = isinstance(record, dict) and all(
+        isinstance(record.get(name), dict) for name in ("asked", "files")
     )
-    return about if known else None
+    return record if is_complete else None
 
 
-def is_done(folder: Path, asked: Request) -> bool:
+def is_done(folder: Path, request: Request) -> bool:
     """Return whether a folder holds the complete result of a request.
 
     Raises ValueError if it holds the result of another request; the message names the differences.
     """
-    about = read_request(folder)
-    if about is None or not (folder / RECORD).exists():
+    record = read_request(folder)
+    if record is None or not (folder / RECORD).exists():
         return False
-    refuse_differing(folder, about["asked"], asked)
-    return bool(about["files"] == files_below(folder))
+    refuse_differing_request(folder, record["asked"], request)
+    return bool(record["files"] == files_below(folder))
 
 
-def refuse_differing(folder: Path, before: Request, asked: Request) -> None:
+def refuse_differing_request(folder: Path, earlier: Request, request: Request) -> None:
     """Raise InputError with the differences if a request differs from the earlier one."""
-    differences = summarise_differences(compare_records(before, asked))
+    differences = summarise_differences(compare_records(earlier, request))
     if differences:
         raise InputError(
             f"{folder} holds a reconstruction of other frames, with other options, or of another "

@@ -145,7 +145,7 @@ class Stream:
         solution = self._path.solve(at_end=at_end)
         self._update_camera()
         if self._path.readout:
-            self._frames.unroll_again(solution.rolling)
+            self._frames.replace_correction(solution.rolling)
         pieces = {
             number: self._final_piece(number, piece, solution, first)
             for number, piece in solution.pieces.items()
@@ -224,7 +224,9 @@ class Stream:
         windows = self._depths(number, recent, -1).keyframe_windows()
         fixed = {frame: solution.fixed[frame] for frame in recent.poses if frame in solution.fixed}
         grey, camera = self._frames.grey, self._frames.camera
-        poses = adjust_poses(recent.poses, windows, grey, camera, self._settings, held=fixed)
+        poses = adjust_poses(
+            recent.poses, windows, grey, camera, self._settings, fixed_frames=fixed
+        )
         return replace(piece, poses={**piece.poses, **poses, **fixed})
 
     def _depths(self, number: int, piece: Piece, after: int) -> PieceDepths:
@@ -235,8 +237,8 @@ class Stream:
             self._path.seen,
             self._settings,
             self._effort,
-            before=self._last_keyframes.get(number),
-            after=after,
+            start_keyframe=self._last_keyframes.get(number),
+            written_until=after,
         )
         # The first keyframe defines the unit: if possible it is a frame that is still to be
         # yielded.
@@ -281,11 +283,11 @@ class Stream:
 
     def _drop_old(self) -> None:
         """Drop the data that the path and depth of later frames do not need."""
-        self._frames.settle(self._path.last_fixed)
+        self._frames.finalise_corrections(self._path.last_fixed)
         keyframes = {key for key, _ in self._last_keyframes.values()}
         first = self._path.last_fixed + 1 - MAX_FRAME_DISTANCE
         for frame in self._path.drop_before(first, keyframes=keyframes):
-            self._frames.forget(frame)
+            self._frames.delete(frame)
         self._last_keyframes = {
             number: keyframe
             for number, keyframe in self._last_keyframes.items()
@@ -320,8 +322,8 @@ class _OrderedDepth:
                 self.key = waiting[0].frame, waiting[1]
                 yield waiting[0]
                 waiting = None
-            if depth.frame in depths.settled:
-                waiting = depth, depths.settled[depth.frame]
+            if depth.frame in depths.final_depths:
+                waiting = depth, depths.final_depths[depth.frame]
             else:
                 yield depth
         if waiting is not None:
