@@ -37,7 +37,9 @@ def view_of(frame, points):
     """Return a view with tracks and without detected points."""
     tracks = np.arange(len(points), dtype=np.int64)
     return View(
-        frame=frame, seen=Observations(points=points, tracks=tracks), detected=np.empty((0, 2))
+        frame=frame,
+        observations=Observations(points=points, tracks=tracks),
+        detected=np.empty((0, 2)),
     )
 
 

@@ -66,7 +66,7 @@ def view_of(number, local, is_track, random):
     tracks = np.flatnonzero(inside & is_track)
     return View(
         frame=number,
-        seen=Observations(points=points[tracks], tracks=tracks),
+        observations=Observations(points=points[tracks], tracks=tracks),
         detected=np.where(inside[:, None], points, -1)[~is_track],
     )
 

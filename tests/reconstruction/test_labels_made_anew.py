@@ -117,7 +117,7 @@ def test_all_begins_again_with_frames_that_are_made_anew(tmp_path, is_given):
         asked.append(calibrate)
         is_first = len(asked) == 1
         camera, focal = (lens, estimate) if is_first else (frames.camera, None)
-        return CameraPath(pieces=(), lost={}, seen=(), camera=camera, focal=focal)
+        return CameraPath(pieces=(), missing={}, observations=(), camera=camera, focal=focal)
 
     def take_camera(path):
         taken.append(path.camera)

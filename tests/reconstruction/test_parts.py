@@ -149,13 +149,15 @@ def test_the_focal_length_is_that_of_the_first_part_that_shows_it(monkeypatch):
     # Relative deviation, by the first view of a submap.
     shares = {0: 0.2, 330: 0.1, 660: 0.01, 990: 0.001}
 
-    def models_and_focal(views, *_, limit):
-        return [], FocalEstimate(focal=500.0, deviation=500 * shares[views[0]], limit=limit)
+    def models_and_focal(views, *_, **__):
+        return [], FocalEstimate(focal=500.0, deviation=500 * shares[views[0]])
 
     monkeypatch.setattr(parts, "find_models_and_focal", models_and_focal)
     views = list(range(4 * 330 + 40))
     assert [begin for begin, _ in submap_spans(len(views))] == list(shares)
-    found = focal_from_submaps(views, {}, SMALL_CAMERA, (240, 320), "focal", limit=0.3)
+    found = focal_from_submaps(views, {}, SMALL_CAMERA, (240, 320), "focal", max_deviation=0.3)
     assert found.deviation == 5
-    found = focal_from_submaps(views[:700], {}, SMALL_CAMERA, (240, 320), "focal", limit=0.3)
+    found = focal_from_submaps(
+        views[:700], {}, SMALL_CAMERA, (240, 320), "focal", max_deviation=0.3
+    )
     assert found.deviation == 50  # no submap determines it well

@@ -40,9 +40,9 @@ def test_frames_after_blanked_ones_are_in_the_same_piece():
         images[k] = np.zeros_like(images[k])
     path = path_of(images)
     (piece,) = path.pieces
-    assert sorted(path.lost) == list(range(10, 15))
-    assert set(path.lost.values()) == {"no_texture"}
-    assert "dark" in path.lost[10].message
+    assert sorted(path.missing) == list(range(10, 15))
+    assert set(path.missing.values()) == {"no_texture"}
+    assert "dark" in path.missing[10].message
     seen = sorted(piece.poses)
     found = np.array([piece.poses[k][:3, 3] for k in seen])
     assert residual(found, centres(WALK)[seen]) < 0.01
@@ -59,14 +59,14 @@ def test_two_scenes_are_two_pieces():
 def test_a_camera_that_only_turns_has_no_path():
     path = path_of(frames([(0, 0, 0.03 * k) for k in range(12)]))
     assert path.pieces == ()
-    assert set(path.lost.values()) == {"little_parallax"}
-    assert sorted(path.lost) == list(range(12))
+    assert set(path.missing.values()) == {"little_parallax"}
+    assert sorted(path.missing) == list(range(12))
 
 
 def test_a_camera_at_rest_has_no_path():
     path = path_of(frames([WALK[0]] * 6))
     assert path.pieces == ()
-    assert set(path.lost.values()) == {"no_motion"}
+    assert set(path.missing.values()) == {"no_motion"}
 
 
 def test_two_frames_that_differ_are_told_to_be_too_few():
@@ -74,19 +74,21 @@ def test_two_frames_that_differ_are_told_to_be_too_few():
     for images in ([first, second], [first, first, second]):
         path = path_of(images)
         assert path.pieces == ()
-        assert set(path.lost.values()) == {"little_parallax"}
-        assert {status.message[:22] for status in path.lost.values()} == {"only 2 frames differ, "}
+        assert set(path.missing.values()) == {"little_parallax"}
+        assert {status.message[:22] for status in path.missing.values()} == {
+            "only 2 frames differ, "
+        }
 
 
 def test_black_frames_have_no_path():
     path = path_of([np.zeros((120, 160), np.uint8)] * 3)
     assert path.pieces == ()
-    assert list(path.lost.values()) == ["no_texture"] * 3
+    assert list(path.missing.values()) == ["no_texture"] * 3
 
 
 def test_no_frame_at_all():
     path = find_path([], CAMERA)
-    assert (path.pieces, path.lost, len(path.seen)) == ((), {}, 0)
+    assert (path.pieces, path.missing, len(path.observations)) == ((), {}, 0)
 
 
 @pytest.mark.slow

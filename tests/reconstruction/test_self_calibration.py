@@ -404,7 +404,7 @@ GUESS = FocalGuess(focal=200.0, origin="size", reason="by its size", shape=(300,
 def test_what_is_said_of_an_estimate(deviation, origin, seen, text):
     """Frames are shrunk to half; focal lengths are in px of the frames of the source."""
     estimate = FocalEstimate(focal=50.0, deviation=deviation)
-    camera = estimate.taken(CAMERA)
+    camera = estimate.apply_to(CAMERA)
     assert camera.focal == (100 if origin == "guessed" else 50)
     shape, focal = (300, 400), 2 * camera.focal
     told = make_calibration(estimate, GUESS, camera, sought=True, focal=focal, shape=shape)

@@ -46,7 +46,7 @@ def seen_by(poses, readout, noise, outliers=0.0):
         views.append(
             View(
                 frame=frame,
-                seen=Observations(points=place[tracks], tracks=tracks),
+                observations=Observations(points=place[tracks], tracks=tracks),
                 detected=np.where((inside & ~half)[:, None], place, -1)[250:],
             )
         )
@@ -129,7 +129,7 @@ def test_it_depends_on_no_choice_of_axes():
 def test_nothing_is_said_of_views_that_share_nothing():
     poses = shaken(4)
     nothing = Observations(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
-    views = [View(frame=k, seen=nothing, detected=np.empty((0, 2))) for k in range(4)]
+    views = [View(frame=k, observations=nothing, detected=np.empty((0, 2))) for k in range(4)]
     rates = rates_of(poses, np.arange(4))
     assert estimate_readout(views, {}, poses, rates, CAMERA, SHAPE) is None
     assert estimate_readout([], {}, poses, rates, CAMERA, SHAPE) is None

@@ -179,7 +179,7 @@ def test_memory_and_disk_hold_the_last_frames_only(disk, monkeypatch):
     for _ in running.frames():
         path = running._path
         kept.append(len(path.seen.frames()))
-        views.append(len(path._views.chosen))
+        views.append(len(path._views.views))
         files.append(sum(item.is_file() for item in disk.rglob("*")))
         points.append(sum(len(poses) for poses in path._fixed.values()))
     # One keyframe may be older.

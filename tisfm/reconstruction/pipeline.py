@@ -223,13 +223,13 @@ def find_depth(job: Job, read: ReadFrames, path: CameraPath) -> FoundDepth:
     poses = np.full((count, 4, 4), np.nan)
     pieces = np.full(count, -1, np.int32)
     status: list[Status] = [Status("converged")] * count
-    for frame, why in path.lost.items():
+    for frame, why in path.missing.items():
         status[frame] = why
     keyframes: list[int] = []
     done = 0
     for number, piece in enumerate(path.pieces):
-        piece = _adjust_poses(job, read.frames, piece, path.seen)
-        kinds, unit = _piece_depth(job, read.frames, piece, path.seen, done)
+        piece = _adjust_poses(job, read.frames, piece, path.observations)
+        kinds, unit = _piece_depth(job, read.frames, piece, path.observations, done)
         unseen = job.depth_of == "keyframes" and not kinds
         done += len(piece.poses)
         keyframes += [frame for frame, kind in kinds.items() if kind == "keyframe"]
@@ -305,7 +305,7 @@ def _path(job: Job, read: ReadFrames, tracks: SequenceTracks, calibrate: Calibra
         tracks=tracks,
         camera=camera,
         calibrate=calibrate,
-        limit=read.camera.focal_limit,
+        max_deviation=read.camera.max_focal_deviation,
         readout=readout,
         focal_known=job.calibrate == "nothing" and read.camera.is_focal_stated,
     )

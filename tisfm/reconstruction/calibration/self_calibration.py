@@ -62,7 +62,7 @@ def find_models_and_focal(
     *,
     # share of the focal length: an estimate with a larger standard deviation is no better than the
     # guess
-    limit: float = MAX_USEFUL_DEVIATION,
+    max_deviation: float = MAX_USEFUL_DEVIATION,
 ) -> tuple[list[Model], FocalEstimate | None]:
     """Find poses of views, points of tracks, and the focal length that fits them best.
 
@@ -77,25 +77,26 @@ def find_models_and_focal(
         models = find_models(views, matches, camera, shape, focal_known=False)
         return models, _unknown(camera) if models else None
     _adjust(found[0], calibrate)
-    estimate = replace(_estimate(found[0], camera, shape, calibrate), limit=limit)
-    if not estimate.is_of_use:
+    estimate = replace(_estimate(found[0], camera, shape, calibrate), max_deviation=max_deviation)
+    if not estimate.is_useful:
         return find_models(views, matches, camera, shape, focal_known=False), estimate
-    if not estimate.radial and not shared.shows_parallax(estimate.taken(camera)):
+    if not estimate.radial and not shared.shows_parallax(estimate.apply_to(camera)):
         return [], None
-    if not estimate.is_seen and not estimate.radial:
+    if not estimate.is_certain and not estimate.radial:
         # A rotation seen with a wrong focal length may look like a path. Such a path does not
         # appear again if models start with the estimated focal length: then there is no path. New
         # models may be bent too: they count only with a good score.
-        again = find_models(views, matches, estimate.taken(camera), shape, focal_known=False)
+        again = find_models(views, matches, estimate.apply_to(camera), shape, focal_known=False)
         explained = shared.score(found) * shared.matches()
         if not again or sum(model.score for model in again) >= MIN_STRAIGHT_SCORE * explained:
             return again, estimate
     for other in found[1:]:
         _set(other, estimate.focal, estimate.radial)
         _adjust(other, "nothing")
-    lens = estimate.taken(camera)
+    lens = estimate.apply_to(camera)
     straight_views = [
-        replace(view, seen=undistort_observations(view.seen, lens, shape)) for view in views
+        replace(view, observations=undistort_observations(view.observations, lens, shape))
+        for view in views
     ]
     return shared.models(found, straight_views, lens.pinhole()), estimate
 
@@ -149,7 +150,7 @@ def _estimate(
         deviation=focal * math.hypot(deviation, bend),
         radial=radial,
         radial_deviation=float(radial_deviation),
-        bent=abs(bend) > max(MIN_BEND, deviation),
+        shows_distortion=abs(bend) > max(MIN_BEND, deviation),
     )
 
 

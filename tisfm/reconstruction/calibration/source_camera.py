@@ -75,7 +75,7 @@ class SourceCamera:
         return self.guess is None and self.stated.seen
 
     @property
-    def focal_limit(self) -> float:
+    def max_focal_deviation(self) -> float:
         """The largest relative standard deviation of an estimate that replaces the guess."""
         is_exif = self.guess is not None and self.guess.origin == "exif"
         return MAX_EXIF_DEVIATION if is_exif else MAX_USEFUL_DEVIATION
@@ -131,7 +131,7 @@ def make_calibration(
     """Return the origin and uncertainty of a focal length, in px of the frames of the source."""
     if not sought and guess is None:
         return replace(stated, focal=focal, shape=shape)
-    if found is None or not found.is_of_use:
+    if found is None or not found.is_useful:
         told = f"the focal length is a guess, {focal:.0f} px{at_size(shape)}"
         if guess is not None:
             told += f", {guess.reason}"
@@ -150,14 +150,14 @@ def make_calibration(
     told = f"{describe_focal(focal, deviation, shape)}, found from the sequence"
     if found.radial:
         told += f" with k1 = {found.radial:.3f} ± {float(f'{found.radial_deviation:.1g}'):g}"
-    doubt = BENT_SAID if found.bent else HARDLY_SAID
-    message = told if found.is_seen else f"the focal length is {told}: {doubt}; {ADVICE}"
+    doubt = BENT_SAID if found.shows_distortion else HARDLY_SAID
+    message = told if found.is_certain else f"the focal length is {told}: {doubt}; {ADVICE}"
     return Calibration(
         origin="estimated",
         focal=focal,
         focal_std=deviation,
         shape=shape,
-        seen=found.is_seen,
+        seen=found.is_certain,
         message=message,
         radial=found.radial,
         radial_std=found.radial_deviation,

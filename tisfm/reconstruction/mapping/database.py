@@ -59,9 +59,9 @@ def pairs_of(
     for first, second in sorted(near | set(matches)):
         both = np.empty((0, 2), np.intp)
         if (first, second) in near:
-            both = _shared(views[first].seen, views[second].seen)
+            both = _shared(views[first].observations, views[second].observations)
         if (first, second) in matches:
-            begun = len(views[first].seen.points), len(views[second].seen.points)
+            begun = len(views[first].observations.points), len(views[second].observations.points)
             both = np.vstack([both, matches[first, second] + begun])
         if len(both) >= MIN_SHARED:
             pairs[first, second] = both.astype(np.int32)
@@ -97,7 +97,7 @@ class Directions(Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]):
     ) -> None:
         self._pairs, self._rays = pairs, list[np.ndarray]()
         for view in views:
-            points = np.vstack([view.seen.points, view.detected])
+            points = np.vstack([view.observations.points, view.detected])
             self._rays.append(unit_vectors(pinhole_rays(points, camera, shape)))
 
     def __getitem__(self, numbers: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -125,7 +125,7 @@ def _write_views(database: Any, views: Sequence[View], camera: Any) -> None:
         frame.add_data_id(image.data_id)
         database.write_frame(frame, use_frame_id=True)
         database.write_image(image, use_image_id=True)
-        points = np.vstack([view.seen.points, view.detected]) + PIXEL_CENTRE
+        points = np.vstack([view.observations.points, view.detected]) + PIXEL_CENTRE
         database.write_keypoints(number, points.astype(np.float32))
 
 

@@ -46,7 +46,7 @@ class MatchScore:
         shape: tuple[int, int],  # height and width of the frames, px
     ) -> None:
         self._pairs, self._scale = pairs, first_pair_tolerance(max(shape)) / 2
-        self._points = [np.vstack([view.seen.points, view.detected]) for view in views]
+        self._points = [np.vstack([view.observations.points, view.detected]) for view in views]
 
     def matches(
         self,
@@ -152,7 +152,7 @@ class Coverage:
         shape: tuple[int, int],  # height and width of the frames, px
     ) -> None:
         self._pairs, self._limit = pairs, EPIPOLAR_TOLERANCE * max(shape) / 640
-        self._points = [np.vstack([view.seen.points, view.detected]) for view in views]
+        self._points = [np.vstack([view.observations.points, view.detected]) for view in views]
         areas = self._areas(places_in(shape))
         self._worth = {
             (first, second): areas[first][both[:, 0]] + areas[second][both[:, 1]]

@@ -73,8 +73,8 @@ class ViewGraph:
         focal_known: bool = True,
     ) -> "ViewGraph":
         """Return the graph of views; arguments are those of `find_models`."""
-        kept = choose_long_tracks([view.seen for view in views], max(shape))
-        few = [replace(view, seen=seen) for view, seen in zip(views, kept, strict=True)]
+        kept = choose_long_tracks([view.observations for view in views], max(shape))
+        few = [replace(view, observations=seen) for view, seen in zip(views, kept, strict=True)]
         return cls(views=few, pairs=pairs_of(few, matches), shape=shape, focal_known=focal_known)
 
     def part(self, first: int, last: int) -> "ViewGraph":
@@ -266,7 +266,7 @@ def _model(reconstruction: Any, views: Sequence[View]) -> Model:
     # A track may be split into several points: the point with most observations counts.
     for point in sorted(reconstruction.points3D.values(), key=lambda point: point.track.length()):
         for element in point.track.elements:
-            tracks = views[element.image_id - 1].seen.tracks
+            tracks = views[element.image_id - 1].observations.tracks
             if element.point2D_idx < len(tracks):
                 points[int(tracks[element.point2D_idx])] = np.array(point.xyz)
     return Model(poses=dict(sorted(poses.items())), points=TrackPoints.of(points))
@@ -276,7 +276,7 @@ def _with_others(
     model: Model, views: Sequence[View], camera: Camera, shape: tuple[int, int]
 ) -> Model:
     """Add the points of the tracks that the adjustment did not use."""
-    seen = [view.seen for view in views if view.frame in model.poses]
+    seen = [view.observations for view in views if view.frame in model.poses]
     poses = {k: model.poses[frame] for k, frame in enumerate(sorted(model.poses))}
     return replace(model, points=triangulate_tracks(seen, poses, camera, shape) | model.points)
 

@@ -28,25 +28,27 @@ class FocalEstimate:
     radial: float = 0.0
     radial_deviation: float = 0.0
     # share of the focal length: with a larger standard deviation, a guess is as good
-    limit: float = MAX_USEFUL_DEVIATION
-    bent: bool = False  # whether the focal length changes clearly if the lens may distort
+    max_deviation: float = MAX_USEFUL_DEVIATION
+    shows_distortion: bool = (
+        False  # whether the focal length changes clearly if the lens may distort
+    )
 
-    def taken(self, camera: Camera) -> Camera:
+    def apply_to(self, camera: Camera) -> Camera:
         """Return a camera with this focal length and k1; unchanged if a guess is as good."""
-        if not self.is_of_use:
+        if not self.is_useful:
             return camera
         distortion = (self.radial, 0.0, 0.0, 0.0) if self.radial else None
         return replace(camera, focal=self.focal, distortion=distortion)
 
     @property
-    def is_seen(self) -> bool:
+    def is_certain(self) -> bool:
         """Whether the motion shows the focal length well."""
         return self.deviation <= MAX_SEEN_DEVIATION * self.focal
 
     @property
-    def is_of_use(self) -> bool:
+    def is_useful(self) -> bool:
         """Whether the estimate is better than a guess."""
-        return self.deviation <= self.limit * self.focal
+        return self.deviation <= self.max_deviation * self.focal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,9 +67,11 @@ class PathSolution:
     """Pieces of a path, and the views and tracks that they come from."""
 
     pieces: list[Piece]
-    unplaced: list[int]  # frames that are in no piece
+    missing_frames: list[int]  # frames that are in no piece
     views: Sequence[View]  # views with points as the frames show them
-    seen: Sequence[Observations]  # tracks in every frame, as the pinhole camera would see them
+    observations: Sequence[
+        Observations
+    ]  # tracks in every frame, as the pinhole camera would see them
     camera: Camera
     # the estimate, if the focal length was to be estimated and a path was found
     focal: FocalEstimate | None

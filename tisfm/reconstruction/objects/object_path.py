@@ -115,7 +115,9 @@ def find_object_path(
     if not path.pieces:
         return "it does not turn or come nearer enough, or is not rigid: its motion shows no depth"
     piece = max(path.pieces, key=lambda piece: len(piece.poses))
-    depths = find_object_depths(object_frames, piece, path.seen, settings) if with_depth else []
+    depths = (
+        find_object_depths(object_frames, piece, path.observations, settings) if with_depth else []
+    )
     return ObjectPath(frames=numbers, piece=piece, depths=depths)
 
 

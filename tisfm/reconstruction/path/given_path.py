@@ -9,7 +9,7 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.path.given_poses import poses_of_frames
 from tisfm.reconstruction.path.path_solver import CameraPath
-from tisfm.reconstruction.rolling_shutter.correction import TrackUnroller
+from tisfm.reconstruction.rolling_shutter.correction import ReadoutCorrection
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import triangulate_tracks
@@ -30,15 +30,21 @@ def given_path(
     Raises InputError if poses do not fit the frames in number or in time.
     """
     seen: Sequence[Observations] = tracks.observations
-    poses, lost = poses_of_frames(given, times)
-    known = {k: pose for k, pose in enumerate(poses) if k not in lost}
+    poses, missing = poses_of_frames(given, times)
+    known = {k: pose for k, pose in enumerate(poses) if k not in missing}
     points = triangulate_tracks(seen, known, camera, tracks.shape)
     piece, rolling = Piece(poses=known, views=tuple(known), points=points), None
     if known and camera.readout:
-        unroller = TrackUnroller(seen, [piece], instants, camera.readout, 0.0, camera, tracks.shape)
+        unroller = ReadoutCorrection(
+            seen, [piece], instants, camera.readout, 0.0, camera, tracks.shape
+        )
         seen, rolling = unroller.all_tracks(), unroller.rolling
         points = triangulate_tracks(seen, known, camera, tracks.shape)
         piece = replace(piece, points=points)
     return CameraPath(
-        pieces=(piece,) if known else (), lost=lost, seen=seen, camera=camera, rolling=rolling
+        pieces=(piece,) if known else (),
+        missing=missing,
+        observations=seen,
+        camera=camera,
+        rolling=rolling,
     )

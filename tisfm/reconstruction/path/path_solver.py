@@ -29,7 +29,7 @@ from tisfm.reconstruction.mapping.solution import (
     Piece,
 )
 from tisfm.reconstruction.result.calibration import Calibrate
-from tisfm.reconstruction.rolling_shutter.correction import TrackUnroller, find_unrolled_path
+from tisfm.reconstruction.rolling_shutter.correction import ReadoutCorrection, find_corrected_path
 from tisfm.reconstruction.submaps.joining import MAX_VIEWS, focal_from_submaps, models_from_submaps
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, SequenceTracks
 from tisfm.reconstruction.tracks.tracker import CELLS, Observations
@@ -44,8 +44,8 @@ class CameraPath:
 
     # In the order of their first frames. Each frame is in at most one piece.
     pieces: tuple[Piece, ...]
-    lost: dict[int, Status]  # reason for each frame that is in no piece
-    seen: Sequence[Observations]  # tracks in every frame
+    missing: dict[int, Status]  # reason for each frame that is in no piece
+    observations: Sequence[Observations]  # tracks in every frame
     # Camera with the focal length of the path, and with distortion if distortion was estimated.
     # Poses, points and tracks belong to its pinhole, without distortion.
     camera: Camera
@@ -67,7 +67,7 @@ class PathSolver:
     calibrate: Calibrate = "nothing"
     # share of the focal length: an estimate with a larger standard deviation is dropped, and the
     # guess is used
-    limit: float = MAX_USEFUL_DEVIATION
+    max_deviation: float = MAX_USEFUL_DEVIATION
     # readout time of the shutter, as in `tisfm.Camera`; None if it is estimated
     readout: float | None = None
     # Whether the focal length is known. With a guess, a path cannot begin where all points lie in
@@ -84,7 +84,7 @@ class PathSolver:
         """Return the camera path."""
         tracks = self.tracks
         if not len(tracks.observations):
-            return CameraPath(pieces=(), lost={}, seen=(), camera=self.camera)
+            return CameraPath(pieces=(), missing={}, observations=(), camera=self.camera)
         solution = self._solution(tracks.views, tracks.observations, self.camera, self.calibrate)
         rolling = None
         if self.readout != 0 and solution.pieces:
@@ -93,8 +93,8 @@ class PathSolver:
             solution, rolling = self._unrolled(solution, instants)
         return CameraPath(
             pieces=tuple(sorted(solution.pieces, key=lambda piece: min(piece.poses))),
-            lost=self.lost(solution),
-            seen=solution.seen,
+            missing=self.missing(solution),
+            observations=solution.observations,
             camera=solution.camera,
             focal=solution.focal,
             rolling=rolling,
@@ -114,7 +114,9 @@ class PathSolver:
         """Return the models of views, and the focal length if it is estimated and models exist."""
         shape = self.tracks.shape
         if calibrate != "nothing":
-            return find_models_and_focal(views, matches, camera, shape, calibrate, limit=self.limit)
+            return find_models_and_focal(
+                views, matches, camera, shape, calibrate, max_deviation=self.max_deviation
+            )
         return find_models(views, matches, camera, shape, focal_known=self._focal_stated), None
 
     def readjust(
@@ -135,16 +137,16 @@ class PathSolver:
             models = readjust_models(views, matches, camera, shape, known)
         return self._complete(models, views, seen, camera)
 
-    def lost(self, solution: PathSolution) -> dict[int, Status]:
+    def missing(self, solution: PathSolution) -> dict[int, Status]:
         """Return the reason for each frame without a pose."""
         return {
-            frame: status_of_lost(
-                solution.seen[frame],
+            frame: status_without_pose(
+                solution.observations[frame],
                 solution.pieces,
-                self.tracks.different,
+                self.tracks.distinct_count,
                 focal_known=self._focal_stated,
             )
-            for frame in solution.unplaced
+            for frame in solution.missing_frames
         }
 
     def solution(
@@ -158,14 +160,14 @@ class PathSolver:
     ) -> PathSolution:
         """Return pieces as a solution; the frames between their views get poses as well."""
         frames = range(len(seen)) if self.frames is None else self.frames
-        pieces, unplaced = add_other_frames(
+        pieces, missing_frames = add_remaining_frames(
             pieces, seen, frames, camera.pinhole(), self.tracks.shape
         )
         return PathSolution(
             pieces=pieces,
-            unplaced=unplaced,
+            missing_frames=missing_frames,
             views=views,
-            seen=seen,
+            observations=seen,
             camera=camera,
             focal=focal,
             score=score,
@@ -176,7 +178,7 @@ class PathSolver:
     ) -> tuple[PathSolution, Rolling | None]:
         """Return the path of middle rows, and the motion of frames while their rows were read."""
         pinhole = solution.camera.pinhole()
-        found, rolling = find_unrolled_path(
+        found, rolling = find_corrected_path(
             solution,
             partial(self.readjust, camera=pinhole),
             self.tracks.matches,
@@ -190,16 +192,16 @@ class PathSolver:
             # A path bent by the readout effect may stay bent. So another path is built from the
             # corrected tracks, without the first path as a start.
             calibrate: Calibrate = "focal" if self.calibrate == "focal" else "nothing"
-            anew = self._solution(found.views, found.seen, pinhole, calibrate)
+            anew = self._solution(found.views, found.observations, pinhole, calibrate)
             if anew.pieces and anew.focal is None:
-                anew = self.readjust(found.views, found.seen, anew.pieces, pinhole)
-            if anew.score > found.score and _is_of_use(anew.focal):
+                anew = self.readjust(found.views, found.observations, anew.pieces, pinhole)
+            if anew.score > found.score and _is_useful(anew.focal):
                 found = anew
         if found.focal is None:
             found = replace(found, camera=solution.camera, focal=solution.focal)
         # The last solution has poses for more frames: their motion is added.
-        late = TrackUnroller(
-            solution.seen,
+        late = ReadoutCorrection(
+            solution.observations,
             found.pieces,
             instants,
             rolling.readout,
@@ -223,11 +225,11 @@ class PathSolver:
         if len(views) > MAX_VIEWS:  # submaps bound the memory
             if calibrate != "nothing":
                 focal = focal_from_submaps(
-                    views, matches, camera, shape, calibrate, limit=self.limit
+                    views, matches, camera, shape, calibrate, max_deviation=self.max_deviation
                 )
                 if focal is None:  # no part has a path
                     return self._complete([], views, tracks, camera)
-            lens = camera if focal is None else focal.taken(camera)
+            lens = camera if focal is None else focal.apply_to(camera)
             seen = _straight(tracks, lens, shape)
             straight_views = _straight_views(views, lens, shape)
             models = models_from_submaps(
@@ -235,7 +237,7 @@ class PathSolver:
             )
             return self._complete(models, views, seen, lens, focal)
         models, focal = self.new_models(views, matches, camera, calibrate)
-        lens = camera if focal is None else focal.taken(camera)
+        lens = camera if focal is None else focal.apply_to(camera)
         return self._complete(models, views, _straight(tracks, lens, shape), lens, focal)
 
     def _complete(
@@ -277,9 +279,9 @@ def find_path(
     return solver.solve()
 
 
-def _is_of_use(focal: FocalEstimate | None) -> bool:
+def _is_useful(focal: FocalEstimate | None) -> bool:
     """Return whether the estimate of a focal length, if there is any, is better than a guess."""
-    return focal is None or focal.is_of_use
+    return focal is None or focal.is_useful
 
 
 def _straight(
@@ -303,14 +305,14 @@ def _straight_views(views: Sequence[View], lens: Camera, shape: tuple[int, int])
         found.append(
             View(
                 frame=view.frame,
-                seen=undistort_observations(view.seen, lens, shape),
+                observations=undistort_observations(view.observations, lens, shape),
                 detected=undistort_points(view.detected, lens, shape),
             )
         )
     return found
 
 
-def add_other_frames(
+def add_remaining_frames(
     pieces: Sequence[Piece],
     seen: Sequence[Observations],  # tracks in every frame
     frames: Iterable[int],  # frames to add
@@ -321,7 +323,7 @@ def add_other_frames(
     placed = {frame: k for k, piece in enumerate(pieces) for frame in piece.poses}
     ordered = sorted(placed)
     added: list[dict[int, np.ndarray]] = [dict(piece.poses) for piece in pieces]
-    unplaced = []
+    missing_frames = []
     for frame in frames:
         if frame in placed:
             continue
@@ -331,17 +333,17 @@ def add_other_frames(
                 added[k][frame] = pose
                 break
         else:
-            unplaced.append(frame)
+            missing_frames.append(frame)
     return [
         replace(piece, poses=dict(sorted(poses.items())))
         for piece, poses in zip(pieces, added, strict=True)
-    ], unplaced
+    ], missing_frames
 
 
-def status_of_lost(
+def status_without_pose(
     seen: Observations,  # tracks in the frame
     pieces: Sequence[Piece],  # all pieces of the path
-    different: int,  # number of frames that differ from one another
+    distinct_count: int,  # number of frames that differ from one another
     *,
     # whether the focal length is known: then a path may begin where all points lie in one plane
     focal_known: bool = True,
@@ -353,13 +355,13 @@ def status_of_lost(
             "no_texture",
             f"it shows only {count} points that can be tracked: it is dark, bare or blurred",
         )
-    if not pieces and different < 2:
+    if not pieces and distinct_count < 2:
         return Status("no_motion", "frames hardly differ: the camera has to move")
-    if not pieces and different < MIN_VIEWS:
+    if not pieces and distinct_count < MIN_VIEWS:
         return Status(
             "little_parallax",
-            f"only {different} frames differ, but a path needs {MIN_VIEWS}: take more frames, or "
-            "give the pair to tisfm.interpret",
+            f"only {distinct_count} frames differ, but a path needs {MIN_VIEWS}: take more frames, "
+            "or give the pair to tisfm.interpret",
         )
     if not pieces and focal_known:
         return Status(

@@ -40,7 +40,7 @@ MAX_HIDDEN_SHARE = 0.6
 Resolve = Callable[[Sequence[View], Sequence[Observations], Sequence[Piece]], PathSolution]
 
 
-class TrackUnroller:
+class ReadoutCorrection:
     """Moves the points of frames to the positions that a global shutter would see."""
 
     def __init__(
@@ -97,14 +97,16 @@ class TrackUnroller:
         """Return a corrected view, with all its detected points."""
         frame = view.frame
         if frame not in self._depths or not len(view.detected):
-            return replace(view, seen=self.tracks(frame))
+            return replace(view, observations=self.tracks(frame))
         depth, known = self._depths[frame]
         _, near = cKDTree(self._seen[frame].points[known]).query(
             view.detected, k=min(DEPTH_NEIGHBOURS, int(known.sum()))
         )
         around = np.median(depth[known][near].reshape(len(view.detected), -1), axis=1)
         return replace(
-            view, seen=self.tracks(frame), detected=self._moved(frame, view.detected, around)
+            view,
+            observations=self.tracks(frame),
+            detected=self._moved(frame, view.detected, around),
         )
 
     def _moved(self, frame: int, points: np.ndarray, depth: np.ndarray) -> np.ndarray:
@@ -124,7 +126,7 @@ def _depths(
     return depth, depth > 0
 
 
-def find_unrolled_path(
+def find_corrected_path(
     solution: PathSolution,  # the path that was found for a global shutter
     # returns the path for corrected views and tracks of a pinhole, starting from given pieces
     resolve: Resolve,
@@ -144,7 +146,11 @@ def find_unrolled_path(
     views = DiskCache(View.arrays, View.of_arrays)
     for view in solution.views:
         detected = undistort_points(view.detected, solution.camera, shape)
-        views.append(View(frame=view.frame, seen=solution.seen[view.frame], detected=detected))
+        views.append(
+            View(
+                frame=view.frame, observations=solution.observations[view.frame], detected=detected
+            )
+        )
     found, rolling = solution, None
     value, deviation, change = readout or 0.0, 0.0, 0.0
     for number in range(MAX_ROUNDS if readout is None else KNOWN_ROUNDS):
@@ -160,8 +166,8 @@ def find_unrolled_path(
             deviation = float(f"{estimate.deviation:.3g}")
             if number and value == last:  # the value is at its limit
                 break
-        unrolling = TrackUnroller(
-            solution.seen, found.pieces, instants, value, deviation, camera, shape
+        unrolling = ReadoutCorrection(
+            solution.observations, found.pieces, instants, value, deviation, camera, shape
         )
         rolling = unrolling.rolling
         corrected = DiskCache(View.arrays, View.of_arrays)

@@ -131,11 +131,11 @@ def _seen_by(
     graph = sparse.coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), (count, count))
     _, group = sparse.csgraph.connected_components(graph, directed=False)
     of_detected = np.repeat(np.arange(len(numbers)), np.diff(begins))
-    tracks = [views[number].seen.tracks for number in numbers]
+    tracks = [views[number].observations.tracks for number in numbers]
     view = np.r_[np.repeat(np.arange(len(numbers)), list(map(len, tracks))), of_detected]
     point = np.r_[np.concatenate(tracks), -1 - group]
     place = np.vstack(
-        [*(views[k].seen.points for k in numbers), *(views[k].detected for k in numbers)]
+        [*(views[k].observations.points for k in numbers), *(views[k].detected for k in numbers)]
     )
     if not len(view):
         return _Seen(view=view, point=point, place=place)

@@ -19,8 +19,8 @@ from tisfm.reconstruction.mapping.solution import (
 from tisfm.reconstruction.path.path_solver import PathSolver, piece_of_model
 from tisfm.reconstruction.rolling_shutter.correction import (
     KNOWN_ROUNDS,
-    TrackUnroller,
-    find_unrolled_path,
+    ReadoutCorrection,
+    find_corrected_path,
 )
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations, Tracker
@@ -136,7 +136,7 @@ class SlidingPath:
     ) -> None:
         """Track the next frame."""
         number, seen = len(self.seen), self._tracker.track(grey, ignored)
-        if self._views.needs(seen, max(grey.shape)):
+        if self._views.needs_view(seen, max(grey.shape)):
             self._views.add(number, grey, seen, ignored)
         self._index_and_time[number] = index_and_time or (number, None)
         self.seen.append(seen)
@@ -146,8 +146,8 @@ class SlidingPath:
     def solve(self, *, at_end: bool = False) -> SlidingSolution:
         """Return the path of the recent frames; with `at_end`, no later frame follows."""
         views, (grey, ignored) = self._views, self._last_frame
-        last, distinct_count = len(self.seen) - 1, len(views.chosen)
-        if at_end and (not views.chosen or views.chosen[-1].frame != last):
+        last, distinct_count = len(self.seen) - 1, len(views.views)
+        if at_end and (not views.views or views.views[-1].frame != last):
             views.add(last, grey, self.seen[last], ignored)
         views.close_loops(self._shape)
         solution = self._solve(distinct_count)
@@ -164,15 +164,15 @@ class SlidingPath:
         """Return the solver for the recent frames; it gives poses to some of them."""
         tracks = SequenceTracks(
             observations=self.seen,
-            views=self._views.chosen,
+            views=self._views.views,
             matches=self._views.matches,
-            different=distinct_count,
+            distinct_count=distinct_count,
             shape=self._shape,
         )
         return PathSolver(
             tracks=tracks,
             camera=self.camera,
-            limit=self._limit,
+            max_deviation=self._limit,
             focal_known=self._is_focal_stated,
             frames=frames,
         )
@@ -188,22 +188,20 @@ class SlidingPath:
         else:
             models, self.focal = solver.new_models(*graph, self.camera, "focal")
             if self.focal is not None:  # from now on it is fixed
-                self.camera, self._focal_known = self.focal.taken(self.camera), True
-                self._views.use(self.camera)
+                self.camera, self._focal_known = self.focal.apply_to(self.camera), True
+                self._views.set_camera(self.camera)
         for model in sorted(models, key=lambda model: min(model.poses)):
             pieces[max([*pieces, self._piece_count - 1]) + 1] = piece_of_model(model)
-        solution = solver.solution(
-            list(pieces.values()), self._views.chosen, self.seen, self.camera
-        )
+        solution = solver.solution(list(pieces.values()), self._views.views, self.seen, self.camera)
         return SlidingSolution(
             pieces=dict(zip(pieces, solution.pieces, strict=True)),
             fixed={frame: pose for poses in self._fixed.values() for frame, pose in poses.items()},
-            lost=solver.lost(solution),
+            lost=solver.missing(solution),
         )
 
     def _continue_pieces(self) -> tuple[dict[int, Piece], list[int]]:
         """Return the pieces with fixed poses, continued, and the indices of the other views."""
-        frames = [view.frame for view in self._views.chosen]
+        frames = [view.frame for view in self._views.views]
         fixed_frames = {frame for poses in self._fixed.values() for frame in poses}
         free = [k for k, frame in enumerate(frames) if frame not in fixed_frames]
         pieces: dict[int, Piece] = {}
@@ -238,9 +236,9 @@ class SlidingPath:
     def drop_before(self, first: int, *, keyframes: set[int]) -> list[int]:
         """Drop the frames before a frame, except keyframes; return the dropped frames."""
         views = self._views
-        fixed_count = sum(view.frame <= self.last_fixed for view in views.chosen)
-        views.forget(max(0, fixed_count - FIXED_VIEWS))
-        view_frames = {view.frame for view in views.chosen}
+        fixed_count = sum(view.frame <= self.last_fixed for view in views.views)
+        views.drop_first(max(0, fixed_count - FIXED_VIEWS))
+        view_frames = {view.frame for view in views.views}
         dropped = [f for f in self.seen.frames() if f < first and f not in keyframes]
         for frame in dropped:
             self.seen.drop(frame)
@@ -266,7 +264,7 @@ class SlidingPath:
             for (earlier, later), pairs in self._views.matches.items()
             if earlier in position and later in position
         }
-        views = [self._views.chosen[index] for index in indices]
+        views = [self._views.views[index] for index in indices]
         return [self._unrolled_views.get(view.frame, view) for view in views], matches
 
     def _find_readout(self, path: SlidingSolution) -> None:
@@ -278,9 +276,9 @@ class SlidingPath:
             tracks.append(self._read[frame] if frame in set(frames) else no_tracks)
         solution = PathSolution(
             pieces=list(path.pieces.values()),
-            unplaced=list(path.lost),
-            views=list(self._views.chosen),
-            seen=tracks,
+            missing_frames=list(path.lost),
+            views=list(self._views.views),
+            observations=tracks,
             camera=pinhole,
             focal=None,
             score=0.0,
@@ -291,7 +289,7 @@ class SlidingPath:
         solver = self._solver(frames)
         resolve = partial(solver.readjust, camera=pinhole)
         matches = self._views.matches
-        _, rolling = find_unrolled_path(solution, resolve, matches, instants, None, self._shape)
+        _, rolling = find_corrected_path(solution, resolve, matches, instants, None, self._shape)
         self.readout = 0.0 if rolling is None else rolling.readout
         self.readout_deviation = 0.0 if rolling is None else rolling.deviation
 
@@ -300,9 +298,9 @@ class SlidingPath:
 
         Returns the motion of their frames while the rows were read.
         """
-        read = {view.frame: view.seen for view in self._views.chosen}
+        read = {view.frame: view.observations for view in self._views.views}
         read |= {frame: self._read[frame] for frame in self._read.frames()}
-        unroller = TrackUnroller(
+        unroller = ReadoutCorrection(
             read,
             list(path.pieces.values()),
             self._instants(),
@@ -313,7 +311,7 @@ class SlidingPath:
         )
         later = [frame for frame in self._read.frames() if frame > self.last_fixed]
         self.seen = self.seen.with_tracks({frame: unroller.tracks(frame) for frame in later})
-        for view in self._views.chosen:
+        for view in self._views.views:
             if view.frame > self.last_fixed:
                 self._unrolled_views[view.frame] = unroller.view(view)
         rates = unroller.rolling.rates.items()

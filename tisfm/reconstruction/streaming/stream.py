@@ -122,7 +122,7 @@ class Stream:
                 self._frames.camera,
                 focal_known=self._calibrate == "nothing",
                 readout=self._frames.camera.readout,
-                limit=camera.focal_limit,
+                limit=camera.max_focal_deviation,
                 is_guess=not camera.is_focal_stated,
             )
         self._path.add(*self._frames.add(frame), index_and_time=(frame.index, frame.time))

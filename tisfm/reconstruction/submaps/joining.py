@@ -67,7 +67,7 @@ def focal_from_submaps(
     shape: tuple[int, int],
     calibrate: Calibrate,
     *,
-    limit: float,
+    max_deviation: float,
 ) -> FocalEstimate | None:
     """Return the focal length of the first submap that shows it, or else the most certain estimate.
 
@@ -81,12 +81,14 @@ def focal_from_submaps(
             if begin <= earlier and later < end
         }
         own = [views[k] for k in range(begin, end)]
-        _, found = find_models_and_focal(own, inside, camera, shape, calibrate, limit=limit)
+        _, found = find_models_and_focal(
+            own, inside, camera, shape, calibrate, max_deviation=max_deviation
+        )
         if found is None:
             continue
         if best is None or found.deviation * best.focal < best.deviation * found.focal:
             best = found
-        if best.is_seen:
+        if best.is_certain:
             break
     return best
 
@@ -174,7 +176,9 @@ def _joints(
                 (part.posed(shared), other.posed(shared)),
             )
             for first, second, common in _common(part, other, shared):
-                here = np.unique(np.concatenate([views[view].seen.tracks for view in common]))
+                here = np.unique(
+                    np.concatenate([views[view].observations.tracks for view in common])
+                )
                 both = agree & np.isin(tracks, here)
                 if both.sum() >= MIN_SHARED_POINTS:
                     yield _edge(

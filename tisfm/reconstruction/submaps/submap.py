@@ -140,7 +140,7 @@ class SubmapBuilder:
         groups = np.array_split(np.array(inside), max(1, round(len(inside) / self._size)))
         points, shown = _shown(whole)
         twice = [
-            views[k].seen.tracks
+            views[k].observations.tracks
             for k in inside
             if sum(begin <= numbers[k] < end for begin, end in self._spans) > 1
         ]
@@ -199,7 +199,7 @@ def _detected(
         if view not in wanted:
             continue
         own = shown[shown[:, 1] == k]
-        detected = own[:, 2] - len(shared.views[k].seen.tracks)
+        detected = own[:, 2] - len(shared.views[k].observations.tracks)
         kept = np.isin(detected, wanted[view])
         order = np.argsort(detected[kept])
         found[view] = detected[kept][order], points[own[kept, 0][order]]

@@ -28,7 +28,7 @@ class SequenceTracks:
     # mapping of (int, int) to (N, 2) int array: for pairs of indices of views: indices of detected
     # points that match
     matches: Mapping[tuple[int, int], np.ndarray]
-    different: int  # number of frames that differ from one another
+    distinct_count: int  # number of frames that differ from one another
     shape: tuple[int, int]  # height and width of the frames, px
 
 
@@ -66,11 +66,13 @@ class SequenceTracker:
         seen = self._tracker.track(grey, ignored, flow)
         if self._with_views:
             longer_side = max(grey.shape)
-            if self._views.needs(seen, longer_side):
+            if self._views.needs_view(seen, longer_side):
                 self._views.add(number, grey, seen, ignored)
-            if len(self._views.chosen) >= FEW_VIEWS:
+            if len(self._views.views) >= FEW_VIEWS:
                 self._closer = None
-            elif self._closer is not None and self._closer.needs(seen, longer_side, CLOSER_VIEWS):
+            elif self._closer is not None and self._closer.needs_view(
+                seen, longer_side, CLOSER_VIEWS
+            ):
                 self._closer.add(number, grey, seen, ignored)
         self._observations.append(seen)
         self._last = grey, ignored
@@ -81,24 +83,26 @@ class SequenceTracker:
         Raises InputError if frames are out of order.
         """
         if self._last is None:
-            return SequenceTracks(observations=(), views=(), matches={}, different=0, shape=(0, 0))
+            return SequenceTracks(
+                observations=(), views=(), matches={}, distinct_count=0, shape=(0, 0)
+            )
         grey, ignored = self._last
         views = self._views if self._closer is None else self._closer
-        different = len(views.chosen)
+        different = len(views.views)
         if self._with_views:
             last = len(self._observations) - 1
-            if not views.chosen or views.chosen[-1].frame != last:
+            if not views.views or views.views[-1].frame != last:
                 views.add(last, grey, self._observations[last], ignored)
             views.close_loops(grey.shape)
-            if views.out_of_order():
+            if views.is_out_of_order():
                 raise InputError(
                     "frames are not in the order in which they were taken: most show nothing of "
                     "the frame before, but what others show; sort them, or give a video"
                 )
         return SequenceTracks(
             observations=self._observations,
-            views=views.chosen,
+            views=views.views,
             matches=views.matches,
-            different=different,
+            distinct_count=different,
             shape=grey.shape,
         )

@@ -53,7 +53,7 @@ class View:
     """Tracks and detected points of a frame."""
 
     frame: int
-    seen: Observations  # tracks in the frame
+    observations: Observations  # tracks in the frame
     detected: np.ndarray  # (M, 2) float64: points that are matched by appearance, px
 
     @classmethod
@@ -61,12 +61,14 @@ class View:
         """Return the view with these arrays."""
         points, tracks, detected = arrays
         return cls(
-            frame=int(frame.item()), seen=Observations.of_arrays(points, tracks), detected=detected
+            frame=int(frame.item()),
+            observations=Observations.of_arrays(points, tracks),
+            detected=detected,
         )
 
     def arrays(self) -> tuple[np.ndarray, ...]:
         """Return its arrays."""
-        return np.array(self.frame), *self.seen.arrays(), self.detected
+        return np.array(self.frame), *self.observations.arrays(), self.detected
 
 
 class ViewSelection:
@@ -81,7 +83,7 @@ class ViewSelection:
         on_disk: bool = False,  # whether views are stored on disk: then they cannot be dropped
     ) -> None:
         # selected views, in the order of their frames
-        self.chosen: list[View] | DiskCache[View] = (
+        self.views: list[View] | DiskCache[View] = (
             DiskCache(View.arrays, View.of_arrays) if on_disk else []
         )
         # dict of (int, int) to (N, 2) int32 array: for pairs of indices of views: indices of their
@@ -94,15 +96,15 @@ class ViewSelection:
         self._matchable: list[int] = []  # views with enough detected points
         self._compared: set[tuple[int, int]] = set()
 
-    def use(self, camera: Camera) -> None:
+    def set_camera(self, camera: Camera) -> None:
         """Use a camera with a known focal length for later matches."""
         self._camera, self._focal_known = camera, True
 
-    def needs(self, seen: Observations, longer_side: int, share: float = MIN_MOTION) -> bool:
+    def needs_view(self, seen: Observations, longer_side: int, share: float = MIN_MOTION) -> bool:
         """Return whether a frame differs enough from the last view to become a view."""
-        if not self.chosen:
+        if not self.views:
             return len(seen.tracks) > 0
-        before = self.chosen[-1].seen
+        before = self.views[-1].observations
         index0, index1 = before.shared(seen)
         if len(index0) < MIN_KEPT_TRACKS * len(before.tracks):
             return True
@@ -116,8 +118,8 @@ class ViewSelection:
     ) -> None:
         """Add a frame, (H, W) uint8, as a view; ignored pixels, (H, W) bool, get no points."""
         found = _described(grey, ignored)
-        number = len(self.chosen)
-        self.chosen.append(View(frame=frame, seen=seen, detected=found.points))
+        number = len(self.views)
+        self.views.append(View(frame=frame, observations=seen, detected=found.points))
         self._looks.append(ImageDescriptors.of(found))
         for earlier in self._matchable[-MATCHED_VIEWS:]:
             self._match(earlier, number, grey.shape, fewest=MIN_MATCHES, share=0.0)
@@ -130,11 +132,11 @@ class ViewSelection:
             if pair not in self._compared:
                 self._match(*pair, shape, fewest=MIN_LOOP_MATCHES, share=MIN_LOOP_SHARE)
 
-    def forget(self, count: int) -> None:
+    def drop_first(self, count: int) -> None:
         """Drop the first views."""
-        if isinstance(self.chosen, DiskCache) or isinstance(self._looks, DiskCache):
+        if isinstance(self.views, DiskCache) or isinstance(self._looks, DiskCache):
             raise InputTypeError("views lie on disk: they cannot be forgotten")
-        del self.chosen[:count], self._looks[:count]
+        del self.views[:count], self._looks[:count]
         self._matchable = [k - count for k in self._matchable if k >= count]
         self.matches = {
             (earlier - count, later - count): both
@@ -143,9 +145,9 @@ class ViewSelection:
         }
         self._compared = {(i - count, k - count) for i, k in self._compared if i >= count}
 
-    def out_of_order(self) -> bool:
+    def is_out_of_order(self) -> bool:
         """Return whether most views match other views, but not the previous one."""
-        count = len(self.chosen)
+        count = len(self.views)
         if count < MIN_ORDERED_VIEWS:
             return False
         follows = sum(
@@ -158,7 +160,7 @@ class ViewSelection:
         )
 
     def _share_tracks(self, first: int, second: int) -> bool:
-        index, _ = self.chosen[first].seen.shared(self.chosen[second].seen)
+        index, _ = self.views[first].observations.shared(self.views[second].observations)
         return len(index) >= MIN_MATCHES
 
     def _match(
