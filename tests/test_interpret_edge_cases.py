@@ -256,7 +256,7 @@ def test_settings_at_their_bounds_overflow_nowhere(changes, motion, solver):
 @pytest.mark.parametrize("empty", [0.0, np.inf, np.nan])
 def test_objects_without_depth_have_no_contact(empty):
     from tisfm.motion.estimate import Estimate
-    from tisfm.motion.objects.contacts import align_scales
+    from tisfm.motion.objects.depth import align_scales
 
     labels = np.zeros((40, 40), np.int32)
     labels[10:25, 10:30] = 1

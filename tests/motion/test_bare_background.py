@@ -10,7 +10,7 @@ import tisfm
 from tests.rendered import room, two_blocks
 from tisfm.formats import read_image
 from tisfm.motion.objects import background, estimation
-from tisfm.motion.objects.background import RIM, carry_background_depth
+from tisfm.motion.objects.depth import RIM, carry_background_depth
 from tisfm.motion.objects.layers import PIXEL_GAIN, Layering
 from tisfm.motion.problems import pyramid_of
 from tisfm.motion.rigid_depth import rigid_depth, scaled_translations

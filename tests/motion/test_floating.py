@@ -5,7 +5,7 @@ import pytest
 
 import tisfm
 from tests.rendered import static_scene, two_blocks
-from tisfm.motion.objects.floating_parts import floating_parts, without_domes
+from tisfm.motion.objects.candidates import floating_parts, without_domes
 from tisfm.scenes import STATIC_KINDS
 
 OBJECTS = tisfm.Settings(motion="objects")

@@ -12,7 +12,7 @@ from bench.reference import motion_matrix
 from tests.rendered import static_scene, three_blocks, two_blocks
 from tisfm.metrics import depth_errors, pose_errors
 from tisfm.motion.estimate import Estimate
-from tisfm.motion.objects.contacts import align_scales
+from tisfm.motion.objects.depth import align_scales
 from tisfm.rigid import pose_matrix, rigid_motion
 
 OBJECTS = tisfm.Settings(motion="objects")

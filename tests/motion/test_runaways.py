@@ -9,12 +9,12 @@ import tisfm
 from tests.draws import nightly_except
 from tests.rendered import two_blocks
 from tisfm.formats import read_image
+from tisfm.motion.estimate import with_depth
 from tisfm.motion.frame_agreement import diverged_status
 from tisfm.motion.objects import unstable_depth
-from tisfm.motion.objects.unstable_depth import FEW, restore_diverged_depth
+from tisfm.motion.objects.depth import FEW, restore_diverged_depth
 from tisfm.motion.problems import pyramid_of
 from tisfm.motion.rigid_depth import rigid_depth
-from tisfm.motion.rigid_estimate import with_depth
 from tisfm.rigid import pose_matrix, rigid_motion
 from tisfm.settings import Settings
 from tisfm.visibility.confidence import confidence

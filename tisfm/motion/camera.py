@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tisfm.motion.estimate import Estimate
+from tisfm.motion.estimate import Estimate, with_depth, without_depth
 from tisfm.motion.first_motion import FirstMotion, first_motion
 from tisfm.motion.plane_sweep import PlaneSweep
 from tisfm.motion.rigid_depth import Refinement, RigidSolution, rigid_depth, scaled_translations
-from tisfm.motion.rigid_estimate import with_depth, without_depth
 from tisfm.motion.textureless_depth import MOST_TEXTURELESS, textureless_depth, textureless_share
 from tisfm.rigid import KnownPose
 from tisfm.settings import Settings

@@ -14,8 +14,7 @@ import numpy as np
 from tisfm.kernels.data.image_edges import image_edges
 from tisfm.kernels.layout.images import image_to_lanes
 from tisfm.kernels.rigid.flow_search import carry
-from tisfm.motion.matched_windows import Windows
-from tisfm.motion.residual_comparison import ResidualComparison
+from tisfm.motion.matched_windows import ResidualComparison, Windows
 from tisfm.solver.coarse_to_fine import Problem
 from tisfm.solver.smoothness import FAINTEST_EDGE, mean_step
 from tisfm.solver.unknowns import Unknowns

@@ -16,12 +16,12 @@ from tisfm.motion.fast_objects import FastObjects
 from tisfm.motion.matched_windows import (
     FEWEST,
     SEEN,
+    ResidualComparison,
     Windows,
     WindowSearch,
     resize_flow,
     resize_mask,
 )
-from tisfm.motion.residual_comparison import ResidualComparison
 from tisfm.solver.coarse_to_fine import Problem
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.smoothness import mean_step

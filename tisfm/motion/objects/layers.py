@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 
 from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
-from tisfm.motion.objects.candidates import smallest_object
-from tisfm.motion.objects.floating_parts import floating_parts
+from tisfm.motion.objects.candidates import floating_parts, smallest_object
 from tisfm.motion.objects.label_optimisation import Potts
 from tisfm.motion.rigid_depth import (
     RigidSolution,

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tisfm.motion.objects.contacts import contact_scale
+from tisfm.motion.objects.depth import contact_scale
 from tisfm.reconstruction.objects.object_path import ObjectPath
 from tisfm.reconstruction.result.moving_object import ScaleFrom
 

@@ -1,0 +1,270 @@
+"""Depth of a pair whose labels are known: diverged parts, textureless background, scales.
+
+The data hardly determine the motion of a small object. If a refined motion takes the object's
+pixels out of the image, no data are left to correct it, so labels and pixels whose flow diverges
+are restored. Depth of a partly textureless background is carried across. Objects take the scale of
+the background at their contacts with it.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.motion.camera import CARRIED_RANGE
+from tisfm.motion.egomotion import triangulate
+from tisfm.motion.estimate import Estimate
+from tisfm.motion.objects.layers import fill_nearest
+from tisfm.motion.plane_sweep import COMMON
+from tisfm.motion.rigid_depth import (
+    RigidSolution,
+    motion_precision,
+    rigid_depth,
+    scaled_translations,
+)
+from tisfm.motion.textureless_depth import (
+    MOST_TEXTURELESS,
+    TexturelessSolution,
+    textureless_depth,
+    textureless_share,
+)
+from tisfm.settings import Settings
+from tisfm.solver.image_pyramid import ImagePyramid
+
+# Of the longer side: largest distance of a label's flow (median) and of a pixel's flow from the
+# flow of the layer.
+LABEL_AWAY, PIXEL_AWAY = 0.01, 0.05
+FEW = 0.02  # of the pixels: if more diverge, the whole pair has diverged, and pixels stay
+
+
+def restore_diverged_depth(
+    pyramid: ImagePyramid,
+    settings: Settings,
+    motions: np.ndarray,  # (K, 3, 4) array: R and t of each motion, the largest label's first
+    labels: np.ndarray,  # (H, W) int32
+    expected: np.ndarray,  # (2, H, W) float32: flow of the layers
+    estimate_of: Callable[[RigidSolution], Estimate],  # returns the estimate of a solution
+) -> tuple[RigidSolution, Estimate]:  # the solution and its estimate
+    """Estimate motions and depth of several labels, and restore diverged labels and pixels.
+
+    A label whose flow diverges keeps the motion and the depth of its layer; the largest label is
+    never restored. If few pixels diverge, they take the depth of the nearest good pixels of their
+    label, or 0 if there are none. The precision of restored pixels is computed anew.
+    """
+    side = max(labels.shape)
+    solution = rigid_depth(pyramid, settings, motions, labels)
+    estimate = estimate_of(solution)
+    difference = _flow_difference(estimate, expected)
+    diverged = [
+        label
+        for label in range(1, len(motions))
+        if np.median(difference[labels == label]) > LABEL_AWAY * side
+    ]
+    is_restored = np.isin(labels, diverged)
+    if diverged:
+        solution = _restore_layers(
+            solution, motions, labels, expected, diverged, pyramid.cameras[0]
+        )
+        difference = _flow_difference(estimate_of(solution), expected)
+    is_diverged = difference > PIXEL_AWAY * side
+    if 0 < is_diverged.mean() <= FEW:
+        depth = solution.inverse_depth.copy()
+        for label in np.unique(labels[is_diverged]):
+            is_label, is_reliable = labels == label, (labels == label) & ~is_diverged
+            depth[is_label & is_diverged] = (
+                fill_nearest(depth, is_reliable)[is_label & is_diverged] if is_reliable.any() else 0
+            )
+        solution = replace(solution, inverse_depth=depth)
+        is_restored |= is_diverged
+    if not is_restored.any():
+        return solution, estimate
+    solution = _update_precision(pyramid, settings, solution, labels, is_restored)
+    return solution, estimate_of(solution)
+
+
+def _update_precision(
+    pyramid: ImagePyramid,
+    settings: Settings,
+    solution: RigidSolution,
+    labels: np.ndarray,
+    is_restored: np.ndarray,
+) -> RigidSolution:
+    """Return a solution whose precision is computed anew on a part of the image."""
+    depth = solution.inverse_depth
+    finite_depth = np.where(np.isfinite(depth), depth, 0)
+    precision = motion_precision(pyramid, settings, solution.motions, labels, finite_depth)
+    return replace(solution, precision=np.where(is_restored, precision, solution.precision))
+
+
+def _restore_layers(
+    solution: RigidSolution,
+    motions: np.ndarray,
+    labels: np.ndarray,
+    expected: np.ndarray,
+    diverged: list[int],
+    camera: Camera,
+) -> RigidSolution:
+    """Return a solution where the labels `diverged` have the motion and depth of their layers."""
+    restored_motions = solution.motions.copy()
+    restored_motions[diverged] = scaled_translations(motions, labels, camera)[diverged]
+    depth = solution.inverse_depth.copy()
+    cx, cy = camera.center_for(*labels.shape)
+    for label in diverged:
+        is_label = labels == label
+        rows, columns = np.nonzero(is_label)
+        positions = np.stack([columns - cx, rows - cy], axis=-1)
+        ones = np.ones((len(positions), 1))
+        before, after = (
+            np.hstack([points / camera.focal, ones])
+            for points in (positions, positions + expected[:, is_label].T)
+        )
+        rotation, translation = restored_motions[label, :, :3], restored_motions[label, :, 3]
+        if translation.any():
+            depth[is_label] = camera.focal * triangulate(before, after, rotation, translation)
+    return replace(solution, motions=restored_motions, inverse_depth=depth)
+
+
+def _flow_difference(estimate: Estimate, expected: np.ndarray) -> np.ndarray:
+    """Return the distance of every pixel's flow from the expected flow, (H, W), px."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        difference = np.hypot(*(estimate.flow - expected))
+    return np.where(np.isfinite(difference), difference, np.inf)
+
+
+RIM = 7  # px: window that erodes the background, as windows across its boundary mix depths
+
+
+def carry_background_depth(
+    pyramid: ImagePyramid,
+    settings: Settings,
+    solution: RigidSolution,
+    labels: np.ndarray,  # (H, W) int32: 0 for the background
+    # (3, 4) array: R and t of the background's layer, because wrong depth of textureless surfaces
+    # spoils the refined motion
+    motion: np.ndarray,
+) -> TexturelessSolution | None:
+    """Return a solution with carried depth of the background, if this is partly textureless.
+
+    Pixels of other labels keep their motion and depth. They are neither matched nor constrained
+    under the background's motion.
+
+    Returns none if little of the frame is textureless, if the background's parallax differs too
+    little between near and far, or if too little of the background could be matched.
+    """
+    if (
+        textureless_share(pyramid.frames0[pyramid.last], pyramid.counted0(pyramid.last))
+        < MOST_TEXTURELESS
+    ):
+        return None
+    background = labels == 0
+    low, high = np.percentile(solution.inverse_depth[background], COMMON)
+    if not high - low >= CARRIED_RANGE * max(labels.shape):
+        return None
+    core = cv2.erode(background.astype(np.uint8), np.ones((RIM, RIM), np.uint8)) > 0
+    motions = solution.motions.copy()
+    motions[0] = scaled_translations(motion[None], labels, pyramid.cameras[0])[0]
+    carried = textureless_depth(pyramid, settings, motions[0], support=core)
+    if carried is None:
+        return None
+    size = solution.precision.shape[:0:-1]
+    is_background = (
+        cv2.resize(background.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    )
+    solutions: list[RigidSolution] = [solution, carried]
+    if labels.any() and not solution.converged:
+        solutions.reverse()  # the last one gives the status of the iterations
+    first, last = solutions
+    return TexturelessSolution(
+        motions=motions,
+        inverse_depth=np.where(background, carried.inverse_depth, solution.inverse_depth),
+        precision=np.where(is_background, _resize_precision(carried, solution), solution.precision),
+        level=solution.level,
+        density=solution.density,
+        history=first.history + last.history,
+        converged=last.converged,
+        is_adjustable=last.is_adjustable,
+        carried_deviation=np.where(background, carried.deviation(), solution.deviation()),
+    )
+
+
+def _resize_precision(carried: TexturelessSolution, other: RigidSolution) -> np.ndarray:
+    """Return the precision of one solution on the level of another, (7, h, w) float32."""
+    if carried.level == other.level:
+        return carried.precision
+    size = other.precision.shape[:0:-1]
+    area = np.float32((carried.density / other.density) ** 2)  # ratio of px² of both levels
+    units = (area, area, area, 1 / area, 1 / area, 1 / area, 1 / area)
+    channels = zip(carried.precision, units, strict=True)
+    return np.stack([cv2.resize(channel, size) * unit for channel, unit in channels])
+
+
+APART = 3  # px: distance from the boundary at which depths are read, on both sides
+FEWEST_COLUMNS = 8  # least number of columns of a contact
+LOWEST = 0.5  # of an object's rows: only the lower half touches the floor
+
+
+def align_scales(
+    estimate: Estimate,  # with motions, labels and inverse depth; the background is label 0
+    hidden: np.ndarray,  # (H, W) bool: pixels whose depth is not used
+) -> Estimate:
+    """Bring objects to the scale of the background on which they stand.
+
+    From motion alone, every object has a scale of its own. In each column of an object, the lowest
+    pixel counts as a contact if it is in the lower half of the object's rows and the background is
+    below it. Object and background are assumed equally far away there. The object's scale is the
+    median ratio over the columns. Objects without contact keep their own scale, and so do all
+    objects if the background has no depth.
+
+    Returns inverse depth, its deviation and T of objects are in the background's unit, so the
+    length of an object's T is no longer 1.
+    """
+    motions, labels = estimate.motions, estimate.labels
+    if motions is None or labels is None or estimate.inverse_depth_std is None:
+        return estimate
+    scales = np.ones(len(motions))
+    for label in range(1, len(motions)):
+        scale = contact_scale(estimate.inverse_depth, labels, hidden, label)
+        if scale is not None and motions[label, :3].any():
+            scales[label] = scale
+    twists = motions.copy()
+    twists[:, :3] /= scales[:, None]
+    per_pixel = scales.astype(np.float32)[labels]
+    return replace(
+        estimate,
+        motions=twists,
+        inverse_depth=estimate.inverse_depth * per_pixel,
+        inverse_depth_std=estimate.inverse_depth_std * per_pixel,
+    )
+
+
+def contact_scale(
+    # (H, W) float32: in the object's own unit at its pixels, and in the background's unit elsewhere
+    inverse_depth: np.ndarray,
+    labels: np.ndarray,  # (H, W) int array: 0 for the background
+    hidden: np.ndarray,  # (H, W) bool: pixels whose depth is not used
+    label: int,  # the object's label
+) -> float | None:
+    """Return the ratio of background's to object's inverse depth at contacts, None without them."""
+    height = len(labels)
+    is_object = labels == label
+    columns = np.flatnonzero(is_object.any(axis=0))
+    if not len(columns):
+        return None
+    rows = np.flatnonzero(is_object.any(axis=1))
+    lowest = height - 1 - is_object[::-1].argmax(axis=0)[columns]
+    above, below = lowest - APART, lowest + APART
+    is_low = (lowest >= rows[0] + LOWEST * (rows[-1] - rows[0])) & (below < height) & (above >= 0)
+    columns, above, below = columns[is_low], above[is_low], below[is_low]
+    is_contact = (labels[below, columns] == 0) & is_object[above, columns]
+    is_contact &= ~hidden[below, columns] & ~hidden[above, columns]
+    columns, above, below = columns[is_contact], above[is_contact], below[is_contact]
+    # Double precision avoids overflow of the quotient.
+    object_depth, background_depth = (
+        inverse_depth[rows, columns].astype(float) for rows in (above, below)
+    )
+    is_known = (object_depth != 0) & np.isfinite(object_depth) & np.isfinite(background_depth)
+    ratio = background_depth[is_known] / object_depth[is_known]
+    ratio = ratio[ratio > 0]
+    return float(np.median(ratio)) if len(ratio) >= FEWEST_COLUMNS else None
