@@ -9,11 +9,14 @@ import pytest
 import tisfm
 from tests.rendered import room, two_blocks
 from tisfm.formats import read_image
-from tisfm.motion.objects import background, estimation
-from tisfm.motion.objects.depth import RIM, carry_background_depth
-from tisfm.motion.objects.layers import PIXEL_GAIN, Layering
+from tisfm.motion.objects import depth as object_depth
+from tisfm.motion.objects import estimation
+from tisfm.motion.objects.depth import carry_background_depth
+from tisfm.motion.objects.layers import Layering
+from tisfm.motion.objects.settings import OBJECTS
 from tisfm.motion.problems import pyramid_of
 from tisfm.motion.rigid_depth import rigid_depth, scaled_translations
+from tisfm.motion.settings import DEPTH
 from tisfm.motion.textureless_depth import textureless_depth
 from tisfm.motion.window_statistics import window_variance
 from tisfm.rigid import rigid_motion
@@ -67,7 +70,7 @@ def carried(scene):
 def uncarried(scene):
     with pytest.MonkeyPatch.context() as patch:
         # No share is above 2: depth is never interpolated.
-        patch.setattr(background, "MOST_TEXTURELESS", 2.0)
+        patch.setattr(object_depth, "DEPTH", replace(DEPTH, min_textureless_share=2.0))
         return interpreted(scene)
 
 
@@ -119,7 +122,7 @@ def test_textured_scenes_go_another_way(monkeypatch):
         raise AssertionError("nothing is to be carried")
 
     scene = two_blocks(*SIZE, seed=6)
-    monkeypatch.setattr(background, "textureless_depth", never)
+    monkeypatch.setattr(object_depth, "textureless_depth", never)
     result = interpreted(scene)
     monkeypatch.setattr(estimation, "carry_background_depth", lambda *_: None)
     without = interpreted(scene)
@@ -142,7 +145,7 @@ def test_a_thing_has_no_say_in_the_background():
     labels = scene.labels
     thing, near, close = (
         cv2.dilate(labels.astype(np.uint8), np.ones((window, window), np.uint8)) > 0
-        for window in (1, 51, RIM)
+        for window in (1, 51, OBJECTS.background_rim)
     )
     beside = near & ~close
     pyramid, settings, solution, _, motion = solved(scene, labels)
@@ -209,5 +212,5 @@ def test_what_bare_windows_gain_counts_little(scene):
             ("thing", scene.labels == 1),
         )
     }
-    assert shown["bare"] < 0.1 / PIXEL_GAIN
-    assert 0.8 / PIXEL_GAIN < shown["thing"] <= 1 / PIXEL_GAIN
+    assert shown["bare"] < 0.1 / OBJECTS.min_pixel_gain
+    assert 0.8 / OBJECTS.min_pixel_gain < shown["thing"] <= 1 / OBJECTS.min_pixel_gain

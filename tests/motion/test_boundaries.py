@@ -1,6 +1,7 @@
 """Boundaries between labels, accurate to the pixel."""
 
 import itertools
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from tisfm.motion.objects import boundaries
 from tisfm.motion.objects.boundaries import sharpen_labels
 from tisfm.motion.objects.label_optimisation import MinSum
+from tisfm.motion.objects.settings import OBJECTS
 
 SIZE = (72, 95)
 AROUND, WITHIN = (1.5, -0.75), (-2.25, 1.0)  # px/frame
@@ -79,8 +81,8 @@ def test_what_is_hidden_has_the_label_of_what_hides_less(in_front, monkeypatch):
     """With a high cost of hidden pixels, the hidden strip gets a label that fits by chance."""
     true, *frames = scene(in_front=in_front)
     found = sharpen_labels(true, flows(), anywhere(), *frames)
-    for name in ("LEAST_HIDDEN", "HIDDEN"):
-        monkeypatch.setattr(boundaries, name, 50.0)
+    costly = replace(OBJECTS, min_hidden_cost=50.0, max_hidden_cost=50.0)
+    monkeypatch.setattr(boundaries, "OBJECTS", costly)
     blind = sharpen_labels(true, flows(), anywhere(), *frames)
     assert (found != true).sum() < (blind != true).sum()
 

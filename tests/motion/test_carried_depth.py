@@ -1,11 +1,14 @@
 """Depth interpolated across surfaces without texture."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import tisfm
 from tests.motion.one_motion import errors
 from tests.rendered import static_scene, three_blocks
+from tisfm.motion.settings import DEPTH
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import room
 
@@ -84,7 +87,7 @@ def test_first_order_smoothness_does_not_carry_it(bare_room, monkeypatch):
     import tisfm.motion.camera
 
     # No share is above 2: depth is never interpolated.
-    monkeypatch.setattr(tisfm.motion.camera, "MOST_TEXTURELESS", 2.0)
+    monkeypatch.setattr(tisfm.motion.camera, "DEPTH", replace(DEPTH, min_textureless_share=2.0))
     pose = pose_matrix(bare_room.motions[0])
     result = interpreted(bare_room, pose=pose)
     assert relative_errors(result, bare_room).mean() > 0.045
@@ -126,7 +129,9 @@ def test_textured_scenes_go_another_way(monkeypatch):
 def test_with_too_little_matched_nothing_is_carried(bare_room, monkeypatch):
     import tisfm.motion.textureless_depth
 
-    monkeypatch.setattr(tisfm.motion.textureless_depth, "FEWEST", 1.1)
+    monkeypatch.setattr(
+        tisfm.motion.textureless_depth, "DEPTH", replace(DEPTH, min_matched_share=1.1)
+    )
     result = interpreted(bare_room, pose=pose_matrix(bare_room.motions[0]))
     assert result.inverse_depth.any()
 
@@ -142,7 +147,9 @@ def test_the_limit_of_iterations_is_told(bare_room):
 def test_large_single_levels_are_left_to_the_sweep(bare_room, monkeypatch):
     import tisfm.motion.textureless_depth
 
-    monkeypatch.setattr(tisfm.motion.textureless_depth, "MOST", 10)
+    monkeypatch.setattr(
+        tisfm.motion.textureless_depth, "DEPTH", replace(DEPTH, max_plane_pixels=10)
+    )
     result = interpreted(bare_room, pose=pose_matrix(bare_room.motions[0]))
     assert result.inverse_depth.any()
 

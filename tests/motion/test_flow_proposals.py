@@ -188,7 +188,7 @@ def test_any_type_of_frames_gives_the_same_flow(scene):
 @pytest.mark.parametrize("kind", ["stripes", "bare", "too far", "texture"])
 def test_areas_that_may_be_mistaken_do_not_move(kind):
     """Stripes and bare areas match far away, and so does anything by chance in a whole image."""
-    from tisfm.motion.flow_proposals import _distinctive_areas
+    from tisfm.motion.fast_objects import distinctive_areas
     from tisfm.motion.matched_windows import Windows
 
     frame0 = texture(200, 300, 0).astype(np.float32)
@@ -202,7 +202,7 @@ def test_areas_that_may_be_mistaken_do_not_move(kind):
     there, before = np.zeros((2, *frame0.shape, 4), np.float32)
     there[..., :2] = (-130, 0) if kind == "too far" else (8, -90)
     windows = Windows(grey0=frame0, grey1=frame0, noise=0.7, scale=1.0)
-    kept = _distinctive_areas(new, there, before, windows)
+    kept = distinctive_areas(new, there, before, windows)
     np.testing.assert_array_equal(kept, new if kind == "texture" else np.zeros_like(new))
 
 

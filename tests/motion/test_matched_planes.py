@@ -7,6 +7,7 @@ import pytest
 import tisfm
 from tests.rendered import static_scene
 from tisfm.motion.problems import pyramid_of
+from tisfm.motion.settings import DEPTH
 from tisfm.rigid import rigid_motion
 
 SETTINGS = tisfm.Settings()
@@ -78,7 +79,7 @@ def test_constant_frames():
 
 
 def test_no_island_is_left():
-    from tisfm.motion.matched_planes import ISLAND, large_regions
+    from tisfm.motion.matched_planes import large_regions
 
     depth = np.full((60, 60), 5.0, np.float32)
     believed = np.zeros((60, 60), bool)
@@ -87,14 +88,14 @@ def test_no_island_is_left():
     depth[10:15, 10:15] = 8  # another surface inside the large one, and small
     kept = large_regions(depth, believed)
     assert kept.sum() == 30 * 30 - 5 * 5
-    assert ISLAND > 25 and not kept[40:].any() and not kept[10:15, 10:15].any()
+    assert DEPTH.min_plane_region > 25 and not kept[40:].any() and not kept[10:15, 10:15].any()
     ramp = np.broadcast_to(np.linspace(1, 50, 60, dtype=np.float32), (60, 60))
     assert large_regions(ramp.copy(), np.ones((60, 60), bool)).all()  # slanted, one surface
 
 
 @pytest.mark.parametrize("deviation", [1.0, 4.0])
 def test_noise_deviation(deviation):
-    from tisfm.motion.matched_planes import LEAST_NOISE, MOST_NOISE, noise_deviation
+    from tisfm.motion.matched_planes import noise_deviation
 
     rng = np.random.default_rng(1)
     rows, columns = np.mgrid[:240, :320]
@@ -103,13 +104,13 @@ def test_noise_deviation(deviation):
     noisy = (frame + rng.normal(0, deviation, frame.shape)).astype(np.float32)
     assert noise_deviation(noisy) == pytest.approx(deviation, rel=0.15)
     assert noise_deviation(noisy[:5, :9]) == pytest.approx(deviation, rel=0.6)
-    assert noise_deviation(frame.astype(np.float32)) == LEAST_NOISE
+    assert noise_deviation(frame.astype(np.float32)) == DEPTH.min_noise
     narrow = (frame / 16).astype(np.float32)  # 12 bits in a range of 16
-    assert noise_deviation(narrow) < 0.12 < LEAST_NOISE
+    assert noise_deviation(narrow) < 0.12 < DEPTH.min_noise
     assert noise_deviation(np.full((240, 320), 110, np.float32)) > 0
     striped = noisy.copy()
     # Texture in every second block.
     striped[:, 16::32] += 30 * rng.normal(size=striped[:, 16::32].shape)
     assert noise_deviation(striped, every=2) != noise_deviation(striped)
     texture = rng.uniform(0, 255, frame.shape).astype(np.float32)
-    assert noise_deviation(texture) == MOST_NOISE
+    assert noise_deviation(texture) == DEPTH.max_noise

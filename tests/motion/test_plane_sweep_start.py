@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import tisfm
 from bench import reference
 from tests.rendered import static_scene
 from tisfm.metrics import depth_errors
+from tisfm.motion.settings import DEPTH
 from tisfm.rigid import rigid_motion
 from tisfm.scenes import STATIC_KINDS, Box, Plane, Scene, Texture
 
@@ -193,7 +195,7 @@ def test_what_is_narrower_than_it_moves_is_found(poles, preset):
 def test_the_sweep_is_what_finds_it(poles, monkeypatch):
     import tisfm.motion.plane_sweep
 
-    monkeypatch.setattr(tisfm.motion.plane_sweep, "RANGE", np.inf)
+    monkeypatch.setattr(tisfm.motion.plane_sweep, "DEPTH", replace(DEPTH, min_sweep_range=np.inf))
     pose = np.eye(4)
     pose[0, 3] = -0.5
     result = tisfm.interpret(
@@ -212,7 +214,7 @@ def start_of(scene, monkeypatch, entries=2**25):
     import tisfm.motion.plane_sweep
     from tisfm.motion.problems import pyramid_of
 
-    monkeypatch.setattr(tisfm.motion.plane_sweep, "ENTRIES", entries)
+    monkeypatch.setattr(tisfm.motion.plane_sweep, "MAX_COSTS", entries)
     frames = [frame.astype(np.float32) for frame in (scene.frame0, scene.frame1)]
     settings = tisfm.Settings(motion="camera")
     pyramid = pyramid_of(*frames, scene.camera, settings)

@@ -11,8 +11,9 @@ from tests.rendered import two_blocks
 from tisfm.formats import read_image
 from tisfm.motion.estimate import with_depth
 from tisfm.motion.frame_agreement import diverged_status
-from tisfm.motion.objects import unstable_depth
-from tisfm.motion.objects.depth import FEW, restore_diverged_depth
+from tisfm.motion.objects import depth as object_depth
+from tisfm.motion.objects.depth import restore_diverged_depth
+from tisfm.motion.objects.settings import OBJECTS
 from tisfm.motion.problems import pyramid_of
 from tisfm.motion.rigid_depth import rigid_depth
 from tisfm.rigid import pose_matrix, rigid_motion
@@ -41,7 +42,7 @@ def refined(monkeypatch):
             solution = rigid_depth(pyramid, settings, motions, labels, refine=refine)
             return change(solution) if refine == "motion" else solution
 
-        monkeypatch.setattr(unstable_depth, "rigid_depth", rigid)
+        monkeypatch.setattr(object_depth, "rigid_depth", rigid)
         return calls
 
     return install
@@ -144,8 +145,8 @@ def test_pixels_that_run_away_take_the_depth_of_their_neighbours(scene, refined,
 
 
 def test_a_pair_that_runs_away_does(scene, refined):
-    """More outliers than the share `FEW` in the largest label are not repaired."""
-    rows = round(2 * FEW * SIZE[0])
+    """More outliers than `max_diverged_share` in the largest label are not repaired."""
+    rows = round(2 * OBJECTS.max_diverged_share * SIZE[0])
 
     def change(solution):
         depth = solution.inverse_depth.copy()
@@ -169,7 +170,7 @@ def test_a_label_of_which_nothing_stays(scene, monkeypatch, known):
             solution, inverse_depth=np.where(tiny, np.float32(1e5), solution.inverse_depth)
         )
 
-    monkeypatch.setattr(unstable_depth, "rigid_depth", rigid)
+    monkeypatch.setattr(object_depth, "rigid_depth", rigid)
     labels = np.zeros(SIZE, np.int32)
     labels[20:24, 20:24] = 1
     expected = np.moveaxis(scene.flow, -1, 0).astype(np.float32)

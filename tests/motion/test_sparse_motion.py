@@ -6,8 +6,10 @@ import pytest
 from tests.rendered import three_blocks
 from tisfm.camera import Camera
 from tisfm.motion.epipolar_fit import Rays, pose_cost
-from tisfm.motion.sparse_matches import CELLS, PER_CELL, Matches, sparse_matches
-from tisfm.motion.sparse_motion import FEWEST, TIED, angle_between, sparse_motions
+from tisfm.motion.homographies import angle_between
+from tisfm.motion.settings import SPARSE
+from tisfm.motion.sparse_matches import Matches, sparse_matches
+from tisfm.motion.sparse_motion import sparse_motions
 from tisfm.rigid import rigid_motion
 
 SHAPE = (240, 320)
@@ -54,7 +56,7 @@ def test_the_simplest_model_that_explains_the_matches(kind, wrong):
         assert right == motions
     assert right[0].inliers == pytest.approx((1 - wrong) * 300, abs=20)
     assert right[0].residual < 0.5 and right[0].parallax > 5 and right[0].coverage > 0.8
-    assert right[0].cost <= TIED * motions[0].cost
+    assert right[0].cost <= SPARSE.max_cost_ratio * motions[0].cost
 
 
 def test_exact_matches_give_the_exact_motion():
@@ -87,7 +89,7 @@ def test_lengths_are_those_of_another_level():
     assert half.rotation is motion.rotation and half.inliers == motion.inliers
 
 
-@pytest.mark.parametrize("count", [0, 1, FEWEST - 1])
+@pytest.mark.parametrize("count", [0, 1, SPARSE.min_matches - 1])
 def test_too_few_matches_show_no_motion(count):
     rng = np.random.default_rng(0)
     points = rng.uniform(0, 200, (2, count, 2))
@@ -121,9 +123,9 @@ def test_matches_are_spread_and_the_same_every_time(far):
     first, second = sparse_matches(*frames), sparse_matches(*frames)
     np.testing.assert_array_equal(first.before, second.before)
     np.testing.assert_array_equal(first.after, second.after)
-    side = (SHAPE[0] * SHAPE[1]) ** 0.5 / CELLS
+    side = (SHAPE[0] * SHAPE[1]) ** 0.5 / SPARSE.cells
     cells, count = np.unique((first.before // side).astype(int), axis=0, return_counts=True)
-    assert count.max() <= PER_CELL and len(cells) > 30
+    assert count.max() <= SPARSE.points_per_cell and len(cells) > 30
 
 
 @pytest.mark.parametrize(("scale", "offset"), [(1 / 255, 0), (1e4, -300)])

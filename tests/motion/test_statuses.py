@@ -13,9 +13,10 @@ from tisfm.camera import Camera
 from tisfm.frames import grey_pair
 from tisfm.metrics import depth_errors
 from tisfm.motion import first_motion as first_motion_module
-from tisfm.motion.depth_checks import BEHIND, UNCERTAIN, UNEXPLAINED, UNSURE, depth_status
+from tisfm.motion.depth_checks import depth_status
 from tisfm.motion.frame_agreement import aperture_status, unrelated_status
 from tisfm.motion.problems import pyramid_of
+from tisfm.motion.settings import CHECKS
 from tisfm.rigid import pose_matrix, rigid_motion
 from tisfm.scenes import Plane, Scene, Texture
 from tisfm.visibility.confidence import CONFIDENCE_WINDOW
@@ -155,7 +156,7 @@ def judged(scene, *, inverse_depth=None, flow=None, uses_matches=False, deviatio
 @pytest.mark.parametrize(("factor", "code"), [(0.8, None), (1.5, "behind_camera")])
 def test_a_scene_that_lies_partly_behind_the_camera(scene, factor, code):
     inverse_depth = 1 / scene.depth
-    rows = round(factor * BEHIND * SIZE[0])
+    rows = round(factor * CHECKS.max_behind_share * SIZE[0])
     inverse_depth[50 : 50 + rows] *= -1
     found = judged(scene, inverse_depth=inverse_depth)
     assert found == code and (code is None or "behind the camera" in found.message)
@@ -181,7 +182,7 @@ def test_noise_around_zero_lies_not_behind_the_camera(scene, distance, deviation
 def test_a_part_where_depth_leads_astray(scene, factor, code, matched):
     flow = scene.flow.astype(np.float32)
     # Windows see the wrong rows from this distance.
-    rows = max(1, round(factor * UNEXPLAINED * SIZE[0]) - CONFIDENCE_WINDOW)
+    rows = max(1, round(factor * CHECKS.max_unexplained_share * SIZE[0]) - CONFIDENCE_WINDOW)
     flow[40 : 40 + rows] += (0, 9)
     assert judged(scene, flow=flow, uses_matches=matched) == code
 
@@ -189,8 +190,8 @@ def test_a_part_where_depth_leads_astray(scene, factor, code, matched):
 @pytest.mark.parametrize(("factor", "code"), [(0.5, None), (1.5, "uncertain")])
 def test_a_part_whose_deviation_is_large(scene, factor, code):
     deviation = np.full(SIZE, 1e-3)
-    rows = round(factor * UNCERTAIN * SIZE[0])
-    deviation[60 : 60 + rows] = UNSURE * 1.1 / scene.depth.min()
+    rows = round(factor * CHECKS.max_uncertain_share * SIZE[0])
+    deviation[60 : 60 + rows] = CHECKS.max_relative_deviation * 1.1 / scene.depth.min()
     found = judged(scene, deviation=deviation)
     assert found == code and (code is None or "inverse_depth_std" in found.message)
 

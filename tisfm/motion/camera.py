@@ -8,19 +8,12 @@ from tisfm.motion.estimate import Estimate, with_depth, without_depth
 from tisfm.motion.first_motion import FirstMotion, first_motion
 from tisfm.motion.plane_sweep import PlaneSweep
 from tisfm.motion.rigid_depth import Refinement, RigidSolution, rigid_depth, scaled_translations
-from tisfm.motion.textureless_depth import MOST_TEXTURELESS, textureless_depth, textureless_share
+from tisfm.motion.settings import DEPTH
+from tisfm.motion.textureless_depth import textureless_depth, textureless_share
 from tisfm.rigid import KnownPose
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.status import Status
-
-# Of the longer side: difference of parallax between near and far from which depth is carried
-# across partly textureless frames. Below, coarse to fine follows weak texture better.
-CARRIED_RANGE = 0.019
-# Of the frame: textureless share below which motion is refined by the images, jointly with depth.
-# Above, the images show mostly noise, and a finer flow field gives the motion.
-BARE_FOR_MOTION = 0.15
-START = 2**14  # least pixels of the flow field that gives the first motion
 
 
 def camera_estimate(
@@ -51,7 +44,9 @@ def camera_estimate(
             ),
             history=[],
         )
-    start = first_motion(pyramid, settings, pose=pose, min_pixels=START, use_matches=True)
+    start = first_motion(
+        pyramid, settings, pose=pose, min_pixels=DEPTH.min_first_pixels, use_matches=True
+    )
     if start.status is not None:
         return first_motion_estimate(pyramid, settings, start, start.status, level=level)
     refine: Refinement = "motion"
@@ -78,15 +73,15 @@ def camera_estimate(
 
     solution: RigidSolution | None = None
     low, high = sweep.range
-    has_parallax = high - low >= CARRIED_RANGE * max(pyramid.shape)
+    has_parallax = high - low >= DEPTH.min_carried_range * max(pyramid.shape)
     textureless = (
         textureless_share(pyramid.frames0[level], pyramid.counted0(level)) if has_parallax else 0.0
     )
     joint_solution: RigidSolution | None = None
-    if textureless >= MOST_TEXTURELESS:
+    if textureless >= DEPTH.min_textureless_share:
         precise_motions = motions
         if refine != "none" and not start.uses_matches:
-            if textureless < BARE_FOR_MOTION:
+            if textureless < DEPTH.max_textureless_in_refinement:
                 joint_solution = estimate_jointly(level)
                 precise_motions = joint_solution.motions
             else:

@@ -4,32 +4,14 @@ import cv2
 import numpy as np
 
 from tisfm.motion.estimate import Estimate
-from tisfm.motion.frame_agreement import CORRELATED
+from tisfm.motion.settings import CHECKS
 from tisfm.motion.window_statistics import correlation, texture
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.status import Status
 from tisfm.visibility.confidence import median
 
-# Distance of a flow from a given pose, over that from the best motion: at most 5.7 for measured
-# poses (7-Scenes), 17 and more if such a pose is inverted or its translation is reversed.
-POSE_DISTANCE = 8.0
-LEAST_DISTANCE = 0.02  # px: distances from the best motion are no smaller in real frames
-# Share of the visible texture that the flow field aligns better than motion and depth do. At most
-# 0.11 if depth is off by less than a tenth, 0.17 and more if it is off by more than half.
-UNEXPLAINED = 0.15
-BETTER = 0.1  # correlation by which the flow field aligns the frames better
-# Share of the visible pixels behind the camera. At most 0.001 if depth is off by less than a tenth,
-# 0.039 and more if it is off by more than half.
-BEHIND = 0.03
-BEHIND_DEVIATIONS = 3.0  # standard deviations that such a pixel lies behind the camera
-BEHIND_SHARE = 0.1  # of the median |inverse depth|, that it lies behind the camera as well
-# Share of the visible pixels with uncertain depth: at most 0.03 if depth is off by less than 0.15.
-UNCERTAIN = 0.05
-UNSURE = 0.5  # standard deviation of uncertain inverse depth, over itself and over the median
 SAMPLE_STEP = 3  # px: one of as many rows and columns is used
-HIDDEN = 0.3  # largest occluded share of a pixel of a coarser level that counts as visible
-BRIGHTER = 1.15  # ratio of mean brightness from which on the light may have changed; set by hand
 # Statuses to which a change of brightness may have led.
 DOUBTFUL_STATUSES = (
     "uncertain", "little_parallax", "pure_rotation", "two_motions", "behind_camera", "unexplained",
@@ -62,16 +44,16 @@ def _behind_status(estimate: Estimate, visible: np.ndarray) -> Status | None:
     sample = np.s_[::SAMPLE_STEP, ::SAMPLE_STEP]
     visible = visible[sample]
     negative = np.count_nonzero((estimate.inverse_depth[sample] < 0) & visible)
-    if negative <= BEHIND * np.count_nonzero(visible):
+    if negative <= CHECKS.max_behind_share * np.count_nonzero(visible):
         return None
     inverse_depth = estimate.inverse_depth[sample][visible]
     # Without the part of the deviation that all pixels share.
     deviation = estimate.inverse_depth_std[sample][visible] / np.float32(estimate.deviation_factor)
-    min_depth = np.float32(BEHIND_SHARE) * median(np.abs(inverse_depth))
+    min_depth = np.float32(CHECKS.min_behind_depth) * median(np.abs(inverse_depth))
     share = (
-        inverse_depth < -np.maximum(np.float32(BEHIND_DEVIATIONS) * deviation, min_depth)
+        inverse_depth < -np.maximum(np.float32(CHECKS.min_behind_deviations) * deviation, min_depth)
     ).mean()
-    if share <= BEHIND:
+    if share <= CHECKS.max_behind_share:
         return None
     return Status(
         "behind_camera",
@@ -91,8 +73,11 @@ def _uncertain_status(estimate: Estimate, visible: np.ndarray) -> Status | None:
     inverse_depth = estimate.inverse_depth[sample][visible]
     deviation = estimate.inverse_depth_std[sample][visible]
     median_depth = median(np.abs(inverse_depth))
-    share = (deviation > np.float32(UNSURE) * np.maximum(inverse_depth, median_depth)).mean()
-    if share <= UNCERTAIN:
+    share = (
+        deviation
+        > np.float32(CHECKS.max_relative_deviation) * np.maximum(inverse_depth, median_depth)
+    ).mean()
+    if share <= CHECKS.max_uncertain_share:
         return None
     return Status(
         "uncertain",
@@ -112,20 +97,24 @@ def _unexplained_status(
     size, area = frame0.shape[::-1], cv2.INTER_AREA
     flow = cv2.merge([cv2.resize(part, size, interpolation=area) for part in estimate.flow])
     correlations = correlation(frame0, frame1, flow * np.float32(pyramid.scales[level]))
-    visible = cv2.resize(hidden.astype(np.float32), size, interpolation=area) < HIDDEN
+    visible = (
+        cv2.resize(hidden.astype(np.float32), size, interpolation=area) < CHECKS.max_hidden_share
+    )
     weight = np.where(visible, texture(frame0), 0)
-    max_weight = UNEXPLAINED * float(weight.sum())
+    max_weight = CHECKS.max_unexplained_share * float(weight.sum())
     if (
-        float(weight[correlations < 1 - BETTER].sum()) <= max_weight
+        float(weight[correlations < 1 - CHECKS.min_correlation_gain].sum()) <= max_weight
     ):  # no flow can be better by as much
         return None
-    is_worse = correlation(frame0, frame1, start_flow) > correlations + np.float32(BETTER)
+    is_worse = correlation(frame0, frame1, start_flow) > correlations + np.float32(
+        CHECKS.min_correlation_gain
+    )
     if estimate.uses_matches:  # then the flow itself follows from the motion
-        is_worse |= correlations < CORRELATED
+        is_worse |= correlations < CHECKS.min_correlation
     worse_weight = float(weight[is_worse].sum())
     if worse_weight <= max_weight:
         return None
-    share = UNEXPLAINED * worse_weight / max_weight
+    share = CHECKS.max_unexplained_share * worse_weight / max_weight
     return Status(
         "unexplained",
         f"motion and depth do not align the frames at {100 * share:.0f}% of the visible texture, "
@@ -142,7 +131,7 @@ def pose_status(
     | None = None,  # the same for the inverse of the pose; None for a rotation alone
 ) -> Status | None:
     """Return the status of a given pose that contradicts a flow, None for others."""
-    max_residual = POSE_DISTANCE * max(best_residual, LEAST_DISTANCE)
+    max_residual = CHECKS.max_pose_ratio * max(best_residual, CHECKS.min_pose_distance)
     if residual <= max_residual:
         return None
     if inverse_residual is not None and inverse_residual <= max_residual:
@@ -168,7 +157,7 @@ def with_brightness_advice(status: Status, pyramid: ImagePyramid, settings: Sett
         return status
     mean0, mean1 = (float(frames[-1].mean()) for frames in (pyramid.frames0, pyramid.frames1))
     dark, bright = sorted((mean0, mean1))
-    if not BRIGHTER * dark <= bright < np.inf or dark <= 0:
+    if not CHECKS.min_brightness_ratio * dark <= bright < np.inf or dark <= 0:
         return status
     brighter, other = (1, 0) if mean1 > mean0 else (0, 1)
     times = bright / dark

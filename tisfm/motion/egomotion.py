@@ -8,7 +8,6 @@ from tisfm.camera import Camera, check_pinhole
 from tisfm.checks import unmasked
 from tisfm.errors import InputError
 from tisfm.motion.epipolar_fit import (
-    CONFIDENT,
     FreeUnknowns,
     Pose,
     Rays,
@@ -22,13 +21,7 @@ from tisfm.motion.epipolar_fit import (
     rotation_residual,
     triangulate_rays,
 )
-
-SAMPLES = 5000  # pixels that are fitted, about: neighbours are alike, so more hardly help
-THRESHOLDS = (0.05, 0.2, 0.8)  # px: inliers of essential matrices, from the epipolar line
-DRAWS = 2000  # most random samples of five correspondences
-FEW = 1000  # samples that the best of several starts is chosen by
-STARTING, ITERATIONS = 6, 30  # most iterations for each start, and for the best start
-FEWEST_SAMPLES = 8  # confident samples: five give an essential matrix, and the others verify it
+from tisfm.motion.settings import EGOMOTION
 
 
 class TooFewPixelsError(InputError):
@@ -157,7 +150,9 @@ def refine_motion(
 
 def _fit_motion(rays: Rays, start: Pose, unknowns: FreeUnknowns) -> CameraMotion:
     """Return the motion of a robust fit to rays."""
-    rotation, translation, scale = refine_pose(rays, start, unknowns, iterations=ITERATIONS)
+    rotation, translation, scale = refine_pose(
+        rays, start, unknowns, iterations=EGOMOTION.iterations
+    )
     points = nearest_points(rays, rotation, translation)
     distances = np.abs(points.distance)
     if rays.trust @ np.sign(points.inverse_depth) < 0:
@@ -210,17 +205,18 @@ def triangulate(
 def sample_rays(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -> Rays:
     """Return the rays of regularly spaced pixels of a flow."""
     height, width = confidence.shape
-    stride = max(1, round((np.count_nonzero(confidence) / SAMPLES) ** 0.5))
+    stride = max(1, round((np.count_nonzero(confidence) / EGOMOTION.samples) ** 0.5))
     rows, columns = np.mgrid[stride // 2 : height : stride, stride // 2 : width : stride]
     rows, columns = rows.ravel(), columns.ravel()
     displacements = flow[rows, columns].astype(np.float64)
     trust = confidence[rows, columns].astype(np.float64)
     is_used = (trust > 0) & np.isfinite(displacements).all(axis=1)
-    confident_count = int((trust[is_used] > CONFIDENT).sum())
-    if confident_count < FEWEST_SAMPLES:
+    confident_count = int((trust[is_used] > EGOMOTION.min_confidence).sum())
+    if confident_count < EGOMOTION.min_confident_samples:
         raise TooFewPixelsError(
             f"only {confident_count} of {trust.size} sampled pixels have a confidence above "
-            f"{CONFIDENT}: the camera's motion needs at least {FEWEST_SAMPLES}"
+            f"{EGOMOTION.min_confidence}: the camera's motion needs at least "
+            f"{EGOMOTION.min_confident_samples}"
         )
     cx, cy = camera.center_for(height, width)
     positions = np.stack([columns - cx, rows - cy])[:, is_used]
@@ -237,9 +233,9 @@ def _best_start(rays: Rays, rotation: np.ndarray | None, unknowns: FreeUnknowns)
 
     If `rotation` is given, all starts have this rotation.
     """
-    sample = rays.subsample(max(1, rays.trust.size // FEW))
+    sample = rays.subsample(max(1, rays.trust.size // EGOMOTION.start_samples))
     if (
-        sample.is_confident.sum() < FEWEST_SAMPLES
+        sample.is_confident.sum() < EGOMOTION.min_confident_samples
     ):  # the confident rays lie in a small part of the image
         sample = rays
     starts = (
@@ -247,7 +243,10 @@ def _best_start(rays: Rays, rotation: np.ndarray | None, unknowns: FreeUnknowns)
         if rotation is None
         else _initial_translations(sample, np.asarray(rotation, float))
     )
-    candidates = [refine_pose(sample, start, unknowns, iterations=STARTING) for start in starts]
+    candidates = [
+        refine_pose(sample, start, unknowns, iterations=EGOMOTION.start_iterations)
+        for start in starts
+    ]
     scale = min(candidate[2] for candidate in candidates)
     return min(candidates, key=lambda pose: pose_cost(sample, pose[:2], scale))[:2]
 
@@ -258,7 +257,9 @@ def _initial_poses(rays: Rays) -> list[Pose]:
     For small motions, an essential matrix may be wrong and still fit most of the flow.
     """
     axes: list[Pose] = [(np.eye(3), axis) for axis in np.eye(3)]
-    return axes + essential_poses(rays.select(rays.is_confident), THRESHOLDS, draws=DRAWS)
+    return axes + essential_poses(
+        rays.select(rays.is_confident), EGOMOTION.inlier_distances, draws=EGOMOTION.max_draws
+    )
 
 
 def _initial_translations(rays: Rays, rotation: np.ndarray) -> list[Pose]:

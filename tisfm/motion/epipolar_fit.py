@@ -6,17 +6,16 @@ import cv2
 import numpy as np
 
 from tisfm.kernels.model.constants import NEAREST
+from tisfm.motion.settings import EGOMOTION
 from tisfm.visibility.confidence import median
 
-CONFIDENT = 0.1  # least confidence of rays that essential matrices are drawn from
-SETTLED = 1e-6  # rad, and of ‖t‖ = 1: length of a step that ends the iterations
-SMALLEST_SCALE = 0.01  # px: accuracy of the best flow
-SPIN = 0.001  # rad/frame: standard deviation of an object's rotation relative to the background
-CORRELATED = 50  # neighbouring pixels that share an error, a patch of about 7 × 7
 MAD_TO_DEVIATION = 1.4826  # standard deviation of a normal distribution over its median distance
-LEAST_STIFFNESS, LEAST_TRACE = 1e-9, 1e-30  # of normal equations; the former of their trace
+MIN_STIFFNESS = 1e-9  # of the trace of normal equations, added to their diagonal
+MIN_TRACE = 1e-30  # of normal equations
 # Least divisors: lengths and squares of normalised vectors, and a median normalised displacement.
-LEAST_LENGTH, LEAST_SQUARE, LEAST_DISPLACEMENT = 1e-9, 1e-18, 1e-12
+MIN_LENGTH = 1e-9
+MIN_SQUARE = 1e-18
+MIN_DISPLACEMENT = 1e-12
 Pose = tuple[np.ndarray, np.ndarray]  # R and t
 
 
@@ -32,7 +31,7 @@ class Rays:
     @property
     def is_confident(self) -> np.ndarray:
         """Rays that essential matrices are drawn from, (N,) bool."""
-        return self.trust > CONFIDENT
+        return self.trust > EGOMOTION.min_confidence
 
     def select(self, mask: np.ndarray) -> "Rays":
         """Return the rays of a mask, (N,) bool."""
@@ -76,11 +75,11 @@ def rotation_prior(
 ) -> tuple[float, np.ndarray]:
     """Return stiffness and offset, rad, of a prior that pulls a rotation to a likely one.
 
-    The prior is a normal distribution of deviation `SPIN` rad. The data weigh against it as if
-    `CORRELATED` pixels each shared an error of `noise` px.
+    The prior is a normal distribution of deviation `rotation_deviation`. The data weigh against it
+    as if `correlated_pixels` pixels each shared an error of `noise` px.
     """
     offset = cv2.Rodrigues(likely_rotation @ rotation.T)[0][:, 0]
-    return CORRELATED * (noise / SPIN) ** 2, offset
+    return EGOMOTION.correlated_pixels * (noise / EGOMOTION.rotation_deviation) ** 2, offset
 
 
 def fix_scale(
@@ -92,8 +91,8 @@ def fix_scale(
     A step along t changes the scale, which the data do not determine, so it is held.
     """
     scale_direction = np.concatenate([direction, np.zeros(3)])
-    regularisation = np.outer(scale_direction, scale_direction) + LEAST_STIFFNESS * np.eye(6)
-    return normal + (np.trace(normal) + LEAST_TRACE) * regularisation
+    regularisation = np.outer(scale_direction, scale_direction) + MIN_STIFFNESS * np.eye(6)
+    return normal + (np.trace(normal) + MIN_TRACE) * regularisation
 
 
 def triangulate_rays(rotated: np.ndarray, after: np.ndarray, translation: np.ndarray) -> np.ndarray:
@@ -103,7 +102,7 @@ def triangulate_rays(rotated: np.ndarray, after: np.ndarray, translation: np.nda
     slope_y = translation[1] - after[1] * translation[2]
     numerator = (after[0] * rotated[2] - rotated[0]) * slope_x
     numerator += (after[1] * rotated[2] - rotated[1]) * slope_y
-    return numerator / np.maximum(slope_x * slope_x + slope_y * slope_y, LEAST_SQUARE)
+    return numerator / np.maximum(slope_x * slope_x + slope_y * slope_y, MIN_SQUARE)
 
 
 def essential_poses(
@@ -155,7 +154,12 @@ def usac_parameters(threshold: float, draws: int) -> cv2.UsacParams:
 
 
 def refine_pose(
-    rays: Rays, start: Pose, unknowns: FreeUnknowns, *, iterations: int, min_step: float = SETTLED
+    rays: Rays,
+    start: Pose,
+    unknowns: FreeUnknowns,
+    *,
+    iterations: int,
+    min_step: float = EGOMOTION.min_step,
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Minimise the robust distances from epipolar lines; return pose and scale of distances, px.
 
@@ -170,7 +174,7 @@ def refine_pose(
             translation = -translation
             points = nearest_points(rays, rotation, translation)
         distance, jacobian = points.distance, _distance_jacobian(points, rays.focal)
-        scale = max(robust_deviation(np.abs(distance), rays.trust), SMALLEST_SCALE)
+        scale = max(robust_deviation(np.abs(distance), rays.trust), EGOMOTION.min_scale)
         weight = rays.trust / (1 + (distance / (2 * scale)) ** 2) ** 2
         weight *= np.where(points.inverse_depth > 0, 1.0, 0.2)  # behind the camera
         normal = (jacobian * weight) @ jacobian.T
@@ -208,7 +212,7 @@ def nearest_points(rays: Rays, rotation: np.ndarray, translation: np.ndarray) ->
     y = (rotated[1] + inverse_depth * translation[1]) * nearness
     normal_x, normal_y = y * translation[2] - translation[1], translation[0] - x * translation[2]
     reciprocal_length = 1 / np.maximum(
-        np.sqrt(normal_x * normal_x + normal_y * normal_y), LEAST_LENGTH
+        np.sqrt(normal_x * normal_x + normal_y * normal_y), MIN_LENGTH
     )
     normal_x *= reciprocal_length
     normal_y *= reciprocal_length
@@ -249,7 +253,7 @@ def rotation_alone(rays: Rays) -> np.ndarray:
         residual = rotation_residual(rays, rotation)
         x, y = rays.after - residual
         distance = length(residual)
-        weight = 1 / np.maximum(distance, max(median(distance), LEAST_DISPLACEMENT))  # Huber's
+        weight = 1 / np.maximum(distance, max(median(distance), MIN_DISPLACEMENT))  # Huber's
         horizontal = np.stack([-x * y, 1 + x * x, -y])
         vertical = np.stack([-1 - y * y, x * y, x])
         normal = (horizontal * weight) @ horizontal.T + (vertical * weight) @ vertical.T
@@ -259,7 +263,7 @@ def rotation_alone(rays: Rays) -> np.ndarray:
         except np.linalg.LinAlgError:  # the rays are nearly parallel
             break
         rotation = cv2.Rodrigues(step)[0] @ rotation
-        if np.linalg.norm(step) < SETTLED:
+        if np.linalg.norm(step) < EGOMOTION.min_step:
             break
     return rotation
 

@@ -10,6 +10,7 @@ from tisfm.kernels.layout.lanes import LaneData, aligned_empty, on_host
 from tisfm.kernels.model.readout import rigid_fields
 from tisfm.motion.problems import flow_problem
 from tisfm.motion.rigid_depth import RigidSolution
+from tisfm.motion.settings import DEPTH
 from tisfm.rigid import rigid_twist
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, Solution, data_term_on, minimiser_on, unknowns_on
@@ -123,11 +124,6 @@ def history_of(records: Records) -> History:
     )
 
 
-# px: misfit of flow fields of rendered scenes, which comes from noise alone. A larger misfit is an
-# error of lens, shutter or pose. And error of D for each px of that excess.
-FITTING, MISFIT = 0.016, 1.5
-
-
 def with_depth(
     solution: RigidSolution,
     labels: np.ndarray,  # (H, W) int32: index of each pixel's motion
@@ -187,10 +183,10 @@ def with_depth(
 
 def _deviation_factor(deviation: np.ndarray, misfit: float) -> float:
     """Return the factor of deviations of D, (H, W) px, for a misfit."""
-    if misfit <= FITTING:
+    if misfit <= DEPTH.max_noise_misfit:
         return 1.0
-    excess = (misfit**2 - FITTING**2) ** 0.5
-    return float(np.hypot(1, MISFIT * excess / median(deviation.ravel())))
+    excess = (misfit**2 - DEPTH.max_noise_misfit**2) ** 0.5
+    return float(np.hypot(1, DEPTH.misfit_factor * excess / median(deviation.ravel())))
 
 
 def without_depth(

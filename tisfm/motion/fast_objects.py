@@ -4,6 +4,8 @@ The smoothness term of a flow charges every step of motion along an outline, wit
 small object that moves far therefore costs less if it moves with its surroundings, even if the
 images show the opposite. Once the images have shown such an object, the smoothness is cut along its
 outline, and the outline is searched again on every level, by the images alone.
+
+Connected areas of a proposed flow are such objects if they pass the tests here.
 """
 
 from collections.abc import Iterator
@@ -14,21 +16,19 @@ import numpy as np
 from tisfm.kernels.data.image_edges import image_edges
 from tisfm.kernels.layout.images import image_to_lanes
 from tisfm.kernels.rigid.flow_search import carry
+from tisfm.kernels.rigid.windows import RADIUS
 from tisfm.motion.matched_windows import ResidualComparison, Windows
+from tisfm.motion.settings import PROPOSALS
 from tisfm.solver.coarse_to_fine import Problem
 from tisfm.solver.smoothness import FAINTEST_EDGE, mean_step
 from tisfm.solver.unknowns import Unknowns
 
-# All of these were set by hand.
-OUTSIDE_MARGIN = 5  # px outside a known outline within which the outline is searched
-INSIDE_MARGIN = 2  # px inside a known outline within which the outline is searched
-WINDOW = 3  # px: side of the square whose residuals assign a pixel to object or surroundings
-OUTLINE_ROUNDS = 3  # searches of an outline, each from the one before
-FILL_PASSES = 2  # passes along rows and columns that fill a flow from known pixels
 # Mean steps of the frame that are added to grey levels of objects: no smoothness crosses the edge.
 EDGE_HEIGHT = 1e6
 STENCIL_REACH = 3  # px that differences and means reach
-SEARCH_REACH = OUTLINE_ROUNDS * OUTSIDE_MARGIN + STENCIL_REACH  # px around an object
+
+MAX_SIDE = 2**15 - 2  # px: cv2.remap takes no longer frames
+FAR_FLOW = np.float32(MAX_SIDE)  # px: longer than any flow
 
 Part = tuple[slice, slice]  # rows and columns
 
@@ -64,7 +64,7 @@ class FastObjects:
             previous = improved = cv2.merge(list(flow[:, part[0], part[1]]))
             mask = self._mask[part] & is_near
             comparison = ResidualComparison(windows.crop(part), self._problem.constancy)
-            for _ in range(OUTLINE_ROUNDS):
+            for _ in range(PROPOSALS.outline_rounds):
                 mask, improved = _improve_outline(comparison, mask, improved)
             self._mask[part] = np.where(is_near, mask, self._mask[part])
             changes.append((part, np.where(is_near[..., None], improved - previous, 0)))
@@ -89,7 +89,8 @@ def _object_parts(mask: np.ndarray, flow: np.ndarray) -> Iterator[tuple[Part, np
 
     The pixels, (h, w) bool of that part, are the surroundings to which no other object is nearer.
     """
-    dilated = cv2.dilate(mask.astype(np.uint8), _square(SEARCH_REACH))
+    reach = PROPOSALS.outline_rounds * PROPOSALS.outside_margin + STENCIL_REACH
+    dilated = cv2.dilate(mask.astype(np.uint8), _square(reach))
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(dilated, connectivity=8)
     for label in range(1, count):
         left, top, width, height, _ = boxes[label]
@@ -115,10 +116,12 @@ def _improve_outline(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return an improved mask of an object, and the flow that follows from it."""
     previous = mask.astype(np.uint8)
-    outer = cv2.dilate(previous, _square(OUTSIDE_MARGIN)) > 0
-    core = cv2.erode(previous, _square(INSIDE_MARGIN)) > 0
+    outer = cv2.dilate(previous, _square(PROPOSALS.outside_margin)) > 0
+    core = cv2.erode(previous, _square(PROPOSALS.inside_margin)) > 0
     inside, outside = _fill_nearest(flow, core), _fill_nearest(flow, ~outer)
-    improved = core | (outer & comparison.is_better(inside, outside, window=WINDOW))
+    improved = core | (
+        outer & comparison.is_better(inside, outside, window=PROPOSALS.outline_window)
+    )
     _, labels = cv2.connectedComponents(improved.astype(np.uint8), connectivity=4)
     improved = np.isin(labels, np.unique(labels[core]))  # parts without a core are dropped
     new_flow = np.where(improved[..., None], inside, outside)
@@ -135,6 +138,119 @@ def _fill_nearest(flow: np.ndarray, mask: np.ndarray) -> np.ndarray:
     state = np.zeros((*mask.shape, 4), np.float32)
     state[..., :2] = flow
     zeros = np.zeros(mask.shape, np.float32)
-    for _ in range(FILL_PASSES):
+    for _ in range(PROPOSALS.outline_fill_passes):
         carry(zeros, distance, state, edge=1.0)
     return state[..., :2].copy()
+
+
+def fast_areas(
+    is_new: np.ndarray,
+    forward: np.ndarray,
+    previous: np.ndarray,
+    *,
+    min_speed: float,
+    min_area: int,
+) -> np.ndarray:
+    """Return the new pixels of connected areas that move far for their size.
+
+    An area has at least `min_area` px. It moves by more than `min_speed` times the square root of
+    its size, relative to its own previous flow and to the flow of the well-matched pixels around
+    it. The flow of surfaces without texture does not count.
+    """
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(
+        is_new.astype(np.uint8), connectivity=4
+    )
+    size = boxes[:, cv2.CC_STAT_AREA]
+    is_fast = size >= min_area
+    is_fast[0] = False
+    if not is_fast.any():
+        return np.zeros_like(is_new)
+    first, extent = boxes[is_fast, :2], boxes[is_fast, 2:4]
+    left, top = np.maximum(first.min(axis=0) - RADIUS, 0)
+    end, bottom = (first + extent).max(axis=0) + RADIUS
+    part = np.s_[top:bottom, left:end]
+    relative_motion = _relative_motion(forward[part], previous[part])
+    mean = np.bincount(labels[part].ravel(), relative_motion.ravel(), minlength=count) / np.maximum(
+        size, 1
+    )
+    return (is_fast & (mean > min_speed * np.sqrt(size)))[labels]
+
+
+def _relative_motion(forward: np.ndarray, previous: np.ndarray) -> np.ndarray:
+    """Return the distance of displacements from the range of the flow in their window, px."""
+    side = 2 * RADIUS + 1
+    window = np.ones((side, side), np.uint8)
+    flow, is_matched = previous[..., :2], (previous[..., 2] < PROPOSALS.min_poor_cost)[..., None]
+    lowest = np.minimum(cv2.erode(np.where(is_matched, flow, FAR_FLOW), window), flow)
+    highest = np.maximum(cv2.dilate(np.where(is_matched, flow, -FAR_FLOW), window), flow)
+    excess = np.maximum(lowest - forward[..., :2], forward[..., :2] - highest)
+    return np.hypot(*cv2.split(np.maximum(excess, 0)))
+
+
+def supported_areas(is_new: np.ndarray, is_supported: np.ndarray) -> np.ndarray:
+    """Return the connected areas of new pixels that have enough supported pixels."""
+    count, labels = cv2.connectedComponents(is_new.astype(np.uint8), connectivity=4)
+    has_support = (
+        np.bincount(labels[is_new & is_supported], minlength=count) >= PROPOSALS.min_support
+    )
+    has_support[0] = False
+    return has_support[labels]
+
+
+def consistent_pixels(
+    is_new: np.ndarray,  # (h, w) bool
+    forward: np.ndarray,  # (h, w, 4) float32
+    is_consistent: np.ndarray,  # (h, w) bool: pixels whose displacement is found in both directions
+) -> np.ndarray:
+    """Return new pixels that move like the pixels of their area found in both directions.
+
+    Areas without enough such pixels are dropped.
+    """
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(
+        is_new.astype(np.uint8), connectivity=4
+    )
+    result = np.zeros_like(is_new)
+    for label in range(1, count):
+        left, top, width, height, size = boxes[label]
+        part = np.s_[top : top + height, left : left + width]
+        area = labels[part] == label
+        is_confirmed = area & is_consistent[part]
+        if np.count_nonzero(is_confirmed) > PROPOSALS.min_consistent_share * size:
+            motion = forward[part][..., :2]
+            difference = motion[area] - np.median(motion[is_confirmed], axis=0)
+            result[part][area] = np.hypot(*difference.T) < 2 * PROPOSALS.max_disagreement
+    return result
+
+
+def distinctive_areas(
+    is_new: np.ndarray, forward: np.ndarray, previous: np.ndarray, windows: Windows
+) -> np.ndarray:
+    """Return the areas of new pixels whose motion is unlikely to be a chance match.
+
+    An area has to vary along both directions, since a stripe matches anywhere along itself. It may
+    not move too far, since a large search area contains chance matches.
+    """
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(
+        is_new.astype(np.uint8), connectivity=4
+    )
+    result = np.zeros_like(is_new)
+    if count == 1:
+        return result
+    slope = np.array([[-0.5, 0, 0.5]], np.float32)
+    across, down = (cv2.filter2D(windows.grey0, cv2.CV_32F, k) for k in (slope, slope.T))
+    for label in range(1, count):
+        left, top, width, height, size = boxes[label]
+        part = np.s_[top : top + height, left : left + width]
+        area = labels[part] == label
+        slopes = np.stack([across[part][area], down[part][area]]).astype(np.float64)
+        weakest_slope = np.linalg.eigvalsh(slopes @ slopes.T / size)[0]
+        motion, previous_motion = (
+            np.median(state[part][area][:, :2], axis=0) for state in (forward, previous)
+        )
+        distance = np.hypot(*(motion - previous_motion))
+        if (
+            weakest_slope >= PROPOSALS.min_slope * windows.noise** 2
+            and distance <= PROPOSALS.max_object_motion * max(windows.shape)
+        ):
+            result[part] |= area
+    return result

@@ -17,9 +17,10 @@ from tisfm.motion.egomotion import (
 from tisfm.motion.epipolar_fit import Pose
 from tisfm.motion.estimate import no_motion_status
 from tisfm.motion.frame_agreement import aperture_status, replaced_status, unrelated_status
-from tisfm.motion.plane_ambiguity import plane_status
+from tisfm.motion.homographies import plane_status
 from tisfm.motion.problems import flow_problem
-from tisfm.motion.sparse_motion import SMALLEST_RESIDUAL, SparseMotion
+from tisfm.motion.settings import EGOMOTION, SPARSE
+from tisfm.motion.sparse_motion import SparseMotion
 from tisfm.motion.sparse_start import SparseStart, known_pose_start, sparse_start
 from tisfm.rigid import KnownPose
 from tisfm.settings import Settings
@@ -28,23 +29,6 @@ from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.status import Status
 from tisfm.visibility.confidence import confidence
 from tisfm.visibility.occlusion import leaves_image
-
-LEAST_WARPS = 2  # linearisations on the level of the flow field
-# Parallax over the residual of the fit, from which on there is depth. Noise alone gives 2 where the
-# camera only turned. On hand-held sequences, depth with less than `ENOUGH` was little better than a
-# constant: errors of lens and shutter exceed a parallax below a pixel, and the residual does not
-# show them. From `ROUGH` on, depth was better than a constant in most pairs.
-SEEN = 2.5
-ROUGH = 4.0
-ENOUGH = 6.0
-ENOUGH_BELOW_A_PIXEL = 9.0  # the same if the parallax is less than 1 px
-FINEST_RESIDUAL = 0.005  # px of the level: least error of a flow; set by hand
-# px of the level: residual of a fit above which points are matched. At most 0.045 on rendered
-# scenes and in a textured studio; from 0.065 on in rooms with bare walls and between frames far
-# apart, where directions were off by degrees.
-POOR_RESIDUAL = 0.06
-STILL = 0.1  # px: largest median flow of a camera at rest
-STILL_IN_NOISE = 0.3  # px: the same in noisy frames
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +102,11 @@ def first_motion(
         return replace(start, status=Status("no_texture", message))
     frames = pyramid.frames0[start.level], pyramid.frames1[start.level]
     mismatch = unrelated_status(*frames, start.flow, start.trust)
-    if use_matches and pose is None and (mismatch is not None or fit.residual > POOR_RESIDUAL):
+    if (
+        use_matches
+        and pose is None
+        and (mismatch is not None or fit.residual > EGOMOTION.max_flow_residual)
+    ):
         flow_pose = (fit.rotation, fit.translation) if mismatch is None else None
         sparse = sparse_start(pyramid, start.level, flow_pose)
         # A flow field, if there is one, measures a small parallax better than matches.
@@ -142,7 +130,7 @@ def first_motion(
             return replace(start, status=doubt)
     median_flow = float(np.median(np.linalg.norm(start.flow, axis=-1))) / scale
     cut_status = None
-    if mismatch is None and median_flow < STILL_IN_NOISE:
+    if mismatch is None and median_flow < EGOMOTION.max_still_flow_in_noise:
         cut_status = replaced_status(*frames, start.flow, hidden)
     if cut_status is not None:
         return replace(start, status=cut_status, is_cut=True)
@@ -206,15 +194,15 @@ def matched_motion(start: FirstMotion, sparse: SparseStart) -> FirstMotion:
 
 def _match_status(motion: SparseMotion) -> Status | None:
     """Return the status of a motion from matches with too little parallax, None for others."""
-    parallax, residual = motion.parallax, max(motion.residual, SMALLEST_RESIDUAL)
+    parallax, residual = motion.parallax, max(motion.residual, SPARSE.min_residual)
     measurement = _measurement(parallax, residual)
     if motion.model == "rotation":
         return _pure_rotation_status(measurement)
-    if parallax >= ENOUGH * residual:
+    if parallax >= EGOMOTION.good_parallax * residual:
         return None
     return (
         _uncertain_status(measurement)
-        if parallax >= ROUGH * residual
+        if parallax >= EGOMOTION.fair_parallax * residual
         else _little_parallax_status(measurement)
     )
 
@@ -229,7 +217,7 @@ def _flow_field(
     pyramid: ImagePyramid, settings: Settings, known_pose: KnownPose, *, level: int
 ) -> FirstMotion:
     """Return the flow field of a level, with the given motion."""
-    settings = replace(settings, warps=max(settings.warps, LEAST_WARPS))
+    settings = replace(settings, warps=max(settings.warps, EGOMOTION.min_warps))
     problem = flow_problem(settings, pyramid.cameras[0].focal)
     solution = coarse_to_fine(pyramid, problem, last=level)
     flow = solution.unknowns.flow()
@@ -265,16 +253,16 @@ def _parallax_status(fit: CameraMotion, scale: float, median_flow: float) -> Sta
 
     Lengths of `fit` are in px of its level.
     """
-    parallax, residual = fit.parallax / scale, max(fit.residual, FINEST_RESIDUAL) / scale
+    parallax, residual = fit.parallax / scale, max(fit.residual, EGOMOTION.min_residual) / scale
     ratio = parallax / residual
-    if ratio >= (ENOUGH if parallax >= 1 else ENOUGH_BELOW_A_PIXEL):
+    if ratio >= (EGOMOTION.good_parallax if parallax >= 1 else EGOMOTION.good_subpixel_parallax):
         return None
     measurement = _measurement(parallax, residual)
-    if ratio >= ROUGH:
+    if ratio >= EGOMOTION.fair_parallax:
         return _uncertain_status(measurement)
-    if ratio >= SEEN:
+    if ratio >= EGOMOTION.min_parallax:
         return _little_parallax_status(measurement)
-    if median_flow < max(STILL, 3 * residual):
+    if median_flow < max(EGOMOTION.max_still_flow, 3 * residual):
         return Status(
             "no_motion",
             f"too little parallax for depth: the image moves by {median_flow:.2g} px, no more than "

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 
+from tisfm.motion.settings import CHECKS
 from tisfm.motion.window_statistics import (
     correlation,
     mean_in_windows,
@@ -13,44 +14,7 @@ from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.status import Status
 from tisfm.visibility.confidence import CONFIDENCE_WINDOW, median
 
-# Least median correlation of frames that show the same scene: 0.97 and more on benchmarks, 0.65
-# under noise of 40 grey levels; below 0.4 between unrelated scenes and in noise.
-CORRELATED = 0.5
-# A motion of half the image or more is confirmed if the common part of the frames has at least this
-# median correlation and at least this median motion, a share of the longer side; set by hand.
-LARGE_MOTION_CORRELATION = 0.9
-LARGE_MOTION = 0.25
-# Share of the trusted pixels at which a flow folds over: at most 0.08 between real frames, and then
-# the flow misses much; with "paper" 0.17 and more between unrelated frames.
-FOLDED = 0.12
-JUDGED_PIXELS = 2**12  # pixels, at least, of the level on which a flow is judged; set by hand
-# Share of the textured windows in which two frames at rest differ. Noise, and an object that moves
-# before a camera at rest, give 0.00; a picture whose middle is replaced gives 0.21 for 37 % of the
-# area and 0.48 for 52 %.
-REPLACED = 0.15
-# Share of the squares with differences that one displacement finds in the other frame. An object
-# that moves and fills a sixth to a third of the frame gives 0.52 and more; a picture whose middle
-# is replaced gives 0.28 at most.
-MOVED_TOGETHER = 0.4
-SQUARE_CORRELATION = 0.8  # least correlation of a square that is found in the other frame
-SQUARE = 15  # px: side of a square that is searched in the other frame
-SQUARE_STEP = 5  # px between squares
-TEXTURED = 16.0  # least variance of a textured window, over the variance of the noise
-NOISE_PERCENTILE = 10  # percentile of the variances of differences that is taken for the noise
-FEWEST_TEXTURED = 0.05  # share of the windows: with fewer textured ones, frames are not judged
-# A frame consists of stripes if at most this share of its windows has more than the second share of
-# its variation along the stripes. Noise of 20 grey levels on stripes of 40 gives a share along of
-# 0.17; in real frames it is above a half.
-STRIPES_EXCEPTED = 0.01
-STRIPES_ALONG = 0.25
-FAINT = 0.01  # share of the mean variation: windows with less do not count
-BORDER = 4  # px that are repeated where a frame is resampled, which bends stripes
-LONGEST_FLOW = 0.5  # of the longer side: at most 0.12 on benchmarks, 0.7 and more if flow diverges
-MOST_LEAVING = 0.5  # share of the pixels whose flow leaves the image: at most 0.08 on benchmarks
-# The same if matched points, a pose or the images confirm the motion: near objects cross the whole
-# image, and after a turn by 20° two thirds of the pixels had left it.
-LONGEST_CONFIRMED_FLOW = 1.0
-MOST_LEAVING_CONFIRMED = 0.8
+RESAMPLING_BORDER = 4  # px that are repeated where a frame is resampled, which bends stripes
 
 
 def unrelated_status(
@@ -68,7 +32,7 @@ def unrelated_status(
     that is free at every pixel also has to keep neighbours in order nearly everywhere: a flow that
     folds the image can align any two frames.
     """
-    if is_free_flow and (share := _folded_share(flow, trust)) > FOLDED:
+    if is_free_flow and (share := _folded_share(flow, trust)) > CHECKS.max_folded_share:
         return Status(
             "unrelated",
             f"the frames match only if the flow folds {100 * share:.0f}% of the image over: check "
@@ -78,7 +42,7 @@ def unrelated_status(
     order = np.argsort(correlations, axis=None)
     total = np.cumsum(trust.ravel()[order], dtype=np.float64)
     median_correlation = float(correlations.ravel()[order[np.searchsorted(total, total[-1] / 2)]])
-    if median_correlation >= CORRELATED:
+    if median_correlation >= CHECKS.min_correlation:
         return None
     return Status(
         "unrelated",
@@ -103,7 +67,7 @@ def replaced_status(
     frame.
     """
     while (
-        frame0.size >= 4 * JUDGED_PIXELS and min(frame0.shape) > 4 * BORDER
+        frame0.size >= 4 * CHECKS.min_judged_pixels and min(frame0.shape) > 4 * RESAMPLING_BORDER
     ):  # noise is less on coarse levels
         frame0, frame1, flow = (
             cv2.resize(array, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
@@ -121,16 +85,21 @@ def replaced_status(
             variance_in_windows(image, mean_in_windows(image))
             for image in (warped1 - frame0, frame0, warped1)
         )
-        noise_variance = float(np.percentile(difference, NOISE_PERCENTILE))
-        noise = max(noise_variance / 2, (FAINT * float(unit)) ** 2)
-        is_textured = np.maximum(variance0, variance1) > np.float32(TEXTURED * noise)
+        noise_variance = float(np.percentile(difference, CHECKS.noise_percentile))
+        noise = max(noise_variance / 2, (CHECKS.faint_share * float(unit)) ** 2)
+        is_textured = np.maximum(variance0, variance1) > np.float32(
+            CHECKS.min_textured_variance * noise
+        )
     if hidden is not None:
         is_textured &= ~hidden
-    if np.count_nonzero(is_textured) < FEWEST_TEXTURED * is_textured.size:
+    if np.count_nonzero(is_textured) < CHECKS.min_textured_share * is_textured.size:
         return None
-    is_different = is_textured & (correlation(frame0, frame1, flow) < CORRELATED)
+    is_different = is_textured & (correlation(frame0, frame1, flow) < CHECKS.min_correlation)
     share = np.count_nonzero(is_different) / np.count_nonzero(is_textured)
-    if share <= REPLACED or _common_motion_share(frame0, frame1, is_different) >= MOVED_TOGETHER:
+    if (
+        share <= CHECKS.max_replaced_share
+        or _common_motion_share(frame0, frame1, is_different) >= CHECKS.min_common_share
+    ):
         return None
     return Status(
         "unrelated",
@@ -146,16 +115,18 @@ def _common_motion_share(frame0: np.ndarray, frame1: np.ndarray, is_different: n
     Squares around lost pixels are searched in the whole other frame. Chance matches rarely share
     one displacement.
     """
-    half = SQUARE // 2
-    squares = np.argwhere(is_different[half:-half:SQUARE_STEP, half:-half:SQUARE_STEP])
+    half = CHECKS.square // 2
+    squares = np.argwhere(
+        is_different[half : -half : CHECKS.square_step, half : -half : CHECKS.square_step]
+    )
     # Displacements from frame 0 to frame 1, found in both directions.
     displacements = np.full((2, len(squares), 2), np.nan)
     for k, (frame, other) in enumerate(((frame0, frame1), (frame1, frame0))):
-        for number, (top, left) in enumerate(squares * SQUARE_STEP):
-            square = frame[top : top + SQUARE, left : left + SQUARE]
+        for number, (top, left) in enumerate(squares * CHECKS.square_step):
+            square = frame[top : top + CHECKS.square, left : left + CHECKS.square]
             correlations = cv2.matchTemplate(other, square, cv2.TM_CCOEFF_NORMED)
             _, best, _, (column, row) = cv2.minMaxLoc(correlations)
-            if best >= SQUARE_CORRELATION:
+            if best >= CHECKS.min_square_correlation:
                 displacements[k, number] = (1 - 2 * k) * np.array([column - left, row - top])
     is_found = np.isfinite(displacements[..., 0])
     support = [
@@ -200,7 +171,8 @@ def field_status(
 def _judged_level(pyramid: ImagePyramid) -> int:
     """Return the level that a flow field is judged on."""
     return max(
-        (k for k, frame in enumerate(pyramid.frames0) if frame.size >= JUDGED_PIXELS), default=0
+        (k for k, frame in enumerate(pyramid.frames0) if frame.size >= CHECKS.min_judged_pixels),
+        default=0,
     )
 
 
@@ -216,7 +188,7 @@ def confirms_large_motion(
     """
     if hidden.all() or not np.isfinite(flow[:, ~hidden]).all():
         return False
-    min_motion = np.float32(LARGE_MOTION * max(flow.shape[1:]))
+    min_motion = np.float32(CHECKS.min_large_motion * max(flow.shape[1:]))
     if median(np.hypot(*flow[:, ~hidden])) < min_motion:
         return False
     level = _judged_level(pyramid)
@@ -229,9 +201,12 @@ def confirms_large_motion(
     )
     visible_flow = np.where(hidden, 0, flow) * np.float32(pyramid.scales[level])
     coarse = cv2.merge([cv2.resize(part, size, interpolation=area) for part in visible_flow])
-    if not visible.any() or _folded_share(coarse, visible) > FOLDED:
+    if not visible.any() or _folded_share(coarse, visible) > CHECKS.max_folded_share:
         return False
-    if median(correlation(frame0, frame1, coarse)[visible > 0]) < LARGE_MOTION_CORRELATION:
+    if (
+        median(correlation(frame0, frame1, coarse)[visible > 0])
+        < CHECKS.min_large_motion_correlation
+    ):
         return False
     return not _is_repetitive(frame0, visible > 0)
 
@@ -244,7 +219,9 @@ def _is_repetitive(frame: np.ndarray, visible: np.ndarray) -> bool:
     part = frame[top : top + height, left : left + width]
     if not part.std():
         return True  # without texture it matches everywhere
-    is_similar = cv2.matchTemplate(frame, part, cv2.TM_CCOEFF_NORMED) >= LARGE_MOTION_CORRELATION
+    is_similar = (
+        cv2.matchTemplate(frame, part, cv2.TM_CCOEFF_NORMED) >= CHECKS.min_large_motion_correlation
+    )
     _, areas = cv2.connectedComponents(is_similar.astype(np.uint8), connectivity=8)
     return bool((is_similar & (areas != areas[top, left])).any())
 
@@ -262,11 +239,11 @@ def aperture_status(
     and Ullman, "Directional selectivity and its use in early visual processing", Proc. R. Soc.
     Lond. B 211 (1981), doi 10.1098/rspb.1981.0001 (aperture problem).
     """
-    while frame.size >= 4 * JUDGED_PIXELS and min(frame.shape) > 4 * BORDER:
+    while frame.size >= 4 * CHECKS.min_judged_pixels and min(frame.shape) > 4 * RESAMPLING_BORDER:
         frame = cv2.resize(frame, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    if min(frame.shape) < 2 * BORDER + CONFIDENCE_WINDOW:  # too few windows
+    if min(frame.shape) < 2 * RESAMPLING_BORDER + CONFIDENCE_WINDOW:  # too few windows
         return None
-    inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
+    inner = np.s_[RESAMPLING_BORDER:-RESAMPLING_BORDER, RESAMPLING_BORDER:-RESAMPLING_BORDER]
     with np.errstate(over="ignore", invalid="ignore"):  # frames may be far too bright
         grey = (frame - frame.mean()) / frame.std()
         right, down = (
@@ -281,8 +258,10 @@ def aperture_status(
         mean_in_windows((np.float32(x) * right + np.float32(y) * down) ** 2)
         for x, y in directions.T
     )
-    faint_variation = np.float32(FAINT * variation.sum())
-    if (along > STRIPES_ALONG * (along + across + faint_variation)).mean() > STRIPES_EXCEPTED:
+    faint_variation = np.float32(CHECKS.faint_share * variation.sum())
+    if (
+        along > CHECKS.max_stripe_variation * (along + across + faint_variation)
+    ).mean() > CHECKS.max_stripe_exceptions:
         return None
     return Status(
         "aperture",
@@ -300,9 +279,9 @@ def diverged_status(
     is_confirmed: bool = False,
 ) -> Status | None:
     """Return the status of a flow that is too long for any pair of frames, None for others."""
-    max_flow, max_leaving = LONGEST_FLOW, MOST_LEAVING
+    max_flow, max_leaving = CHECKS.max_flow, CHECKS.max_leaving_share
     if is_confirmed:
-        max_flow, max_leaving = LONGEST_CONFIRMED_FLOW, MOST_LEAVING_CONFIRMED
+        max_flow, max_leaving = CHECKS.max_confirmed_flow, CHECKS.max_confirmed_leaving_share
         flow = np.where(leaves & np.isfinite(flow), 0, flow)
     # A point that moves by half the image is rarely visible twice; NaN fails the comparisons, too.
     limit = max_flow * max(flow.shape[1:])

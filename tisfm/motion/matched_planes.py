@@ -9,31 +9,11 @@ from tisfm.camera import Camera
 from tisfm.kernels.rigid.patch_match import STEEPEST, PlaneSearch, disagreement
 from tisfm.kernels.rigid.windows import LEVELS, UNSEEN
 from tisfm.motion.epipolar_fit import MAD_TO_DEVIATION
+from tisfm.motion.settings import DEPTH
 from tisfm.solver.image_pyramid import ImagePyramid
 
-MOST = 2**19  # most pixels of the finest searched level: larger frames use a coarser level
-FEWEST = 2**14  # fewest pixels of the coarsest searched level
-ROUNDS = (3, 2, 1)  # rounds of improvement: on the coarsest level, on the next, on all others
-DRAWS = 2  # planes drawn near a pixel's own plane, in each round
-SPREAD, TILT = (4.0, 1.0), 0.05  # their spread: of D, px, on the coarsest and other levels; slopes
-SHRINKING = 0.6  # factor of both spreads after every round
-LARGEST = 0.35  # of the longer side: largest D of the search
-# px: smallest D of the search. A pixel that matches best behind the camera is not believed. Without
-# negative D, it would match at infinity.
-LEAST = -5.0
-# Grey levels: least noise, from rounding, compression and interpolation, but at most this share of
-# the range of grey levels; and largest noise, because a larger deviation is texture.
-LEAST_NOISE, LEAST_SHARE, MOST_NOISE = 0.7, 1 / 150, 15.0
-# Percentiles of grey levels that define a frame's range; pixels above which every 16th pixel is
-# sampled for them; and margin on both sides, as a share of the range.
-RANGE, DENSE, SPARE = (0.1, 99.9), 2**16, 0.05
-QUIETEST = 0.7  # levels of 255: least noise of coarser levels
-SEEN = 1.8  # variances of the noise: windows that vary by less have no useful correlation
-QUIET, BLOCK = 0.2, 16  # noise is measured in the quietest fifth of blocks of this side, px
-COST = 0.35  # largest cost of a believed pixel
-AGREEMENT = 0.6  # px: largest difference between both directions at a believed pixel
-# Fewest connected pixels of a believed region; and 1 px in sixteenths, the largest step within it.
-ISLAND, SIXTEENTHS = 200, 16
+MAX_UNSAMPLED_PIXELS = 2**16  # in a larger frame, every 16th pixel is sampled for percentiles
+REGION_UNITS = 16  # units of a pixel, in which cv2.filterSpeckles takes displacements
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +63,12 @@ def matched_planes(
     center = camera.center_for(*pyramid.frames0[finest].shape)
     disagreement(forward, backward, motion, disagreements, center=center, focal=camera.focal)
     depth, cost = np.ascontiguousarray(forward[..., 0]), np.ascontiguousarray(forward[..., 3])
-    is_reliable = large_regions(depth, (cost < COST) & (disagreements < AGREEMENT) & (depth > 0))
+    is_reliable = large_regions(
+        depth,
+        (cost < DEPTH.max_plane_cost)
+        & (disagreements < DEPTH.max_plane_disagreement)
+        & (depth > 0),
+    )
     return MatchedPlanes(level=finest, inverse_depth=depth, cost=cost, is_reliable=is_reliable)
 
 
@@ -100,7 +85,7 @@ class _Search:
     ) -> np.ndarray:
         """Return the planes (h, w, 4) float32 of the last level of `frames0`."""
         planes = None
-        max_depth = LARGEST * max(frames0[-1].shape)
+        max_depth = DEPTH.max_plane_depth * max(frames0[-1].shape)
         for k, (levels0, levels1) in enumerate(zip(frames0, frames1, strict=True)):
             camera, scale = self.cameras[k], self.scales[k]
             height, width = levels0.shape
@@ -116,21 +101,21 @@ class _Search:
                 motion,
                 center=camera.center_for(height, width),
                 focal=camera.focal,
-                noise=max(self.noise * scale, QUIETEST),
-                seen=SEEN,
-                least=scale * LEAST,
+                noise=max(self.noise * scale, DEPTH.min_coarse_noise),
+                seen=DEPTH.min_window_variance,
+                least=scale * DEPTH.min_plane_depth,
                 largest=scale * max_depth,
             )
             search.score(planes)
-            rounds = ROUNDS[min(k, len(ROUNDS) - 1)]
+            rounds = DEPTH.plane_rounds[min(k, len(DEPTH.plane_rounds) - 1)]
             for round_number in range(rounds):
-                shrinkage = SHRINKING**round_number
+                shrinkage = DEPTH.plane_shrinkage**round_number
                 search.improve(
                     planes,
-                    draws=DRAWS,
-                    spread=SPREAD[min(k, 1)] * shrinkage,
-                    tilt=TILT * shrinkage,
-                    seed=(seed * len(self.scales) + k) * max(ROUNDS) + round_number,
+                    draws=DEPTH.plane_draws,
+                    spread=DEPTH.plane_spread[min(k, 1)] * shrinkage,
+                    tilt=DEPTH.plane_tilt * shrinkage,
+                    seed=(seed * len(self.scales) + k) * max(DEPTH.plane_rounds) + round_number,
                 )
         assert planes is not None
         return planes
@@ -138,11 +123,17 @@ class _Search:
 
 def _search_levels(pyramid: ImagePyramid) -> list[int]:
     """Return the searched levels, coarsest first, each about half as dense as the next."""
-    large = [k for k in range(pyramid.last, pyramid.levels) if pyramid.frames0[k].size <= MOST]
+    large = [
+        k
+        for k in range(pyramid.last, pyramid.levels)
+        if pyramid.frames0[k].size <= DEPTH.max_plane_pixels
+    ]
     finest = min(large, default=pyramid.levels - 1)
     step = max(1, round(np.log(0.5) / np.log(pyramid.factor)))
     levels = range(finest, pyramid.levels, step)
-    large_levels = [k for k in levels if pyramid.frames0[k].size >= FEWEST] or [finest]
+    large_levels = [k for k in levels if pyramid.frames0[k].size >= DEPTH.min_plane_pixels] or [
+        finest
+    ]
     return large_levels[::-1]
 
 
@@ -160,11 +151,11 @@ def large_regions(
     depth: np.ndarray,  # (H, W) float32: D, px/frame; positive
     mask: np.ndarray,  # (H, W) bool
 ) -> np.ndarray:
-    """Return believed pixels in connected regions of ≥ `ISLAND` pixels, with steps of ≤ 1 px."""
-    sixteenths = np.where(mask, SIXTEENTHS * depth + 1, 0).clip(0, np.iinfo(np.int16).max)
-    sixteenths = sixteenths.astype(np.int16)
-    cv2.filterSpeckles(sixteenths, 0, ISLAND, SIXTEENTHS)
-    return sixteenths > 0
+    """Return the pixels of a mask in large connected regions with steps of at most 1 px."""
+    units = np.where(mask, REGION_UNITS * depth + 1, 0).clip(0, np.iinfo(np.int16).max)
+    units = units.astype(np.int16)
+    cv2.filterSpeckles(units, 0, DEPTH.min_plane_region, REGION_UNITS)
+    return units > 0
 
 
 def grey_scale(
@@ -174,11 +165,11 @@ def grey_scale(
 ) -> tuple[np.float32, np.float32]:
     """Return (low, gain): gain · (frame − low) is in [0, 255] for all but 0.2% of the pixels."""
     low, high = np.percentile(
-        np.concatenate([_sample_pixels(frame0), _sample_pixels(frame1)]), RANGE
+        np.concatenate([_sample_pixels(frame0), _sample_pixels(frame1)]), DEPTH.grey_percentiles
     )
-    margin = SPARE * (high - low)
+    margin = DEPTH.grey_margin * (high - low)
     low, high = low - margin, high + margin
-    return np.float32(low), np.float32(LEVELS / max(high - low, LEAST_NOISE))
+    return np.float32(low), np.float32(LEVELS / max(high - low, DEPTH.min_noise))
 
 
 def noise_deviation(
@@ -196,7 +187,7 @@ def noise_deviation(
     """
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32) / 6
     residual = np.abs(cv2.filter2D(frame, cv2.CV_32F, mask, borderType=cv2.BORDER_REFLECT))
-    height, width = (side // BLOCK for side in frame.shape)
+    height, width = (side // DEPTH.noise_block for side in frame.shape)
     if height * width:
         block_residuals = np.median(
             _blocks(residual, height, width)[::every, :, ::every], axis=(1, 3)
@@ -204,20 +195,24 @@ def noise_deviation(
         if counted is not None:
             is_valid = _blocks(counted, height, width)[::every, :, ::every].all(axis=(1, 3))
             block_residuals = block_residuals[is_valid] if is_valid.any() else block_residuals
-        quiet_residual = float(np.quantile(block_residuals, QUIET))
+        quiet_residual = float(np.quantile(block_residuals, DEPTH.quiet_share))
     else:
         quiet_residual = float(np.median(residual))
-    low, high = np.percentile(_sample_pixels(frame), RANGE)
-    min_noise = float(np.clip(LEAST_SHARE * (high - low), LEAST_NOISE / 100, LEAST_NOISE))
-    return min(max(min_noise, MAD_TO_DEVIATION * quiet_residual), MOST_NOISE)
+    low, high = np.percentile(_sample_pixels(frame), DEPTH.grey_percentiles)
+    min_noise = float(
+        np.clip(DEPTH.min_noise_share * (high - low), DEPTH.min_noise / 100, DEPTH.min_noise)
+    )
+    return min(max(min_noise, MAD_TO_DEVIATION * quiet_residual), DEPTH.max_noise)
 
 
 def _blocks(image: np.ndarray, height: int, width: int) -> np.ndarray:
     """Return `height` × `width` blocks of an image, (height, BLOCK, width, BLOCK)."""
-    return image[: height * BLOCK, : width * BLOCK].reshape(height, BLOCK, width, BLOCK)
+    return image[: height * DEPTH.noise_block, : width * DEPTH.noise_block].reshape(
+        height, DEPTH.noise_block, width, DEPTH.noise_block
+    )
 
 
 def _sample_pixels(frame: np.ndarray) -> np.ndarray:
     """Return the grey levels of a frame, or of every 16th pixel of a large frame."""
-    step = 4 if frame.size > DENSE else 1
+    step = 4 if frame.size > MAX_UNSAMPLED_PIXELS else 1
     return frame[::step, ::step].ravel()

@@ -9,22 +9,11 @@ import numpy as np
 
 from tisfm.kernels.rigid.flow_search import FlowSearch
 from tisfm.kernels.rigid.windows import LEVELS, UNSEEN
-from tisfm.motion.matched_planes import DENSE, QUIETEST, grey_scale, noise_deviation
+from tisfm.motion.matched_planes import MAX_UNSAMPLED_PIXELS, grey_scale, noise_deviation
+from tisfm.motion.settings import DEPTH, PROPOSALS
 from tisfm.solver.data_term import Constancy
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.sampling import goes_to
-
-FEWEST = 2**12  # pixels of the coarsest level, at least
-SEEN = 1.8  # variances of the noise: windows that vary by less are not compared
-ROUNDS = (6, 3, 2)  # rounds of improvement on the first, the second and all later levels
-# Rounds on the first level that draw wide displacements. Draws of each pixel in such a round, least
-# and most: in between, all draws of a round add up to `TRIED`.
-WIDE, DRAWS, MOST_DRAWS, TRIED = 5, 5, 64, 2**14
-NEAR_DRAWS = 3  # draws of each pixel in all other rounds, near its displacement
-REACH = 5  # px: distance of the farther neighbours whose displacements are tried
-LARGEST = 0.35  # of the longer side: largest span of wide draws
-LEAST = 4.0  # px: smallest span of wide draws
-NEARBY, SHRINKING = 4.0, 0.6  # px: span of near draws; factor of the span for each later round
 
 InitialFlow = tuple[np.ndarray, float]  # a flow, and the scale of its level
 
@@ -82,7 +71,8 @@ class Windows:
         flow: np.ndarray,  # (h, w, 2) float32: px/frame
         *,
         mask: np.ndarray | None = None,  # (h, w) bool: pixels that are searched, by default all
-        min_variance: float = SEEN,  # least variance of a window, in variances of the noise
+        # of a window, in variances of the noise
+        min_variance: float = PROPOSALS.min_window_variance,
     ) -> np.ndarray:
         """Return a flow (h, w, 2) as the state of a search (`tisfm.kernels.rigid.flow_search`)."""
         state = np.zeros((*self.shape, 4), np.float32)
@@ -112,12 +102,14 @@ class WindowSearch:
         step = max(1, round(np.log(0.5) / np.log(pyramid.factor)))
         levels = range(finest, pyramid.levels, step)
         # levels of the pyramid, the coarsest first
-        self.levels = [k for k in levels if pyramid.frames0[k].size >= FEWEST][::-1] or [finest]
+        self.levels = [k for k in levels if pyramid.frames0[k].size >= PROPOSALS.min_search_pixels][
+            ::-1
+        ] or [finest]
         # Noise is measured on the finest level: coarser levels have less noise, and more detail
         # that looks like noise. The gain scales to the frames' own range, however small.
         frames = pyramid.frames0[finest], pyramid.frames1[finest]
         gain = grey_scale(*frames)[1]
-        every = 2 if frames[0].size > DENSE else 1
+        every = 2 if frames[0].size > MAX_UNSAMPLED_PIXELS else 1
         counted = pyramid.counted_on(finest) or (None, None)
         noise = max(
             noise_deviation(gain * frame, every=every, counted=counts)
@@ -133,7 +125,7 @@ class WindowSearch:
         scale = self._pyramid.scales[level]
         low, gain = grey_scale(*frames)
         grey0, grey1 = (np.clip(gain * (frame - low), 0, LEVELS) for frame in frames)
-        noise = max(gain * scale * self._noise, QUIETEST)
+        noise = max(gain * scale * self._noise, DEPTH.min_coarse_noise)
         counted0, counted1 = self._pyramid.counted_on(level) or (None, None)
         windows = Windows(
             grey0=grey0,
@@ -158,7 +150,7 @@ class WindowSearch:
         # array of bool: pixels that are searched, on any level; by default all
         mask: np.ndarray | None = None,
         # draws of all pixels together in a wide round, if few pixels are searched
-        wide_draws: int = TRIED,
+        wide_draws: int = PROPOSALS.wide_draws,
     ) -> np.ndarray:
         """Match frame 0 in frame 1; return the state (h, w, 4) on the last of the levels."""
         return _search_levels(
@@ -171,7 +163,7 @@ class WindowSearch:
         *,
         initial_flows: Sequence[InitialFlow] = (),
         mask: np.ndarray | None = None,
-        wide_draws: int = TRIED,
+        wide_draws: int = PROPOSALS.wide_draws,
     ) -> np.ndarray:
         """Match frame 1 in frame 0; parameters and result as for `match_forward`."""
         windows = [self.windows(k).swap_frames() for k in levels]
@@ -216,17 +208,25 @@ def _search_levels(
         )
         search = windows.search
         pixel_count = windows.grey0.size if level_mask is None else np.count_nonzero(level_mask)
-        for round_number in range(ROUNDS[0] if is_first else ROUNDS[min(k, 1) + 1]):
-            draws, spans = NEAR_DRAWS, (NEARBY * SHRINKING**round_number,) * 2
-            if is_first and round_number < WIDE:
-                draws = max(DRAWS, min(wide_draws // max(pixel_count, 1), MOST_DRAWS))
-                spans = LARGEST * max(windows.shape), LEAST
+        for round_number in range(
+            PROPOSALS.rounds[0] if is_first else PROPOSALS.rounds[min(k, 1) + 1]
+        ):
+            draws, spans = (
+                PROPOSALS.near_draws,
+                (PROPOSALS.near_span * PROPOSALS.span_shrinkage**round_number,) * 2,
+            )
+            if is_first and round_number < PROPOSALS.wide_rounds:
+                draws = max(
+                    PROPOSALS.min_wide_draws,
+                    min(wide_draws // max(pixel_count, 1), PROPOSALS.max_wide_draws),
+                )
+                spans = PROPOSALS.max_wide_span * max(windows.shape), PROPOSALS.min_wide_span
             search.improve(
                 state,
-                reach=REACH,
+                reach=PROPOSALS.neighbour_distance,
                 draws=draws,
                 spans=(spans[0], spans[1]),
-                seed=(seed * len(levels) + k) * max(ROUNDS) + round_number,
+                seed=(seed * len(levels) + k) * max(PROPOSALS.rounds) + round_number,
             )
     assert state is not None
     levels[-1].mark_invalid(state)
@@ -252,10 +252,7 @@ def resize_mask(mask: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 def _random_flow(windows: Windows, seed: int) -> np.ndarray:
     """Return a random flow (h, w, 2) float32, px/frame."""
     random = np.random.default_rng(seed).random((*windows.shape, 2), np.float32)
-    return (2 * random - 1) * np.float32(LARGEST * max(windows.shape))
-
-
-LARGEST_RESIDUAL = 5.0  # deviations of the noise, at which residuals are clipped; set by hand
+    return (2 * random - 1) * np.float32(PROPOSALS.max_wide_span * max(windows.shape))
 
 
 class ResidualComparison:
@@ -295,7 +292,9 @@ class ResidualComparison:
         total = np.zeros((height, width), np.float32)
         for weight, frame0, frame1 in zip(self._weights, self._frames0, self._frames1, strict=True):
             warped = cv2.remap(frame1, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            total += weight * np.minimum(np.abs(warped - frame0) / self._noise, LARGEST_RESIDUAL)
+            total += weight * np.minimum(
+                np.abs(warped - frame0) / self._noise, PROPOSALS.max_residual
+            )
         return total
 
 

@@ -10,33 +10,15 @@ from tisfm.kernels.layout.lanes import aligned_empty, aligned_zeros
 from tisfm.kernels.model.constants import NEAREST
 from tisfm.kernels.rigid.plane_sweep import matching_cost
 from tisfm.kernels.rigid.semi_global import FORBIDDEN, aggregate, cheapest
+from tisfm.motion.settings import DEPTH
 from tisfm.runtime import lanes
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.smoothness import mean_step
 
-PULL = 0.05  # weight of the surroundings in triangulation, for equal parallax
-AROUND, MEDIAN = 7, 5  # px: windows of means and medians
-# px: difference of parallax between near and far from which a plane sweep is needed. Coarse to
-# fine loses objects that are smaller than their displacement.
-RANGE = 20.0
-COARSE = 2**15  # most pixels of the level on which the range of depths is found
-LONGEST = 0.2  # of the longer side: largest parallax in that search
-COMMON = (1, 99)  # percentiles of depth that bound the range
-REACH = 0.3  # share by which the hypotheses extend beyond that range, at both ends
 # Most costs (pixels times hypotheses) of a sweep: they decide the level. If every level has more,
 # as for long and narrow frames, the largest parallaxes are left out.
-ENTRIES = 2**25
-# Largest difference of brightness that counts, in mean steps between neighbours in frame 0. For
-# derivatives of brightness it is a quarter of that.
-COST = 2.4
-# Cost of a depth more than `NEAR` px/frame from the guess, if the guess has no trust, and the
-# extra cost for full trust. Where there is no texture, this cost alone decides.
-NEAR, DOUBTED, TRUSTED = 4.0, np.float32(0.05), np.float32(0.3)
-STEP, JUMP = 0.3, 5.0  # costs of a change between neighbours: by one hypothesis, by more
-EDGE = 1.2  # mean steps: difference between neighbours at which a jump costs half
-FAINTEST_STEP = 0.01  # grey levels: smallest mean step
-HIDDEN = 0.02  # weight of the cost of a pixel that is not visible in frame 1
-BEHIND = 1.5  # px of D: a pixel so far behind another surface is hidden by it
+MAX_COSTS = 2**25
+MIN_MEAN_STEP = 0.01  # grey levels between neighbours
 
 
 class PlaneSweep:
@@ -61,13 +43,23 @@ class PlaneSweep:
 
     @cached_property
     def range(self) -> tuple[float, float]:
-        """Smallest and largest common D (percentiles `COMMON`), px/frame of the finest level."""
+        """Smallest and largest common D (`range_percentiles`), px/frame of the finest level."""
         frames = self._pyramid.frames0
-        level = next((k for k, frame in enumerate(frames) if frame.size <= COARSE), len(frames) - 1)
-        max_guess = np.percentile(self._guess, COMMON[1]) / self._pyramid.scales[self._level]
+        level = next(
+            (k for k, frame in enumerate(frames) if frame.size <= DEPTH.max_range_pixels),
+            len(frames) - 1,
+        )
+        max_guess = (
+            np.percentile(self._guess, DEPTH.range_percentiles[1])
+            / self._pyramid.scales[self._level]
+        )
         side = max(frames[0].shape)
-        depth = self._run(level, 0.0, min(max(LONGEST * side, (1 + REACH) * max_guess), side))
-        low, high = np.percentile(depth, COMMON) / self._pyramid.scales[level]
+        depth = self._run(
+            level,
+            0.0,
+            min(max(DEPTH.max_range_parallax * side, (1 + DEPTH.range_margin) * max_guess), side),
+        )
+        low, high = np.percentile(depth, DEPTH.range_percentiles) / self._pyramid.scales[level]
         return low, high
 
     def start(self) -> tuple[int, np.ndarray]:
@@ -89,23 +81,24 @@ class PlaneSweep:
     def is_needed(self) -> bool:
         """Whether parallax is too large for an estimate from coarse to fine."""
         low, high = self.range
-        return high - low >= RANGE
+        return high - low >= DEPTH.min_sweep_range
 
     @property
     def finest(self) -> int:
-        """Finest level on which a sweep has at most `ENTRIES` costs: depth may be refined on it."""
+        """Finest level whose sweep has at most `MAX_COSTS` costs: depth can be refined there."""
         low, high = self._search_range
         frames, scales = self._pyramid.frames0, self._pyramid.scales
         levels = range(self._level)
         return next(
-            (k for k in levels if (high - low) * scales[k] * frames[k].size <= ENTRIES), self._level
+            (k for k in levels if (high - low) * scales[k] * frames[k].size <= MAX_COSTS),
+            self._level,
         )
 
     @property
     def _search_range(self) -> tuple[float, float]:
         """Smallest and largest D of the sweep, px of the finest level."""
         low, high = self.range
-        return max((1 - REACH) * low, 0), (1 + REACH) * high
+        return max((1 - DEPTH.range_margin) * low, 0), (1 + DEPTH.range_margin) * high
 
     def _run(self, level: int, low: float, high: float) -> np.ndarray:
         """Return D of a level, (h, w) float32, swept between bounds in px of the finest level."""
@@ -116,7 +109,7 @@ class PlaneSweep:
             scale / pyramid.scales[self._level]
         )
         hypotheses = np.arange(low * scale, high * scale + 1)
-        hypotheses = hypotheses[: max(2, ENTRIES // frame0.size)]
+        hypotheses = hypotheses[: max(2, MAX_COSTS // frame0.size)]
         return sweep_depth(
             frame0,
             frame1,
@@ -149,10 +142,12 @@ def triangulated_depth(
     slope_x, slope_y = translation[0] - x * translation[2], translation[1] - y * translation[2]
     numerator = (x * p3 - p1) * slope_x + (y * p3 - p2) * slope_y
     square = slope_x**2 + slope_y**2
-    window = (AROUND, AROUND)
-    numerator += PULL * cv2.blur(numerator, window)
-    square += PULL * cv2.blur(square, window) + np.float32(1e-9)
-    return cv2.medianBlur(np.float32(camera.focal) * (numerator / square), MEDIAN)
+    window = (DEPTH.neighbour_window, DEPTH.neighbour_window)
+    numerator += DEPTH.neighbour_weight * cv2.blur(numerator, window)
+    square += DEPTH.neighbour_weight * cv2.blur(square, window) + np.float32(1e-9)
+    return cv2.medianBlur(
+        np.float32(camera.focal) * (numerator / square), DEPTH.sweep_median_window
+    )
 
 
 def sweep_depth(
@@ -179,7 +174,7 @@ def sweep_depth(
     doi 10.1109/TPAMI.2007.1166.
     """
     height, width = frame0.shape
-    unit = max(mean_step(frame0, None if counted is None else counted[0]), FAINTEST_STEP)
+    unit = max(mean_step(frame0, None if counted is None else counted[0]), MIN_MEAN_STEP)
     lane_count = lanes()
     vectors = -(-len(hypotheses) // lane_count)
     padded = (height, width, vectors * lane_count)
@@ -188,31 +183,31 @@ def sweep_depth(
         _scaled_features(frame0, unit),
         _scaled_features(frame1, unit),
         guess,
-        DOUBTED + TRUSTED * trust,
+        DEPTH.guess_cost + DEPTH.guess_cost_of_trust * trust,
         motion.astype(np.float32),
         cost,
         center=camera.center_for(height, width),
         focal=camera.focal,
         first=float(hypotheses[0]),
         step=float(hypotheses[1] - hypotheses[0]),
-        near=NEAR,
+        near=DEPTH.guess_distance,
     )
     cost.reshape(padded)[..., len(hypotheses) :] = FORBIDDEN
     if counted is not None:
-        cost[~counted[0]] *= HIDDEN
+        cost[~counted[0]] *= DEPTH.hidden_cost_weight
     depth = _best_depth(cost, frame0 / np.float32(unit), hypotheses)
     hidden = _is_hidden(depth, motion, camera, None if counted is None else counted[1])
     if counted is not None:
         hidden &= counted[0]  # the others have been weighted already
-    cost[hidden] *= HIDDEN
+    cost[hidden] *= DEPTH.hidden_cost_weight
     depth = _best_depth(cost, frame0 / np.float32(unit), hypotheses)
-    return cv2.medianBlur(depth, MEDIAN)
+    return cv2.medianBlur(depth, DEPTH.sweep_median_window)
 
 
 def _best_depth(cost: np.ndarray, guide: np.ndarray, hypotheses: np.ndarray) -> np.ndarray:
     height, width = guide.shape
     total = aligned_empty(cost.shape)
-    aggregate(cost, guide, total, step=STEP, jump=JUMP, edge=EDGE)
+    aggregate(cost, guide, total, step=DEPTH.step_cost, jump=DEPTH.jump_cost, edge=DEPTH.edge_steps)
     best = np.empty((height, width), np.float32)
     cheapest(total.reshape(height, width, -1), best, count=len(hypotheses))
     spacing = hypotheses[1] - hypotheses[0]
@@ -243,7 +238,7 @@ def _is_hidden(
     # Rounding leaves gaps in a stretched surface.
     dilated = cv2.dilate(nearest, np.ones((3, 3), np.uint8))
     hidden: np.ndarray = ~inside
-    hidden[inside] = dilated[rows, columns] > depth1[inside] + BEHIND
+    hidden[inside] = dilated[rows, columns] > depth1[inside] + DEPTH.hidden_distance
     if counted1 is not None:
         hidden[inside] |= ~counted1[rows, columns]
     return hidden
@@ -252,7 +247,7 @@ def _is_hidden(
 def _scaled_features(frame: np.ndarray, unit: float) -> np.ndarray:
     """Return brightness and four times its derivatives, as multiples of the largest cost."""
     features = aligned_zeros((*frame.shape, 4))
-    largest = COST * unit
+    largest = DEPTH.max_brightness_difference * unit
     features[..., 0] = frame / np.float32(largest)
     for k, order in enumerate(((1, 0), (0, 1))):
         features[..., 1 + k] = cv2.Sobel(frame, cv2.CV_32F, *order, scale=4 / 8 / largest)

@@ -15,6 +15,7 @@ import numpy as np
 from tisfm import runtime
 from tisfm.kernels.data.forward_splatting import splat
 from tisfm.kernels.layout.lanes import aligned_empty
+from tisfm.motion.settings import PREVIOUS
 from tisfm.settings import Settings
 from tisfm.solver.data_term import DataTerm
 from tisfm.solver.image_pyramid import BESIDE, ImagePyramid
@@ -24,22 +25,8 @@ from tisfm.solver.unknowns import Unknowns
 from tisfm.threads import start_beside
 from tisfm.visibility.occlusion import occlusion, residual_of
 
-HALF_HIDDEN = 0.5  # hidden share above which a pixel of a coarser level is hidden
-ARRIVING = 0.5  # pixels of the previous frame that have to move to a pixel visible in it, at least
-GRID = 4  # px: spacing of the rows and columns that the bend is fitted to
-REACH = 64  # px: half the side of the window that the bend is fitted in
-STEADY = 0.05  # px²: added to variances of the flow: smaller ones hardly determine the bend's slope
-OFF = 0.1  # px: deviation from the bend that halves a pixel's weight; it shows another surface
-ERODED = 3  # px: side of the window around a fitted pixel that has to be visible in all frames
-NEAR = 2  # pixels of the grid: half the side of the window that averages deviations from the bend
-# px: deviations from the bend that halve the trust in it, for visible and for hidden pixels.
-DOUBTED, DOUBTED_HIDDEN = 0.3, 1.0
-# Largest bend of a steady motion: a share of the backward flow, plus px.
-MOST_BENT, MOST_BENT_AT_REST = 0.5, 1.0
-BORNE_OUT = 0.8  # ratio of residuals below which the predicted flow replaces a visible pixel's flow
-KEPT = 0.5  # share of the pixels visible in three frames that have to fit the bend
-LEAST_COUNT = 1e-4
-LEAST_DETERMINANT = 1e-6
+MIN_COUNT = 1e-4  # pixels in a window
+MIN_DETERMINANT = 1e-6  # px⁴, of the variances of the flow
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +53,10 @@ class PreviousPair:
             size, scale = frame0.shape[::-1], np.float32(pyramid.scales[pyramid.last])
             area = cv2.INTER_AREA
             flow = scale * np.stack([cv2.resize(part, size, interpolation=area) for part in flow])
-            hidden = cv2.resize(hidden.astype(np.float32), size, interpolation=area) > HALF_HIDDEN
+            hidden = (
+                cv2.resize(hidden.astype(np.float32), size, interpolation=area)
+                > PREVIOUS.min_hidden_share
+            )
         return cls(frame0=frame0, frame1=frame1, flow=flow, hidden=hidden)
 
     def backward_flow(self) -> tuple[np.ndarray, np.ndarray]:
@@ -79,8 +69,12 @@ class PreviousPair:
         sums = aligned_empty((*self.hidden.shape, 4))
         splat(flow, np.zeros(self.hidden.shape, np.float32), sums, any_order=runtime.on_gpu())
         count, _, *displacements = cv2.split(sums)
-        is_visible = count > ARRIVING
-        scale = np.where(is_visible, -1 / np.maximum(count, np.float32(ARRIVING)), np.float32(0))
+        is_visible = count > PREVIOUS.min_arrivals
+        scale = np.where(
+            is_visible,
+            -1 / np.maximum(count, np.float32(PREVIOUS.min_arrivals)),
+            np.float32(0),
+        )
         return np.stack([part * scale for part in displacements]), is_visible
 
 
@@ -122,13 +116,19 @@ class PreviousFrame:
         is_predicted = is_visible & is_steady
         # A visible pixel takes the predicted flow if this flow fits frame 1 better.
         predicted_residual = self._residual(flow + correction * is_predicted)
-        is_better = is_predicted & (hidden | (predicted_residual < BORNE_OUT * residual))
+        is_better = is_predicted & (
+            hidden | (predicted_residual < PREVIOUS.max_residual_ratio * residual)
+        )
         self.residual = np.where(is_better, predicted_residual, residual)
         # With corrected flow, occluders hide other pixels.
         hidden |= self._hidden(flow + correction * is_better, self.residual)
         is_filled = hidden & is_predicted
         unknowns.move(correction * (is_better | is_filled))
-        doubt = np.where(is_filled, np.float32(DOUBTED_HIDDEN**-2), np.float32(DOUBTED**-2))
+        doubt = np.where(
+            is_filled,
+            np.float32(PREVIOUS.half_trust_deviation_if_hidden**-2),
+            np.float32(PREVIOUS.half_trust_deviation**-2),
+        )
         trust = 1 / (1 + deviation * doubt)
         trust[~is_visible] = 0
         self.is_used = True
@@ -180,12 +180,15 @@ def fit_bend(
     Returns bend, (2, h, w) float32: px/frame; off, (h, w) float32: squared deviation from the bend
     around every pixel, plus the squared excess of the bend over that of a steady motion, px²;
     steady, (h, w) bool: where the bend is small enough for a steady motion; None: if less than
-    `KEPT` of the visible pixels fit the bend.
+    `min_fitting_share` of the visible pixels fit the bend.
     """
     h, w = is_visible.shape
-    first = min(GRID, h, w) // 2
-    inner = cv2.erode(is_visible.astype(np.float32), np.ones((ERODED, ERODED), np.uint8))
-    part = np.s_[first::GRID, first::GRID]
+    first = min(PREVIOUS.grid_step, h, w) // 2
+    inner = cv2.erode(
+        is_visible.astype(np.float32),
+        np.ones((PREVIOUS.visible_window, PREVIOUS.visible_window), np.uint8),
+    )
+    part = np.s_[first :: PREVIOUS.grid_step, first :: PREVIOUS.grid_step]
     inner_weight = np.ascontiguousarray(inner[part])
     if not inner_weight.any():
         return None
@@ -193,16 +196,18 @@ def fit_bend(
     sums = [np.ascontiguousarray(a[part] + b[part]) for a, b in zip(flow, backward, strict=True)]
     coefficients = _fit_affine(x0, x1, sums, inner_weight)
     deviation = _squared_deviation(x0, x1, sums, coefficients)
-    weight = inner_weight / (1 + deviation / OFF**2)
+    weight = inner_weight / (1 + deviation / PREVIOUS.half_weight_deviation**2)
     coefficients = _fit_affine(x0, x1, sums, weight)
     excess = _excess_bend(x0, x1, coefficients)
     deviation = _squared_deviation(x0, x1, sums, coefficients) + excess
-    if (inner_weight * (deviation < DOUBTED**2)).sum() < KEPT * inner_weight.sum():
+    if (
+        inner_weight * (deviation < PREVIOUS.half_trust_deviation**2)
+    ).sum() < PREVIOUS.min_fitting_share * inner_weight.sum():
         return None
-    side = (2 * NEAR + 1, 2 * NEAR + 1)
+    side = (2 * PREVIOUS.mean_reach + 1, 2 * PREVIOUS.mean_reach + 1)
     count = cv2.boxFilter(inner_weight, -1, side)
     mean_deviation = np.asarray(
-        cv2.boxFilter(deviation * inner_weight, -1, side) / (count + np.float32(LEAST_COUNT))
+        cv2.boxFilter(deviation * inner_weight, -1, side) / (count + np.float32(MIN_COUNT))
     )
 
     def upsample(values: np.ndarray) -> np.ndarray:
@@ -213,7 +218,7 @@ def fit_bend(
         bend[component] = (
             upsample(a0) * backward[0] + upsample(a1) * backward[1] + upsample(constant)
         )
-    return bend, upsample(mean_deviation), upsample(excess) < DOUBTED**2
+    return bend, upsample(mean_deviation), upsample(excess) < PREVIOUS.half_trust_deviation**2
 
 
 def _fit_affine(
@@ -228,19 +233,19 @@ def _fit_affine(
     ----------
     He, Sun, Tang, "Guided image filtering", PAMI 35 (2013), 1397, doi 10.1109/TPAMI.2012.213.
     """
-    side = 2 * (REACH // GRID) + 1
+    side = 2 * (PREVIOUS.reach // PREVIOUS.grid_step) + 1
 
     def mean(image: np.ndarray) -> np.ndarray:
         return cv2.boxFilter(image, -1, (side, side), borderType=cv2.BORDER_REFLECT_101)
 
     count = mean(weight)
-    inverse = 1 / (count + np.float32(LEAST_COUNT))
+    inverse = 1 / (count + np.float32(MIN_COUNT))
     m0, m1 = mean(weight * x0) * inverse, mean(weight * x1) * inverse
-    s00 = mean(weight * x0 * x0) * inverse - m0 * m0 + np.float32(STEADY)
+    s00 = mean(weight * x0 * x0) * inverse - m0 * m0 + np.float32(PREVIOUS.added_variance)
     s01 = mean(weight * x0 * x1) * inverse - m0 * m1
-    s11 = mean(weight * x1 * x1) * inverse - m1 * m1 + np.float32(STEADY)
-    determinant = np.maximum(s00 * s11 - s01 * s01, np.float32(LEAST_DETERMINANT))
-    mean_count = 1 / (mean(count) + np.float32(LEAST_COUNT))
+    s11 = mean(weight * x1 * x1) * inverse - m1 * m1 + np.float32(PREVIOUS.added_variance)
+    determinant = np.maximum(s00 * s11 - s01 * s01, np.float32(MIN_DETERMINANT))
+    mean_count = 1 / (mean(count) + np.float32(MIN_COUNT))
     fits = []
     for y in values:
         my = mean(weight * y) * inverse
@@ -272,5 +277,7 @@ def _excess_bend(
     """Return the squared excess of fitted bends over the largest bend of a steady motion."""
     zero = np.zeros_like(x0)
     bend = np.sqrt(_squared_deviation(x0, x1, [zero, zero], coefficients))
-    max_bend = MOST_BENT * np.sqrt(x0 * x0 + x1 * x1) + np.float32(MOST_BENT_AT_REST)
+    max_bend = PREVIOUS.max_bend_ratio * np.sqrt(x0 * x0 + x1 * x1) + np.float32(
+        PREVIOUS.max_bend_at_rest
+    )
     return np.asarray(np.maximum(bend - max_bend, 0) ** 2)

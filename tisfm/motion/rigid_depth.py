@@ -8,20 +8,13 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.kernels.model.constants import LEAST_DIVISOR
-from tisfm.motion.rigid_level import QUIET, REFINED, SAMPLES, RigidLevel
+from tisfm.motion.rigid_level import SAMPLED_PIXELS, RigidLevel
+from tisfm.motion.settings import DEPTH
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, at_finest
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.unknowns import Unknowns
 from tisfm.visibility.confidence import ROUNDING, median
-
-WARPS = 3  # linearisations on the last level for each of `settings.warps`
-DEVIATION_WINDOW = 15  # px: side of the window that averages curvature and residual
-# Factor of the deviation. With it, 68% of the visible pixels of rendered scenes, with noise of 0 to
-# 5 grey levels, lie within one deviation. Errors of the motion or the model are not included.
-CALIBRATION = 0.75
-SUREST = np.float32(0.001)  # px: smallest deviation
-
 
 Refinement = Literal["none", "translation", "motion"]
 
@@ -49,7 +42,7 @@ class RigidSolution:
         smoothing, this is 1/A. A is the mean curvature of the data in a window, κ a quarter of the
         weights of a pixel's edges, and the unit is the mean residual in the window.
         """
-        window, fields = (DEVIATION_WINDOW, DEVIATION_WINDOW), self.precision
+        window, fields = (DEPTH.deviation_window, DEPTH.deviation_window), self.precision
         precision = cv2.blur(fields[0], window)
         precision += LEAST_DIVISOR
         residual = cv2.blur(fields[3], window)
@@ -64,8 +57,8 @@ class RigidSolution:
         precision *= smoothing
         precision *= residual
         np.sqrt(precision, out=precision)
-        precision *= np.float32(CALIBRATION)
-        deviation = np.maximum(precision, SUREST, out=precision)
+        precision *= np.float32(DEPTH.deviation_factor)
+        deviation = np.maximum(precision, DEPTH.min_deviation, out=precision)
         height, width = self.inverse_depth.shape
         if deviation.shape == (height, width):
             return deviation
@@ -103,9 +96,9 @@ def rigid_depth(
     coarse: Unknowns | None = None
     noise = np.zeros(len(motions))
     coarsest, depth = (pyramid.levels - 1, None) if start is None else start
-    linearisations = [settings.warps * WARPS if warps is None else warps] + coarsest * [
-        settings.coarse_warps if start is None else settings.warps
-    ]
+    linearisations = [
+        settings.warps * DEPTH.warps_factor if warps is None else warps
+    ] + coarsest * [settings.coarse_warps if start is None else settings.warps]
     last = min(last, coarsest)
     for level in reversed(range(last, coarsest + 1)):
         state = RigidLevel(
@@ -115,13 +108,17 @@ def rigid_depth(
             state.unknowns.set_images(depth[None])
         for warp in range(linearisations[level - last]):
             state.linearise(motions)
-            state.minimiser.set_alpha(settings.depth_smoothness * max(1.0, noise.max() / QUIET))
+            state.minimiser.set_alpha(
+                settings.depth_smoothness * max(1.0, noise.max() / DEPTH.max_quiet_residual)
+            )
             state.minimiser.update()  # depth was despeckled
             iterations, converged = state.minimiser.minimise()
             history += [(level, warp, iteration) for iteration in iterations]
             state.despeckle()
             noise = state.median_residuals(motions)
-            if refine != "none" and (level == last or pyramid.scales[level] >= REFINED):
+            if refine != "none" and (
+                level == last or pyramid.scales[level] >= DEPTH.min_refined_scale
+            ):
                 unknowns = 6 if refine == "motion" else 3
                 motions = state.refine_motions(motions, unknowns, noise)
         coarse = state.unknowns
@@ -174,7 +171,8 @@ def motion_precision(
     state.linearise(motions)
     state.minimiser.update()
     state.minimiser.set_alpha(
-        settings.depth_smoothness * max(1.0, state.median_residuals(motions).max() / QUIET)
+        settings.depth_smoothness
+        * max(1.0, state.median_residuals(motions).max() / DEPTH.max_quiet_residual)
     )
     state.minimiser.update()
     return state.unknowns.precision(state.minimiser.system)
@@ -188,7 +186,7 @@ def scaled_translations(motions: np.ndarray, labels: np.ndarray, camera: Camera)
     """
     height, width = labels.shape
     cx, cy = camera.center_for(height, width)
-    stride = max(1, int((height * width / SAMPLES) ** 0.5))
+    stride = max(1, int((height * width / SAMPLED_PIXELS) ** 0.5))
     x = (np.arange(0, width, stride) - cx) / camera.focal
     y = (np.arange(0, height, stride)[:, None] - cy) / camera.focal
     sampled_labels = labels[::stride, ::stride]

@@ -13,6 +13,7 @@ from tisfm.kernels.rigid.epipolar import along, displacement
 from tisfm.kernels.rigid.motion_system import motion_system
 from tisfm.motion.epipolar_fit import fix_scale, rotation_prior
 from tisfm.motion.problems import depth_problem
+from tisfm.motion.settings import DEPTH
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import data_term_on, unknowns_on
 from tisfm.solver.half_quadratic import HalfQuadratic
@@ -20,12 +21,7 @@ from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.unknowns import Unknowns
 from tisfm.visibility.confidence import median
 
-REFINED = 0.45  # of the finest level's sampling density: only denser levels refine motions
-HELD = 1e-4  # times α: weak smoothness, so a pixel's depth adapts while the motion changes
-MEDIAN = 5  # px: window of the median of depth after each linearisation
-QUIET = 0.15  # px: median residual above which smoothness grows in proportion
-OUTLYING = 1.5  # median residuals: a pixel with more hardly counts for the motion
-SAMPLES = 20_000  # pixels, about, that are sampled for medians and means over the image
+SAMPLED_PIXELS = 20_000  # about, for medians and means over the image
 
 
 class RigidLevel:
@@ -52,7 +48,7 @@ class RigidLevel:
         if count > 1:
             image_to_lanes(grid, label_image, self._labels)
         self._label_image = label_image
-        self._rows = slice(1, -1, max(1, grid.height * grid.width // SAMPLES))
+        self._rows = slice(1, -1, max(1, grid.height * grid.width // SAMPLED_PIXELS))
         inside = _valid_pixels(unknowns, pyramid.counted0(level))[0, self._rows, 1:-1]
         sampled_labels = np.where(inside > 0, on_host(self._labels)[0, self._rows, 1:-1], -1)
         self._samples = [np.flatnonzero(sampled_labels == label) for label in range(count)]
@@ -61,7 +57,7 @@ class RigidLevel:
         counted: np.ndarray | None = None
         if support is not None:
             counted = cv2.resize(support.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-        elif labels.any() and pyramid.scales[level] >= REFINED:
+        elif labels.any() and pyramid.scales[level] >= DEPTH.min_refined_scale:
             # Stencils across a boundary mix two motions, so their pixels do not count.
             counted = (~_has_mixed_window(label_image)).astype(np.float32)
         data_term = data_term_on(pyramid, level, problem, unknowns)
@@ -107,7 +103,7 @@ class RigidLevel:
         depth = self.unknowns.images()[0]
         is_single = len(self._motions) == 1
         medians = (
-            cv2.medianBlur(depth, MEDIAN)
+            cv2.medianBlur(depth, DEPTH.median_window)
             if is_single
             else median_of_labels(depth, self._label_image)
         )
@@ -146,8 +142,9 @@ class RigidLevel:
                 label=label,
                 focal=self._focal,
                 scales=self._scales,
-                held=HELD * system.alpha,
-                tolerated=(OUTLYING * float(median_residuals[label])) ** 2 + LEAST_DIVISOR,
+                held=DEPTH.weak_smoothness * system.alpha,
+                tolerated=(DEPTH.outlier_residual * float(median_residuals[label])) ** 2
+                + LEAST_DIVISOR,
             )
             if label > 0:  # objects hardly rotate relative to the background
                 stiffness, offset = rotation_prior(
@@ -164,11 +161,14 @@ def median_of_labels(
     labels: np.ndarray,  # (H, W) float32
 ) -> np.ndarray:  # (H, W) float32
     """Return the median in a window around every pixel, over pixels of the same label only."""
-    medians = cv2.medianBlur(values, MEDIAN)
+    medians = cv2.medianBlur(values, DEPTH.median_window)
     is_mixed = _has_mixed_window(labels)
     if is_mixed.any():
         own_label, neighbours = (
-            sliding_window_view(np.pad(image, MEDIAN // 2, mode="edge"), (MEDIAN, MEDIAN))[is_mixed]
+            sliding_window_view(
+                np.pad(image, DEPTH.median_window // 2, mode="edge"),
+                (DEPTH.median_window, DEPTH.median_window),
+            )[is_mixed]
             for image in (labels, values)
         )
         is_same = own_label == labels[is_mixed][:, None, None]
@@ -179,7 +179,7 @@ def median_of_labels(
 
 def _has_mixed_window(labels: np.ndarray) -> np.ndarray:
     """Return the pixels whose window holds more than one label, (H, W) bool."""
-    window = np.ones((MEDIAN, MEDIAN), np.uint8)
+    window = np.ones((DEPTH.median_window, DEPTH.median_window), np.uint8)
     return cv2.erode(labels, window) != cv2.dilate(labels, window)
 
 

@@ -9,14 +9,13 @@ from tisfm.camera import Camera
 from tisfm.motion.camera import camera_estimate
 from tisfm.motion.estimate import Estimate
 from tisfm.motion.problems import pyramid_of
+from tisfm.motion.settings import EGOMOTION
 from tisfm.rigid import KnownPose, rigid_motion, rigid_twist
 from tisfm.settings import Settings
 from tisfm.shutter import UnrolledPixels, nodes_of
 
-ROUNDS = 2  # estimates of the motion, each from the frames of the one before; set by hand
-STEPS = 4  # iterations that find the pixel of frame 0 for a pixel of frame 1; set by hand
 # Statuses of motions that frames are corrected by.
-KNOWN = ("converged", "iteration_limit", "uncertain", "pure_rotation", "little_parallax")
+MOTION_STATUSES = ("converged", "iteration_limit", "uncertain", "pure_rotation", "little_parallax")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +46,7 @@ def global_shutter_pair(
     are estimated from the given frames, and again from the frames corrected by them.
     """
     corrected: GlobalShutterPair | None = None
-    for _ in range(ROUNDS):
+    for _ in range(EGOMOTION.shutter_rounds):
         frame0, frame1 = (grey0, grey1) if corrected is None else (corrected.grey0, corrected.grey1)
         seen = counted if corrected is None else corrected.counted
         estimate = camera_estimate(
@@ -74,7 +73,7 @@ def _unrolling_maps(
 ) -> tuple[UnrolledPixels, UnrolledPixels] | None:
     """Return the maps to both given frames; None if no motion is known."""
     shape = estimate.inverse_depth.shape
-    if estimate.status not in KNOWN or estimate.motions is None:
+    if estimate.status not in MOTION_STATUSES or estimate.motions is None:
         return None
     rate = estimate.motions[0]
     if pose is not None and pose.translation is not None:
@@ -104,7 +103,7 @@ def _depth_of_frame1(inverse_depth: np.ndarray, rate: np.ndarray, camera: Camera
     center = np.array(camera.center_for(*inverse_depth.shape))
     nodes = nodes_of(inverse_depth.shape)
     positions = nodes
-    for _ in range(STEPS):
+    for _ in range(EGOMOTION.shutter_iterations):
         depth = _sample(inverse_depth, positions)
         ray = np.concatenate(
             [(positions - center) / camera.focal, np.ones((*depth.shape, 1))], axis=2

@@ -6,15 +6,8 @@ import cv2
 import numpy as np
 
 from tisfm import runtime
+from tisfm.motion.settings import SPARSE
 from tisfm.threads import start_beside
-
-# Threshold of the detector: low, since rooms have few, faint points; matching removes wrong ones.
-CONTRAST = 0.01
-LARGEST = 2**20  # pixels: a larger frame is matched on a coarser level
-CELLS = 16  # cells along a side of a square frame of the same area
-PER_CELL = 30  # strongest points that each cell keeps
-RATIO = 0.8  # largest ratio of the distances of the nearest and the second nearest descriptor
-RANGE = (0.5, 99.5)  # percentiles of frame 0 that are mapped to 0 and 255
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +47,7 @@ def sparse_matches(
     doi 10.1023/B:VISI.0000029664.99615.94; Arandjelović and Zisserman, "Three things everyone
     should know to improve object retrieval", CVPR 2012, doi 10.1109/CVPR.2012.6248018.
     """
-    low, high = np.percentile(frame0, RANGE)
+    low, high = np.percentile(frame0, SPARSE.grey_percentiles)
     nothing = Matches(before=np.empty((0, 2)), after=np.empty((0, 2)))
     if not high > low:
         return nothing
@@ -82,9 +75,9 @@ def match_features(first: Features, second: Features) -> tuple[np.ndarray, np.nd
     return index[is_match], forward[is_match]
 
 
-def detect_features(frame: np.ndarray, *, per_cell: int = PER_CELL) -> Features:
+def detect_features(frame: np.ndarray, *, per_cell: int = SPARSE.points_per_cell) -> Features:
     """Detect and describe points of a frame, (H, W) float32 with grey levels in [0, 255]."""
-    detector = cv2.SIFT.create(contrastThreshold=CONTRAST)
+    detector = cv2.SIFT.create(contrastThreshold=SPARSE.min_contrast)
     image = np.rint(frame).astype(np.uint8)
     # Describing all points is faster than building a second pyramid for the kept points.
     keypoints, descriptors = detector.detectAndCompute(image, None)
@@ -92,7 +85,7 @@ def detect_features(frame: np.ndarray, *, per_cell: int = PER_CELL) -> Features:
         return Features(points=np.empty((0, 2)), roots=np.empty((0, 128), np.float32))
     points = np.array([point.pt for point in keypoints])
     strength = np.array([point.response for point in keypoints])
-    side = (frame.size / CELLS**2) ** 0.5
+    side = (frame.size / SPARSE.cells**2) ** 0.5
     strongest = _strongest_per_cell(points, strength, side=side, max_per_cell=per_cell)
     descriptors = descriptors[strongest]
     total = np.maximum(descriptors.sum(axis=1, keepdims=True), 1)  # entries are not negative
@@ -128,4 +121,4 @@ def _nearest_descriptors(similarities: np.ndarray) -> tuple[np.ndarray, np.ndarr
     distance = 1 - rest[rows, best]
     rest[rows, best] = -np.inf
     second_distance = 1 - rest.max(axis=1)
-    return best, distance < RATIO**2 * second_distance
+    return best, distance < SPARSE.max_descriptor_ratio**2 * second_distance

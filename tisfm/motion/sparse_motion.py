@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
 
-import cv2
 import numpy as np
 
 from tisfm.camera import Camera
@@ -20,28 +19,14 @@ from tisfm.motion.epipolar_fit import (
     robust_deviation,
     rotation_alone,
     rotation_residual,
-    usac_parameters,
 )
+from tisfm.motion.homographies import angle_between, plane_poses, sample_homographies
+from tisfm.motion.settings import SPARSE
 from tisfm.motion.sparse_matches import Matches
 
-THRESHOLDS = (0.5, 1.0, 2.0, 4.0)  # px: inliers, from the epipolar line or the homography's point
-DRAWS = 10_000  # most random samples for a threshold: half of the matches may be wrong
-# px: largest distances of the matches in each round of refinement, for two refinements of a start.
-# Near matches alone miss the least cost from a poor start; far matches lead away from a good start.
-REACHES = ((16.0, 6.0, 3.0), (3.0, 3.0))
-# rad, and of ‖t‖ = 1: length of a step that ends the last round, and the rounds before it.
-SETTLED, NEARLY_SETTLED = 1e-5, 1e-3
-ALIKE = 1e-3  # largest difference of an entry of R or t between two motions that count as the same
-EXPLAINED = 3.0  # px: largest distance of an inlier
-ITERATIONS = 30  # most iterations of a round
-FEWEST = 12  # matches within reach: five fit any motion, and wrong matches add a few by chance
-SMALLEST_RESIDUAL = 0.3  # px: accuracy of a detected point
-TIED = 1.3  # ratio to the least robust cost up to which other motions may be right as well
-SAME = 0.2  # rad: smallest angle between the translations of two different motions
-SPREAD_CELLS = 8  # cells along each side of the image
-# The information criterion: coordinates of a match, and the largest squared error of a match, in
-# variances for each coordinate that the model predicts.
-COORDINATES, WORST = 4, 2.0
+# Of the information criterion GRIC:
+COORDINATES = 4  # of a match
+MAX_VARIANCES = 2.0  # squared error of a match for each predicted coordinate, in variances
 
 Model = Literal["rotation", "plane", "depth"]
 _Motion = tuple[np.ndarray, np.ndarray, float]  # R, t and the residual, px
@@ -92,26 +77,30 @@ def sparse_motions(
     "Deeper understanding of the homography decomposition for vision-based control", INRIA report
     6303, 2007.
     """
-    if len(matches.before) < FEWEST:
+    if len(matches.before) < SPARSE.min_matches:
         return [], None
     rays = _rays(matches, camera, shape)
-    homographies = _sample_homographies(rays)
-    starts = essential_poses(rays, THRESHOLDS, draws=DRAWS)
+    homographies = sample_homographies(rays)
+    starts = essential_poses(rays, SPARSE.inlier_distances, draws=SPARSE.max_draws)
     for homography in homographies:
         starts += plane_poses(homography, rays)
     starts = _without_duplicates(starts)
-    motions = [motion for distances in REACHES for motion in _refine_poses(rays, starts, distances)]
+    motions = [
+        motion
+        for distances in SPARSE.round_distances
+        for motion in _refine_poses(rays, starts, distances)
+    ]
     if not motions:
         return [], None
-    scale = max(min(residual for _, _, residual in motions), SMALLEST_RESIDUAL)
+    scale = max(min(residual for _, _, residual in motions), SPARSE.min_residual)
     match_cost = MatchCost(rays=rays, scale=scale)
     motions.sort(key=lambda motion: match_cost.cost(motion[:2]))
     model = _select_model(rays, motions[0][:2], homographies, scale)
-    limit = TIED * match_cost.cost(motions[0][:2])
+    limit = SPARSE.max_cost_ratio * match_cost.cost(motions[0][:2])
     distinct: list[_Motion] = []
     for motion in motions:
         if match_cost.cost(motion[:2]) <= limit and all(
-            angle_between(motion[1], other[1]) >= SAME for other in distinct
+            angle_between(motion[1], other[1]) >= SPARSE.min_translation_angle for other in distinct
         ):
             distinct.append(motion)
     return [
@@ -127,14 +116,14 @@ def known_pose_motion(
     pose: Pose,  # (rotation, translation): ‖t‖ = 1
 ) -> SparseMotion | None:
     """Return a known motion with its inliers, or None if too few matches agree with it."""
-    if len(matches.before) < FEWEST:
+    if len(matches.before) < SPARSE.min_matches:
         return None
     rays = _rays(matches, camera, shape)
-    inliers = rays.select(_is_inlier(rays, pose, EXPLAINED))
-    if inliers.trust.size < FEWEST:
+    inliers = rays.select(_is_inlier(rays, pose, SPARSE.max_inlier_distance))
+    if inliers.trust.size < SPARSE.min_matches:
         return None
     residual = robust_deviation(np.abs(nearest_points(inliers, *pose).distance), inliers.trust)
-    match_cost = MatchCost(rays=rays, scale=max(residual, SMALLEST_RESIDUAL))
+    match_cost = MatchCost(rays=rays, scale=max(residual, SPARSE.min_residual))
     return _sparse_motion(match_cost, (*pose, residual), "depth", camera, shape)
 
 
@@ -176,67 +165,39 @@ def _rays(matches: Matches, camera: Camera, shape: tuple[int, int]) -> Rays:
     )
 
 
-def _sample_homographies(rays: Rays) -> list[np.ndarray]:
-    """Return homographies of normalised coordinates by random sampling, (3, 3) each."""
-    # OpenCV finds no homography for small coordinates, so it gets px.
-    before, after = (rays.focal * points[:2].T for points in (rays.before, rays.after))
-    to_px = np.diag([rays.focal, rays.focal, 1.0])
-    homographies = []
-    for threshold in THRESHOLDS:
-        try:
-            matrix, _ = cv2.findHomography(before, after, usac_parameters(threshold, DRAWS))
-        except cv2.error:  # the samples determine no homography
-            continue
-        if matrix is not None and matrix.shape == (3, 3) and np.isfinite(matrix).all():
-            homographies.append(np.linalg.solve(to_px, matrix @ to_px))
-    return homographies
-
-
-def plane_poses(
-    homography: np.ndarray,  # (3, 3): for normalised coordinates
-    rays: Rays,
-    *,
-    min_share: float = 0.5,  # least share of the rays that meet the plane before the camera
-) -> list[Pose]:
-    """Return the motions that may have caused a homography: their plane lies before the camera."""
-    _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, np.eye(3))
-    poses: list[Pose] = []
-    for rotation, translation, normal in zip(rotations, translations, normals, strict=True):
-        norm = float(np.linalg.norm(translation))
-        if norm > 0 and np.quantile(normal[:, 0] @ rays.before, 1 - min_share) > 0:
-            poses.append((np.asarray(rotation), np.asarray(translation[:, 0]) / norm))
-    return poses
-
-
 def _refine_poses(rays: Rays, starts: list[Pose], distances: tuple[float, ...]) -> list[_Motion]:
     """Return motions refined by the matches near them, and their residuals, without duplicates."""
     unknowns = FreeUnknowns(count=6, likely_rotation=None)
     poses: list[Pose] = starts
     motions: list[_Motion] = []
     for k, distance in enumerate(distances):
-        min_step = NEARLY_SETTLED if k + 1 < len(distances) else SETTLED
+        min_step = SPARSE.min_early_step if k + 1 < len(distances) else SPARSE.min_step
         motions = []
         for pose in poses:
             inliers = rays.select(_is_inlier(rays, pose, distance))
-            if inliers.trust.size >= FEWEST:
+            if inliers.trust.size >= SPARSE.min_matches:
                 motions.append(
-                    refine_pose(inliers, pose, unknowns, iterations=ITERATIONS, min_step=min_step)
+                    refine_pose(
+                        inliers, pose, unknowns, iterations=SPARSE.iterations, min_step=min_step
+                    )
                 )
         motions = _without_duplicates(motions)
         poses = [(rotation, translation) for rotation, translation, _ in motions]
     return [
         motion
         for motion in motions
-        if np.count_nonzero(_is_inlier(rays, motion[:2], EXPLAINED)) >= FEWEST
+        if np.count_nonzero(_is_inlier(rays, motion[:2], SPARSE.max_inlier_distance))
+        >= SPARSE.min_matches
     ]
 
 
 def _without_duplicates(motions: list[_AnyMotion]) -> list[_AnyMotion]:
-    """Return the motions without duplicates: at most `ALIKE` from an earlier motion."""
+    """Return the motions without those that hardly differ from an earlier one."""
     distinct: list[_AnyMotion] = []
     for motion in motions:
         if all(
-            np.abs(motion[0] - other[0]).max() > ALIKE or np.abs(motion[1] - other[1]).max() > ALIKE
+            np.abs(motion[0] - other[0]).max() > SPARSE.max_duplicate_difference
+            or np.abs(motion[1] - other[1]).max() > SPARSE.max_duplicate_difference
             for other in distinct
         ):
             distinct.append(motion)
@@ -249,11 +210,6 @@ def _is_inlier(rays: Rays, pose: Pose, max_distance: float) -> np.ndarray:
     return (np.abs(points.distance) <= max_distance) & (points.inverse_depth > 0)
 
 
-def angle_between(direction0: np.ndarray, direction1: np.ndarray) -> float:
-    """Return the angle between two vectors of length 1, rad."""
-    return float(np.arccos(np.clip(direction0 @ direction1, -1, 1)))
-
-
 def _sparse_motion(
     match_cost: MatchCost,
     motion: _Motion,
@@ -263,7 +219,7 @@ def _sparse_motion(
 ) -> SparseMotion:
     rotation, translation, residual = motion
     rays = match_cost.rays
-    inliers = rays.select(_is_inlier(rays, (rotation, translation), EXPLAINED))
+    inliers = rays.select(_is_inlier(rays, (rotation, translation), SPARSE.max_inlier_distance))
     pure_rotation = rotation_alone(inliers)
     return SparseMotion(
         rotation=rotation,
@@ -284,8 +240,8 @@ def _coverage(rays: Rays, camera: Camera, shape: tuple[int, int]) -> float:
     height, width = shape
     center = np.array(camera.center_for(height, width))[:, None]
     points = rays.before[:2] * camera.focal + center + 0.5
-    column, row = (points * SPREAD_CELLS / np.array([[width], [height]])).astype(np.int64)
-    return len(np.unique(row * SPREAD_CELLS + column)) / SPREAD_CELLS**2
+    column, row = (points * SPARSE.coverage_cells / np.array([[width], [height]])).astype(np.int64)
+    return len(np.unique(row * SPARSE.coverage_cells + column)) / SPARSE.coverage_cells**2
 
 
 def _select_model(rays: Rays, pose: Pose, homographies: list[np.ndarray], scale: float) -> Model:
@@ -316,7 +272,7 @@ def _homography_errors(rays: Rays, matrix: np.ndarray) -> np.ndarray:
 
 def _gric(square: np.ndarray, scale: float, *, dimension: int, parameters: int) -> float:
     """Return GRIC: the errors plus the penalties for dimension and parameters of the model."""
-    max_error = WORST * (COORDINATES - dimension)
+    max_error = MAX_VARIANCES * (COORDINATES - dimension)
     fit = float(np.minimum(square / scale**2, max_error).sum())
     count = square.size
     return (

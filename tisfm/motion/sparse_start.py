@@ -9,15 +9,13 @@ from tisfm.kernels.model.constants import NEAREST
 from tisfm.motion.depth_checks import pose_status
 from tisfm.motion.epipolar_fit import Pose, nearest_points
 from tisfm.motion.frame_agreement import unrelated_status
-from tisfm.motion.plane_ambiguity import TWO_MOTIONS
-from tisfm.motion.plane_sweep import ENTRIES, sweep_depth
+from tisfm.motion.homographies import TWO_MOTIONS, angle_between
+from tisfm.motion.plane_sweep import MAX_COSTS, sweep_depth
 from tisfm.motion.rigid_depth import scaled_translations
-from tisfm.motion.sparse_matches import LARGEST, Matches, sparse_matches
+from tisfm.motion.settings import SPARSE
+from tisfm.motion.sparse_matches import Matches, sparse_matches
 from tisfm.motion.sparse_motion import (
-    SMALLEST_RESIDUAL,
-    TIED,
     SparseMotion,
-    angle_between,
     known_pose_motion,
     pose_residual,
     sparse_motions,
@@ -26,11 +24,6 @@ from tisfm.motion.window_statistics import correlation, texture
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.status import Status
 from tisfm.visibility.occlusion import leaves_image
-
-MOST = 3  # motions that the images compare
-RARE, FURTHER = 99, 1.5  # percentile of the matches' D, and largest D of the sweep relative to it
-FEWEST_HYPOTHESES = 4
-UNDECIDED = 0.01  # difference of mean correlations below which two motions are equally good
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,11 +53,18 @@ def sparse_start(
     )
     if match_cost is None:
         return None
-    if flow_pose is not None and match_cost.cost(flow_pose) <= TIED * motions[0].cost:
+    if (
+        flow_pose is not None
+        and match_cost.cost(flow_pose) <= SPARSE.max_cost_ratio * motions[0].cost
+    ):
         return None
-    candidates = [_SweptMotion(pyramid, level, motion) for motion in motions[:MOST]]
+    candidates = [_SweptMotion(pyramid, level, motion) for motion in motions[: SPARSE.max_motions]]
     best_score = max(candidate.score for candidate in candidates)
-    equal = [candidate for candidate in candidates if candidate.score >= best_score - UNDECIDED]
+    equal = [
+        candidate
+        for candidate in candidates
+        if candidate.score >= best_score - SPARSE.min_correlation_gain
+    ]
     chosen = equal[0]  # the motion of least cost for the matches
     doubt = None
     if len(equal) > 1 and flow_pose is not None:
@@ -97,7 +97,7 @@ def known_pose_start(
             px_factor * pose_residual(motions[0].rays, candidate)
             for candidate in (pose, (rotation.T, -rotation.T @ translation))
         )
-        best = px_factor * max(motions[0].residual, SMALLEST_RESIDUAL)
+        best = px_factor * max(motions[0].residual, SPARSE.min_residual)
         doubt = pose_status(residual, best, inverse_residual=inverse_residual)
     motion = known_pose_motion(matches, camera, shape, pose)
     if motion is None:
@@ -106,9 +106,10 @@ def known_pose_start(
 
 
 def _matches(pyramid: ImagePyramid) -> tuple[int, Matches]:
-    """Return the finest level of at most `LARGEST` pixels, and matches of its frames."""
+    """Return the finest level of at most `max_pixels` pixels, and matches of its frames."""
     finest = next(
-        (k for k, frame in enumerate(pyramid.frames0) if frame.size <= LARGEST), pyramid.levels - 1
+        (k for k, frame in enumerate(pyramid.frames0) if frame.size <= SPARSE.max_pixels),
+        pyramid.levels - 1,
     )
     frames = pyramid.frames0[finest], pyramid.frames1[finest]
     return finest, sparse_matches(*frames, pyramid.counted_on(finest))
@@ -130,9 +131,12 @@ class _SweptMotion:
         match_depths = inverse_depth * (
             camera.focal / np.linalg.norm(scaled[:, 3])
         )  # D of the matches
-        max_depth = min(FURTHER * float(np.percentile(match_depths, RARE)), max(frame0.shape))
-        hypotheses = np.arange(max(np.ceil(max_depth), FEWEST_HYPOTHESES))
-        hypotheses = hypotheses[: max(FEWEST_HYPOTHESES, ENTRIES // frame0.size)]
+        max_depth = min(
+            SPARSE.depth_margin * float(np.percentile(match_depths, SPARSE.depth_percentile)),
+            max(frame0.shape),
+        )
+        hypotheses = np.arange(max(np.ceil(max_depth), SPARSE.min_hypotheses))
+        hypotheses = hypotheses[: max(SPARSE.min_hypotheses, MAX_COSTS // frame0.size)]
         guess = np.full_like(frame0, np.median(match_depths))
         depth = sweep_depth(
             frame0,

@@ -14,9 +14,10 @@ import numpy as np
 from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images, multiply
 from tisfm.kernels.layout.launch import in_turn
 from tisfm.kernels.rigid.epipolar import along, displacement
-from tisfm.motion.matched_planes import MOST, MatchedPlanes, matched_planes, noise_deviation
+from tisfm.motion.matched_planes import MatchedPlanes, matched_planes, noise_deviation
 from tisfm.motion.problems import depth_problem
 from tisfm.motion.rigid_depth import RigidSolution
+from tisfm.motion.settings import DEPTH
 from tisfm.motion.window_statistics import window_variance
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, at_finest, data_term_on, unknowns_on
@@ -31,23 +32,6 @@ from tisfm.solver.second_order import (
 from tisfm.solver.smoothness import image_edges_in_lanes
 
 SECOND_ORDER = SecondOrderSettings(alpha=48.0, beta=196608.0, bend=0.1, turn=0.003, image_edges=5.0)
-FEWEST = 0.02  # of the pixels: least share of believed matches that is carried
-# px: side of the windows whose variance is compared with noise. Frames count as textureless if
-# at least this share of the windows shows only noise.
-WINDOW, MOST_TEXTURELESS = 11, 0.04
-SHOWN = 1.8  # variances of the noise: a window that varies by more shows texture
-DATA = 0.5  # weight of the constraints relative to a matched pixel
-TEXTURE = 100.0  # variances of the noise: window variance at which constraints weigh half
-WARPS, ITERATIONS = 3, 2  # linearisations, and iterations of each
-FURTHEST = 2.0  # largest carried depth over the largest matched depth
-FURTHEST_SHARE = 0.01  # of the matched pixels: farthest ones left out of the largest matched depth
-# Standard deviations of D, px: of a matched pixel, and for every px that it is carried. The
-# mean change of matched pixels nearby by the refinement is added. Then 76% of the pixels of
-# TartanAir lie within one deviation, and 52% of a HoloLens, whose poses are not exact.
-MATCHING, CARRYING = 0.1, 0.05
-AROUND = 31  # px: side of the window of that mean
-FAINTEST = 0.01  # of the precision of a matched pixel: a smaller precision counts as 0
-SPREAD = 0.2  # px²: variance of carried depth, for the share of the data in a pixel's depth
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +51,9 @@ def textureless_share(frame: np.ndarray, counted: np.ndarray | None = None) -> f
     Only windows around the pixels of `counted`, (H, W) bool, take part, by default all.
     """
     noise = noise_deviation(frame, counted=counted)
-    is_textureless = window_variance(frame, WINDOW) <= SHOWN * noise**2
+    is_textureless = (
+        window_variance(frame, DEPTH.texture_window) <= DEPTH.min_texture_variance * noise**2
+    )
     if counted is not None:
         is_textureless = is_textureless[counted]
     return float(is_textureless.mean()) if is_textureless.size else 0.0
@@ -87,7 +73,7 @@ def textureless_depth(
 
     Returns none if too few pixels could be matched, or if no level is small enough.
     """
-    if pyramid.frames0[-1].size > MOST:
+    if pyramid.frames0[-1].size > DEPTH.max_plane_pixels:
         return None
     planes = matched_planes(pyramid, motion)
     valid_pixels = pyramid.counted0(planes.level)
@@ -99,13 +85,13 @@ def textureless_depth(
         )
         counted = counted & is_supported
         planes = replace(planes, is_reliable=planes.is_reliable & counted)
-    if planes.is_reliable.sum() < max(1, FEWEST * counted.sum()):
+    if planes.is_reliable.sum() < max(1, DEPTH.min_matched_share * counted.sum()):
         return None
     level = planes.level
     state = _Level(pyramid, settings, motion, planes, counted)
     history: Records = []
     converged = False
-    for warp in range(WARPS):
+    for warp in range(DEPTH.carried_warps):
         iterations, converged = state.minimise(settings.tolerance)
         history += [(level, warp, iteration) for iteration in iterations]
     state.limit_depth(planes)
@@ -149,7 +135,7 @@ class _Level:
             image_edges_in_lanes(grid, frame, SECOND_ORDER.image_edges, pyramid.counted0(level)),
             SECOND_ORDER,
             constraints=restricted,
-            scales=[DATA * scale for scale in data_term.scales],
+            scales=[DEPTH.constraint_weight * scale for scale in data_term.scales],
         )
         for component, values in enumerate((depth, *slopes)):
             image_to_lanes(grid, np.ascontiguousarray(values), minimiser.rho, component=component)
@@ -157,7 +143,7 @@ class _Level:
         flow, direction = grid.allocate(2, zeros=False), grid.allocate(2, zeros=False)
         texture_weights = texture_weight(frame, counted=pyramid.counted0(level))
         share = (
-            np.float32(DATA**0.5) * texture_weights * counted
+            np.float32(DEPTH.constraint_weight**0.5) * texture_weights * counted
         )  # factor of a constraint before squaring
         image_to_lanes(grid, share, weight)
         motions = np.ascontiguousarray(motion[None], np.float32)
@@ -183,11 +169,14 @@ class _Level:
         """Linearise once and minimise."""
         self._linearise()
         self._minimiser.update()
-        return self._minimiser.minimise(ITERATIONS, tolerance=tolerance)
+        return self._minimiser.minimise(DEPTH.carried_iterations, tolerance=tolerance)
 
     def limit_depth(self, planes: MatchedPlanes) -> None:
         """Set the unknowns to the minimiser's D, bounded from below."""
-        min_depth = np.quantile(planes.inverse_depth[planes.is_reliable], FURTHEST_SHARE) / FURTHEST
+        min_depth = (
+            np.quantile(planes.inverse_depth[planes.is_reliable], DEPTH.far_share)
+            / DEPTH.max_carried_ratio
+        )
         self.unknowns.set_images(np.maximum(self._minimiser.images()[:1], np.float32(min_depth)))
 
     def precision(self) -> np.ndarray:
@@ -197,10 +186,10 @@ class _Level:
         depth = self._minimiser.images()[0]
         precision = np.zeros((7, *depth.shape), np.float32)
         # Constraints of textureless windows are noise: they are neither data nor usual residuals.
-        precision[0] = np.where(tensor[0] > FAINTEST, tensor[0], 0)
+        precision[0] = np.where(tensor[0] > DEPTH.min_precision, tensor[0], 0)
         residual = (tensor[0] * depth + 2 * tensor[1]) * depth + tensor[2]
         precision[3] = np.maximum(residual, 0)
-        precision[4] = SPREAD
+        precision[4] = DEPTH.carried_variance
         return precision
 
 
@@ -213,16 +202,21 @@ def _deviation(planes: MatchedPlanes, depth: np.ndarray, pyramid: ImagePyramid) 
     """
     reliable = planes.is_reliable.astype(np.float32)
     distance = cv2.distanceTransform((~planes.is_reliable).astype(np.uint8), cv2.DIST_L2, 5)
-    window = (AROUND, AROUND)
+    window = (DEPTH.refinement_window, DEPTH.refinement_window)
     refinement = cv2.blur(reliable * np.abs(depth - planes.inverse_depth), window)
-    refinement /= np.maximum(cv2.blur(reliable, window), np.float32(1 / AROUND**2))
-    deviation = np.sqrt(MATCHING**2 + (CARRYING * distance) ** 2 + refinement**2)
+    refinement /= np.maximum(cv2.blur(reliable, window), np.float32(1 / DEPTH.refinement_window**2))
+    deviation = np.sqrt(
+        DEPTH.match_deviation**2 + (DEPTH.carried_deviation * distance) ** 2 + refinement**2
+    )
     height, width = pyramid.shape
     return cv2.resize(deviation, (width, height)) / np.float32(pyramid.scales[planes.level])
 
 
 def texture_weight(
-    frame: np.ndarray, *, half_variance: float = TEXTURE, counted: np.ndarray | None = None
+    frame: np.ndarray,
+    *,
+    half_variance: float = DEPTH.half_weight_variance,
+    counted: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the weight of the texture in each window against noise, (H, W) float32, from 0 to 1.
 
@@ -230,5 +224,5 @@ def texture_weight(
     on the pixels of `counted`, (H, W) bool, by default all.
     """
     noise = noise_deviation(frame, counted=counted)
-    variance = window_variance(frame, WINDOW)
+    variance = window_variance(frame, DEPTH.texture_window)
     return variance / (variance + np.float32(half_variance * noise**2))

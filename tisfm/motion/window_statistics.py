@@ -5,7 +5,8 @@ import numpy as np
 
 from tisfm.visibility.confidence import CONFIDENCE_WINDOW
 
-FLATTEST = 1e-12  # least product of two window variances, in units of the frame's variance
+# product of two window variances, in units of the frame's variance
+MIN_VARIANCE_PRODUCT = 1e-12
 
 
 def window_variance(
@@ -41,7 +42,7 @@ def correlation(
     mean0, mean1 = mean_in_windows(frame0), mean_in_windows(warped1)
     product = variance_in_windows(frame0, mean0) * variance_in_windows(warped1, mean1)
     return (mean_in_windows(frame0 * warped1) - mean0 * mean1) / np.sqrt(
-        np.maximum(product, FLATTEST)
+        np.maximum(product, MIN_VARIANCE_PRODUCT)
     )
 
 

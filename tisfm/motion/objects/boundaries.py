@@ -7,32 +7,15 @@ import cv2
 import numpy as np
 
 from tisfm.motion.objects.label_optimisation import MinSum
+from tisfm.motion.objects.settings import OBJECTS
 from tisfm.motion.window_statistics import window_variance
 from tisfm.solver.sampling import sample, spline_taps
 from tisfm.visibility.occlusion import leaves_image
 
-# All of these were set by hand.
-REACH = 4  # px that a boundary may move
-ROUNDS = 2  # updates of the labels, each followed by one of the occlusions
-# The standard deviation of the grey level of a visible pixel is the root of the sum of the squares
-# of three parts:
-LEAST_NOISE = 3.0  # grey levels,
-NOISE = 1.5  # median residuals,
-FLOW_ERROR = 0.4  # px that the flow may be off, times the slope of the grey levels.
-# Costs, nats; a grey level that matches exactly costs 0:
-MISSED = 3.2  # largest cost of a grey level,
-LEAST_HIDDEN = 0.6  # of an occluded pixel in a uniform neighbourhood,
-HIDDEN = 1.7  # of an occluded pixel in a varied neighbourhood, at most,
-LARGEST_COST = 50.0  # at which costs are clipped, so that exponentials stay above 0,
-NEVER = 1e3  # of a label that is not allowed at the pixel,
-LENGTH = 4.0  # per px of a boundary in uniform frames,
-IMAGE_EDGES = 0.25  # κ, by which an edge of the image lowers that cost.
-VARIATION_WINDOW = 5  # px: side of the window whose variance says how varied frame 0 is
-ORDER_WINDOW = 31  # px: side of the window in which two surfaces have one depth order
-GLOBAL_ORDER = 15.0  # pixels that the order in the whole image counts for in each window
-BRIGHTNESS_WINDOW = 31  # px: side of the window with one change of brightness
-MARGINS = 3  # px by which images of targets exceed the frames, in each direction
-STRIP = 2**16  # pixels of frame 0 that are processed together, which bounds memory
+MAX_COST = 50.0  # nats: larger costs are clipped, so that exponentials stay above 0
+FORBIDDEN_COST = 1e3  # nats: cost of a label that is not allowed at the pixel
+TARGET_MARGIN = 3  # px by which images of targets exceed the frames, in each direction
+STRIP_PIXELS = 2**16  # pixels of frame 0 that are processed together, which bounds memory
 
 Corner = tuple[np.ndarray, np.ndarray]  # indices of pixels, and their weights
 
@@ -54,7 +37,7 @@ def sharpen_labels(
     where a surface behind it is still visible. Where two surfaces go to the same target, the one
     whose grey levels match there is in front.
     """
-    window = np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8)
+    window = np.ones((2 * OBJECTS.boundary_reach + 1, 2 * OBJECTS.boundary_reach + 1), np.uint8)
     nearby = np.stack(
         [cv2.dilate((labels == k).astype(np.uint8), window) > 0 for k in range(len(flows))]
     )
@@ -63,13 +46,15 @@ def sharpen_labels(
         return labels
     costs, own_cost, hidden = _label_costs(flows, labels, frame0, frame1, is_free)
     forbidden = ~(nearby & allowed)[:, is_free]
-    size = np.add(is_free.shape, MARGINS)
+    size = np.add(is_free.shape, TARGET_MARGIN)
     targets = [list(_corners(_targets(np.nan_to_num(flow))[:, is_free], *size)) for flow in flows]
-    boundaries = MinSum(is_free, frame0, length=LENGTH, image_edges=IMAGE_EDGES)
-    for _ in range(ROUNDS):
+    boundaries = MinSum(
+        is_free, frame0, length=OBJECTS.boundary_cost, image_edges=OBJECTS.image_edges
+    )
+    for _ in range(OBJECTS.boundary_rounds):
         sums = _sums_at_targets(labels, flows, own_cost, hidden)
         unary = _costs_with_occlusion(costs, hidden[is_free], sums, targets)
-        unary[forbidden] = NEVER
+        unary[forbidden] = FORBIDDEN_COST
         labels = labels.copy()
         labels[is_free] = boundaries.assign(unary, labels)
         own_cost[is_free] = np.take_along_axis(costs, labels[is_free][None], axis=0)[0]
@@ -86,8 +71,8 @@ def _label_costs(
     """Return the costs of visible labels at free pixels, of each pixel's own label, and if hidden.
 
     A visible pixel costs −log of a normal distribution of grey levels over a uniform one, from 0 to
-    `MISSED`; objects that are not quite rigid have more noise. A label whose flow leaves the image
-    takes the least cost of the others. An occluded pixel costs less the more uniform its
+    `max_grey_cost`; objects that are not quite rigid have more noise. A label whose flow leaves the
+    image takes the least cost of the others. An occluded pixel costs less the more uniform its
     neighbourhood is.
 
     Returns seen, (K, N) float32: cost of every label at the free pixels; own, (H, W) float32: cost
@@ -98,24 +83,24 @@ def _label_costs(
     change = sample(frame1, flow, taps) - frame0
     median_change = np.median(change)
     change -= median_change
-    noise = NOISE * float(np.median(np.abs(change)))
-    limit = np.hypot(noise, LEAST_NOISE)
-    window = (BRIGHTNESS_WINDOW, BRIGHTNESS_WINDOW)
+    noise = OBJECTS.noise_residuals * float(np.median(np.abs(change)))
+    limit = np.hypot(noise, OBJECTS.min_noise)
+    window = (OBJECTS.brightness_window, OBJECTS.brightness_window)
     brightness = cv2.blur(np.clip(change, -limit, limit), window)
     change -= brightness
     slope = np.hypot(*(cv2.Sobel(frame0, -1, *order, scale=1 / 8) for order in ((1, 0), (0, 1))))
-    min_variance = LEAST_NOISE**2 + (FLOW_ERROR * slope) ** 2
+    min_variance = OBJECTS.min_noise**2 + (OBJECTS.flow_error * slope) ** 2
     variance = min_variance + noise**2
     leaves = leaves_image(flow)
     own_cost = np.empty_like(frame0)
     is_used = is_free | leaves
     costs = np.empty((len(flows), np.count_nonzero(is_used)), np.float32)
-    min_cost = np.full(costs.shape[1], MISSED, np.float32)
+    min_cost = np.full(costs.shape[1], OBJECTS.max_grey_cost, np.float32)
     leaves_under_label = np.empty(costs.shape, bool)
     for label, flow in enumerate(flows):
         is_label = labels == label
         changes = np.abs(change[is_label])
-        deviation = NOISE * float(np.median(changes)) if changes.size else noise
+        deviation = OBJECTS.noise_residuals * float(np.median(changes)) if changes.size else noise
         own_cost[is_label] = _visible_cost(
             change[is_label], min_variance[is_label], variance[is_label], deviation
         )
@@ -128,8 +113,8 @@ def _label_costs(
         np.minimum(min_cost, costs[label], out=min_cost, where=~leaves_under_label[label])
     costs = np.where(leaves_under_label, min_cost, costs)
     own_cost[leaves] = min_cost[leaves[is_used]]
-    hidden = LEAST_HIDDEN + 0.5 * np.log1p(_variance(frame0) / variance)
-    return costs[:, is_free[is_used]], own_cost, np.minimum(hidden, HIDDEN)
+    hidden = OBJECTS.min_hidden_cost + 0.5 * np.log1p(_variance(frame0) / variance)
+    return costs[:, is_free[is_used]], own_cost, np.minimum(hidden, OBJECTS.max_hidden_cost)
 
 
 def _visible_cost(
@@ -138,7 +123,7 @@ def _visible_cost(
     """Return the cost of changes of grey level of visible pixels, (N,) float32."""
     variance = min_variance + deviation**2
     match = np.sqrt(frame_variance / variance) * np.exp(-(change**2) / (2 * variance))
-    return -np.log(np.minimum(match, 1) + np.exp(-MISSED))
+    return -np.log(np.minimum(match, 1) + np.exp(-OBJECTS.max_grey_cost))
 
 
 def _flow_of_labels(flows: np.ndarray, labels: np.ndarray) -> np.ndarray:
@@ -151,8 +136,8 @@ def _flow_of_labels(flows: np.ndarray, labels: np.ndarray) -> np.ndarray:
 
 def _variance(frame: np.ndarray) -> np.ndarray:
     """Return the least variance of the windows that contain a pixel, (H, W) float32."""
-    window = np.ones((VARIATION_WINDOW, VARIATION_WINDOW), np.uint8)
-    return cv2.erode(window_variance(frame, VARIATION_WINDOW), window)
+    window = np.ones((OBJECTS.variation_window, OBJECTS.variation_window), np.uint8)
+    return cv2.erode(window_variance(frame, OBJECTS.variation_window), window)
 
 
 def _costs_with_occlusion(
@@ -179,8 +164,7 @@ def _costs_with_occlusion(
             # The label in front would occlude the pixels that are visible behind it.
             unary[front] += _interpolate(in_front * hidden_gains[behind], targets[front])
     return -np.log(
-        (1 - hidden_share) * np.exp(-np.minimum(unary, LARGEST_COST))
-        + hidden_share * np.exp(-hidden)
+        (1 - hidden_share) * np.exp(-np.minimum(unary, MAX_COST)) + hidden_share * np.exp(-hidden)
     )
 
 
@@ -191,9 +175,13 @@ def _in_front(counts: np.ndarray, costs: np.ndarray) -> np.ndarray:
     """
     both = ((counts > 0.5).all(axis=0)).astype(np.float32)
     excess = both * (costs[1] / np.maximum(counts[1], 0.5) - costs[0] / np.maximum(counts[0], 0.5))
-    window = (ORDER_WINDOW, ORDER_WINDOW)
+    window = (OBJECTS.order_window, OBJECTS.order_window)
     mean_excess = excess.sum(dtype=np.float64) / max(both.sum(dtype=np.float64), 1)
-    return cv2.boxFilter(excess, -1, window, normalize=False) + GLOBAL_ORDER * mean_excess > 1e-3
+    return (
+        cv2.boxFilter(excess, -1, window, normalize=False)
+        + OBJECTS.global_order_pixels * mean_excess
+        > 1e-3
+    )
 
 
 def _targets(flow: np.ndarray) -> np.ndarray:
@@ -212,10 +200,10 @@ def _sums_at_targets(
     The sums are the number of pixels, their cost, and the additional cost if they were occluded,
     with bilinear weights. The margin takes pixels that leave the image.
     """
-    height, width = np.add(labels.shape, MARGINS)
+    height, width = np.add(labels.shape, TARGET_MARGIN)
     targets, count = _targets(_flow_of_labels(flows, labels)), len(flows)
     target_sums = np.empty((3, count, height * width), np.float32)
-    rows = max(1, STRIP // labels.shape[1])
+    rows = max(1, STRIP_PIXELS // labels.shape[1])
     for label in range(count):
         sums = np.zeros((3, height * width))
         for first in range(0, len(labels), rows):

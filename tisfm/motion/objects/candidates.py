@@ -14,19 +14,7 @@ from tisfm.camera import Camera
 from tisfm.kernels.model.constants import NEAREST
 from tisfm.motion.egomotion import TooFewPixelsError, camera_motion, triangulate
 from tisfm.motion.objects.label_optimisation import Potts
-
-# All of these were set by hand.
-PIXELS = 40_000  # of the reduced flow that is searched; boundaries are refined later
-TOLERATED_RESIDUALS = 3.0  # residuals of the background that a flow may be off,
-TOLERATED_PX = 0.02  # plus as many px
-UNEXPLAINED = 3.0  # tolerated errors: root of the cost of a pixel that no motion explains
-SMALLEST_OBJECT = 0.002  # share of the pixels
-LEAST_EXPLAINED = 0.3  # share of a candidate's pixels that its motion explains
-# Median distance of a part under its own motion over that under the common motion, at most, if the
-# part gets its own motion.
-LARGEST_RATIO = 0.6
-FASTEST_SPIN = 0.2  # rad/frame, relative to the background
-LEAST_WEIGHT = 0.02  # of a pixel while labels are assigned
+from tisfm.motion.objects.settings import OBJECTS
 
 
 def motion_candidates(
@@ -48,7 +36,7 @@ def motion_candidates(
     Returns motions, list of (3, 4) array: the background first; labels, (H, W) int32.
     """
     height, width = trust.shape
-    scale = min(1.0, (PIXELS / (height * width)) ** 0.5)
+    scale = min(1.0, (OBJECTS.candidate_pixels / (height * width)) ** 0.5)
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     ratio = size[0] / width
     small_flow = cv2.resize(flow, size, interpolation=cv2.INTER_AREA) * np.float32(ratio)
@@ -59,7 +47,7 @@ def motion_candidates(
         small_trust,
         camera.scaled(ratio, height, width),
         cv2.resize(frame, size, interpolation=cv2.INTER_AREA),
-        TOLERATED_RESIDUALS * residual * ratio + TOLERATED_PX,
+        OBJECTS.error_residuals * residual * ratio + OBJECTS.error_px,
         np.array(background, np.float64),
     )
     motions, labels = search.run(max_motions)
@@ -85,7 +73,7 @@ class _CandidateSearch:
         self._background = background
         self._max_error = max_error
         self._potts = Potts(frame)
-        self._weight = np.maximum(trust, LEAST_WEIGHT)
+        self._weight = np.maximum(trust, OBJECTS.min_label_weight)
         self.min_size = smallest_object(trust.size)
 
     def run(self, max_motions: int) -> tuple[list[np.ndarray], np.ndarray]:
@@ -125,7 +113,9 @@ class _CandidateSearch:
                 if own_motion is None or len(motions) + len(added) == max_motions:
                     continue
                 own_distance = self._distance(own_motion)
-                if np.median(own_distance[part]) < LARGEST_RATIO * np.median(joint_distance[part]):
+                if np.median(own_distance[part]) < OBJECTS.max_split_ratio * np.median(
+                    joint_distance[part]
+                ):
                     added.append(own_motion)
                     rest_mask &= ~part
             rest_motion = self._fit(rest_mask)
@@ -136,8 +126,10 @@ class _CandidateSearch:
         self, motions: list[np.ndarray], motion: np.ndarray, part: np.ndarray
     ) -> list[np.ndarray] | None:
         """Return all motions and one more, refitted to their pixels; None if it explains few."""
-        is_explained = (self._distance(motion) < self._max_error * UNEXPLAINED) & part
-        if is_explained.sum() < max(LEAST_EXPLAINED * part.sum(), self.min_size):
+        is_explained = (
+            self._distance(motion) < self._max_error * OBJECTS.unexplained_errors
+        ) & part
+        if is_explained.sum() < max(OBJECTS.min_explained_share * part.sum(), self.min_size):
             return None
         motions = [*motions, motion]
         labels = self._labels(motions)
@@ -158,15 +150,15 @@ class _CandidateSearch:
             return None
         # No object spins faster between frames: such a motion fits noise.
         spin = Rotation.from_matrix(motion.rotation @ self._background[:, :3].T).magnitude()
-        if spin > FASTEST_SPIN:
+        if spin > OBJECTS.max_rotation:
             return None
         return np.column_stack([motion.rotation, motion.translation])
 
     def _labels(self, motions: list[np.ndarray], *, unexplained: bool = False) -> np.ndarray:
         costs = [(self._distance(motion) / self._max_error) ** 2 for motion in motions]
         if unexplained:
-            costs.append(np.full(self._trust.shape, UNEXPLAINED**2))
-        stacked = np.minimum(np.stack(costs), 4 * UNEXPLAINED**2)
+            costs.append(np.full(self._trust.shape, OBJECTS.unexplained_errors**2))
+        stacked = np.minimum(np.stack(costs), 4 * OBJECTS.unexplained_errors**2)
         return self._potts.assign(stacked.astype(np.float32), self._weight)
 
     def _distance(self, motion: np.ndarray) -> np.ndarray:
@@ -191,7 +183,7 @@ class _CandidateSearch:
 
 def smallest_object(pixels: int) -> int:
     """Return the fewest pixels of an object, in an image of so many pixels."""
-    return max(64, round(SMALLEST_OBJECT * pixels))
+    return max(64, round(OBJECTS.min_object_share * pixels))
 
 
 def _parts(mask: np.ndarray, min_size: int) -> list[np.ndarray]:
@@ -211,16 +203,7 @@ def _largest_part(mask: np.ndarray) -> np.ndarray:
     return parts == 1 + int(np.argmax(statistics[1:, cv2.CC_STAT_AREA]))
 
 
-PIXELS = 40_000  # most pixels of the depth map, which is reduced if it has more
-MEDIAN, BRIDGE = 5, 3  # px of that map: windows of a median, and across gaps below an object
-JOINED = 9  # px of that map: window that joins parts
-SURE = 2.0  # standard deviations between inverse depth and its upper and lower limits
-# Least inverse depth of a part relative to that around it; hanging lamps and leaves have less.
-NEARER = 1.3
-GROUND = 0.9  # least inverse depth at the border below a part, relative to that around the part
-LOWEST = 3  # rows at the lower border that are taken for the ground
-MOST_PARTS = 255  # parts
-FAINTEST_DEPTH = 0.05  # of the median: least inverse depth of the surroundings
+MAX_PARTS = 255  # floating parts, numbered in uint8
 
 
 def floating_parts(
@@ -233,10 +216,10 @@ def floating_parts(
     From each point of a standing object, a path over the object and the ground leads to the border
     of the image, and no point of the path is much farther away than the first. Morphological
     reconstruction by dilation from the border gives the farthest point of the best path: it is the
-    inverse depth with all domes cut off. A part floats if its inverse depth is `NEARER` times as
-    large, by lower and upper limits of `SURE` deviations, and if the ground below it comes nearer
-    or at least does not recede. Objects that touch the border never float. Objects that hang from
-    above, or are tall and seen from straight above, wrongly seem to float.
+    inverse depth with all domes cut off. A part floats if its inverse depth is `min_nearness_ratio`
+    times as large, by lower and upper limits of `depth_deviations` deviations, and if the ground
+    below it comes nearer or at least does not recede. Objects that touch the border never float.
+    Objects that hang from above, or are tall and seen from straight above, wrongly seem to float.
 
     References
     ----------
@@ -244,27 +227,36 @@ def floating_parts(
     Image Processing 2 (1993) 176, doi 10.1109/83.217222.
     """
     height, width = inverse_depth.shape
-    scale = min(1.0, (PIXELS / (height * width)) ** 0.5)
+    scale = min(1.0, (OBJECTS.map_pixels / (height * width)) ** 0.5)
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     depth, margin = (
-        cv2.medianBlur(cv2.resize(image, size, interpolation=cv2.INTER_AREA), MEDIAN)
-        for image in (inverse_depth.astype(np.float32), SURE * deviation.astype(np.float32))
+        cv2.medianBlur(
+            cv2.resize(image, size, interpolation=cv2.INTER_AREA), OBJECTS.map_median_window
+        )
+        for image in (
+            inverse_depth.astype(np.float32),
+            OBJECTS.depth_deviations * deviation.astype(np.float32),
+        )
     )
-    min_depth = FAINTEST_DEPTH * float(np.median(np.abs(depth)))
+    min_depth = OBJECTS.min_surrounding_depth * float(np.median(np.abs(depth)))
     upper_limit = np.maximum(depth + margin, min_depth)
-    surroundings = without_domes(cv2.dilate(upper_limit, np.ones((BRIDGE, BRIDGE), np.uint8)))
-    is_in_front = (depth - margin > NEARER * surroundings).astype(np.uint8)
-    parts = cv2.connectedComponents(cv2.dilate(is_in_front, np.ones((JOINED, JOINED), np.uint8)))[1]
+    surroundings = without_domes(
+        cv2.dilate(upper_limit, np.ones((OBJECTS.gap_window, OBJECTS.gap_window), np.uint8))
+    )
+    is_in_front = (depth - margin > OBJECTS.min_nearness_ratio * surroundings).astype(np.uint8)
+    parts = cv2.connectedComponents(
+        cv2.dilate(is_in_front, np.ones((OBJECTS.joining_window, OBJECTS.joining_window), np.uint8))
+    )[1]
     parts *= is_in_front
     areas = np.bincount(parts.ravel())
     areas[0] = 0
     floating = np.zeros(parts.shape, np.uint8)
     for part in np.argsort(-areas, kind="stable"):
         is_part = parts == part
-        if areas[part] < min_size * scale**2 or floating.max() == MOST_PARTS:
+        if areas[part] < min_size * scale**2 or floating.max() == MAX_PARTS:
             break
-        ground = upper_limit[-LOWEST:, is_part.any(axis=0)]
-        if np.median(ground) >= GROUND * np.median(surroundings[is_part]):
+        ground = upper_limit[-OBJECTS.ground_rows :, is_part.any(axis=0)]
+        if np.median(ground) >= OBJECTS.min_ground_ratio * np.median(surroundings[is_part]):
             floating[is_part] = floating.max() + 1
     return cv2.resize(floating, (width, height), interpolation=cv2.INTER_NEAREST).astype(np.int32)
 

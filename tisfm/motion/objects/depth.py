@@ -13,30 +13,24 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.motion.camera import CARRIED_RANGE
 from tisfm.motion.egomotion import triangulate
 from tisfm.motion.estimate import Estimate
 from tisfm.motion.objects.layers import fill_nearest
-from tisfm.motion.plane_sweep import COMMON
+from tisfm.motion.objects.settings import OBJECTS
 from tisfm.motion.rigid_depth import (
     RigidSolution,
     motion_precision,
     rigid_depth,
     scaled_translations,
 )
+from tisfm.motion.settings import DEPTH
 from tisfm.motion.textureless_depth import (
-    MOST_TEXTURELESS,
     TexturelessSolution,
     textureless_depth,
     textureless_share,
 )
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
-
-# Of the longer side: largest distance of a label's flow (median) and of a pixel's flow from the
-# flow of the layer.
-LABEL_AWAY, PIXEL_AWAY = 0.01, 0.05
-FEW = 0.02  # of the pixels: if more diverge, the whole pair has diverged, and pixels stay
 
 
 def restore_diverged_depth(
@@ -60,7 +54,7 @@ def restore_diverged_depth(
     diverged = [
         label
         for label in range(1, len(motions))
-        if np.median(difference[labels == label]) > LABEL_AWAY * side
+        if np.median(difference[labels == label]) > OBJECTS.max_label_difference * side
     ]
     is_restored = np.isin(labels, diverged)
     if diverged:
@@ -68,8 +62,8 @@ def restore_diverged_depth(
             solution, motions, labels, expected, diverged, pyramid.cameras[0]
         )
         difference = _flow_difference(estimate_of(solution), expected)
-    is_diverged = difference > PIXEL_AWAY * side
-    if 0 < is_diverged.mean() <= FEW:
+    is_diverged = difference > OBJECTS.max_pixel_difference * side
+    if 0 < is_diverged.mean() <= OBJECTS.max_diverged_share:
         depth = solution.inverse_depth.copy()
         for label in np.unique(labels[is_diverged]):
             is_label, is_reliable = labels == label, (labels == label) & ~is_diverged
@@ -133,9 +127,6 @@ def _flow_difference(estimate: Estimate, expected: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(difference), difference, np.inf)
 
 
-RIM = 7  # px: window that erodes the background, as windows across its boundary mix depths
-
-
 def carry_background_depth(
     pyramid: ImagePyramid,
     settings: Settings,
@@ -155,14 +146,20 @@ def carry_background_depth(
     """
     if (
         textureless_share(pyramid.frames0[pyramid.last], pyramid.counted0(pyramid.last))
-        < MOST_TEXTURELESS
+        < DEPTH.min_textureless_share
     ):
         return None
     background = labels == 0
-    low, high = np.percentile(solution.inverse_depth[background], COMMON)
-    if not high - low >= CARRIED_RANGE * max(labels.shape):
+    low, high = np.percentile(solution.inverse_depth[background], DEPTH.range_percentiles)
+    if not high - low >= DEPTH.min_carried_range * max(labels.shape):
         return None
-    core = cv2.erode(background.astype(np.uint8), np.ones((RIM, RIM), np.uint8)) > 0
+    core = (
+        cv2.erode(
+            background.astype(np.uint8),
+            np.ones((OBJECTS.background_rim, OBJECTS.background_rim), np.uint8),
+        )
+        > 0
+    )
     motions = solution.motions.copy()
     motions[0] = scaled_translations(motion[None], labels, pyramid.cameras[0])[0]
     carried = textureless_depth(pyramid, settings, motions[0], support=core)
@@ -198,11 +195,6 @@ def _resize_precision(carried: TexturelessSolution, other: RigidSolution) -> np.
     units = (area, area, area, 1 / area, 1 / area, 1 / area, 1 / area)
     channels = zip(carried.precision, units, strict=True)
     return np.stack([cv2.resize(channel, size) * unit for channel, unit in channels])
-
-
-APART = 3  # px: distance from the boundary at which depths are read, on both sides
-FEWEST_COLUMNS = 8  # least number of columns of a contact
-LOWEST = 0.5  # of an object's rows: only the lower half touches the floor
 
 
 def align_scales(
@@ -254,8 +246,12 @@ def contact_scale(
         return None
     rows = np.flatnonzero(is_object.any(axis=1))
     lowest = height - 1 - is_object[::-1].argmax(axis=0)[columns]
-    above, below = lowest - APART, lowest + APART
-    is_low = (lowest >= rows[0] + LOWEST * (rows[-1] - rows[0])) & (below < height) & (above >= 0)
+    above, below = lowest - OBJECTS.contact_distance, lowest + OBJECTS.contact_distance
+    is_low = (
+        (lowest >= rows[0] + OBJECTS.min_contact_height * (rows[-1] - rows[0]))
+        & (below < height)
+        & (above >= 0)
+    )
     columns, above, below = columns[is_low], above[is_low], below[is_low]
     is_contact = (labels[below, columns] == 0) & is_object[above, columns]
     is_contact &= ~hidden[below, columns] & ~hidden[above, columns]
@@ -267,4 +263,4 @@ def contact_scale(
     is_known = (object_depth != 0) & np.isfinite(object_depth) & np.isfinite(background_depth)
     ratio = background_depth[is_known] / object_depth[is_known]
     ratio = ratio[ratio > 0]
-    return float(np.median(ratio)) if len(ratio) >= FEWEST_COLUMNS else None
+    return float(np.median(ratio)) if len(ratio) >= OBJECTS.min_contact_columns else None

@@ -8,23 +8,20 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.motion.camera import first_motion_estimate
 from tisfm.motion.estimate import Estimate, with_depth
-from tisfm.motion.first_motion import STILL, FirstMotion, first_motion, matched_motion
+from tisfm.motion.first_motion import FirstMotion, first_motion, matched_motion
 from tisfm.motion.objects.boundaries import sharpen_labels
 from tisfm.motion.objects.candidates import motion_candidates, smallest_object
 from tisfm.motion.objects.depth import align_scales, carry_background_depth, restore_diverged_depth
 from tisfm.motion.objects.layers import Layering, Layers, remove_specks
+from tisfm.motion.objects.settings import OBJECTS
 from tisfm.motion.problems import pyramid_of
 from tisfm.motion.rigid_depth import RigidSolution
+from tisfm.motion.settings import EGOMOTION
 from tisfm.motion.sparse_start import sparse_start
 from tisfm.settings import MOST_SMOOTHNESS, Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.status import Status
 from tisfm.visibility.occlusion import leaves_image, occlusion_in
-
-# Factor of depth smoothness. Objects show less parallax than a static scene, so their depth has
-# more noise.
-SMOOTHER = 4 / 3
-PIXELS = 2**16  # least pixels of the level on which motions and their pixels are found
 
 
 def objects_estimate(
@@ -42,8 +39,8 @@ def objects_estimate(
     needed and where their boundaries lie (`layers`). Parts that would float at rest are added
     (`floating_parts`), and boundaries are made sharp (`boundaries`). Then depth and motions are
     estimated jointly, as for one motion (`tisfm.motion.rigid_depth`), and diverged labels and
-    pixels are restored (`unstable_depth`). If much of the frame has no texture, depth of the
-    background is carried across (`background`).
+    pixels are restored (`restore_diverged_depth`). If much of the frame has no texture, depth of the
+    background is carried across (`carry_background_depth`).
     """
     # A wrong label is worse than a wrong depth, so flow and surfaces get more iterations.
     settings = replace(
@@ -54,7 +51,7 @@ def objects_estimate(
         sweeps=max(settings.sweeps, 8),
     )
     camera = pyramid.cameras[0]
-    start = first_motion(pyramid, settings, min_pixels=PIXELS)
+    start = first_motion(pyramid, settings, min_pixels=OBJECTS.min_pixels)
     if start.status == "unrelated" and not start.is_cut:
         start = first_motion(pyramid, settings) if start.level > 0 else start
         if start.status == "unrelated":
@@ -87,7 +84,9 @@ def objects_estimate(
         pyramid,
         replace(
             settings,
-            depth_smoothness=min(SMOOTHER * settings.depth_smoothness, MOST_SMOOTHNESS),
+            depth_smoothness=min(
+                OBJECTS.smoothness_factor * settings.depth_smoothness, MOST_SMOOTHNESS
+            ),
         ),
         np.stack([motions[k] for k in order]),
         labels,
@@ -144,7 +143,7 @@ def _sharpen_levels(
     """
     labels, flows = layers.labels, layers.flows
     if not layers.motions[0][:, 3].any():
-        min_difference = max(STILL, 3 * residual) * pyramid.scales[level]
+        min_difference = max(EGOMOTION.max_still_flow, 3 * residual) * pyramid.scales[level]
         labels = np.where(_moves_like_background(layers, min_difference), 0, labels)
     for k in range(level, -1, -1):
         shape = pyramid.frames0[k].shape
@@ -187,9 +186,6 @@ def _moves_like_background(layers: Layers, min_difference: float) -> np.ndarray:
     return np.linalg.norm(own_flow - layers.flows[0], axis=0) < min_difference
 
 
-BEYOND = 15  # px: window around a pixel outside frame 1 in which the flow is unreliable
-
-
 def wide_baseline_motion(
     pyramid: ImagePyramid,
     settings: Settings,
@@ -226,7 +222,13 @@ def wide_baseline_motion(
     leaves = leaves_image(
         np.moveaxis(cv2.perspectiveTransform(positions, homography) - positions, -1, 0)
     )
-    hidden = cv2.dilate(leaves.astype(np.uint8), np.ones((BEYOND, BEYOND), np.uint8)) > 0
+    hidden = (
+        cv2.dilate(
+            leaves.astype(np.uint8),
+            np.ones((OBJECTS.outside_window, OBJECTS.outside_window), np.uint8),
+        )
+        > 0
+    )
     flow_motion = first_motion(
         pyramid_of(grey0, rotated1, camera, settings, _rotated_valid_pixels(pyramid, homography)),
         settings,

@@ -11,12 +11,13 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.kernels.layout.images import image_to_lanes
+from tisfm.motion.objects.settings import OBJECTS
 from tisfm.runtime import lane_grid
 from tisfm.solver.half_quadratic import Effort, HalfQuadratic
 from tisfm.solver.smoothness import FAINTEST_EDGE, Smoothness, image_edges_in_lanes, mean_step
 from tisfm.solver.unknowns import Unknowns
 
-SMOOTHNESS = Smoothness(
+POTTS_SMOOTHNESS = Smoothness(
     alpha=20.0,
     contrast=0.05,  # step of a label's share above which the regulariser is total variation
     stiffness=(1.0,),
@@ -25,7 +26,9 @@ SMOOTHNESS = Smoothness(
 )
 
 
-EFFORT = Effort(outer_iterations=12, sweeps=10, relaxation=1.9, tolerance=5e-3, solver="cholesky")
+POTTS_EFFORT = Effort(
+    outer_iterations=12, sweeps=10, relaxation=1.9, tolerance=5e-3, solver="cholesky"
+)
 
 
 class Potts:
@@ -47,14 +50,14 @@ class Potts:
         self,
         frame: np.ndarray,  # (H, W) float32: grey levels
         *,
-        # Sampling density of the frame over that of the frames that `SMOOTHNESS` is for. It scales
-        # the weight of boundaries: in a smaller frame, costs fall with the area, boundaries only
-        # with the length.
+        # Sampling density of the frame over that of the frames for which `POTTS_SMOOTHNESS` was
+        # set. It scales the weight of boundaries: in a smaller frame, costs fall with the area,
+        # boundaries only with the length.
         density: float = 1.0,
     ) -> None:
-        self._smoothness = replace(SMOOTHNESS, alpha=SMOOTHNESS.alpha * density)
+        self._smoothness = replace(POTTS_SMOOTHNESS, alpha=POTTS_SMOOTHNESS.alpha * density)
         self._grid = lane_grid(*frame.shape)
-        self._edges = image_edges_in_lanes(self._grid, frame, SMOOTHNESS.image_edges)
+        self._edges = image_edges_in_lanes(self._grid, frame, POTTS_SMOOTHNESS.image_edges)
 
     def assign(
         self,
@@ -85,7 +88,11 @@ class Potts:
                 grid, np.ascontiguousarray(values, np.float32), constraints, component=component
             )
         minimiser = HalfQuadratic(
-            unknowns, constraints, scales=(math.inf,), smoothness=self._smoothness, effort=EFFORT
+            unknowns,
+            constraints,
+            scales=(math.inf,),
+            smoothness=self._smoothness,
+            effort=POTTS_EFFORT,
         )
         minimiser.update()
         minimiser.minimise()
@@ -93,8 +100,7 @@ class Potts:
 
 
 # Steps to the eight neighbours; the steps of indices k and k ^ 1 are opposite.
-STEPS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 1))
-ITERATIONS = 15
+NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 1))
 
 
 class MinSum:
@@ -130,7 +136,7 @@ class MinSum:
         padded = np.pad(frame, 1)
         grey = padded[rows + 1, columns + 1]
         self._neighbours, self._costs, self._fixed = [], [], []
-        for down, right in STEPS:
+        for down, right in NEIGHBOURS:
             neighbour = rows + 1 + down, columns + 1 + right
             distance = np.hypot(down, right)
             # With this factor, axis-aligned and diagonal boundaries cost their length.
@@ -153,8 +159,8 @@ class MinSum:
         label_numbers = np.arange(count)[:, None]
         for (pixels, rows, columns), cost in zip(self._fixed, self._costs, strict=True):
             total[:, pixels] += cost[pixels] * (labels[rows, columns] != label_numbers)
-        messages = np.zeros((len(STEPS), *total.shape), np.float32)
-        for _ in range(ITERATIONS):
+        messages = np.zeros((len(NEIGHBOURS), *total.shape), np.float32)
+        for _ in range(OBJECTS.message_rounds):
             for step, (neighbour, cost) in enumerate(
                 zip(self._neighbours, self._costs, strict=True)
             ):

@@ -12,14 +12,15 @@ import numpy as np
 from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
 from tisfm.motion.objects.candidates import floating_parts, smallest_object
 from tisfm.motion.objects.label_optimisation import Potts
+from tisfm.motion.objects.settings import OBJECTS
 from tisfm.motion.rigid_depth import (
     RigidSolution,
     motion_residual,
     rigid_depth,
     scaled_translations,
 )
+from tisfm.motion.settings import DEPTH
 from tisfm.motion.textureless_depth import (
-    MOST_TEXTURELESS,
     texture_weight,
     textureless_depth,
     textureless_share,
@@ -28,16 +29,6 @@ from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.visibility.confidence import QUIET, QUIET_GREY
 from tisfm.visibility.occlusion import leaves_image, occlusion_in
-
-LAYER_WINDOW = 5  # px: side of the windows that average residuals and erode masks of layers
-COST_UNIT = 3.0  # median residuals in a unit of cost
-TRUNCATED = 16.0  # units: largest cost of a pixel
-UNREACHED = 2 * TRUNCATED  # units: cost of a layer outside its reach
-MARGIN = 0.02  # of the longer side: how far the reach of a floating part extends beyond it
-HIDDEN, SEEN = 0.01, 0.5  # weights of occluded and of visible pixels
-CHANGED = 0.03  # of a surface's pixels: with fewer changes it is not fitted anew
-GAIN = 0.3  # units for each pixel of the smallest object: least gain of a needed motion
-PIXEL_GAIN = 0.2  # units for each pixel of the layer: a motion spread over a background gains less
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +78,7 @@ class Layering:
         self._min_residual = QUIET if settings.depth_normalization is not None else QUIET_GREY
         self.min_size = smallest_object(grey0.size)
         frame, counted = pyramid.frames0[pyramid.last], pyramid.counted0(pyramid.last)
-        is_textureless = textureless_share(frame, counted) >= MOST_TEXTURELESS
+        is_textureless = textureless_share(frame, counted) >= DEPTH.min_textureless_share
         self._weight = np.ones_like(grey0)
         if is_textureless:
             self._weight = texture_weight(grey0, counted=pyramid.counted0(0))
@@ -121,16 +112,20 @@ class Layering:
             median_residual = float(
                 np.median(own_residual if counted is None else own_residual[counted])
             )
-            unit = COST_UNIT * max(median_residual, self._min_residual**2)
-            costs = np.minimum(stacked / unit, TRUNCATED)
+            unit = OBJECTS.cost_unit * max(median_residual, self._min_residual**2)
+            costs = np.minimum(stacked / unit, OBJECTS.max_layer_cost)
             # Where a layer's flow leaves the image, it takes the least cost of the other layers.
             leaves = np.stack([leaves_image(flow) for flow in flows])
-            min_cost = np.where(leaves, np.inf, costs).min(axis=0).clip(None, TRUNCATED)
+            min_cost = (
+                np.where(leaves, np.inf, costs).min(axis=0).clip(None, OBJECTS.max_layer_cost)
+            )
             costs = np.where(leaves, min_cost, costs).astype(np.float32)
-            costs[~allowed] = UNREACHED
+            costs[~allowed] = OBJECTS.forbidden_layer_cost
             own_flow = np.take_along_axis(stacked_flows, labels[None, None], axis=0)[0]
             hidden = occlusion_in(self._pyramid, own_flow, self._settings)
-            weight = np.where(hidden, HIDDEN, SEEN).astype(np.float32)
+            weight = np.where(hidden, OBJECTS.hidden_weight, OBJECTS.visible_weight).astype(
+                np.float32
+            )
             labels = self._potts.assign(costs, weight)
         return Layers(
             motions=motions,
@@ -154,7 +149,7 @@ class Layering:
         if not parts:
             return layers
         labels = layers.labels.copy()
-        margin = 1 + 2 * round(MARGIN * max(labels.shape))
+        margin = 1 + 2 * round(OBJECTS.floating_margin * max(labels.shape))
         window = np.ones((margin, margin), np.uint8)
         allowed = list(layers.allowed)
         for part in parts:
@@ -196,7 +191,9 @@ class Layering:
     def _remove_layer(self, layers: Layers, label: int) -> Layers:
         """Return the layers without one layer, the others fitted anew."""
         others = [k for k in range(len(layers.motions)) if k != label]
-        weight = np.where(layers.hidden, HIDDEN, SEEN).astype(np.float32)
+        weight = np.where(layers.hidden, OBJECTS.hidden_weight, OBJECTS.visible_weight).astype(
+            np.float32
+        )
         return self.fit(
             [layers.motions[k] for k in others],
             self._potts.assign(layers.costs[others], weight),
@@ -228,7 +225,9 @@ class Layering:
     def _gain_ratio(self, gain: np.ndarray, mask: np.ndarray) -> float:
         """Return the gain of the pixels `mask` over the least gain of a needed layer."""
         total = float((self._weight * gain)[mask].sum())
-        return total / max(GAIN * self.min_size, PIXEL_GAIN * int(mask.sum()))
+        return total / max(
+            OBJECTS.min_object_gain * self.min_size, OBJECTS.min_pixel_gain * int(mask.sum())
+        )
 
     def _carried_cost(self, layers: Layers) -> np.ndarray:
         """Return the background's cost with carried depth, (H, W); inf where there is none."""
@@ -243,8 +242,12 @@ class Layering:
         if carried is None:
             return np.full(is_background.shape, np.inf, np.float32)
         residual, flow = self._residual(carried)
-        cost = cv2.blur(residual, (LAYER_WINDOW, LAYER_WINDOW)) / np.float32(layers.unit)
-        return np.where(is_background & ~leaves_image(flow), np.minimum(cost, TRUNCATED), np.inf)
+        cost = cv2.blur(residual, (OBJECTS.layer_window, OBJECTS.layer_window)) / np.float32(
+            layers.unit
+        )
+        return np.where(
+            is_background & ~leaves_image(flow), np.minimum(cost, OBJECTS.max_layer_cost), np.inf
+        )
 
     def refit_motions(
         self, layers: Layers, flow: np.ndarray, trust: np.ndarray
@@ -278,13 +281,13 @@ class Layering:
         A surface that was fitted on nearly the same pixels is reused.
         """
         surfaces = self._surfaces.setdefault(motion.tobytes(), [])
-        max_changes = CHANGED * np.count_nonzero(support)
+        max_changes = OBJECTS.max_support_change * np.count_nonzero(support)
         for surface in reversed(surfaces):
             if np.count_nonzero(surface.support ^ support) <= max_changes:
                 return surface
         solution = self._fit_depth(motion, support)
         residual, flow = self._residual(solution)
-        mean_residual = cv2.blur(residual, (LAYER_WINDOW, LAYER_WINDOW))
+        mean_residual = cv2.blur(residual, (OBJECTS.layer_window, OBJECTS.layer_window))
         surfaces.append(
             _Surface(support=support, solution=solution, residual=mean_residual, flow=flow)
         )
@@ -350,7 +353,12 @@ def fill_nearest(values: np.ndarray, is_known: np.ndarray) -> np.ndarray:
 
 def _core(mask: np.ndarray) -> np.ndarray:
     """Return a mask without its rim, or the whole mask if less than 64 pixels would be left."""
-    core = cv2.erode(mask.astype(np.uint8), np.ones((LAYER_WINDOW, LAYER_WINDOW), np.uint8)) > 0
+    core = (
+        cv2.erode(
+            mask.astype(np.uint8), np.ones((OBJECTS.layer_window, OBJECTS.layer_window), np.uint8)
+        )
+        > 0
+    )
     return core if core.sum() >= 64 else mask
 
 

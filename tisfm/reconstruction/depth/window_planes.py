@@ -12,14 +12,10 @@ from tisfm.kernels.rigid.patch_match import STEEPEST
 from tisfm.kernels.rigid.view_search import MOST_BEST, ViewSearch
 from tisfm.kernels.rigid.windows import LEVELS
 from tisfm.motion.matched_planes import (
-    LARGEST,
-    LEAST,
-    MOST,
-    QUIETEST,
-    SEEN,
     grey_scale,
     noise_deviation,
 )
+from tisfm.motion.settings import DEPTH
 from tisfm.solver.image_pyramid import gaussian_pyramid, smooth
 
 # Values without a stated source were set by hand.
@@ -128,9 +124,9 @@ class Window:
         self.motions[:, :, 3] /= self.unit
         self.size = key.shape
         axes_depth = float(np.median([_axes_meeting_depth(motion) for motion in self.motions]))
-        self.largest = LARGEST * max(height, width) + camera.focal * axes_depth
+        self.largest = DEPTH.max_plane_depth * max(height, width) + camera.focal * axes_depth
         self.finest = self.level = 0
-        while height * width >> 2 * self.finest > MOST:
+        while height * width >> 2 * self.finest > DEPTH.max_plane_pixels:
             self.finest += 1
         while height * width >> 2 * self.level > cells or self.level < self.finest:
             self.level += 1
@@ -208,9 +204,9 @@ class Window:
             stride=stride,
             center=camera.center_for(*frames[0].shape),
             focal=camera.focal,
-            noise=max(density * noise, QUIETEST),
-            seen=SEEN,
-            least=scale * LEAST,
+            noise=max(density * noise, DEPTH.min_coarse_noise),
+            seen=DEPTH.min_window_variance,
+            least=scale * DEPTH.min_plane_depth,
             largest=scale * self.largest,
         )
 
