@@ -182,7 +182,7 @@ class SparseSettings:
     depth_margin: float = 1.5  # largest D of the sweep relative to that percentile
     min_hypotheses: int = 4
     min_correlation_gain: float = 0.01  # of the mean: with less, two motions are equally good
-    # plane_ambiguity
+    # homographies
     plane_samples: int = 400  # rays that a homography is fitted to, about
     plane_rounds: int = 4  # of robust weights
     # distances from a homography's points over those from epipolar lines, for a plane. The former
@@ -210,7 +210,6 @@ class ProposalSettings:
     min_wide_span: float = 4.0  # px
     near_span: float = 4.0  # px: span of the other draws
     span_shrinkage: float = 0.6  # factor of this span after every round
-    # residual_comparison
     max_residual: float = 5.0  # deviations of the noise, at which residuals are clipped
     # flow_proposals
     max_pixels: int = 2**18  # of the level whose flow is corrected
@@ -237,7 +236,7 @@ class ProposalSettings:
     max_flow_slope: float = 0.5
     fill_passes: int = 6  # of filling from known pixels, along rows and columns
     edge_distance: float = 0.33  # mean grey steps that count as one pixel of distance in filling
-    # fast_areas: areas are larger on the judged level by the size of the windows
+    # fast_objects; areas are larger on the judged level by the size of the windows
     min_judged_area: int = 24  # px of the judged level
     min_corrected_area: int = 50  # px of the corrected level
     min_judged_speed: float = 0.25  # motion over the square root of the area
@@ -251,7 +250,6 @@ class ProposalSettings:
     # of the search (`max_wide_span`), and wrong ones by 0.5.
     max_object_motion: float = 0.4
     object_draws: int = 2**15  # random displacements in each round, near a suspected object
-    # fast_objects
     outside_margin: int = 5  # px outside an outline within which a new one is searched
     inside_margin: int = 2  # px inside it
     outline_window: int = 3  # px: side of the square whose residuals assign a pixel

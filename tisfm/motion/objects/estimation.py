@@ -39,8 +39,8 @@ def objects_estimate(
     needed and where their boundaries lie (`layers`). Parts that would float at rest are added
     (`floating_parts`), and boundaries are made sharp (`boundaries`). Then depth and motions are
     estimated jointly, as for one motion (`tisfm.motion.rigid_depth`), and diverged labels and
-    pixels are restored (`restore_diverged_depth`). If much of the frame has no texture, depth of the
-    background is carried across (`carry_background_depth`).
+    pixels are restored (`restore_diverged_depth`). If much of the frame has no texture, depth of
+    the background is carried across (`carry_background_depth`).
     """
     # A wrong label is worse than a wrong depth, so flow and surfaces get more iterations.
     settings = replace(

@@ -12,7 +12,6 @@ class ObjectSettings:
     # has more noise
     smoothness_factor: float = 4 / 3
     min_pixels: int = 2**16  # of the level on which motions and their pixels are searched
-    # wide_baseline
     outside_window: int = 15  # px around a pixel outside frame 1, in which flow is unreliable
     # candidates
     candidate_pixels: int = 40_000  # of the reduced flow; boundaries are refined later
@@ -26,6 +25,16 @@ class ObjectSettings:
     max_split_ratio: float = 0.6
     max_rotation: float = 0.2  # rad/frame, relative to the background
     min_label_weight: float = 0.02  # of a pixel while labels are assigned
+    map_pixels: int = 40_000  # of a depth map in which floating parts are searched
+    map_median_window: int = 5  # px
+    gap_window: int = 3  # px: across gaps below an object
+    joining_window: int = 9  # px: that joins parts
+    depth_deviations: float = 2.0  # between inverse depth and its upper and lower limits
+    # inverse depth of a part relative to that around it; hanging lamps and leaves have less
+    min_nearness_ratio: float = 1.3
+    min_ground_ratio: float = 0.9  # inverse depth at the border below a part over that around it
+    ground_rows: int = 3  # at the lower border, that are taken for the ground
+    min_surrounding_depth: float = 0.05  # of the median inverse depth
     # label_optimisation
     message_rounds: int = 15  # of belief propagation
     # layers; a unit is the unit of cost
@@ -39,17 +48,6 @@ class ObjectSettings:
     min_object_gain: float = 0.3  # units for each pixel of the smallest object
     # units for each pixel of the layer: a motion spread over a background gains less
     min_pixel_gain: float = 0.2
-    # floating_parts; px of the depth map, which is reduced to at most `map_pixels`
-    map_pixels: int = 40_000
-    map_median_window: int = 5  # px
-    gap_window: int = 3  # px: across gaps below an object
-    joining_window: int = 9  # px: that joins parts
-    depth_deviations: float = 2.0  # between inverse depth and its upper and lower limits
-    # inverse depth of a part relative to that around it; hanging lamps and leaves have less
-    min_nearness_ratio: float = 1.3
-    min_ground_ratio: float = 0.9  # inverse depth at the border below a part over that around it
-    ground_rows: int = 3  # at the lower border, that are taken for the ground
-    min_surrounding_depth: float = 0.05  # of the median inverse depth
     # boundaries
     boundary_reach: int = 4  # px that a boundary may move
     boundary_rounds: int = 2  # updates of the labels, each followed by one of the occlusions
