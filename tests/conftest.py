@@ -86,19 +86,34 @@ def folder_of_films(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def documented_files(tmp_path_factory):
-    """A folder with the files that the documentation names; one for all processes of a run."""
+def make_once(tmp_path_factory):
+    """Return a function that fills a new folder once for all processes of a run."""
+    base = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent
+
+    def make(name, fill):
+        """Return the folder of a name, which `fill(folder)` has filled; nobody writes into it."""
+        folder = base / "made_once" / name
+        complete = folder.with_suffix(".complete")
+        folder.parent.mkdir(exist_ok=True)
+        with FileLock(f"{folder}.lock"):
+            if not complete.exists():
+                shutil.rmtree(folder, ignore_errors=True)
+                folder.mkdir()
+                fill(folder)
+                complete.touch()
+        return folder
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def documented_files(make_once):
+    """A folder with the files that the documentation names."""
     from tests import documented
 
-    folder = tmp_path_factory.getbasetemp().parent / "documented"
-    done = folder / "done"
-    with FileLock(f"{folder}.lock"):
-        if not done.exists():
-            shutil.rmtree(folder, ignore_errors=True)
-            folder.mkdir()
-            documented.make(folder)
-            done.touch()
-    return folder
+    return make_once("documented", documented.make)
 
 
 @pytest.fixture

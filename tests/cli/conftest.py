@@ -35,7 +35,7 @@ def no_time_passes_for_forecasts(monkeypatch):
 
 
 class InThisProcess(Executor):
-    """Does each piece of work at once, here, with copies as another process has them."""
+    """Computes each item at once in this process, from a copy as another process gets it."""
 
     def submit(self, function, /, *arguments):
         done = Future()
@@ -48,10 +48,20 @@ class InThisProcess(Executor):
 
 @pytest.fixture(params=["here", pytest.param("processes", marks=pytest.mark.nightly)])
 def quick_workers(request, monkeypatch):
-    """Workers: this process in the short command, processes of their own in the nightly one."""
+    """Workers: this process in the short command, processes of their own in the nightly one.
+
+    The value lists the number of workers of each pool that was opened in this process.
+    """
+    pools = []
+
+    def open_executor(workers):
+        pools.append(workers)
+        return InThisProcess()
+
     if request.param == "here":
         runtime.start()  # with all threads, before a piece starts it with its share
-        monkeypatch.setattr(pool, "_local_executor", lambda workers: InThisProcess())
+        monkeypatch.setattr(pool, "_local_executor", open_executor)
+    return pools
 
 
 @pytest.fixture
