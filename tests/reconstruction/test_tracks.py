@@ -29,7 +29,7 @@ def picture(shift):
 def test_tracks_follow_a_shift():
     tracker = Tracker(CAMERA, TRACKING_SETTINGS)
     first, second = (tracker.track(picture(shift)) for shift in ((0, 0), (3.25, -1.5)))
-    before, after = first.shared(second)
+    before, after = first.common_tracks(second)
     np.testing.assert_array_equal(first.tracks[before], second.tracks[after])
     there = first.points - (3.25, -1.5)
     inside = there[((there > 5) & (there < (314, 234))).all(axis=1)]
@@ -58,7 +58,7 @@ def test_tracks_are_the_same_along_image_motion_that_is_found_before():
     assert len(asked) == times
     misled = Tracker(CAMERA, TRACKING_SETTINGS)
     first = misled.track(frames[0])
-    here, _ = first.shared(misled.track(frames[1], flow=flow.flow_to(1) + 50))
+    here, _ = first.common_tracks(misled.track(frames[1], flow=flow.flow_to(1) + 50))
     assert len(here) < 0.1 * len(first.tracks)
 
 

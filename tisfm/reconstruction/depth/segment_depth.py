@@ -290,7 +290,7 @@ def choose_keyframes(
     keys = frames[:1] if previous is None else [previous]
     for frame in frames[bisect_right(frames, keys[0]) :]:
         last, current = observations[keys[-1]], observations[frame]
-        index0, index1 = last.shared(current)
+        index0, index1 = last.common_tracks(current)
         if len(index0) < max(1, MIN_KEPT_TRACKS * len(last.tracks)):
             keys.append(frame)
             continue

@@ -139,7 +139,7 @@ def _write_pairs(database: Any, pairs: Mapping[tuple[int, int], np.ndarray]) -> 
 
 def _shared(first: Observations, second: Observations) -> np.ndarray:
     """Return the indices in two views of the tracks that they share, (N, 2)."""
-    index0, index1 = first.shared(second)
+    index0, index1 = first.common_tracks(second)
     if len(index0) < MIN_SHARED_TRACKS:
         return np.empty((0, 2), np.intp)
     return np.stack([index0, index1], axis=1)

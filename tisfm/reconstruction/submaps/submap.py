@@ -150,7 +150,7 @@ class SubmapBuilder:
             groups=[[numbers[k] for k in some] for some in groups],
             points=points,
             shows=_by_group(shown, [int(some[-1]) for some in groups], len(points)),
-            tracks=model.points.among(np.concatenate([np.empty(0, np.int64), *twice])),
+            tracks=model.points.select(np.concatenate([np.empty(0, np.int64), *twice])),
             detected=_detected(shared, points, shown, numbers, self._elsewhere),
         )
 

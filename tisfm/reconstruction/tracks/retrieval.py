@@ -13,17 +13,17 @@ from tisfm.reconstruction.frames.disk_cache import DiskCache
 # Words of the codebook.
 CODEBOOK_SIZE = 32
 # Descriptors that the codebook is clustered from.
-CODEBOOK_SAMPLE = 8192
+SAMPLE_SIZE = 8192
 # Number of rounds of this clustering.
 CODEBOOK_ROUNDS = 8
 # Largest number of earlier views that a view is matched with.
-CANDIDATES = 3
+MAX_CANDIDATES = 3
 # Smallest distance, in views, between two of these candidates.
 MIN_CANDIDATE_DISTANCE = 3
 # The fewest described points of a view.
 MIN_POINTS = 30
 # Smallest similarity of matched views, as a share of the median similarity of neighbouring views.
-MIN_LIKENESS = 0.4
+MIN_SIMILARITY = 0.4
 # Largest value of a descriptor, which is stored in 8 bits.
 MAX_LEVEL = 255.0
 # Views whose codes are in memory at a time.
@@ -38,9 +38,11 @@ class ImageDescriptors:
     levels: np.ndarray  # (N, 128) uint8: square roots of the descriptors of these points, times 255
 
     @classmethod
-    def of(cls, found: Features) -> "ImageDescriptors":
+    def of(cls, features: Features) -> "ImageDescriptors":
         """Return the descriptors of a view with these points."""
-        return cls(points=found.points, levels=np.rint(found.roots * MAX_LEVEL).astype(np.uint8))
+        return cls(
+            points=features.points, levels=np.rint(features.roots * MAX_LEVEL).astype(np.uint8)
+        )
 
     @classmethod
     def of_arrays(cls, points: np.ndarray, levels: np.ndarray) -> "ImageDescriptors":
@@ -51,15 +53,15 @@ class ImageDescriptors:
         """Return its arrays."""
         return self.points, self.levels
 
-    def described(self) -> Features:
+    def to_features(self) -> Features:
         """Return the points with their descriptors."""
         return Features(points=self.points, roots=self.levels.astype(np.float32) / MAX_LEVEL)
 
 
 def find_similar_views(
-    looks: Sequence[ImageDescriptors],  # descriptors of views, in the order of their frames
+    descriptors: Sequence[ImageDescriptors],  # descriptors of views, in the order of their frames
     *,
-    apart: int,  # smallest distance, in views, from the earlier to the later view
+    min_distance: int,  # smallest distance, in views, from the earlier to the later view
 ) -> list[tuple[int, int]]:
     """Return pairs of views that may show the same scene, the earlier view first, in order.
 
@@ -70,72 +72,76 @@ def find_similar_views(
     Arandjelović and Zisserman, "All about VLAD", CVPR 2013, doi 10.1109/CVPR.2013.207 (each
     word's part is of unit length).
     """
-    seen = [k for k, look in enumerate(looks) if len(look.points) >= MIN_POINTS]
-    if len(seen) < 2 or seen[-1] - seen[0] < apart:
+    views = [k for k, each in enumerate(descriptors) if len(each.points) >= MIN_POINTS]
+    if len(views) < 2 or views[-1] - views[0] < min_distance:
         return []
-    codebook = _codebook(looks, seen)
+    codebook = _cluster_codebook(descriptors, views)
     codes = DiskCache[np.ndarray](lambda block: (block,), np.asarray)
-    found: list[tuple[float, int, int]] = []
-    following = []
-    for begin in range(0, len(seen), BLOCK_VIEWS):
+    candidates: list[tuple[float, int, int]] = []
+    next_similarities = []
+    for begin in range(0, len(views), BLOCK_VIEWS):
         block = np.stack(
-            [_code(looks[k].levels, codebook) for k in seen[begin : begin + BLOCK_VIEWS]]
+            [_encode(descriptors[k].levels, codebook) for k in views[begin : begin + BLOCK_VIEWS]]
         )
-        likeness = np.hstack([*(block @ before.T for before in codes), block @ block.T])
+        similarities = np.hstack(
+            [*(block @ earlier_codes.T for earlier_codes in codes), block @ block.T]
+        )
         codes.append(block)
-        for row, later in enumerate(seen[begin : begin + BLOCK_VIEWS], start=begin):
-            alike = likeness[row - begin, :row]
-            following += alike[-1:].tolist()
-            found += [
-                (float(alike[column]), seen[column], later)
-                for column in _most_alike(alike, seen, later - apart)
+        for row, later in enumerate(views[begin : begin + BLOCK_VIEWS], start=begin):
+            similarity = similarities[row - begin, :row]
+            next_similarities += similarity[-1:].tolist()
+            candidates += [
+                (float(similarity[column]), views[column], later)
+                for column in _select_candidates(similarity, views, later - min_distance)
             ]
-    least = MIN_LIKENESS * float(np.median(np.array(following, np.float32)))
-    return [(earlier, later) for like, earlier, later in found if like >= least]
+    threshold = MIN_SIMILARITY * float(np.median(np.array(next_similarities, np.float32)))
+    return [(earlier, later) for value, earlier, later in candidates if value >= threshold]
 
 
-def _most_alike(alike: np.ndarray, seen: Sequence[int], last: int) -> list[int]:
-    """Return the earlier views, up to `last`, that are most similar to a view, in order."""
-    chosen: list[int] = []
-    for column in np.argsort(-alike, kind="stable").tolist():
-        if len(chosen) == CANDIDATES:
+def _select_candidates(similarity: np.ndarray, views: Sequence[int], max_view: int) -> list[int]:
+    """Return the earlier views, up to `max_view`, that are most similar to a view, in order."""
+    selected: list[int] = []
+    for column in np.argsort(-similarity, kind="stable").tolist():
+        if len(selected) == MAX_CANDIDATES:
             break
-        far = all(abs(seen[column] - seen[other]) >= MIN_CANDIDATE_DISTANCE for other in chosen)
-        if seen[column] <= last and far:
-            chosen.append(column)
-    return sorted(chosen)
+        is_distant = all(
+            abs(views[column] - views[other]) >= MIN_CANDIDATE_DISTANCE for other in selected
+        )
+        if views[column] <= max_view and is_distant:
+            selected.append(column)
+    return sorted(selected)
 
 
-def _codebook(looks: Sequence[ImageDescriptors], seen: Sequence[int]) -> np.ndarray:
+def _cluster_codebook(descriptors: Sequence[ImageDescriptors], views: Sequence[int]) -> np.ndarray:
     """Return the centres of clusters of descriptors, (CODEBOOK_SIZE, 128) float32."""
-    each = max(1, CODEBOOK_SAMPLE // len(seen))
+    count = max(1, SAMPLE_SIZE // len(views))
     # Evenly spaced descriptors of each view: no random choice, and so no seed.
-    some = []
-    for k in seen[:: -(-len(seen) // CODEBOOK_SAMPLE)]:
-        levels = looks[k].levels
-        some.append(levels[np.linspace(0, len(levels) - 1, min(each, len(levels))).astype(int)])
-    sample = np.vstack(some).astype(np.float32)
+    samples = []
+    for k in views[:: -(-len(views) // SAMPLE_SIZE)]:
+        levels = descriptors[k].levels
+        samples.append(levels[np.linspace(0, len(levels) - 1, min(count, len(levels))).astype(int)])
+    sample = np.vstack(samples).astype(np.float32)
     centres = sample[np.linspace(0, len(sample) - 1, CODEBOOK_SIZE).astype(int)]
     for _ in range(CODEBOOK_ROUNDS):
-        word = _words(sample, centres)
+        words = _nearest_words(sample, centres)
         for k in range(CODEBOOK_SIZE):
-            if (word == k).any():
-                centres[k] = sample[word == k].mean(axis=0)
+            if (words == k).any():
+                centres[k] = sample[words == k].mean(axis=0)
     return centres
 
 
-def _words(levels: np.ndarray, centres: np.ndarray) -> np.ndarray:
+def _nearest_words(levels: np.ndarray, centres: np.ndarray) -> np.ndarray:
     """Return the nearest centre of each descriptor, (N,)."""
     nearness = levels @ centres.T - (centres**2).sum(axis=1) / 2
     return np.asarray(nearness.argmax(axis=1))
 
 
-def _code(levels: np.ndarray, centres: np.ndarray) -> np.ndarray:
+def _encode(levels: np.ndarray, centres: np.ndarray) -> np.ndarray:
     """Return the code of a view, (CODEBOOK_SIZE · 128,) float32, of unit length."""
     values = levels.astype(np.float32)
-    word = _words(values, centres)
+    words = _nearest_words(values, centres)
     sums = np.zeros_like(centres)
-    for k in np.unique(word):
-        part = (values[word == k] - centres[k]).sum(axis=0)
-        sums[k] = part / max(float(np.linalg.norm(part)), 1e-6)
+    for k in np.unique(words):
+        residual = (values[words == k] - centres[k]).sum(axis=0)
+        sums[k] = residual / max(float(np.linalg.norm(residual)), 1e-6)
     return np.asarray(sums.ravel() / max(float(np.linalg.norm(sums)), 1e-6))

@@ -15,7 +15,7 @@ from tisfm.reconstruction.tracks.views import View, ViewSelection
 # Number of views: with fewer, a second selection of views with less motion between them is used.
 FEW_VIEWS = 3
 # Median motion of tracks between these closer views, as a share of the longer side. Set by hand.
-CLOSER_VIEWS = 0.0125
+MIN_CLOSE_MOTION = 0.0125
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,10 +49,10 @@ class SequenceTracker:
         self._observations = DiskCache(Observations.arrays, Observations.of_arrays)
         self._with_views = with_views
         self._views = ViewSelection(camera, focal_known=focal_known, on_disk=True)
-        self._closer: ViewSelection | None = ViewSelection(
+        self._close_views: ViewSelection | None = ViewSelection(
             camera, focal_known=focal_known, on_disk=True
         )
-        self._last: tuple[np.ndarray, np.ndarray | None] | None = None
+        self._last_frame: tuple[np.ndarray, np.ndarray | None] | None = None
 
     def add(
         self,
@@ -62,47 +62,47 @@ class SequenceTracker:
         flow: np.ndarray | None = None,
     ) -> None:
         """Track points into the next frame."""
-        number = len(self._observations)
-        seen = self._tracker.track(grey, ignored, flow)
+        frame = len(self._observations)
+        observations = self._tracker.track(grey, ignored, flow)
         if self._with_views:
             longer_side = max(grey.shape)
-            if self._views.needs_view(seen, longer_side):
-                self._views.add(number, grey, seen, ignored)
+            if self._views.needs_view(observations, longer_side):
+                self._views.add(frame, grey, observations, ignored)
             if len(self._views.views) >= FEW_VIEWS:
-                self._closer = None
-            elif self._closer is not None and self._closer.needs_view(
-                seen, longer_side, CLOSER_VIEWS
+                self._close_views = None
+            elif self._close_views is not None and self._close_views.needs_view(
+                observations, longer_side, MIN_CLOSE_MOTION
             ):
-                self._closer.add(number, grey, seen, ignored)
-        self._observations.append(seen)
-        self._last = grey, ignored
+                self._close_views.add(frame, grey, observations, ignored)
+        self._observations.append(observations)
+        self._last_frame = grey, ignored
 
     def finish(self) -> SequenceTracks:
         """Return the tracks and views of all frames.
 
         Raises InputError if frames are out of order.
         """
-        if self._last is None:
+        if self._last_frame is None:
             return SequenceTracks(
                 observations=(), views=(), matches={}, distinct_count=0, shape=(0, 0)
             )
-        grey, ignored = self._last
-        views = self._views if self._closer is None else self._closer
-        different = len(views.views)
+        grey, ignored = self._last_frame
+        selection = self._views if self._close_views is None else self._close_views
+        distinct_count = len(selection.views)
         if self._with_views:
             last = len(self._observations) - 1
-            if not views.views or views.views[-1].frame != last:
-                views.add(last, grey, self._observations[last], ignored)
-            views.close_loops(grey.shape)
-            if views.is_out_of_order():
+            if not selection.views or selection.views[-1].frame != last:
+                selection.add(last, grey, self._observations[last], ignored)
+            selection.close_loops(grey.shape)
+            if selection.is_out_of_order():
                 raise InputError(
-                    "frames are not in the order in which they were taken: most show nothing of "
-                    "the frame before, but what others show; sort them, or give a video"
+                    "frames are out of order: most do not match the frame before them, but match "
+                    "other frames; sort them, or give a video"
                 )
         return SequenceTracks(
             observations=self._observations,
-            views=views.views,
-            matches=views.matches,
-            distinct_count=different,
+            views=selection.views,
+            matches=selection.matches,
+            distinct_count=distinct_count,
             shape=grey.shape,
         )

@@ -57,12 +57,16 @@ class Observations:
         """Return its arrays."""
         return self.points, self.tracks
 
-    def shared(self, other: "Observations") -> tuple[np.ndarray, np.ndarray]:
+    def select(self, is_selected: np.ndarray) -> "Observations":
+        """Return the observations of some tracks; `is_selected` is (N,) bool."""
+        return Observations(points=self.points[is_selected], tracks=self.tracks[is_selected])
+
+    def common_tracks(self, other: "Observations") -> tuple[np.ndarray, np.ndarray]:
         """Return the indices, in this frame and in another one, of the tracks that both see."""
-        _, here, there = np.intersect1d(
+        _, own, others = np.intersect1d(
             self.tracks, other.tracks, assume_unique=True, return_indices=True
         )
-        return here, there
+        return own, others
 
 
 class Tracker:
@@ -78,7 +82,7 @@ class Tracker:
         self._camera, self._settings, self._cells = camera, settings, cells
         self._grey: np.ndarray | None = None
         self._small: np.ndarray | None = None
-        self._seen = Observations(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
+        self._observations = Observations(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
         self._count = 0
 
     def track(
@@ -91,27 +95,29 @@ class Tracker:
     ) -> Observations:
         """Return the tracks in the next frame."""
         small = shrink_for_flow(grey)
-        points, tracks = self._seen.points, self._seen.tracks
+        points, tracks = self._observations.points, self._observations.tracks
         if self._grey is not None and self._small is not None:
             if flow is None:
-                share = flow_scale(small, grey)
-                flow = find_flow(self._small, small, share, self._camera, self._settings)
-            points, kept = carry_points(self._grey, grey, points, flow)
-            points, tracks = points[kept], tracks[kept]
-            kept = thin_out(points, MIN_DISTANCE * _cell(grey, self._cells))
-            points, tracks = points[kept], tracks[kept]
+                scale = flow_scale(small, grey)
+                flow = find_flow(self._small, small, scale, self._camera, self._settings)
+            points, is_tracked = track_points(self._grey, grey, points, flow)
+            points, tracks = points[is_tracked], tracks[is_tracked]
+            oldest = thin_out(points, MIN_DISTANCE * _cell_side(grey, self._cells))
+            points, tracks = points[oldest], tracks[oldest]
         if ignored is not None:
             x, y = np.rint(points).astype(np.intp).T
             points, tracks = points[~ignored[y, x]], tracks[~ignored[y, x]]
-        begun = choose_new_points(grey, points, ignored, self._cells)
-        numbers = np.arange(self._count, self._count + len(begun))
-        self._count += len(begun)
+        new_points = choose_new_points(grey, points, ignored, self._cells)
+        numbers = np.arange(self._count, self._count + len(new_points))
+        self._count += len(new_points)
         self._grey, self._small = grey, small
-        self._seen = Observations(points=np.vstack([points, begun]), tracks=np.r_[tracks, numbers])
-        return self._seen
+        self._observations = Observations(
+            points=np.vstack([points, new_points]), tracks=np.r_[tracks, numbers]
+        )
+        return self._observations
 
 
-def carry_points(
+def track_points(
     # grey0, grey1: (H, W) uint8
     grey0: np.ndarray,
     grey1: np.ndarray,
@@ -135,39 +141,39 @@ def carry_points(
     height, width = grey0.shape
     if len(points) == 0:
         return points, np.zeros(0, bool)
-    motion = _flow_at(flow, points, grey0)
-    led = points + motion
-    near, seen = _sought(grey0, grey1, points, led)
-    taken = seen & (np.hypot(*(near - led).T) < MAX_SEARCH)
-    moved = np.where(taken[:, None], near, led)
-    returned, found = _sought(grey1, grey0, moved, moved - motion)
-    found &= np.hypot(*(returned - points).T) < max(
+    motion = _sample_flow(flow, points, grey0)
+    predicted = points + motion
+    refined, is_found = _search_points(grey0, grey1, points, predicted)
+    is_refined = is_found & (np.hypot(*(refined - predicted).T) < MAX_SEARCH)
+    tracked = np.where(is_refined[:, None], refined, predicted)
+    returned, is_tracked = _search_points(grey1, grey0, tracked, tracked - motion)
+    is_tracked &= np.hypot(*(returned - points).T) < max(
         MAX_RETURN_ERROR, MAX_RETURN_SHARE * max(height, width)
     )
     low, high = np.array([BORDER, BORDER]), np.array([width, height]) - 1 - BORDER
-    found &= ((moved >= low) & (moved <= high)).all(axis=1)
-    difference = _patches(grey0, points) - _patches(grey1, moved)
+    is_tracked &= ((tracked >= low) & (tracked <= high)).all(axis=1)
+    difference = _sample_patches(grey0, points) - _sample_patches(grey1, tracked)
     difference -= difference.mean(axis=1, keepdims=True)
-    found &= np.abs(difference).mean(axis=1) < MAX_PATCH_DIFFERENCE
-    return moved, found
+    is_tracked &= np.abs(difference).mean(axis=1) < MAX_PATCH_DIFFERENCE
+    return tracked, is_tracked
 
 
-def _sought(
-    grey0: np.ndarray, grey1: np.ndarray, points: np.ndarray, near: np.ndarray
+def _search_points(
+    grey0: np.ndarray, grey1: np.ndarray, points: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Search for points of frame 0 near positions in frame 1; return positions and successes."""
-    found, seen, _ = cv2.calcOpticalFlowPyrLK(
+    positions, status, _ = cv2.calcOpticalFlowPyrLK(
         grey0,
         grey1,
         points.astype(np.float32),
-        near.astype(np.float32),
+        start.astype(np.float32),
         winSize=(SEARCH_WINDOW, SEARCH_WINDOW),
         maxLevel=0,
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, SEARCH_ROUNDS, SEARCH_TOLERANCE),
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
         minEigThreshold=1e-5,
     )
-    return found.astype(np.float64), seen[:, 0] > 0
+    return positions.astype(np.float64), status[:, 0] > 0
 
 
 def choose_new_points(
@@ -183,29 +189,29 @@ def choose_new_points(
     Shi and Tomasi, "Good features to track", CVPR 1994, doi 10.1109/CVPR.1994.323794.
     """
     height, width = grey.shape
-    cell = _cell(grey, cells)
-    rows, columns = height // cell, width // cell
+    side = _cell_side(grey, cells)
+    rows, columns = height // side, width // side
     if not rows * columns:
         return np.empty((0, 2))
     strength = cv2.cornerMinEigenVal(grey, STRUCTURE_WINDOW)
-    least = max(float(np.quantile(strength[::2, ::2], STRUCTURE_QUANTILE)), 1e-6)
+    min_strength = max(float(np.quantile(strength[::2, ::2], STRUCTURE_QUANTILE)), 1e-6)
     inside = np.zeros((height, width), bool)
     inside[BORDER:-BORDER, BORDER:-BORDER] = True
     if ignored is not None:
         inside &= ~ignored
     strength[~inside] = 0
-    taken = np.zeros((rows + 1, columns + 1), bool)
-    column, row = (points / cell).astype(np.intp).T
-    taken[row.clip(0, rows), column.clip(0, columns)] = True
-    blocks = strength[: rows * cell, : columns * cell].reshape(rows, cell, columns, cell)
-    blocks = blocks.transpose(0, 2, 1, 3).reshape(rows, columns, cell * cell)
-    best = blocks.argmax(axis=-1)
-    row, column = np.nonzero((blocks.max(axis=-1) > least) & ~taken[:rows, :columns])
-    y, x = np.divmod(best[row, column], cell)
-    return np.stack([column * cell + x, row * cell + y], axis=1).astype(np.float64)
+    is_occupied = np.zeros((rows + 1, columns + 1), bool)
+    column, row = (points / side).astype(np.intp).T
+    is_occupied[row.clip(0, rows), column.clip(0, columns)] = True
+    blocks = strength[: rows * side, : columns * side].reshape(rows, side, columns, side)
+    blocks = blocks.transpose(0, 2, 1, 3).reshape(rows, columns, side * side)
+    strongest = blocks.argmax(axis=-1)
+    row, column = np.nonzero((blocks.max(axis=-1) > min_strength) & ~is_occupied[:rows, :columns])
+    y, x = np.divmod(strongest[row, column], side)
+    return np.stack([column * side + x, row * side + y], axis=1).astype(np.float64)
 
 
-def _cell(grey: np.ndarray, cells: int) -> int:
+def _cell_side(grey: np.ndarray, cells: int) -> int:
     """Return the side of the cells in which new points begin, px."""
     return max(BORDER, round(max(grey.shape) / cells))
 
@@ -216,13 +222,13 @@ def thin_out(points: np.ndarray, side: float) -> np.ndarray:
     return np.sort(first)
 
 
-def _flow_at(flow: np.ndarray, points: np.ndarray, grey: np.ndarray) -> np.ndarray:
+def _sample_flow(flow: np.ndarray, points: np.ndarray, grey: np.ndarray) -> np.ndarray:
     """Return the flow at points of the frame, px of the frame."""
     scale = flow_scale(flow, grey)
-    return _sampled(flow, (points + 0.5) * scale - 0.5) / scale
+    return _sample(flow, (points + 0.5) * scale - 0.5) / scale
 
 
-def _sampled(image: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _sample(image: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Sample an image, (H, W) or (H, W, 2), at points, bilinearly; return (N,) or (N, 2)."""
     x, y = np.ascontiguousarray(points.T, np.float32)
     values = cv2.remap(
@@ -231,7 +237,7 @@ def _sampled(image: np.ndarray, points: np.ndarray) -> np.ndarray:
     return values[:, 0].astype(np.float64)
 
 
-def _patches(grey: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _sample_patches(grey: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the patches around points, (N, PATCH_SIDE²) float32."""
     offsets = np.arange(PATCH_SIDE, dtype=np.float32) - PATCH_SIDE // 2
     dx, dy = (grid.ravel() for grid in np.meshgrid(offsets, offsets))

@@ -37,22 +37,22 @@ class TrackPoints(Mapping[int, np.ndarray]):
 
     def __or__(self, others: "TrackPoints") -> "TrackPoints":
         """Return these points and others; of a track in both, the other point is used."""
-        kept = ~np.isin(self.tracks, others.tracks)
-        tracks = np.concatenate([self.tracks[kept], others.tracks])
-        positions = np.vstack([self.positions[kept], others.positions])
+        is_own = ~np.isin(self.tracks, others.tracks)
+        tracks = np.concatenate([self.tracks[is_own], others.tracks])
+        positions = np.vstack([self.positions[is_own], others.positions])
         order = np.argsort(tracks)
         return TrackPoints(tracks=tracks[order], positions=positions[order])
 
-    def among(self, tracks: np.ndarray) -> "TrackPoints":
+    def select(self, tracks: np.ndarray) -> "TrackPoints":
         """Return the points of some tracks."""
-        kept = np.isin(self.tracks, tracks)
-        return TrackPoints(tracks=self.tracks[kept], positions=self.positions[kept])
+        is_selected = np.isin(self.tracks, tracks)
+        return TrackPoints(tracks=self.tracks[is_selected], positions=self.positions[is_selected])
 
     def __getitem__(self, track: int) -> np.ndarray:
-        place = int(np.searchsorted(self.tracks, track))
-        if place == len(self.tracks) or self.tracks[place] != track:
+        index = int(np.searchsorted(self.tracks, track))
+        if index == len(self.tracks) or self.tracks[index] != track:
             raise KeyError(track)
-        return np.asarray(self.positions[place])
+        return np.asarray(self.positions[index])
 
     def __iter__(self) -> Iterator[int]:
         return iter(self.tracks.tolist())
@@ -62,111 +62,117 @@ class TrackPoints(Mapping[int, np.ndarray]):
 
 
 def points_of_tracks(
-    seen: Observations, points: Mapping[int, np.ndarray]
+    observations: Observations, points: Mapping[int, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the indices of a frame's tracks with points, (M,), and the points, (M, 3)."""
     if isinstance(points, TrackPoints):
-        places = np.searchsorted(points.tracks, seen.tracks)
-        places[places == len(points)] = 0
-        known = points.tracks[places] == seen.tracks if len(points) else np.zeros(len(places), bool)
-        return np.flatnonzero(known), points.positions[places[known]]
-    index = [k for k, track in enumerate(seen.tracks.tolist()) if track in points]
-    positions = np.array([points[track] for track in seen.tracks[index].tolist()])
+        indices = np.searchsorted(points.tracks, observations.tracks)
+        indices[indices == len(points)] = 0
+        has_point = (
+            points.tracks[indices] == observations.tracks
+            if len(points)
+            else np.zeros(len(indices), bool)
+        )
+        return np.flatnonzero(has_point), points.positions[indices[has_point]]
+    index = [k for k, track in enumerate(observations.tracks.tolist()) if track in points]
+    positions = np.array([points[track] for track in observations.tracks[index].tolist()])
     return np.array(index, np.intp), positions.reshape(-1, 3)
 
 
 def triangulate_tracks(
-    seen: Sequence[Observations],  # observations of every frame
+    observations: Sequence[Observations],  # observations of every frame
     poses: Mapping[int, np.ndarray],  # mapping of int to (4, 4) array: camera to world, by frame
     camera: Camera,  # pinhole camera
     shape: tuple[int, int],  # height and width of the frames, px
 ) -> TrackPoints:
     """Triangulate tracks: return the points nearest to the rays of their observations."""
-    found = [_triangulated(few, poses, camera, shape) for few in _lots(seen, poses)]
+    batches = [_triangulate(batch, poses, camera, shape) for batch in _batches(observations, poses)]
     return TrackPoints(
-        tracks=np.concatenate([one.tracks for one in found]),
-        positions=np.vstack([one.positions for one in found]),
+        tracks=np.concatenate([batch.tracks for batch in batches]),
+        positions=np.vstack([batch.positions for batch in batches]),
     )
 
 
-def _lots(
-    seen: Sequence[Observations], poses: Mapping[int, np.ndarray]
+def _batches(
+    observations: Sequence[Observations], poses: Mapping[int, np.ndarray]
 ) -> Iterator[Mapping[int, Observations]]:
     """Yield observations in frames with poses, of some tracks at a time, to bound the memory."""
-    count = np.zeros(0, np.int64)
+    lengths = np.zeros(0, np.int64)
     spans = {}  # oldest and newest track, by frame
     for frame in poses:
-        tracks = seen[frame].tracks
+        tracks = observations[frame].tracks
         if not len(tracks):
             continue
         spans[frame] = tracks[0], tracks[-1]
-        if tracks[-1] >= len(count):
-            count = np.concatenate([count, np.zeros(tracks[-1] + 1 - len(count), np.int64)])
-        count[tracks] += 1
-    if count.sum() <= MAX_OBSERVATIONS:
-        yield {frame: seen[frame] for frame in poses}
+        if tracks[-1] >= len(lengths):
+            lengths = np.concatenate([lengths, np.zeros(tracks[-1] + 1 - len(lengths), np.int64)])
+        lengths[tracks] += 1
+    if lengths.sum() <= MAX_OBSERVATIONS:
+        yield {frame: observations[frame] for frame in poses}
         return
-    lot = np.cumsum(count) // MAX_OBSERVATIONS
-    for begin in np.flatnonzero(np.diff(lot, prepend=-1)).tolist():
-        end = int(np.searchsorted(lot, lot[begin], side="right"))
-        some = {}
+    batch = np.cumsum(lengths) // MAX_OBSERVATIONS
+    for begin in np.flatnonzero(np.diff(batch, prepend=-1)).tolist():
+        end = int(np.searchsorted(batch, batch[begin], side="right"))
+        observations_of_batch = {}
         for frame, (oldest, newest) in spans.items():
             if newest < begin or oldest >= end:
                 continue
-            one = seen[frame]
-            first, last = np.searchsorted(one.tracks, (begin, end))
+            own = observations[frame]
+            first, last = np.searchsorted(own.tracks, (begin, end))
             if last > first:
-                some[frame] = Observations(
-                    points=one.points[first:last], tracks=one.tracks[first:last]
+                observations_of_batch[frame] = Observations(
+                    points=own.points[first:last], tracks=own.tracks[first:last]
                 )
-        yield some
+        yield observations_of_batch
 
 
-def _triangulated(
-    seen: Mapping[int, Observations],
+def _triangulate(
+    observations: Mapping[int, Observations],
     poses: Mapping[int, np.ndarray],
     camera: Camera,
     shape: tuple[int, int],
 ) -> TrackPoints:
     cx, cy = camera.center_for(*shape)
-    tracks, centres, rays, places, frames = [], [], [], [], []
-    for frame, one in seen.items():
-        points, pose = one.points, poses[frame]
+    tracks, centres, rays, positions, frames = [], [], [], [], []
+    for frame, own in observations.items():
+        points, pose = own.points, poses[frame]
         ray = pinhole_rays(points, camera, shape) @ pose[:3, :3].T
-        tracks.append(one.tracks)
+        tracks.append(own.tracks)
         rays.append(unit_vectors(ray))
         centres.append(np.broadcast_to(pose[:3, 3], ray.shape))
-        places.append(points)
+        positions.append(points)
         frames.append(np.full(len(points), frame))
     if not tracks:
         return TrackPoints.of({})
     numbers, index = np.unique(np.concatenate(tracks), return_inverse=True)
-    ray, centre, place, frame_of = map(np.concatenate, (rays, centres, places, frames))
+    ray, centre, position, frame_of = map(np.concatenate, (rays, centres, positions, frames))
     count = np.bincount(index)
     matrix, vector = nearest_point_equations(index, ray, centre, len(numbers))
     # The smallest eigenvalue is 0 for parallel rays, else count · sin² of their spread.
-    least = np.linalg.eigvalsh(matrix)[:, 0]
-    good = (count >= MIN_FRAMES) & (least > count * np.sin(np.radians(MIN_ANGLE) / 2) ** 2)
+    min_eigenvalue = np.linalg.eigvalsh(matrix)[:, 0]
+    is_valid = (count >= MIN_FRAMES) & (
+        min_eigenvalue > count * np.sin(np.radians(MIN_ANGLE) / 2) ** 2
+    )
     point = np.zeros((len(numbers), 3))
-    point[good] = np.linalg.solve(matrix[good], vector[good][..., None])[..., 0]
+    point[is_valid] = np.linalg.solve(matrix[is_valid], vector[is_valid][..., None])[..., 0]
     residual = np.full(len(index), np.inf)
-    for frame in seen:
-        mine, pose = frame_of == frame, poses[frame]
-        local = (point[index[mine]] - pose[:3, 3]) @ pose[:3, :3]
+    for frame in observations:
+        in_frame, pose = frame_of == frame, poses[frame]
+        local = (point[index[in_frame]] - pose[:3, 3]) @ pose[:3, :3]
         with np.errstate(divide="ignore", invalid="ignore"):
-            there = local[:, :2] / local[:, 2:] * camera.focal + (cx, cy)
-        off = np.hypot(*(there - place[mine]).T)
-        residual[mine] = np.where(local[:, 2] > 0, np.nan_to_num(off, nan=np.inf), np.inf)
+            projected = local[:, :2] / local[:, 2:] * camera.focal + (cx, cy)
+        distance = np.hypot(*(projected - position[in_frame]).T)
+        residual[in_frame] = np.where(local[:, 2] > 0, np.nan_to_num(distance, nan=np.inf), np.inf)
     order = np.lexsort((residual, index))
     first = np.concatenate([[0], np.cumsum(count)[:-1]])
-    good &= residual[order][first + (count - 1) // 2] < MAX_MEDIAN_RESIDUAL
-    return TrackPoints(tracks=numbers[good], positions=point[good])
+    is_valid &= residual[order][first + (count - 1) // 2] < MAX_MEDIAN_RESIDUAL
+    return TrackPoints(tracks=numbers[is_valid], positions=point[is_valid])
 
 
 def track_depths(
-    seen: Observations, points: Mapping[int, np.ndarray], pose: np.ndarray
+    observations: Observations, points: Mapping[int, np.ndarray], pose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return positions, (N, 2), and depth of a frame's tracks with points before the camera."""
-    known, world = points_of_tracks(seen, points)
+    has_point, world = points_of_tracks(observations, points)
     depth = (world - pose[:3, 3]) @ pose[:3, 2]
-    return seen.points[known][depth > 0], depth[depth > 0]
+    return observations.points[has_point][depth > 0], depth[depth > 0]

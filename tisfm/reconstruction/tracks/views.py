@@ -20,7 +20,7 @@ from tisfm.reconstruction.tracks.tracker import Observations
 # the longer side,
 MIN_MOTION = 0.025
 # or if less than this share of the last view's tracks is still visible.
-MIN_KEPT_TRACKS = 0.35
+MIN_VISIBLE_TRACKS = 0.35
 # Detected points per cell: fewer than for pairs, since a view is matched with several views.
 POINTS_PER_CELL = 4
 # Number of previous views with which a view is matched by appearance.
@@ -34,9 +34,9 @@ MIN_LOOP_SHARE = 0.4
 # Frames are out of order if, of at least this number of views,
 MIN_ORDERED_VIEWS = 8
 # at most this share matches the previous view,
-MAX_FOLLOWING_SHARE = 0.4
+MAX_NEXT_SHARE = 0.4
 # and at least this share matches other views.
-MIN_ELSEWHERE_SHARE = 0.7
+MIN_OTHER_SHARE = 0.7
 # px, if the longer side has 640: largest distance of a match from its epipolar line.
 EPIPOLAR_TOLERANCE = 2.0
 # Largest number of RANSAC trials.
@@ -90,95 +90,110 @@ class ViewSelection:
         # detected points that match
         self.matches: dict[tuple[int, int], np.ndarray] = {}
         self._camera, self._focal_known = camera, focal_known
-        self._looks: list[ImageDescriptors] | DiskCache[ImageDescriptors] = (
+        self._descriptors: list[ImageDescriptors] | DiskCache[ImageDescriptors] = (
             DiskCache(ImageDescriptors.arrays, ImageDescriptors.of_arrays) if on_disk else []
         )
         self._matchable: list[int] = []  # views with enough detected points
-        self._compared: set[tuple[int, int]] = set()
+        self._compared_pairs: set[tuple[int, int]] = set()
 
     def set_camera(self, camera: Camera) -> None:
         """Use a camera with a known focal length for later matches."""
         self._camera, self._focal_known = camera, True
 
-    def needs_view(self, seen: Observations, longer_side: int, share: float = MIN_MOTION) -> bool:
+    def needs_view(
+        self, observations: Observations, longer_side: int, min_motion: float = MIN_MOTION
+    ) -> bool:
         """Return whether a frame differs enough from the last view to become a view."""
         if not self.views:
-            return len(seen.tracks) > 0
+            return len(observations.tracks) > 0
         before = self.views[-1].observations
-        index0, index1 = before.shared(seen)
-        if len(index0) < MIN_KEPT_TRACKS * len(before.tracks):
+        index0, index1 = before.common_tracks(observations)
+        if len(index0) < MIN_VISIBLE_TRACKS * len(before.tracks):
             return True
         if len(index0) == 0:
-            return len(seen.tracks) > 0
-        moved = np.hypot(*(seen.points[index1] - before.points[index0]).T)
-        return bool(np.median(moved) > share * longer_side)
+            return len(observations.tracks) > 0
+        motion = np.hypot(*(observations.points[index1] - before.points[index0]).T)
+        return bool(np.median(motion) > min_motion * longer_side)
 
     def add(
-        self, frame: int, grey: np.ndarray, seen: Observations, ignored: np.ndarray | None
+        self, frame: int, grey: np.ndarray, observations: Observations, ignored: np.ndarray | None
     ) -> None:
         """Add a frame, (H, W) uint8, as a view; ignored pixels, (H, W) bool, get no points."""
-        found = _described(grey, ignored)
+        features = _detect_features(grey, ignored)
         number = len(self.views)
-        self.views.append(View(frame=frame, observations=seen, detected=found.points))
-        self._looks.append(ImageDescriptors.of(found))
+        self.views.append(View(frame=frame, observations=observations, detected=features.points))
+        self._descriptors.append(ImageDescriptors.of(features))
         for earlier in self._matchable[-MATCHED_VIEWS:]:
-            self._match(earlier, number, grey.shape, fewest=MIN_MATCHES, share=0.0)
-        if len(found.points) >= MIN_MATCHES:
+            self._match(earlier, number, grey.shape, min_matches=MIN_MATCHES, min_share=0.0)
+        if len(features.points) >= MIN_MATCHES:
             self._matchable.append(number)
 
     def close_loops(self, shape: tuple[int, int]) -> None:
         """Match views that show the same scene again (loops), in frames of this shape, px."""
-        for pair in find_similar_views(self._looks, apart=MATCHED_VIEWS + 1):
-            if pair not in self._compared:
-                self._match(*pair, shape, fewest=MIN_LOOP_MATCHES, share=MIN_LOOP_SHARE)
+        for pair in find_similar_views(self._descriptors, min_distance=MATCHED_VIEWS + 1):
+            if pair not in self._compared_pairs:
+                self._match(*pair, shape, min_matches=MIN_LOOP_MATCHES, min_share=MIN_LOOP_SHARE)
 
     def drop_first(self, count: int) -> None:
         """Drop the first views."""
-        if isinstance(self.views, DiskCache) or isinstance(self._looks, DiskCache):
+        if isinstance(self.views, DiskCache) or isinstance(self._descriptors, DiskCache):
             raise InputTypeError("views lie on disk: they cannot be forgotten")
-        del self.views[:count], self._looks[:count]
+        del self.views[:count], self._descriptors[:count]
         self._matchable = [k - count for k in self._matchable if k >= count]
         self.matches = {
-            (earlier - count, later - count): both
-            for (earlier, later), both in self.matches.items()
+            (earlier - count, later - count): matches
+            for (earlier, later), matches in self.matches.items()
             if earlier >= count
         }
-        self._compared = {(i - count, k - count) for i, k in self._compared if i >= count}
+        self._compared_pairs = {
+            (i - count, k - count) for i, k in self._compared_pairs if i >= count
+        }
 
     def is_out_of_order(self) -> bool:
         """Return whether most views match other views, but not the previous one."""
         count = len(self.views)
         if count < MIN_ORDERED_VIEWS:
             return False
-        follows = sum(
+        next_matches = sum(
             (k, k + 1) in self.matches or self._share_tracks(k, k + 1) for k in range(count - 1)
         )
-        others = {view for pair in self.matches if pair[1] - pair[0] > 1 for view in pair}
+        other_matches = {view for pair in self.matches if pair[1] - pair[0] > 1 for view in pair}
         return (
-            follows < MAX_FOLLOWING_SHARE * (count - 1)
-            and len(others) > MIN_ELSEWHERE_SHARE * count
+            next_matches < MAX_NEXT_SHARE * (count - 1)
+            and len(other_matches) > MIN_OTHER_SHARE * count
         )
 
     def _share_tracks(self, first: int, second: int) -> bool:
-        index, _ = self.views[first].observations.shared(self.views[second].observations)
+        index, _ = self.views[first].observations.common_tracks(self.views[second].observations)
         return len(index) >= MIN_MATCHES
 
     def _match(
-        self, earlier: int, later: int, shape: tuple[int, ...], *, fewest: int, share: float
+        self,
+        earlier: int,
+        later: int,
+        shape: tuple[int, ...],
+        *,
+        min_matches: int,
+        min_share: float,
     ) -> None:
-        self._compared.add((earlier, later))
-        first, second = self._looks[earlier].described(), self._looks[later].described()
-        both = np.stack(match_features(first, second), axis=1)
-        if len(both) < fewest:
+        self._compared_pairs.add((earlier, later))
+        first, second = (
+            self._descriptors[earlier].to_features(),
+            self._descriptors[later].to_features(),
+        )
+        matches = np.stack(match_features(first, second), axis=1)
+        if len(matches) < min_matches:
             return
-        inlier = self._fitting(first.points[both[:, 0]], second.points[both[:, 1]], shape)
-        if inlier is None:
+        is_inlier = self._find_inliers(
+            first.points[matches[:, 0]], second.points[matches[:, 1]], shape
+        )
+        if is_inlier is None:
             return
-        agreed = both[inlier[:, 0] > 0]
-        if len(agreed) >= max(fewest, share * len(both)):
-            self.matches[earlier, later] = agreed.astype(np.int32)
+        inliers = matches[is_inlier[:, 0] > 0]
+        if len(inliers) >= max(min_matches, min_share * len(matches)):
+            self.matches[earlier, later] = inliers.astype(np.int32)
 
-    def _fitting(
+    def _find_inliers(
         self, before: np.ndarray, after: np.ndarray, shape: tuple[int, ...]
     ) -> np.ndarray | None:
         """Return the inliers of one motion, (N, 1); None if there is no motion."""
@@ -188,7 +203,7 @@ class ViewSelection:
             if self._focal_known:
                 cx, cy = self._camera.center_for(height, width)
                 focal = self._camera.focal
-                _, inlier = cv2.findEssentialMat(
+                _, is_inlier = cv2.findEssentialMat(
                     before,
                     after,
                     np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]]),
@@ -198,29 +213,29 @@ class ViewSelection:
                     maxIters=RANSAC_TRIALS,
                 )
             else:
-                _, inlier = cv2.findFundamentalMat(
+                _, is_inlier = cv2.findFundamentalMat(
                     before, after, cv2.USAC_MAGSAC, threshold, 0.999, RANSAC_TRIALS
                 )
         except cv2.error:  # OpenCV fails on degenerate matches, for example of overlays
             return None
-        return None if inlier is None else np.asarray(inlier)
+        return None if is_inlier is None else np.asarray(is_inlier)
 
 
-def _described(grey: np.ndarray, ignored: np.ndarray | None) -> Features:
+def _detect_features(grey: np.ndarray, ignored: np.ndarray | None) -> Features:
     """Return points of a frame and their descriptors, found on the shrunk frame."""
     small = shrink_for_flow(grey)
-    found = detect_features(small, per_cell=POINTS_PER_CELL)
-    points = (found.points + 0.5) / flow_scale(small, grey) - 0.5
+    features = detect_features(small, per_cell=POINTS_PER_CELL)
+    points = (features.points + 0.5) / flow_scale(small, grey) - 0.5
     if ignored is None:
-        return Features(points=points, roots=found.roots)
+        return Features(points=points, roots=features.roots)
     column, row = np.rint(points).astype(np.intp).T
     height, width = grey.shape
-    kept = ~ignored[row.clip(0, height - 1), column.clip(0, width - 1)]
-    return Features(points=points[kept], roots=found.roots[kept])
+    is_used = ~ignored[row.clip(0, height - 1), column.clip(0, width - 1)]
+    return Features(points=points[is_used], roots=features.roots[is_used])
 
 
 def choose_long_tracks(
-    seen: Sequence[Observations],  # tracks in views
+    observations: Sequence[Observations],  # tracks in views
     longer_side: int,  # longer side of the frames, px
 ) -> list[Observations]:
     """Return the observations of the longest track in each cell of each view.
@@ -228,31 +243,29 @@ def choose_long_tracks(
     A track that few views see adds work but hardly any information that long tracks do not have.
     With fewer tracks, matches of points by appearance, which do not drift, get more weight.
     """
-    if not seen:
+    if not observations:
         return []
-    chosen: list[np.ndarray] = []
+    selected: list[np.ndarray] = []
     for cells in CELL_COUNTS:
-        chosen = _chosen(seen, longer_side / cells)
-        if np.median([len(one) for one in chosen]) >= MIN_TRACKS:
+        selected = _longest_per_cell(observations, longer_side / cells)
+        if np.median([len(own) for own in selected]) >= MIN_TRACKS:
             break
-    kept = np.unique(np.concatenate(chosen))
-    return [_of(one, np.isin(one.tracks, kept)) for one in seen]
+    tracks = np.unique(np.concatenate(selected))
+    return [own.select(np.isin(own.tracks, tracks)) for own in observations]
 
 
-def _chosen(seen: Sequence[Observations], side: float) -> list[np.ndarray]:
+def _longest_per_cell(observations: Sequence[Observations], side: float) -> list[np.ndarray]:
     """Return, for each view, the track of each cell of a side in px that most views see."""
-    tracks, views = np.unique(np.concatenate([one.tracks for one in seen]), return_counts=True)
-    chosen = []
-    for one in seen:
-        count = views[np.searchsorted(tracks, one.tracks)]
-        column, row = (one.points // side).astype(np.int64).T
-        order = np.lexsort((one.tracks, -count, column, row))
+    tracks, views = np.unique(
+        np.concatenate([own.tracks for own in observations]), return_counts=True
+    )
+    selected = []
+    for own in observations:
+        lengths = views[np.searchsorted(tracks, own.tracks)]
+        column, row = (own.points // side).astype(np.int64).T
+        order = np.lexsort((own.tracks, -lengths, column, row))
         cell = np.stack([row, column], axis=1)[order]
         first = np.ones(len(order), bool)
         first[1:] = (np.diff(cell, axis=0) != 0).any(axis=1)
-        chosen.append(one.tracks[order[first]])
-    return chosen
-
-
-def _of(seen: Observations, kept: np.ndarray) -> Observations:
-    return Observations(points=seen.points[kept], tracks=seen.tracks[kept])
+        selected.append(own.tracks[order[first]])
+    return selected
