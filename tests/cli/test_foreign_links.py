@@ -6,7 +6,7 @@ import pytest
 
 from tests.cli.command_line import FRAMES
 from tests.exports.made import made
-from tisfm.exports.frame_files import write_pictures
+from tisfm.exports.model_folder import write_pictures
 from tisfm.formats import write_png
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="links of POSIX")

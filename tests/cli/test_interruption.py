@@ -12,7 +12,7 @@ import pytest
 
 from tests.cli.command_line import ENDINGS, TISFM, assert_one_line, files, load, record
 from tests.waiting import started, wait_for
-from tisfm.folders.checksums import compare_records
+from tisfm.folders.files import compare_records
 from tisfm.folders.result_folder import LOCK, FolderInUseError, locked_folder
 from tisfm.formats import write_png
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from tests.exports.made import made
 from tests.trajectory.paths import PATIENT, random_path
 from tisfm.exports import write_kitti_paths, write_tum_paths
-from tisfm.exports.chosen_frames import frame_rate, frame_times
+from tisfm.exports.export_request import frame_rate, frame_times
 from tisfm.trajectory import read_kitti, read_tum
 
 

@@ -5,9 +5,9 @@ import pytest
 
 from tests.exports.exported import predicted
 from tisfm.camera import Camera
-from tisfm.exports import track_triangulation
+from tisfm.exports import observations
 from tisfm.exports.guided_matching import Pose
-from tisfm.exports.track_triangulation import consistent_points, triangulate
+from tisfm.exports.observations import consistent_points, triangulate
 from tisfm.rigid import pose_matrix
 
 SHAPE, CAMERA = (120, 160), Camera(focal=150.0)
@@ -83,7 +83,7 @@ def test_points_are_the_same_in_lots(monkeypatch):
     places[5, 2] += 7
     places[11, 1:] = np.nan
     whole = consistent_points(places, poses, SHAPE, world, np.full(23, 0.1), 3)
-    monkeypatch.setattr(track_triangulation, "BATCH", 21)  # four points
+    monkeypatch.setattr(observations, "BATCH", 21)  # four points
     lots = consistent_points(places, poses, SHAPE, world, np.full(23, 0.1), 3)
     np.testing.assert_array_equal(lots[0], whole[0])
     np.testing.assert_array_equal(lots[1], whole[1])

@@ -11,7 +11,7 @@ from tests.exports.made import SHAPE, made, picture, ramp
 from tests.exports.runs import run_of
 from tisfm.cli.command_line import main
 from tisfm.exports import PairFrames, SequenceFrames, write_video
-from tisfm.exports.value_ranges import inverse_depth_ranges
+from tisfm.exports.frame_maps import inverse_depth_ranges
 from tisfm.exports.video_file import video_file
 from tisfm.show import depth_to_color
 

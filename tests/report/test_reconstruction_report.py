@@ -85,7 +85,7 @@ def test_long_sequences_and_large_frames_stay_small(tmp_path):
 
 
 def test_a_budget_is_kept_whatever_the_pictures():
-    from tisfm.report.embedded_images import Pictures
+    from tisfm.report.pictures import Pictures
 
     noise = np.random.default_rng(0).integers(0, 256, (700, 900, 3), np.uint8)
     for budget in (400_000, 20_000, 4_000):

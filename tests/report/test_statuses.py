@@ -7,8 +7,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tisfm.report.embedded_images import choose_slides
-from tisfm.report.statuses import MEANINGS, color_of, counted, spans
+from tisfm.report.pictures import choose_slides
+from tisfm.report.tables import MEANINGS, color_of, counted, spans
 from tisfm.status import Status
 
 TRUST = Path(__file__).parents[2] / "docs" / "trust.md"

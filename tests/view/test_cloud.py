@@ -14,8 +14,7 @@ from tisfm.results.frame import ResultFrame
 from tisfm.results.opening import open_result
 from tisfm.status import Status
 from tisfm.view.colors import Ranges
-from tisfm.view.frame_cloud import PointFilter, frame_cloud
-from tisfm.view.surface import surface_file, triangles_between
+from tisfm.view.frame_cloud import PointFilter, frame_cloud, surface_file, triangles_between
 
 RANGES = Ranges(inverse_depth=1.0, flow=1.0)
 

@@ -6,13 +6,21 @@ import numpy as np
 import pytest
 
 from tests.view.test_cloud import made
-from tisfm.results.frame_cache import FrameCache
+from tisfm.results.result_frames import FrameCache
 from tisfm.show import label_colors
 from tisfm.status import Status
-from tisfm.view.colors import QUANTITIES, Ranges, legend, pixel_colors
+from tisfm.view.colors import (
+    KINDS,
+    QUANTITIES,
+    Ranges,
+    caption,
+    legend,
+    picture_of,
+    pixel_colors,
+    ranges_of,
+    sampled,
+)
 from tisfm.view.html_texts import distance_html, legend_html, reading_html, status_html
-from tisfm.view.pictures import KINDS, caption, picture_of
-from tisfm.view.ranges import ranges_of, sampled
 
 RANGES = Ranges(inverse_depth=2.0, flow=3.0)
 GREY = [200, 200, 200]

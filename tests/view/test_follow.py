@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.view.results import HEIGHT, WIDTH
-from tisfm.view.picking import following_fov
+from tisfm.view.viewpoint import following_fov
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 

@@ -18,8 +18,8 @@ from tisfm.status import Status
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 
 from tisfm.results.opening import open_result
+from tisfm.view.colors import ranges_of, sampled
 from tisfm.view.frame_cloud import PointFilter
-from tisfm.view.ranges import ranges_of, sampled
 from tisfm.view.static_page import static_page
 
 # Each sets a mark if a browser runs it.
@@ -92,7 +92,7 @@ def test_no_exported_page_runs_script_of_a_folder(tab, tmp_path, kind):
     folder = evil_folder(tmp_path / "<img src=x onerror=window.hacked=6>")
     if kind == "static":
         result = open_result(folder)
-        from tisfm.results.frame_cache import FrameCache
+        from tisfm.results.result_frames import FrameCache
 
         made = static_page(
             result,

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tests.view.test_cloud import RANGES, made
 from tisfm.view.frame_cloud import PointFilter, frame_cloud
-from tisfm.view.picking import field_of_view, frustum_scale, picked_pixel, picked_point
+from tisfm.view.viewpoint import field_of_view, frustum_scale, picked_pixel, picked_point
 
 
 @given(seed=st.integers(0, 999), row=st.integers(0, 10), column=st.integers(0, 22))

@@ -20,8 +20,7 @@ from tisfm.reconstruction.result.folder import write_depth
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 
-from tisfm.view.colors import Ranges
-from tisfm.view.ranges import differ
+from tisfm.view.colors import Ranges, differ
 from tisfm.view.server import start_server, stop_server
 from tisfm.view.waiting_page import WaitingPage
 

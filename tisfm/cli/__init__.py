@@ -6,8 +6,30 @@ May import: all of `tisfm`; nothing imports it.
 
 import os
 import sys
+from dataclasses import dataclass
 
-from tisfm.cli.exit_codes import BROKEN_PIPE, INTERRUPTED
+# Exit codes beyond 0, success, and 1, an error that a line explains.
+WRONG_OPTION = 2
+INTERRUPTED = 130  # as shells count a program that SIGINT ended
+BROKEN_PIPE = 141  # as shells count a program that SIGPIPE ended
+
+
+@dataclass(kw_only=True)
+class Doctor:
+    """Find faults of the installation or of this machine, and say how to correct them.
+
+    The command checks versions, conflicting builds of OpenCV, cores, memory, limits, Taichi and its
+    cache of kernels, GPUs, folders and optional packages. The exit code is 1 after a fault.
+    """
+
+    json: bool = False
+    """Print the findings as JSON, for scripts."""
+
+    def __call__(self) -> int:
+        """Run the command and return the exit code."""
+        from tisfm.doctor.examination import doctor
+
+        return doctor(json=self.json)
 
 
 def main() -> int:
@@ -20,7 +42,7 @@ def main() -> int:
     arguments = sys.argv[1:]
     # The parser handles all other arguments of the doctor, such as --help.
     if arguments[:1] == ["doctor"] and arguments[1:] in ([], ["--json"], ["--no-json"]):
-        return _doctor(json=arguments[1:] == ["--json"])
+        return _run_doctor(Doctor(json=arguments[1:] == ["--json"]))
     from tisfm.errors import OutOfMemoryError
     from tisfm.machine.memory import import_libraries
 
@@ -34,11 +56,9 @@ def main() -> int:
     return run()
 
 
-def _doctor(*, json: bool) -> int:
-    from tisfm.doctor.examination import doctor
-
+def _run_doctor(doctor: Doctor) -> int:
     try:
-        return doctor(json=json)
+        return doctor()
     except KeyboardInterrupt:
         print("tisfm: interrupted", file=sys.stderr)
         return INTERRUPTED

@@ -19,8 +19,8 @@ import tyro
 from tyro.conf import subcommand
 
 from tisfm.checks import hint
+from tisfm.cli import BROKEN_PIPE, INTERRUPTED, WRONG_OPTION
 from tisfm.cli.console import tell_error
-from tisfm.cli.exit_codes import BROKEN_PIPE, INTERRUPTED, WRONG_OPTION
 from tisfm.cli.options import SettingsOptions
 from tisfm.cli.parsing import SEVERAL, WrongOptionError, parse, suggestion, wrapped_help
 from tisfm.errors import MissingPackageError, TisfmError, is_user_error
@@ -59,7 +59,7 @@ COMMANDS = {
     "view": ("tisfm.cli.view", "View"),
     "demo": ("tisfm.cli.demo", "Demo"),
     "figures": ("tisfm.cli.figures", "Figures"),
-    "doctor": ("tisfm.cli.doctor", "Doctor"),
+    "doctor": ("tisfm.cli", "Doctor"),
 }
 _DESCRIPTION = (
     "Dense structure and 3D motion from image sequences, on a CPU, without training. "

@@ -115,8 +115,7 @@ def export(
     `frames` are start, stop and step; `scale` are two frames and the distance between the positions
     of the camera. Everything that can be checked is checked before the first file is written.
     """
-    from tisfm.exports.chosen_frames import check_rate
-    from tisfm.exports.export_request import ExportRequest
+    from tisfm.exports.export_request import ExportRequest, check_rate
 
     wanted = _formats(formats)
     if frames_per_second is not None:

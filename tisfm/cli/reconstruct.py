@@ -23,8 +23,8 @@ from tisfm.cli.progress import MUCH, STAGES, StageTimes, TimeEstimate, progress_
 from tisfm.cli.report import report_reconstruction
 from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
+from tisfm.folders.files import TIMINGS
 from tisfm.folders.result_folder import locked_folder
-from tisfm.folders.side_files import TIMINGS
 from tisfm.formats import atomic_write
 from tisfm.formats.csv_table import csv_table
 from tisfm.fusion.mesh import check_scikit_image

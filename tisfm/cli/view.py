@@ -11,12 +11,11 @@ from tyro.conf import Positional, arg
 from tisfm.cli.console import tell
 from tisfm.errors import InputError
 from tisfm.formats import atomic_write
-from tisfm.results.frame_cache import FrameCache
 from tisfm.results.opening import NotReadyError, open_result
-from tisfm.results.result_frames import ResultFrames
+from tisfm.results.result_frames import FrameCache, ResultFrames
+from tisfm.view.colors import ranges_of, sampled
 from tisfm.view.frame_cloud import PointFilter
 from tisfm.view.page import ViewerPage
-from tisfm.view.ranges import ranges_of, sampled
 from tisfm.view.server import start_server, stop_server, url_of
 from tisfm.view.static_page import static_page
 from tisfm.view.waiting_page import WaitingPage

@@ -10,12 +10,15 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from tisfm.errors import InputError
-from tisfm.exports.folders import IMAGES, MASKS, MODELS, renewed_export
-from tisfm.exports.frame_files import (
+from tisfm.exports.model_folder import (
+    IMAGES,
+    MASKS,
+    MODELS,
     Images,
     check_images,
     has_masks,
     name_of,
+    renewed_export,
     write_masks,
     write_pictures,
 )

@@ -1,17 +1,113 @@
-"""The request of an export: the result, the chosen frames and the options."""
+"""The request of an export: result, chosen frames, their pieces, times and rate, and options."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from operator import index
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
 from tisfm.camera_file import read_camera, record_in
-from tisfm.errors import InputError
+from tisfm.errors import InputError, OutOfRangeError
 from tisfm.folders.result_folder import make_subfolder
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.results.pair_frames import PairFrames
 from tisfm.results.sequence_frames import SequenceFrames
+from tisfm.trajectory.times import are_increasing, times_or_numbers
+
+
+def chosen_frames(frames: Iterable[int] | None, count: int) -> list[int]:
+    """Return frame numbers in ascending order, by default all.
+
+    Raises IndexError if a frame does not exist.
+
+    Raises ValueError if no frame is chosen.
+    """
+    chosen = sorted({index(frame) for frame in (range(count) if frames is None else frames)})
+    if not chosen:
+        raise InputError(f"no frame is chosen of {count}: expected some, from 0 to {count - 1}")
+    for frame in (chosen[0], chosen[-1]):
+        if not 0 <= frame < count:
+            raise OutOfRangeError(f"frame is {frame}: expected 0 to {count - 1}")
+    return chosen
+
+
+def pieces_of(result: Reconstruction, frames: Iterable[int] | None = None) -> list[list[int]]:
+    """Return the frames with a pose of each piece, the largest piece first.
+
+    Raises IndexError if a frame does not exist.
+
+    Raises ValueError if none of the frames has a pose.
+    """
+    chosen = chosen_frames(frames, len(result))
+    pieces: dict[int, list[int]] = {}
+    for frame in chosen:
+        if result.piece[frame] >= 0 and np.isfinite(result.poses[frame]).all():
+            pieces.setdefault(int(result.piece[frame]), []).append(frame)
+    if not pieces:
+        raise InputError(
+            f"none of {len(chosen)} frames in {result.folder} has a pose: see the statuses of "
+            "the reconstruction"
+        )
+    return sorted(pieces.values(), key=len, reverse=True)
+
+
+def piece_files(folder: Path, name: str, pieces: Sequence[object]) -> list[Path]:
+    """Return a path for each piece: the first has the name, others a number added."""
+    stem, dot, suffix = name.partition(".")
+    return [
+        folder / (name if number == 1 else f"{stem}-piece{number}{dot}{suffix}")
+        for number in range(1, len(pieces) + 1)
+    ]
+
+
+FRAME_RATE = 25.0  # frames/s of frames without times: of PAL video
+# frames/s, bounds set by hand
+_MIN_RATE = 0.01
+_MAX_RATE = 1000.0
+
+
+def frame_times(
+    times: Sequence[float | None],  # times of all frames of a sequence
+    frames_per_second: float | None = None,  # replaces `times` by evenly spaced times from 0
+) -> NDArray[np.float64]:
+    """Return the times of frames, s, or their numbers if times are unknown.
+
+    Raises ValueError if `frames_per_second` is out of range.
+    """
+    if frames_per_second is not None:
+        return np.arange(len(times)) / check_rate(frames_per_second)
+    return times_or_numbers(times)
+
+
+def frame_rate(
+    times: Sequence[float | None], frames: Sequence[int], frames_per_second: float | None = None
+) -> float:
+    """Return the rate of frames, 1/s.
+
+    By default it is one over the median time between neighbours, or 25 if times are unknown.
+
+    Raises ValueError if `frames_per_second` is out of range.
+    """
+    if frames_per_second is not None:
+        return check_rate(frames_per_second)
+    known = [times[frame] for frame in frames]
+    if len(known) < 2 or not are_increasing(known):
+        return FRAME_RATE
+    period = float(np.median(np.diff(np.array(known, float))))
+    return float(np.clip(1 / period, _MIN_RATE, _MAX_RATE))
+
+
+def check_rate(frames_per_second: float) -> float:
+    """Return a frame rate; raise ValueError if it is out of range."""
+    if not _MIN_RATE <= frames_per_second <= _MAX_RATE:
+        raise InputError(
+            f"frames_per_second is {frames_per_second}: expected {_MIN_RATE:g} to {_MAX_RATE:g}"
+        )
+    return float(frames_per_second)
 
 
 @dataclass(frozen=True, kw_only=True)

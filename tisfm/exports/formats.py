@@ -1,4 +1,4 @@
-"""The formats of `tisfm export` by name: how each is checked and written."""
+"""The formats of `tisfm export` by name: how each is checked and written, and notes on it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,15 +6,15 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from tisfm.errors import InputError
-from tisfm.exports import notes
-from tisfm.exports.camera_path import write_chan, write_gltf_cameras
-from tisfm.exports.chosen_frames import pieces_of
+from tisfm.exports.camera_path import is_centered, write_chan, write_gltf_cameras
 from tisfm.exports.colmap import write_colmap
-from tisfm.exports.export_request import ExportRequest, source_camera
+from tisfm.exports.export_request import FRAME_RATE, ExportRequest, pieces_of, source_camera
 from tisfm.exports.float_images import check_exr
-from tisfm.exports.folders import refuse_others
 from tisfm.exports.frame_maps import (
+    MAX_VALUE,
     VALUES_PER_UNIT,
     DepthKind,
     check_fits,
@@ -22,15 +22,132 @@ from tisfm.exports.frame_maps import (
     write_depths,
     write_masks,
 )
+from tisfm.exports.model_folder import refuse_others
 from tisfm.exports.nerfstudio import write_nerfstudio
 from tisfm.exports.surfaces import Suffix, save_points, write_meshes, write_points
 from tisfm.exports.trajectories import write_kitti_paths, write_tum_paths
 from tisfm.exports.undistortion import check_distorts, write_undistortion
 from tisfm.exports.video_file import check_video
 from tisfm.exports.videos import VideoKind, write_video
+from tisfm.focal_guess import at_size
 from tisfm.fusion.mesh import check_scikit_image
+from tisfm.results.pair_frames import PairFrames
 from tisfm.results.result_frames import file_names
 from tisfm.results.sequence_frames import SequenceFrames
+from tisfm.status import STATUSES
+from tisfm.trajectory.times import are_increasing
+
+
+def note_poses(export: ExportRequest) -> list[str]:
+    """Note frames without a pose, and several pieces."""
+    pieces = pieces_of(export.sequence, export.chosen)
+    without = len(export.chosen) - sum(map(len, pieces))
+    notes = [f"{_frames(without)} without a pose left out"] if without else []
+    if len(pieces) > 1:
+        sizes = ", ".join(str(len(piece)) for piece in pieces)
+        notes.append(
+            f"{len(pieces)} pieces ({sizes} frames), each with its own scale and its own file"
+        )
+    return notes
+
+
+def note_models(export: ExportRequest) -> list[str]:
+    """Note frames without a model: without a pose, or in a piece of one frame."""
+    pieces = [piece for piece in pieces_of(export.sequence, export.chosen) if len(piece) > 1]
+    notes = []
+    if without := len(export.chosen) - sum(map(len, pieces)):
+        notes.append(f"{_frames(without)} without a pose, or in a piece of one frame, left out")
+    if len(pieces) > 1:
+        sizes = ", ".join(str(len(piece)) for piece in pieces)
+        notes.append(
+            f"{len(pieces)} pieces ({sizes} frames), each with its own scale and its own model"
+        )
+    return notes
+
+
+def note_largest(export: ExportRequest) -> list[str]:
+    """Note frames outside the largest piece."""
+    largest = max(map(len, pieces_of(export.sequence, export.chosen)))
+    without = len(export.chosen) - largest
+    return [f"only the largest piece; {_frames(without)} left out"] if without else []
+
+
+def note_times(export: ExportRequest) -> list[str]:
+    """Note that frame numbers replace times."""
+    if are_increasing(export.frames.times) or export.frames_per_second is not None:
+        return []
+    return [f"{_without(export)}: frame numbers replace seconds; --fps sets the frames per second"]
+
+
+def note_rate(export: ExportRequest) -> list[str]:
+    """Note that the frame rate is a guess."""
+    known = are_increasing([export.frames.times[frame] for frame in export.chosen])
+    if (known and len(export.chosen) > 1) or export.frames_per_second is not None:
+        return []
+    return [f"{_without(export)}: {FRAME_RATE:g} per second are assumed; --fps sets another rate"]
+
+
+def note_lens(export: ExportRequest) -> list[str]:
+    """Note a principal point outside the middle, which the format cannot store."""
+    result = export.sequence
+    if is_centered(result.camera, result.shape):
+        return []
+    cx, cy = result.camera.center_for(*result.shape)
+    size = at_size(result.shape)
+    return [
+        f"the principal point is at ({cx:.1f}, {cy:.1f}) px{size}, not in the middle: the file "
+        "cannot store it; set the lens shift from lens.json"
+    ]
+
+
+def note_shutter(export: ExportRequest) -> list[str]:
+    """Note that the maps do not undo a rolling shutter."""
+    if not source_camera(export)[0].readout:
+        return []
+    return ["the maps do not correct the rolling shutter; the frames of the result are corrected"]
+
+
+def note_depth(export: ExportRequest) -> list[str]:
+    """Note frames without depth, and statuses that this version does not know."""
+    shown = frames_with_depth(export.frames, export.chosen)
+    without = len(export.chosen) - len(shown)
+    notes = [f"{_frames(without)} without depth left out"] if without else []
+    statuses = [export.frames.statuses[frame] for frame in shown]
+    codes = [str(status) for status in statuses if status not in STATUSES]
+    if codes:
+        notes.append(
+            f"{_frames(len(codes))} with a status that this version does not know "
+            f"({', '.join(sorted(set(codes)))}): treat their depth as doubtful"
+        )
+    return notes
+
+
+def note_scale(export: ExportRequest, kind: DepthKind) -> list[str]:
+    """Note the scale of 16-bit depth, and the share of depth beyond its range."""
+    scale = VALUES_PER_UNIT[kind]
+    beyond = check_fits(export.frames, frames_with_depth(export.frames, export.chosen), kind)
+    unit = "the unit of the path"
+    if isinstance(export.frames, PairFrames):
+        unit = "the unit of the poses" if export.frames.has_one_scale else "the unit of each pair"
+    notes = [f"depth is value / {scale:g}, in {unit}"]
+    if beyond:
+        notes.append(
+            f"about {np.ceil(1000 * beyond) / 10:g} % of it is beyond {MAX_VALUE / scale:.4g}, "
+            "and 0 in the files"
+        )
+    return notes
+
+
+def _without(export: ExportRequest) -> str:
+    """Return why the times of the frames are not used."""
+    if any(export.frames.times[frame] is None for frame in export.chosen):
+        return "frames have no times"
+    return "frames have no times that rise"
+
+
+def _frames(count: int) -> str:
+    return f"{count} frame{'s' * (count != 1)}"
+
 
 Progress = Callable[[int, int], None]
 Files = list[Path]
@@ -78,8 +195,8 @@ def _depth(kind: DepthKind, bytes_per_pixel: float) -> Format:
             check_fits(export.frames, frames_with_depth(export.frames, export.chosen), kind)
 
     def describe(export: ExportRequest) -> list[str]:
-        scale = notes.note_scale(export, kind) if kind in VALUES_PER_UNIT else []
-        return [*scale, *notes.note_depth(export)]
+        scale = note_scale(export, kind) if kind in VALUES_PER_UNIT else []
+        return [*scale, *note_depth(export)]
 
     return Format(write=write, check=check, notes=describe, bytes_per_pixel=bytes_per_pixel)
 
@@ -107,8 +224,8 @@ def _video(kind: VideoKind) -> Format:
             _require_depth(export)
 
     def describe(export: ExportRequest) -> list[str]:
-        without = [] if kind == "flow" else notes.note_depth(export)
-        return [*notes.note_rate(export), *without]
+        without = [] if kind == "flow" else note_depth(export)
+        return [*note_rate(export), *without]
 
     return Format(write=write, check=check, notes=describe, bytes_per_pixel=0.4)
 
@@ -132,7 +249,7 @@ def _points(suffix: Suffix) -> Format:
         return written
 
     def describe(export: ExportRequest) -> list[str]:
-        return notes.note_poses(export) if isinstance(export.frames, SequenceFrames) else []
+        return note_poses(export) if isinstance(export.frames, SequenceFrames) else []
 
     return Format(write=write, check=_require_depth, notes=describe)
 
@@ -146,7 +263,7 @@ def _mesh(suffix: Suffix) -> Format:
         check_scikit_image()
         _require_depth(export)
 
-    return Format(write=write, check=check, notes=notes.note_poses)
+    return Format(write=write, check=check, notes=note_poses)
 
 
 def _undistortion(suffix: Literal["exr", "tiff"]) -> Format:
@@ -158,13 +275,13 @@ def _undistortion(suffix: Literal["exr", "tiff"]) -> Format:
             check_exr()
         check_distorts(source_camera(export)[0])
 
-    return Format(write=write, check=check, notes=notes.note_shutter)
+    return Format(write=write, check=check, notes=note_shutter)
 
 
 def _model(
     name: str,
     write: Callable[..., object],
-    describe: Callable[[ExportRequest], list[str]] = notes.note_models,
+    describe: Callable[[ExportRequest], list[str]] = note_models,
 ) -> Format:
     """Return a format whose files fill a folder of their own."""
 
@@ -200,30 +317,30 @@ def _path(
     return Format(
         write=written,
         check=_require_poses,
-        notes=lambda export: [*notes.note_poses(export), *describe(export)],
+        notes=lambda export: [*note_poses(export), *describe(export)],
     )
 
 
 FORMATS = {
-    "tum": _path(write_tum_paths, notes.note_times),
-    "kitti": _path(write_kitti_paths, notes.note_times),
+    "tum": _path(write_tum_paths, note_times),
+    "kitti": _path(write_kitti_paths, note_times),
     "ply": _points("ply"),
     "glb": _points("glb"),
     "mesh-ply": _mesh("ply"),
     "mesh-glb": _mesh("glb"),
     "gltf-camera": _path(
-        write_gltf_cameras, lambda export: [*notes.note_rate(export), *notes.note_lens(export)]
+        write_gltf_cameras, lambda export: [*note_rate(export), *note_lens(export)]
     ),
     "chan": Format(
         write=lambda export, progress: write_chan(
             export.sequence, export.folder, frames=export.chosen
         ),
         check=_require_poses,
-        notes=lambda export: [*notes.note_poses(export), *notes.note_lens(export)],
+        notes=lambda export: [*note_poses(export), *note_lens(export)],
     ),
     "colmap": _model("colmap", write_colmap),
     "colmap-text": _model("colmap-text", partial(write_colmap, form="text")),
-    "nerfstudio": _model("nerfstudio", write_nerfstudio, notes.note_largest),
+    "nerfstudio": _model("nerfstudio", write_nerfstudio, note_largest),
     "undistortion": _undistortion("exr"),
     "undistortion-tiff": _undistortion("tiff"),
     "depth-tum": _depth("tum", 2.0),

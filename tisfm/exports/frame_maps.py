@@ -1,7 +1,7 @@
-"""Depth and masks of every frame in the files that other programs read."""
+"""Depth and masks of every frame as files of other programs, and common ranges of their values."""
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -9,12 +9,65 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.errors import InputError
-from tisfm.exports.chosen_frames import chosen_frames
+from tisfm.exports.export_request import chosen_frames
 from tisfm.exports.float_images import check_exr, write_exr, write_pfm, write_tiff
-from tisfm.exports.value_ranges import some_of, thinned
 from tisfm.folders.result_folder import make_subfolder
 from tisfm.formats import write_depth_png, write_dpt, write_png
 from tisfm.results.result_frames import ResultFrames, file_names
+from tisfm.show import flow_radius
+from tisfm.show.palette import DEPTH_PERCENTILE, FLOW_PERCENTILE
+
+# Set by hand.
+SAMPLED_FRAMES = 48
+SAMPLED_PIXELS = 20_000  # about, of each frame
+
+
+def some_of(frames: Sequence[int], count: int = SAMPLED_FRAMES) -> list[int]:
+    """Return at most `count` of the frames, evenly spread."""
+    if len(frames) <= count:
+        return list(frames)
+    return [frames[k] for k in np.linspace(0, len(frames) - 1, count).round().astype(int)]
+
+
+def inverse_depth_ranges(
+    frames: ResultFrames, chosen: Sequence[int], percentile: float = DEPTH_PERCENTILE
+) -> dict[int, float]:
+    """Return a percentile of inverse depth for each group of frames with one scale.
+
+    It is in multiples of the scale of `ResultFrames.scale`; 0 for a group without depth. The
+    default percentile is that of the nearest colour.
+    """
+    groups: dict[int, list[int]] = {}
+    for frame in chosen:
+        groups.setdefault(frames.scale(frame)[0], []).append(frame)
+    ranges = {}
+    for group, members in groups.items():
+        samples = [_positive(frames, frame) for frame in some_of(members)]
+        values = np.concatenate(samples)
+        ranges[group] = float(np.percentile(values, percentile)) if len(values) else 0.0
+    return ranges
+
+
+def speed_range(frames: ResultFrames, chosen: Sequence[int]) -> float:
+    """Return the length of image motion, px, that 98 % of the sample stay below."""
+    samples = []
+    for frame in some_of(chosen):
+        radius = flow_radius(thinned(frames.flow(frame))).ravel()
+        samples.append(radius[np.isfinite(radius)])
+    values = np.concatenate(samples)
+    return float(np.percentile(values, FLOW_PERCENTILE)) if len(values) else 0.0
+
+
+def thinned(values: np.ndarray) -> np.ndarray:
+    """Return about `SAMPLED_PIXELS` pixels of a map on a regular grid, (h, w) or (h, w, 2)."""
+    step = max(1, int(np.sqrt(values.shape[0] * values.shape[1] / SAMPLED_PIXELS)))
+    return values[step // 2 :: step, step // 2 :: step]
+
+
+def _positive(frames: ResultFrames, frame: int) -> np.ndarray:
+    values = thinned(frames.inverse_depth(frame)).ravel() / frames.scale(frame)[1]
+    return np.asarray(values[np.isfinite(values) & (values > 0)])
+
 
 DepthKind = Literal["tum", "kitti", "exr", "tiff", "pfm", "dpt"]
 Progress = Callable[[int, int], None]

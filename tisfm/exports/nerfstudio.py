@@ -11,12 +11,16 @@ import numpy as np
 
 from tisfm.errors import InputError
 from tisfm.exports.colmap import ExportedModel, pieces_of, summary_of
-from tisfm.exports.folders import IMAGES, MASKS, POINTS, TRANSFORMS, renewed_export
-from tisfm.exports.frame_files import (
+from tisfm.exports.model_folder import (
+    IMAGES,
+    MASKS,
+    POINTS,
+    TRANSFORMS,
     Images,
     check_images,
     has_masks,
     name_of,
+    renewed_export,
     write_masks,
     write_pictures,
 )

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from tisfm.errors import InputError
-from tisfm.exports.chosen_frames import piece_files, pieces_of
+from tisfm.exports.export_request import piece_files, pieces_of
 from tisfm.formats import atomic_write
 from tisfm.formats.glb import glb_points
 from tisfm.point_cloud import PointCloud

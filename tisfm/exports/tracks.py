@@ -7,9 +7,8 @@ import numpy as np
 
 from tisfm.checks import Floats
 from tisfm.errors import InputError
-from tisfm.exports.depth_tracks import DepthTracks
-from tisfm.exports.flow_tracks import tracks_along_flow
-from tisfm.exports.track_frames import PieceFrames, SeenPoints
+from tisfm.exports.observations import PieceFrames, SeenPoints
+from tisfm.exports.point_tracks import DepthTracks, tracks_along_flow
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 CELLS = 80  # along the longer side: each cell without a point gets a new group; set by hand

@@ -4,7 +4,7 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from tisfm.exports.chosen_frames import frame_times, piece_files, pieces_of
+from tisfm.exports.export_request import frame_times, piece_files, pieces_of
 from tisfm.formats import atomic_write
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.trajectory import write_kitti, write_tum

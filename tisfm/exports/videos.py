@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.errors import InputError
-from tisfm.exports.chosen_frames import chosen_frames, frame_rate
-from tisfm.exports.frame_maps import frames_with_depth
-from tisfm.exports.value_ranges import inverse_depth_ranges, speed_range
+from tisfm.exports.export_request import chosen_frames, frame_rate
+from tisfm.exports.frame_maps import frames_with_depth, inverse_depth_ranges, speed_range
 from tisfm.exports.video_file import check_video, video_file
 from tisfm.results.result_frames import ResultFrames
 from tisfm.show import anaglyph, depth_to_color, flow_to_color, stereo_view

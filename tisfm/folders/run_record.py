@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tisfm.errors import InputError
-from tisfm.folders.checksums import compare_records, file_checksum, summarise_differences
-from tisfm.folders.side_files import TIMINGS
+from tisfm.folders.files import TIMINGS, compare_records, file_checksum, summarise_differences
 from tisfm.formats import atomic_write
 from tisfm.formats.csv_table import csv_table
 from tisfm.formats.reading import FormatError

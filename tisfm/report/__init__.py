@@ -6,7 +6,7 @@ May import: `tisfm.folders`, `tisfm.formats`, `tisfm.reconstruction`, `tisfm.res
 `version`.
 """
 
-from tisfm.folders.side_files import REPORT, is_report
+from tisfm.folders.files import REPORT, is_report
 from tisfm.report.page import check_report
 from tisfm.report.reconstruction_report import write_reconstruction_report
 from tisfm.report.run_report import write_run_report

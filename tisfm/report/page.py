@@ -11,11 +11,10 @@ from pathlib import Path
 from markupsafe import Markup
 
 from tisfm.errors import InputError
-from tisfm.folders.side_files import MARK, REPORT, is_report
+from tisfm.folders.files import MARK, REPORT, is_report
 from tisfm.formats import atomic_write
-from tisfm.report.legends import Legend
-from tisfm.report.setting_rows import SettingRow
-from tisfm.report.statuses import StatusCount, color_of
+from tisfm.report.pictures import Legend
+from tisfm.report.tables import SettingRow, StatusCount, color_of
 from tisfm.templates import render
 from tisfm.version import __version__
 

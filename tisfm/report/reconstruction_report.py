@@ -8,11 +8,15 @@ from numpy.typing import NDArray
 from tisfm.reconstruction.result.calibration import describe_focal
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.report.drawings import MAX_PIECES, path_drawing
-from tisfm.report.embedded_images import Pictures, choose_slides
-from tisfm.report.legends import depth_legend, deviation_legend, flow_legend
 from tisfm.report.page import Picture, Report, Slide, check_report, write_report
-from tisfm.report.setting_rows import nearest_preset, setting_rows
-from tisfm.report.statuses import counted, shortened, spans
+from tisfm.report.pictures import (
+    Pictures,
+    choose_slides,
+    depth_legend,
+    deviation_legend,
+    flow_legend,
+)
+from tisfm.report.tables import counted, nearest_preset, setting_rows, shortened, spans
 from tisfm.results.frame import ResultFrame
 from tisfm.results.sequence_frames import SequenceFrames
 from tisfm.show import (

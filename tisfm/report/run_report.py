@@ -11,11 +11,15 @@ from tisfm.errors import InputError
 from tisfm.focal_guess import at_size
 from tisfm.interpretation import Interpretation
 from tisfm.report.drawings import curves_drawing
-from tisfm.report.embedded_images import Pictures, choose_slides
-from tisfm.report.legends import confidence_legend, depth_legend, flow_legend
 from tisfm.report.page import Picture, Report, Slide, check_report, write_report
-from tisfm.report.setting_rows import nearest_preset, setting_rows
-from tisfm.report.statuses import counted, shortened, spans
+from tisfm.report.pictures import (
+    Pictures,
+    choose_slides,
+    confidence_legend,
+    depth_legend,
+    flow_legend,
+)
+from tisfm.report.tables import counted, nearest_preset, setting_rows, shortened, spans
 from tisfm.results.frame import mean_inverse_depth
 from tisfm.settings import Settings
 from tisfm.show import (

@@ -11,7 +11,7 @@ import numpy as np
 
 from tisfm.checks import hint
 from tisfm.errors import InputError
-from tisfm.folders.checksums import file_checksum
+from tisfm.folders.files import file_checksum
 from tisfm.folders.result_folder import InputFiles
 from tisfm.folders.run_record import ENDINGS
 from tisfm.formats import (

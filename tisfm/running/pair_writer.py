@@ -10,9 +10,9 @@ import numpy as np
 
 from tisfm import runtime
 from tisfm.camera import Camera
+from tisfm.folders.files import TIMINGS
 from tisfm.folders.result_folder import InputFiles, locked_folder, make_result_folder
 from tisfm.folders.run_record import ENDINGS, FOUND, RECORD, TABLE, RunRecord
-from tisfm.folders.side_files import TIMINGS
 from tisfm.interpretation import Interpretation
 from tisfm.report import REPORT, is_report
 from tisfm.running.pair_files import USUAL, PairFiles, Ranges, Sums, checked_outputs

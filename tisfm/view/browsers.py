@@ -7,9 +7,8 @@ import numpy as np
 
 from tisfm.results.frame import ResultFrame
 from tisfm.view.frame_cloud import FrameCloud
-from tisfm.view.picking import following_fov
 from tisfm.view.scene import ViewerScene, quaternion
-from tisfm.view.viewpoint import FOV, USUAL_ASPECT
+from tisfm.view.viewpoint import FOV, USUAL_ASPECT, following_fov
 
 if TYPE_CHECKING:
     from viser import CameraHandle, ClientHandle, ViserServer

@@ -1,5 +1,6 @@
-"""Colours of points by a quantity, and the legends of these colours."""
+"""Colours of points and pictures of a frame by a quantity; ranges and legends of these colours."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -8,15 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.results.frame import ResultFrame
-from tisfm.results.result_frames import ResultFrames
+from tisfm.results.result_frames import FrameCache, ResultFrames
 from tisfm.show import (
     UNCERTAINTY_RANGE,
     UNKNOWN_COLOR,
+    anaglyph,
     color_ramp,
     confidence_to_color,
     depth_to_color,
     error_to_color,
+    flow_to_color,
+    inverse_depth_limit,
     label_colors,
+    usual_length,
 )
 from tisfm.show.palette import as_hex
 
@@ -116,3 +121,94 @@ def legend(
         title = "relative deviation of depth"
         ticks = [f"{100 * share:.3g} %" for share in (low, (low * high) ** 0.5, high)]
     return Legend(title=title, colors=tuple(map(as_hex, bar)), ticks=tuple(ticks), is_bar=True)
+
+
+def ranges_of(frames: Sequence[ResultFrame], *, with_flow: bool = True) -> Ranges:
+    """Return the median ranges of frames; 1 for a quantity that no frame has."""
+    depths = [inverse_depth_limit(frame.inverse_depth) / frame.scale for frame in frames]
+    flows = [frame.flow for frame in frames] if with_flow else []
+    lengths = [usual_length(flow) for flow in flows if flow is not None]
+    return Ranges(inverse_depth=_median(depths), flow=_median(lengths))
+
+
+def differ(one: Ranges, other: Ranges, factor: float) -> bool:
+    """Return whether depth or motion ranges differ by more than a factor."""
+    pairs = (one.inverse_depth, other.inverse_depth), (one.flow, other.flow)
+    return any(max(pair) > factor * min(pair) for pair in pairs)
+
+
+def sampled(cache: FrameCache, count: int, samples: int = 3) -> list[ResultFrame]:
+    """Return a few readable frames, spread evenly over `count` frames."""
+    frames = []
+    for number in dict.fromkeys(int(k) for k in np.linspace(0, count - 1, samples)):
+        try:
+            frames.append(cache[number])
+        except (OSError, ValueError):
+            continue
+    return frames
+
+
+def _median(values: list[float]) -> float:
+    """Return the median of the positive values; 1 without any."""
+    known = [value for value in values if value > 0]
+    return float(np.median(known)) if known else 1.0
+
+
+PictureKind = Literal["frame", "depth", "flow", "anaglyph", "confidence", "deviation", "object"]
+KINDS: tuple[PictureKind, ...] = get_args(PictureKind)
+_CROSS = (230, 159, 0)  # colour of the mark of a pixel
+
+
+def picture_of(
+    frame: ResultFrame,
+    kind: PictureKind,  # one of `KINDS`; unknown pixels are grey
+    ranges: Ranges,
+    *,
+    width: int,  # largest width, px
+    marked: tuple[int, int] | None = None,  # row and column of the pixel to mark by a cross
+) -> NDArray[np.uint8]:
+    """Return a picture of a frame, (h, w, 3) uint8, of a limited width.
+
+    Small pictures are enlarged by a whole number.
+    """
+    picture = _picture(frame, kind, ranges)
+    height, full = picture.shape[:2]
+    if full > width:
+        size = (width, max(1, round(height * width / full)))
+        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
+    elif width >= 2 * full:
+        enlarged = picture.repeat(width // full, axis=0).repeat(width // full, axis=1)
+        picture = enlarged
+    picture = np.ascontiguousarray(picture)
+    if marked is not None:
+        share = picture.shape[1] / full
+        center = (int((marked[1] + 0.5) * share), int((marked[0] + 0.5) * share))
+        picture = picture.copy()
+        for color, thickness in (((0, 0, 0), 4), (_CROSS, 2)):
+            cv2.drawMarker(picture, center, color, cv2.MARKER_CROSS, 17, thickness)
+    return picture
+
+
+def caption(kind: PictureKind, ranges: Ranges) -> str:
+    """Return the meaning of the colours of a picture."""
+    captions = {
+        "depth": f"near is bright, brightest at a depth of {1 / ranges.inverse_depth:.3g}",
+        "flow": f"direction as hue, full colour at {ranges.flow:.3g} px",
+        "anaglyph": "for red-cyan glasses",
+        "confidence": "blue 0, yellow 1",
+        "deviation": "dark 1 %, yellow 64 %, grey unknown",
+    }
+    return captions.get(kind, "")
+
+
+def _picture(frame: ResultFrame, kind: PictureKind, ranges: Ranges) -> NDArray[np.uint8]:
+    if kind == "frame":
+        return frame.picture
+    if kind == "flow":
+        if frame.flow is None:
+            return unknown_picture(frame.shape)
+        return flow_to_color(frame.flow, limit=ranges.flow or None, beyond="same")
+    if kind == "anaglyph":
+        limit = ranges.inverse_depth * frame.scale
+        return anaglyph(frame.picture, frame.inverse_depth, limit=limit or None)
+    return pixel_colors(frame, kind, ranges)

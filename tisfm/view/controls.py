@@ -7,8 +7,7 @@ import numpy as np
 
 from tisfm.results.fused_scene import KINDS as FUSED_KINDS
 from tisfm.results.result_frames import ResultFrames
-from tisfm.view.colors import QUANTITIES
-from tisfm.view.pictures import KINDS
+from tisfm.view.colors import KINDS, QUANTITIES
 
 if TYPE_CHECKING:
     from viser import ViserServer

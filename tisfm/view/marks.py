@@ -8,8 +8,8 @@ from tisfm.results.result_frames import ResultFrames
 from tisfm.view.controls import Controls
 from tisfm.view.frame_cloud import FrameCloud
 from tisfm.view.html_texts import NOTHING, distance_html, outside_html, reading_html, set_html
-from tisfm.view.picking import CLICK_ANGLE, picked_pixel, picked_point
 from tisfm.view.scene import ViewerScene
+from tisfm.view.viewpoint import CLICK_ANGLE, picked_pixel, picked_point
 
 _CLICK_WIDTH = 0.75  # distance of a click to a point, in steps of the points; set by hand
 

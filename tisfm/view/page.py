@@ -8,21 +8,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.results.frame import ResultFrame
-from tisfm.results.frame_cache import MAX_BYTES, FrameCache
-from tisfm.results.result_frames import ResultFrames, as_rgb
+from tisfm.results.result_frames import MAX_BYTES, FrameCache, ResultFrames, as_rgb
 from tisfm.view.browsers import Browsers
 from tisfm.view.clipping_box import ClippingBox
-from tisfm.view.colors import legend_of_result, object_labels, pixel_colors
+from tisfm.view.colors import (
+    caption,
+    differ,
+    legend_of_result,
+    object_labels,
+    picture_of,
+    pixel_colors,
+    ranges_of,
+    sampled,
+)
 from tisfm.view.controls import ANY_DEVIATION, build_controls, copy_settings, features_of
 from tisfm.view.downloads import notify, save_film, save_screenshot, save_static
-from tisfm.view.drawing_thread import DrawingThread
+from tisfm.view.drawing_thread import DrawingThread, Playback
 from tisfm.view.frame_cloud import FrameCloud, PointFilter, frame_cloud
 from tisfm.view.fused_layer import FusedLayer
 from tisfm.view.html_texts import NOTHING, legend_html, set_html, status_html
 from tisfm.view.marks import Marks
-from tisfm.view.pictures import caption, picture_of
-from tisfm.view.playback import Playback
-from tisfm.view.ranges import differ, ranges_of, sampled
 from tisfm.view.scene import ViewerScene, thumbnail
 from tisfm.view.server import start_server, stop_server, url_of
 

@@ -11,10 +11,8 @@ from tisfm.results.frame import ResultFrame
 from tisfm.results.fused_scene import FusedScene
 from tisfm.results.result_frames import ResultFrames
 from tisfm.show import label_colors
-from tisfm.view.frame_cloud import FrameCloud
-from tisfm.view.picking import field_of_view, frustum_scale
-from tisfm.view.surface import surface_file, triangles_between
-from tisfm.view.viewpoint import FOV, USUAL_ASPECT, overview
+from tisfm.view.frame_cloud import FrameCloud, surface_file, triangles_between
+from tisfm.view.viewpoint import FOV, USUAL_ASPECT, field_of_view, frustum_scale, overview
 
 if TYPE_CHECKING:
     from viser import ViserServer

@@ -17,8 +17,8 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
 from tisfm.errors import InputError
+from tisfm.folders.files import REPORT, TIMINGS
 from tisfm.folders.result_folder import make_subfolder
-from tisfm.folders.side_files import REPORT, TIMINGS
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.image_headers import LARGEST_PICTURE, refuse_large_image
 from tisfm.formats.images import decode

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from tisfm.folders.files import REPORT, is_report
 from tisfm.folders.result_folder import (
     LOCK,
     locked_folder,
@@ -15,7 +16,6 @@ from tisfm.folders.result_folder import (
     remove_link,
     try_to_remove,
 )
-from tisfm.folders.side_files import REPORT, is_report
 from tisfm.formats.atomic import copy_file, is_temporary
 from tisfm.reconstruction.result.folder import (
     CACHE,

@@ -12,14 +12,15 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.camera_file import record_in
 from tisfm.errors import InputError
-from tisfm.folders.checksums import (
+from tisfm.folders.files import (
+    REPORT,
+    TIMINGS,
     compare_records,
     file_checksum,
     files_digest,
     summarise_differences,
 )
 from tisfm.folders.result_folder import LOCK
-from tisfm.folders.side_files import REPORT, TIMINGS
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.reading import read_json
 from tisfm.reconstruction.result.folder import MARKER, RECORD, REQUEST

@@ -1,4 +1,4 @@
-"""Check sums of files, and differences between two records of a run."""
+"""Check sums of files, and the report and the timings beside a result."""
 
 import hashlib
 import json
@@ -51,3 +51,17 @@ def summarise_differences(differences: Iterable[str]) -> str:
     listed = list(differences)
     more = len(listed) - _MAX_DIFFERENCES
     return "; ".join(listed[:_MAX_DIFFERENCES] + [f"and {more} more"] * (more > 0))
+
+
+REPORT, TIMINGS = "report.html", "timings.csv"
+MARK = '<meta name="generator" content="tisfm">'
+_HEAD = 400  # bytes of the file in which the mark is searched
+
+
+def is_report(path: Path) -> bool:
+    """Return whether a file is a report that tisfm wrote."""
+    try:
+        with open(path, "rb") as file:
+            return path.is_file() and MARK.encode() in file.read(_HEAD)
+    except OSError:
+        return False
