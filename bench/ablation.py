@@ -53,7 +53,6 @@ CHANGES: dict[str, dict[str, Any]] = {
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Read the command line."""
     names = ("data", "pairs", "only", "threads", "rounds", "smoke", "output")
     parser = options_parser("ablation", __doc__, *names)
     parser.add_argument("--preset", choices=get_args(Preset), default="accurate")
@@ -72,7 +71,6 @@ def variants(preset: Preset, changes: Mapping[str, Mapping[str, Any]]) -> dict[s
 
 
 def compare(options: argparse.Namespace, pairs: Pairs) -> Contest:
-    """Run the preset and its variants."""
     base = Settings.preset(options.preset)
     reference = f"preset {options.preset}"
     every = variants(options.preset, CHANGES)

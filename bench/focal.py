@@ -72,8 +72,6 @@ MIN_ERROR = 1e-4  # least error on a logarithmic axis
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """One scene, interpreted with one focal length."""
-
     kind: str  # kind of motion of the scene
     focal: float  # the true focal length, px
     ratio: float  # assumed focal length over the true one
@@ -201,7 +199,6 @@ def _focal_lengths(outcome: Outcome) -> str:
 
 
 def report(outcomes: Sequence[Outcome], conditions: Mapping[str, Any]) -> str:
-    """Return the results as Markdown."""
     picture = "![Errors over the ratio of the two focal lengths](focal.png)"
     title = "# A wrong focal length"
     return markdown_page(title, conditions, NOTES, picture, finding(outcomes), *tables(outcomes))
@@ -264,7 +261,6 @@ def _scale(axes: Axes, values: Sequence[float]) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure, print and write the tables and the picture."""
     parser = options_parser("focal", __doc__, "threads", "output")
     parser.add_argument("--height", type=int, default=240, help="px")
     parser.add_argument("--width", type=int, default=320, help="px")

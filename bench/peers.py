@@ -36,7 +36,6 @@ REMARKS = (
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Read the command line."""
     names = ("data", "pairs", "only", "threads", "rounds", "smoke", "output", "peer-python")
     parser = options_parser("peers", __doc__, *names)
     parser.add_argument("--paper", action="store_true", help='run the preset "paper", too')
@@ -45,7 +44,6 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 
 
 def compare(options: argparse.Namespace, pairs: Pairs) -> Contest:
-    """Run the methods of tisfm and of the other libraries."""
     runtime.start(threads=options.threads)
     presets: list[Preset] = ["fast", "balanced", "accurate"]
     if options.paper:

@@ -104,8 +104,6 @@ class Row:
 
 @dataclass(frozen=True)
 class Results:
-    """All figures of one run."""
-
     # As in the JSON of pytest-benchmark, with the versions of NumPy and Taichi.
     machine: dict[str, Any]
     rows: list[Row]
@@ -198,12 +196,10 @@ def describe(results: Results) -> list[str]:
 
 
 def table_of(results: Results) -> Table:
-    """Return the table of all kernels and pairs."""
     return Table(HEAD, [row.cells() for row in results.rows], text_columns=4)
 
 
 def show(results: Results, console: Console) -> None:
-    """Print the table."""
     for line in describe(results):
         console.print(line, highlight=False)
     console.print(table_of(results).rich())

@@ -60,8 +60,6 @@ CONSTANCY = Constancy(brightness=1.0, gradient=0.0, normalization=None, derivati
 
 @dataclass(frozen=True)
 class Course:
-    """Course of the energy over the work."""
-
     pair: str
     method: str
     size: tuple[int, int]
@@ -109,22 +107,18 @@ class System:
         self.energy()  # also sets the edge weights
 
     def energy(self) -> float:
-        """Return the energy of the current ρ̂."""
         return self._update().energy
 
     def sweep(self, relaxation: float, sweeps: int = 1) -> None:
-        """Sweep over ρ̂."""
         self.system.sweep(self.unknowns.rho, relaxation=relaxation, sweeps=sweeps)
 
     def multigrid(self) -> Multigrid:
-        """Return multigrid with coarse systems."""
         multigrid = Multigrid(self.unknowns, self.system, solver="cholesky")
         multigrid.coarsen()
         return multigrid
 
 
 def sweeps_of(system: System, relaxation: float) -> Iterator[tuple[float, float]]:
-    """Yield work and energy."""
     done = 0
     for count in SWEEPS:
         system.sweep(relaxation, count - done)
@@ -133,7 +127,6 @@ def sweeps_of(system: System, relaxation: float) -> Iterator[tuple[float, float]
 
 
 def cycles_of(system: System, *, conjugate: bool) -> Iterator[tuple[float, float]]:
-    """Yield work and energy."""
     multigrid = system.multigrid()
     for count in range(1, CYCLES + 1):
         if conjugate:
@@ -223,7 +216,6 @@ def gap_table(courses: Sequence[Course]) -> Table:
 
 
 def time_table(times: dict[tuple[int, int], dict[str, float]]) -> Table:
-    """Return the table of `wall_times`."""
     names = list(next(iter(times.values())))[1:]
     rows = [
         [f"{height}×{width}", *(f"{values[name]:.2f}" for name in names)]
@@ -270,13 +262,11 @@ def draw(courses: Sequence[Mapping[str, Any]], path: Path) -> None:
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Read the command line."""
     names = ("data", "threads", "smoke", "output")
     return options_parser("solvers", __doc__, *names).parse_args(arguments)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure, print, and write the tables and the picture."""
     options = parse(arguments)
     runtime.start(threads=options.threads)
     folder = data_folder(options.data)

@@ -89,7 +89,6 @@ def measure(pair: SyntheticPair, settings: tisfm.Settings | None) -> dict[str, f
 
 
 def methods() -> dict[str, Method]:
-    """Return name → method."""
     preset = tisfm.Settings.preset
     presets: tuple[Preset, ...] = ("paper", "fast", "balanced", "accurate")
     return {
@@ -113,7 +112,6 @@ def table(means: dict[str, dict[str, float]]) -> Table:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure, print and write the table."""
     parser = options_parser("untextured", __doc__, "threads", "output")
     parser.add_argument("--height", type=int, default=240, help="px")
     parser.add_argument("--width", type=int, default=320, help="px")

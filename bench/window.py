@@ -148,7 +148,6 @@ def triples(data: Path | None) -> Iterator[list[Triple]]:
 
 
 def measure(triple: Triple, settings: tisfm.Settings, repetitions: int) -> dict[str, float]:
-    """Measure the errors and times of one triple."""
     first, last = FrameSource(triple.frames)
 
     window = Window()
@@ -183,7 +182,6 @@ def measure(triple: Triple, settings: tisfm.Settings, repetitions: int) -> dict[
 
 
 def row(name: str, values: dict[str, float]) -> list[str]:
-    """Return a row of the table."""
     cells = [f"{100 * values['share']:.1f}"]
     for part in ("occluded", "elsewhere"):
         pair, window = (values[f"{method}_{part}"] for method in ("pair", "window"))
@@ -193,7 +191,6 @@ def row(name: str, values: dict[str, float]) -> list[str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure, print and write the tables."""
     parser = options_parser("window", __doc__, "data", "threads", "output")
     parser.add_argument("--presets", nargs="+", default=["balanced", "fast", "accurate"])
     parser.add_argument("--repetitions", type=int, default=REPETITIONS)

@@ -49,8 +49,6 @@ Times = Sequence[tuple[float, float, float]]
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Times of one source."""
-
     source: str
     pairs: int
     # s in every round: loop, command without figures, command with every tenth figure.
@@ -108,7 +106,6 @@ def measure(source: Path, preset: Preset, rounds: int) -> Outcome:
 
 
 def bars(outcome: Outcome) -> list[Bar]:
-    """Return the bars of the ratios."""
     return [
         Bar(f"{name} over interpret_sequence", outcome.ratios(kind)[1], bar)
         for kind, (name, bar) in enumerate(zip(NAMES, BARS, strict=True))
@@ -116,7 +113,6 @@ def bars(outcome: Outcome) -> list[Bar]:
 
 
 def report(outcome: Outcome, conditions: dict[str, object]) -> str:
-    """Return the results as Markdown."""
     loop, *runs = np.median(np.array(outcome.times), axis=0)
     rows = []
     for kind, seconds in enumerate(runs):

@@ -42,7 +42,6 @@ REMARKS = (
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Read the command line."""
     parser = options_parser("depth", __doc__, *WORDS, "output", preset=["balanced"])
     parser.add_argument("--remark", metavar="TEXT", help="added to the notes of the tables")
     return parser.parse_args(arguments)
@@ -63,7 +62,6 @@ def find_entries(options: argparse.Namespace) -> tuple[list[Entry], dict[str, st
 
 
 def compare(options: argparse.Namespace) -> DepthContest:
-    """Run the methods of tisfm, and the two stages after every flow."""
     entries, missing = find_entries(options)
     height, width = _scene_size(options)
     runtime.start(threads=options.threads)

@@ -32,8 +32,6 @@ class Group:
 
 @dataclass(frozen=True, kw_only=True)
 class DepthContest:
-    """All figures of one run."""
-
     conditions: dict[str, Any]  # machine, versions and options
     methods: tuple[str, ...]
     groups: tuple[Group, ...]
@@ -80,7 +78,6 @@ class DepthContest:
         }
 
     def as_json(self) -> dict[str, Any]:
-        """Return everything as plain values."""
         best = {name: self.best_threshold(name) for name in self.methods}
         return asdict(self) | {"best_thresholds": best}
 
@@ -145,7 +142,6 @@ def mean_median_worst(values: Sequence[float]) -> tuple[float, float, float] | N
 def _measure(
     methods: Sequence[Method], pair: DepthPair, rounds: int, step: Callable[[str], None]
 ) -> list[Score]:
-    """Run all methods on one pair."""
     scored: dict[tuple[str, float | None], Score] = {}
     times: dict[tuple[str, float | None], list[tuple[float, float | None]]] = {}
     for turn in range(rounds):

@@ -31,8 +31,6 @@ MIN_CORRESPONDENCES = 5  # for a sample
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
-    """Result of one call of a method."""
-
     method: str  # name in the tables
     seconds: float  # wall time of the whole call
     threshold: float | None = None  # of the essential matrix, px
@@ -46,8 +44,6 @@ class Estimate:
 
 
 class Method(Protocol):
-    """A method in the comparison."""
-
     @property
     def name(self) -> str:
         """Name in the tables."""
@@ -65,11 +61,9 @@ class OwnMethod:
 
     @property
     def name(self) -> str:
-        """The preset and the motion model."""
         return f"tisfm {self.preset}, {self.motion}"
 
     def run(self, pair: DepthPair) -> Sequence[Estimate]:
-        """Interpret a pair."""
         settings = Settings.preset(self.preset, motion=self.motion)
         pose = pair.pose if pair.pose_given else None
         started = time.perf_counter()
@@ -107,11 +101,9 @@ class FlowThenDepth:
 
     @property
     def name(self) -> str:
-        """The flow's name and the stages after it."""
         return f"{self.flow.name} + essential matrix"
 
     def run(self, pair: DepthPair) -> Sequence[Estimate]:
-        """Return an estimate for each threshold."""
         call = self.flow.run(pair.flow_pair())
         pose = pair.pose if pair.pose_given else None
         estimates = []
@@ -143,8 +135,6 @@ class NoMotion(ValueError):  # noqa: N818 (an outcome, not an error)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TwoStage:
-    """Result of the two stages after a flow."""
-
     pose: NDArray  # (4, 4) float64; P₁ = R P₀ + t, with ‖t‖ = 1 unless it was given
     inverse_depth: NDArray  # (H, W) float64; as triangulated, signed, in units of 1/‖t‖
 

@@ -34,6 +34,13 @@ COMMON_SUFFIX = ", with depth by every method"
 _STATIC_PREFIX = "scenes, "
 TITLES = {"rooms": "Depth in bare rooms, beside two stages"}  # by name of the output
 
+HEAD = (
+    "method", "abs-rel mean", "median", "limited, mean", "raw map, median", "all pixels, median",
+    "most certain pixels, median", "converged but wrong", "depth with parallax",
+    "static pixels, mean", "moving objects, mean", "δ < 1.25, %", "density, %", "direction, °",
+    "rotation, °", "within σ, %", "no depth", "s", "time / field",
+)  # fmt: skip
+
 Reduce = Callable[[Sequence[float]], float]
 
 # Columns of the summary: title, group, name of the error, average, digits.
@@ -118,7 +125,6 @@ def thresholds(contest: DepthContest) -> Table:
 
 
 def notes(contest: DepthContest) -> list[str]:
-    """Return the notes on the tables."""
     lines = [
         "abs-rel: mean of |ΔZ|/Z after scaling every pair by the median, over the pixels with a "
         "positive depth; their share is the density. Limited: depth behind the camera or beyond "
@@ -126,10 +132,10 @@ def notes(contest: DepthContest) -> list[str]:
         "δ: share of pixels off by a factor below 1.25.",
         "All pixels: the same over every pixel of known depth, limited to [0.1 min Z, 10 max Z]; "
         "a pixel without depth counts as 10 max Z, a pair without depth as 1, and truth beyond 40 "
-        "m is left out. The most certain: the 40% of the pixels with the least relative "
-        "deviation, in the unit of the given pose, each limited to 3. Converged, off by half: "
-        "pairs with the status converged and an error over all pixels above 0.5. Depth where "
-        "parallax: pairs with a depth, of the pairs whose median parallax is above 3 px.",
+        "m is left out. Most certain pixels: the 40% of the pixels with the least relative "
+        "deviation, in the unit of the given pose, each limited to 3. Converged but wrong: pairs "
+        "with the status converged and an error over all pixels above 0.5. Depth with parallax: "
+        "pairs with a depth, of the pairs whose median parallax is above 3 px.",
         "Direction: angle between the translations, 180° if opposite. Rotation: angle left between "
         "the rotations. Mean / median / worst over the pairs. Where the pose is given, it is given "
         "to every method.",
@@ -159,13 +165,11 @@ def notes(contest: DepthContest) -> list[str]:
 
 
 def show(contest: DepthContest, console: Console) -> None:
-    """Print the summary, and the missing and failed methods."""
     console.print(summary(contest).rich())
     print_missing(console, contest.missing, contest.failures())
 
 
 def write(contest: DepthContest, path: Path, *, remarks: Sequence[str] = ()) -> None:
-    """Write PATH.md and PATH.json."""
     title = TITLES.get(path.stem, "Depth and motion of the camera, beside two stages")
     blocks: list[str | Table] = []
     for group in groups(contest):
@@ -185,32 +189,10 @@ def write(contest: DepthContest, path: Path, *, remarks: Sequence[str] = ()) -> 
 
 
 def _detail(contest: DepthContest, group: Group) -> Table:
-    """Return the table of a group, without empty columns."""
-    head = [
-        "method",
-        "abs-rel mean",
-        "median",
-        "limited, mean",
-        "raw map, median",
-        "all pixels, median",
-        "the most certain, median",
-        "converged, off by half",
-        "depth where parallax",
-        "at rest, mean",
-        "movers, mean",
-        "δ < 1.25, %",
-        "density, %",
-        "direction, °",
-        "rotation, °",
-        "within σ, %",
-        "no depth",
-        "s",
-        "time / field",
-    ]
     rows = [
         [_title(contest, method), *_cells(contest, method, group)] for method in contest.methods
     ]
-    return Table(head, rows).without_empty_columns()
+    return Table(HEAD, rows).without_empty_columns()
 
 
 def _cells(contest: DepthContest, method: str, group: Group) -> list[str]:

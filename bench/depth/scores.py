@@ -55,7 +55,6 @@ class Score:
 
 
 def score(estimate: Estimate, pair: DepthPair) -> Score:
-    """Compare an estimate with the truth of its pair."""
     result = Score(
         method=estimate.method,
         pair=pair.name,

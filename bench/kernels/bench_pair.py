@@ -57,11 +57,7 @@ def reference_run(problem: Problem, settings: Settings):
         )
         for frame in problem.frames
     ]
-    return lambda: reference.coarse_to_fine(
-        *pyramids,
-        problem.camera,
-        settings,
-    )
+    return lambda: reference.coarse_to_fine(*pyramids, problem.camera, settings)
 
 
 def taichi_run(problem: Problem, settings: Settings):

@@ -1,5 +1,7 @@
 """Kernels and references of multigrid: transfer between two grids, and line search."""
 
+from functools import partial
+
 import numpy as np
 
 from bench import reference
@@ -10,30 +12,28 @@ from tisfm.kernels.solve import coarsening, line_search
 
 
 class MultigridOperations(TaichiSide):
-    """The kernels, by their wrappers."""
-
     def coarsen_system(self) -> Timed:
         system = self.system()
         out = [self.halved(array.shape[0]) for array in (system.tensor, system.weights)]
         return (
-            lambda: system.coarsen(*out),
+            partial(system.coarsen, *out),
             lambda _: np.concatenate([self.read_halved(array) for array in out]),
         )
 
     def restrict_residual(self) -> Timed:
         system, rho, out = self.system(), self.unknowns.rho, self.halved(self.n)
-        return lambda: system.restrict(rho, out), lambda _: self.read_halved(out)
+        return partial(system.restrict, rho, out), lambda _: self.read_halved(out)
 
     def relayout(self) -> Timed:
         coarse = coarsening.coarse_grid(self.grid)
         array, out = self.lay_halved(self.problem.parents[: self.n]), coarse.allocate(self.n)
-        return lambda: coarsening.relayout(coarse, array, out), lambda _: self.read_halved(out)
+        return partial(coarsening.relayout, coarse, array, out), lambda _: self.read_halved(out)
 
     def correct(self) -> Timed:
         grid, rho = self.grid, self.unknowns.rho
         coarse = self.lay_halved(self.problem.parents[: self.n])
         across = tuple(map(grid.place, coarsening.interpolation_columns(grid)))
-        return lambda: coarsening.correct(grid, coarse, across, rho), lambda _: self.read(rho)
+        return partial(coarsening.correct, grid, coarse, across, rho), self.reader(rho)
 
     def plane(self) -> Timed:
         arrays, directions = self.system().arrays, self._directions()
@@ -44,9 +44,8 @@ class MultigridOperations(TaichiSide):
 
     def descend(self) -> Timed:
         directions = self._directions()
-        return (
-            lambda: line_search.descend(self.grid, *LINE_STEPS, *directions),
-            lambda _: np.concatenate([self.read(array) for array in directions]),
+        return partial(line_search.descend, self.grid, *LINE_STEPS, *directions), self.reader(
+            *directions
         )
 
     def _directions(self) -> tuple[LaneData, LaneData, LaneData]:

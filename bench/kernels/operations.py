@@ -1,5 +1,7 @@
 """Wrapper calls of the kernels that compute a motion field from two frames."""
 
+from functools import partial
+
 import numpy as np
 
 from bench.kernels.references import flow_and_bend, mask_moments, other_constraints
@@ -31,19 +33,17 @@ from tisfm.solver.sampling import spline_taps
 
 
 class FieldOperations(TaichiSide):
-    """The kernels, on arrays as in the driver."""
-
     def image_to_lanes(self) -> Timed:
         image = self.problem.frames[0].astype(np.float32)
         out = self.grid.allocate(1, halo=images.IMAGE_HALO)
         return (
-            lambda: images.image_to_lanes(self.grid, image, out),
+            partial(images.image_to_lanes, self.grid, image, out),
             lambda _: self.read(out, halo=images.IMAGE_HALO),
         )
 
     def lanes_to_images(self) -> Timed:
         out = np.empty((self.n, self.problem.height, self.problem.width), np.float32)
-        return lambda: images.lanes_to_images(self.grid, self.unknowns.rho, out), lambda _: out
+        return partial(images.lanes_to_images, self.grid, self.unknowns.rho, out), lambda _: out
 
     def derivatives(self) -> Timed:
         frames = [self.grid.allocate(1, halo=images.IMAGE_HALO) for _ in range(2)]
@@ -52,16 +52,15 @@ class FieldOperations(TaichiSide):
         halo = derivatives.DERIVATIVE_HALO
         out = self.grid.allocate(3, halo=halo)
         return (
-            lambda: derivatives.derivatives(self.grid, *frames, out, scheme=self.scheme),
+            partial(derivatives.derivatives, self.grid, *frames, out, scheme=self.scheme),
             lambda _: self.read(out, halo=halo)[:, halo:-halo, halo:-halo],
         )
 
     def flow(self) -> Timed:
         unknowns, out = self.unknowns, self.grid.allocate(2)
-        return (
-            lambda: flow.flow(self.grid, unknowns.rho, unknowns.x_hat, unknowns.y_hat, out),
-            lambda _: self.read(out),
-        )
+        return partial(
+            flow.flow, self.grid, unknowns.rho, unknowns.x_hat, unknowns.y_hat, out
+        ), self.reader(out)
 
     def warp(self) -> Timed:
         frame = self.problem.frames[1].astype(np.float32)
@@ -70,7 +69,7 @@ class FieldOperations(TaichiSide):
         halo = images.IMAGE_HALO
         out = self.grid.allocate(1, halo=halo)
         return (
-            lambda: warp.warp(self.grid, image, taps, motion, out, mask),
+            partial(warp.warp, self.grid, image, taps, motion, out, mask),
             lambda _: np.concatenate(
                 [self.read(out, halo=halo)[:, halo:-halo, halo:-halo], self.read(mask)]
             ),
@@ -92,51 +91,45 @@ class FieldOperations(TaichiSide):
             (self.grid, *inputs, out, tensor),
             {"scales": DATA_SCALES, **CONSTRAINTS},
         )
-        return (
-            lambda: constraints.constancy_constraints(*arguments, **options),
-            lambda _: np.concatenate([self.read(out), self.read(tensor)]),
+        return partial(constraints.constancy_constraints, *arguments, **options), self.reader(
+            out, tensor
         )
 
     def backward_flow(self) -> Timed:
         arguments = [self.lay(array) for array in flow_and_bend(self.problem.flow)]
         out = self.grid.allocate(2)
-        return (
-            lambda: three_frames.backward_flow(self.grid, *arguments, out),
-            lambda _: self.read(out),
-        )
+        return partial(three_frames.backward_flow, self.grid, *arguments, out), self.reader(out)
 
     def join(self) -> Timed:
         p = self.problem
         before, trust, masks = other_constraints(p)
         inputs = [self.lay(array) for array in (before, trust, *masks[:, None], p.flow)]
         out, tensor = self.lay(p.constraints), self.grid.allocate(6)
-        return (
-            lambda: three_frames.join_constraints(self.grid, *inputs, DATA_SCALES, out, tensor),
-            lambda _: np.concatenate([self.read(out), self.read(tensor)]),
-        )
+        return partial(
+            three_frames.join_constraints, self.grid, *inputs, DATA_SCALES, out, tensor
+        ), self.reader(out, tensor)
 
     def image_edges(self) -> Timed:
         image, out = self.problem.frames[0].astype(np.float32), self.grid.allocate(2)
-        return (
-            lambda: image_edges.image_edges(self.grid, image, out, rate=EDGE_RATE),
-            lambda _: self.read(out),
+        return partial(image_edges.image_edges, self.grid, image, out, rate=EDGE_RATE), self.reader(
+            out
         )
 
     def multiply(self) -> Timed:
         factor, out = self.lay(self.problem.signs), self.lay(self.problem.constraints)
-        return lambda: images.multiply(self.grid, factor, out), lambda _: self.read(out)
+        return partial(images.multiply, self.grid, factor, out), self.reader(out)
 
     def sweep(self) -> Timed:
         system, rho = self.system(), self.unknowns.rho
         options = {"relaxation": RELAXATION, "solver": self.solver}
-        return lambda: system.sweep(rho, **options), lambda _: self.read(rho)
+        return partial(system.sweep, rho, **options), self.reader(rho)
 
     def sweep_unfused(self) -> Timed:
         if self.grid.lanes == 1:  # the sweep of the library is unfused then
             return self.sweep()
         system, rho = self.system(), self.unknowns.rho
         options = {"relaxation": RELAXATION, "solver": self.solver}
-        return lambda: sweep_unfused(system, rho, **options), lambda _: self.read(rho)
+        return partial(sweep_unfused, system, rho, **options), self.reader(rho)
 
     def update(self) -> Timed:
         unknowns, p, system = self.unknowns, self.problem, self.system()
@@ -161,20 +154,19 @@ class FieldOperations(TaichiSide):
     def prolong(self) -> Timed:
         rho = self.unknowns.rho
         coarse = self.problem.coarse[: self.n].astype(np.float32)
-        return (
-            lambda: prolongation.prolong(self.grid, coarse, rho, ratio=DENSITY_RATIO),
-            lambda _: self.read(rho),
-        )
+        return partial(
+            prolongation.prolong, self.grid, coarse, rho, ratio=DENSITY_RATIO
+        ), self.reader(rho)
 
     def data_precision(self) -> Timed:
         system, rho, out = self.system(), self.unknowns.rho, self.grid.allocate(7)
-        return lambda: system.precision(rho, out), lambda _: self.read(out)
+        return partial(system.precision, rho, out), self.reader(out)
 
     def share_of_data(self) -> Timed:
         p = self.problem
         precision, out = p.precision.astype(np.float32), np.empty((p.height, p.width), np.float32)
         options = {"tolerated": TOLERATED_SQUARE, "freedom": 2}
-        return lambda: data_precision.share_of_data(precision, out, **options), lambda _: out[None]
+        return partial(data_precision.share_of_data, precision, out, **options), lambda _: out[None]
 
     def motion_fields(self) -> Timed:
         p = self.problem
@@ -184,13 +176,13 @@ class FieldOperations(TaichiSide):
         out = np.empty((3, p.height, p.width), np.float32)
         arguments = (p.rho[: self.n].astype(np.float32), x_hat, y_hat, out[:2], out[2])
         options = {"focal": p.camera.focal, "by_pixel": self.grid.on_device}
-        return lambda: readout.motion_fields(*arguments, **options), lambda _: out
+        return partial(readout.motion_fields, *arguments, **options), lambda _: out
 
     def splat(self) -> Timed:
         arguments = self._arrivals()
         options = {"any_order": self.grid.on_device}
         return (
-            lambda: forward_splatting.splat(*arguments, **options),
+            partial(forward_splatting.splat, *arguments, **options),
             lambda _: np.moveaxis(arguments[-1], -1, 0),
         )
 
@@ -199,7 +191,7 @@ class FieldOperations(TaichiSide):
         forward_splatting.splat(*arguments)
         out = np.empty((self.problem.height, self.problem.width), np.int32)
         return (
-            lambda: forward_splatting.defeated(*arguments, out, **UNIQUENESS),
+            partial(forward_splatting.defeated, *arguments, out, **UNIQUENESS),
             lambda _: mask_moments(out),
         )
 

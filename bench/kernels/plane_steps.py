@@ -60,8 +60,6 @@ def search_options(p: Problem) -> dict:
 
 
 class PlaneOperations(TaichiSide):
-    """The kernels, by their wrappers."""
-
     @cached_property
     def planes(self) -> Planes:
         return Planes(self.problem, self.problem.motions[0])
@@ -97,8 +95,6 @@ class PlaneOperations(TaichiSide):
 
 
 class PlaneReferences(NumpySide):
-    """The same steps by `bench.reference`."""
-
     @cached_property
     def planes(self) -> Planes:
         return Planes(self.problem, self.problem.motions[0])
@@ -173,8 +169,6 @@ class Views:
 
 
 class ViewOperations(TaichiSide):
-    """The kernels, by their wrappers."""
-
     @cached_property
     def views(self) -> Views:
         return Views(self.problem)
@@ -208,8 +202,6 @@ class ViewOperations(TaichiSide):
 
 
 class ViewReferences(NumpySide):
-    """The same steps by `bench.reference`."""
-
     @cached_property
     def views(self) -> Views:
         return Views(self.problem)

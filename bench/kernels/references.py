@@ -20,8 +20,6 @@ from tisfm.kernels.solve.weight_update import LINE
 
 
 class FieldReferences(NumpySide):
-    """The steps of the kernels in `operations`."""
-
     def image_to_lanes(self) -> Run:
         image = self.problem.frames[0]
         return lambda: np.pad(image, 4, mode="edge")[None]  # a padded copy: NumPy has no lanes

@@ -1,5 +1,7 @@
 """Kernels and references of rigid motions."""
 
+from functools import partial
+
 import numpy as np
 
 from bench import reference
@@ -31,14 +33,11 @@ TINY = 1e-6  # least curvature of the costs
 
 
 class DepthOperations(TaichiSide):
-    """The kernels, by their wrappers."""
-
     def displacement(self) -> Timed:
         arguments, out = self._geometry(), [self.grid.allocate(2) for _ in range(2)]
         options = self._motions()
-        return (
-            lambda: epipolar.displacement(self.grid, *arguments, *out, **options),
-            lambda _: np.concatenate([self.read(array) for array in out]),
+        return partial(epipolar.displacement, self.grid, *arguments, *out, **options), self.reader(
+            *out
         )
 
     def along(self) -> Timed:
@@ -46,29 +45,23 @@ class DepthOperations(TaichiSide):
         moved, direction = np.split(displacement_of(p), 2)
         inputs = [self.lay(array) for array in (p.constraints, moved, direction, p.inverse_depth)]
         out = self.grid.allocate(len(p.constraints))
-        return lambda: epipolar.along(self.grid, *inputs, out), lambda _: self.read(out)
+        return partial(epipolar.along, self.grid, *inputs, out), self.reader(out)
 
     def add_along(self) -> Timed:
         p = self.problem
         moved, direction = np.split(displacement_of(p), 2)
         arrays = p.tensor, moved, direction, p.inverse_depth, p.trust[None]
         inputs, out = [self.lay(array) for array in arrays], self.grid.allocate(3)
-        return lambda: several_frames.add_along(self.grid, *inputs, out), lambda _: self.read(out)
+        return partial(several_frames.add_along, self.grid, *inputs, out), self.reader(out)
 
     def as_constraint(self) -> Timed:
         sums, out = self.lay(restricted_sums(self.problem)), self.grid.allocate(3)
-        return (
-            lambda: several_frames.as_constraint(self.grid, sums, out),
-            lambda _: self.read(out),
-        )
+        return partial(several_frames.as_constraint, self.grid, sums, out), self.reader(out)
 
     def squared_residual(self) -> Timed:
         p, out = self.problem, self.grid.allocate(1)
         inputs = [self.lay(array) for array in (p.tensor, displacement_of(p)[:2])]
-        return (
-            lambda: shared_depth.squared_residual(self.grid, *inputs, out),
-            lambda _: self.read(out),
-        )
+        return partial(shared_depth.squared_residual, self.grid, *inputs, out), self.reader(out)
 
     def add_frame(self) -> Timed:
         p = self.problem
@@ -78,17 +71,15 @@ class DepthOperations(TaichiSide):
         motion = np.ascontiguousarray(p.motions[0], np.float32)
         options = {"number": 0, "motion": motion, "focal": p.camera.focal}
         options["tolerated"] = tolerated_square(p)
-        return (
-            lambda: shared_depth.add_frame(self.grid, *arguments, slopes, sums, **options),
-            lambda result: np.column_stack(result),
-        )
+        return partial(
+            shared_depth.add_frame, self.grid, *arguments, slopes, sums, **options
+        ), np.column_stack
 
     def answered(self) -> Timed:
         slopes, sums = (self.lay(array) for array in shared_sums(self.problem))
-        return (
-            lambda: shared_depth.answered(self.grid, slopes, sums, held=DEPTH_WEIGHT),
-            lambda result: np.column_stack(result),
-        )
+        return partial(
+            shared_depth.answered, self.grid, slopes, sums, held=DEPTH_WEIGHT
+        ), np.column_stack
 
     def motion_system(self) -> Timed:
         p = self.problem
@@ -106,10 +97,7 @@ class DepthOperations(TaichiSide):
             "tolerated": TOLERATED_SQUARE,
         }
         options |= self._motions()
-        return (
-            lambda: motion_system.motion_system(*arguments, **options),
-            lambda result: np.column_stack(result),
-        )
+        return partial(motion_system.motion_system, *arguments, **options), np.column_stack
 
     def matching_cost(self) -> Timed:
         p = self.problem
@@ -127,7 +115,7 @@ class DepthOperations(TaichiSide):
             "near": GUESS_TRUNCATION,
         }
         return (
-            lambda: plane_sweep.matching_cost(*arrays, *arguments, out, **options),
+            partial(plane_sweep.matching_cost, *arrays, *arguments, out, **options),
             lambda _: np.moveaxis(out.reshape(p.cost.shape) * p.certain, -1, 0),
         )
 
@@ -137,7 +125,7 @@ class DepthOperations(TaichiSide):
         cost[...] = p.cost.reshape(cost.shape)
         guide = p.features[0, 0].astype(np.float32)
         return (
-            lambda: semi_global.aggregate(cost, guide, out, **AGGREGATION),
+            partial(semi_global.aggregate, cost, guide, out, **AGGREGATION),
             lambda _: np.moveaxis(out.reshape(p.cost.shape), -1, 0),
         )
 
@@ -146,7 +134,7 @@ class DepthOperations(TaichiSide):
         cost, out = aligned_zeros(p.cost.shape), np.empty((p.height, p.width), np.float32)
         cost[...] = p.cost
         return (
-            lambda: semi_global.cheapest(cost, out, count=len(HYPOTHESES)),
+            partial(semi_global.cheapest, cost, out, count=len(HYPOTHESES)),
             lambda _: out[None],
         )
 
@@ -158,7 +146,7 @@ class DepthOperations(TaichiSide):
         arguments = (depth, labels, *(table.astype(np.float32) for table in tables), *fields)
         options = self._motions() | {"twists": p.twists, "by_pixel": grid.on_device}
         return (
-            lambda: readout.rigid_fields(*arguments, **options),
+            partial(readout.rigid_fields, *arguments, **options),
             lambda _: np.concatenate(fields),
         )
 
@@ -179,8 +167,6 @@ class DepthOperations(TaichiSide):
 
 
 class DepthReferences(NumpySide):
-    """The same steps by `bench.reference`, or in plain NumPy."""
-
     def displacement(self) -> Run:
         return lambda: displacement_of(self.problem)
 

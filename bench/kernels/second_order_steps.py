@@ -1,6 +1,6 @@
 """Kernels and references of second-order smoothness: inverse depth D and its slopes."""
 
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -58,8 +58,6 @@ class Surface:
 
 
 class SecondOrderOperations(TaichiSide):
-    """The kernels, by their wrappers."""
-
     @cached_property
     def surface(self) -> Surface:
         return Surface(self.problem)
@@ -67,7 +65,7 @@ class SecondOrderOperations(TaichiSide):
     def second_order_sweep(self) -> Timed:
         rho = self.lay(self.surface.rho)
         run = self._slope_system().bind_sweep(rho, relaxation=RELAXATION)
-        return run, lambda _: self.read(rho)
+        return run, self.reader(rho)
 
     def second_order_update(self) -> Timed:
         surface, system = self.surface, self._slope_system()
@@ -82,7 +80,7 @@ class SecondOrderOperations(TaichiSide):
             anchor_scale=ANCHOR_SCALE,
             scales=DATA_SCALES,
         )
-        return run, lambda _: np.concatenate([self.read(array) for array in system.arrays])
+        return run, self.reader(*system.arrays)
 
     def second_order_coarsen_system(self) -> Timed:
         system = self._slope_system()
@@ -103,10 +101,9 @@ class SecondOrderOperations(TaichiSide):
         coarse = self.lay_halved(self.problem.parents[:3])
         tables = (*interpolation_columns(grid), coarsening.offset_columns(grid)[1])
         near, far, outer = map(grid.place, tables)
-        return (
-            lambda: coarsening.correct(grid, coarse, (near, far, outer), rho, spacing=SPACING),
-            lambda _: self.read(rho),
-        )
+        return partial(
+            coarsening.correct, grid, coarse, (near, far, outer), rho, spacing=SPACING
+        ), self.reader(rho)
 
     def second_order_plane(self) -> Timed:
         surface = self.surface
@@ -127,8 +124,6 @@ class SecondOrderOperations(TaichiSide):
 
 
 class SecondOrderReferences(NumpySide):
-    """The same steps by `bench.reference`, or in plain NumPy."""
-
     @cached_property
     def surface(self) -> Surface:
         return Surface(self.problem)

@@ -94,6 +94,10 @@ class TaichiSide:
         rows = array if halo else array[:, 1:-1]
         return (rows if lanes > 1 else rows[..., None])[:, :, x - lane * strip + around, lane]
 
+    def reader(self, *arrays: LaneData) -> Callable[[Any], np.ndarray]:
+        """Return a function that reads lane arrays as one stack of images."""
+        return lambda _: np.concatenate([self.read(array) for array in arrays])
+
     def halved(self, components: int) -> LaneData:
         """Return zeros of half the density, in the layout of this grid."""
         return self.grid.place(aligned_zeros(halved_shape(self.grid, components)))
@@ -118,6 +122,5 @@ class NumpySide:
         self.rho = problem.rho[:components]
         self.motion = problem.motion[:, :components]
 
-    def weights(self) -> np.ndarray:
-        """Return the weights of edges, one for each component even if joint, (2n, H, W)."""
+    def weights(self) -> np.ndarray:  # (2n, H, W), one for each component even if joint
         return self.problem.weights(self.n, joint=self.scheme == "joint")

@@ -82,7 +82,6 @@ STATUE_NOTE = (
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Read the command line."""
     parser = options_parser("objects", __doc__, *WORDS, "output", preset=["balanced"])
     parser.add_argument("--statue", action="store_true", help="the statue alone")
     return parser.parse_args(arguments)
@@ -186,7 +185,6 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def groups(scores: list[Any]) -> dict[str, list[Any]]:
-    """Return group → its scores."""
     return {
         group: [score for score in scores if score.group == group]
         for group in dict.fromkeys(score.group for score in scores)
@@ -194,7 +192,6 @@ def groups(scores: list[Any]) -> dict[str, list[Any]]:
 
 
 def report(measured: dict[str, Any]) -> str:
-    """Return the results as Markdown."""
     blocks: list[str | Table] = []
     for group, scores in groups(measured["scores"]).items():
         blocks += [f"## {group.capitalize()}", table(scores)]

@@ -23,8 +23,6 @@ SMOKE_FRAMES = 6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Clip:
-    """A sequence and its true masks."""
-
     name: str
     group: str
     frames: list[NDArray[np.uint8]]  # (H, W) grey or (H, W, 3) RGB
@@ -34,19 +32,16 @@ class Clip:
 
     @property
     def grey(self) -> list[NDArray[np.uint8]]:
-        """The frames in grey."""
         return [grey_of(frame) for frame in self.frames]
 
 
-def grey_of(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a frame in grey, (H, W)."""
+def grey_of(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:  # (H, W)
     if frame.ndim == 2:
         return frame
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(frame), cv2.COLOR_RGB2GRAY), np.uint8)
 
 
 def render_clip(*, small: bool = False) -> Clip:
-    """Return the film of three bodies."""
     height, width = (60, 80) if small else SIZE
     film = bodies_film(bodies_path(SMOKE_FRAMES if small else FRAMES), height, width)
     return Clip(

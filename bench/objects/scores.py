@@ -27,8 +27,6 @@ class SceneObject:
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """A method on a scene."""
-
     method: str
     group: str
     pair: str
@@ -56,7 +54,6 @@ def compare_objects(
     motions: NDArray,  # (K, 4, 4); motion of each label
     labels: NDArray | None,  # (H, W) int; None if one motion serves the whole image
 ) -> tuple[SceneObject, ...]:
-    """Return the errors of every object of a scene."""
     true = true_objects(pair)
     errors = []
     for number in range(int(true.max()) + 1):
@@ -94,19 +91,10 @@ def best(scores: Sequence[Score]) -> list[Score]:
 
 def table(scores: Sequence[Score]) -> Table:
     """Return the table of one group: a row for every method, at its best threshold."""
-    head = [
-        "method",
-        "found",
-        "IoU least",
-        "mean",
-        "abs-rel background, mean",
-        "objects, mean",
-        "worst",
-        "direction background, °",
-        "objects, mean °",
-        "one scale, mean",
-        "s",
-    ]
+    head = (
+        "method", "complete", "IoU lowest", "mean", "abs-rel background, mean", "objects, mean",
+        "worst", "direction background, °", "objects, mean °", "one scale, mean", "s",
+    )  # fmt: skip
     rows = []
     for method in dict.fromkeys(s.method for s in scores):
         chosen = best([s for s in scores if s.method == method])
@@ -159,7 +147,6 @@ def details(scores: Sequence[Score]) -> Table:
 
 
 def _directions(objects: Sequence[SceneObject], digits: int) -> str:
-    """Return the mean error of the known directions."""
     known = [item.direction for item in objects if item.direction is not None]
     return f"{fmean(known):.{digits}f}" if known else EMPTY_CELL
 

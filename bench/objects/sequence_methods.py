@@ -38,8 +38,6 @@ TRACKERS: dict[str, Callable[[Sequence[NDArray]], list[NDArray[np.uint8]]]] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClipLabels:
-    """Labels of a method for a clip."""
-
     variant: str  # its parameters; "" for a method without variants
     labels: list[NDArray[np.uint8]]  # (H, W) for each frame
     seconds: float  # of the whole clip

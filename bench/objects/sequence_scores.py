@@ -15,8 +15,6 @@ from tisfm.metrics import LabelScores, ObjectPathErrors, label_scores, object_pa
 
 @dataclass(frozen=True, kw_only=True)
 class ClipScore:
-    """A method, in one variant, on a clip."""
-
     method: str
     variant: str
     clip: str
@@ -32,7 +30,6 @@ class ClipScore:
 
 
 def score_clip(method: str, clip: Clip, result: ClipLabels) -> ClipScore:
-    """Compare the labels of a method with the truth."""
     scores = label_scores(result.labels, clip.truth)
     present = sum(item.present for item in scores.objects)
     return ClipScore(
@@ -135,7 +132,6 @@ def _iou(score: ClipScore | None) -> str:
 
 
 def _path_cells(errors: Sequence[ObjectPathErrors | None]) -> list[str]:
-    """Return the mean errors of the known paths."""
     known = [error for error in errors if error is not None]
     shares = [100 * error.share for error in known if error.share is not None]
     if not shares:

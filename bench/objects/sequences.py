@@ -62,7 +62,6 @@ NOTES = (
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Read the command line."""
     parser = options_parser("objects.sequences", __doc__, *WORDS, "output", preset=["fast"])
     return parser.parse_args(arguments)
 
@@ -129,7 +128,6 @@ def failures(scores: list[ClipScore]) -> list[str]:
 
 
 def report(measured: dict[str, Any]) -> str:
-    """Return the results as Markdown."""
     blocks: list[str | Table] = []
     for group, scores in groups(measured["scores"]).items():
         blocks += [f"## {TITLES[group]}", table(scores)]

@@ -66,12 +66,7 @@ def focals_of(data: Path) -> dict[float, str]:
 
 
 def interpret_pair(
-    preset: Preset,
-    first: int,
-    frame0: NDArray,
-    frame1: NDArray,
-    focal: float,
-    origin: str = "",
+    preset: Preset, first: int, frame0: NDArray, frame1: NDArray, focal: float, origin: str = ""
 ) -> StatuePair:
     """Interpret a pair, and return the labels of both people."""
     settings = Settings.preset(preset, motion="objects")

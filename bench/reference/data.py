@@ -79,28 +79,6 @@ def constancy_constraints(
     return terms
 
 
-def constancy_tensors(
-    gradients: tuple[np.ndarray, np.ndarray, np.ndarray],
-    flow0: np.ndarray,
-    mask: np.ndarray,
-    *,
-    brightness: float,
-    gradient: float,
-    normalization: float | None,
-) -> list[np.ndarray]:
-    """Return the motion tensors, (6, H, W), of `constancy_constraints`."""
-    return tensors_of(
-        constancy_constraints(
-            gradients,
-            flow0,
-            mask,
-            brightness=brightness,
-            gradient=gradient,
-            normalization=normalization,
-        )
-    )
-
-
 def tensors_of(terms: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Return J11, J12, J22, j1, j2, J_tt, (6, H, W), of terms of constraints, (k, 3, H, W)."""
     pairs = [(0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)]
@@ -144,14 +122,15 @@ def robust_energy(
 
 def residual(tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray) -> np.ndarray:
     """Return (u,v) J (u,v)ᵀ + 2 jᵀ(u,v) + J_tt, (H, W): a square, so at least 0."""
-    u, v = flow(motion, rho)
-    j11, j12, j22, j1, j2, jtt = tensor
-    q = j11 * u * u + 2 * j12 * u * v + j22 * v * v + 2 * (j1 * u + j2 * v) + jtt
-    return np.maximum(q, 0)
+    return np.maximum(_quadratic_form(tensor, motion, rho), 0)
 
 
 def data_energy(tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray) -> float:
     """Return Σ (u,v) J (u,v)ᵀ + 2 jᵀ(u,v) + J_tt."""
+    return float(_quadratic_form(tensor, motion, rho).sum())
+
+
+def _quadratic_form(tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray) -> np.ndarray:
     u, v = flow(motion, rho)
     j11, j12, j22, j1, j2, jtt = tensor
-    return float((j11 * u * u + 2 * j12 * u * v + j22 * v * v + 2 * (j1 * u + j2 * v) + jtt).sum())
+    return j11 * u * u + 2 * j12 * u * v + j22 * v * v + 2 * (j1 * u + j2 * v) + jtt

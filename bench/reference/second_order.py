@@ -31,8 +31,7 @@ class SecondOrder:
         edges[0, :, -1] = edges[1, -1] = 0
         return edges
 
-    def stiffness(self) -> np.ndarray:
-        """Return α, β and γ, (3, 1, 1, 1)."""
+    def stiffness(self) -> np.ndarray:  # α, β and γ, (3, 1, 1, 1)
         return np.array([self.alpha, self.beta, self.gamma])[:, None, None, None]
 
 
@@ -52,7 +51,6 @@ def _of_edges(near: np.ndarray, far: np.ndarray, slope: int, spacing: float) -> 
 
 
 def second_order_energy(rho: np.ndarray, smoothness: SecondOrder) -> float:
-    """Return the energy of the smoothness."""
     measures = second_order_measures(rho, smoothness.spacing)
     penalties = [aubert(s, d) for s, d in zip(measures, smoothness.contrasts, strict=True)]
     return float((smoothness.stiffness() * smoothness.open(*rho.shape[1:]) * penalties).sum())

@@ -21,8 +21,6 @@ def differences(rho: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, kw_only=True)
 class Smoothness:
-    """Parameters of the smoothness term."""
-
     contrast: float  # δ, px/frame
     stiffness: np.ndarray | None = None  # (n,), s_k; None for 1
     joint: bool = False  # whether all components of ρ̂ share one weight per edge
@@ -35,8 +33,7 @@ class Smoothness:
             squares = np.broadcast_to(squares.sum(axis=1, keepdims=True), squares.shape)
         return squares
 
-    def stiffnesses(self, components: int) -> np.ndarray:
-        """Return s_k, (n, 1, 1)."""
+    def stiffnesses(self, components: int) -> np.ndarray:  # s_k, (n, 1, 1)
         values = np.ones(components) if self.stiffness is None else np.asarray(self.stiffness)
         return values[:, None, None]
 

@@ -39,7 +39,6 @@ QUICK_ROUNDS = 3
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Read the command line."""
     presets = list(get_args(Preset))
     parser = options_parser(
         "regression",
@@ -76,7 +75,6 @@ def find_pairs(options: argparse.Namespace) -> tuple[list[Pair], dict[str, str]]
 
 
 def request(pair: Path, preset: str, motion: str, answer: Path | None = None) -> dict[str, Any]:
-    """Return the request to a worker."""
     return {
         "pair": str(pair),
         "settings": {"name": preset, "motion": motion.partition(",")[0]},
@@ -108,7 +106,6 @@ def compare(workers: Sequence[Worker], pair: Pair, preset: str, motion: str, pat
 
 
 def measure(options: argparse.Namespace, console: Console) -> Findings:
-    """Compare and time both checkouts."""
     python = Path(options.python_before or sys.executable)
     checkouts = [
         Checkout(name="before", folder=options.before, python=python),

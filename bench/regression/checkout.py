@@ -86,7 +86,6 @@ class Paired:
 
     @property
     def medians(self) -> Sides:
-        """Median of each side, s."""
         before, after = np.median(self.seconds, axis=0)
         return float(before), float(after)
 

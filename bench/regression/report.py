@@ -100,11 +100,9 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Pair, preset and motion."""
         return f"{self.pair}, {self.preset}, {self.motion}"
 
     def cells(self) -> list[str]:
-        """Return the row of the table."""
         status = self.before if self.before == self.after else f"{self.before} → {self.after}"
         difference = self.difference
         if difference is None:
@@ -152,7 +150,6 @@ def out_of_bounds(findings: Findings) -> Iterator[str]:
 
 
 def markdown(findings: Findings) -> str:
-    """Return the results as Markdown."""
     blocks: list[str | Table | list[str]] = []
     if findings.cases:
         table = Table(ANSWER_HEAD, [case.cells() for case in findings.cases], text_columns=3)

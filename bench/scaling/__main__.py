@@ -42,7 +42,6 @@ COLOURS = {"fast": GREEN, "balanced": BLUE, "accurate": VERMILION, "paper": PURP
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Read the command line."""
     presets = ["fast", "balanced", "accurate"]
     parser = options_parser(
         "scaling", __doc__, "preset", "rounds", "smoke", "output", preset=presets
@@ -68,13 +67,7 @@ def render(sizes: list[str], folder: Path) -> dict[str, str]:
 def run(preset: str, threads: int, pairs: dict[str, str], rounds: int) -> dict[str, Any]:
     """Return the times of a preset with a number of threads, and the shares of its stages."""
     peer = PEER_SIZE if PEER_SIZE in pairs else list(pairs)[-1]
-    request = {
-        "preset": preset,
-        "threads": threads,
-        "pairs": pairs,
-        "rounds": rounds,
-        "peer": peer,
-    }
+    request = {"preset": preset, "threads": threads, "pairs": pairs, "rounds": rounds, "peer": peer}
     answer = subprocess.run(
         [sys.executable, "-m", "bench.scaling.worker"],
         input=json.dumps(request) + "\n",
@@ -112,8 +105,7 @@ def size_of(text: str) -> tuple[int, int]:
     return int(height), int(width)
 
 
-def per_pixel(entry: dict[str, Any], size: str) -> float:
-    """Return the median time of a run's pair, ns per pixel."""
+def per_pixel(entry: dict[str, Any], size: str) -> float:  # median time, ns
     return median(entry["times"][size]) / math.prod(size_of(size)) * 1e9
 
 
@@ -225,7 +217,6 @@ def _of(figures: dict[str, Any], preset: str, threads: int) -> dict[str, Any]:
 
 
 def draw(figures: dict[str, Any], path: Path) -> None:
-    """Write the picture of time per pixel over the size."""
     figure = Figure(figsize=(6.5, 4.2), dpi=150, layout="constrained")
     axes = figure.add_subplot()
     pixels = [math.prod(size_of(size)) for size in figures["sizes"]]

@@ -50,7 +50,6 @@ class Stopwatch:
 
     @contextlib.contextmanager
     def watching(self) -> Iterator[None]:
-        """Time the stages within the context."""
         originals = []
         for module, path, label in STAGES:
             owner: Any = importlib.import_module(module)

@@ -34,7 +34,6 @@ WORDS = (
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Read the command line."""
     parser = options_parser(
         "sequences",
         __doc__,

@@ -105,7 +105,6 @@ def seen_by_blender(
 
 
 def report(figures: dict[str, dict[str, float]], conditions: dict[str, Any]) -> str:
-    """Return the results as Markdown."""
     rows = [
         [name, *(f"{one[name]:.2g}" for one in figures.values()), f"{bar:g}"]
         for name, bar in BARS.items()

@@ -85,7 +85,6 @@ def real_rows(data: Path, name: str, chunks: Sequence[int], folder: Path) -> Ite
 
 
 def film_rows(count: int, chunks: Sequence[int], folder: Path) -> Iterator[Row]:
-    """Measure the rendered film."""
     source, camera = film(count)
     for chunk in (AT_ONCE, *chunks):
         result, number = in_chunks(str(source), folder / f"rounds-{chunk}", camera, chunk, count)
@@ -100,7 +99,6 @@ def film_rows(count: int, chunks: Sequence[int], folder: Path) -> Iterator[Row]:
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Read the command line."""
     parser = options_parser(
         "sequences.chunks", __doc__, "data", "output", output="sequences_chunks"
     )
@@ -111,7 +109,6 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure and write; return 0."""
     options = parse(arguments)
     data, console, rows = data_folder(options.data), Console(), list[Row]()
     with tempfile.TemporaryDirectory() as temporary:

@@ -81,7 +81,6 @@ def figures(model: Any) -> dict[str, float]:
 
 
 def bars(figures: dict[str, float], frames: int) -> list[Bar]:
-    """Return the figures that have a bound."""
     name = f"least tracks of {MIN_TRACK} frames in an image"
     return [
         Bar(f"images of {frames}", figures["images"], MIN_IMAGES, at_most=False),
@@ -96,7 +95,6 @@ def bars(figures: dict[str, float], frames: int) -> list[Bar]:
 
 
 def report(figures: dict[str, float], bars: Sequence[Bar], conditions: dict[str, Any]) -> str:
-    """Return the results as Markdown."""
     rows = [[name, f"{value:.4g}"] for name, value in figures.items()]
     title = "# A reconstruction as a model of COLMAP"
     return markdown_page(title, conditions, Table(["", ""], rows), list(map(str, bars)))

@@ -31,7 +31,6 @@ def survey() -> dict[str, str]:
 
 
 def run(request: dict[str, Any]) -> dict[str, Any]:
-    """Map a sequence."""
     import pycolmap
 
     images, output = Path(request["images"]), Path(request["output"])
@@ -73,7 +72,6 @@ def run(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def peak() -> int:
-    """Return the peak resident memory, bytes."""
     if STATUS.exists():
         line = next(row for row in STATUS.read_text().splitlines() if row.startswith("VmHWM"))
         return int(line.split()[1]) * 1024

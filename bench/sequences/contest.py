@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from statistics import median
-from typing import Any, Protocol, get_args
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -44,8 +44,6 @@ class Outcome:
 
 
 class Method(Protocol):
-    """A method in the comparison."""
-
     @property
     def name(self) -> str:
         """Name in the tables."""
@@ -69,14 +67,12 @@ class OwnMethod:
 
     @property
     def name(self) -> str:
-        """The preset and the method."""
         if self.method == "chain":
             return f"chained pairs, {self.preset}"
         changes = ", poses given" * self.poses_given + ", camera unknown" * (not self.camera_given)
         return f"tisfm {self.preset}{changes}"
 
     def run(self, loaded: LoadedSequence, camera: Camera, output: Path) -> Outcome:
-        """Start the process, and wait for it."""
         if self.poses_given and not loaded.posed.all():
             raise MethodFailure("not all poses are known")
         if not self.camera_given and camera.distortion is not None:
@@ -142,8 +138,6 @@ class Colmap:
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """A method on a sequence."""
-
     method: str
     sequence: str
     evaluation: SequenceEvaluation | None = None  # of the first round; None if the method failed
@@ -181,8 +175,6 @@ class Score:
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceContest:
-    """All figures of one run."""
-
     conditions: dict[str, Any]
     scores: tuple[Score, ...]
     missing: dict[str, str] = field(default_factory=dict)
@@ -193,7 +185,6 @@ class SequenceContest:
         return {f"{s.method} on {s.sequence}": s.failure for s in self.scores if s.failure}
 
     def as_json(self) -> dict[str, Any]:
-        """Return everything as plain values."""
         return {
             "conditions": self.conditions,
             "missing": self.missing,
@@ -234,11 +225,6 @@ def run_contest(
         scores += of_entry.values()
         keep(scores)
     return SequenceContest(conditions=conditions, scores=tuple(scores), missing=missing)
-
-
-def presets() -> tuple[Preset, ...]:
-    """Return the names of all presets."""
-    return get_args(Preset)
 
 
 def _scores(

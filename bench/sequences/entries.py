@@ -28,15 +28,12 @@ MAX_DEPTH = 40.0  # m: larger true depths do not count
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """A sequence of the comparison."""
-
     sequence: DatasetSequence
     step: int = 1  # from frame to frame
     thinned: int | None = None  # from this frame on, every second frame is left out
 
     @property
     def name(self) -> str:
-        """Name of the folder, and of the choice of frames."""
         name = self.sequence.name
         if self.step > 1:
             name += f", every {self.step}"

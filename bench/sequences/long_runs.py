@@ -67,7 +67,6 @@ class Results:
 
 
 def start(*options: str, command: Sequence[str] = RUN) -> subprocess.Popen[bytes]:
-    """Start a run, or another command, in its own process."""
     call = [*COMMAND, *command, *options]
     return subprocess.Popen(call, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
@@ -190,7 +189,6 @@ def measure_kills(
 
 
 def bars(results: Results) -> list[Bar]:
-    """Return the figures with their bounds."""
     result = []
     if results.workers:
         ratio = float(np.median([two / one for one, two in results.workers]))
@@ -207,7 +205,6 @@ def bars(results: Results) -> list[Bar]:
 
 
 def report(results: Results, conditions: dict[str, Any]) -> str:
-    """Return the results as Markdown."""
     tables = []
     if results.workers:
         head = ["round", "one worker, pairs/s", "two workers, pairs/s", "ratio"]

@@ -72,14 +72,12 @@ def measure(count: int, preset: Preset, depth_of: DepthOf, threads: int) -> dict
 
 
 def report(conditions: dict[str, Any], rows: list[dict[str, float]]) -> str:
-    """Return the results as Markdown."""
     cells = [[format(row[word], form) for word, form in FIGURES.items()] for row in rows]
     table = Table(list(FIGURES), cells, text_columns=0)
     return markdown_page("# Memory of a sequence over its frames", conditions, table)
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Read the command line."""
     parser = options_parser(
         "sequences.memory", __doc__, "threads", "output", output="sequences_memory"
     )
@@ -92,7 +90,6 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure and write; return 0."""
     options = parse(arguments)
     if options.here:
         (count,) = options.counts

@@ -201,7 +201,6 @@ WORDS = ("preset", "kinds", "rooms", "seeds", "threads", "smoke")  # options nam
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Read the command line."""
     parser = options_parser(
         "sequences.rendered", __doc__, "threads", "smoke", "output", output="rendered"
     )
@@ -219,7 +218,6 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 
 
 def draw(errors: Errors, path: Path) -> None:
-    """Write the picture of the error over the number of frames."""
     figure = Figure(figsize=(6, 4), dpi=150, layout="constrained")
     axes = figure.add_subplot()
     for color, (name, values) in zip(itertools.cycle(CURVES), errors.items(), strict=False):

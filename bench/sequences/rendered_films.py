@@ -27,8 +27,6 @@ Poses = np.ndarray  # (N, 4, 4), camera to world
 
 @dataclass(frozen=True, kw_only=True)
 class Take:
-    """Parameters of a film."""
-
     name: str
     poses: np.ndarray  # (N, 4, 4), camera to world, m
     textured: bool  # whether the room's walls have a pattern
@@ -121,8 +119,7 @@ def _looking(positions: np.ndarray, angles: np.ndarray) -> np.ndarray:
     return poses
 
 
-def centres(poses: Poses) -> np.ndarray:
-    """Return the positions of the camera, (N, 3)."""
+def centres(poses: Poses) -> np.ndarray:  # of the cameras, (N, 3)
     return np.asarray(poses[:, :3, 3])
 
 

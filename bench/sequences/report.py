@@ -15,6 +15,7 @@ from bench.shared.results import (
     print_missing,
     write_results,
 )
+from tisfm.evaluation.sequences import SequenceEvaluation
 
 NOTES = (
     "ATE: root mean square distance of the centres of the largest piece after the best similarity, "
@@ -40,72 +41,50 @@ NOTES = (
 Column = tuple[str, Callable[[Score], str]]
 
 
-def _ate(score: Score) -> str:
-    pieces = score.evaluation.pieces if score.evaluation else ()
-    return f"{100 * pieces[0].share:.2f}" if pieces and pieces[0].share is not None else EMPTY_CELL
+def _of(figure: Callable[[SequenceEvaluation], str | None]) -> Callable[[Score], str]:
+    """Return the cell of a score: a figure of its evaluation, or empty."""
+    return lambda score: (score.evaluation and figure(score.evaluation)) or EMPTY_CELL
 
 
-def _metres(score: Score) -> str:
-    pieces = score.evaluation.pieces if score.evaluation else ()
-    absolute = pieces[0].absolute if pieces else None
-    return EMPTY_CELL if absolute is None else f"{absolute.similarity:.4f}"
+def _ate(evaluation: SequenceEvaluation) -> str | None:
+    share = evaluation.pieces[0].share if evaluation.pieces else None
+    return None if share is None else f"{100 * share:.2f}"
 
 
-def _posed(score: Score) -> str:
-    evaluation = score.evaluation
-    return f"{evaluation.posed} of {evaluation.frames}" if evaluation else EMPTY_CELL
-
-
-def _pieces(score: Score) -> str:
-    evaluation = score.evaluation
-    return str(len(evaluation.pieces)) if evaluation and evaluation.pieces else EMPTY_CELL
-
-
-def _largest(score: Score) -> str:
-    evaluation = score.evaluation
-    return (
-        f"{100 * evaluation.largest_share:.0f}" if evaluation and evaluation.pieces else EMPTY_CELL
-    )
+def _metres(evaluation: SequenceEvaluation) -> str | None:
+    absolute = evaluation.pieces[0].absolute if evaluation.pieces else None
+    return None if absolute is None else f"{absolute.similarity:.4f}"
 
 
 def _depth(name: str, form: str, factor: float = 1.0) -> Callable[[Score], str]:
-    def text(score: Score) -> str:
-        depth = score.evaluation.depth if score.evaluation else None
-        value = None if depth is None else getattr(depth, name)
+    def text(evaluation: SequenceEvaluation) -> str:
+        value = None if evaluation.depth is None else getattr(evaluation.depth, name)
         return cell(None if value is None else factor * value, form)
 
-    return text
-
-
-def _seconds(score: Score) -> str:
-    return cell(score.per_frame, ".2f")
-
-
-def _memory(score: Score) -> str:
-    return cell(None if score.peak is None else score.peak / 1e6, ".0f")
+    return _of(text)
 
 
 def _focal(score: Score) -> str:
     if score.focal is None:
         return EMPTY_CELL
-    difference, deviation, seen = score.focal
-    return f"{100 * difference:+.1f} ± {100 * deviation:.1f}{'' if seen else ', doubted'}"
+    difference, deviation, reliable = score.focal
+    return f"{100 * difference:+.1f} ± {100 * deviation:.1f}{'' if reliable else ', doubted'}"
 
 
 COLUMNS: tuple[Column, ...] = (
-    ("ATE, %", _ate),
-    ("m", _metres),
-    ("frames with a pose", _posed),
-    ("pieces", _pieces),
-    ("largest, %", _largest),
+    ("ATE, %", _of(_ate)),
+    ("m", _of(_metres)),
+    ("frames with a pose", _of(lambda evaluation: f"{evaluation.posed} of {evaluation.frames}")),
+    ("pieces", _of(lambda evaluation: str(len(evaluation.pieces) or ""))),
+    ("largest, %", _of(lambda e: f"{100 * e.largest_share:.0f}" if e.pieces else None)),
     ("depth error", _depth("error", ".3f")),
     ("surest 40 %", _depth("certain", ".3f")),
     ("pixels, %", _depth("share", ".1f", 100)),
     ("spread", _depth("scale_spread", ".3f")),
     ("flicker", _depth("flicker", ".4f")),
     ("focal length, % off", _focal),
-    ("s per frame", _seconds),
-    ("memory, MB", _memory),
+    ("s per frame", lambda score: cell(score.per_frame, ".2f")),
+    ("memory, MB", lambda score: cell(score.peak and score.peak / 1e6, ".0f")),
 )
 SUMMARY = ("ATE, %", "depth error", "flicker", "focal length, % off")
 
@@ -140,7 +119,6 @@ def show(contest: SequenceContest, console: Console) -> None:
 
 
 def write(contest: SequenceContest, path: Path) -> None:
-    """Write PATH.md and PATH.json."""
     blocks: list[str | Table | Sequence[str]] = []
     for heading, table in _summaries(contest).items():
         blocks += [f"## {heading[0].upper()}{heading[1:]}", table]

@@ -27,15 +27,13 @@ class StoredResult:
 
     @property
     def has_depth(self) -> bool:
-        """Whether any frame has a depth."""
         return any(self._folder.glob("*.npy"))
 
     def inverse_depth(self, index: int) -> NDArray[np.float32]:
         """Return the inverse depth of a frame, (H, W), NaN where unknown."""
         return self._map(index, "")
 
-    def inverse_depth_std(self, index: int) -> NDArray[np.float32]:
-        """Return its standard deviation, (H, W)."""
+    def inverse_depth_std(self, index: int) -> NDArray[np.float32]:  # (H, W)
         return self._map(index, "_std")
 
     def _map(self, index: int, ending: str) -> NDArray[np.float32]:
@@ -55,7 +53,6 @@ def store(
     status: list[str],
     units: list[float] | None = None,
 ) -> None:
-    """Write NAME.json."""
     content: dict[str, Any] = {
         "poses": [pose.tolist() if np.isfinite(pose).all() else None for pose in poses],
         "piece": piece,
@@ -68,7 +65,6 @@ def store(
 def store_map(
     folder: Path, index: int, inverse_depth: NDArray, deviation: NDArray | None = None
 ) -> None:
-    """Write the maps of a frame."""
     np.save(folder / f"{index:06d}.npy", np.asarray(inverse_depth, np.float32))
     if deviation is not None:
         np.save(folder / f"{index:06d}_std.npy", np.asarray(deviation, np.float32))

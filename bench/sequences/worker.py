@@ -135,8 +135,6 @@ def _chained(
 
 @dataclass(kw_only=True)
 class Chain:
-    """Result of chained pairs."""
-
     poses: list[NDArray[np.float64]] = field(default_factory=list)  # (4, 4), camera to world
     piece: list[int] = field(default_factory=list)  # number of the segment, which has one scale
     status: list[str] = field(default_factory=list)

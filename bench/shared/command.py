@@ -49,7 +49,6 @@ class Parser(argparse.ArgumentParser):
     """A parser that refuses counts below 1."""
 
     def parse_args(self, *arguments: Any, **keywords: Any) -> Any:
-        """Return the options."""
         options = super().parse_args(*arguments, **keywords)
         for name in POSITIVE_OPTIONS:
             value = getattr(options, name, None)
@@ -128,7 +127,6 @@ def progress(total: int) -> Iterator[Callable[[str], None]]:
 def run_with_progress(
     methods: Sequence[Method], pairs: Pairs, options: argparse.Namespace, **details: Any
 ) -> Contest:
-    """Hold a contest and show its progress."""
     rounds = 1 if options.smoke else options.rounds
     with progress(len(methods) * (1 + (rounds + 1) * len(pairs.pairs))) as step:
         return run_contest(methods, pairs.pairs, rounds=rounds, step=step, **details)
@@ -144,7 +142,6 @@ class Peers:
 
     @property
     def versions(self) -> str:
-        """Versions of the libraries."""
         return ", ".join(f"{name} {number}" for name, number in self.survey.versions.items())
 
 

@@ -39,8 +39,6 @@ class Call:
 
 
 class Method(Protocol):
-    """A method in a contest."""
-
     @property
     def name(self) -> str:
         """Name in the tables."""
@@ -72,7 +70,6 @@ class Measurement:
 
     @property
     def seconds(self) -> float | None:
-        """Median of the wall time."""
         return median(t.seconds for t in self.timings) if self.timings else None
 
 
@@ -88,8 +85,6 @@ class PairInfo:
 
 @dataclass(frozen=True, kw_only=True)
 class Contest:
-    """All figures of one run."""
-
     conditions: dict[str, Any]  # machine, threads and versions
     reference: str  # the method whose time is the unit of the ratios
     methods: tuple[str, ...]
@@ -98,7 +93,6 @@ class Contest:
     missing: dict[str, str] = field(default_factory=dict)  # missing method or pair → the reason
 
     def measurement(self, method: str, pair: str) -> Measurement | None:
-        """Return the measurement of a method on a pair."""
         return next((m for m in self.measurements if (m.method, m.pair) == (method, pair)), None)
 
     def failures(self) -> dict[str, str]:
@@ -106,7 +100,6 @@ class Contest:
         return {f"{m.method} on {m.pair}": m.failure for m in self.measurements if m.failure}
 
     def as_json(self) -> dict[str, Any]:
-        """Return everything as plain values."""
         return asdict(self)
 
 
@@ -211,7 +204,6 @@ class OwnMethod:
     estimate: Callable[[NDArray, NDArray], NDArray]
 
     def run(self, pair: FlowPair) -> Call:
-        """Return the flow of a pair, or raise `MethodFailure`."""
         used, started = time.process_time(), time.perf_counter()
         try:
             flow = self.estimate(pair.frame0, pair.frame1)
@@ -227,10 +219,8 @@ def interpretation(name: str, settings: Settings) -> OwnMethod:
 
 
 def preset(name: Preset) -> OwnMethod:
-    """Return a preset of `tisfm.interpret`."""
     return interpretation(f"tisfm {name}", Settings.preset(name))
 
 
 def baseline() -> OwnMethod:
-    """Return tisfm's Horn and Schunck."""
     return OwnMethod("tisfm Horn–Schunck", horn_schunck)

@@ -55,7 +55,6 @@ class Column:
         return fmean(known) if known and len(known) == len(values) else None
 
     def pairs(self, contest: Contest) -> list[PairInfo]:
-        """Return the pairs of the group that were measured."""
         return [pair for pair in contest.pairs if pair.group == self.group]
 
 
@@ -98,7 +97,6 @@ def timed_pairs(contest: Contest) -> list[PairInfo]:
 
 
 def standard_time(contest: Contest, method: str) -> Spread | None:
-    """Return the time of a standard pair, s."""
     return Spread.of(list(_by_round(contest, method).values()))
 
 
@@ -175,13 +173,10 @@ def details(contest: Contest) -> dict[str, Table]:
         title: table(lambda measured, metric=metric: _figure(metric, getattr(measured, metric)))  # type: ignore[misc]
         for metric, title in DETAIL_TITLES
     }
-    return tables | {
-        "Seconds, median": table(lambda m: _text(m.seconds if m else None, "#.3g")),
-    }
+    return tables | {"Seconds, median": table(lambda m: _text(m.seconds if m else None, "#.3g"))}
 
 
 def notes(contest: Contest) -> list[str]:
-    """Return the notes on the tables."""
     groups: dict[str, list[str]] = {}
     for pair in contest.pairs:
         groups.setdefault(pair.group, []).append(pair.name)
@@ -204,20 +199,13 @@ def notes(contest: Contest) -> list[str]:
 
 
 def show(contest: Contest, console: Console, *, changes: bool = False) -> None:
-    """Print the summary, and the missing and failed methods."""
     console.print(summary(contest, changes=changes).rich())
     print_missing(console, contest.missing, contest.failures())
 
 
 def write(
-    contest: Contest,
-    path: Path,
-    *,
-    title: str,
-    remarks: Sequence[str] = (),
-    changes: bool = False,
+    contest: Contest, path: Path, *, title: str, remarks: Sequence[str] = (), changes: bool = False
 ) -> None:
-    """Write PATH.md and PATH.json."""
     sections = [
         block for heading, table in details(contest).items() for block in (f"## {heading}", table)
     ]

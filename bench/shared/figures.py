@@ -45,7 +45,6 @@ class Mark:
 
     @property
     def colour(self) -> str:
-        """Tisfm has another colour than the other libraries."""
         return OWN_COLOUR if self.name.startswith("tisfm") else PEER_COLOUR
 
 
@@ -60,7 +59,6 @@ def marks(contest: Contest, column: Column) -> list[Mark]:
 
 
 def draw_contest(contest: Contest, path: Path) -> None:
-    """Write the picture of the contest's first column over time."""
     contest_figure(contest).savefig(path)
 
 

@@ -41,7 +41,6 @@ class Survey:
 
     @property
     def available(self) -> list[str]:
-        """Names of the methods that can run."""
         return [name for name, reason in self.reasons.items() if not reason]
 
     @property
@@ -107,7 +106,6 @@ class Peer:
         return Call(flow=np.load(flow), seconds=answer["seconds"], cpu=answer["cpu"])
 
     def close(self) -> None:
-        """End the worker."""
         self._worker.close()
 
 

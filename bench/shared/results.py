@@ -21,21 +21,17 @@ TABLE_WIDTH = 160  # columns of a console that is not a terminal
 
 @dataclass(frozen=True)
 class Table:
-    """A table of text."""
-
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
     text_columns: int = 1  # number of columns that are aligned to the left; the others hold figures
 
     def markdown(self) -> list[str]:
-        """Return the lines of a Markdown table."""
         figures = len(self.head) - self.text_columns
         rules = ["---"] * self.text_columns + ["---:"] * figures
         lines = (self.head, rules, *self.rows)
         return ["|" + "".join(f" {text} |" if text else " |" for text in line) for line in lines]
 
     def rich(self) -> RichTable:
-        """Return the table for a terminal."""
         table = RichTable(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
         for index, name in enumerate(self.head):
             side = "left" if index < self.text_columns else "right"
@@ -131,7 +127,6 @@ def missing_sections(
 def print_missing(
     console: Console, missing: Mapping[str, str], failures: Mapping[str, str] | None = None
 ) -> None:
-    """Print what is missing and what failed."""
     for title, entries in (("missing", missing), ("FAILED", failures or {})):
         for name, reason in entries.items():
             console.print(f"{title}: {name}: {reason}", highlight=False, markup=False)

@@ -15,8 +15,6 @@ MIDDLEBURY = ("RubberWhale", "Grove2", "Urban2", "Venus")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FlowPair:
-    """Two frames and their true flow."""
-
     name: str
     group: str  # errors are averaged over the pairs of a group
     frame0: NDArray  # (H, W) or (H, W, 3) uint8, grey or RGB
@@ -75,15 +73,13 @@ def scene_pairs(height: int, width: int) -> list[FlowPair]:
     ]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Source:
-    """Location of a pair in the folder of sequences."""
-
     folder: str  # path below that folder
     layout: Layout
     group: str
-    name: str = ""  # of the pair in its dataset, if the folder has several
     note: str = ""
+    name: str = ""  # of the pair in its dataset, if the folder has several
 
 
 def _read(data: Path, name: str, source: Source) -> FlowPair:
@@ -106,50 +102,37 @@ def _read(data: Path, name: str, source: Source) -> FlowPair:
 
 
 _STEREO_NOTE = "left to right; occluded pixels count"
+_CAVE_NOTE = "cave_2, frames 2 and 3: motions up to 46 px; occluded pixels count"
 SOURCES: dict[str, Source] = {
-    **{
-        name: Source(folder=f"middlebury/{name}", layout="middlebury", group="middlebury")
-        for name in MIDDLEBURY
-    },
+    **{name: Source(f"middlebury/{name}", "middlebury", "middlebury") for name in MIDDLEBURY},
     "yosemite_clouds": Source(
-        folder="yosemite_clouds",
-        layout="yosemite",
-        group="yosemite_clouds",
-        note="frames 9 and 10, sky included",
+        "yosemite_clouds", "yosemite", "yosemite_clouds", "frames 9 and 10, sky included"
     ),
     "yosemite_cloudless": Source(
-        folder="yosemite_cloudless",
-        layout="yosemite",
-        group="yosemite_cloudless",
-        note="frames 9 and 10; the sky, 26% of the pixels, does not count",
+        "yosemite_cloudless",
+        "yosemite",
+        "yosemite_cloudless",
+        "frames 9 and 10; the sky, 26% of the pixels, does not count",
     ),
     "sintel_alley": Source(
-        folder="sintel_alley",
-        layout="sintel",
-        group="sintel_alley",
-        name="frame_0002",
-        note="alley_1, clean, frames 2 and 3; occluded pixels count, invalid ones do not",
+        "sintel_alley",
+        "sintel",
+        "sintel_alley",
+        "alley_1, clean, frames 2 and 3; occluded pixels count, invalid ones do not",
+        "frame_0002",
     ),
     **{
         f"cave, {kind}": Source(
-            folder=f"sintel_cave/{kind}",
-            layout="sintel",
-            group=f"sintel_cave, {kind}",
-            name="frame_0002",
-            note="cave_2, frames 2 and 3: motions up to 46 px; occluded pixels count",
+            f"sintel_cave/{kind}", "sintel", f"sintel_cave, {kind}", _CAVE_NOTE, "frame_0002"
         )
         for kind in ("clean", "final")
     },
-    "motorcycle": Source(
-        folder="stereo", layout="stereo", group="stereo", name="motorcycle", note=_STEREO_NOTE
-    ),
-    "cones": Source(
-        folder="stereo", layout="stereo", group="stereo", name="cones", note=_STEREO_NOTE
-    ),
+    "motorcycle": Source("stereo", "stereo", "stereo", _STEREO_NOTE, "motorcycle"),
+    "cones": Source("stereo", "stereo", "stereo", _STEREO_NOTE, "cones"),
     "kitti": Source(
-        folder="kitti",
-        layout="stereo",
-        group="kitti",
-        note="left to right; the truth is a block matcher's disparity, not a laser's",
+        "kitti",
+        "stereo",
+        "kitti",
+        "left to right; the truth is a block matcher's disparity, not a laser's",
     ),
 }

@@ -52,7 +52,6 @@ _DRIFT = 0.01  # m per frame, added to the long path so that no two cameras coin
 
 
 def bars(results: Mapping[str, Sequence[Opening]]) -> list[Bar]:
-    """Return the bar of each kind of result."""
     return [
         Bar(
             f"{NAMES[kind]}: s until points are seen",
@@ -66,7 +65,6 @@ def bars(results: Mapping[str, Sequence[Opening]]) -> list[Bar]:
 def report(
     results: Mapping[str, Sequence[Opening]], frames: int, conditions: Mapping[str, Any]
 ) -> str:
-    """Return the results as Markdown."""
     table = Table(HEAD, [_row(kind, openings, frames) for kind, openings in results.items()])
     notes = [
         *map(str, bars(results)),
