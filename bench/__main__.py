@@ -14,6 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import get_args
 
+from bench.pair_memory import measure_in_process
 from bench.report import (
     LANES,
     LARGE,
@@ -26,6 +27,7 @@ from bench.report import (
     show,
     write_markdown,
 )
+from bench.shared.peer_process import THREAD_VARIABLES
 from bench.shared.results import RESULTS, ROOT, wide_console
 from tisfm.runtime import ARCHS
 from tisfm.settings import Preset
@@ -107,8 +109,7 @@ def run_benchmarks(options: argparse.Namespace, threads: int, report: Path) -> i
     if options.only:
         command += ["-k", f"stream or ({options.only})"]
     # More BLAS threads wait by spinning, and slow down the small systems of the reference.
-    blas = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    environment = os.environ | dict.fromkeys(blas, "1")
+    environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1")
     return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
 
 
@@ -117,16 +118,6 @@ def fault_of(code: int) -> str:
     if code == FAILED:
         return DISAGREED
     return f"pytest did not run the benchmarks (exit code {code}): see above" if code else ""
-
-
-def measure_memory() -> dict[str, float]:
-    """Return the peak memory of every preset, float32 per pixel, from a process of its own."""
-    memory = {}
-    for preset in get_args(Preset):
-        command = [sys.executable, "-m", "bench.pair_memory", preset]
-        output = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
-        memory[preset] = json.loads(output.stdout)["floats_per_pixel"]
-    return memory
 
 
 def smoke_contests() -> bool:
@@ -162,7 +153,7 @@ def main(arguments: list[str] | None = None) -> int:
             reports.append(json.loads(text))
     memory: dict[str, float] = {}
     if options.memory or "memory" in (options.only or ""):
-        memory = measure_memory()
+        memory = {preset: measure_in_process(preset) for preset in get_args(Preset)}
         path = RESULTS / f"{options.output}-memory.json"
         path.write_text(json.dumps(memory, indent=1), encoding="utf-8")
 

@@ -52,13 +52,6 @@ CHANGES: dict[str, dict[str, Any]] = {
 }
 
 
-def parse(arguments: list[str] | None) -> argparse.Namespace:
-    names = ("data", "pairs", "only", "threads", "rounds", "smoke", "output")
-    parser = options_parser("ablation", __doc__, *names)
-    parser.add_argument("--preset", choices=get_args(Preset), default="accurate")
-    return parser.parse_args(arguments)
-
-
 def variants(preset: Preset, changes: Mapping[str, Mapping[str, Any]]) -> dict[str, Settings]:
     """Return name → settings; raise a ValueError that names an impossible change."""
     settings = {}
@@ -103,7 +96,10 @@ def remarks() -> list[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Return 0, 1 if a variant failed on a pair, or 2 if nothing could be run."""
-    options = parse(arguments)
+    names = ("data", "pairs", "only", "threads", "rounds", "smoke", "output")
+    parser = options_parser("ablation", __doc__, *names)
+    parser.add_argument("--preset", choices=get_args(Preset), default="accurate")
+    options = parser.parse_args(arguments)
     try:
         contest = compare(options, load_pairs(options))
     except (OSError, ValueError) as error:

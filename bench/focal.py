@@ -7,7 +7,6 @@ multiples of it.
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
@@ -204,13 +203,11 @@ def report(outcomes: Sequence[Outcome], conditions: Mapping[str, Any]) -> str:
     return markdown_page(title, conditions, NOTES, picture, finding(outcomes), *tables(outcomes))
 
 
-def draw(outcomes: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write the picture of outcomes, mappings with the fields of `Outcome`."""
-    picture(outcomes).savefig(path)
-
-
 def picture(outcomes: Sequence[Mapping[str, Any]]) -> Figure:
-    """Return a row of axes for every error and a column for every true focal length."""
+    """Return a row of axes for every error and a column for every true focal length.
+
+    Outcomes have the fields of `Outcome`.
+    """
     focals = sorted({outcome["focal"] for outcome in outcomes})
     kinds = list(dict.fromkeys(outcome["kind"] for outcome in outcomes))
     size = (3.2 * len(focals) + 0.4, 2.1 * len(ROWS) + 0.8)
@@ -285,7 +282,7 @@ def main(arguments: list[str] | None = None) -> int:
     path = RESULTS / (options.output or "focal")
     records = [asdict(outcome) for outcome in outcomes]
     write_results(path, text, {**conditions, "found": records})
-    draw(records, path.with_suffix(".png"))
+    picture(records).savefig(path.with_suffix(".png"))
     return 0
 
 

@@ -8,6 +8,7 @@ import contextlib
 import gc
 import json
 import resource
+import subprocess
 import sys
 from pathlib import Path
 from typing import cast
@@ -16,7 +17,7 @@ import cv2
 import numpy as np
 
 import tisfm
-from bench.shared.results import process_memory
+from bench.shared.results import ROOT, process_memory
 from tisfm.settings import Preset
 
 SIZE = (1080, 1920)  # px, height and width
@@ -53,6 +54,13 @@ def measure(preset: Preset, height: int, width: int) -> float:
     before = peak()
     result = tisfm.interpret(frame0, frame1, camera=camera, settings=settings)
     return (peak() - before) / (FLOAT * result.rho[0].size)
+
+
+def measure_in_process(preset: Preset, size: str = "") -> float:
+    """Return `measure` from a process of its own; the size is HxW."""
+    command = [sys.executable, "-m", "bench.pair_memory", preset, *filter(None, [size])]
+    output = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
+    return json.loads(output.stdout)["floats_per_pixel"]
 
 
 if __name__ == "__main__":

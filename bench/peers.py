@@ -21,7 +21,7 @@ from bench.shared.command import (
 )
 from bench.shared.contest import Contest, Method, baseline, preset
 from bench.shared.contest_report import show, write
-from bench.shared.figures import draw_contest
+from bench.shared.figures import contest_figure
 from bench.shared.peer_process import make_environment, survey
 from bench.shared.results import RESULTS, machine, print_missing, wide_console
 from tisfm import runtime
@@ -33,14 +33,6 @@ REMARKS = (
     "own, on 8-bit grey frames (scikit-image: grey in [0, 1]); the conversion is not timed. tisfm "
     "takes the frames as they were read, and its time includes depth, 3D motion and confidence.",
 )
-
-
-def parse(arguments: list[str] | None) -> argparse.Namespace:
-    names = ("data", "pairs", "only", "threads", "rounds", "smoke", "output", "peer-python")
-    parser = options_parser("peers", __doc__, *names)
-    parser.add_argument("--paper", action="store_true", help='run the preset "paper", too')
-    parser.add_argument("--prepare", type=Path, metavar="DIR", help="make the environment only")
-    return parser.parse_args(arguments)
 
 
 def compare(options: argparse.Namespace, pairs: Pairs) -> Contest:
@@ -70,7 +62,11 @@ def compare(options: argparse.Namespace, pairs: Pairs) -> Contest:
 
 def main(arguments: list[str] | None = None) -> int:
     """Return 0, 1 if a method failed on a pair, or 2 if nothing could be run."""
-    options = parse(arguments)
+    names = ("data", "pairs", "only", "threads", "rounds", "smoke", "output", "peer-python")
+    parser = options_parser("peers", __doc__, *names)
+    parser.add_argument("--paper", action="store_true", help='run the preset "paper", too')
+    parser.add_argument("--prepare", type=Path, metavar="DIR", help="make the environment only")
+    options = parser.parse_args(arguments)
     console = wide_console()
     try:
         if options.prepare:
@@ -84,7 +80,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     path = RESULTS / output_name(options, "peers")
     write(contest, path, title="tisfm beside other libraries", remarks=REMARKS)
-    draw_contest(contest, path.with_suffix(".png"))
+    contest_figure(contest).savefig(path.with_suffix(".png"))
     show(contest, console)
     return 1 if contest.failures() else 0
 

@@ -4,7 +4,6 @@ The system is the first one at a single scale: the paper's data term, edge weigh
 and ρ̂ = 0. The energy after some work is compared with the least energy.
 """
 
-import argparse
 import itertools
 import math
 import sys
@@ -261,13 +260,9 @@ def draw(courses: Sequence[Mapping[str, Any]], path: Path) -> None:
     figure.savefig(path)
 
 
-def parse(arguments: list[str] | None) -> argparse.Namespace:
-    names = ("data", "threads", "smoke", "output")
-    return options_parser("solvers", __doc__, *names).parse_args(arguments)
-
-
 def main(arguments: list[str] | None = None) -> int:
-    options = parse(arguments)
+    names = ("data", "threads", "smoke", "output")
+    options = options_parser("solvers", __doc__, *names).parse_args(arguments)
     runtime.start(threads=options.threads)
     folder = data_folder(options.data)
     pairs = [pair for pair in find_pairs(folder)[0] if pair.group == "middlebury"] if folder else []

@@ -41,12 +41,6 @@ REMARKS = (
 )
 
 
-def parse(arguments: list[str] | None) -> argparse.Namespace:
-    parser = options_parser("depth", __doc__, *WORDS, "output", preset=["balanced"])
-    parser.add_argument("--remark", metavar="TEXT", help="added to the notes of the tables")
-    return parser.parse_args(arguments)
-
-
 def find_entries(options: argparse.Namespace) -> tuple[list[Entry], dict[str, str]]:
     """Return the pairs that the options name, and why others are missing."""
     missing: dict[str, str] = {}
@@ -99,7 +93,9 @@ def _scene_size(options: argparse.Namespace) -> tuple[int, int]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Return 0, 1 if a method failed on a pair, or 2 if nothing could be run."""
-    options = parse(arguments)
+    parser = options_parser("depth", __doc__, *WORDS, "output", preset=["balanced"])
+    parser.add_argument("--remark", metavar="TEXT", help="added to the notes of the tables")
+    options = parser.parse_args(arguments)
     try:
         contest = compare(options)
     except (OSError, ValueError) as error:

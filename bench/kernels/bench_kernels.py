@@ -9,12 +9,7 @@ import taichi as ti
 from bench import reference
 from bench.kernels.multigrid_steps import MultigridOperations, MultigridReferences
 from bench.kernels.operations import FieldOperations
-from bench.kernels.plane_steps import (
-    PlaneOperations,
-    PlaneReferences,
-    ViewOperations,
-    ViewReferences,
-)
+from bench.kernels.plane_steps import PlaneOperations, PlaneReferences
 from bench.kernels.references import FieldReferences
 from bench.kernels.rigid_steps import DepthOperations, DepthReferences
 from bench.kernels.second_order_steps import SecondOrderOperations, SecondOrderReferences
@@ -199,23 +194,13 @@ REFERENCE_CASES = list(dict.fromkeys(case.without_solver() for case in CASES))
 
 
 class Operations(
-    FieldOperations,
-    MultigridOperations,
-    DepthOperations,
-    SecondOrderOperations,
-    PlaneOperations,
-    ViewOperations,
+    FieldOperations, MultigridOperations, DepthOperations, SecondOrderOperations, PlaneOperations
 ):
     """All kernels."""
 
 
 class References(
-    FieldReferences,
-    MultigridReferences,
-    DepthReferences,
-    SecondOrderReferences,
-    PlaneReferences,
-    ViewReferences,
+    FieldReferences, MultigridReferences, DepthReferences, SecondOrderReferences, PlaneReferences
 ):
     """All steps of the reference."""
 

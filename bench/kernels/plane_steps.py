@@ -1,6 +1,6 @@
 """Kernels and references of planes matched by correlation, in one or several frames."""
 
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -18,6 +18,7 @@ BOUNDS = 0.01, 10.0  # px/frame, of searched inverse depths
 SPREAD = 0.5  # px/frame, of drawn inverse depths
 TILT = 0.02  # px/frame per px, of drawn slopes
 DRAWS = 2  # planes that are drawn per pixel
+BEST = 1  # number of best frames whose mean cost counts
 PLANE = (0.03, -0.02)  # slopes of the only plane of frame 1
 
 
@@ -59,72 +60,6 @@ def search_options(p: Problem) -> dict:
     return {"center": center, "focal": p.camera.focal, **options}
 
 
-class PlaneOperations(TaichiSide):
-    @cached_property
-    def planes(self) -> Planes:
-        return Planes(self.problem, self.problem.motions[0])
-
-    def score(self) -> Timed:
-        state = interleaved(self.planes.own)
-        search = self._search()
-        return lambda: search.score(state), lambda _: (state[..., 3] * self.planes.certain)[None]
-
-    def improve(self) -> Timed:
-        state, search = interleaved(self.planes.own), self._search()
-        search.score(state)
-        options = {"draws": DRAWS, "spread": SPREAD, "tilt": TILT, "seed": 0}
-        return lambda: search.improve(state, **options), lambda _: summary(state[..., 3])
-
-    def disagreement(self) -> Timed:
-        p, planes = self.problem, self.planes
-        arrays = [interleaved(array) for array in (planes.own, planes.there)]
-        out = np.empty((p.height, p.width), np.float32)
-        options = {"center": p.camera.center_for(p.height, p.width), "focal": p.camera.focal}
-        return (
-            lambda: disagreement(*arrays, p.motions[0], out, **options),
-            lambda _: _known(out, planes.certain),
-        )
-
-    def _search(self) -> PlaneSearch:
-        p, planes = self.problem, self.planes
-        return PlaneSearch(
-            *(levels.astype(np.float32) for levels in planes.levels),
-            p.motions[0],
-            **search_options(p),
-        )
-
-
-class PlaneReferences(NumpySide):
-    @cached_property
-    def planes(self) -> Planes:
-        return Planes(self.problem, self.problem.motions[0])
-
-    def score(self) -> Run:
-        planes = self.planes
-        return lambda: (planes.cost(planes.own) * planes.certain)[None]
-
-    def improve(self) -> Run:
-        planes = self.planes
-        state = np.concatenate([planes.own, planes.cost(planes.own)[None]])
-        options = {"spread": SPREAD, "tilt": TILT, "steepest": STEEPEST / planes.camera.focal}
-
-        def run() -> np.ndarray:
-            nonlocal state
-            for color in range(2):
-                state = reference.improve_planes(
-                    state, planes.cost, color=color, draws=DRAWS, bounds=BOUNDS, seed=color,
-                    **options,
-                )  # fmt: skip
-            return summary(state[3])
-
-        return run
-
-    def disagreement(self) -> Run:
-        planes = self.planes
-        arguments = planes.own, planes.there, planes.camera, *planes.pose
-        return lambda: _known(reference.plane_disagreement(*arguments), planes.certain)
-
-
 def interleaved(planes: np.ndarray) -> np.ndarray:
     """Return planes, (3, H, W), in the layout of the kernels without costs: (H, W, 4) float32."""
     state = np.zeros((*planes.shape[1:], 4), np.float32)
@@ -145,9 +80,6 @@ def summary(cost: np.ndarray) -> np.ndarray:
     return np.quantile(cost, [0.25, 0.5, 0.75])[:, None]
 
 
-BEST = 1  # number of best frames whose mean cost counts
-
-
 class Views:
     """Planes near the true ones, and frame 1 under several motions."""
 
@@ -155,9 +87,10 @@ class Views:
         self.motions = problem.motions[:VIEWS]
         self._each = [Planes(problem, motion) for motion in self.motions]
         self.planes = self._each[0]
+        self.own = self.planes.own
         self.certain = np.logical_and.reduce([planes.certain for planes in self._each])
         # The kernel also computes costs of bare windows, which the reference skips.
-        self.seen = self.certain & (self.costs(self.planes.own)[0] < UNSEEN)
+        self.seen = self.certain & (self.costs(self.own)[0] < UNSEEN)
 
     def costs(self, planes: np.ndarray) -> np.ndarray:
         """Return the costs of planes, (3, H, W), under each motion, as `Planes.cost`."""
@@ -168,65 +101,113 @@ class Views:
         return reference.best_mean(self.costs(planes), BEST, absent=ABSENT)
 
 
-class ViewOperations(TaichiSide):
+Surface = Planes | Views
+
+
+def time_score(search: PlaneSearch | ViewSearch, surface: Surface) -> Timed:
+    state = interleaved(surface.own)
+    return partial(search.score, state), lambda _: (state[..., 3] * surface.certain)[None]
+
+
+def time_improve(search: PlaneSearch | ViewSearch, surface: Surface) -> Timed:
+    state = interleaved(surface.own)
+    search.score(state)
+    options = {"draws": DRAWS, "spread": SPREAD, "tilt": TILT, "seed": 0}
+    return partial(search.improve, state, **options), lambda _: summary(state[..., 3])
+
+
+def reference_score(surface: Surface) -> Run:
+    return lambda: (surface.cost(surface.own) * surface.certain)[None]
+
+
+def reference_improve(surface: Surface, focal: float) -> Run:
+    state = np.concatenate([surface.own, surface.cost(surface.own)[None]])
+    options = {"spread": SPREAD, "tilt": TILT, "steepest": STEEPEST / focal, "bounds": BOUNDS}
+
+    def run() -> np.ndarray:
+        nonlocal state
+        for color in range(2):
+            state = reference.improve_planes(
+                state, surface.cost, color=color, draws=DRAWS, seed=color, **options
+            )
+        return summary(state[3])
+
+    return run
+
+
+class PlaneOperations(TaichiSide):
+    @cached_property
+    def planes(self) -> Planes:
+        return Planes(self.problem, self.problem.motions[0])
+
     @cached_property
     def views(self) -> Views:
         return Views(self.problem)
 
+    def score(self) -> Timed:
+        return time_score(self._search(), self.planes)
+
+    def improve(self) -> Timed:
+        return time_improve(self._search(), self.planes)
+
+    def disagreement(self) -> Timed:
+        p, planes = self.problem, self.planes
+        arrays = [interleaved(array) for array in (planes.own, planes.there)]
+        out = np.empty((p.height, p.width), np.float32)
+        options = {"center": p.camera.center_for(p.height, p.width), "focal": p.camera.focal}
+        return (
+            partial(disagreement, *arrays, p.motions[0], out, **options),
+            lambda _: _known(out, planes.certain),
+        )
+
     def views_score(self) -> Timed:
-        state, search = interleaved(self.views.planes.own), self._views_search()
-        return lambda: search.score(state), lambda _: (state[..., 3] * self.views.certain)[None]
+        return time_score(self._views_search(), self.views)
 
     def views_improve(self) -> Timed:
-        state, search = interleaved(self.views.planes.own), self._views_search()
-        search.score(state)
-        options = {"draws": DRAWS, "spread": SPREAD, "tilt": TILT, "seed": 0}
-        return lambda: search.improve(state, **options), lambda _: summary(state[..., 3])
+        return time_improve(self._views_search(), self.views)
 
     def views_costs(self) -> Timed:
-        p, search = self.problem, self._views_search()
-        state = interleaved(self.views.planes.own)
+        p, search, state = self.problem, self._views_search(), interleaved(self.views.own)
         out = np.empty((VIEWS, p.height, p.width), np.float32)
-        return lambda: search.costs(state, out), lambda _: out * self.views.seen
+        return partial(search.costs, state, out), lambda _: out * self.views.seen
+
+    def _search(self) -> PlaneSearch:
+        p, levels = self.problem, [part.astype(np.float32) for part in self.planes.levels]
+        return PlaneSearch(*levels, p.motions[0], **search_options(p))
 
     def _views_search(self) -> ViewSearch:
         p, levels = self.problem, [part.astype(np.float32) for part in self.views.planes.levels]
-        return ViewSearch(
-            levels[0],
-            [levels[1]] * VIEWS,
-            self.views.motions,
-            best=BEST,
-            stride=1,
-            **search_options(p),
-        )
+        others = [levels[1]] * VIEWS
+        options = {"best": BEST, "stride": 1, **search_options(p)}
+        return ViewSearch(levels[0], others, self.views.motions, **options)
 
 
-class ViewReferences(NumpySide):
+class PlaneReferences(NumpySide):
+    @cached_property
+    def planes(self) -> Planes:
+        return Planes(self.problem, self.problem.motions[0])
+
     @cached_property
     def views(self) -> Views:
         return Views(self.problem)
 
+    def score(self) -> Run:
+        return reference_score(self.planes)
+
+    def improve(self) -> Run:
+        return reference_improve(self.planes, self.problem.camera.focal)
+
+    def disagreement(self) -> Run:
+        planes = self.planes
+        arguments = planes.own, planes.there, planes.camera, *planes.pose
+        return lambda: _known(reference.plane_disagreement(*arguments), planes.certain)
+
     def views_score(self) -> Run:
-        views = self.views
-        return lambda: (views.cost(views.planes.own) * views.certain)[None]
+        return reference_score(self.views)
 
     def views_improve(self) -> Run:
-        views = self.views
-        own = views.planes.own
-        state = np.concatenate([own, views.cost(own)[None]])
-        steepest = STEEPEST / self.problem.camera.focal
-        options = {"spread": SPREAD, "tilt": TILT, "steepest": steepest, "bounds": BOUNDS}
-
-        def run() -> np.ndarray:
-            nonlocal state
-            for color in range(2):
-                state = reference.improve_planes(
-                    state, views.cost, color=color, draws=DRAWS, seed=color, **options
-                )
-            return summary(state[3])
-
-        return run
+        return reference_improve(self.views, self.problem.camera.focal)
 
     def views_costs(self) -> Run:
         views = self.views
-        return lambda: views.costs(views.planes.own) * views.seen
+        return lambda: views.costs(views.own) * views.seen

@@ -81,12 +81,6 @@ STATUE_NOTE = (
 )
 
 
-def parse(arguments: list[str] | None) -> argparse.Namespace:
-    parser = options_parser("objects", __doc__, *WORDS, "output", preset=["balanced"])
-    parser.add_argument("--statue", action="store_true", help="the statue alone")
-    return parser.parse_args(arguments)
-
-
 def scenes(options: argparse.Namespace) -> Iterator[tuple[str, str, SyntheticPair]]:
     """Render the scenes that the options name: group, name and pair."""
     size = SMOKE_SIZE if options.smoke else SIZE
@@ -205,7 +199,9 @@ def report(measured: dict[str, Any]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Return 0, or 2 if nothing could be run."""
-    options = parse(arguments)
+    parser = options_parser("objects", __doc__, *WORDS, "output", preset=["balanced"])
+    parser.add_argument("--statue", action="store_true", help="the statue alone")
+    options = parser.parse_args(arguments)
     try:
         measured = measure(options)
     except (MethodFailure, OSError, ValueError) as error:

@@ -61,11 +61,6 @@ NOTES = (
 )
 
 
-def parse(arguments: list[str] | None) -> argparse.Namespace:
-    parser = options_parser("objects.sequences", __doc__, *WORDS, "output", preset=["fast"])
-    return parser.parse_args(arguments)
-
-
 def clips(options: argparse.Namespace) -> Iterator[Clip]:
     """Yield the clips that the options name, one at a time, since they are large."""
     folder = None if options.smoke else data_folder(options.data)
@@ -140,7 +135,8 @@ def report(measured: dict[str, Any]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Return 0, 1 if a method failed on a clip, or 2 if nothing could be run."""
-    options = parse(arguments)
+    parser = options_parser("objects.sequences", __doc__, *WORDS, "output", preset=["fast"])
+    options = parser.parse_args(arguments)
     try:
         measured = measure(options)
     except (OSError, ValueError) as error:

@@ -4,19 +4,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bench.reference.epipolar import rays
 from tisfm.camera import Camera
 
+Array = np.ndarray  # of float64
 
-def motion_matrix(camera: Camera, height: int, width: int, components: int) -> np.ndarray:
+
+def motion_matrix(camera: Camera, height: int, width: int, components: int) -> Array:
     """Return G, (2, components, H, W): eq. 2 in scaled unknowns.
 
     6 components are rigid motion, 3 translation, 2 the flow itself, 1 the displacement along a
     known line.
     """
-    cx, cy = camera.center_for(height, width)
-    rows, columns = np.mgrid[:height, :width].astype(np.float64)
-    x, y = (columns - cx) / camera.focal, (rows - cy) / camera.focal
-    one, zero = np.ones_like(x), np.zeros_like(x)
+    x, y, one = rays(camera, height, width)
+    zero = np.zeros_like(x)
     rigid = np.array(
         [
             [one, zero, -x, -x * y, 1 + x * x, -y],
@@ -26,16 +27,16 @@ def motion_matrix(camera: Camera, height: int, width: int, components: int) -> n
     return rigid[:, :components]
 
 
-def flow(motion: np.ndarray, rho: np.ndarray) -> np.ndarray:
+def flow(motion: Array, rho: Array) -> Array:
     """Return (u, v), (2, H, W): eq. 25, Gρ̂."""
     return np.einsum("ckyx,kyx->cyx", motion, rho)
 
 
 def brightness_tensor(
-    gradients: tuple[np.ndarray, np.ndarray, np.ndarray],
-    flow0: np.ndarray,
-    mask: np.ndarray,
-) -> np.ndarray:
+    gradients: tuple[Array, Array, Array],
+    flow0: Array,
+    mask: Array,
+) -> Array:
     """Return J11, J12, J22, j1, j2, J_tt, (6, H, W): eq. 3 squared, for the total flow.
 
     `flow0`, (2, H, W), is the flow that warped frame 1 of the gradients.
@@ -46,14 +47,14 @@ def brightness_tensor(
 
 
 def constancy_constraints(
-    gradients: tuple[np.ndarray, np.ndarray, np.ndarray],
-    flow0: np.ndarray,
-    mask: np.ndarray,
+    gradients: tuple[Array, Array, Array],
+    flow0: Array,
+    mask: Array,
     *,
     brightness: float,
     gradient: float,
     normalization: float | None,
-) -> list[np.ndarray]:
+) -> list[Array]:
     """Return (p, q, c) of the constraints p u + q v + c = 0 of each term with a positive weight.
 
     Brightness has one constraint, (1, 3, H, W), its gradient two, (2, 3, H, W). `gradients` have a
@@ -61,7 +62,7 @@ def constancy_constraints(
     each squared constraint is divided by |∇I|² + ζ².
     """
 
-    def constraint(weight: float, ix: np.ndarray, iy: np.ndarray, it: np.ndarray) -> np.ndarray:
+    def constraint(weight: float, ix: Array, iy: Array, it: Array) -> Array:
         squared = weight * mask
         if normalization is not None:
             squared = squared / (ix**2 + iy**2 + normalization**2 + 1e-12)
@@ -79,13 +80,13 @@ def constancy_constraints(
     return terms
 
 
-def tensors_of(terms: Sequence[np.ndarray]) -> list[np.ndarray]:
+def tensors_of(terms: Sequence[Array]) -> list[Array]:
     """Return J11, J12, J22, j1, j2, J_tt, (6, H, W), of terms of constraints, (k, 3, H, W)."""
     pairs = [(0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)]
     return [np.array([(term[:, i] * term[:, j]).sum(axis=0) for i, j in pairs]) for term in terms]
 
 
-def _five_tap(image: np.ndarray, axis: int) -> np.ndarray:
+def _five_tap(image: Array, axis: int) -> Array:
     """Return the derivative along an axis by (1, −8, 0, 8, −1)/12, without the halo of 2 px."""
     near = np.roll(image, -1, axis) - np.roll(image, 1, axis)
     far = np.roll(image, -2, axis) - np.roll(image, 2, axis)
@@ -93,8 +94,8 @@ def _five_tap(image: np.ndarray, axis: int) -> np.ndarray:
 
 
 def robust_tensor(
-    terms: Sequence[np.ndarray], motion: np.ndarray, rho: np.ndarray, scales: Sequence[float]
-) -> np.ndarray:
+    terms: Sequence[Array], motion: Array, rho: Array, scales: Sequence[float]
+) -> Array:
     """Return Σ w J, (6, H, W), with w = 1/√(1 + q/s), q the quadratic form and s the scale of J.
 
     Its J_tt includes the penalty s(w + 1/w − 2), so that its quadratic form is the half-quadratic
@@ -110,7 +111,7 @@ def robust_tensor(
 
 
 def robust_energy(
-    terms: Sequence[np.ndarray], motion: np.ndarray, rho: np.ndarray, scales: Sequence[float]
+    terms: Sequence[Array], motion: Array, rho: Array, scales: Sequence[float]
 ) -> float:
     """Return Σ 2s(√(1 + q/s) − 1) over pixels and terms (Charbonnier)."""
     total = 0.0
@@ -120,17 +121,17 @@ def robust_energy(
     return total
 
 
-def residual(tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray) -> np.ndarray:
+def residual(tensor: Array, motion: Array, rho: Array) -> Array:
     """Return (u,v) J (u,v)ᵀ + 2 jᵀ(u,v) + J_tt, (H, W): a square, so at least 0."""
     return np.maximum(_quadratic_form(tensor, motion, rho), 0)
 
 
-def data_energy(tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray) -> float:
+def data_energy(tensor: Array, motion: Array, rho: Array) -> float:
     """Return Σ (u,v) J (u,v)ᵀ + 2 jᵀ(u,v) + J_tt."""
     return float(_quadratic_form(tensor, motion, rho).sum())
 
 
-def _quadratic_form(tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray) -> np.ndarray:
+def _quadratic_form(tensor: Array, motion: Array, rho: Array) -> Array:
     u, v = flow(motion, rho)
     j11, j12, j22, j1, j2, jtt = tensor
     return j11 * u * u + 2 * j12 * u * v + j22 * v * v + 2 * (j1 * u + j2 * v) + jtt

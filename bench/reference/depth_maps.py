@@ -2,7 +2,10 @@
 
 import numpy as np
 
+from bench.reference.epipolar import rays
 from tisfm.camera import Camera
+
+Array = np.ndarray  # of float64
 
 MAX_RELATIVE_STEP = (
     0.05  # relative difference of inverse depth between pixels of one surface, at most
@@ -13,18 +16,17 @@ DISTANCE_WEIGHT = 0.1
 
 
 def render_depth(
-    inverse_depth: np.ndarray,  # (H, W) of the first view; 0 is unknown
-    deviation: np.ndarray,
-    rotation: np.ndarray,  # (3, 3), from the first view's axes to the other's
-    translation: np.ndarray,  # (3,)
+    inverse_depth: Array,  # (H, W) of the first view; 0 is unknown
+    deviation: Array,
+    rotation: Array,  # (3, 3), from the first view's axes to the other's
+    translation: Array,  # (3,)
     camera: Camera,  # of both views
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Array, Array]:
     """Return the inverse depth of another view, and its deviation; 0 if unknown."""
     height, width = inverse_depth.shape
     cx, cy = camera.center_for(height, width)
-    rows, columns = np.mgrid[:height, :width].astype(np.float64)
-    rays = np.stack([(columns - cx) / camera.focal, (rows - cy) / camera.focal, 0 * rows + 1])
-    target = np.einsum("kl,lhw->khw", rotation, rays)
+    ray = rays(camera, height, width)
+    target = np.einsum("kl,lhw->khw", rotation, ray)
     target += inverse_depth * translation[:, None, None]
     nearest, central = np.zeros((2, height, width))
     for y, x in zip(*np.nonzero((inverse_depth > 0) & (target[2] > 0)), strict=True):
@@ -46,7 +48,7 @@ def render_depth(
                     depth, deviation_of_depth = _sample(
                         inverse_depth,
                         deviation,
-                        rays[:, y, x],
+                        ray[:, y, x],
                         depth,
                         rotation,
                         translation,
@@ -60,12 +62,12 @@ def render_depth(
 
 
 def _sample(
-    inverse_depth: np.ndarray,
-    deviation: np.ndarray,
-    ray: np.ndarray,
+    inverse_depth: Array,
+    deviation: Array,
+    ray: Array,
     value: float,
-    rotation: np.ndarray,
-    translation: np.ndarray,
+    rotation: Array,
+    translation: Array,
     camera: Camera,
     min_weight: float,
 ) -> tuple[float, float]:
@@ -101,9 +103,7 @@ def _sample(
     return depth / moved, spread * abs(turned) / moved**2
 
 
-def merge_depths(
-    inverse_depths: np.ndarray, deviations: np.ndarray, tolerance: float
-) -> tuple[np.ndarray, np.ndarray]:
+def merge_depths(inverse_depths: Array, deviations: Array, tolerance: float) -> tuple[Array, Array]:
     """Return the means of inverse depth and deviation over the sources that agree most at a pixel.
 
     The arrays are (N, H, W), for N sources; inverse depth 0 is unknown. Two sources agree if they
@@ -125,12 +125,12 @@ def merge_depths(
 
 
 def align_depth_edges(
-    inverse_depth: np.ndarray,  # (H, W)
-    deviation: np.ndarray,
-    middle: np.ndarray,  # (H, W), between the two surfaces nearby; 0 if there is only one surface
-    frame: np.ndarray,
+    inverse_depth: Array,  # (H, W)
+    deviation: Array,
+    middle: Array,  # (H, W), between the two surfaces nearby; 0 if there is only one surface
+    frame: Array,
     similar: float,  # grey levels: a pixel that differs by this much from the centre weighs 1/e
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Array, Array]:
     """Return inverse depth and deviation whose edges lie where the frame has edges."""
     depth, spread = inverse_depth.copy(), deviation.copy()
     rows, columns = np.indices(frame.shape)

@@ -4,23 +4,25 @@ import numpy as np
 
 from tisfm.camera import Camera
 
+Array = np.ndarray  # of float64
+
 
 def displacement(
-    inverse_depth: np.ndarray, camera: Camera, rotation: np.ndarray, translation: np.ndarray
-) -> np.ndarray:
+    inverse_depth: Array, camera: Camera, rotation: Array, translation: Array
+) -> Array:
     """Return the exact flow (u, v), (2, H, W), of pixels under P₁ = R P₀ + t.
 
     `inverse_depth`, (H, W), is D = f·d, px/frame for ‖t‖ = 1.
     """
-    ray = _rays(camera, *inverse_depth.shape)
+    ray = rays(camera, *inverse_depth.shape)
     moved = np.einsum("ij,jyx->iyx", rotation, ray)
     moved += translation[:, None, None] * inverse_depth / camera.focal
     return camera.focal * (moved[:2] / moved[2] - ray[:2])
 
 
 def restrict_to_line(
-    terms: list[np.ndarray], flow: np.ndarray, direction: np.ndarray, inverse_depth: np.ndarray
-) -> list[np.ndarray]:
+    terms: list[Array], flow: Array, direction: Array, inverse_depth: Array
+) -> list[Array]:
     """Restrict each tensor to a line: return tensors of D for (u, v) = flow + (D − D₀)·direction.
 
     They have the form of tensors of a flow (D, 0). D₀ is `inverse_depth`, that of `flow`.
@@ -40,13 +42,13 @@ def restrict_to_line(
 
 
 def motion_system(
-    tensor: np.ndarray,  # (6, H, W), weighted sum of the data terms
-    inverse_depth: np.ndarray,  # (H, W), D = f·d
-    depth_weight: np.ndarray,  # (H, W), weight of the squared change of D
+    tensor: Array,  # (6, H, W), weighted sum of the data terms
+    inverse_depth: Array,  # (H, W), D = f·d
+    depth_weight: Array,  # (H, W), weight of the squared change of D
     camera: Camera,
-    rotation: np.ndarray,
-    translation: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
+    rotation: Array,
+    translation: Array,
+) -> tuple[Array, Array]:
     """Return the normal equations of a small change (δt, δω) of the motion, D eliminated.
 
     With (u, v) = flow + B (δt, δω) + a δD, the energy of a pixel is its data term plus
@@ -61,12 +63,12 @@ def motion_system(
 
 
 def frame_equations(
-    tensor: np.ndarray,  # (6, H, W), weighted
-    inverse_depth: np.ndarray,  # (H, W), D = f·d
+    tensor: Array,  # (6, H, W), weighted
+    inverse_depth: Array,  # (H, W), D = f·d
     camera: Camera,
-    rotation: np.ndarray,
-    translation: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    rotation: Array,
+    translation: Array,
+) -> tuple[Array, Array, Array, Array]:
     """Return the normal equations of a frame's motion and of the depth that frames share.
 
     With e = J (u, v) + j: the sums of BᵀJB, (6, 6), and Bᵀe, (6,), over all pixels; then aᵀJB,
@@ -78,8 +80,8 @@ def frame_equations(
 
 
 def motion_jacobian(
-    inverse_depth: np.ndarray, camera: Camera, rotation: np.ndarray, translation: np.ndarray
-) -> np.ndarray:
+    inverse_depth: Array, camera: Camera, rotation: Array, translation: Array
+) -> Array:
     """Return how (u, v) changes with (δt, δω) and with δD, (2, 7, H, W): B and a."""
     focal = camera.focal
     d = inverse_depth / focal
@@ -95,33 +97,27 @@ def motion_jacobian(
 
 
 def _equations(
-    tensor: np.ndarray,
-    inverse_depth: np.ndarray,
-    camera: Camera,
-    rotation: np.ndarray,
-    translation: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
+    tensor: Array, inverse_depth: Array, camera: Camera, rotation: Array, translation: Array
+) -> tuple[Array, Array]:
     """Return GᵀJG and Gᵀe of every pixel, G of `motion_jacobian`: (7, 7, H, W) and (7, H, W)."""
     full = motion_jacobian(inverse_depth, camera, rotation, translation)
     point = _points(inverse_depth, camera, rotation, translation)
     j11, j12, j22, j1, j2, _ = tensor
     j = np.array([[j11, j12], [j12, j22]])
-    flow = camera.focal * (point[:2] / point[2] - _rays(camera, *inverse_depth.shape)[:2])
+    flow = camera.focal * (point[:2] / point[2] - rays(camera, *inverse_depth.shape)[:2])
     gradient = np.einsum("abyx,byx->ayx", j, flow) + np.array([j1, j2])
     square = np.einsum("akyx,abyx,blyx->klyx", full, j, full)
     return square, np.einsum("akyx,ayx->kyx", full, gradient)
 
 
-def _points(
-    inverse_depth: np.ndarray, camera: Camera, rotation: np.ndarray, translation: np.ndarray
-) -> np.ndarray:
+def _points(inverse_depth: Array, camera: Camera, rotation: Array, translation: Array) -> Array:
     """Return R x̂ + d t of every pixel, (3, H, W)."""
-    ray = _rays(camera, *inverse_depth.shape)
+    ray = rays(camera, *inverse_depth.shape)
     turned = np.einsum("ij,jyx->iyx", rotation, ray)
     return np.asarray(turned + translation[:, None, None] * inverse_depth / camera.focal)
 
 
-def _rays(camera: Camera, height: int, width: int) -> np.ndarray:
+def rays(camera: Camera, height: int, width: int) -> Array:
     """Return (x̂, ŷ, 1) of every pixel, (3, H, W)."""
     cx, cy = camera.center_for(height, width)
     rows, columns = np.mgrid[:height, :width].astype(np.float64)

@@ -2,10 +2,12 @@
 
 import numpy as np
 
+Array = np.ndarray  # of float64
+
 
 def derivatives(
-    frame0: np.ndarray, frame1: np.ndarray, scheme: str, halo: int = 0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    frame0: Array, frame1: Array, scheme: str, halo: int = 0
+) -> tuple[Array, Array, Array]:
     """Return (I_x, I_y, I_t), each (H + 2·halo, W + 2·halo); border pixels are repeated outside.
 
     ``"cube"``: Horn and Schunck's 2×2×2 cube. ``"five_tap"``: (1, −8, 0, 8, −1)/12 on the mean of
@@ -15,7 +17,7 @@ def derivatives(
     a = np.pad(np.asarray(frame0, np.float64), 2 + halo, mode="edge")
     b = np.pad(np.asarray(frame1, np.float64), 2 + halo, mode="edge")
 
-    def at(image: np.ndarray, dy: int, dx: int) -> np.ndarray:
+    def at(image: Array, dy: int, dx: int) -> Array:
         return image[2 + dy : 2 + dy + height, 2 + dx : 2 + dx + width]
 
     if scheme == "five_tap":
@@ -30,7 +32,7 @@ def derivatives(
     return ix, iy, it
 
 
-def spline_coefficients(image: np.ndarray) -> np.ndarray:
+def spline_coefficients(image: Array) -> Array:
     """Return the coefficients of the cubic B-spline through all pixels, (H, W).
 
     Solves (c[i−1] + 4 c[i] + c[i+1])/6 = I[i] along columns and rows, with c mirrored at the
@@ -48,7 +50,7 @@ def spline_coefficients(image: np.ndarray) -> np.ndarray:
     return coefficients
 
 
-def warp(image: np.ndarray, flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def warp(image: Array, flow: Array) -> tuple[Array, Array]:
     """Sample an image at x + flow by its cubic B-spline; the border pixel is repeated outside.
 
     The image is (H, W), the flow (2, H, W), px/frame. The returned mask, (H, W), is 1 where the
@@ -69,7 +71,7 @@ def warp(image: np.ndarray, flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return warped, mask.astype(np.float64)
 
 
-def _b_spline(distance: np.ndarray) -> np.ndarray:
+def _b_spline(distance: Array) -> Array:
     """Return the cubic B-spline at a distance in px."""
     d = np.abs(distance)
     near = 2 / 3 - d**2 + d**3 / 2
@@ -77,7 +79,7 @@ def _b_spline(distance: np.ndarray) -> np.ndarray:
     return np.where(d <= 1, near, np.where(d < 2, far, 0.0))
 
 
-def splat(flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
+def splat(flow: Array, residual: Array) -> Array:
     """Return Σw, Σw·residual, Σw·u, Σw·v, (4, H, W), at every pixel of frame 1.
 
     w are the bilinear weights of the pixels of frame 0 whose target x + flow lies within 1 px.
@@ -93,9 +95,7 @@ def splat(flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
     return sums
 
 
-def hidden_pixels(
-    flow: np.ndarray, residual: np.ndarray, *, density: float, flow_difference: float
-) -> np.ndarray:
+def hidden_pixels(flow: Array, residual: Array, *, density: float, flow_difference: float) -> Array:
     """Return hidden pixels: pixels of another flow and smaller residual have the same target."""
     _, height, width = flow.shape
     sums = splat(flow, residual)

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+Array = np.ndarray  # of float64
 
-def local_matrices(
-    tensor: np.ndarray, motion: np.ndarray, weights: np.ndarray, alpha: float
-) -> np.ndarray:
+
+def local_matrices(tensor: Array, motion: Array, weights: Array, alpha: float) -> Array:
     """Return B, (H, W, n, n), of Bρ̂ = c (eq. 16, 22–23) at every pixel."""
     n = motion.shape[1]
     j11, j12, j22, *_ = tensor
@@ -17,8 +17,8 @@ def local_matrices(
 
 
 def local_right_sides(
-    tensor: np.ndarray, motion: np.ndarray, weights: np.ndarray, rho: np.ndarray, alpha: float
-) -> np.ndarray:
+    tensor: Array, motion: Array, weights: Array, rho: Array, alpha: float
+) -> Array:
     """Return c, (H, W, n), of Bρ̂ = c at every pixel."""
     north, south, east, west = _neighbour_weights(weights)
     neighbours = np.zeros_like(rho)  # Σ b_N ρ̂_N, eq. 17
@@ -30,9 +30,7 @@ def local_right_sides(
     return np.moveaxis(right, 0, -1)
 
 
-def _neighbour_weights(
-    weights: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _neighbour_weights(weights: Array) -> tuple[Array, Array, Array, Array]:
     """Return b to the north, south, east and west of every pixel, each (n, H, W)."""
     n = len(weights) // 2
     east, south = weights[:n], weights[n:]
@@ -43,10 +41,10 @@ def _neighbour_weights(
 
 
 def sweep_lexicographic(
-    tensor: np.ndarray,
-    motion: np.ndarray,
-    weights: np.ndarray,
-    rho: np.ndarray,
+    tensor: Array,
+    motion: Array,
+    weights: Array,
+    rho: Array,
     *,
     alpha: float,
     relaxation: float = 1.0,
@@ -75,10 +73,10 @@ def sweep_lexicographic(
 
 
 def sweep_red_black(
-    tensor: np.ndarray,
-    motion: np.ndarray,
-    weights: np.ndarray,
-    rho: np.ndarray,
+    tensor: Array,
+    motion: Array,
+    weights: Array,
+    rho: Array,
     *,
     alpha: float,
     relaxation: float = 1.0,

@@ -9,6 +9,8 @@ from bench.reference.data import data_energy, robust_energy, robust_tensor
 from bench.reference.linear_system import sweep_red_black
 from bench.reference.smoothness import Smoothness, differences, edge_weights, smoothness_energy
 
+Array = np.ndarray  # of float64
+
 
 @dataclass(frozen=True)
 class Minimisation:
@@ -21,9 +23,9 @@ class Minimisation:
 
 
 def minimise(
-    terms: Sequence[np.ndarray],
-    motion: np.ndarray,
-    rho: np.ndarray,
+    terms: Sequence[Array],
+    motion: Array,
+    rho: Array,
     *,
     alpha: float,
     smoothness: Smoothness,
@@ -62,7 +64,7 @@ def minimise(
     return Minimisation(energies, half, changes, False)
 
 
-def flowless_fields(motion: np.ndarray) -> np.ndarray:
+def flowless_fields(motion: Array) -> Array:
     """Return the smooth fields without image motion, (4, 6, H, W), or (1, 3, H, W).
 
     They are τ along the line of sight, and each component of ω with the τ that cancels its image
@@ -81,9 +83,7 @@ def flowless_fields(motion: np.ndarray) -> np.ndarray:
     return np.array([along_ray[:3]])
 
 
-def minimise_over_flowless(
-    motion: np.ndarray, weights: np.ndarray, rho: np.ndarray, alpha: float
-) -> None:
+def minimise_over_flowless(motion: Array, weights: Array, rho: Array, alpha: float) -> None:
     """Add to ρ̂ the multiple of each field that minimises the energy; `rho` is modified in place.
 
     Only α Σ b Δρ̂² depends on these multiples, the data terms do not. `weights` are b, (2n, H, W).
@@ -96,20 +96,13 @@ def minimise_over_flowless(
     rho += np.einsum("i,inyx->nyx", np.linalg.lstsq(matrix, vector, rcond=None)[0], fields)
 
 
-def energy(
-    tensor: np.ndarray, motion: np.ndarray, rho: np.ndarray, alpha: float, smoothness: Smoothness
-) -> float:
+def energy(tensor: Array, motion: Array, rho: Array, alpha: float, smoothness: Smoothness) -> float:
     """Return the energy (eq. 6, 20): the quadratic data term plus α times the smoothness."""
     return data_energy(tensor, motion, rho) + alpha * smoothness_energy(rho, smoothness)
 
 
 def half_quadratic_energy(
-    tensor: np.ndarray,
-    motion: np.ndarray,
-    rho: np.ndarray,
-    weights: np.ndarray,
-    alpha: float,
-    smoothness: Smoothness,
+    tensor: Array, motion: Array, rho: Array, weights: Array, alpha: float, smoothness: Smoothness
 ) -> float:
     """Return the half-quadratic form (eq. 8, 21) of `energy`: per edge g[bΔ² + δ²(b + 1/b − 2)]."""
     n, height, width = rho.shape

@@ -4,7 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from bench.reference.epipolar import rays
 from tisfm.camera import Camera
+
+Array = np.ndarray  # of float64
 
 RADIUS = 5  # px, of the windows
 SIMILAR = 20.0  # grey levels, scale of the weights of a window's pixels
@@ -17,14 +20,14 @@ _EAST, _SOUTH = np.eye(3)[:2, :, None, None]
 
 
 def window_cost(
-    levels0: np.ndarray,  # (H, W), grey levels
-    levels1: np.ndarray,
-    target: np.ndarray,  # (3, H, W), column and row of each pixel in frame 1, px, homogeneous
-    east: np.ndarray,  # (3, H, W) or (3, 1, 1), change of `target` to the eastern neighbour
-    south: np.ndarray,  # the same, to the southern neighbour
+    levels0: Array,  # (H, W), grey levels
+    levels1: Array,
+    target: Array,  # (3, H, W), column and row of each pixel in frame 1, px, homogeneous
+    east: Array,  # (3, H, W) or (3, 1, 1), change of `target` to the eastern neighbour
+    south: Array,  # the same, to the southern neighbour
     *,
     noise: float,  # added to the variance of both windows
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Array, Array]:
     """Return 1 − c at every pixel: c is the weighted correlation of its window and the warped one.
 
     The window has every second pixel of 11×11, without corners; beyond both images their borders
@@ -44,7 +47,7 @@ def window_cost(
         n = np.abs(grey0) / SIMILAR
         weight = 1 / (1 + n * (1 + n * (1 / 2 + n / 6)))
         x, y, z = target + across * east + down * south
-        grey1 = _bilinear(levels1, y / z, x / z) - levels0
+        grey1 = bilinear(levels1, y / z, x / z) - levels0
         total = total + weight
         sums += weight * np.stack([grey0, grey1, grey0**2, grey1**2, grey0 * grey1])
     mean0, mean1, square0, square1, product = sums / total
@@ -55,29 +58,29 @@ def window_cost(
 
 
 def plane_cost(
-    levels0: np.ndarray,  # (H, W), grey levels
-    levels1: np.ndarray,
-    planes: np.ndarray,  # (3, H, W), D, px/frame, and its slopes
+    levels0: Array,  # (H, W), grey levels
+    levels1: Array,
+    planes: Array,  # (3, H, W), D, px/frame, and its slopes
     camera: Camera,
-    rotation: np.ndarray,  # (3, 3)
-    translation: np.ndarray,  # (3,)
+    rotation: Array,  # (3, 3)
+    translation: Array,  # (3,)
     *,
     noise: float,  # of `window_cost`
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Array, Array]:
     """Return `window_cost` of a plane at every pixel, and the variance of its window."""
     cx, cy = camera.center_for(*levels0.shape)
     rows, columns = np.indices(levels0.shape)
-    rays = np.stack([columns - cx, rows - cy, np.full(levels0.shape, camera.focal)])
+    ray_vectors = np.stack([columns - cx, rows - cy, np.full(levels0.shape, camera.focal)])
     to_pixels = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1]])
     turned, shift = to_pixels @ rotation, to_pixels @ translation
     target, east, south = (
         np.einsum("ij,jyx->iyx", turned, ray) + np.multiply.outer(shift, change)
-        for ray, change in zip((rays, _EAST, _SOUTH), planes, strict=True)
+        for ray, change in zip((ray_vectors, _EAST, _SOUTH), planes, strict=True)
     )
     return window_cost(levels0, levels1, target, east, south, noise=noise)
 
 
-def best_mean(costs: np.ndarray, best: int, *, absent: float) -> np.ndarray:
+def best_mean(costs: Array, best: int, *, absent: float) -> Array:
     """Return the mean of the `best` lowest costs of several frames, (M, …).
 
     If fewer frames show a hypothesis, the missing costs are `absent`; if none shows it, they are 1.
@@ -85,14 +88,14 @@ def best_mean(costs: np.ndarray, best: int, *, absent: float) -> np.ndarray:
     shown = costs != OUTSIDE_COST
     some = np.where(shown.any(axis=0), absent, OUTSIDE_COST)
     lowest = np.sort(np.where(shown, costs, np.inf), axis=0)[:best]
-    mean: np.ndarray = np.where(np.isfinite(lowest), lowest, some).mean(axis=0)
+    mean: Array = np.where(np.isfinite(lowest), lowest, some).mean(axis=0)
     return mean
 
 
 def improve_planes(
     # (4, H, W): D, px/frame, its slopes, and the cost. A pixel with `SKIPPED_COST` does not change.
-    state: np.ndarray,
-    cost: Callable[[np.ndarray], np.ndarray],  # takes planes (3, H, W), returns their cost (H, W)
+    state: Array,
+    cost: Callable[[Array], Array],  # takes planes (3, H, W), returns their cost (H, W)
     *,
     color: int,  # 0 for red, 1 for black
     draws: int,
@@ -101,7 +104,7 @@ def improve_planes(
     steepest: float,  # range of the slopes of a random plane, as a share of D
     bounds: tuple[float, float],  # range of D
     seed: int,
-) -> np.ndarray:
+) -> Array:
     """Return the planes after an update of the pixels of one colour.
 
     Each compares its plane with the cheapest of its neighbours on each of four sides, with a random
@@ -133,7 +136,7 @@ def improve_planes(
     return best
 
 
-def _neighbours(state: np.ndarray, down: int, across: int) -> np.ndarray:
+def _neighbours(state: Array, down: int, across: int) -> Array:
     """Return the cheapest plane on one side, extended to each pixel; else `MISSING_PLANE`."""
     _, height, width = state.shape
     rows, columns = np.indices((height, width))
@@ -148,30 +151,28 @@ def _neighbours(state: np.ndarray, down: int, across: int) -> np.ndarray:
     return best[:3]
 
 
-def _hash(value: np.ndarray) -> np.ndarray:
+def _hash(value: Array) -> Array:
     """Return a hash of each value, uint32 (Jarzynski, Olano, JCGT 2020: PCG)."""
     state = value * np.uint32(747796405) + np.uint32(2891336453)
     word = ((state >> ((state >> np.uint32(28)) + np.uint32(4))) ^ state) * np.uint32(277803737)
-    mixed: np.ndarray = (word >> np.uint32(22)) ^ word
+    mixed: Array = (word >> np.uint32(22)) ^ word
     return mixed
 
 
 def plane_disagreement(
-    planes0: np.ndarray,  # (3, H, W): D, px/frame, and its slopes
-    planes1: np.ndarray,  # the same; D is infinite where it is unknown
+    planes0: Array,  # (3, H, W): D, px/frame, and its slopes
+    planes1: Array,  # the same; D is infinite where it is unknown
     camera: Camera,
-    rotation: np.ndarray,  # (3, 3), from frame 0 to frame 1
-    translation: np.ndarray,  # (3,)
-) -> np.ndarray:
+    rotation: Array,  # (3, 3), from frame 0 to frame 1
+    translation: Array,  # (3,)
+) -> Array:
     """Return |D of frame 0, seen from frame 1 − D of the plane of the nearest pixel of frame 1|.
 
     It is (H, W), px/frame; infinite where the pixel leaves the image or D of frame 1 is unknown.
     """
     height, width = planes0.shape[1:]
     cx, cy = camera.center_for(height, width)
-    rows, columns = np.indices((height, width))
-    x_hat, y_hat = (columns - cx) / camera.focal, (rows - cy) / camera.focal
-    moved = np.einsum("ij,jyx->iyx", rotation, np.stack([x_hat, y_hat, np.ones_like(x_hat)]))
+    moved = np.einsum("ij,jyx->iyx", rotation, rays(camera, height, width))
     moved += translation[:, None, None] * planes0[0] / camera.focal
     u, v = cx + camera.focal * moved[0] / moved[2], cy + camera.focal * moved[1] / moved[2]
     column, row = np.floor(u + 0.5).astype(int), np.floor(v + 0.5).astype(int)
@@ -180,14 +181,14 @@ def plane_disagreement(
     return np.where(_inside(u, v), np.abs(back - planes0[0] / moved[2]), np.inf)
 
 
-def _inside(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+def _inside(u: Array, v: Array) -> Array:
     """Return the positions, (H, W), that are inside an image of this size."""
     height, width = u.shape
-    inside: np.ndarray = (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
+    inside: Array = (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
     return inside
 
 
-def _bilinear(image: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def bilinear(image: Array, rows: Array, columns: Array) -> Array:
     height, width = image.shape
     rows, columns = rows.clip(0, height - 1), columns.clip(0, width - 1)
     top, left = np.floor(rows).astype(int), np.floor(columns).astype(int)

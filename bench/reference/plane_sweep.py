@@ -3,17 +3,20 @@
 import numpy as np
 
 from bench.reference.epipolar import displacement
+from bench.reference.patch_match import bilinear
 from tisfm.camera import Camera
+
+Array = np.ndarray  # of float64
 
 
 def matching_cost(
-    features0: np.ndarray,  # (3, H, W): I, I_x and I_y
-    features1: np.ndarray,  # read between pixels by bilinear interpolation
-    hypotheses: np.ndarray,  # (N,), D = f·d, px/frame
+    features0: Array,  # (3, H, W): I, I_x and I_y
+    features1: Array,  # read between pixels by bilinear interpolation
+    hypotheses: Array,  # (N,), D = f·d, px/frame
     camera: Camera,
-    rotation: np.ndarray,
-    translation: np.ndarray,
-) -> np.ndarray:
+    rotation: Array,
+    translation: Array,
+) -> Array:
     """Return min(1, |ΔI|) + min(1, |ΔI_x| + |ΔI_y|) of every hypothesis, (H, W, N).
 
     It is 1 if the hypothesis moves the pixel out of the image.
@@ -26,20 +29,13 @@ def matching_cost(
         x, y = columns + u, rows + v
         inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
         x, y = np.where(inside, x, 0), np.where(inside, y, 0)
-        left, top = np.floor(x).astype(int), np.floor(y).astype(int)
-        right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
-        a, b = x - left, y - top
-        sampled = (1 - b) * ((1 - a) * features1[:, top, left] + a * features1[:, top, right])
-        sampled += b * ((1 - a) * features1[:, below, left] + a * features1[:, below, right])
-        difference = np.abs(sampled - features0)
+        difference = np.abs([bilinear(image, y, x) for image in features1] - features0)
         cost = np.minimum(1, difference[0]) + np.minimum(1, difference[1] + difference[2])
         costs.append(np.where(inside, cost, 1))
     return np.stack(costs, axis=-1)
 
 
-def aggregate(
-    cost: np.ndarray, guide: np.ndarray, *, step: float, jump: float, edge: float
-) -> np.ndarray:
+def aggregate(cost: Array, guide: Array, *, step: float, jump: float, edge: float) -> Array:
     """Return the sums along four paths of Hirschmüller (2008), eq. 13, (H, W, N).
 
     Where the grey levels of `guide`, (H, W), change by `edge`, the penalty of a jump is half.

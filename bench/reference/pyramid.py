@@ -9,15 +9,17 @@ from bench.reference.smoothness import Smoothness, image_edges, mean_step
 from tisfm.camera import Camera
 from tisfm.settings import Settings
 
+Array = np.ndarray  # of float64
 
-def prolong(coarse: np.ndarray, shape: tuple[int, int], ratio: float) -> np.ndarray:
+
+def prolong(coarse: Array, shape: tuple[int, int], ratio: float) -> Array:
     """Return ρ̂ of a coarser level, (n, h, w), on a finer grid of `shape`, bilinearly.
 
     Pixel x of the fine grid lies at (x + ½)·ratio − ½ on the coarse one, and ρ̂, in pixels of its
     level, is divided by `ratio`.
     """
 
-    def positions(count: int, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def positions(count: int, size: int) -> tuple[Array, Array, Array]:
         x = np.clip((np.arange(count) + 0.5) * ratio - 0.5, 0, size - 1)
         first = np.minimum(x.astype(int), max(size - 2, 0))
         return first, np.minimum(first + 1, size - 1), x - first
@@ -30,8 +32,8 @@ def prolong(coarse: np.ndarray, shape: tuple[int, int], ratio: float) -> np.ndar
 
 
 def coarse_to_fine(
-    pyramid0: list[np.ndarray], pyramid1: list[np.ndarray], camera: Camera, settings: Settings
-) -> np.ndarray:
+    pyramid0: list[Array], pyramid1: list[Array], camera: Camera, settings: Settings
+) -> Array:
     """Return ρ̂, (n, H, W), of the finest of the given levels, the finest first.
 
     `camera` is that of the finest level; `settings` does not determine the pyramid.
@@ -43,7 +45,7 @@ def coarse_to_fine(
     normalization = settings.normalization
     if normalization is not None:
         normalization *= mean_step(pyramid0[0])
-    rho: np.ndarray | None = None
+    rho: Array | None = None
     last = min(settings.finest_level, len(pyramid0) - 1)
     for level in reversed(range(last, len(pyramid0))):
         frame0, frame1 = pyramid0[level], pyramid1[level]

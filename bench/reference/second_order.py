@@ -10,6 +10,8 @@ import numpy as np
 
 from bench.reference.smoothness import aubert
 
+Array = np.ndarray  # of float64
+
 # Slices of the two pixels of every edge, west and east, north and south.
 _ENDS = ((np.s_[..., :-1], np.s_[..., 1:]), (np.s_[..., :-1, :], np.s_[..., 1:, :]))
 
@@ -23,19 +25,19 @@ class SecondOrder:
     gamma: float = 0.0
     contrasts: tuple[float, float, float] = (np.inf, np.inf, np.inf)  # δ of r, |Δv| and ΔD
     spacing: float = 1.0  # h
-    edges: np.ndarray | None = None  # (2, H, W), g of the eastern and southern edges; None for 1
+    edges: Array | None = None  # (2, H, W), g of the eastern and southern edges; None for 1
 
-    def open(self, height: int, width: int) -> np.ndarray:
+    def open(self, height: int, width: int) -> Array:
         """Return g, 0 at edges across the border: (2, H, W)."""
         edges = np.ones((2, height, width)) if self.edges is None else self.edges.copy()
         edges[0, :, -1] = edges[1, -1] = 0
         return edges
 
-    def stiffness(self) -> np.ndarray:  # α, β and γ, (3, 1, 1, 1)
+    def stiffness(self) -> Array:  # α, β and γ, (3, 1, 1, 1)
         return np.array([self.alpha, self.beta, self.gamma])[:, None, None, None]
 
 
-def second_order_measures(rho: np.ndarray, spacing: float) -> np.ndarray:
+def second_order_measures(rho: Array, spacing: float) -> Array:
     """Return r, |Δv| and ΔD of the eastern and southern edges, (3, 2, H, W), 0 at the border."""
     measures = np.zeros((3, 2, *rho.shape[1:]))
     for side, (near, far) in enumerate(_ENDS):
@@ -43,20 +45,20 @@ def second_order_measures(rho: np.ndarray, spacing: float) -> np.ndarray:
     return measures
 
 
-def _of_edges(near: np.ndarray, far: np.ndarray, slope: int, spacing: float) -> np.ndarray:
+def _of_edges(near: Array, far: Array, slope: int, spacing: float) -> Array:
     """Return r, |Δv| and ΔD between neighbours, along the axis of a slope."""
     step, first, second = far - near
     bend = step - spacing * (near[slope] + far[slope]) / 2
     return np.stack([bend, np.hypot(first, second), step])
 
 
-def second_order_energy(rho: np.ndarray, smoothness: SecondOrder) -> float:
+def second_order_energy(rho: Array, smoothness: SecondOrder) -> float:
     measures = second_order_measures(rho, smoothness.spacing)
     penalties = [aubert(s, d) for s, d in zip(measures, smoothness.contrasts, strict=True)]
     return float((smoothness.stiffness() * smoothness.open(*rho.shape[1:]) * penalties).sum())
 
 
-def second_order_weights(rho: np.ndarray, smoothness: SecondOrder) -> np.ndarray:
+def second_order_weights(rho: Array, smoothness: SecondOrder) -> Array:
     """Return a = α g b of r, b = β g b of |Δv| and c = γ g b of ΔD, (3, 2, H, W)."""
     measures = second_order_measures(rho, smoothness.spacing)
     contrasts = np.array(smoothness.contrasts)[:, None, None, None]
@@ -64,9 +66,7 @@ def second_order_weights(rho: np.ndarray, smoothness: SecondOrder) -> np.ndarray
     return smoothness.stiffness() * smoothness.open(*rho.shape[1:]) * b
 
 
-def second_order_half_quadratic(
-    rho: np.ndarray, weights: np.ndarray, smoothness: SecondOrder
-) -> float:
+def second_order_half_quadratic(rho: Array, weights: Array, smoothness: SecondOrder) -> float:
     """Return the half-quadratic form of the smoothness, with weights of `second_order_weights`."""
     measures = second_order_measures(rho, smoothness.spacing)
     whole = smoothness.stiffness() * smoothness.open(*rho.shape[1:])
@@ -79,14 +79,12 @@ def second_order_half_quadratic(
     return float(total)
 
 
-def anchor_energy(depth: np.ndarray, weight: np.ndarray, target: np.ndarray, scale: float) -> float:
+def anchor_energy(depth: Array, weight: Array, target: Array, scale: float) -> float:
     """Return Σ w ψ(D − D*), ψ(s) = 2σ²(√(1 + s²/σ²) − 1)."""
     return float((weight * aubert(depth - target, scale)).sum())
 
 
-def anchor_tensor(
-    depth: np.ndarray, weight: np.ndarray, target: np.ndarray, scale: float
-) -> np.ndarray:
+def anchor_tensor(depth: Array, weight: Array, target: Array, scale: float) -> Array:
     """Return (A, B, C) of the half-quadratic form of the anchors, (3, H, W)."""
     trust = 1 / np.sqrt(1 + ((depth - target) / scale) ** 2)
     penalty = scale**2 * (1 - trust) ** 2 / trust if np.isfinite(scale) else 0 * trust
@@ -94,8 +92,8 @@ def anchor_tensor(
 
 
 def line_tensor(
-    terms: Sequence[np.ndarray], depth: np.ndarray, scales: Sequence[float]
-) -> tuple[float, np.ndarray]:
+    terms: Sequence[Array], depth: Array, scales: Sequence[float]
+) -> tuple[float, Array]:
     """Return the energy, and (A, B, C), (3, H, W), of constraints p D + c = 0.
 
     `terms` are (k, 2, H, W): p and c of the k constraints of each term. `scales` are those of
@@ -113,9 +111,7 @@ def line_tensor(
     return energy, total
 
 
-def second_order_system(
-    tensor: np.ndarray, weights: np.ndarray, spacing: float
-) -> tuple[np.ndarray, np.ndarray]:
+def second_order_system(tensor: Array, weights: Array, spacing: float) -> tuple[Array, Array]:
     """Return matrix and right-hand side of all pixels; the unknowns have the order of the array ρ.
 
     `tensor` is (A, B, C), `weights` those of `second_order_weights`.
@@ -141,13 +137,8 @@ def second_order_system(
 
 
 def second_order_residual(
-    tensor: np.ndarray,
-    weights: np.ndarray,
-    rho: np.ndarray,
-    *,
-    spacing: float,
-    source: np.ndarray | None = None,
-) -> np.ndarray:
+    tensor: Array, weights: Array, rho: Array, *, spacing: float, source: Array | None = None
+) -> Array:
     """Return the right-hand side minus the left-hand side of the system, (3, H, W), matrix-free.
 
     `source`, (3, H, W), replaces the right-hand side (−B, 0, 0).
@@ -169,7 +160,7 @@ def second_order_residual(
     return residual
 
 
-def second_order_matrices(tensor: np.ndarray, weights: np.ndarray, spacing: float) -> np.ndarray:
+def second_order_matrices(tensor: Array, weights: Array, spacing: float) -> Array:
     """Return the 3×3 matrix of every pixel with its neighbours fixed: (3, 3, H, W)."""
     matrices = np.zeros((3, 3, *tensor.shape[1:]))
     matrices[0, 0] = tensor[0]
@@ -188,13 +179,13 @@ def second_order_matrices(tensor: np.ndarray, weights: np.ndarray, spacing: floa
 
 
 def second_order_sweep(
-    tensor: np.ndarray,
-    weights: np.ndarray,
-    rho: np.ndarray,
+    tensor: Array,
+    weights: Array,
+    rho: Array,
     *,
     spacing: float,
     relaxation: float = 1.0,
-    source: np.ndarray | None = None,
+    source: Array | None = None,
 ) -> None:
     """Gauss–Seidel over red pixels, then black; `rho` is modified in place.
 
@@ -210,13 +201,13 @@ def second_order_sweep(
 
 
 def minimise_second_order(
-    anchors: np.ndarray,  # (2, H, W): w and D*
-    rho: np.ndarray,  # (3, H, W)
+    anchors: Array,  # (2, H, W): w and D*
+    rho: Array,  # (3, H, W)
     smoothness: SecondOrder,
     *,
     anchor_scale: float,
     iterations: int,
-    terms: Sequence[np.ndarray] = (),  # as for `line_tensor`
+    terms: Sequence[Array] = (),  # as for `line_tensor`
     scales: Sequence[float] = (),
 ) -> list[float]:
     """Run half-quadratic iterations with exact solutions; `rho` is modified in place.

@@ -21,6 +21,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
+from bench.pair_memory import measure_in_process
 from bench.shared.command import options_parser, output_name
 from bench.shared.figures import BLUE, GREEN, PURPLE, VERMILION, tidy
 from bench.shared.results import (
@@ -77,13 +78,6 @@ def run(preset: str, threads: int, pairs: dict[str, str], rounds: int) -> dict[s
         text=True,
     )
     return {"preset": preset, "threads": threads, **json.loads(answer.stdout)}
-
-
-def memory(preset: str, size: str) -> float:
-    """Return the peak memory of a pair, float32 per pixel."""
-    command = [sys.executable, "-m", "bench.pair_memory", preset, size]
-    output = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
-    return json.loads(output.stdout)["floats_per_pixel"]
 
 
 FLOAT = 4  # bytes
@@ -264,7 +258,7 @@ def main(arguments: list[str] | None = None) -> int:
         "presets": options.preset,
         "runs": runs,
         "memory": {
-            preset: {size: memory(preset, size) for size in options.sizes[-2:]}
+            preset: {size: measure_in_process(preset, size) for size in options.sizes[-2:]}
             for preset in options.preset
         },
     }

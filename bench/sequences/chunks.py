@@ -6,7 +6,6 @@ are left in bench/results. With ``--folder``, results are kept there, and a seco
 complete results.
 """
 
-import argparse
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -98,18 +97,14 @@ def film_rows(count: int, chunks: Sequence[int], folder: Path) -> Iterator[Row]:
         yield dict(zip(FIGURES, values, strict=True))
 
 
-def parse(arguments: list[str] | None) -> argparse.Namespace:
+def main(arguments: list[str] | None = None) -> int:
     parser = options_parser(
         "sequences.chunks", __doc__, "data", "output", output="sequences_chunks"
     )
     add = parser.add_argument
     add("--folder", type=Path, metavar="DIR", help="keep the results there; default: nowhere")
     add("--no-film", action="store_true", help="leave out the rendered film")
-    return parser.parse_args(arguments)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    options = parse(arguments)
+    options = parser.parse_args(arguments)
     data, console, rows = data_folder(options.data), Console(), list[Row]()
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.folder or Path(temporary)

@@ -6,7 +6,6 @@ memory, with libraries, counts. Rendered frames are kept in a temporary folder. 
 figures are left in bench/results.
 """
 
-import argparse
 import json
 import subprocess
 import sys
@@ -77,7 +76,7 @@ def report(conditions: dict[str, Any], rows: list[dict[str, float]]) -> str:
     return markdown_page("# Memory of a sequence over its frames", conditions, table)
 
 
-def parse(arguments: list[str] | None) -> argparse.Namespace:
+def main(arguments: list[str] | None = None) -> int:
     parser = options_parser(
         "sequences.memory", __doc__, "threads", "output", output="sequences_memory"
     )
@@ -86,11 +85,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     add("--preset", choices=get_args(Preset), default="fast")
     add("--depth-of", choices=get_args(DepthOf), default="all")
     add("--here", action="store_true", help="measure one film in this process, and print its row")
-    return parser.parse_args(arguments)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    options = parse(arguments)
+    options = parser.parse_args(arguments)
     if options.here:
         (count,) = options.counts
         print(json.dumps(measure(count, options.preset, options.depth_of, options.threads)))

@@ -4,7 +4,6 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -56,10 +55,6 @@ def marks(contest: Contest, column: Column) -> list[Mark]:
         if time is not None and error is not None:
             result.append(Mark(method, time.median, error))
     return result
-
-
-def draw_contest(contest: Contest, path: Path) -> None:
-    contest_figure(contest).savefig(path)
 
 
 def contest_figure(contest: Contest) -> Figure:
