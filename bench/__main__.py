@@ -1,7 +1,7 @@
 """``python -m bench``: times of the kernels and of the NumPy reference, in one table.
 
 Each number of threads has a process of its own, since Taichi cannot change its number of threads.
-The timings (JSON of pytest-benchmark), the memory and the table as Markdown are left in
+The timings (JSON of pytest-benchmark), the memory and the table as Markdown are written to
 bench/results.
 """
 
@@ -34,7 +34,7 @@ from tisfm.settings import Preset
 
 # Package → module, for the packages that run the benchmarks.
 RUNNERS = {"pytest": "pytest", "pytest-benchmark": "pytest_benchmark", "pytest-xdist": "xdist"}
-FAILED = 1  # exit code of pytest if a test failed; other faults have other codes
+FAILED = 1  # exit code of pytest if a test failed
 DISAGREED = "an answer disagreed with the reference, or a benchmark failed: see above"
 FULL = {
     "sizes": ["240x320", "480x640", "1080x1920"],
@@ -69,7 +69,9 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--smoke", action="store_true", help="a small size, in about a minute")
-    kind.add_argument("--bars", action="store_true", help="only what the bars need; must meet them")
+    kind.add_argument(
+        "--bars", action="store_true", help="only figures with bars; fails if one is missed"
+    )
     parser.add_argument("--arch", choices=ARCHS, default="cpu", help="where kernels run")
     parser.add_argument("--sizes", nargs="+", metavar="HxW")
     parser.add_argument("--threads", nargs="+", type=int, metavar="N")
@@ -84,7 +86,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     # Kernels have one lane on a GPU; memory, bars and contests are for the CPU.
     if options.arch != "cpu":
         if options.bars:
-            parser.error("the bars are those of the CPU: leave --arch or --bars out")
+            parser.error("the bars hold for the CPU: leave --arch or --bars out")
         options.lanes, options.memory, options.contests = "1", False, False
         options.threads = [max(options.threads)]
         options.output = f"{options.output}-{options.arch}"

@@ -1,7 +1,7 @@
 """``python -m bench.ablation``: effect of each changed setting on errors and time, in one run.
 
 The changes of a preset are in `CHANGES`. All variants run on the same pairs, in turns. The tables
-and all figures are left in bench/results.
+and all figures are written to bench/results.
 """
 
 import argparse

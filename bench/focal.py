@@ -40,10 +40,10 @@ UNAFFECTED_RATIO = (
 )
 NOTES = (
     "abs-rel is the mean of |ΔZ|/Z after scaling by the median; direction and rotation are errors "
-    'of the camera\'s motion, `motion="camera"`; the field is `motion="field"`, whose depth is by '
+    'of the camera\'s motion, `motion="camera"`; the field is `motion="field"`, with depth by '
     "eq. 24. Offset: c of the best 1/Z′ = a (1/Z + c), in medians of 1/Z. From the true flow: "
-    "depth by an essential matrix and triangulation with the same focal length, so that its error "
-    "is that of the geometry alone. A scene is one pair of frames."
+    "depth by an essential matrix and triangulation with the same focal length, which shows the "
+    "error of the geometry alone. A scene is one pair of frames."
 )
 COLUMNS = {
     "abs_rel": ("abs-rel", ".4f"),
@@ -129,7 +129,7 @@ def offset_of(inverse_depth: NDArray, truth: NDArray) -> float:
 
 def tables(outcomes: Sequence[Outcome]) -> list[str | Table]:
     """Return a heading and a table for every true focal length."""
-    head = ["scene", "taken as, px", "ratio", *(title for title, _ in COLUMNS.values())]
+    head = ["scene", "assumed, px", "ratio", *(title for title, _ in COLUMNS.values())]
     blocks: list[str | Table] = []
     for focal in sorted({outcome.focal for outcome in outcomes}):
         rows = []
@@ -160,10 +160,10 @@ def finding(outcomes: Sequence[Outcome]) -> str:
             f"{o.offset:+.2f} of its median ({o.kind}, {_focal_lengths(o)})" for o in (low, high)
         )
         sentences.append(
-            "At a wrong focal length, the part of a rotation that the camera cannot explain is "
-            f"taken for parallax: it acts as a constant added to 1/Z, between {ends}. Where 1/Z "
-            "falls to 0 or below, depth is lost and the direction may be the opposite one; the "
-            "same happens with the true flow."
+            "At a wrong focal length, a part of the image motion by rotation looks like parallax: "
+            f"it acts as a constant added to 1/Z, between {ends}. Where 1/Z falls to 0 or below, "
+            "depth is lost and the direction may be the opposite one; the same happens with the "
+            "true flow."
         )
     for name, title in (("field_flow", "flow"), ("field_abs_rel", "depth, by eq. 24,")):
         factors = [getattr(o, name) / getattr(at[o.kind, o.focal, 1.0], name) for o in outcomes]
@@ -175,7 +175,7 @@ def finding(outcomes: Sequence[Outcome]) -> str:
 
 
 def _comparison(compared: Sequence[tuple[Outcome, Outcome]]) -> str:
-    """Return the scenes whose depth is about as good at the second focal length as at the first."""
+    """Return which scenes keep their error of depth at the second focal length."""
     unaffected: list[str] = []
     affected: list[str] = []
     for right, wrong in compared:
@@ -187,14 +187,14 @@ def _comparison(compared: Sequence[tuple[Outcome, Outcome]]) -> str:
         text += f"{right.rotation:.3f}° → {wrong.rotation:.3f}°)"
         (unaffected if wrong.abs_rel <= UNAFFECTED_RATIO * right.abs_rel else affected).append(text)
     return (
-        f"To take {_focal_lengths(compared[0][1])} hardly matters to depth (abs-rel at most "
-        f"{UNAFFECTED_RATIO - 1:.0%} worse) in: {', '.join(unaffected) or 'none'}. It matters in: "
-        f"{', '.join(affected) or 'none'}."
+        f"{_focal_lengths(compared[0][1])}: abs-rel is at most {UNAFFECTED_RATIO - 1:.0%} worse "
+        f"in {', '.join(unaffected) or 'no scene'}; it is worse than that in "
+        f"{', '.join(affected) or 'no scene'}."
     )
 
 
 def _focal_lengths(outcome: Outcome) -> str:
-    return f"{outcome.focal:g} px for {outcome.focal * outcome.ratio:.0f} px"
+    return f"{outcome.focal * outcome.ratio:.0f} px assumed for true {outcome.focal:g} px"
 
 
 def report(outcomes: Sequence[Outcome], conditions: Mapping[str, Any]) -> str:
@@ -236,7 +236,7 @@ def picture(outcomes: Sequence[Mapping[str, Any]]) -> Figure:
             if column == 0:
                 axes.set_ylabel(title, fontsize=9)
             if row == len(ROWS) - 1:
-                axes.set_xlabel("focal length taken / true", fontsize=9)
+                axes.set_xlabel("assumed / true focal length", fontsize=9)
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(kinds), fontsize=9)
     return figure

@@ -2,7 +2,7 @@
 
 The other libraries need their own environment: ``--prepare DIR`` makes it, and ``--peer-python``
 names its interpreter. By default, methods run if the present environment has them. The tables, all
-figures and a picture are left in bench/results.
+figures and a picture are written to bench/results.
 """
 
 import argparse

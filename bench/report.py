@@ -23,10 +23,10 @@ LANES = cpu_lanes()
 # Bounds of figures, set by hand from measurements of earlier states.
 MAX_NS_PER_PIXEL = 12.0  # ns per pixel of a sweep, edges separate, Cholesky
 MAX_NS_PER_PIXEL_JOINT = 6.0  # ns per pixel of a sweep, edges joint, closed form
-MIN_RATIO = 70.0  # time of the reference's sweep over that of the kernel
+MIN_RATIO = 70.0  # time of the reference's sweep over the kernel's
 # Of a sweep in two passes: time over the time of its bytes at stream bandwidth.
 MAX_OVER_FLOOR = 1.3
-MIN_PAIR_RATIO = 50.0  # time of the reference's pair over that of the library
+MIN_PAIR_RATIO = 50.0  # time of the reference's pair over the library's
 MAX_FLOATS_PER_PIXEL = 60.0  # float32 per pixel, peak memory
 # This preset has no bound of memory: its regulariser has 12 weights per pixel, other presets have
 # 2, and its cycles keep coarser levels of the whole system.
@@ -45,7 +45,7 @@ NOTES = (
     "Stream: as a share of the stream bandwidth of the memory with the same number of threads; "
     "above 100% if the arrays stay in the caches.",
     "NumPy: the reference, float64, BLAS on one thread, in the same process; its answer was "
-    "compared with that of the kernel before timing. image_to_lanes is compared with a padded "
+    "compared with the kernel's before timing. image_to_lanes is compared with a padded "
     "copy, lanes_to_images and relayout with a copy.",
     "sweep_unfused: one pass over memory for each color, where the library makes one pass for "
     "both; GB/s counts the bytes of each pass. matching_cost and aggregate: of 16 hypotheses.",
@@ -171,7 +171,7 @@ def _per_pixel(entry: dict, statistic: str) -> float:
 
 
 def describe(results: Results) -> list[str]:
-    """Return lines on the machine, and on figures beside the table."""
+    """Return lines on the machine, and figures that are not in the table."""
     lines = []
     if machine := results.machine:
         cpu = machine.get("cpu", {})

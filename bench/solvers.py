@@ -172,7 +172,7 @@ def courses(pair: FlowPair, size: tuple[int, int]) -> list[Course]:
 
 
 def wall_times(pair: FlowPair, size: tuple[int, int]) -> dict[str, float]:
-    """Return the median time of each step, as a multiple of that of a sweep in the same turn."""
+    """Return the median time of each step over the time of a sweep in the same turn."""
     system = System(pair, size)
     multigrid = system.multigrid()
     steps: dict[str, Callable[[], object]] = {
@@ -199,7 +199,7 @@ def gap_table(courses: Sequence[Course]) -> Table:
     """Return the remaining gap after `BUDGET` sweeps, and the work to reach each gap."""
     sizes = list(dict.fromkeys(course.size for course in courses))
     names = list(dict.fromkeys(course.method for course in courses))
-    head = ["", "", f"left after {BUDGET:g}", *(f"to {gap:g}" for gap in GAPS)]
+    head = ["", "", f"gap after {BUDGET:g}", *(f"to {gap:g}" for gap in GAPS)]
     rows = []
     for size, name in itertools.product(sizes, names):
         group = [c for c in courses if (c.size, c.method) == (size, name)]
@@ -280,11 +280,11 @@ def main(arguments: list[str] | None = None) -> int:
     path = RESULTS / output_name(options, "solvers")
     tables = (
         gap_table(measured),
-        "Left: (E − E*)/(E(0) − E*). Work is in sweeps of the finest grid, by the memory to be "
+        "Gap: (E − E*)/(E(0) − E*). Work is in sweeps of the finest grid, by the memory to be "
         "moved: a cycle of multigrid is two sweeps, a residual (counted as a sweep) and a "
         f"correction (half) on every level, {CYCLE:.2f} in all; its set-up, once, {SET_UP:g}; "
         f"conjugate gradients {PLANE:g} more a cycle.",
-        "Time, as multiples of that of one sweep (ω = 1) in the same turn, medians:",
+        "Time over the time of one sweep (ω = 1) in the same turn, medians:",
         time_table(times),
     )
     print(markdown_page(*tables))

@@ -140,7 +140,7 @@ def main(arguments: list[str] | None = None) -> int:
     notes = (
         f"Bare: more than {MARGIN} px from texture and from the outline of the block. Depth by eq. "
         "24, in the scale of the textured pixels. Noise is Gaussian and independent in both "
-        "frames; a row without noise in its name has only that of rounding to 8 bits."
+        "frames; other rows have only the noise of rounding to 8 bits."
     )
     print(markdown_page(table(means)))
     text = markdown_page("# Parts without texture", conditions, table(means), notes)

@@ -35,7 +35,7 @@ from tisfm.formats import write_png
 from tisfm.scenes import static_scene
 from tisfm.settings import Preset
 
-# Times over that of the loop: without figures, with a figure of every tenth pair; set by hand.
+# Time over the loop's: without figures, and with a figure of every tenth pair; set by hand.
 BARS = 1.3, 1.5
 FIGURE_OPTIONS = ("--no-figures",), ("--figures", "10")
 NAMES = "`tisfm run --no-figures`", "`tisfm run --figures 10`"
@@ -126,7 +126,7 @@ def report(outcome: Outcome, conditions: dict[str, object]) -> str:
     notes = [
         *map(str, bars(outcome)),
         "loop: over `tisfm.interpret_sequence`, without storing anything. Medians, in turns; the "
-        "quartiles are those of the ratio in a round.",
+        "quartiles are of the ratio in a round.",
     ]
     size = f"{outcome.size / 1e6:.0f} MB were written without figures."
     return markdown_page(

@@ -3,7 +3,7 @@
 The two stages are an essential matrix by random sampling, and triangulation, after a flow of
 OpenCV's DeepFlow or DIS, or of tisfm. DeepFlow needs its own environment, which ``python -m
 bench.peers --prepare DIR`` makes; ``--peer-python`` names its interpreter. The tables and all
-figures are left in bench/results.
+figures are written to bench/results.
 """
 
 import argparse

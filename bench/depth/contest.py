@@ -15,7 +15,7 @@ from tisfm.rigid import pose_matrix
 from tisfm.scenes import static_scene
 
 WARM_UP_SIZE = (96, 128)  # px
-MIN_ERROR = 1e-6  # errors are raised to this before their logarithm is taken
+MIN_ERROR = 1e-6  # lower limit of errors before their logarithm is taken
 FAILURE_ERROR = {
     "direction": 90.0,
     "abs_rel_limited": 1.0,
@@ -52,8 +52,8 @@ class DepthContest:
     def typical_errors(self, method: str, threshold: float | None) -> tuple[float, float]:
         """Return the geometric means over pairs of direction error, degrees, and of abs-rel.
 
-        Pairs with a given pose have no essential matrix, and pairs of a camera that hardly moved
-        have no certain direction: both are left out.
+        Two groups of pairs do not count: pairs with a given pose have no essential matrix, and the
+        direction is uncertain if the camera moved very little.
         """
         known = [s for s in self._at(method, threshold) if s.group != HARDLY_MOVED]
         posed = {s.pair for s in self.scores if s.direction is not None}

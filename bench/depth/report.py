@@ -32,7 +32,7 @@ WRONG_DEPTH_ERROR = 0.5  # relative error of a pair that counts as wrong
 MIN_PARALLAX = 3.0  # px, median parallax of a pair above which depth is expected; set by hand
 COMMON_SUFFIX = ", with depth by every method"
 _STATIC_PREFIX = "scenes, "
-TITLES = {"rooms": "Depth in bare rooms, beside two stages"}  # by name of the output
+TITLES = {"rooms": "Depth in bare rooms, compared with two stages"}  # by name of the output
 
 HEAD = (
     "method", "abs-rel mean", "median", "limited, mean", "raw map, median", "all pixels, median",
@@ -136,23 +136,22 @@ def notes(contest: DepthContest) -> list[str]:
         "deviation, in the unit of the given pose, each limited to 3. Converged but wrong: pairs "
         "with the status converged and an error over all pixels above 0.5. Depth with parallax: "
         "pairs with a depth, of the pairs whose median parallax is above 3 px.",
-        "Direction: angle between the translations, 180° if opposite. Rotation: angle left between "
-        "the rotations. Mean / median / worst over the pairs. Where the pose is given, it is given "
-        "to every method.",
-        "Within σ: share of the visible pixels whose inverse depth, in the scale of the others, is "
-        "off by less than its standard deviation; 68% of a normal error are.",
-        "No depth: pairs that the method itself reports as having too little parallax for depth, "
-        "of all. They have no direction and no depth, and do not enter these means. Two stages "
-        "have no such status. If some pairs of a group have no depth, a second table, and the "
-        "first of all, are of the other pairs.",
-        "Seconds: median over the pairs of a group of the median over rounds; of two stages, flow "
-        "and both stages together. Time / field: over the time of the flow field of the same "
-        "preset.",
+        "Direction: angle between the translations, 180° if opposite. Rotation: angle between the "
+        "estimated and the true rotation. Mean / median / worst over the pairs. A given pose is "
+        "given to every method.",
+        "Within σ: share of the visible pixels whose error of inverse depth, in the common scale, "
+        "is below the standard deviation; 68% for a normal distribution.",
+        "No depth: pairs for which the method itself reports too little parallax for depth. They "
+        "have no direction and no depth, and do not count in these means. Two stages have no such "
+        "status. If some pairs of a group have no depth, a second table and the summary are of "
+        "the other pairs.",
+        "Seconds: median over the pairs of a group of the median over rounds; two stages include "
+        "the flow. Time / field: time over that of the flow field of the same preset.",
         "Essential matrix: OpenCV's findEssentialMat (USAC, MAGSAC) on a regular grid of about "
         "4800 correspondences, the smaller of its two rotations, the sign of t by positive depth, "
-        "linear triangulation. Its threshold is, for each flow, the best for it of those in the "
-        "last table: the one with the least product of the geometric means over pairs of the two "
-        "errors there, without pairs with a given pose or a camera that hardly moved.",
+        "linear triangulation. Each flow has its best threshold of the last table: the threshold "
+        "with the lowest product of the two errors there, which are geometric means over pairs. "
+        "Pairs with a given pose, or with a camera that moved very little, do not count.",
     ]
     silent = [
         f"{method}: {', '.join(names)}"
@@ -170,7 +169,7 @@ def show(contest: DepthContest, console: Console) -> None:
 
 
 def write(contest: DepthContest, path: Path, *, remarks: Sequence[str] = ()) -> None:
-    title = TITLES.get(path.stem, "Depth and motion of the camera, beside two stages")
+    title = TITLES.get(path.stem, "Depth and motion of the camera, compared with two stages")
     blocks: list[str | Table] = []
     for group in groups(contest):
         blocks += [f"## {_heading(group)}", _detail(contest, group)]
@@ -258,13 +257,13 @@ def _heading(group: Group) -> str:
     kind = {
         HAND_HELD: "a hand-held depth camera: approximate truth, of its map registered to the "
         "picture and of the raw map",
-        HARDLY_MOVED: "frames in which the same camera had hardly moved",
+        HARDLY_MOVED: "the same camera, which moved very little",
         RENDERED_STUDIO: "poses only",
         TWO_BLOCKS: "moving objects, and a moving camera",
         BLOCK_MATCHER: "the truth is a block matcher's",
         **dict.fromkeys(
             WIDE_BASELINES,
-            "a wide baseline; the truth is that of matched points, by the true poses",
+            "a wide baseline; true depth: matched points and the true poses",
         ),
     }.get(group.name)
     return f"{group.name} ({many}{'; ' + kind if kind else ''})"

@@ -13,7 +13,7 @@ from tisfm.kernels.rigid.view_search import ABSENT, ViewSearch
 from tisfm.kernels.rigid.windows import LEVELS, UNSEEN
 
 NOISE = 1.5  # grey levels, deviation of the noise
-SEEN = 1.8  # least variance of a textured window, over that of the noise
+SEEN = 1.8  # minimum variance of a textured window, in variances of the noise
 BOUNDS = 0.01, 10.0  # px/frame, of searched inverse depths
 SPREAD = 0.5  # px/frame, of drawn inverse depths
 TILT = 0.02  # px/frame per px, of drawn slopes

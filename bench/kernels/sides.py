@@ -61,7 +61,7 @@ class TaichiSide:
     def lay(self, stack: np.ndarray, strip: int = 0) -> LaneData:
         """Copy (k, H, W) to a new lane array with halo columns, without a kernel.
 
-        `strip`: columns per lane, by default the number that the grid has.
+        `strip` is the number of columns per lane, by default that of the grid.
         """
         (k, height, width), lanes = stack.shape, self.grid.lanes
         strip = strip or self.grid.strip
@@ -84,7 +84,7 @@ class TaichiSide:
     def read(self, array: LaneData, halo: int = 0, *, width: int = 0) -> np.ndarray:
         """Return a lane array as (k, H, W) without a kernel, with a border if `halo` is given.
 
-        `width`: of the image, by default that of the grid.
+        `width` is that of the image, by default the width of the grid.
         """
         array, lanes = on_host(array), self.grid.lanes
         around = halo or 1

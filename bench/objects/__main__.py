@@ -4,7 +4,7 @@ Rendered scenes of two and three blocks. The peers estimate a flow, and then dep
 with one essential matrix for the whole image. Their depth is compared over the whole image in one
 scale, and on each true object in its own scale. With a folder of real sequences, the statue is
 added: do the walking man and the cyclist have separate labels? DeepFlow needs the environment of
-``python -m bench.peers --prepare DIR``. The tables and all figures are left in bench/results.
+``python -m bench.peers --prepare DIR``. The tables and all figures are written to bench/results.
 """
 
 import argparse
@@ -60,8 +60,8 @@ SEEDS: dict[str, tuple[Callable[..., SyntheticPair], range]] = {
 }
 FLOWS = ("OpenCV DeepFlow", "OpenCV DIS medium")
 NOTES = (
-    "IoU: intersection over union of an object and the label that it overlaps most. Found: scenes "
-    "in which every object has a label of its own and there is no other label.",
+    "IoU: intersection over union of an object and the label that it overlaps most. Complete: "
+    "scenes with as many labels as objects.",
     "abs-rel of objects: mean of |ΔZ|/Z after scaling every object by its own median, over pixels "
     "that are visible in both frames and, for tisfm, have the label of the object; depth beyond 10 "
     "medians or behind the camera is set to 10 medians. One scale: the same over the whole image, "
@@ -70,14 +70,14 @@ NOTES = (
     "Direction: angle between the translations, 180° if opposite; two stages have one translation "
     "for all objects.",
     "Two stages: essential matrix (USAC, MAGSAC) and triangulation after the flow named, with the "
-    "best threshold of those of `bench.depth` for abs-rel of objects.",
+    "threshold of `bench.depth` that gives the lowest abs-rel of objects.",
     "Seconds: median over the scenes, one call each after a warm-up.",
 )
 STATUE_NOTE = (
     "Number of pairs, three frames apart, in which most of the upper body of the man, and of the "
-    "cyclist, has a label that is neither that of the background nor that of the other person. The "
-    "focal length is unknown: 384 px is the guess for this size of image, 600 px that of the "
-    "paper; the estimated one is that of `tisfm.reconstruct` from all frames."
+    "cyclist, has a label that differs from the background's and from the other person's. The "
+    "focal length is unknown: 384 px is the guess for this size of image, 600 px the value of the "
+    "paper; `tisfm.reconstruct` estimates the third one from all frames."
 )
 
 
@@ -160,7 +160,11 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
                     progress.update(f"{name}: {method}")
                     scores += methods[method](group, name, pair)
             if folder is None or not (folder / FOLDER).is_dir():
-                missing["statue"] = "small scenes alone" if options.smoke else "no folder has it"
+                missing["statue"] = (
+                    "a smoke run has only small scenes"
+                    if options.smoke
+                    else "not in the folder of sequences"
+                )
             else:
                 focals = focals_of(folder)
                 for first, frame0, frame1 in statue_pairs(folder):
@@ -193,14 +197,14 @@ def report(measured: dict[str, Any]) -> str:
         blocks += ["## Statue", STATUE_NOTE, statue_table(measured["statue"])]
     blocks += ["## Every scene", details(measured["scores"])]
     absent = [f"missing: {name}: {why}" for name, why in measured["missing"].items()]
-    title = "# Moving objects, beside two stages"
+    title = "# Moving objects, compared with two stages"
     return markdown_page(title, measured["conditions"], [*NOTES, *absent], *blocks)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Return 0, or 2 if nothing could be run."""
     parser = options_parser("objects", __doc__, *WORDS, "output", preset=["balanced"])
-    parser.add_argument("--statue", action="store_true", help="the statue alone")
+    parser.add_argument("--statue", action="store_true", help="only the statue")
     options = parser.parse_args(arguments)
     try:
         measured = measure(options)

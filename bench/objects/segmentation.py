@@ -12,7 +12,7 @@ from bench.objects.clips import neighbours
 
 MAX_CORNERS = 1000  # tracked between frames, at most
 CORNER_THRESHOLD = 1.5  # px, RANSAC threshold for tracked corners
-MIXTURE_FRAMES = 8  # frames before, and as many after, in the mixture of Gaussians
+MIXTURE_FRAMES = 8  # before the frame and again after it, in the mixture of Gaussians
 MIN_AREA = 0.002  # of the image: smaller parts are dropped as noise; set by hand
 MAX_UNSEEN_FRAMES = 10  # frames after which an unseen label is forgotten; set by hand
 MAX_LABEL = 255  # labels, at most, in 8 bits
@@ -139,7 +139,7 @@ POSITION_SCALE = 0.15  # of the image width: distance that counts as much as 1 p
 
 
 def homography_residual(flow: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the flow minus that of its dominant homography, (H, W, 2), and its length, px."""
+    """Return the flow minus the flow of its dominant homography, (H, W, 2), and its length, px."""
     start, end, x, y = _samples(flow)
     matrix, _ = cv2.findHomography(start, end, cv2.RANSAC, FLOW_THRESHOLD)
     if matrix is None:

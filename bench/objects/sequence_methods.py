@@ -46,7 +46,7 @@ class ClipLabels:
 
 
 class Labeller(Protocol):
-    """A method that labels clips, in as many variants as it has."""
+    """A method that labels clips; it may have several variants."""
 
     @property
     def name(self) -> str:
@@ -93,7 +93,7 @@ class Mixtures:
 
 
 class FlowClusters:
-    """Clusters of the flow minus that of the background."""
+    """Clusters of the flow minus the flow of the background."""
 
     def __init__(self, peer: Peer) -> None:  # the method of the flow
         self._peer = peer

@@ -2,7 +2,7 @@
 
 Clips of DAVIS, if a folder of real sequences has them, and a rendered film of three bodies. Peers
 are background subtraction after a homography, and clusters of flow. DeepFlow needs the environment
-of ``python -m bench.peers --prepare DIR``. The tables and all figures are left in bench/results.
+of ``python -m bench.peers --prepare DIR``. The tables and all figures are written to bench/results.
 """
 
 import argparse
@@ -90,7 +90,9 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
                 for file in peers.folder.glob("*.npy"):
                     file.unlink()
     if not any(score.group == DAVIS for score in scores):
-        missing["DAVIS"] = "small scenes alone" if options.smoke else "no folder has it"
+        missing["DAVIS"] = (
+            "a smoke run has only the film" if options.smoke else "not in the folder of sequences"
+        )
     conditions = {
         "command": command_text("objects.sequences", options, WORDS),
         "clips": ", ".join(sizes),

@@ -44,7 +44,7 @@ class StatuePair:
     focal: float  # px
     origin: str = ""  # `ESTIMATED`, or nothing
     labels: int  # number of labels
-    man: bool  # whether most of his patch has a label that is not that of the background
+    man: bool  # whether most of his patch has a label other than the background's
     cyclist: bool
     different: bool  # whether the two labels differ
     seconds: float

@@ -1,4 +1,4 @@
-"""The method in plain NumPy float64, to be read beside the paper and tested against.
+"""The method in plain NumPy float64: it follows the paper, and tests compare kernels with it.
 
 Nothing here is fast: every function is the equation it cites, on arrays of shape (…, H, W).
 ρ̂ = f·ρ is in px/frame and coordinates are normalised, x̂ = x/f, so that eq. 2 becomes

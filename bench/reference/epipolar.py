@@ -25,7 +25,7 @@ def restrict_to_line(
 ) -> list[Array]:
     """Restrict each tensor to a line: return tensors of D for (u, v) = flow + (D − D₀)·direction.
 
-    They have the form of tensors of a flow (D, 0). D₀ is `inverse_depth`, that of `flow`.
+    They have the form of tensors of a flow (D, 0). D₀ is `inverse_depth`, for which (u, v) = flow.
     """
     fixed = flow - inverse_depth * direction
     restricted = []

@@ -36,7 +36,7 @@ def coarse_to_fine(
 ) -> Array:
     """Return ρ̂, (n, H, W), of the finest of the given levels, the finest first.
 
-    `camera` is that of the finest level; `settings` does not determine the pyramid.
+    `camera` belongs to the finest level; the pyramid settings have no effect here.
     """
     n, factor = settings.components, settings.pyramid_factor
     height, width = pyramid0[0].shape

@@ -96,7 +96,7 @@ def line_tensor(
 ) -> tuple[float, Array]:
     """Return the energy, and (A, B, C), (3, H, W), of constraints p D + c = 0.
 
-    `terms` are (k, 2, H, W): p and c of the k constraints of each term. `scales` are those of
+    `terms` are (k, 2, H, W): p and c of the k constraints of each term. `scales` are as for
     `bench.reference.robust_tensor`.
     """
     energy, total = 0.0, np.zeros((3, *depth.shape))
@@ -114,7 +114,7 @@ def line_tensor(
 def second_order_system(tensor: Array, weights: Array, spacing: float) -> tuple[Array, Array]:
     """Return matrix and right-hand side of all pixels; the unknowns have the order of the array ρ.
 
-    `tensor` is (A, B, C), `weights` those of `second_order_weights`.
+    `tensor` is (A, B, C), `weights` come from `second_order_weights`.
     """
     _, height, width = tensor.shape
     count = height * width

@@ -2,7 +2,7 @@
 
 Both checkouts interpret the same pairs in their own processes with the same number of threads:
 rendered scenes, and real pairs of ``--data`` or TISFM_DATA. Their results are compared. Then
-interpretations and starts of both are timed in turns. The tables are left in bench/results.
+interpretations and starts of both are timed in turns. The tables are written to bench/results.
 """
 
 import argparse

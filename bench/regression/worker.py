@@ -6,8 +6,8 @@ older checkouts. Argument: the number of threads.
 
 It prints a line of JSON when it is ready, and then one for each request on standard input,
 ``{"pair": PATH, "settings": {"name": PRESET, …}, "pose": BOOL, "answer": PATH or null, "times":
-N}``: wall and processor time of the last of N calls, processor time since the process began, and
-the status. The status of a failed call is its exception.
+N}``. The answer has the wall and processor time of the last of N calls, the processor time of the
+process, and the status. The status of a failed call is its exception.
 """
 
 import json

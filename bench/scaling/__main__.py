@@ -86,8 +86,8 @@ MIDDLE = "480x640"
 LARGE = "1080x1920"
 LARGEST = "2160x3840"
 PEER_SIZE = MIDDLE  # size of the pair for OpenCV's DIS
-# Preset and size → most time over that of the peer. None: the time is at its former bound, so that
-# chance would decide; `bench.regression` shows whether the time has grown.
+# Preset and size → maximum time over the peer's. None: the time is so close to its former bound
+# that chance would decide; `bench.regression` shows whether the time has grown.
 MAX_OVER_PEER = {("balanced", LARGE): 57.0, ("fast", PEER_SIZE): None}
 MAX_GROWTH = 1.15  # of the time per pixel from MIDDLE to LARGE; set by hand
 MAX_MEMORY = 3.0  # GiB, peak memory of a pair of LARGEST; set by hand
@@ -104,7 +104,7 @@ def per_pixel(entry: dict[str, Any], size: str) -> float:  # median time, ns
 
 
 def ratio_to_peer(entry: dict[str, Any], size: str) -> float:
-    """Return the median over the rounds of the time of a pair over that of the peer."""
+    """Return the median over the rounds of the time of a pair over the peer's."""
     return median_ratio(entry["times"][size], entry["peer"]["times"])
 
 
@@ -158,7 +158,7 @@ def report(figures: dict[str, Any]) -> str:
         "`two_blocks` at every size; its motion grows with the size. Median of the rounds, in "
         "brackets the least and the most. Growth: time per pixel over that of the size before.",
         Table(["preset", "threads", "size", "s", "ns/px", "growth"], rows),
-        f"## Time over that of {runs[0]['peer']['name']} at {runs[0]['peer']['size']}, in the "
+        f"## Time over the time of {runs[0]['peer']['name']} at {runs[0]['peer']['size']}, in the "
         "same rounds",
         Table(
             ["preset", "threads", "its time, s", *sizes],

@@ -2,7 +2,7 @@
 
 The methods are `tisfm.reconstruct`, pairs chained by the overlap of their depths, and pycolmap.
 Each runs in its own process. ``--peer-python`` names an interpreter with another version of
-pycolmap. The tables and all figures are left in bench/results.
+pycolmap. The tables and all figures are written to bench/results.
 """
 
 import argparse

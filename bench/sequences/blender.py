@@ -40,7 +40,7 @@ PART = (400, 500)  # rows and columns, from the upper left corner
 POINTS = 2000
 RATE = 25  # frames per second
 BARS = {
-    "of the camera's place, of the path's extent": 1e-5,
+    "of the camera's position, share of the path's extent": 1e-5,
     "of its rotation, deg": 1e-3,
     "of its vertical angle, deg": 1e-3,
     "of points, px": 0.01,

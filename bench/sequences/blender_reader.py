@@ -16,7 +16,7 @@ from bpy_extras.object_utils import world_to_camera_view
 
 
 def main(folder: Path, request: Path, answer: Path) -> None:
-    """Read an export in the way that docs/exports.md describes."""
+    """Read an export as docs/exports.md describes."""
     wanted = np.load(request)
     lens = json.loads((folder / "lens.json").read_text())
     bpy.ops.wm.read_factory_settings(use_empty=True)

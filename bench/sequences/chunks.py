@@ -1,8 +1,8 @@
-"""``python -m bench.sequences.chunks``: reconstruction in chunks, compared with one at once.
+"""``python -m bench.sequences.chunks``: reconstruction in chunks, compared with all frames at once.
 
 Real sequences have at most 100 frames, so their chunks are shorter than the default. In a rendered
 film, a camera circles in a room and looks outward, 225 frames a round. The table and all figures
-are left in bench/results. With ``--folder``, results are kept there, and a second run uses the
+are written to bench/results. With ``--folder``, results are kept there, and a second run uses the
 complete results.
 """
 
@@ -102,7 +102,7 @@ def main(arguments: list[str] | None = None) -> int:
         "sequences.chunks", __doc__, "data", "output", output="sequences_chunks"
     )
     add = parser.add_argument
-    add("--folder", type=Path, metavar="DIR", help="keep the results there; default: nowhere")
+    add("--folder", type=Path, metavar="DIR", help="keep the results there; default: not kept")
     add("--no-film", action="store_true", help="leave out the rendered film")
     options = parser.parse_args(arguments)
     data, console, rows = data_folder(options.data), Console(), list[Row]()

@@ -214,7 +214,7 @@ def run_contest(
     for entry in entries:
         loaded = entry.load()
         if loaded.camera is None:
-            missing = missing | {entry.name: "nothing states its camera"}
+            missing = missing | {entry.name: "its camera is unknown"}
             continue
         of_entry: dict[str, Score] = {}
         for turn in range(rounds):

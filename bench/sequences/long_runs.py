@@ -5,8 +5,8 @@ speed is measured from the pair after which every worker has begun, to leave out
 last pair. Frames: resident memory and speed of a run over many small frames, after a hundred pairs
 and at the end. Kills: four commands are killed by SIGKILL at random moments and resumed: a run, a
 run of two workers, a run on a local Dask cluster of two workers, and a reconstruction in chunks by
-two workers. Their files are compared with those of an uninterrupted command. The tables are left in
-bench/results/long_runs.md.
+two workers. Their files are compared with the files of an uninterrupted command. The tables are
+written to bench/results/long_runs.md.
 """
 
 import contextlib
@@ -41,7 +41,7 @@ from bench.writing import render_frames
 from tisfm.formats import write_png
 from tisfm.scenes import room_film, static_scene
 
-MIN_SPEEDUP = 1.7  # least speed of two workers over that of one; set by hand
+MIN_SPEEDUP = 1.7  # speed of two workers over the speed of one; set by hand
 MAX_CHANGE = 0.05  # largest relative change of memory and speed in a long run; set by hand
 ROUNDS = 3  # rounds of the speed of workers
 PAIRS = 120  # pairs of the video for workers
@@ -197,8 +197,8 @@ def bars(results: Results) -> list[Bar]:
         of = results.frames
         memory = of["memory at the end, MB"] / of["memory early, MB"] - 1
         slower = 1 - of["pairs/s at the end"] / of["pairs/s early"]
-        result.append(Bar("share of memory more at the end", memory, MAX_CHANGE))
-        result.append(Bar("share of speed less at the end", slower, MAX_CHANGE))
+        result.append(Bar("growth of memory until the end, share", memory, MAX_CHANGE))
+        result.append(Bar("loss of speed until the end, share", slower, MAX_CHANGE))
     for name, counts in results.kills.items():
         result.append(Bar(f"{name}: other bytes after kills", counts["other bytes"], 0))
     return result

@@ -3,7 +3,7 @@
 A camera circles in a rendered room and looks outward, 225 frames a round, so that most frames show
 new surfaces. Each film is read from files and reconstructed in its own process. Its peak resident
 memory, with libraries, counts. Rendered frames are kept in a temporary folder. The table and all
-figures are left in bench/results.
+figures are written to bench/results.
 """
 
 import json

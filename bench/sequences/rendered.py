@@ -3,7 +3,7 @@
 Films of a rendered room, with patterned and with bare walls: a round trip, blanked frames, a turn
 without parallax, a mesh, depth from an increasing number of frames, a rolling shutter. Rendered
 frames are kept in a temporary folder. The table, all figures and a picture of the error over the
-number of frames are left in bench/results.
+number of frames are written to bench/results.
 """
 
 import argparse
@@ -63,7 +63,7 @@ Errors = dict[str, list[float]]  # room → error of depth for each number of fr
 class Checks:
     """Renders films, reconstructs them, and measures the figures that have bounds.
 
-    With `smoke`, films are small and short. `seeds` are those of the textures and the noise.
+    With `smoke`, films are small and short. The seeds determine the textures and the noise.
     """
 
     def __init__(self, settings: tisfm.Settings, *, smoke: bool, seeds: list[int]) -> None:
@@ -129,7 +129,7 @@ class Checks:
             )
         name = f"{blank} of {count} frames blanked, {room}, seed {seed}"
         posed = float((result.piece == 0).sum())
-        yield Bar(f"{name}: the others in one piece", posed, count - blank, False)
+        yield Bar(f"{name}: the other frames in one piece", posed, count - blank, False)
         poses = np.where((result.piece == 0)[:, None, None], result.poses, np.nan)
         yield Bar(f"{name}: ATE, %", path_error(poses, film.poses), None)
 
@@ -155,7 +155,7 @@ class Checks:
             share = share_of_mesh(film, result) if whole else None
             yield Bar(f"{name}: mesh within 2 % of the depth, %", share, 95.0, False)
             ratio = flicker(film, result, self._settings) if whole else None
-            yield Bar(f"{name}: flicker over that of pairs", ratio, 1 / 3)
+            yield Bar(f"{name}: flicker, over the flicker of pairs", ratio, 1 / 3)
 
     def _frames(self, room: str, seed: int) -> Iterator[Bar]:
         film = self._film("frames", keyframe_path(max(COUNTS)), room, seed)
@@ -164,15 +164,15 @@ class Checks:
         self.errors[f"{room}, seed {seed}"] = errors
         name = f"depth from frames, {room}, seed {seed}"
         pair = depth_of_pair(film, self._settings)
-        yield Bar(f"{name}: error of the pair by itself, %", 100 * pair, None)
+        yield Bar(f"{name}: error of the pair alone, %", 100 * pair, None)
         yield Bar(f"{name}: error of {COUNTS[0]} frames, %", 100 * errors[0], None)
         yield Bar(
-            f"{name}: most of a rise with more frames, %",
+            f"{name}: largest rise with more frames, %",
             100 * max(after / before - 1 for before, after in itertools.pairwise(errors)),
             0.0,
         )
         fall = 100 * (1 - errors[-1] / pair)
-        yield Bar(f"{name}: less error at {COUNTS[-1]} than of the pair, %", fall, 50.0, False)
+        yield Bar(f"{name}: error at {COUNTS[-1]} frames below the pair's, %", fall, 50.0, False)
         yield Bar(f"{name}: within one deviation, %, at least", depths[-1][1], 60.0, False)
         yield Bar(f"{name}: within one deviation, %, at most", depths[-1][1], 75.0)
 
@@ -180,7 +180,7 @@ class Checks:
         film = self._film("shaken", shake_path(12 if self._smoke else 24), room, seed, READOUT)
         name = f"rows read within {READOUT:g} of an interval, {room}, seed {seed}"
         ate: list[float] = []
-        for readout, treatment in ((0.0, "ignored"), (None, "found and undone")):
+        for readout, treatment in ((0.0, "ignored"), (None, "estimated and undone")):
             camera = replace(film.camera, readout=readout)
             with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
                 result = tisfm.reconstruct(
@@ -192,8 +192,8 @@ class Checks:
                 error = 100 * depth_in_one_scale(film, result)
                 yield Bar(f"{name}, {treatment}: error of depth, %", error, None)
         estimated = result.calibration.readout
-        yield Bar(f"{name}: readout that is found", estimated, None)
-        yield Bar(f"{name}: ATE over that with it ignored", ate[1] / ate[0], 1 / 3)
+        yield Bar(f"{name}: estimated readout", estimated, None)
+        yield Bar(f"{name}: ATE, undone over ignored", ate[1] / ate[0], 1 / 3)
 
 
 KINDS = ("trip", "blanked", "turn", "walk", "frames", "shutter")

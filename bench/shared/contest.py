@@ -1,6 +1,6 @@
 """Methods of flow that are timed and scored on the same pairs, in turns.
 
-The speed of the machine drifts; in turns, it changes for all methods alike.
+The speed of the machine drifts; in turns, a drift affects all methods equally.
 """
 
 import math

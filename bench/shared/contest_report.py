@@ -101,7 +101,7 @@ def standard_time(contest: Contest, method: str) -> Spread | None:
 
 
 def relative_time(contest: Contest, method: str) -> Spread | None:
-    """Return the time as a multiple of that of the reference in the same round."""
+    """Return the time over the time of the reference in the same round."""
     own, unit = _by_round(contest, method), _by_round(contest, contest.reference)
     return Spread.of([own[turn] / unit[turn] for turn in own if turn in unit])
 

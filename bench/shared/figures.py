@@ -14,8 +14,8 @@ from bench.shared.contest import Contest
 from bench.shared.contest_report import STANDARD_SIZE, Column, measured_columns, standard_time
 from tisfm.show.palette import as_hex, category_colors
 
-# Dark colours first; without yellow, which is too faint for a line. The palette is that of
-# `tisfm.show`, whose colours people without one kind of cone can tell apart.
+# Dark colours first; without yellow, which is too faint for a line. The palette of `tisfm.show` can
+# also be read by people with a colour vision deficiency.
 BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = (
     as_hex(category_colors(8)[k]) for k in (5, 6, 3, 7, 1, 2)
 )

@@ -111,7 +111,7 @@ def survey() -> dict[str, dict[str, str]]:
 
 
 def limit_threads(threads: int) -> None:
-    """Bound OpenCV's threads; those of BLAS and OpenMP are bounded by the environment."""
+    """Bound OpenCV's threads; the environment bounds the threads of BLAS and OpenMP."""
     try:
         import cv2
     except ImportError:

@@ -119,7 +119,7 @@ def write_results(path: Path, text: str, record: Any = None) -> None:
 def missing_sections(
     missing: Mapping[str, str], failures: Mapping[str, str]
 ) -> list[str | Mapping[str, str]]:
-    """Return the sections of a report about what is missing and what failed."""
+    """Return the sections of a report on missing and failed methods or pairs."""
     sections = (("## Missing", missing), ("## Failed", failures))
     return [block for section in sections if section[1] for block in section]
 

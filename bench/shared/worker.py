@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-MESSAGE_LINES = 3  # last lines of the messages of a dead worker, which are shown
-CLOSE_TIMEOUT = 20.0  # s until a worker that should end is killed
+MESSAGE_LINES = 3  # shown lines of the messages of a dead worker, the last ones
+CLOSE_TIMEOUT = 20.0  # s from closing a worker to killing it
 
 
 class WorkerDied(Exception):  # noqa: N818 (the error is the worker's)

@@ -70,8 +70,8 @@ def report(
         *map(str, bars(results)),
         "Times start with `tisfm view`. The browser, a headless Chromium without a GPU, is already "
         "open and draws on the same cores as the command. Medians over starts, of steps over all "
-        "of them. Steps go to frames that were not shown before. Memory is that of the command, "
-        "after the first picture and at most.",
+        "of them. Steps go to frames that were not shown before. Memory of the command: after the "
+        "first picture, and its peak.",
     ]
     return markdown_page("# The viewer on long results", conditions, table, notes)
 

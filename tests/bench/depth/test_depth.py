@@ -361,7 +361,7 @@ def test_smoke_of_the_comparison(tmp_path, monkeypatch, capsys):
     text = (tmp_path / "smoke-depth.md").read_text(encoding="utf-8")
     assert "- command: `python -m bench.depth --preset fast" in text
     assert "\n- a noisy machine\n" in text
-    assert "movers, mean" in text and "within σ, %" in text and "time / field" in text
+    assert "moving objects, mean" in text and "within σ, %" in text and "time / field" in text
     assert sys.prefix not in text
 
 
@@ -423,7 +423,7 @@ def test_wrong_focal_lengths(tmp_path, monkeypatch, capsys):
     assert {path.name for path in tmp_path.iterdir()} == {"focal.md", "focal.json", "focal.png"}
     text = (tmp_path / "focal.md").read_text(encoding="utf-8")
     assert capsys.readouterr().out.strip() in text
-    assert "To take 600 px for 1000 px hardly matters to depth" in text
+    assert "1000 px assumed for true 600 px: abs-rel is at most 20% worse in" in text
     record = json.loads((tmp_path / "focal.json").read_text(encoding="utf-8"))
     assert len(record["found"]) == 4
     exact_depth = {(o["kind"], o["ratio"]): o["exact_abs_rel"] for o in record["found"]}

@@ -67,7 +67,7 @@ def test_places_are_measured_over_the_extent_of_the_path(result):
     extent = np.linalg.norm(np.ptp(result.poses[list(FRAMES), :3, 3], axis=0))
     seen["poses"][1, 2, 3] += 0.1 * extent
     found = differences(result, seen, FRAMES)
-    assert found["of the camera's place, of the path's extent"] == pytest.approx(0.1)
+    assert found["of the camera's position, share of the path's extent"] == pytest.approx(0.1)
 
 
 def test_colours_are_compared_as_codes(result):
