@@ -7,7 +7,6 @@ and ρ̂ = 0. The energy after some work is compared with the least energy.
 import itertools
 import math
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ import cv2
 from matplotlib.figure import Figure
 
 from bench.shared.command import options_parser, output_name
+from bench.shared.contest import measure_time
 from bench.shared.figures import CURVES, tidy
 from bench.shared.results import RESULTS, Table, machine, markdown_page, write_results
 from bench.shared.sequences import FlowPair, data_folder, find_pairs, scene_pairs
@@ -184,10 +184,9 @@ def wall_times(pair: FlowPair, size: tuple[int, int]) -> dict[str, float]:
     seconds: dict[str, list[float]] = {name: [] for name in steps}
     for turn in range(ROUNDS + 1):
         for name, step in steps.items():
-            started = time.perf_counter()
-            step()
+            _, spent = measure_time(step)
             if turn:  # the first turn compiles kernels
-                seconds[name].append(time.perf_counter() - started)
+                seconds[name].append(spent)
     ratios = {
         name: median(a / b for a, b in zip(times, seconds["sweep"], strict=True))
         for name, times in seconds.items()

@@ -10,9 +10,9 @@ rendered sequences are measured, with seeds that were not used to develop the me
 """
 
 import sys
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -20,6 +20,7 @@ import numpy as np
 
 import tisfm
 from bench.shared.command import options_parser
+from bench.shared.contest import measure_time
 from bench.shared.results import RESULTS, Table, machine, markdown_page, write_results
 from tisfm import runtime
 from tisfm.formats import read_flo, read_image
@@ -154,19 +155,14 @@ def measure(triple: Triple, settings: tisfm.Settings, repetitions: int) -> dict[
     first.interpret(camera=triple.camera, settings=settings, window=window)
     previous = window.previous
 
+    interpret = partial(measure_time, last.interpret, camera=triple.camera, settings=settings)
+
     def of_window() -> tuple[tisfm.Interpretation, float]:
         window.previous = previous
-        start = time.perf_counter()
-        result = last.interpret(camera=triple.camera, settings=settings, window=window)
-        return result, time.perf_counter() - start
-
-    def of_pair() -> tuple[tisfm.Interpretation, float]:
-        start = time.perf_counter()
-        result = last.interpret(camera=triple.camera, settings=settings)
-        return result, time.perf_counter() - start
+        return interpret(window=window)
 
     values = {"share": float(triple.occluded.mean())}
-    for name, work in (("pair", of_pair), ("window", of_window)):
+    for name, work in (("pair", interpret), ("window", of_window)):
         result, _ = work()
         error = np.linalg.norm(result.flow - triple.flow, axis=-1)
         occluded = triple.occluded & triple.known
@@ -175,7 +171,7 @@ def measure(triple: Triple, settings: tisfm.Settings, repetitions: int) -> dict[
         both = np.count_nonzero(result.occlusion & triple.occluded)
         total = np.count_nonzero(result.occlusion) + np.count_nonzero(triple.occluded)
         values[f"{name}_f1"] = 2 * both / total
-    times = np.array([[of_pair()[1], of_window()[1]] for _ in range(repetitions)])
+    times = np.array([[interpret()[1], of_window()[1]] for _ in range(repetitions)])
     values["seconds"] = float(np.median(times[:, 0]))
     values["ratio"] = float(np.median(times[:, 1] / times[:, 0]))
     return values

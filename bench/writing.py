@@ -10,8 +10,7 @@ import io
 import shutil
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import get_args
@@ -20,6 +19,7 @@ import numpy as np
 
 import tisfm
 from bench.shared.command import options_parser
+from bench.shared.contest import measure_time
 from bench.shared.results import (
     RESULTS,
     Bar,
@@ -96,8 +96,8 @@ def measure(source: Path, preset: Preset, rounds: int) -> Outcome:
         loop()  # compiles kernels
         times = []
         for _ in range(rounds):
-            seconds = _seconds(loop), _seconds(lambda: run(0)), _seconds(lambda: run(1))
-            times.append(seconds)
+            seconds = [measure_time(loop)[1], *(measure_time(run, kind)[1] for kind in (0, 1))]
+            times.append((seconds[0], seconds[1], seconds[2]))
             shutil.rmtree(f"{output}/{turn}")  # a long video fills a disk
             if len(times) < rounds:
                 shutil.rmtree(f"{output}/{turn - 1}")
@@ -157,12 +157,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     write_results(RESULTS / options.output, text, asdict(outcome) | {"source": kind})
     return exit_code(bars(outcome))
-
-
-def _seconds(function: Callable[[], None]) -> float:
-    start = time.perf_counter()
-    function()
-    return time.perf_counter() - start
 
 
 if __name__ == "__main__":

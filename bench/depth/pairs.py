@@ -1,8 +1,9 @@
 """Pairs with known depth or known motion of the camera: rendered scenes and real sequences."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import cv2
@@ -119,19 +120,17 @@ STEREO_FOLDERS = {"stereo": STEREO, "kitti": BLOCK_MATCHER}
 def scene_entries(height: int, width: int) -> list[Entry]:
     """Return rendered scenes: static ones by kind of motion and focal length, blocks and rooms."""
     entries = []
-    for kind in STATIC_KINDS:
-        for seed, focal in enumerate(SCENE_FOCALS):
-            name = f"{kind}-f{focal:g}"
-            group = f"scenes, {kind}"
-            load = partial(_scene, name, group, kind, seed, focal, height, width)
-            entries.append(Entry(name, group, load))
+
+    def add(name: str, group: str, render: Callable[[int, int], SyntheticPair]) -> None:
+        entries.append(Entry(name, group, lambda: scene_pair(name, group, render(height, width))))
+
+    for kind, (seed, focal) in product(STATIC_KINDS, enumerate(SCENE_FOCALS)):
+        render = partial(static_scene, kind, seed=seed, focal=focal * width / 320)
+        add(f"{kind}-f{focal:g}", f"scenes, {kind}", render)
     for seed in BLOCK_SEEDS:
-        name = f"two-blocks-{seed}"
-        entries.append(Entry(name, TWO_BLOCKS, partial(_blocks, name, seed, height, width)))
-    for seed in ROOM_SEEDS:
-        for suffix in (POSE_GIVEN, ""):
-            name, group = f"room-{seed}{suffix}", RENDERED_ROOM + suffix
-            entries.append(Entry(name, group, partial(_room, name, group, seed, height, width)))
+        add(f"two-blocks-{seed}", TWO_BLOCKS, partial(two_blocks, seed=seed))
+    for seed, suffix in product(ROOM_SEEDS, (POSE_GIVEN, "")):
+        add(f"room-{seed}{suffix}", RENDERED_ROOM + suffix, partial(room, seed=seed))
     return entries
 
 
@@ -200,28 +199,9 @@ def _loaded(
     )
 
 
-def _scene(
-    name: str, group: str, kind: str, seed: int, focal: float, height: int, width: int
-) -> DepthPair:
-    pair = static_scene(kind, height, width, seed=seed, focal=focal * width / 320)
-    return scene_pair(name, group, pair)
-
-
-def _blocks(name: str, seed: int, height: int, width: int) -> DepthPair:
-    pair = two_blocks(height, width, seed=seed)
-    movers = np.where(pair.labels < STATIC_LABELS, 0, pair.labels)
-    return scene_pair(name, TWO_BLOCKS, pair, movers)
-
-
-def _room(name: str, group: str, seed: int, height: int, width: int) -> DepthPair:
-    pair = scene_pair(name, group, room(height, width, seed=seed))
-    return replace(pair, pose_given=POSE_GIVEN in group)
-
-
-def scene_pair(
-    name: str, group: str, pair: SyntheticPair, movers: NDArray | None = None
-) -> DepthPair:
-    """Return a rendered scene as a pair whose depth and motion are known."""
+def scene_pair(name: str, group: str, pair: SyntheticPair) -> DepthPair:
+    """Return a rendered scene as a pair with known depth and motion."""
+    movers = np.where(pair.labels < STATIC_LABELS, 0, pair.labels) if group == TWO_BLOCKS else None
     return DepthPair(
         name=name,
         group=group,
@@ -230,6 +210,7 @@ def scene_pair(
         camera=pair.camera,
         depth=pair.depth,
         pose=pose_matrix(pair.motions[0]),
+        pose_given=POSE_GIVEN in group,
         movers=movers,
         visible=pair.visible,
     )

@@ -262,8 +262,7 @@ def _heading(group: Group) -> str:
         TWO_BLOCKS: "moving objects, and a moving camera",
         BLOCK_MATCHER: "the truth is a block matcher's",
         **dict.fromkeys(
-            WIDE_BASELINES,
-            "a wide baseline; true depth: matched points and the true poses",
+            WIDE_BASELINES, "a wide baseline; true depth: matched points and the true poses"
         ),
     }.get(group.name)
     return f"{group.name} ({many}{'; ' + kind if kind else ''})"

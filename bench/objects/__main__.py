@@ -9,7 +9,6 @@ added: do the walking man and the cyclist have separate labels? DeepFlow needs t
 
 import argparse
 import sys
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from functools import partial
@@ -34,7 +33,7 @@ from bench.shared.command import (
     output_name,
     running_peers,
 )
-from bench.shared.contest import MethodFailure
+from bench.shared.contest import MethodFailure, measure_time
 from bench.shared.results import (
     RESULTS,
     Table,
@@ -96,9 +95,9 @@ def scenes(options: argparse.Namespace) -> Iterator[tuple[str, str, SyntheticPai
 def own_score(preset: Preset, group: str, name: str, pair: SyntheticPair) -> list[Score]:
     """Interpret a scene, and compare labels, depth and motions with the truth."""
     settings = Settings.preset(preset, motion="objects")
-    started = time.perf_counter()
-    result = tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera, settings=settings)
-    seconds = time.perf_counter() - started
+    result, seconds = measure_time(
+        tisfm.interpret, pair.frame0, pair.frame1, camera=pair.camera, settings=settings
+    )
     assert result.motions is not None  # this motion model has them
     motions = np.stack([pose_matrix(motion) for motion in result.motions])
     score = Score(

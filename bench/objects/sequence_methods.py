@@ -1,6 +1,5 @@
 """The methods of `python -m bench.objects.sequences`: each labels a whole clip."""
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
@@ -13,7 +12,7 @@ import tisfm
 from bench.objects import segmentation
 from bench.objects.clips import Clip
 from bench.objects.segmentation import one_label, track_parts
-from bench.shared.contest import MethodFailure
+from bench.shared.contest import MethodFailure, measure_time
 from bench.shared.peer_process import Peer
 from bench.shared.sequences import FlowPair
 from tisfm.errors import is_user_error
@@ -161,15 +160,6 @@ class Reconstruct:
             objects=tuple(result.objects),
             cameras=np.asarray(result.poses),
         )
-
-
-def measure_time(
-    function: Callable[..., Any], *arguments: Any, **options: Any
-) -> tuple[Any, float]:
-    """Return the result of a function, and its time, s."""
-    started = time.perf_counter()
-    answer = function(*arguments, **options)
-    return answer, time.perf_counter() - started
 
 
 def _above(values: Sequence[NDArray], threshold: float) -> list[NDArray[np.uint8]]:

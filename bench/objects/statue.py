@@ -1,6 +1,5 @@
 """A real sequence of a walking man and a passing cyclist, filmed by a moving camera."""
 
-import time
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tisfm
+from bench.shared.contest import measure_time
 from bench.shared.results import Table
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats import read_image
@@ -70,9 +70,10 @@ def interpret_pair(
 ) -> StatuePair:
     """Interpret a pair, and return the labels of both people."""
     settings = Settings.preset(preset, motion="objects")
-    started = time.perf_counter()
-    result = tisfm.interpret(frame0, frame1, camera=tisfm.Camera(focal=focal), settings=settings)
-    seconds = time.perf_counter() - started
+    camera = tisfm.Camera(focal=focal)
+    result, seconds = measure_time(
+        tisfm.interpret, frame0, frame1, camera=camera, settings=settings
+    )
     assert result.labels is not None and result.motions is not None  # this motion model has them
     man = _label(result.labels, MAN[first // PAIR_STEP], MAN_SIZE)
     cyclist = _label(result.labels, CYCLIST[first // PAIR_STEP], CYCLIST_SIZE)

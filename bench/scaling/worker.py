@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import tisfm
-from bench.shared.contest import FAST_CALL
+from bench.shared.contest import FAST_CALL, measure_time
 from bench.shared.peer_worker import dis
 from tisfm import runtime
 
@@ -120,21 +120,15 @@ def measure_in_turns(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[s
 
     As in `bench.shared.contest`, a quick call also runs once untimed before.
     """
-
-    def seconds(call: Callable[[], Any]) -> float:
-        started = time.perf_counter()
-        call()
-        return time.perf_counter() - started
-
     for call in calls.values():  # compiles kernels
         call()
-    pace = {name: seconds(call) for name, call in calls.items()}
+    pace = {name: measure_time(call)[1] for name, call in calls.items()}
     times: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(rounds):
         for name, call in calls.items():
             if pace[name] < FAST_CALL:
                 call()
-            times[name].append(seconds(call))
+            times[name].append(measure_time(call)[1])
     return times
 
 

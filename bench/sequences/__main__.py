@@ -6,10 +6,9 @@ pycolmap. The tables and all figures are written to bench/results.
 """
 
 import argparse
-import json
-import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 from bench.sequences.contest import (
     COLMAP_WORKER,
@@ -23,6 +22,7 @@ from bench.sequences.contest import (
 from bench.sequences.entries import Entry, data_entries, folder_entries
 from bench.sequences.report import show, write
 from bench.shared.command import choose, command_text, options_parser, progress
+from bench.shared.peer_process import run_survey
 from bench.shared.results import RESULTS, machine, wide_console
 from bench.shared.sequences import data_folder
 
@@ -73,46 +73,23 @@ def find_methods(options: argparse.Namespace) -> tuple[list[Method], dict[str, s
     """
     methods: list[Method] = []
     missing: dict[str, str] = {}
-    for poses_given in (False, True) if options.poses_given else (False,):
-        methods += [
-            OwnMethod(
-                preset=preset,
-                method="reconstruct",
-                threads=options.threads,
-                poses_given=poses_given,
-            )
-            for preset in options.preset
-        ]
-    if options.camera_unknown:
-        methods += [
-            OwnMethod(
-                preset=preset, method="reconstruct", threads=options.threads, camera_given=False
-            )
-            for preset in options.preset
-        ]
-    methods += [
-        OwnMethod(preset=preset, method="chain", threads=options.threads)
-        for preset in options.preset
-    ]
+    cases: list[dict[str, Any]] = [{}]
+    cases += [{"poses_given": True}] * options.poses_given
+    cases += [{"camera_given": False}] * options.camera_unknown
+    for case in (*cases, {"method": "chain"}):
+        for preset in options.preset:
+            methods.append(OwnMethod(preset=preset, threads=options.threads, **case))
     python = options.peer_python or Path(sys.executable)
-    about = _survey(python)
+    try:
+        about = run_survey(python, COLMAP_WORKER)
+    except RuntimeError as error:
+        about = {"reason": str(error)}
     if "version" in about:
         methods.append(Colmap(python=python, threads=options.threads))
     else:
         missing["pycolmap"] = about["reason"]
     chosen = choose(methods, options.methods, kind="method", name=lambda method: method.name)
     return chosen, missing, about.get("version", "none")
-
-
-def _survey(python: Path) -> dict[str, str]:
-    try:
-        done = subprocess.run(
-            [python, COLMAP_WORKER, "survey"], capture_output=True, text=True, check=True
-        )
-        answer: dict[str, str] = json.loads(done.stdout.splitlines()[-1])
-        return answer
-    except (OSError, subprocess.CalledProcessError, ValueError, IndexError) as error:
-        return {"reason": f"{python.name} does not run its worker: {error}"}
 
 
 def main(arguments: list[str] | None = None) -> int:

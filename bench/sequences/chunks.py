@@ -12,13 +12,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 
 import tisfm
 from bench.sequences.entries import MAX_DEPTH
 from bench.sequences.memory import HEIGHT, WIDTH, film
-from bench.sequences.rendered_films import circle_path, path_error
+from bench.sequences.rendered_films import circle_path, path_error, poses_of_segment
 from bench.shared.command import options_parser
 from bench.shared.results import RESULTS, Table, cell, machine, markdown_page, write_results
 from bench.shared.sequences import data_folder
@@ -88,8 +87,7 @@ def film_rows(count: int, chunks: Sequence[int], folder: Path) -> Iterator[Row]:
     for chunk in (AT_ONCE, *chunks):
         result, number = in_chunks(str(source), folder / f"rounds-{chunk}", camera, chunk, count)
         inside = result.piece == result.largest_piece
-        poses = np.where(inside[:, None, None], result.poses, np.nan)
-        error = path_error(poses, circle_path(count))
+        error = path_error(poses_of_segment(result, result.largest_piece), circle_path(count))
         values = (
             f"rounds, {WIDTH}×{HEIGHT} px", count, chunk if chunk < AT_ONCE else "at once", number,
             int(result.piece.max()) + 1, int(inside.sum()), error, None, None,

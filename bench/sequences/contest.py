@@ -6,7 +6,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import median
 from typing import Any, Protocol
@@ -60,8 +60,8 @@ class OwnMethod:
     """
 
     preset: Preset
-    method: str  # "reconstruct" or "chain"
     threads: int
+    method: str = "reconstruct"  # or "chain"
     poses_given: bool = False
     camera_given: bool = True
 
@@ -161,16 +161,7 @@ class Score:
         if self.evaluation is not None:
             record = as_record(self.evaluation)
             del record["folder"]
-        return {
-            "method": self.method,
-            "sequence": self.sequence,
-            "evaluation": record,
-            "seconds": self.seconds,
-            "per_frame": self.per_frame,
-            "peak": self.peak,
-            "focal": self.focal,
-            "failure": self.failure,
-        }
+        return vars(self) | {"evaluation": record, "per_frame": self.per_frame}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,14 +260,8 @@ def _together(before: Score | None, after: Score) -> Score:
     """Return the score of the first round with the times of the next one."""
     if before is None or after.failure:
         return after
-    return Score(
-        method=before.method,
-        sequence=before.sequence,
-        evaluation=before.evaluation,
-        seconds=before.seconds + after.seconds,
-        peak=max(before.peak or 0, after.peak or 0),
-        focal=before.focal,
-    )
+    peak = max(before.peak or 0, after.peak or 0)
+    return replace(before, seconds=before.seconds + after.seconds, peak=peak, failure="")
 
 
 def _off(focal: tuple[float, float, bool] | None, true: float) -> tuple[float, float, bool] | None:

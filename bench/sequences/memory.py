@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import Any, get_args
 
 import cv2
-import numpy as np
 from rich.console import Console
 
 import tisfm
 from bench.pair_memory import peak
-from bench.sequences.rendered_films import CACHE, circle_path, path_error
+from bench.sequences.rendered_films import CACHE, circle_path, path_error, poses_of_segment
 from bench.shared.command import options_parser
 from bench.shared.results import RESULTS, Table, machine, markdown_page, write_results
 from tisfm import runtime
@@ -64,10 +63,15 @@ def measure(count: int, preset: Preset, depth_of: DepthOf, threads: int) -> dict
         str(folder), stop=count, camera=camera, settings=settings, depth_of=depth_of
     )
     memory = peak() / 1e6
-    first = np.where((result.piece == 0)[:, None, None], result.poses, np.nan)
     posed = result.piece >= 0
     values = count, memory, len(set(result.piece[posed].tolist())), int(posed.sum())
-    return dict(zip(FIGURES, (*values, path_error(first, circle_path(count))), strict=True))
+    return dict(
+        zip(
+            FIGURES,
+            (*values, path_error(poses_of_segment(result), circle_path(count))),
+            strict=True,
+        )
+    )
 
 
 def report(conditions: dict[str, Any], rows: list[dict[str, float]]) -> str:

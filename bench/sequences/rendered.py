@@ -11,6 +11,7 @@ import itertools
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -31,6 +32,7 @@ from bench.sequences.rendered_films import (
     gap,
     keyframe_path,
     path_error,
+    poses_of_segment,
     round_trip_path,
     scale_change,
     shake_path,
@@ -99,16 +101,17 @@ class Checks:
             readout=readout,
         ).film()
 
-    def _reconstruct(self, film: Film, folder: Path) -> tisfm.Reconstruction:
-        return tisfm.reconstruct(
-            film.frames, camera=film.camera, settings=self._settings, folder=folder
-        )
+    @contextmanager
+    def _reconstructed(self, film: Film) -> Iterator[tisfm.Reconstruction]:
+        with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
+            yield tisfm.reconstruct(
+                film.frames, camera=film.camera, settings=self._settings, folder=Path(folder)
+            )
 
     def _trip(self, room: str, seed: int) -> Iterator[Bar]:
         count = 16 if self._smoke else 200
         film = self._film("trip", round_trip_path(count), room, seed)
-        with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
-            result = self._reconstruct(film, Path(folder))
+        with self._reconstructed(film) as result:
             name = f"round trip of {count} frames, {room}, seed {seed}"
             whole = len(np.unique(result.piece)) == 1 and result.piece[0] == 0
             yield Bar(f"{name}: frames with a pose", float((result.piece == 0).sum()), count, False)
@@ -123,21 +126,18 @@ class Checks:
         frames = film.frames.copy()
         first = (count - blank) // 2
         frames[first : first + blank] = 0
-        with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
-            result = tisfm.reconstruct(
-                frames, camera=film.camera, settings=self._settings, folder=Path(folder)
-            )
+        with self._reconstructed(replace(film, frames=frames)) as result:
+            poses = poses_of_segment(result)
         name = f"{blank} of {count} frames blanked, {room}, seed {seed}"
         posed = float((result.piece == 0).sum())
         yield Bar(f"{name}: the other frames in one piece", posed, count - blank, False)
-        poses = np.where((result.piece == 0)[:, None, None], result.poses, np.nan)
         yield Bar(f"{name}: ATE, %", path_error(poses, film.poses), None)
 
     def _turn(self, room: str, seed: int) -> Iterator[Bar]:
         part = 6 if self._smoke else 20
         film = self._film("turn", turn_path(part, part, part), room, seed)
-        with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
-            poses = self._reconstruct(film, Path(folder)).poses
+        with self._reconstructed(film) as result:
+            poses = result.poses
         name = f"{part} frames of rotation, {room}, seed {seed}"
         change = None
         if np.isfinite(poses).all():
@@ -147,8 +147,7 @@ class Checks:
     def _walk(self, room: str, seed: int) -> Iterator[Bar]:
         count = 12 if self._smoke else 40
         film = self._film("walk", walk_path(count), room, seed)
-        with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
-            result = self._reconstruct(film, Path(folder))
+        with self._reconstructed(film) as result:
             name = f"walk of {count} frames, {room}, seed {seed}"
             whole = bool((result.piece == 0).all())
             yield Bar(f"{name}: ATE, %", path_error(result.poses, film.poses), None)
@@ -182,12 +181,8 @@ class Checks:
         ate: list[float] = []
         for readout, treatment in ((0.0, "ignored"), (None, "estimated and undone")):
             camera = replace(film.camera, readout=readout)
-            with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
-                result = tisfm.reconstruct(
-                    film.frames, camera=camera, settings=self._settings, folder=Path(folder)
-                )
-                poses = np.where((result.piece == 0)[:, None, None], result.poses, np.nan)
-                ate.append(path_error(poses, film.poses))
+            with self._reconstructed(replace(film, camera=camera)) as result:
+                ate.append(path_error(poses_of_segment(result), film.poses))
                 yield Bar(f"{name}, {treatment}: ATE, %", ate[-1], None)
                 error = 100 * depth_in_one_scale(film, result)
                 yield Bar(f"{name}, {treatment}: error of depth, %", error, None)

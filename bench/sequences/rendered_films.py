@@ -123,6 +123,11 @@ def centres(poses: Poses) -> np.ndarray:  # of the cameras, (N, 3)
     return np.asarray(poses[:, :3, 3])
 
 
+def poses_of_segment(result: tisfm.Reconstruction, segment: int = 0) -> Poses:
+    """Return the poses of one segment; the other poses are NaN."""
+    return np.where((result.piece == segment)[:, None, None], result.poses, np.nan)
+
+
 def path_error(poses: Poses, true: Poses) -> float:
     """Return the ATE of the frames with a pose, % of the true path; NaN with fewer than two."""
     known = np.isfinite(poses[:, 0, 0])

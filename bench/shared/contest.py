@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from statistics import median
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from numpy.typing import NDArray
 
@@ -23,6 +23,15 @@ WARM_UP_SIZE = (96, 128)  # px, of the first call of every method
 FAST_CALL = 0.5  # s
 SLOW_CALL = 3.0  # s: a slower call has no warm-up on each pair
 MAX_SLOW_ROUNDS = 3  # rounds of such a slow method, at most
+
+T = TypeVar("T")
+
+
+def measure_time(function: Callable[..., T], *arguments: Any, **options: Any) -> tuple[T, float]:
+    """Return the result of a function, and its wall time, s."""
+    started = time.perf_counter()
+    result = function(*arguments, **options)
+    return result, time.perf_counter() - started
 
 
 class MethodFailure(Exception):  # noqa: N818 (the error is the method's)

@@ -7,6 +7,7 @@ import sys
 import venv
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -51,16 +52,21 @@ class Survey:
 
 def survey(python: Path) -> Survey:
     """Return the methods that an interpreter can run; raise RuntimeError if the worker fails."""
+    return Survey(**run_survey(python, WORKER))
+
+
+def run_survey(python: Path, worker: Path) -> dict[str, Any]:
+    """Return what a worker reports of its libraries; raise RuntimeError if it fails."""
+    command = [python, worker, "survey"]
     try:
-        done = subprocess.run(
-            [python, WORKER, "survey"], capture_output=True, text=True, check=True, timeout=120
-        )
-        return Survey(**json.loads(done.stdout.splitlines()[-1]))
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+        answer: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+        return answer
     except (OSError, subprocess.TimeoutExpired, ValueError, IndexError) as error:
-        raise RuntimeError(f"{python} does not run the peers' worker: {error}") from None
+        raise RuntimeError(f"{python} does not run {worker.name}: {error}") from None
     except subprocess.CalledProcessError as error:
         words = " ".join(error.stderr.split("\n")[-1 - MESSAGE_LINES :])
-        raise RuntimeError(f"{python} does not run the peers' worker: {words}") from None
+        raise RuntimeError(f"{python} does not run {worker.name}: {words}") from None
 
 
 def find_peers(python: Path | None) -> tuple[Path, Survey]:

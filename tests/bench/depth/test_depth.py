@@ -373,7 +373,7 @@ def test_without_the_peers_interpreter_own_rows_are_left_and_one_line_says_why(
     assert depth.main([*options, "--peer-python", "no-such-python"]) == 0
     lines = capsys.readouterr().out.splitlines()
     (missing,) = [line for line in lines if line.startswith("missing: all peers")]
-    assert "no-such-python does not run the peers' worker" in missing
+    assert "no-such-python does not run peer_worker.py" in missing
     record = json.loads((tmp_path / "smoke-depth.json").read_text(encoding="utf-8"))
     assert record["methods"] == ["tisfm fast, camera", "tisfm fast + essential matrix"]
     assert depth.main([*options, "--methods", "nothing"]) == 2

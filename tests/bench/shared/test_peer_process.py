@@ -69,7 +69,7 @@ def test_every_peer_is_available_or_missing_for_a_reason():
     found = survey(Path(sys.executable))
     assert "OpenCV DIS medium" in found.available
     assert all(found.missing.values())
-    with pytest.raises(RuntimeError, match="does not run the peers' worker"):
+    with pytest.raises(RuntimeError, match=r"does not run peer_worker\.py"):
         survey(Path("no-such-python"))
     _, found = find_peers(Path("no-such-python"))
     assert not found.available and "no-such-python" in found.missing["all peers"]
