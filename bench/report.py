@@ -18,14 +18,13 @@ HEAD = (
 SIZE = (480, 640)  # px, height and width of the pair for the bounds
 LARGE = (1080, 1920)  # px
 PAIR_SIZE = (240, 320)  # px, of the pair that the reference also solves
-THREADS = 2
+THREADS = 2  # of the figures with bounds
 LANES = cpu_lanes()
 # Bounds of figures, set by hand from measurements of earlier states.
 MAX_NS_PER_PIXEL = 12.0  # ns per pixel of a sweep, edges separate, Cholesky
 MAX_NS_PER_PIXEL_JOINT = 6.0  # ns per pixel of a sweep, edges joint, closed form
 MIN_RATIO = 70.0  # time of the reference's sweep over the kernel's
-# Of a sweep in two passes: time over the time of its bytes at stream bandwidth.
-MAX_OVER_FLOOR = 1.3
+MAX_OVER_FLOOR = 1.3  # time of a sweep in two passes over the time of its bytes at stream bandwidth
 MIN_PAIR_RATIO = 50.0  # time of the reference's pair over the library's
 MAX_FLOATS_PER_PIXEL = 60.0  # float32 per pixel, peak memory
 # This preset has no bound of memory: its regulariser has 12 weights per pixel, other presets have

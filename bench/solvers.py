@@ -39,7 +39,7 @@ IMAGE_EDGES = 2.0  # κ of the weights of edges
 FOCAL = 600 / 640  # as a share of the width
 RELAXATIONS = (1.0, 1.5, 1.9, 1.95)
 SWEEPS = (1, 2, 4, 8, 12, 16, 20, 24, 32, 40, 50, 64, 80, 100, 128, 160, 200)
-CYCLES = 12
+CYCLES = 12  # of multigrid
 CONVERGED = 30  # cycles with conjugate gradients that give the least energy
 GAPS = (1e-2, 1e-3, 1e-4, 1e-5)
 BUDGET = 16.0  # sweeps
@@ -50,8 +50,8 @@ MAX_WORK = 130.0  # sweeps, end of the axis
 # Work is counted in sweeps of the finest grid, by the words that are moved: a sweep moves 29 words
 # per pixel. Every level has a quarter of the pixels of the finer level, and takes two sweeps, a
 # residual with its restriction (25 words, a sweep) and a correction (14 words, half a sweep).
-LEVELS = 4 / 3
-CYCLE = LEVELS * 3.5
+LEVELS = 4 / 3  # pixels of all levels over the pixels of the finest
+CYCLE = LEVELS * 3.5  # sweeps per cycle
 SET_UP = 1.0  # coarse tensors and weights, 23 words, on all levels
 PLANE = 2.5  # conjugate gradients, added to a cycle: 35 words for the scalars, 36 for the step
 CONSTANCY = Constancy(brightness=1.0, gradient=0.0, normalization=None, derivatives="cube")

@@ -28,7 +28,7 @@ from tisfm.scenes import SyntheticPair, room, room_film, three_blocks, two_block
 from tisfm.sources import FrameSource
 from tisfm.window import Window
 
-SEEDS = (10, 11)
+SEEDS = (10, 11)  # not used to develop the method
 # Height and width, px; factor of the motion.
 SPEEDS = ((240, 320, 1.0), (240, 320, 3.0), (480, 640, 2.0))
 ROOM_MOTIONS = {"sideways": (0.08, 0.0, 0.0), "forward": (0.02, 0.0, 0.12)}  # m/frame

@@ -39,7 +39,7 @@ from tisfm.settings import Preset
 BARS = 1.3, 1.5
 FIGURE_OPTIONS = ("--no-figures",), ("--figures", "10")
 NAMES = "`tisfm run --no-figures`", "`tisfm run --figures 10`"
-ROUNDS = 7
+ROUNDS = 7  # timed rounds
 PAIRS = 30  # of the rendered frames
 HEIGHT = 540  # px
 WIDTH = 960  # px

@@ -25,11 +25,16 @@ from tisfm.scenes.block_scenes import STATIC_KINDS
 SCENE_FOCALS = (300.0, 320.0, 600.0, 1200.0)  # px at a width of 320, of the seeds 0, 1, 2, 3
 BLOCK_SEEDS = (0, 1)
 STATIC_LABELS = 2  # labels below this belong to the background and the floor
+# Groups of pairs.
 TWO_BLOCKS = "two blocks"
-HAND_HELD, HARDLY_MOVED = "7-Scenes", "7-Scenes, hardly moved"
+HAND_HELD = "7-Scenes"
+HARDLY_MOVED = "7-Scenes, hardly moved"
 RENDERED_STUDIO = "New Tsukuba"
-ROOM, OFFICE, SPACED = "TartanAir", "HoloLens", "7-Scenes, four apart"
-RENDERED_ROOM, ROOM_SEEDS = "rendered room", (0, 1)
+ROOM = "TartanAir"
+OFFICE = "HoloLens"
+SPACED = "7-Scenes, four apart"  # pairs of frames i and i + 4
+RENDERED_ROOM = "rendered room"
+ROOM_SEEDS = (0, 1)
 POSE_GIVEN = ", pose given"
 ROOMS = tuple(
     group + suffix for group in (RENDERED_ROOM, ROOM, OFFICE, SPACED) for suffix in (POSE_GIVEN, "")
@@ -37,7 +42,8 @@ ROOMS = tuple(
 MAX_ROOM_DEPTH = 40.0  # m: larger true depths do not count in rooms
 WIDE_BASELINE = "fountain"  # views of a wide baseline, with true poses
 WIDE_BASELINES = (WIDE_BASELINE + POSE_GIVEN, WIDE_BASELINE)
-STEREO, BLOCK_MATCHER = "stereo, pose given", "KITTI stereo, pose given"
+STEREO = "stereo, pose given"
+BLOCK_MATCHER = "KITTI stereo, pose given"  # true depth by a block matcher
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

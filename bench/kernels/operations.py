@@ -7,16 +7,7 @@ import numpy as np
 from bench.kernels.references import flow_and_bend, mask_moments, other_constraints
 from bench.kernels.sides import TaichiSide, Timed
 from bench.kernels.unfused import sweep_unfused
-from bench.shared.problems import (
-    CONSTRAINTS,
-    CONTRAST,
-    DATA_SCALES,
-    DENSITY_RATIO,
-    EDGE_RATE,
-    RELAXATION,
-    TOLERATED_SQUARE,
-    UNIQUENESS,
-)
+from bench.shared import problems
 from tisfm.kernels.data import (
     constraints,
     derivatives,
@@ -89,7 +80,7 @@ class FieldOperations(TaichiSide):
         out, tensor = self.grid.allocate(9), self.grid.allocate(6)
         arguments, options = (
             (self.grid, *inputs, out, tensor),
-            {"scales": DATA_SCALES, **CONSTRAINTS},
+            {"scales": problems.DATA_SCALES, **problems.CONSTRAINTS},
         )
         return partial(constraints.constancy_constraints, *arguments, **options), self.reader(
             out, tensor
@@ -106,14 +97,14 @@ class FieldOperations(TaichiSide):
         inputs = [self.lay(array) for array in (before, trust, *masks[:, None], p.flow)]
         out, tensor = self.lay(p.constraints), self.grid.allocate(6)
         return partial(
-            three_frames.join_constraints, self.grid, *inputs, DATA_SCALES, out, tensor
+            three_frames.join_constraints, self.grid, *inputs, problems.DATA_SCALES, out, tensor
         ), self.reader(out, tensor)
 
     def image_edges(self) -> Timed:
         image, out = self.problem.frames[0].astype(np.float32), self.grid.allocate(2)
-        return partial(image_edges.image_edges, self.grid, image, out, rate=EDGE_RATE), self.reader(
-            out
-        )
+        return partial(
+            image_edges.image_edges, self.grid, image, out, rate=problems.EDGE_RATE
+        ), self.reader(out)
 
     def multiply(self) -> Timed:
         factor, out = self.lay(self.problem.signs), self.lay(self.problem.constraints)
@@ -121,14 +112,14 @@ class FieldOperations(TaichiSide):
 
     def sweep(self) -> Timed:
         system, rho = self.system(), self.unknowns.rho
-        options = {"relaxation": RELAXATION, "solver": self.solver}
+        options = {"relaxation": problems.RELAXATION, "solver": self.solver}
         return partial(system.sweep, rho, **options), self.reader(rho)
 
     def sweep_unfused(self) -> Timed:
         if self.grid.lanes == 1:  # the sweep of the library is unfused then
             return self.sweep()
         system, rho = self.system(), self.unknowns.rho
-        options = {"relaxation": RELAXATION, "solver": self.solver}
+        options = {"relaxation": problems.RELAXATION, "solver": self.solver}
         return partial(sweep_unfused, system, rho, **options), self.reader(rho)
 
     def update(self) -> Timed:
@@ -139,8 +130,8 @@ class FieldOperations(TaichiSide):
             self.lay(p.previous[: self.n]),
             self.lay(p.constraints),
             unknowns.edges,
-            contrast=CONTRAST,
-            scales=DATA_SCALES,
+            contrast=problems.CONTRAST,
+            scales=problems.DATA_SCALES,
             along_line=line,
         )
         written = list(weight_update.LINE) if line else slice(None)
@@ -155,7 +146,7 @@ class FieldOperations(TaichiSide):
         rho = self.unknowns.rho
         coarse = self.problem.coarse[: self.n].astype(np.float32)
         return partial(
-            prolongation.prolong, self.grid, coarse, rho, ratio=DENSITY_RATIO
+            prolongation.prolong, self.grid, coarse, rho, ratio=problems.DENSITY_RATIO
         ), self.reader(rho)
 
     def data_precision(self) -> Timed:
@@ -165,7 +156,7 @@ class FieldOperations(TaichiSide):
     def share_of_data(self) -> Timed:
         p = self.problem
         precision, out = p.precision.astype(np.float32), np.empty((p.height, p.width), np.float32)
-        options = {"tolerated": TOLERATED_SQUARE, "freedom": 2}
+        options = {"tolerated": problems.TOLERATED_SQUARE, "freedom": 2}
         return partial(data_precision.share_of_data, precision, out, **options), lambda _: out[None]
 
     def motion_fields(self) -> Timed:
@@ -191,7 +182,7 @@ class FieldOperations(TaichiSide):
         forward_splatting.splat(*arguments)
         out = np.empty((self.problem.height, self.problem.width), np.int32)
         return (
-            partial(forward_splatting.defeated, *arguments, out, **UNIQUENESS),
+            partial(forward_splatting.defeated, *arguments, out, **problems.UNIQUENESS),
             lambda _: mask_moments(out),
         )
 

@@ -4,18 +4,8 @@ import numpy as np
 
 from bench import reference
 from bench.kernels.sides import NumpySide, Run
-from bench.shared.problems import (
-    ALPHA,
-    CONSTRAINTS,
-    DATA_SCALES,
-    DENSITY_RATIO,
-    EDGE_RATE,
-    RELAXATION,
-    SMOOTHNESS,
-    TOLERATED_SQUARE,
-    UNIQUENESS,
-    Problem,
-)
+from bench.shared import problems
+from bench.shared.problems import Problem
 from tisfm.kernels.solve.weight_update import LINE
 
 
@@ -43,9 +33,9 @@ class FieldReferences(NumpySide):
         identity = reference.motion_matrix(p.camera, p.height, p.width, 2)
 
         def run() -> np.ndarray:
-            terms = reference.constancy_constraints(*arguments, **CONSTRAINTS)
+            terms = reference.constancy_constraints(*arguments, **problems.CONSTRAINTS)
             tensors = reference.tensors_of(terms)
-            tensor = reference.robust_tensor(tensors, identity, p.flow, DATA_SCALES)
+            tensor = reference.robust_tensor(tensors, identity, p.flow, problems.DATA_SCALES)
             return np.concatenate(
                 [*(term.reshape(-1, p.height, p.width) for term in terms), tensor]
             )
@@ -59,7 +49,7 @@ class FieldReferences(NumpySide):
 
         def run() -> np.ndarray:
             steps = np.abs(np.concatenate(reference.differences(np.array(image))))
-            edges = inside / (1 + EDGE_RATE * steps)
+            edges = inside / (1 + problems.EDGE_RATE * steps)
             return edges * (inside.sum() / edges.sum())
 
         return run
@@ -77,7 +67,10 @@ class FieldReferences(NumpySide):
             after, earlier = trust * masks
             out[:] = (after * out + earlier * before) / np.maximum(1, after + earlier)
             tensor = np.zeros((6, *out.shape[1:]))
-            for lines, scale in ((out[:3], DATA_SCALES[0]), (out[3:], DATA_SCALES[1])):
+            for lines, scale in (
+                (out[:3], problems.DATA_SCALES[0]),
+                (out[3:], problems.DATA_SCALES[1]),
+            ):
                 slope_x, slope_y, constant = (lines[k::3] for k in range(3))
                 squared = ((slope_x * p.flow[0] + slope_y * p.flow[1] + constant) ** 2).sum(axis=0)
                 root = np.sqrt(1 + squared / scale)
@@ -98,7 +91,9 @@ class FieldReferences(NumpySide):
         rho = self.rho.copy()
 
         def run() -> np.ndarray:
-            reference.sweep_red_black(*arguments, rho, alpha=ALPHA, relaxation=RELAXATION)
+            reference.sweep_red_black(
+                *arguments, rho, alpha=problems.ALPHA, relaxation=problems.RELAXATION
+            )
             return rho
 
         return run
@@ -107,7 +102,7 @@ class FieldReferences(NumpySide):
 
     def update(self) -> Run:
         joint = self.scheme == "joint"
-        smoothness, terms = SMOOTHNESS[joint], self.problem.terms
+        smoothness, terms = problems.SMOOTHNESS[joint], self.problem.terms
         before = self.weights(), self.problem.tensor
         previous = self.problem.previous[: self.n].copy()
 
@@ -115,12 +110,12 @@ class FieldReferences(NumpySide):
             nonlocal before
             weights, tensor = before
             state = (self.motion, self.rho)
-            reference.robust_energy(terms, *state, DATA_SCALES)
+            reference.robust_energy(terms, *state, problems.DATA_SCALES)
             reference.smoothness_energy(self.rho, smoothness)
-            reference.half_quadratic_energy(tensor, *state, weights, ALPHA, smoothness)
+            reference.half_quadratic_energy(tensor, *state, weights, problems.ALPHA, smoothness)
             np.linalg.norm(self.rho - previous), np.linalg.norm(self.rho)
             previous[...] = self.rho
-            tensor = reference.robust_tensor(terms, *state, DATA_SCALES)
+            tensor = reference.robust_tensor(terms, *state, problems.DATA_SCALES)
             weights = reference.edge_weights(self.rho, smoothness)
             before = weights, tensor
             shared = weights.reshape(2, self.n, *weights.shape[1:])[:, : 1 if joint else self.n]
@@ -132,7 +127,7 @@ class FieldReferences(NumpySide):
     def prolong(self) -> Run:
         p = self.problem
         coarse, shape = p.coarse[: self.n], (p.height, p.width)
-        return lambda: reference.prolong(coarse, shape, DENSITY_RATIO)
+        return lambda: reference.prolong(coarse, shape, problems.DENSITY_RATIO)
 
     def data_precision(self) -> Run:
         n, motion = self.n, self.motion
@@ -145,7 +140,9 @@ class FieldReferences(NumpySide):
             total = weights[:n] + weights[n:]
             total[:, :, 1:] += weights[:n, :, :-1]
             total[:, 1:] += weights[n:, :-1]
-            covariance = np.einsum("ckyx,kyx,dkyx->cdyx", motion, 1 / (ALPHA * total), motion)
+            covariance = np.einsum(
+                "ckyx,kyx,dkyx->cdyx", motion, 1 / (problems.ALPHA * total), motion
+            )
             m11, m12, m22 = covariance[0, 0], covariance[0, 1], covariance[1, 1]
             return np.array([j11, j12, j22, residual, m11, m12, m22])
 
@@ -159,7 +156,7 @@ class FieldReferences(NumpySide):
             trace = j11 * m11 + 2 * j12 * m12 + j22 * m22
             product = np.maximum(j11 * j22 - j12**2, 0) * np.maximum(m11 * m22 - m12**2, 0)
             share = 1 - (1 + 0.5 * trace) / (1 + trace + product)  # ½ tr[J M (I + J M)⁻¹]
-            return (share / (1 + residual / TOLERATED_SQUARE))[None]
+            return (share / (1 + residual / problems.TOLERATED_SQUARE))[None]
 
         return run
 
@@ -185,8 +182,8 @@ class FieldReferences(NumpySide):
             sums = sum(w * splatted[:, row, column] for row, column, w in corners)
             total, badness, u, v = np.split(sums, [1, 2, 3])
             difference = np.hypot(u - flow[0, inside] * total, v - flow[1, inside] * total)
-            loses = total > UNIQUENESS["density"]
-            loses &= difference > UNIQUENESS["apart"] * total
+            loses = total > problems.UNIQUENESS["density"]
+            loses &= difference > problems.UNIQUENESS["apart"] * total
             loses &= residual[inside] * total > badness
             out = np.zeros(residual.shape, bool)
             out[inside] = loses[0]

@@ -6,15 +6,8 @@ import numpy as np
 
 from bench import reference
 from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
-from bench.shared.problems import (
-    AGGREGATION,
-    DATA_SCALES,
-    GUESS_TRUNCATION,
-    HYPOTHESES,
-    TOLERATED_SQUARE,
-    Problem,
-    in_single_precision,
-)
+from bench.shared import problems
+from bench.shared.problems import Problem, in_single_precision
 from tisfm.kernels.layout.lanes import LaneData, aligned_zeros
 from tisfm.kernels.model import readout
 from tisfm.kernels.model.constants import LEAST_DIVISOR
@@ -92,9 +85,9 @@ class DepthOperations(TaichiSide):
         )
         options = {
             "label": 0,
-            "scales": DATA_SCALES,
+            "scales": problems.DATA_SCALES,
             "held": DEPTH_WEIGHT,
-            "tolerated": TOLERATED_SQUARE,
+            "tolerated": problems.TOLERATED_SQUARE,
         }
         options |= self._motions()
         return partial(motion_system.motion_system, *arguments, **options), np.column_stack
@@ -110,9 +103,9 @@ class DepthOperations(TaichiSide):
         options = {
             "center": p.camera.center_for(p.height, p.width),
             "focal": p.camera.focal,
-            "first": HYPOTHESES[0],
-            "step": HYPOTHESES[1] - HYPOTHESES[0],
-            "near": GUESS_TRUNCATION,
+            "first": problems.HYPOTHESES[0],
+            "step": problems.HYPOTHESES[1] - problems.HYPOTHESES[0],
+            "near": problems.GUESS_TRUNCATION,
         }
         return (
             partial(plane_sweep.matching_cost, *arrays, *arguments, out, **options),
@@ -125,7 +118,7 @@ class DepthOperations(TaichiSide):
         cost[...] = p.cost.reshape(cost.shape)
         guide = p.features[0, 0].astype(np.float32)
         return (
-            partial(semi_global.aggregate, cost, guide, out, **AGGREGATION),
+            partial(semi_global.aggregate, cost, guide, out, **problems.AGGREGATION),
             lambda _: np.moveaxis(out.reshape(p.cost.shape), -1, 0),
         )
 
@@ -134,7 +127,7 @@ class DepthOperations(TaichiSide):
         cost, out = aligned_zeros(p.cost.shape), np.empty((p.height, p.width), np.float32)
         cost[...] = p.cost
         return (
-            partial(semi_global.cheapest, cost, out, count=len(HYPOTHESES)),
+            partial(semi_global.cheapest, cost, out, count=len(problems.HYPOTHESES)),
             lambda _: out[None],
         )
 
@@ -153,7 +146,7 @@ class DepthOperations(TaichiSide):
     def _in_vectors(self) -> tuple[int, ...]:
         """Return the shape of costs of all hypotheses, in lanes."""
         p, lanes = self.problem, self.grid.lanes
-        shape = (p.height, p.width, len(HYPOTHESES) // lanes)
+        shape = (p.height, p.width, len(problems.HYPOTHESES) // lanes)
         return shape if lanes == 1 else (*shape, lanes)
 
     def _geometry(self) -> tuple[LaneData, ...]:
@@ -241,11 +234,11 @@ class DepthReferences(NumpySide):
         moved, pose = displacement_of(p)[:2], (p.motions[0, :, :3], p.motions[0, :, 3])
 
         def run() -> np.ndarray:
-            tensor = reference.robust_tensor(p.terms, identity, moved, DATA_SCALES)
+            tensor = reference.robust_tensor(p.terms, identity, moved, problems.DATA_SCALES)
             squares = sum(reference.residual(term, identity, moved) for term in p.terms)
             east, south = np.pad(weights, ((0, 0), (1, 0), (1, 0)))
             around = east[1:, 1:] + east[1:, :-1] + south[1:, 1:] + south[:-1, 1:]
-            trusted = (p.labels == 0) / (1 + squares / TOLERATED_SQUARE) ** 2
+            trusted = (p.labels == 0) / (1 + squares / problems.TOLERATED_SQUARE) ** 2
             return np.column_stack(
                 reference.motion_system(
                     tensor * trusted, p.inverse_depth[0], DEPTH_WEIGHT * around, p.camera, *pose
@@ -259,16 +252,16 @@ class DepthReferences(NumpySide):
         pose = p.motions[0, :, :3], p.motions[0, :, 3]
 
         def run() -> np.ndarray:
-            cost = reference.matching_cost(*p.features, HYPOTHESES, p.camera, *pose)
-            away = np.abs(HYPOTHESES - p.guess[..., None])
-            cost += p.trust[..., None] * np.minimum(1, away / GUESS_TRUNCATION)
+            cost = reference.matching_cost(*p.features, problems.HYPOTHESES, p.camera, *pose)
+            away = np.abs(problems.HYPOTHESES - p.guess[..., None])
+            cost += p.trust[..., None] * np.minimum(1, away / problems.GUESS_TRUNCATION)
             return np.moveaxis(cost * p.certain, -1, 0)
 
         return run
 
     def aggregate(self) -> Run:
         cost, guide = self.problem.cost, self.problem.features[0, 0]
-        return lambda: np.moveaxis(reference.aggregate(cost, guide, **AGGREGATION), -1, 0)
+        return lambda: np.moveaxis(reference.aggregate(cost, guide, **problems.AGGREGATION), -1, 0)
 
     def cheapest(self) -> Run:
         cost = self.problem.cost

@@ -14,11 +14,12 @@ from tisfm.formats import read_image
 from tisfm.formats.label_picture import read_label_picture
 from tisfm.scenes import BodiesFilm, bodies_film, bodies_path
 
-FOLDER = "davis"
-DAVIS, BODIES = "DAVIS", "bodies"
+FOLDER = "davis"  # in the folder of sequences
+DAVIS = "DAVIS"  # group of clips
+BODIES = "bodies"  # group of clips
 FRAMES = 40  # of the film
 SIZE = (240, 320)  # px, height and width of the film
-SMOKE_FRAMES = 6
+SMOKE_FRAMES = 6  # of the film in a smoke run
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,6 +1,7 @@
 """The data term: image motion, motion tensors and their robust weights."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -78,6 +79,11 @@ def constancy_constraints(
         of_y = _five_tap(iy, 1), _five_tap(iy, 0), _five_tap(it, 0)
         terms.append(np.stack([constraint(gradient, *of_x), constraint(gradient, *of_y)]))
     return terms
+
+
+def constancy_tensors(*arguments: Any, **weights: Any) -> list[Array]:
+    """Return the motion tensors, (6, H, W), of `constancy_constraints`."""
+    return tensors_of(constancy_constraints(*arguments, **weights))
 
 
 def tensors_of(terms: Sequence[Array]) -> list[Array]:

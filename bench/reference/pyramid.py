@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bench.reference.data import constancy_constraints, flow, motion_matrix, tensors_of
+from bench.reference.data import constancy_tensors, flow, motion_matrix
 from bench.reference.images import derivatives, warp
 from bench.reference.minimisation import minimise
 from bench.reference.smoothness import Smoothness, image_edges, mean_step
@@ -62,7 +62,7 @@ def coarse_to_fine(
             flow0 = flow(motion, rho)
             warped, mask = warp(frame1, flow0)
             gradients = derivatives(frame0, warped, settings.derivatives, halo=2)
-            terms = constancy_constraints(
+            terms = constancy_tensors(
                 gradients,
                 flow0,
                 mask,
@@ -71,7 +71,7 @@ def coarse_to_fine(
                 normalization=normalization,
             )
             minimise(
-                tensors_of(terms),
+                terms,
                 motion,
                 rho,
                 alpha=settings.alpha,

@@ -35,7 +35,7 @@ TIMED = (
     ("balanced", "camera"),
     ("balanced", "objects"),
 )
-QUICK_ROUNDS = 3
+QUICK_ROUNDS = 3  # timed rounds of a quick run
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:

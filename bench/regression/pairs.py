@@ -12,10 +12,10 @@ from tisfm.formats import read_image
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair, bare_patches, static_scene, two_blocks
 
-# px, height and width of rendered pairs: in a quick run, for results, and for times
-QUICK_SIZE = (96, 128)
-SIZE = (240, 320)
-TIMED_SIZE = (480, 640)
+# Height and width of rendered pairs, px.
+QUICK_SIZE = (96, 128)  # in a quick run
+SIZE = (240, 320)  # for results
+TIMED_SIZE = (480, 640)  # for times
 
 # name → folder, the two frames, focal length px and centre (cx, cy), None where unknown
 SEQUENCES: dict[str, tuple[str, str, str, float | None, tuple[float, float] | None]] = {

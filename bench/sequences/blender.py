@@ -37,7 +37,7 @@ from tisfm.settings import Preset
 
 SEQUENCE = "tartanair"
 PART = (400, 500)  # rows and columns, from the upper left corner
-POINTS = 2000
+POINTS = 2000  # compared points
 RATE = 25  # frames per second
 BARS = {
     "of the camera's position, share of the path's extent": 1e-5,

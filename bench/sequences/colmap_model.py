@@ -32,8 +32,8 @@ from tisfm.settings import Preset
 
 SEQUENCE = "tartanair"
 # Bounds for that sequence, set by hand.
-MIN_IMAGES = 30
-MIN_POINTS = 5000
+MIN_IMAGES = 30  # in the model
+MIN_POINTS = 5000  # in the model
 MAX_REPROJECTION = 1.0  # px
 MIN_TRACK = 3  # frames
 ERROR = "median reprojection error, px"

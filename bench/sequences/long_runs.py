@@ -42,7 +42,7 @@ from tisfm.formats import write_png
 from tisfm.scenes import room_film, static_scene
 
 MIN_SPEEDUP = 1.7  # speed of two workers over the speed of one; set by hand
-MAX_CHANGE = 0.05  # largest relative change of memory and speed in a long run; set by hand
+MAX_CHANGE = 0.05  # relative growth of memory and loss of speed in a long run; set by hand
 ROUNDS = 3  # rounds of the speed of workers
 PAIRS = 120  # pairs of the video for workers
 FRAMES = 10_000  # frames of the long run

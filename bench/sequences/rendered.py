@@ -55,8 +55,8 @@ from tisfm import runtime
 from tisfm.scenes import Film
 from tisfm.settings import Preset
 
-SMOKE_SIZE = 96, 128
-ROOMS = {"pattern": True, "bare": False}
+SMOKE_SIZE = 96, 128  # px, height and width
+ROOMS = {"pattern": True, "bare": False}  # name → whether the walls have a pattern
 READOUT = 0.8  # readout time of the rolling shutter, as a share of the frame interval
 
 Errors = dict[str, list[float]]  # room → error of depth for each number of frames

@@ -14,8 +14,8 @@ CONTRAST = 0.03  # px/frame
 SMOOTHNESS = {
     joint: reference.Smoothness(contrast=CONTRAST, joint=joint) for joint in (False, True)
 }
-RELAXATION = 1.9
-CONSTRAINTS = {"brightness": 0.3, "gradient": 1.0, "normalization": 0.1}
+RELAXATION = 1.9  # over-relaxation of a sweep
+CONSTRAINTS = {"brightness": 0.3, "gradient": 1.0, "normalization": 0.1}  # weights; grey levels
 DATA_SCALES = (0.3 * 0.1**2, 0.1**2)  # m ε² of both
 UNIQUENESS = {"density": 1.23, "apart": 0.07}  # pixels per pixel; px/frame
 DENSITY_RATIO = 0.7  # coarse over fine sampling density
@@ -25,7 +25,7 @@ EDGE_RATE = 0.2  # of edge weights, per grey level
 TOLERATED_SQUARE = 0.15**2  # px²
 HYPOTHESES = 0.5 + np.arange(16)  # px/frame, of inverse depth; fill whole vectors of lanes
 GUESS_TRUNCATION = 4.0  # px/frame
-AGGREGATION = {"step": 0.3, "jump": 5.0, "edge": 1.2}
+AGGREGATION = {"step": 0.3, "jump": 5.0, "edge": 1.2}  # penalties; brightness units
 UNCERTAIN_BORDER = (
     0.01  # px from the image border within which rounding decides about inside or outside
 )
