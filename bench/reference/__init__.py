@@ -19,14 +19,26 @@ the field b under eq. 8 lists b_τ2 twice, the third is b_τ3; the text on Fig. 
 has the larger λ, its caption gives (a) 10⁸ and (b) 10⁹.
 """
 
-from bench.reference.data import *
-from bench.reference.depth_maps import *
-from bench.reference.epipolar import *
-from bench.reference.images import *
-from bench.reference.linear_system import *
-from bench.reference.minimisation import *
-from bench.reference.patch_match import *
-from bench.reference.plane_sweep import *
-from bench.reference.pyramid import *
-from bench.reference.second_order import *
-from bench.reference.smoothness import *
+from bench.reference.data import brightness_tensor, constancy_constraints, constancy_tensors
+from bench.reference.data import data_energy, flow, motion_matrix, residual, robust_energy
+from bench.reference.data import robust_tensor, tensors_of
+from bench.reference.depth_maps import align_depth_edges, merge_depths, render_depth
+from bench.reference.epipolar import displacement, frame_equations, motion_jacobian, motion_system
+from bench.reference.epipolar import restrict_to_line
+from bench.reference.images import derivatives, hidden_pixels, splat, warp
+from bench.reference.linear_system import local_matrices, local_right_sides, sweep_lexicographic
+from bench.reference.linear_system import sweep_red_black
+from bench.reference.minimisation import Minimisation, energy, flowless_fields
+from bench.reference.minimisation import half_quadratic_energy, minimise, minimise_over_flowless
+from bench.reference.patch_match import best_mean, improve_planes, plane_cost, plane_disagreement
+from bench.reference.patch_match import window_cost
+from bench.reference.plane_sweep import aggregate, matching_cost
+from bench.reference.pyramid import coarse_to_fine, prolong
+from bench.reference.second_order import SecondOrder, anchor_energy, anchor_tensor, line_tensor
+from bench.reference.second_order import minimise_second_order, second_order_energy
+from bench.reference.second_order import second_order_half_quadratic, second_order_matrices
+from bench.reference.second_order import second_order_measures, second_order_residual
+from bench.reference.second_order import second_order_sweep, second_order_system
+from bench.reference.second_order import second_order_weights
+from bench.reference.smoothness import Smoothness, aubert, differences, edge_weights, image_edges
+from bench.reference.smoothness import smoothness_energy
