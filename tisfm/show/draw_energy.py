@@ -54,8 +54,6 @@ def draw_energy(
     ------
     ValueError
         If `quantity` is unknown.
-    ImportError
-        If Matplotlib is not installed.
 
     Examples
     --------

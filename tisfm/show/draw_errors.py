@@ -63,8 +63,6 @@ def draw_flow_error(
     ------
     ValueError
         If a shape is wrong, sizes differ, or the limits are not finite, positive and in order.
-    ImportError
-        If Matplotlib is not installed.
 
     Examples
     --------
@@ -120,8 +118,6 @@ def draw_depth_error(
     ------
     ValueError
         If a shape is wrong, sizes differ, or the limits are not finite, positive and in order.
-    ImportError
-        If Matplotlib is not installed.
 
     Examples
     --------
@@ -178,8 +174,6 @@ def draw_calibration(
     ------
     ValueError
         As `tisfm.metrics.std_coverage`.
-    ImportError
-        If Matplotlib is not installed.
 
     Examples
     --------

@@ -76,8 +76,6 @@ def draw_flow(
     ------
     ValueError
         As `flow_to_color`.
-    ImportError
-        If Matplotlib is not installed.
 
     Examples
     --------
@@ -130,8 +128,6 @@ def draw_arrows(
     ------
     ValueError
         If a shape is wrong, sizes differ, or the limit is negative or not finite.
-    ImportError
-        If Matplotlib is not installed.
 
     Examples
     --------

@@ -67,8 +67,6 @@ def draw_image(
     ------
     ValueError
         If a shape is wrong, or sizes differ.
-    ImportError
-        If Matplotlib is not installed.
 
     Examples
     --------
@@ -126,8 +124,6 @@ def draw_depth(
     ------
     ValueError
         As `depth_to_color`.
-    ImportError
-        If Matplotlib is not installed.
 
     Examples
     --------
@@ -173,8 +169,6 @@ def draw_confidence(
     ------
     ValueError
         If `confidence` is not (H, W).
-    ImportError
-        If Matplotlib is not installed.
 
     Examples
     --------
@@ -222,8 +216,6 @@ def draw_uncertainty(
     ------
     ValueError
         As `uncertainty_to_color`.
-    ImportError
-        If Matplotlib is not installed.
 
     Examples
     --------
@@ -275,8 +267,6 @@ def draw_labels(
     ------
     TypeError, ValueError
         As `label_overlay`.
-    ImportError
-        If Matplotlib is not installed.
 
     Examples
     --------

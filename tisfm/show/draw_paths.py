@@ -86,8 +86,6 @@ def draw_path(
     ValueError
         If a shape is wrong, numbers of frames differ, `piece` has no integers, or `view` is
         unknown.
-    ImportError
-        If Matplotlib is not installed.
 
     Examples
     --------
@@ -174,8 +172,6 @@ def draw_object_paths(
     ------
     ValueError
         If a shape is wrong, a number is negative, or `view` is unknown.
-    ImportError
-        If Matplotlib is not installed.
 
     Examples
     --------

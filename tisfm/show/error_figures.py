@@ -51,8 +51,6 @@ def error_figure(
     ------
     ValueError
         As `error_to_color`.
-    ImportError
-        If Matplotlib is not installed.
 
     Examples
     --------
@@ -96,8 +94,6 @@ def flow_figure(
     ------
     ValueError
         If a shape is wrong, sizes differ, or the limit is negative or not finite.
-    ImportError
-        If Matplotlib is not installed.
 
     Examples
     --------
@@ -156,8 +152,6 @@ def depth_error_figure(
     ValueError
         If a shape is wrong, sizes differ, no pixel has both depths, or the limits are not finite,
         positive and in order.
-    ImportError
-        If Matplotlib is not installed.
 
     Examples
     --------

@@ -118,8 +118,6 @@ def comparison_figure(
     ValueError
         If a shape is wrong, sizes differ, a value is masked, a limit is negative or not finite,
         or `names` has another key.
-    ImportError
-        If Matplotlib is not installed.
 
     References
     ----------
@@ -241,8 +239,6 @@ def rigid_figure(
     TypeError, ValueError
         If a shape or type is wrong, sizes differ, a value is masked, or a limit is negative or not
         finite.
-    ImportError
-        If Matplotlib is not installed.
 
     Examples
     --------
@@ -365,8 +361,6 @@ def panel_figure(
     ------
     ValueError
         If there are no panels, a shape is wrong, or `columns` is less than 1.
-    ImportError
-        If Matplotlib is not installed.
 
     Examples
     --------
