@@ -1,7 +1,8 @@
-"""Which module of the project imports which, read from the sources without importing them."""
+"""The imports of all modules of the project, read from the sources."""
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -9,7 +10,7 @@ FOLDERS = {"tisfm": ROOT / "tisfm", "tisfm.kernels": ROOT / "kernels"}
 
 
 def sources():
-    """Return the path of every module by its name; a package's is that of its ``__init__``."""
+    """Return module → path; a package has the path of its ``__init__``."""
     found = {}
     for top, folder in FOLDERS.items():
         for path in sorted(folder.rglob("*.py")):
@@ -18,10 +19,10 @@ def sources():
     return found
 
 
-def imported(name, path, modules):
-    """Return the names that a module imports, anywhere in it but under ``TYPE_CHECKING``.
+def imports_of(name, path, modules):
+    """Return the names that a module imports, except under ``TYPE_CHECKING``.
 
-    They are modules of the project where they are any of `modules`, and else names as they stand.
+    A name of one of `modules` is complete; other names are as the source has them.
     """
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
     found = set()
@@ -44,22 +45,23 @@ def imported(name, path, modules):
     return found
 
 
-def graph():
-    """Return what each module imports, of the project and of others."""
+@cache
+def import_graph():
+    """Return module → names of the modules that it imports."""
     modules = sources()
-    return {name: imported(name, path, modules) for name, path in modules.items()}
+    return {name: imports_of(name, path, modules) for name, path in modules.items()}
 
 
-def home(name, modules):
-    """Return the package a module lies in; one of the top level stands for itself."""
+def package_of(name, modules):
+    """Return the package of a module; a module of the top level is a package of its own."""
     if name not in modules or modules[name].name == "__init__.py":
         return name
     above = name.rpartition(".")[0]
     return name if above == "tisfm" else above
 
 
-def circles(edges):
-    """Return the sets of nodes that reach each other, and the nodes that reach themselves."""
+def cycles(edges):
+    """Return the groups of nodes that reach each other, and the nodes that reach themselves."""
 
     def reached(start):
         seen, waiting = set(), [start]
@@ -76,10 +78,10 @@ def circles(edges):
         for node in edges
         if node in reach[node]
     }
-    return sorted(sorted(circle) for circle in found)
+    return sorted(sorted(cycle) for cycle in found)
 
 
-def allowed(package, modules):
+def allowed_imports(package, modules):
     """Read from a package's docstring what it may import: the names after "May import:".
 
     Returns a pair: the packages and modules named, and whether all others of `tisfm` are allowed
@@ -93,21 +95,21 @@ def allowed(package, modules):
     named = set(re.findall(r"`([\w.]+)`", words)) - {"tisfm"}
     named = {name if name.startswith("tisfm.") else f"tisfm.{name}" for name in named}
     for name in re.findall(r"what `([\w.]+)` may", words):
-        named |= allowed(name, modules)[0]
+        named |= allowed_imports(name, modules)[0]
     unknown = sorted(name for name in named if name not in modules)
     assert not unknown, f"the docstring of {package} allows {unknown}: there is no such module"
     return named, everything
 
 
-def forbidden(package, modules, imports):
+def forbidden_imports(package, modules, imports):
     """Return the imports of a package that its docstring does not allow, as "module → module"."""
-    named, everything = allowed(package, modules)
+    named, everything = allowed_imports(package, modules)
     found = []
     for name in modules:
-        if home(name, modules) != package:
+        if package_of(name, modules) != package:
             continue
         for other in sorted(imports[name]):
-            if other.partition(".")[0] != "tisfm" or home(other, modules) == package:
+            if other.partition(".")[0] != "tisfm" or package_of(other, modules) == package:
                 continue
             parts = other.split(".")
             if other == "tisfm.errors":  # every package may raise them

@@ -1,18 +1,25 @@
-"""Directions of imports: no circles, and every package imports what its docstring says."""
+"""No cycles of imports; every package imports only packages that its docstring names."""
 
 import sys
 
 import pytest
 
-from tests.imports import allowed, circles, forbidden, graph, home, imported, sources
+from tests.imports import (
+    allowed_imports,
+    cycles,
+    forbidden_imports,
+    import_graph,
+    imports_of,
+    package_of,
+    sources,
+)
 
 MODULES = sources()
-IMPORTS = graph()
 PACKAGES = [name for name, path in MODULES.items() if path.name == "__init__.py"]
 LAYERS = [name for name in PACKAGES if name not in ("tisfm", "tisfm.kernels")]
 
 
-def test_what_is_imported_is_found(tmp_path):
+def test_imports_of_a_module(tmp_path):
     path = tmp_path / "own.py"
     path.write_text(
         "import numpy.linalg\n"
@@ -24,7 +31,7 @@ def test_what_is_imported_is_found(tmp_path):
         "else:\n    import zlib\n"
         "def late():\n    from tisfm.rigid import pose_matrix\n"
     )
-    assert imported("tisfm.formats.own", path, MODULES) == {
+    assert imports_of("tisfm.formats.own", path, MODULES) == {
         "numpy.linalg",
         "typing",
         "tisfm",
@@ -36,34 +43,36 @@ def test_what_is_imported_is_found(tmp_path):
     }
 
 
-def test_circles_are_found():
-    assert circles({"a": {"b"}, "b": {"c"}, "c": set()}) == []
-    assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}, "e": {"e"}}) == [
+def test_cycles_of_a_graph():
+    assert cycles({"a": {"b"}, "b": {"c"}, "c": set()}) == []
+    assert cycles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}, "e": {"e"}}) == [
         ["a", "b", "c"],
         ["e"],
     ]
 
 
-def test_no_module_reaches_itself():
-    assert circles(IMPORTS) == []
+def test_modules_have_no_cycle():
+    assert cycles(import_graph()) == []
 
 
-def test_no_package_reaches_itself():
-    """Packages, and the modules of the top level one by one."""
+def test_packages_have_no_cycle():
+    """A module of the top level counts as a package."""
     edges = {}
-    for name, others in IMPORTS.items():
-        here = home(name, MODULES)
-        there = {home(other, MODULES) for other in others if other in MODULES}
+    for name, others in import_graph().items():
+        here = package_of(name, MODULES)
+        there = {package_of(other, MODULES) for other in others if other in MODULES}
         edges.setdefault(here, set()).update(there - {here})
-    assert circles(edges) == []
+    assert cycles(edges) == []
 
 
-def test_packages_import_what_their_docstrings_say():
-    found = {line for package in LAYERS for line in forbidden(package, MODULES, IMPORTS)}
+def test_packages_import_only_the_packages_of_their_docstrings():
+    found = {
+        line for package in LAYERS for line in forbidden_imports(package, MODULES, import_graph())
+    }
     assert sorted(found) == []
 
 
-def test_docstrings_are_read_as_they_are_meant(tmp_path):
+def test_docstrings_that_name_allowed_imports(tmp_path):
     docs = {
         "tisfm.low": "May import: nothing of `tisfm`.",
         "tisfm.middle": "On `top`.\n\nMay import: `tisfm.low` (files) and\nof the top level `one`.",
@@ -85,20 +94,20 @@ def test_docstrings_are_read_as_they_are_meant(tmp_path):
         "tisfm.top": ["middle", "middle.inner", "middle.inner.own", "middle.own"],
     }  # fmt: skip
     for package, names in others.items():
-        assert forbidden(package, modules, imports) == [
+        assert forbidden_imports(package, modules, imports) == [
             f"{name} → tisfm.{other}" for name in (package, f"{package}.own") for other in names
         ]
     modules["tisfm.low"].write_text('"""Files."""')
     with pytest.raises(AssertionError, match=r"tisfm\.low does not say what it may import"):
-        allowed("tisfm.low", modules)
+        allowed_imports("tisfm.low", modules)
     modules["tisfm.low"].write_text('"""May import: `three`."""')
     with pytest.raises(AssertionError, match=r"\['tisfm.three'\]: there is no such module"):
-        allowed("tisfm.low", modules)
+        allowed_imports("tisfm.low", modules)
 
 
-def test_kernels_need_no_more_than_taichi_and_numpy():
+def test_kernels_import_only_taichi_and_numpy():
     usual = {"taichi", "numpy", *sys.stdlib_module_names}
-    for name, others in IMPORTS.items():
+    for name, others in import_graph().items():
         if name.startswith("tisfm.kernels"):
             foreign = {other for other in others if other.partition(".")[0] not in usual}
             outside = {o for o in foreign if not f"{o}.".startswith("tisfm.kernels.")}
