@@ -1,7 +1,7 @@
-"""The ready scenes and films, rendered once for several tests: rendering takes long.
+"""Scenes, films and interpretations, computed once for several tests.
 
-Within a run of the tests, films lie in a folder that all its processes share. The arrays of a pair
-or a film that is shared cannot be written.
+Within a run of the tests, they lie in a folder that all its processes share. Their arrays cannot be
+written.
 """
 
 import hashlib
@@ -16,13 +16,15 @@ from pathlib import Path
 import numpy as np
 from filelock import FileLock
 
+import tisfm
 from tisfm import scenes
 
-MOST_KEPT = 32  # pairs and films of one kind in memory; a film of 16 frames of 240×320 takes 8 MB
+MOST_KEPT = 32  # items of one kind in memory; a film of 16 frames of 240×320 takes 8 MB
 FOLDER = "TISFM_TEST_FILMS"  # the variable of the environment that names the shared folder
+_interpretations = OrderedDict()
 
 
-def shared(render, *, on_disk=True):
+def shared(render):
     """Return a function that renders once for the same arguments."""
     kept = OrderedDict()
 
@@ -31,26 +33,27 @@ def shared(render, *, on_disk=True):
         call = signature(render).bind(*arguments, **options)
         call.apply_defaults()
         values = repr([np.asarray(value).tolist() for value in call.arguments.values()])
-        if values not in kept:
-            name = hashlib.sha256(f"{render.__qualname__}{values}".encode()).hexdigest()
-            kept[values] = _read_only(
-                _from_disk(name, lambda: render(*arguments, **options))
-                if on_disk and FOLDER in os.environ
-                else render(*arguments, **options)
-            )
-        kept.move_to_end(values)
-        while len(kept) > MOST_KEPT:
-            kept.popitem(last=False)
-        return kept[values]
+        name = hashlib.sha256(f"{render.__qualname__}{values}".encode()).hexdigest()
+        return once(name, kept, lambda: render(*arguments, **options))
 
     return rendered_once
 
 
-def _from_disk(name, render):
+def once(name, kept, compute):
+    """Return an item from memory, from the folder of this run, or computed; arrays read-only."""
+    if name not in kept:
+        kept[name] = _read_only(_from_disk(name, compute) if FOLDER in os.environ else compute())
+    kept.move_to_end(name)
+    while len(kept) > MOST_KEPT:
+        kept.popitem(last=False)
+    return kept[name]
+
+
+def _from_disk(name, compute):
     path = Path(os.environ[FOLDER], name)
     with FileLock(f"{path}.lock"):
         if not path.exists():
-            path.write_bytes(pickle.dumps(render(), protocol=5))
+            path.write_bytes(pickle.dumps(compute(), protocol=5))
     return pickle.loads(path.read_bytes())
 
 
@@ -68,10 +71,20 @@ def _arrays_of(item):
     return [value for value in values if isinstance(value, np.ndarray)]
 
 
-bare_patches = shared(scenes.bare_patches, on_disk=False)
-room = shared(scenes.room, on_disk=False)
-static_scene = shared(scenes.static_scene, on_disk=False)
-three_blocks = shared(scenes.three_blocks, on_disk=False)
-two_blocks = shared(scenes.two_blocks, on_disk=False)
+bare_patches = shared(scenes.bare_patches)
+room = shared(scenes.room)
+static_scene = shared(scenes.static_scene)
+three_blocks = shared(scenes.three_blocks)
+two_blocks = shared(scenes.two_blocks)
 bodies_film = shared(scenes.bodies_film)
 room_film = shared(scenes.room_film)
+
+
+def shared_interpretation(frame0, frame1, **options):
+    """Return what `tisfm.interpret` returns for these arguments.
+
+    Tests that replace a part of the method, or compare two runs, call `tisfm.interpret`.
+    """
+    arguments = pickle.dumps((frame0, frame1, sorted(options.items())), protocol=5)
+    name = hashlib.sha256(arguments).hexdigest()
+    return once(name, _interpretations, lambda: tisfm.interpret(frame0, frame1, **options))

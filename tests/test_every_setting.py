@@ -11,7 +11,7 @@ from tests.rendered import two_blocks
 
 @pytest.fixture(scope="module")
 def blocks():
-    return two_blocks(90, 122, seed=1)
+    return two_blocks(60, 82, seed=2)
 
 
 @pytest.fixture(scope="module")

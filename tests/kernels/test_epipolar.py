@@ -81,6 +81,7 @@ def split(constraints):
     count=[1, 2, 3],
     held=[(3.0, np.inf), (np.inf, np.inf), (3.0, 40.0)],
     label=[0, 1],
+    short=True,
 )
 def test_motion_system(size, lanes, count, held, label, make_problem):
     alpha, tolerated = held

@@ -5,6 +5,7 @@ import pytest
 import taichi as ti
 
 import tisfm
+from tests.draws import nightly_except
 from tisfm.kernels.layout.lanes import LaneGrid, aligned_zeros, first_row
 
 
@@ -24,9 +25,9 @@ def test_bands_share_the_rows_of_any_image(height, rows):
     np.testing.assert_array_equal(out, expected)
 
 
-@pytest.mark.parametrize("lanes", [8, 16])
-def test_all_rows_of_a_long_frame_are_gone_over(lanes):
-    """Bands of weights, sweeps and warps: 200,000 rows, and what the last of them holds."""
+@pytest.mark.parametrize("lanes", nightly_except(16, of=[8, 16]))
+def test_all_rows_of_a_long_frame_are_computed(lanes):
+    """Bands of weights, sweeps and warps: 200,000 rows, up to the last one."""
     from tisfm.kernels.data.warp import warp
     from tisfm.kernels.layout.images import IMAGE_HALO
     from tisfm.kernels.solve.linear_system import LinearSystem
@@ -61,10 +62,14 @@ def test_all_rows_of_a_long_frame_are_gone_over(lanes):
     np.testing.assert_array_equal(columns_of_first_lane, image[:, : grid.strip])
 
 
-@pytest.mark.parametrize("size", [(20_000, 20_000), (4, 5_000_000), (5_000_000, 4)], ids=str)
+LARGE = [(20_000, 20_000), (4, 5_000_000), (5_000_000, 4)]
+
+
+@pytest.mark.parametrize("size", nightly_except((5_000_000, 4), of=LARGE), ids=str)
 def test_frames_beyond_what_kernels_index_are_refused(size):
-    with pytest.raises(ValueError, match=r"frames of .* px are larger than kernels can index"):
-        LaneGrid(*size, 16)
+    for large in LARGE:
+        with pytest.raises(ValueError, match=r"frames of .* px are larger than kernels can index"):
+            LaneGrid(*large, 16)
     frame = np.broadcast_to(np.uint8(7), size)
     with pytest.raises(ValueError, match="scale them down, or cut them into tiles"):
         tisfm.interpret(frame, frame)

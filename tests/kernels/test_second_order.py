@@ -93,7 +93,7 @@ def make(make_problem):
     return made
 
 
-@pairwise(size=SIZES, spacing=SPACINGS, sourced=[False, True])
+@pairwise(size=SIZES, spacing=SPACINGS, sourced=[False, True], short=True)
 def test_the_reference_without_its_matrix(size, spacing, sourced, make):
     """What its sweep is made of, against the matrix of all pixels."""
     field = make(*size, 1, spacing=spacing)
@@ -117,6 +117,7 @@ def test_the_reference_without_its_matrix(size, spacing, sourced, make):
     spacing=SPACINGS,
     relaxation=[1.0, 1.9],
     sourced=[False, True],
+    short=True,
 )
 def test_one_sweep_is_the_reference_sweep(size, lanes, spacing, relaxation, sourced, make):
     """On one band of rows, and on two (64 rows)."""
@@ -165,6 +166,7 @@ def test_pixels_without_an_open_edge_stay_finite(lanes, data, spacing, make):
     contrasts=[CONTRASTS, (np.inf, 0.01, np.inf)],
     scale=[SCALE, np.inf],
     count=[0, 1, 2, 3],
+    short=True,
 )
 def test_weight_update(size, lanes, spacing, contrasts, scale, count, make):
     field = make(*size, lanes, spacing=spacing, contrasts=contrasts, scale=scale)
@@ -336,7 +338,7 @@ def test_the_coarse_energy_of_a_field_is_that_of_its_interpolation(
     assert coarse_data == pytest.approx(fine_data, rel=1e-6)
 
 
-@pairwise(size=SIZES, lanes=LANES, spacing=SPACINGS, sourced=[False, True])
+@pairwise(size=SIZES, lanes=LANES, spacing=SPACINGS, sourced=[False, True], short=True)
 def test_restricted_residuals(size, lanes, spacing, sourced, make):
     from tisfm.kernels.solve.second_order.coarsening import offset_columns
 
@@ -378,7 +380,7 @@ def add(field, coarse):
     return field.from_lanes(rho)
 
 
-@pairwise(size=SIZES, lanes=LANES, spacing=SPACINGS)
+@pairwise(size=SIZES, lanes=LANES, spacing=SPACINGS, short=True)
 def test_corrections_are_integrals_of_interpolated_slopes(size, lanes, spacing, make):
     field = make(*size, lanes, spacing=spacing)
     height, width = (-(-side // 2) for side in size)
@@ -424,7 +426,7 @@ def plane(x, y):
 # Line search
 
 
-@pairwise(size=SIZES, lanes=LANES, spacing=SPACINGS)
+@pairwise(size=SIZES, lanes=LANES, spacing=SPACINGS, short=True)
 def test_the_energy_in_a_plane(size, lanes, spacing, make):
     from tisfm.kernels.solve.second_order.line_search import bind_plane
 

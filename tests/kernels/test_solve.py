@@ -84,6 +84,7 @@ def test_tensor_and_weights_cannot_be_swapped(make_problem):
     kind=KINDS,
     solver=["cholesky", "closed_form"],
     relaxation=[1.0, 1.9],
+    short=True,
 )
 def test_one_sweep_is_the_reference_sweep(
     size, components, lanes, solver, kind, relaxation, make_problem
@@ -150,6 +151,7 @@ def test_both_solvers_agree_after_many_sweeps(lanes, components, make_problem):
     data=["quadratic", "gradient", "one quadratic", "both"],
     lanes=LANES,
     kind=KINDS,
+    short=True,
 )
 def test_weight_update(size, components, contrast, data, lanes, kind, make_problem):
     count, scales = {

@@ -58,7 +58,6 @@ def paths(tmp_path):
     return tmp_path, truth, found
 
 
-@pytest.mark.slow
 def test_absolute_errors(evo, paths):
     folder, truth, found = paths
     files = folder / "truth.tum", folder / "found.tum"
@@ -71,7 +70,6 @@ def test_absolute_errors(evo, paths):
     assert evo("evo_ape", "kitti", *whole, "-a") == pytest.approx(errors.rigid, abs=DIGITS)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("step", nightly_except(5, of=[1, 5]))
 def test_relative_errors(evo, paths, step):
     folder, truth, _ = paths
@@ -89,7 +87,6 @@ def test_relative_errors(evo, paths, step):
         assert value == pytest.approx(expected, abs=DIGITS)
 
 
-@pytest.mark.slow
 def test_it_reads_what_we_write(evo, paths):
     """The file of one format, taken as the truth of that of the other."""
     folder, _, _ = paths

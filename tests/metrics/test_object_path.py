@@ -1,5 +1,7 @@
 """Errors of the path of a moving thing."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -16,6 +18,7 @@ TURN = rigid_motion([0, 0, 0, 0.4, -1.0, 2.0])[0]
 ROUND = pose_matrix([0.1, -0.05, 0.08, 0.3, 1.0, -0.5])  # found axes in those of the body
 
 
+@cache
 def true_paths(count=30):
     cameras = bodies_path(count)
     return bodies_film(cameras, 2, 2, bodies=1, samples=1).body_poses[0], cameras
@@ -34,7 +37,7 @@ def found_from(truth, cameras, *, scale=1.0, axes=ROUND):
     world=st.floats(0.05, 20),
     gaps=st.sets(st.integers(0, 29), max_size=20),
 )
-def test_what_cannot_be_known_is_no_error(scale, world, gaps):
+def test_scale_axes_and_world_are_no_error(scale, world, gaps):
     truth, cameras = true_paths()
     found = similar(found_from(truth, cameras, scale=scale), 1 / world, TURN, [5, -2, 1])
     found[list(gaps)] = np.nan
@@ -92,7 +95,7 @@ def test_a_scale_that_drifts_is_an_error():
     assert 0.02 < errors.share < 0.2
 
 
-def test_a_thing_that_is_said_to_rest_is_wrong():
+def test_a_moving_object_that_is_reported_at_rest_is_wrong():
     truth, cameras = true_paths()
     found = np.tile(truth[10], (30, 1, 1))
     errors = object_path_errors(found, truth, cameras, cameras)

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.motion.one_motion import FAST_OBJECTS, interpreted, shared
+from tests.motion.one_motion import OBJECTS as BALANCED
 from tests.rendered import room, two_blocks
 from tisfm.formats import read_image
 from tisfm.motion.objects import depth as object_depth
@@ -21,29 +23,28 @@ from tisfm.motion.textureless_depth import textureless_depth
 from tisfm.motion.window_statistics import window_variance
 from tisfm.rigid import rigid_motion
 
-BALANCED = tisfm.Settings.preset("balanced", motion="objects")
 SIZE = (240, 320)
-THING = (slice(110, 180), slice(120, 210))  # in frame 0
+OBJECT = (slice(110, 180), slice(120, 210))  # in frame 0
 MOVED = (-6, 5)  # px/frame: left and down
 CAMERA_MOTION = (0.18, 0.0, 0.12, 0.003, 0.01, 0.006)
 
 
 def pasted(frame, thing, move, rng):
     """Return a frame with an object, with noise, in front."""
-    rows, columns = (slice(s.start + by, s.stop + by) for s, by in zip(THING, move, strict=True))
+    rows, columns = (slice(s.start + by, s.stop + by) for s, by in zip(OBJECT, move, strict=True))
     frame = frame.astype(np.float32)
     frame[rows, columns] = thing + 1.5 * rng.standard_normal(thing.shape)
     return np.rint(frame.clip(0, 255)).astype(np.uint8)
 
 
-def with_thing(move):
+def with_object(move):
     """Return a bare room with a textured object in front, which moves on its own."""
     bare = room(*SIZE, seed=5, camera_motion=CAMERA_MOTION)
     rng = np.random.default_rng(0)
     texture = cv2.GaussianBlur(rng.standard_normal((70, 90)), (0, 0), 1.5)
     thing = 120 + 35 * texture / texture.std()
     labels = np.zeros(SIZE, np.int32)
-    labels[THING] = 1
+    labels[OBJECT] = 1
     return replace(
         bare,
         frame0=pasted(bare.frame0, thing, (0, 0), rng),
@@ -54,24 +55,12 @@ def with_thing(move):
 
 @pytest.fixture(scope="module")
 def scene():
-    return with_thing(MOVED)
-
-
-def interpreted(scene, settings=BALANCED):
-    return tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
+    return with_object(MOVED)
 
 
 @pytest.fixture(scope="module")
 def carried(scene):
-    return interpreted(scene)
-
-
-@pytest.fixture(scope="module")
-def uncarried(scene):
-    with pytest.MonkeyPatch.context() as patch:
-        # No share is above 2: depth is never interpolated.
-        patch.setattr(object_depth, "DEPTH", replace(DEPTH, min_textureless_share=2.0))
-        return interpreted(scene)
+    return shared(scene, BALANCED)
 
 
 def background_error(result, scene):
@@ -81,21 +70,25 @@ def background_error(result, scene):
     return np.mean(np.abs(depth * np.median(true / depth) - true) / true)
 
 
-def test_depth_of_the_background(carried, uncarried, scene):
+def test_depth_of_the_background(carried, scene, monkeypatch):
+    """Interpolation improves the background and leaves the object as it is."""
+    # No share is above 2: depth is never interpolated.
+    monkeypatch.setattr(object_depth, "DEPTH", replace(DEPTH, min_textureless_share=2.0))
+    uncarried = interpreted(scene, BALANCED)
     assert carried.status == "converged"
     assert background_error(carried, scene) < 0.055
     assert background_error(carried, scene) < 0.8 * background_error(uncarried, scene)
-
-
-def test_the_thing_keeps_its_label_and_depth(carried, uncarried, scene):
     np.testing.assert_array_equal(carried.labels, uncarried.labels)
-    thing = carried.labels == carried.labels[145, 165]
-    assert not (thing & (carried.labels == 0)).any()
-    assert thing[THING].mean() > 0.95
     mine = carried.labels > 0
     np.testing.assert_array_equal(carried.inverse_depth[mine], uncarried.inverse_depth[mine])
     np.testing.assert_array_equal(carried.flow[mine], uncarried.flow[mine])
     np.testing.assert_array_equal(carried.motions[1:], uncarried.motions[1:])
+
+
+def test_label_and_motion_of_the_object(carried, scene):
+    found = carried.labels == carried.labels[145, 165]
+    assert not (found & (carried.labels == 0)).any()
+    assert found[OBJECT].mean() > 0.95
     moved = np.median(carried.flow[scene.labels == 1], axis=0)
     np.testing.assert_allclose(moved, MOVED, atol=0.2)
 
@@ -103,8 +96,7 @@ def test_the_thing_keeps_its_label_and_depth(carried, uncarried, scene):
 @pytest.mark.parametrize("preset", ["fast", "balanced"])
 def test_deviation_and_confidence_tell_what_was_carried(scene, carried, preset):
     """With `fast`, depth is interpolated on a coarser level than that of the labels."""
-    settings = tisfm.Settings.preset(preset, motion="objects")
-    result = carried if preset == "balanced" else interpreted(scene, settings)
+    result = carried if preset == "balanced" else interpreted(scene, FAST_OBJECTS)
     mine = (result.labels == 0) & (scene.labels == 0) & ~result.occlusion
     inverse = scene.depth[mine] * result.inverse_depth[mine]
     wrong = np.abs(inverse / np.median(inverse) - 1)
@@ -117,15 +109,15 @@ def test_deviation_and_confidence_tell_what_was_carried(scene, carried, preset):
     assert wrong[confident].mean() < wrong.mean()
 
 
-def test_textured_scenes_go_another_way(monkeypatch):
+def test_depth_of_textured_scenes_is_not_interpolated(monkeypatch):
     def never(*_, **__):
-        raise AssertionError("nothing is to be carried")
+        raise AssertionError("depth is interpolated")
 
-    scene = two_blocks(*SIZE, seed=6)
+    scene = two_blocks(60, 80, seed=2)
     monkeypatch.setattr(object_depth, "textureless_depth", never)
-    result = interpreted(scene)
+    result = interpreted(scene, BALANCED)
     monkeypatch.setattr(estimation, "carry_background_depth", lambda *_: None)
-    without = interpreted(scene)
+    without = interpreted(scene, BALANCED)
     np.testing.assert_array_equal(result.inverse_depth, without.inverse_depth)
     np.testing.assert_array_equal(result.labels, without.labels)
 
@@ -139,11 +131,11 @@ def solved(scene, labels):
     return pyramid, BALANCED, rigid_depth(pyramid, BALANCED, motions, labels), labels, motion
 
 
-def test_a_thing_has_no_say_in_the_background():
+def test_an_object_does_not_change_depth_behind_it():
     """The object moves along the background's epipolar lines, and so looks like a near point."""
-    scene = with_thing((-20, 0))
+    scene = with_object((-20, 0))
     labels = scene.labels
-    thing, near, close = (
+    body, near, close = (
         cv2.dilate(labels.astype(np.uint8), np.ones((window, window), np.uint8)) > 0
         for window in (1, 51, OBJECTS.background_rim)
     )
@@ -160,10 +152,10 @@ def test_a_thing_has_no_say_in_the_background():
 
     np.testing.assert_array_equal(found.motions[0], motion)
     assert off(found, beside) < 0.8 * off(misled, beside)
-    assert off(behind, thing) < 0.4 * off(misled, thing)
+    assert off(behind, body) < 0.4 * off(misled, body)
 
 
-def test_iterations_that_did_not_end_are_told(scene):
+def test_a_limit_of_iterations_is_reported(scene):
     pyramid, settings, solution, labels, motion = solved(scene, scene.labels)
     limited = replace(solution, converged=False)
     found = carry_background_depth(pyramid, settings, limited, labels, motion)
@@ -175,7 +167,7 @@ def test_iterations_that_did_not_end_are_told(scene):
     assert len(found.history) > len(solution.history)
 
 
-def test_with_too_little_parallax_nothing_is_carried(scene):
+def test_too_little_parallax_is_not_interpolated(scene):
     pyramid, settings, solution, labels, motion = solved(scene, scene.labels)
     flat = replace(solution, inverse_depth=np.full(SIZE, 3, np.float32))
     assert carry_background_depth(pyramid, settings, flat, labels, motion) is None
@@ -199,7 +191,7 @@ def test_bare_walls_at_rest_have_no_label_of_their_own(shared_data, folder, firs
     assert not result.labels.any()
 
 
-def test_what_bare_windows_gain_counts_little(scene):
+def test_bare_windows_support_a_label_little(scene):
     """Only windows with more than noise support a label."""
     frames = (frame.astype(np.float32) for frame in (scene.frame0, scene.frame1))
     pyramid = pyramid_of(*frames, scene.camera, BALANCED)
@@ -209,8 +201,8 @@ def test_what_bare_windows_gain_counts_little(scene):
         name: layering._spared(np.ones(SIZE, np.float32), mine)
         for name, mine in (
             ("bare", varied < np.quantile(varied, 0.3)),
-            ("thing", scene.labels == 1),
+            ("object", scene.labels == 1),
         )
     }
     assert shown["bare"] < 0.1 / OBJECTS.min_pixel_gain
-    assert 0.8 / OBJECTS.min_pixel_gain < shown["thing"] <= 1 / OBJECTS.min_pixel_gain
+    assert 0.8 / OBJECTS.min_pixel_gain < shown["object"] <= 1 / OBJECTS.min_pixel_gain

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.motion.one_motion import OBJECTS, interpreted
 from tests.rendered import static_scene, two_blocks
 from tisfm.motion.objects.candidates import floating_parts, without_domes
 from tisfm.scenes import STATIC_KINDS
 
-OBJECTS = tisfm.Settings(motion="objects")
 SMALLEST = 64
 
 
@@ -23,10 +23,6 @@ def ground(height=90, width=121):
 def parts(inverse_depth, deviation=0.01):
     noise = np.full(inverse_depth.shape, deviation, np.float32)
     return floating_parts(inverse_depth.astype(np.float32), noise, SMALLEST)
-
-
-def interpreted(scene, settings=OBJECTS):
-    return tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
 
 
 def overlap(found, true):
@@ -48,7 +44,7 @@ def test_without_domes_is_the_best_path_to_the_border():
     np.testing.assert_array_equal(without_domes(monotone), monotone)
 
 
-def test_what_stands_does_not_float_and_what_has_no_foot_does():
+def test_parts_with_a_foot_do_not_float_and_others_do():
     scene = ground()
     foot = scene[60, 0]
     scene[20:61, 40:60] = foot
@@ -61,7 +57,7 @@ def test_what_stands_does_not_float_and_what_has_no_foot_does():
     assert overlap(found == 1, true) > 0.9
 
 
-def test_what_is_not_certain_does_not_float():
+def test_uncertain_parts_do_not_float():
     scene = ground()
     scene[20:61, 40:60] = 1.6 * scene[60, 0]
     assert parts(scene, 0.05).any()
@@ -70,7 +66,7 @@ def test_what_is_not_certain_does_not_float():
     assert not parts(scene).any()
 
 
-def test_what_touches_the_border_or_hangs_on_it_does_not_float():
+def test_parts_at_the_border_do_not_float():
     scene = ground()
     scene[20:61, :20] = 4
     assert not parts(scene).any()
@@ -104,7 +100,7 @@ def test_parts_are_found_in_large_maps_too():
 def test_a_block_moving_along_epipolar_lines_gets_a_label():
     """The camera moves right; a bump explains the block on the left, which looks nearer."""
     scene = two_blocks(240, 320, seed=1, block_motions=[[-0.02, 0, 0, 0, 0, 0], np.zeros(6)])
-    result = interpreted(scene)
+    result = interpreted(scene, OBJECTS)
     assert len(result.motions) == 2
     assert overlap(result.labels == 1, scene.labels == 2) > 0.95
     assert result.motions[1] @ result.motions[0] > 0.999
@@ -115,11 +111,11 @@ def test_a_block_moving_along_epipolar_lines_gets_a_label():
 def test_a_block_that_looks_further_away_is_taken_for_one_at_rest():
     """A limit of the method: objects seen through a window look the same."""
     scene = two_blocks(120, 160, seed=1, block_motions=[[0.015, 0, 0, 0, 0, 0], np.zeros(6)])
-    assert len(interpreted(scene).motions) == 1
+    assert len(interpreted(scene, OBJECTS).motions) == 1
 
 
 @pytest.mark.parametrize(("kind", "seed"), list(zip(STATIC_KINDS, (0, 1, 1, 0), strict=True)))
 def test_nothing_at_rest_floats(kind, seed):
     scene = static_scene(kind, 120, 160, seed=seed)
-    result = interpreted(scene)
+    result = interpreted(scene, OBJECTS)
     assert len(result.motions) == 1 and not result.labels.any()

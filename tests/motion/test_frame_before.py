@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.pairwise import pairwise
+from tests.rendered import three_blocks, two_blocks
 from tisfm.metrics import endpoint_error_map
-from tisfm.scenes import three_blocks, two_blocks
 
 FAST, SPEED = tisfm.Settings.preset("fast"), 3.0
 
@@ -32,9 +33,8 @@ def both(frames, pair, settings):
     return last, tisfm.interpret(*frames[1:], **options)
 
 
-@pytest.mark.parametrize("make", [two_blocks, three_blocks])
-@pytest.mark.parametrize("preset", ["balanced", "accurate"])
-def test_what_is_hidden_next_is_seen_before(make, preset):
+@pairwise(make=[two_blocks, three_blocks], preset=["balanced", "accurate"], short=True)
+def test_pixels_hidden_in_the_next_frame_are_seen_in_the_previous_one(make, preset):
     frames, pair = triple(make)
     last, alone = both(frames, pair, tisfm.Settings.preset(preset))
     hidden = ~pair.visible

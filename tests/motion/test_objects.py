@@ -9,22 +9,18 @@ import pytest
 import tisfm
 from bench.reference import flow as flow_of
 from bench.reference import motion_matrix
+from tests.motion.one_motion import FAST_OBJECTS as FAST
+from tests.motion.one_motion import OBJECTS, interpreted, shared
 from tests.rendered import static_scene, three_blocks, two_blocks
 from tisfm.metrics import depth_errors, pose_errors
 from tisfm.motion.estimate import Estimate
 from tisfm.motion.objects.depth import align_scales
 from tisfm.rigid import pose_matrix, rigid_motion
 
-OBJECTS = tisfm.Settings(motion="objects")
-FAST = tisfm.Settings.preset("fast", motion="objects")
 SIZE = (120, 160)
 
 
-def interpreted(scene, settings=OBJECTS):
-    return tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
-
-
-def things(scene):
+def true_objects(scene):
     """Return the true objects: wall and floor are one, each block is another."""
     return np.maximum(scene.labels - 1, 0)
 
@@ -36,10 +32,10 @@ def overlap(found, true):
 
 def partners(result, scene):
     """Return the label of the result for each true object, by overlap."""
-    true = things(scene)
+    true = true_objects(scene)
     return [
-        max(range(len(result.motions)), key=lambda k: overlap(result.labels == k, true == thing))
-        for thing in range(true.max() + 1)
+        max(range(len(result.motions)), key=lambda k: overlap(result.labels == k, true == body))
+        for body in range(true.max() + 1)
     ]
 
 
@@ -50,7 +46,7 @@ def blocks():
 
 @pytest.fixture(scope="module")
 def result(blocks):
-    return interpreted(blocks)
+    return shared(blocks, OBJECTS)
 
 
 @pytest.fixture(scope="module")
@@ -59,8 +55,8 @@ def small():
 
 
 @pytest.fixture(scope="module")
-def fast(small):
-    return interpreted(small, FAST)
+def tiny():
+    return two_blocks(60, 80, seed=2)
 
 
 # --- Labels, depth and motions ----------------------------------------------------------------
@@ -68,11 +64,11 @@ def fast(small):
 
 def check(result, scene, *, least_overlap=0.97, most_error=0.03):
     """Check that labels and true objects match one to one, and that depth in each is right."""
-    true, mine = things(scene), partners(result, scene)
+    true, mine = true_objects(scene), partners(result, scene)
     assert len(set(mine)) == len(mine) == len(result.motions)
-    for thing, label in enumerate(mine):
-        assert overlap(result.labels == label, true == thing) >= least_overlap
-        both = (result.labels == label) & (true == thing) & scene.visible
+    for body, label in enumerate(mine):
+        assert overlap(result.labels == label, true == body) >= least_overlap
+        both = (result.labels == label) & (true == body) & scene.visible
         assert depth_errors(result.depth, scene.depth, mask=both).abs_rel < most_error
 
 
@@ -89,14 +85,21 @@ def test_the_background_comes_first(result, blocks):
     assert partners(result, blocks)[0] == 0
 
 
-@pytest.mark.parametrize(("seed", "settings"), [(7, OBJECTS), (8, OBJECTS), (9, FAST)])
+@pytest.mark.parametrize(
+    ("seed", "settings"),
+    [
+        (7, OBJECTS),
+        pytest.param(8, OBJECTS, marks=pytest.mark.nightly),
+        pytest.param(9, FAST, marks=pytest.mark.nightly),
+    ],
+)
 def test_three_moving_blocks(seed, settings):
     """In these scenes, the first motion explains two blocks, or parts of the third."""
     scene = three_blocks(240, 320, seed=seed)
     check(interpreted(scene, settings), scene)
 
 
-def test_motions_are_those_of_the_things(result, blocks):
+def test_motions_are_those_of_the_true_objects(result, blocks):
     true = [blocks.motions[label] for label in (0, 2, 3)]
     for twist, label, limit in zip(true, partners(result, blocks), (1, 6, 12), strict=True):
         found = pose_errors(pose_matrix(result.motions[label]), pose_matrix(twist))
@@ -115,34 +118,37 @@ def test_rho_is_the_field_of_the_flow(result, blocks):
 def test_one_motion_cannot_explain_it(blocks):
     """One motion has large errors of depth on the blocks."""
     camera = interpreted(blocks, tisfm.Settings(motion="camera"))
-    on_blocks = (things(blocks) > 0) & blocks.visible
+    on_blocks = (true_objects(blocks) > 0) & blocks.visible
     assert depth_errors(camera.depth, blocks.depth, mask=on_blocks).abs_rel > 0.1
 
 
 @pytest.mark.parametrize("kind", ["sideways", "forward+rotation"])
-def test_a_static_scene_is_one_thing(kind):
+def test_a_static_scene_has_one_label(kind):
     scene = static_scene(kind)
-    result = interpreted(scene)
+    result = interpreted(scene, OBJECTS)
     assert len(result.motions) == 1 and not result.labels.any()
     assert depth_errors(result.depth, scene.depth, mask=scene.visible).abs_rel < 0.013
 
 
 def test_a_camera_at_rest():
     """The background has no parallax and gets no depth; the blocks get depth."""
-    scene = two_blocks(240, 320, seed=3, camera_motion=np.zeros(6))
-    result = interpreted(scene)
-    true, mine = things(scene), partners(result, scene)
+    scene = two_blocks(*SIZE, seed=3, camera_motion=np.zeros(6))
+    result = interpreted(scene, FAST)
+    true, mine = true_objects(scene), partners(result, scene)
     assert len(result.motions) == 3 and mine[0] == 0
     assert not result.motions[0].any()
     background = result.labels == 0
     assert not result.inverse_depth[background].any()
     assert np.isinf(result.inverse_depth_std[background]).all()
-    for thing, label in enumerate(mine[1:], start=1):
-        both = (result.labels == label) & (true == thing) & scene.visible
+    for body, label in enumerate(mine[1:], start=1):
+        both = (result.labels == label) & (true == body) & scene.visible
         assert depth_errors(result.depth, scene.depth, mask=both).abs_rel < 0.03
 
 
-@pytest.mark.parametrize(("size", "settings"), [(SIZE, FAST), ((180, 240), OBJECTS)])
+@pytest.mark.parametrize(
+    ("size", "settings"),
+    [(SIZE, FAST), pytest.param((180, 240), OBJECTS, marks=pytest.mark.nightly)],
+)
 def test_noise_and_a_small_picture(size, settings):
     scene = two_blocks(*size, seed=1)
     rng = np.random.default_rng(0)
@@ -151,21 +157,21 @@ def test_noise_and_a_small_picture(size, settings):
         for frame in (scene.frame0, scene.frame1)
     ]
     result = tisfm.interpret(*frames, camera=scene.camera, settings=settings)
-    true, mine = things(scene), partners(result, scene)
-    for thing, label in enumerate(mine):
-        assert overlap(result.labels == label, true == thing) > 0.8
+    true, mine = true_objects(scene), partners(result, scene)
+    for body, label in enumerate(mine):
+        assert overlap(result.labels == label, true == body) > 0.8
 
 
-def test_same_bits_twice(fast, small):
-    again = interpreted(small, FAST)
-    np.testing.assert_array_equal(again.labels, fast.labels)
-    np.testing.assert_array_equal(again.inverse_depth, fast.inverse_depth)
+def test_same_bits_twice(tiny):
+    one, again = shared(tiny, FAST), interpreted(tiny, FAST)
+    np.testing.assert_array_equal(again.labels, one.labels)
+    np.testing.assert_array_equal(again.inverse_depth, one.inverse_depth)
 
 
 @pytest.mark.parametrize("most", [1, 2])
-def test_most_objects_is_a_limit(most, fast, small):
-    result = interpreted(small, dataclasses.replace(FAST, max_objects=most))
-    assert len(result.motions) == most < len(fast.motions)
+def test_most_objects_is_a_limit(most, tiny):
+    result = interpreted(tiny, dataclasses.replace(FAST, max_objects=most))
+    assert len(result.motions) == most < len(shared(tiny, FAST).motions)
 
 
 def test_no_motion_and_no_texture(small):
@@ -184,9 +190,9 @@ def test_a_pose_is_refused(small):
         )
 
 
-def test_smoothness_of_depth_is_a_setting(fast, small):
+def test_smoothness_of_depth_is_a_setting(tiny):
     smooth = dataclasses.replace(FAST, depth_smoothness=20.0)
-    assert np.any(interpreted(small, smooth).depth != fast.depth)
+    assert np.any(interpreted(tiny, smooth).depth != shared(tiny, FAST).depth)
 
 
 def test_saved_and_loaded(result, tmp_path):
@@ -357,7 +363,7 @@ def test_median_is_within_labels():
 def test_candidates_of_an_exact_flow(small):
     from tisfm.motion.objects.candidates import motion_candidates
 
-    true = things(small)
+    true = true_objects(small)
     background = np.column_stack(rigid_motion(small.motions[0]))
     motions, labels = motion_candidates(
         small.flow.astype(np.float32),
@@ -369,8 +375,8 @@ def test_candidates_of_an_exact_flow(small):
         max_motions=5,
     )
     assert len(motions) == 3
-    for thing in range(3):
-        assert max(overlap(labels == k, true == thing) for k in range(3)) > 0.9
+    for body in range(3):
+        assert max(overlap(labels == k, true == body) for k in range(3)) > 0.9
 
 
 def test_parts_of_a_label_get_motions_of_their_own():
@@ -378,7 +384,7 @@ def test_parts_of_a_label_get_motions_of_their_own():
     from tisfm.motion.objects.candidates import _CandidateSearch
 
     scene = three_blocks(*SIZE)
-    true = np.where(things(scene) < 3, things(scene), 0)
+    true = np.where(true_objects(scene) < 3, true_objects(scene), 0)
     background, joint = (np.column_stack(rigid_motion(scene.motions[k])) for k in (0, 2))
     search = _CandidateSearch(
         scene.flow.astype(np.float32),
@@ -406,7 +412,7 @@ def test_surfaces_are_continued_beyond_their_support(small):
     settings = tisfm.Settings()
     grey0, grey1 = grey_pair(small.frame0, small.frame1)
     pyramid = pyramid_of(grey0, grey1, small.camera, settings)
-    background = things(small) == 0
+    background = true_objects(small) == 0
     motion = np.column_stack(rigid_motion(small.motions[0]))
     solution = rigid_depth(
         pyramid, settings, motion[None], np.zeros(SIZE, np.int32),

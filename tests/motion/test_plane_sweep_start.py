@@ -177,7 +177,7 @@ def poles():
 
 
 @pytest.mark.parametrize("preset", ["fast", "balanced"])
-def test_what_is_narrower_than_it_moves_is_found(poles, preset):
+def test_objects_narrower_than_their_motion_are_found(poles, preset):
     settings = tisfm.Settings.preset(preset, motion="camera")
     pose = np.eye(4)
     pose[0, 3] = -0.5
@@ -192,7 +192,7 @@ def test_what_is_narrower_than_it_moves_is_found(poles, preset):
     assert depth_errors(result.depth, poles.depth, mask=poles.visible).abs_rel < 0.04
 
 
-def test_the_sweep_is_what_finds_it(poles, monkeypatch):
+def test_they_are_lost_without_the_sweep(poles, monkeypatch):
     import tisfm.motion.plane_sweep
 
     monkeypatch.setattr(tisfm.motion.plane_sweep, "DEPTH", replace(DEPTH, min_sweep_range=np.inf))

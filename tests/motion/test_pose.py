@@ -98,7 +98,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("change", WRONG.values(), ids=WRONG)
-def test_a_wrong_pose_is_said_and_its_depth_kept(posed, change):
+def test_a_wrong_pose_is_reported_and_its_depth_kept(posed, change):
     scene, pose = posed
     result = interpreted(scene, FAST, pose=change(pose))
     assert result.status == "pose_mismatch"
@@ -108,14 +108,13 @@ def test_a_wrong_pose_is_said_and_its_depth_kept(posed, change):
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_wrong_rotation_is_said(posed, axis):
+def test_a_wrong_rotation_is_reported(posed, axis):
     scene, pose = posed
     result = interpreted(scene, FAST, pose=(with_turn(axis, 3) @ pose)[:3, :3])
     assert result.status == "pose_mismatch"
 
 
-@pytest.mark.parametrize("noise", [0, 15, 40])
-@pytest.mark.parametrize("known", [3, 4])
+@pairwise(noise=[0, 15, 40], known=[3, 4], short=True)
 def test_a_right_pose_is_not_doubted(posed, noise, known):
     scene, pose = posed
     rng = np.random.default_rng(0)
@@ -127,26 +126,17 @@ def test_a_right_pose_is_not_doubted(posed, noise, known):
     assert result.status == "converged"
 
 
-@pytest.mark.parametrize("kind", STATIC_KINDS)
-@pytest.mark.parametrize(("preset", "focal"), [("fast", 225.0), ("balanced", 900.0)])
-def test_right_poses_of_all_scenes(kind, preset, focal):
-    assert_pose_is_right(kind, focal, preset)
-
-
-@pytest.mark.nightly
-@pairwise(kind=STATIC_KINDS, focal=[225.0, 240.0, 450.0, 900.0], preset=["fast", "balanced"])
+@pairwise(
+    kind=STATIC_KINDS, focal=[225.0, 240.0, 450.0, 900.0], preset=["fast", "balanced"], short=True
+)
 def test_right_poses_of_all_scenes_and_focal_lengths(kind, focal, preset):
-    assert_pose_is_right(kind, focal, preset)
-
-
-def assert_pose_is_right(kind, focal, preset):
     scene = static_scene(kind, 180, 240, seed=1, focal=focal)
     settings = tisfm.Settings.preset(preset, motion="camera")
     result = interpreted(scene, settings, pose=pose_matrix(scene.motions[0]))
     assert result.status == "converged"
 
 
-def test_things_that_move_are_no_reason_to_doubt_a_pose():
+def test_moving_objects_are_no_reason_to_doubt_a_pose():
     pair = two_blocks(240, 320, seed=1)
     result = interpreted(pair, FAST, pose=pose_matrix(pair.motions[0]))
     assert result.status == "converged"

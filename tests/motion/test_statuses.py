@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import tisfm
-from tests.motion.one_motion import CAMERA, FAST, interpreted
+from tests.motion.one_motion import CAMERA, FAST, interpreted, shared
+from tests.pairwise import pairwise
 from tests.rendered import room, static_scene, three_blocks, two_blocks
 from tisfm.camera import Camera
 from tisfm.frames import grey_pair
@@ -40,8 +41,7 @@ def scene():
     return static_scene("forward+rotation", *SIZE)
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize("preset", PRESETS)
+@pairwise(preset=PRESETS, motion=MOTIONS, short=True)
 def test_frames_without_relation(scene, preset, motion):
     other = static_scene("sideways", *SIZE, seed=9).frame1
     noise = np.random.default_rng(0).integers(0, 256, SIZE, dtype=np.uint8)
@@ -79,11 +79,11 @@ def stripes(angle, noise=0.0, *, shift=3):
     ]
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize("preset", PRESETS)
-@pytest.mark.parametrize(("angle", "noise"), [(0, 0), (30, 4), (45, 0), (90, 4)])
-def test_stripes_show_motion_across_only(angle, noise, preset, motion):
-    found = status(*stripes(angle, noise), preset, motion)
+@pairwise(
+    motion=MOTIONS, preset=PRESETS, stripes_of=[(0, 0), (30, 4), (45, 0), (90, 4)], short=True
+)
+def test_stripes_show_motion_across_only(stripes_of, preset, motion):
+    found = status(*stripes(*stripes_of), preset, motion)
     assert found == "aperture" and "aperture problem" in found.message
 
 
@@ -105,7 +105,7 @@ def test_stripes_show_depth_under_a_pose_that_crosses_them(angle):
 
 
 @pytest.mark.parametrize("side", [24, 40])
-def test_something_beside_stripes_shows_how_they_move(scene, side):
+def test_texture_beside_stripes_shows_their_motion(scene, side):
     frame = stripes(0)[0].astype(np.float32)
     assert aperture_status(frame) == "aperture"
     frame[40 : 40 + side, 60 : 60 + side] = scene.frame0[40 : 40 + side, 60 : 60 + side]
@@ -113,7 +113,7 @@ def test_something_beside_stripes_shows_how_they_move(scene, side):
 
 
 @pytest.mark.parametrize("scale", [1 / 255, 1.0, 1e4])
-def test_stripes_are_told_at_any_brightness(scene, scale):
+def test_stripes_are_found_at_any_brightness(scene, scale):
     for frame, found in ((stripes(20)[0], "aperture"), (scene.frame0, None)):
         assert aperture_status(np.float32(scale) * frame.astype(np.float32)) == found
 
@@ -179,7 +179,7 @@ def test_noise_around_zero_lies_not_behind_the_camera(scene, distance, deviation
 
 @pytest.mark.parametrize("matched", [False, True])
 @pytest.mark.parametrize(("factor", "code"), [(0.7, None), (1.5, "unexplained")])
-def test_a_part_where_depth_leads_astray(scene, factor, code, matched):
+def test_a_part_with_wrong_depth_is_unexplained(scene, factor, code, matched):
     flow = scene.flow.astype(np.float32)
     # Windows see the wrong rows from this distance.
     rows = max(1, round(factor * CHECKS.max_unexplained_share * SIZE[0]) - CONFIDENCE_WINDOW)
@@ -196,7 +196,7 @@ def test_a_part_whose_deviation_is_large(scene, factor, code):
     assert found == code and (code is None or "inverse_depth_std" in found.message)
 
 
-def test_what_is_far_is_not_uncertain(scene):
+def test_distant_points_are_not_uncertain(scene):
     """At great distance, inverse depth is small, so a large relative deviation is allowed."""
     inverse_depth = 1 / scene.depth
     usual = float(np.median(inverse_depth))
@@ -221,32 +221,32 @@ def test_a_pose_that_puts_the_scene_behind_the_camera(monkeypatch):
 # Distant frames with a given pose.
 
 
-def test_a_pose_of_frames_far_apart_gives_depth():
+@pytest.fixture(scope="module")
+def far():
     turned = (0.5, 0, 0.2, 0.03, 0.19, 0)
-    far = three_blocks(240, 320, camera_motion=turned, block_motions=np.zeros((3, 6)))
-    result = interpreted(far, pose=pose_matrix(far.motions[0]))
+    return three_blocks(240, 320, camera_motion=turned, block_motions=np.zeros((3, 6)))
+
+
+def test_a_pose_of_frames_far_apart_gives_depth(far):
+    pose = pose_matrix(far.motions[0])
+    result = shared(far, pose=pose)
     assert result.status in ("converged", "iteration_limit")
     seen = far.visible & ~result.occlusion
     assert depth_errors(result.depth, far.depth, mask=seen).abs_rel < 0.08
+    error = np.abs(result.inverse_depth - 1 / far.depth)[far.visible]
+    assert 0.4 < (error <= result.inverse_depth_std[far.visible]).mean() < 0.95
     other = static_scene("sideways", 240, 320, seed=9)
     result = tisfm.interpret(
-        far.frame0, other.frame1, camera=far.camera, settings=CAMERA, pose=np.linalg.inv(
-            pose_matrix(far.motions[0])
-        ),
-    )  # fmt: skip
+        far.frame0, other.frame1, camera=far.camera, settings=CAMERA, pose=np.linalg.inv(pose)
+    )
     assert result.status == "unrelated"
 
 
-def test_a_wrong_pose_of_frames_far_apart_is_told():
-    turned = (0.5, 0, 0.2, 0.03, 0.19, 0)
-    far = three_blocks(240, 320, camera_motion=turned, block_motions=np.zeros((3, 6)))
+def test_a_wrong_pose_of_frames_far_apart_is_reported(far):
     pose = pose_matrix(far.motions[0])
     off = pose_matrix([0, 0, 0, 0, 0, np.radians(3)]) @ pose
     for wrong in (off, np.linalg.inv(pose)):
         assert interpreted(far, pose=wrong).status == "pose_mismatch"
-    right = interpreted(far, pose=pose)
-    error = np.abs(right.inverse_depth - 1 / far.depth)[far.visible]
-    assert 0.4 < (error <= right.inverse_depth_std[far.visible]).mean() < 0.95
 
 
 def test_a_rotation_that_only_the_finer_flow_field_doubts():
@@ -274,10 +274,11 @@ def plane(normal, motion, noise=0.0, settings=CAMERA):
 FRONTAL, SLANTED = (0, 0, -1), (0.6, 0.1, -1)
 
 
-@pytest.mark.parametrize("noise", [0, 5])
-@pytest.mark.parametrize("normal", [FRONTAL, SLANTED])
-@pytest.mark.parametrize(
-    "motion", [(-0.15, 0, 0, 0, 0, 0), (-0.5, 0, 0, 0, 0.02, 0), (-1.2, 0.2, 0, 0, 0.1, 0.02)]
+@pairwise(
+    motion=[(-0.15, 0, 0, 0, 0, 0), (-0.5, 0, 0, 0, 0.02, 0), (-1.2, 0.2, 0, 0, 0.1, 0.02)],
+    normal=[FRONTAL, SLANTED],
+    noise=[0, 5],
+    short=True,
 )
 def test_a_wall_shows_parallax(normal, motion, noise):
     """The flow is 9 to 73 px."""
@@ -286,14 +287,13 @@ def test_a_wall_shows_parallax(normal, motion, noise):
     assert (result.inverse_depth > 0).all()
 
 
-@pytest.mark.parametrize("noise", [0, 5])
-@pytest.mark.parametrize("normal", [FRONTAL, SLANTED])
+@pairwise(normal=[FRONTAL, SLANTED], noise=[0, 5], short=True)
 def test_a_wall_that_is_approached_aslant_leaves_two_motions(normal, noise):
     result = plane(normal, (-0.4, 0, -0.4, 0.03, 0.02, 0), noise)
     assert result.status == "two_motions" and result.inverse_depth.any()
 
 
-def test_so_it_does_where_things_might_move():
+def test_it_leaves_two_motions_where_objects_might_move():
     settings = tisfm.Settings.preset("fast", motion="objects")
     result = plane(SLANTED, (-0.4, 0, -0.4, 0.03, 0.02, 0), settings=settings)
     assert len(result.motions) == 1

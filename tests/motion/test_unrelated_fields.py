@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 import tisfm
-from tests.rendered import static_scene
+from tests.draws import nightly_except
+from tests.pairwise import pairwise
+from tests.rendered import bare_patches, static_scene, two_blocks
 from tisfm.interpretation import Interpretation
-from tisfm.scenes import bare_patches, two_blocks
 
 SIZE = (120, 160)
 PRESETS = ("paper", "fast", "balanced")
@@ -22,7 +23,7 @@ def status(frame0, frame1, preset):
     return tisfm.interpret(frame0, frame1, settings=settings).status
 
 
-@pytest.mark.parametrize("preset", [*PRESETS, "accurate"])
+@pytest.mark.parametrize("preset", nightly_except("paper", "balanced", of=[*PRESETS, "accurate"]))
 def test_other_scenes_and_mirrored_frames(scene, preset):
     """The flow of "paper" deforms until half of the frames look alike, but it folds the image."""
     other = static_scene("sideways", *SIZE, seed=9).frame1
@@ -44,9 +45,7 @@ def test_a_first_frame_without_texture(scene, preset):
     assert status(np.full(SIZE, 90, np.uint8), scene.frame1, preset) == "no_texture"
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-@pytest.mark.parametrize("noise", [0, 20])
-@pytest.mark.parametrize("make", [static_scene, two_blocks, bare_patches])
+@pairwise(make=[static_scene, two_blocks, bare_patches], preset=PRESETS, noise=[0, 20], short=True)
 def test_frames_of_one_scene(make, noise, preset):
     pair = make("sideways", *SIZE) if make is static_scene else make(*SIZE)
     rng = np.random.default_rng(0)

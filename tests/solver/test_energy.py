@@ -31,6 +31,7 @@ def solve(frame0, frame1, settings, camera):
     frames=["random", "image"],
     contrast=["preset's", 1e-3],  # the least that settings accept
     cycles=[0, 1],
+    short=True,
 )
 def test_energy_never_rises_within_a_warp(
     preset, relaxation, model, solver, frames, contrast, cycles, blocks
@@ -85,6 +86,7 @@ def test_recorded_energy_is_the_references(blocks):
     preset=["paper", "fast", "balanced"],
     model=["rigid", "translation"],
     solver=["cholesky", "closed_form"],
+    short=True,
 )
 def test_the_whole_pair_agrees_with_the_reference(model, preset, solver):
     """Same iterations on both sides; the flow, because ρ̂ itself is ambiguous in the data."""

@@ -16,7 +16,7 @@ MODELS = [6, 3, 2, 1]
 each_size = pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
 each_model = pytest.mark.parametrize("components", MODELS)
 each_lanes = pytest.mark.parametrize("lanes", LANES)
-of_each = pairwise(size=SIZES, components=MODELS, lanes=LANES)
+of_each = pairwise(size=SIZES, components=MODELS, lanes=LANES, short=True)
 
 
 def close(actual, expected):
@@ -89,7 +89,7 @@ def test_coarse_systems(size, components, lanes, make):
     close(edges[:components], to_halved(problem, expected)[:components])
 
 
-@pairwise(size=SIZES, components=MODELS, lanes=LANES, sourced=[False, True])
+@pairwise(size=SIZES, components=MODELS, lanes=LANES, sourced=[False, True], short=True)
 def test_restricted_residuals(size, components, lanes, sourced, make):
     problem = make(*size, components, lanes)
     weights = weights_of(problem)
@@ -220,7 +220,7 @@ def residual_norm(problem, weights):
     return np.linalg.norm(residual_of(problem, weights, 0.0, False))
 
 
-@pairwise(size=[(37, 53), (64, 48), (29, 131)], components=[6, 3, 2], lanes=LANES)
+@pairwise(size=[(37, 53), (64, 48), (29, 131)], components=[6, 3, 2], lanes=LANES, short=True)
 def test_cycles_reduce_the_residual(size, components, lanes, make):
     """By at least a factor of 2 a cycle, which sweeps of the same cost stay far from."""
     problem = make(*size, components, lanes, channels=2)
@@ -254,7 +254,11 @@ def exact(problem, weights):
 
 
 @pairwise(
-    size=[(9, 14), (13, 21), (11, 17)], components=MODELS, lanes=LANES, step=["cycle", "descend"]
+    size=[(9, 14), (13, 21), (11, 17)],
+    components=MODELS,
+    lanes=LANES,
+    step=["cycle", "descend"],
+    short=True,
 )
 def test_cycles_reach_the_solution(size, components, lanes, step, make):
     """And stay there, where a correction is made of rounding, and its slope as well."""

@@ -64,7 +64,7 @@ def minimiser_of(solver, anchors, frame, lanes, settings, *, lines=None, **optio
     return minimiser, smoothness
 
 
-@pairwise(size=[(7, 9), (8, 6), (1, 11), (10, 1)], lanes=LANES, spacing=[1.0, 2.0])
+@pairwise(size=[(7, 9), (8, 6), (1, 11), (10, 1)], lanes=LANES, spacing=[1.0, 2.0], short=True)
 def test_the_minimum_is_that_of_exact_solutions(size, lanes, spacing, solver):
     settings = solver.SecondOrderSettings(alpha=3.0, beta=100.0, turn=0.05, bend=0.3)
     anchors, frame = problem(*size)
@@ -90,6 +90,7 @@ def test_the_minimum_is_that_of_exact_solutions(size, lanes, spacing, solver):
     anchored=[False, True],
     settings=[{}, {"gamma": 0.0}, {"bend": 1e-3, "turn": 1e-5, "anchor_scale": 0.01}],
     spacing=[1.0, 4.0],
+    short=True,
 )
 def test_energy_never_rises(lanes, lines, image, anchored, settings, spacing, solver):
     """But by rounding, as in `tests/solver/test_energy.py`."""
