@@ -198,7 +198,7 @@ def test_bare_windows_support_a_label_little(scene):
     layering = Layering(pyramid, BALANCED, pyramid.frames0[0])
     varied = window_variance(pyramid.frames0[0], 11)
     shown = {
-        name: layering._spared(np.ones(SIZE, np.float32), mine)
+        name: layering._gain_ratio(np.ones(SIZE, np.float32), mine)
         for name, mine in (
             ("bare", varied < np.quantile(varied, 0.3)),
             ("object", scene.labels == 1),
