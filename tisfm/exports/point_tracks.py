@@ -220,7 +220,7 @@ def _tracked(frames: PieceFrames, cells: int) -> Iterator[tuple[int, Observation
         seen = tracker.track(grey, ~frames.usable(frame))
         if before is not None:
             earlier, before_seen = before
-            old, now = before_seen.shared(seen)
+            old, now = before_seen.common_tracks(seen)
             reliable = are_reliable(earlier, grey, before_seen.points[old], seen.points[now])
             lost = np.union1d(np.intersect1d(lost, seen.tracks), seen.tracks[now[~reliable]])
         before = grey, seen
@@ -243,7 +243,7 @@ def _points_of(frames: PieceFrames, group: _Group) -> list[SeenPoints]:
     matrices = {k: pose.matrix for k, pose in enumerate(poses)}
     initial = triangulate_tracks(seen, matrices, result.camera, result.shape)
     before = (initial.positions - poses[0].matrix[:3, 3]) @ poses[0].matrix[:3, 2] > 0
-    initial = initial.among(initial.tracks[before])
+    initial = initial.select(initial.tracks[before])
     if not len(initial):
         return []
     image_points = image_points[np.searchsorted(group.tracks, initial.tracks)]
