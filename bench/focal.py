@@ -35,9 +35,7 @@ FOCALS = (320.0, 600.0, 1000.0)  # px, true
 RATIOS = (0.5, 0.6, 0.75, 0.9, 1.0, 1.1, 4 / 3, 5 / 3, 2.0)
 PAPER = ((600.0, 5 / 3), (1000.0, 0.6))  # true focal length, px; ratio
 EXACT_THRESHOLD = 0.01  # px, threshold of the essential matrix for the true flow
-UNAFFECTED_RATIO = (
-    1.2  # ratio to the error at the true focal length, up to which depth counts as unaffected
-)
+UNAFFECTED_RATIO = 1.2  # of unaffected depth: maximum ratio to the error at the true focal length
 NOTES = (
     "abs-rel is the mean of |ΔZ|/Z after scaling by the median; direction and rotation are errors "
     'of the camera\'s motion, `motion="camera"`; the field is `motion="field"`, with depth by '
@@ -63,10 +61,8 @@ ROWS = {
 }
 TICKS = (0.5, 0.75, 1.0, 1.33, 2.0)
 MARKERS = ("o", "s", "^", "v")
-MAX_RATIO_OF_DENSE_TICKS = (
-    30.0  # ratio of largest to smallest error, below which the axis has more ticks
-)
-MIN_ERROR = 1e-4  # least error on a logarithmic axis
+MAX_DENSE_TICKS_RATIO = 30.0  # of largest to smallest error, for an axis with more ticks
+MIN_ERROR = 1e-4  # lower end of a logarithmic axis
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,7 +244,7 @@ def _scale(axes: Axes, values: Sequence[float]) -> None:
     axes.xaxis.set_major_locator(FixedLocator(TICKS))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    if max(values) < MAX_RATIO_OF_DENSE_TICKS * max(min(values), MIN_ERROR):
+    if max(values) < MAX_DENSE_TICKS_RATIO * max(min(values), MIN_ERROR):
         axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())

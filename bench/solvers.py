@@ -1,7 +1,7 @@
 """``python -m bench.solvers``: convergence of the linear system.
 
 The system is the first one at a single scale: the paper's data term, edge weights from the image,
-and ρ̂ = 0. The energy after some work is compared with the least energy.
+and ρ̂ = 0. The energy after some work is compared with the minimum.
 """
 
 import itertools
@@ -40,11 +40,11 @@ FOCAL = 600 / 640  # as a share of the width
 RELAXATIONS = (1.0, 1.5, 1.9, 1.95)
 SWEEPS = (1, 2, 4, 8, 12, 16, 20, 24, 32, 40, 50, 64, 80, 100, 128, 160, 200)
 CYCLES = 12  # of multigrid
-CONVERGED = 30  # cycles with conjugate gradients that give the least energy
+CONVERGED = 30  # cycles with conjugate gradients that give the minimum
 GAPS = (1e-2, 1e-3, 1e-4, 1e-5)
 BUDGET = 16.0  # sweeps
 ROUNDS = 9  # timed calls of each step
-MIN_GAP = 1e-8  # least gap in the picture: rounding to single precision decides smaller gaps
+MIN_GAP = 1e-8  # of the picture: rounding to single precision decides smaller gaps
 MAX_WORK = 130.0  # sweeps, end of the axis
 
 # Work is counted in sweeps of the finest grid, by the words that are moved: a sweep moves 29 words
@@ -66,7 +66,7 @@ class Course:
     gap: list[float]  # (E − E*)/(E(0) − E*) after that work
 
     def work_to(self, gap: float) -> float:
-        """Return the least work that brings the gap down to `gap`; infinity if none does."""
+        """Return the work after which the gap is at most `gap`; infinity if it stays larger."""
         return next((w for w, g in zip(self.work, self.gap, strict=True) if g <= gap), math.inf)
 
 

@@ -116,9 +116,7 @@ def papered_room(height: int, width: int, seed: int, direction: str) -> Triple:
     depth, camera = film.depth[1].astype(np.float64), film.camera
     cx, cy = camera.center_for(height, width)
     x, y = np.arange(width) - cx, (np.arange(height) - cy)[:, None]
-    points = (
-        np.stack(np.broadcast_arrays(x * depth, y * depth, camera.focal * depth)) / camera.focal
-    )
+    points = np.stack([x * depth, y * depth, camera.focal * depth]) / camera.focal
     moved = points - np.array(ROOM_MOTIONS[direction])[:, None, None]
     flow = np.stack([camera.focal * moved[k] / moved[2] - (x, y)[k] for k in (0, 1)], axis=-1)
     target = (flow + np.stack(np.broadcast_arrays(x + cx, y + cy), axis=-1)).astype(np.float32)

@@ -222,9 +222,7 @@ def scene_pair(name: str, group: str, pair: SyntheticPair) -> DepthPair:
     )
 
 
-MAX_MATCH_ERROR = (
-    0.7  # px between a match and its projected point in each frame, at most; set by hand
-)
+MAX_MATCH_ERROR = 0.7  # px between a match and its projected point in each frame; set by hand
 
 
 def depth_of_matches(

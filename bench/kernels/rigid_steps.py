@@ -22,7 +22,7 @@ from tisfm.kernels.rigid import (
 from tisfm.reconstruction.depth.pose_adjustment import OUTLIER_SCALE
 
 DEPTH_WEIGHT = 3.0  # weight of the smoothness of depth while the motion changes
-TINY = 1e-6  # least curvature of the costs
+MIN_CURVATURE = 1e-6  # of the costs around the cheapest hypothesis
 
 
 class DepthOperations(TaichiSide):
@@ -271,7 +271,7 @@ class DepthReferences(NumpySide):
             inner = (best > 0) & (best < cost.shape[2] - 1)
             around = [np.clip(best + side, 0, cost.shape[2] - 1) for side in (-1, 0, 1)]
             below, lowest, above = (np.take_along_axis(cost, index, 2) for index in around)
-            vertex = (below - above) / np.maximum(below + above - 2 * lowest, TINY) / 2
+            vertex = (below - above) / np.maximum(below + above - 2 * lowest, MIN_CURVATURE) / 2
             return np.moveaxis(best + inner * np.clip(vertex, -0.5, 0.5), 2, 0)
 
         return run

@@ -21,7 +21,7 @@ FRAME_STEP = 3  # frames between both frames of a pair; in that time both people
 PAIR_STEP = 2  # frames from one pair to the next
 FOCALS = (384.0, 600.0)  # px: the guess for this image size, and the paper's; the truth is unknown
 ESTIMATED = "estimated"  # origin of the focal length from all frames
-MIN_LABELLED_SHARE = 0.5  # least share of labelled pixels of a patch that counts as labelled
+MIN_LABELLED_SHARE = 0.5  # share of labelled pixels of a labelled patch
 # Centres of the man's upper body and of the cyclist's in every second frame, px.
 MAN = (
     (55, 107), (63, 107), (73, 106), (77, 102), (81, 106), (88, 111), (94, 111), (96, 107),

@@ -5,16 +5,10 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-MAX_RELATIVE_STEP = (
-    0.05  # relative step of inverse depth between neighbours on one surface, at most
-)
-MIN_DEPTH_RATIO = 0.05  # least depth in another view, as a share of the depth in this view
-MIN_SIMILAR_NEIGHBOURS = (
-    3  # of the eight neighbours: a pixel with fewer neighbours of similar depth is an error
-)
-MAX_INTERPOLATION_DISTANCE = (
-    2.0  # truncations: largest distance from the depth of the nearest pixel for interpolation
-)
+MAX_RELATIVE_STEP = 0.05  # relative step of inverse depth between neighbours on one surface
+MIN_DEPTH_RATIO = 0.05  # minimum depth in another view over the depth in this view
+MIN_SIMILAR_NEIGHBOURS = 3  # of eight: a pixel with fewer neighbours of similar depth is an error
+MAX_INTERPOLATION_DISTANCE = 2.0  # truncations from the depth of the nearest pixel
 
 
 def inverse_depth_at(image: Floats, x: float, y: float) -> float:

@@ -12,9 +12,7 @@ from bench.regression.checkout import Paired
 from bench.shared.results import EMPTY_CELL, Table, markdown_page
 
 MAX_ROUNDING = 1e-3  # px: a larger difference of flow is not only rounding
-MIN_RELATIVE_DEPTH = (
-    0.01  # share of the median inverse depth: least denominator of relative differences
-)
+MIN_RELATIVE_DEPTH = 0.01  # smallest denominator of differences, over the median inverse depth
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -156,7 +156,7 @@ def report(figures: dict[str, Any]) -> str:
             before = time
     blocks: list[str | list[str] | Table] = [
         "`two_blocks` at every size; its motion grows with the size. Median of the rounds, in "
-        "brackets the least and the most. Growth: time per pixel over that of the size before.",
+        "brackets the lowest and the highest. Growth: time per pixel over the previous size's.",
         Table(["preset", "threads", "size", "s", "ns/px", "growth"], rows),
         f"## Time over the time of {runs[0]['peer']['name']} at {runs[0]['peer']['size']}, in the "
         "same rounds",

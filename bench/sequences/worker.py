@@ -30,9 +30,7 @@ from tisfm.lens import undistort
 from tisfm.rigid import pose_matrix
 
 STRIDE = 4  # px between the pixels whose points are passed to the next pair
-MIN_OVERLAP = (
-    0.003  # share of these pixels with both depths, below which the scale is lost; set by hand
-)
+MIN_OVERLAP = 0.003  # share of these pixels with both depths for a known scale; set by hand
 
 # Arguments: a frame, and the other frame of its pair.
 Interpret = Callable[[int, int], Interpretation]

@@ -142,7 +142,7 @@ def summary(contest: Contest, *, changes: bool = False) -> Table:
     head = [
         "method",
         *(column.title for column in columns),
-        f"s per {width}×{height} pair [least–most]",
+        f"s per {width}×{height} pair [lowest–highest]",
         f"time / {contest.reference}",
         "cores busy",
     ]
@@ -190,7 +190,7 @@ def notes(contest: Contest) -> list[str]:
         + ". An outlier is off by at least 3 px and 5% of the true displacement.",
         *(f"{pair.name}: {pair.note}." for pair in contest.pairs if pair.note),
         f"Seconds per {width}×{height} pair: {basis}; median over the rounds, in brackets the "
-        "least and the most. In every round each method runs once, one after the other; ratios "
+        "lowest and the highest. In every round each method runs once, one after the other; ratios "
         "are taken within a round. The first call of each method on each pair is not timed; a call "
         f"of less than {FAST_CALL:g} s runs once more, untimed, before each timed call. Methods of "
         f"more than {SLOW_CALL:g} s have no untimed calls and at most {MAX_SLOW_ROUNDS} rounds.",

@@ -26,9 +26,7 @@ TOLERATED_SQUARE = 0.15**2  # px²
 HYPOTHESES = 0.5 + np.arange(16)  # px/frame, of inverse depth; fill whole vectors of lanes
 GUESS_TRUNCATION = 4.0  # px/frame
 AGGREGATION = {"step": 0.3, "jump": 5.0, "edge": 1.2}  # penalties; brightness units
-UNCERTAIN_BORDER = (
-    0.01  # px from the image border within which rounding decides about inside or outside
-)
+UNCERTAIN_BORDER = 0.01  # px from the image border, where rounding decides on inside or outside
 
 
 class Problem:

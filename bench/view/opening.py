@@ -25,7 +25,7 @@ OPTIONS = (
 WINDOW = {"width": 1280, "height": 800}
 PAGE_TIMEOUT = 120.0  # s to wait for the page
 IDLE_TIME = 1.5  # s without data after which a frame counts as complete; set by hand
-MIN_PAYLOAD = 10_000  # least bytes of a message with points or pictures
+MIN_PAYLOAD = 10_000  # bytes of a message with points or pictures
 # Notes the second picture after the first call that draws 1,000 points or more.
 _NOTES = """
 const draw = WebGL2RenderingContext.prototype.drawArrays;
