@@ -66,12 +66,12 @@ def variants(preset: Preset, changes: Mapping[str, Mapping[str, Any]]) -> dict[s
 def compare(options: argparse.Namespace, pairs: Pairs) -> Contest:
     base = Settings.preset(options.preset)
     reference = f"preset {options.preset}"
-    every = variants(options.preset, CHANGES)
-    chosen = choose(list(every), options.only, kind="change", name=str)
+    settings = variants(options.preset, CHANGES)
+    names = choose(list(settings), options.only, kind="change", name=str)
     missing = dict(pairs.missing)
-    missing.update({name: "the same as the preset" for name in chosen if every[name] == base})
+    missing.update({name: "the same as the preset" for name in names if settings[name] == base})
     methods = [interpretation(reference, base)]
-    methods += [interpretation(name, every[name]) for name in chosen if name not in missing]
+    methods += [interpretation(name, settings[name]) for name in names if name not in missing]
     runtime.start(threads=options.threads)
     return run_with_progress(
         methods,

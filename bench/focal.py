@@ -93,18 +93,18 @@ def measure(pair: SyntheticPair, kind: str, ratio: float, preset: Preset) -> Out
         return tisfm.interpret(pair.frame0, pair.frame1, camera=camera, settings=settings)
 
     single, field = interpreted("camera"), interpreted("field")
-    seen = single.status not in LITTLE_PARALLAX and single.motions is not None
+    has_depth = single.status not in LITTLE_PARALLAX and single.motions is not None
     exact = two_stage(pair.flow, camera, threshold=EXACT_THRESHOLD)
     errors = None
-    if seen and single.motions is not None:
+    if has_depth and single.motions is not None:
         errors = pose_errors(pose_matrix(single.motions[0]), pose_matrix(pair.motions[0]))
     return Outcome(
         kind=kind,
         focal=pair.camera.focal,
         ratio=ratio,
         status=str(single.status),
-        abs_rel=depth_errors(single.depth, pair.depth).abs_rel if seen else None,
-        offset=offset_of(single.inverse_depth, pair.inverse_depth) if seen else None,
+        abs_rel=depth_errors(single.depth, pair.depth).abs_rel if has_depth else None,
+        offset=offset_of(single.inverse_depth, pair.inverse_depth) if has_depth else None,
         direction=errors.direction if errors else None,
         rotation=errors.rotation if errors else None,
         flow=endpoint_error(single.flow, pair.flow),
@@ -149,9 +149,9 @@ def finding(outcomes: Sequence[Outcome]) -> str:
         compared = [(at[right], at[wrong]) for right, wrong in keys if right in at and wrong in at]
         if compared:
             sentences.append(_comparison(compared))
-    turned = [o for o in outcomes if "rotation" in o.kind and o.offset is not None]
-    if turned:
-        low, high = (pick(turned, key=lambda o: o.offset or 0.0) for pick in (min, max))
+    rotating = [o for o in outcomes if "rotation" in o.kind and o.offset is not None]
+    if rotating:
+        low, high = (pick(rotating, key=lambda o: o.offset or 0.0) for pick in (min, max))
         ends = " and ".join(
             f"{o.offset:+.2f} of its median ({o.kind}, {_focal_lengths(o)})" for o in (low, high)
         )

@@ -55,8 +55,8 @@ def bare_pixels(pair: SyntheticPair) -> np.ndarray:
     """Return the bare pixels, (H, W) bool."""
     outline = np.zeros(pair.labels.shape, bool)
     outline[:, 1:] = np.diff(pair.labels, axis=1) != 0
-    plain = (~pair.textured & ~outline).astype(np.uint8)
-    return cv2.distanceTransform(plain, cv2.DIST_L2, 5) > MARGIN
+    candidates = (~pair.textured & ~outline).astype(np.uint8)
+    return cv2.distanceTransform(candidates, cv2.DIST_L2, 5) > MARGIN
 
 
 def measure(pair: SyntheticPair, settings: tisfm.Settings | None) -> dict[str, float]:

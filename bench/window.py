@@ -63,8 +63,8 @@ def sintel(folder: Path, name: str) -> Triple:
     """Read frames 1 to 3."""
     frames = [np.asarray(read_image(folder / f"frame_000{k}.png")) for k in (1, 2, 3)]
     flow = np.asarray(read_flo(folder / "gt" / "frame_0002.flo"))
-    marked = np.asarray(read_image(folder / "gt" / "occlusions" / "frame_0002.png")) > 0
-    hidden = np.asarray(marked.reshape(*flow.shape[:2], -1).any(axis=-1))
+    mask = np.asarray(read_image(folder / "gt" / "occlusions" / "frame_0002.png")) > 0
+    hidden = np.asarray(mask.reshape(*flow.shape[:2], -1).any(axis=-1))
     return Triple(
         name=name,
         frames=frames,
@@ -91,8 +91,8 @@ def blocks(
     make: Callable[..., SyntheticPair], height: int, width: int, speed: float, seed: int
 ) -> Triple:
     """Render blocks that keep their 3D velocities."""
-    plain = make(8, 12)
-    camera, own = -plain.motions[0], (plain.motions - plain.motions[0])[2:]
+    small = make(8, 12)
+    camera, own = -small.motions[0], (small.motions - small.motions[0])[2:]
     before, after = (
         make(height, width, seed=seed, camera_motion=f * camera, block_motions=f * own)
         for f in (-speed, speed)
@@ -117,17 +117,19 @@ def papered_room(height: int, width: int, seed: int, direction: str) -> Triple:
     cx, cy = camera.center_for(height, width)
     x, y = np.arange(width) - cx, (np.arange(height) - cy)[:, None]
     points = np.stack([x * depth, y * depth, camera.focal * depth]) / camera.focal
-    moved = points - np.array(ROOM_MOTIONS[direction])[:, None, None]
-    flow = np.stack([camera.focal * moved[k] / moved[2] - (x, y)[k] for k in (0, 1)], axis=-1)
+    later_points = points - np.array(ROOM_MOTIONS[direction])[:, None, None]
+    flow = np.stack(
+        [camera.focal * later_points[k] / later_points[2] - (x, y)[k] for k in (0, 1)], axis=-1
+    )
     target = (flow + np.stack(np.broadcast_arrays(x + cx, y + cy), axis=-1)).astype(np.float32)
-    seen = cv2.remap(film.depth[2], target[..., 0], target[..., 1], cv2.INTER_NEAREST)
-    hidden = moved[2] > MIN_HIDDEN_RATIO * seen
+    visible_depth = cv2.remap(film.depth[2], target[..., 0], target[..., 1], cv2.INTER_NEAREST)
+    hidden = later_points[2] > MIN_HIDDEN_RATIO * visible_depth
     return Triple(
         name=f"room, papered, {direction}, {width}×{height}",
         frames=list(film.frames),
         flow=flow,
         occluded=hidden | leaves_image(flow),
-        known=moved[2] > 0,
+        known=later_points[2] > 0,
         camera=camera,
     )
 

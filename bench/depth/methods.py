@@ -74,15 +74,15 @@ class OwnMethod:
         except Exception as error:  # a failure must not lose the figures of the other methods
             raise MethodFailure(f"{type(error).__name__}: {error}") from error
         seconds = time.perf_counter() - started
-        seen = result.status not in LITTLE_PARALLAX
-        pose_found = None if result.motions is None else pose_matrix(result.motions[0])
+        has_depth = result.status not in LITTLE_PARALLAX
+        estimated_pose = None if result.motions is None else pose_matrix(result.motions[0])
         return [
             Estimate(
                 method=self.name,
                 seconds=seconds,
-                pose=pose_found,
-                inverse_depth=result.inverse_depth if seen else None,
-                deviation=result.inverse_depth_std if seen else None,
+                pose=estimated_pose,
+                inverse_depth=result.inverse_depth if has_depth else None,
+                deviation=result.inverse_depth_std if has_depth else None,
                 visible=~result.occlusion,
                 status=str(result.status),
             )
@@ -194,14 +194,14 @@ def _relative_pose(flow: NDArray, camera: Camera, threshold: float) -> tuple[NDA
     rows, columns = np.mgrid[stride // 2 : height : stride, stride // 2 : width : stride]
     start = np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float64)
     end = start + flow[rows.ravel(), columns.ravel()]
-    seen = ((end >= 0) & (end <= (width - 1, height - 1))).all(axis=1)
-    if np.count_nonzero(seen) < MIN_CORRESPONDENCES:
-        raise NoMotion(f"only {np.count_nonzero(seen)} of {len(seen)} points stay in the image")
+    inside = ((end >= 0) & (end <= (width - 1, height - 1))).all(axis=1)
+    if np.count_nonzero(inside) < MIN_CORRESPONDENCES:
+        raise NoMotion(f"only {np.count_nonzero(inside)} of {len(inside)} points stay in the image")
     cx, cy = camera.center_for(height, width)
     intrinsic = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1.0]])
     essential, _ = cv2.findEssentialMat(
-        start[seen],
-        end[seen],
+        start[inside],
+        end[inside],
         intrinsic,
         method=cv2.USAC_MAGSAC,
         prob=CONFIDENCE,

@@ -238,11 +238,11 @@ def depth_of_matches(
     views = [np.asarray(pinhole @ motion) for motion in (np.eye(3, 4), pose[:3])]
     points = cv2.triangulatePoints(views[0], views[1], matches.before.T, matches.after.T)
     points = points / points[3]
-    met = points[2] > 0
-    for view, seen in zip(views, (matches.before, matches.after), strict=True):
+    valid = points[2] > 0
+    for view, positions in zip(views, (matches.before, matches.after), strict=True):
         image = view @ points
-        met &= np.linalg.norm(image[:2] / image[2] - seen.T, axis=0) <= MAX_MATCH_ERROR
+        valid &= np.linalg.norm(image[:2] / image[2] - positions.T, axis=0) <= MAX_MATCH_ERROR
     depth = np.full(frame0.shape[:2], np.nan)
-    columns, rows = np.rint(matches.before[met]).astype(int).T
-    depth[rows, columns] = points[2, met]
+    columns, rows = np.rint(matches.before[valid]).astype(int).T
+    depth[rows, columns] = points[2, valid]
     return depth.astype(np.float32)

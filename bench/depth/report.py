@@ -153,13 +153,13 @@ def notes(contest: DepthContest) -> list[str]:
         "with the lowest product of the two errors there, which are geometric means over pairs. "
         "Pairs with a given pose, or with a camera that moved very little, do not count.",
     ]
-    silent = [
+    declined = [
         f"{method}: {', '.join(names)}"
         for method in contest.methods
         if (names := _without_depth(contest, method))
     ]
-    if silent:
-        lines.append("Reported as too little parallax by " + "; ".join(silent) + ".")
+    if declined:
+        lines.append("Reported as too little parallax by " + "; ".join(declined) + ".")
     return lines
 
 
@@ -196,9 +196,9 @@ def _detail(contest: DepthContest, group: Group) -> Table:
 
 def _cells(contest: DepthContest, method: str, group: Group) -> list[str]:
     scores = contest.best(method, group)
-    silent = sum(score.without_depth for score in scores)
+    declined = sum(score.without_depth for score in scores)
     failed = sum(bool(score.failure) for score in scores)
-    speaks = any(score.status for score in scores)
+    has_status = any(score.status for score in scores)
     return [
         _reduced(scores, "abs_rel", fmean, ".4f"),
         _reduced(scores, "abs_rel", median, ".4f"),
@@ -214,7 +214,7 @@ def _cells(contest: DepthContest, method: str, group: Group) -> list[str]:
         _three(scores, "direction", 2),
         _three(scores, "rotation", 4),
         _reduced(scores, "within", fmean, ".0%"),
-        (f"{silent} of {len(scores)}" if speaks else EMPTY_CELL)
+        (f"{declined} of {len(scores)}" if has_status else EMPTY_CELL)
         + (f", {failed} failed" if failed else ""),
         _reduced(scores, "seconds", median, "#.3g"),
         _time_ratio(contest, method, group, scores),
@@ -253,7 +253,7 @@ def _title(contest: DepthContest, method: str) -> str:
 
 
 def _heading(group: Group) -> str:
-    many = f"{len(group.pairs)} pairs" if len(group.pairs) > 1 else "1 pair"
+    count = f"{len(group.pairs)} pairs" if len(group.pairs) > 1 else "1 pair"
     kind = {
         HAND_HELD: "a hand-held depth camera: approximate truth, of its map registered to the "
         "picture and of the raw map",
@@ -265,7 +265,7 @@ def _heading(group: Group) -> str:
             WIDE_BASELINES, "a wide baseline; true depth: matched points and the true poses"
         ),
     }.get(group.name)
-    return f"{group.name} ({many}{'; ' + kind if kind else ''})"
+    return f"{group.name} ({count}{'; ' + kind if kind else ''})"
 
 
 def _without_depth(contest: DepthContest, method: str) -> list[str]:

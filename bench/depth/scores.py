@@ -67,8 +67,8 @@ def score(estimate: Estimate, pair: DepthPair) -> Score:
     )
     if estimate.pose is not None and pair.pose is not None and not pair.pose_given:
         errors = pose_errors(estimate.pose, pair.pose)
-        seen = estimate.inverse_depth is not None
-        direction = errors.direction if seen else None
+        has_depth = estimate.inverse_depth is not None
+        direction = errors.direction if has_depth else None
         result = replace(result, direction=direction, rotation=errors.rotation)
     result = replace(result, parallax=parallax_of(pair))
     if pair.depth is None:
@@ -121,12 +121,12 @@ def parallax_of(pair: DepthPair) -> float | None:
     cx, cy = pair.camera.center_for(height, width)
     rows, columns = np.nonzero(known_depth(pair.depth))
     rays = np.stack([columns - cx, rows - cy, np.full(len(rows), pair.camera.focal)])
-    turned = pair.pose[:3, :3] @ rays / pair.camera.focal
-    moved = turned + pair.pose[:3, 3:] / pair.depth[rows, columns]
-    seen = (turned[2] > 0) & (moved[2] > 0)
-    if not seen.any():
+    rotated = pair.pose[:3, :3] @ rays / pair.camera.focal
+    points = rotated + pair.pose[:3, 3:] / pair.depth[rows, columns]
+    in_front = (rotated[2] > 0) & (points[2] > 0)
+    if not in_front.any():
         return None
-    parallax = (moved[:2] / moved[2] - turned[:2] / turned[2])[:, seen]
+    parallax = (points[:2] / points[2] - rotated[:2] / rotated[2])[:, in_front]
     return float(pair.camera.focal * np.median(np.hypot(*parallax)))
 
 

@@ -165,5 +165,5 @@ def neighbours(size: int, coarse_size: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _interpolated(coarse: np.ndarray, size: int, *, axis: int) -> np.ndarray:
     """Return ¾ of every fine pixel's parent and ¼ of its neighbour, along an axis."""
-    parent, beside = neighbours(size, coarse.shape[axis])
-    return 0.75 * coarse.take(parent, axis) + 0.25 * coarse.take(beside, axis)
+    parent, neighbour = neighbours(size, coarse.shape[axis])
+    return 0.75 * coarse.take(parent, axis) + 0.25 * coarse.take(neighbour, axis)

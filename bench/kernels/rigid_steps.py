@@ -35,15 +35,15 @@ class DepthOperations(TaichiSide):
 
     def along(self) -> Timed:
         p = self.problem
-        moved, direction = np.split(displacement_of(p), 2)
-        inputs = [self.lay(array) for array in (p.constraints, moved, direction, p.inverse_depth)]
+        flow, direction = np.split(displacement_of(p), 2)
+        inputs = [self.lay(array) for array in (p.constraints, flow, direction, p.inverse_depth)]
         out = self.grid.allocate(len(p.constraints))
         return partial(epipolar.along, self.grid, *inputs, out), self.reader(out)
 
     def add_along(self) -> Timed:
         p = self.problem
-        moved, direction = np.split(displacement_of(p), 2)
-        arrays = p.tensor, moved, direction, p.inverse_depth, p.trust[None]
+        flow, direction = np.split(displacement_of(p), 2)
+        arrays = p.tensor, flow, direction, p.inverse_depth, p.trust[None]
         inputs, out = [self.lay(array) for array in arrays], self.grid.allocate(3)
         return partial(several_frames.add_along, self.grid, *inputs, out), self.reader(out)
 
@@ -180,13 +180,13 @@ class DepthReferences(NumpySide):
 
     def add_along(self) -> Run:
         p = self.problem
-        moved, direction = np.split(displacement_of(p), 2)
+        flow, direction = np.split(displacement_of(p), 2)
         sums = np.zeros((3, p.height, p.width))
 
         def run() -> np.ndarray:
             nonlocal sums
             restricted = reference.restrict_to_line(
-                [p.tensor], moved, direction, p.inverse_depth[0]
+                [p.tensor], flow, direction, p.inverse_depth[0]
             )[0]
             sums = sums + p.trust * restricted[[0, 3, 5]]
             return sums
@@ -203,9 +203,9 @@ class DepthReferences(NumpySide):
         return run
 
     def squared_residual(self) -> Run:
-        p, moved = self.problem, displacement_of(self.problem)[:2]
+        p, flow = self.problem, displacement_of(self.problem)[:2]
         identity = reference.motion_matrix(p.camera, p.height, p.width, 2)
-        return lambda: np.maximum(reference.residual(p.tensor, identity, moved), 0)[None]
+        return lambda: np.maximum(reference.residual(p.tensor, identity, flow), 0)[None]
 
     def add_frame(self) -> Run:
         p = self.problem
@@ -231,11 +231,11 @@ class DepthReferences(NumpySide):
     def motion_system(self) -> Run:
         p, weights = self.problem, self.problem.weights(1)
         identity = reference.motion_matrix(p.camera, p.height, p.width, 2)
-        moved, pose = displacement_of(p)[:2], (p.motions[0, :, :3], p.motions[0, :, 3])
+        flow, pose = displacement_of(p)[:2], (p.motions[0, :, :3], p.motions[0, :, 3])
 
         def run() -> np.ndarray:
-            tensor = reference.robust_tensor(p.terms, identity, moved, problems.DATA_SCALES)
-            squares = sum(reference.residual(term, identity, moved) for term in p.terms)
+            tensor = reference.robust_tensor(p.terms, identity, flow, problems.DATA_SCALES)
+            squares = sum(reference.residual(term, identity, flow) for term in p.terms)
             east, south = np.pad(weights, ((0, 0), (1, 0), (1, 0)))
             around = east[1:, 1:] + east[1:, :-1] + south[1:, 1:] + south[:-1, 1:]
             trusted = (p.labels == 0) / (1 + squares / problems.TOLERATED_SQUARE) ** 2
@@ -304,9 +304,9 @@ def shared_sums(p: Problem) -> tuple[np.ndarray, np.ndarray]:
 
 def restricted_sums(problem: Problem) -> np.ndarray:
     """Return the tensor restricted to epipolar lines, A, B and C, (3, H, W)."""
-    moved, direction = np.split(displacement_of(problem), 2)
+    flow, direction = np.split(displacement_of(problem), 2)
     restricted = reference.restrict_to_line(
-        [problem.tensor], moved, direction, problem.inverse_depth[0]
+        [problem.tensor], flow, direction, problem.inverse_depth[0]
     )[0]
     return in_single_precision(restricted[[0, 3, 5]])
 
@@ -316,8 +316,8 @@ def squares(problem: Problem) -> np.ndarray:
     p = problem
     identity = reference.motion_matrix(p.camera, p.height, p.width, 2)
     pose = p.motions[0, :, :3], p.motions[0, :, 3]
-    moved = reference.displacement(p.inverse_depth[0], p.camera, *pose)
-    result: np.ndarray = np.maximum(reference.residual(p.tensor, identity, moved), 0)
+    flow = reference.displacement(p.inverse_depth[0], p.camera, *pose)
+    result: np.ndarray = np.maximum(reference.residual(p.tensor, identity, flow), 0)
     return result
 
 
@@ -332,8 +332,8 @@ def displacement_of(problem: Problem) -> np.ndarray:
     ray = np.concatenate([-problem.motion[:, 2], np.ones((1, problem.height, problem.width))])
     poses = problem.motions[problem.labels.astype(int)].transpose(2, 3, 0, 1)
     translation = poses[:, 3]
-    moved = np.einsum("ijyx,jyx->iyx", poses[:, :3], ray)
-    moved += translation * problem.inverse_depth / focal
-    target = moved[:2] / moved[2]
-    direction = (translation[:2] - target * translation[2]) / moved[2]
+    points = np.einsum("ijyx,jyx->iyx", poses[:, :3], ray)
+    points += translation * problem.inverse_depth / focal
+    target = points[:2] / points[2]
+    direction = (translation[:2] - target * translation[2]) / points[2]
     return np.concatenate([focal * (target - ray[:2]), direction])

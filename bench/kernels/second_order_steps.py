@@ -220,9 +220,9 @@ def _integrated(coarse: np.ndarray, size: int, *, slope: int) -> np.ndarray:
     """Return D and its slopes, interpolated along one axis; D is the integral of the slope."""
     axis = 3 - slope
     shape = [-1 if k == axis - 1 else 1 for k in range(2)]
-    parent, beside = neighbours(size, coarse.shape[axis])
-    sense, offset = (values.reshape(shape) for values in (beside - parent, _offsets(size)))
-    near, far = coarse.take(parent, axis), coarse.take(beside, axis)
+    parent, neighbour = neighbours(size, coarse.shape[axis])
+    sense, offset = (values.reshape(shape) for values in (neighbour - parent, _offsets(size)))
+    near, far = coarse.take(parent, axis), coarse.take(neighbour, axis)
     fine = 0.75 * near + 0.25 * far
     # −t(1 − t) H Δv/2, H = 2h and t = ¼; outside the outermost coarse pixels, along the slope.
     fine[0] -= 3 / 16 * SPACING * sense * (far[slope] - near[slope])

@@ -137,7 +137,7 @@ def stage_scores(method: FlowThenDepth, group: str, name: str, pair: SyntheticPa
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Return conditions, scores, labels of the statue's pairs, and missing methods and data."""
     runtime.start(threads=options.threads)
-    chosen = [] if options.statue else list(scenes(options))
+    rendered = [] if options.statue else list(scenes(options))
     folder = None if options.smoke else data_folder(options.data)
     scores: list[Score] = []
     statue: list[StatuePair] = []
@@ -154,7 +154,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             for method in names:
                 progress.update(f"{method}: first calls")
                 methods[method]("", "warm-up", warm_up)
-            for group, name, pair in chosen:
+            for group, name, pair in rendered:
                 for method in names:
                     progress.update(f"{name}: {method}")
                     scores += methods[method](group, name, pair)
@@ -173,7 +173,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     height, width = SMOKE_SIZE if options.smoke else SIZE
     conditions = {
         "command": command_text("objects", options, [*WORDS, "statue"]),
-        "scenes": f"{len(chosen)} of {height}×{width} px",
+        "scenes": f"{len(rendered)} of {height}×{width} px",
         "threads": options.threads,
         **machine(),
         "peers": peers.versions,
@@ -210,10 +210,10 @@ def main(arguments: list[str] | None = None) -> int:
     except (MethodFailure, OSError, ValueError) as error:
         print(f"bench.objects: {error}", file=sys.stderr)
         return 2
-    plain = measured | {
+    record = measured | {
         name: [asdict(score) for score in measured[name]] for name in ("scores", "statue")
     }
-    write_results(RESULTS / output_name(options, "objects"), report(measured), plain)
+    write_results(RESULTS / output_name(options, "objects"), report(measured), record)
     console = wide_console()
     for group, scores in groups(measured["scores"]).items():
         console.print(group, table(scores).rich())

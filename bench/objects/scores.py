@@ -85,8 +85,8 @@ def best(scores: Sequence[Score]) -> list[Score]:
             fmean(t.abs_rel for s in at for t in s.objects) if all(s.objects for s in at) else 1e9
         )
 
-    chosen = min(thresholds, key=error)
-    return [s for s in scores if s.threshold in (chosen, None)]
+    best_threshold = min(thresholds, key=error)
+    return [s for s in scores if s.threshold in (best_threshold, None)]
 
 
 def table(scores: Sequence[Score]) -> Table:
@@ -97,17 +97,19 @@ def table(scores: Sequence[Score]) -> Table:
     )  # fmt: skip
     rows = []
     for method in dict.fromkeys(s.method for s in scores):
-        chosen = best([s for s in scores if s.method == method])
-        scenes = [s for s in chosen if s.objects]
+        best_scores = best([s for s in scores if s.method == method])
+        scenes = [s for s in best_scores if s.objects]
         at_rest = [s.objects[0] for s in scenes]
         moving = [item for s in scenes for item in s.objects[1:]]
         ious = [t.iou for t in (*at_rest, *moving) if t.iou is not None]
-        whole = [s.one_scale for s in scenes if s.one_scale is not None]
-        threshold = next((s.threshold for s in chosen if s.threshold is not None), None)
+        one_scale = [s.one_scale for s in scenes if s.one_scale is not None]
+        threshold = next((s.threshold for s in best_scores if s.threshold is not None), None)
         rows.append(
             [
                 method if threshold is None else f"{method} ({threshold:g} px)",
-                f"{sum(s.complete for s in chosen)} of {len(chosen)}" if ious else EMPTY_CELL,
+                f"{sum(s.complete for s in best_scores)} of {len(best_scores)}"
+                if ious
+                else EMPTY_CELL,
                 f"{min(ious):.3f}" if ious else EMPTY_CELL,
                 f"{fmean(ious):.3f}" if ious else EMPTY_CELL,
                 *(
@@ -121,8 +123,8 @@ def table(scores: Sequence[Score]) -> Table:
                     if scenes
                     else [EMPTY_CELL] * 5
                 ),
-                f"{fmean(whole):.3f}" if whole else EMPTY_CELL,
-                f"{median(s.seconds for s in chosen):#.3g}",
+                f"{fmean(one_scale):.3f}" if one_scale else EMPTY_CELL,
+                f"{median(s.seconds for s in best_scores):#.3g}",
             ]
         )
     return Table(head, rows)

@@ -28,11 +28,11 @@ def homographies(grey: Sequence[NDArray]) -> list[NDArray[np.float64]]:
         corners = cv2.goodFeaturesToTrack(frame, MAX_CORNERS, 0.005, 5)
         matrix = None
         if corners is not None and len(corners) >= 4:
-            moved, good, _ = cv2.calcOpticalFlowPyrLK(frame, following, corners, None)  # type: ignore[call-overload]
-            valid = good.ravel() == 1
+            targets, status, _ = cv2.calcOpticalFlowPyrLK(frame, following, corners, None)  # type: ignore[call-overload]
+            valid = status.ravel() == 1
             if valid.sum() >= 4:
                 matrix, _ = cv2.findHomography(
-                    corners[valid], moved[valid], cv2.RANSAC, CORNER_THRESHOLD
+                    corners[valid], targets[valid], cv2.RANSAC, CORNER_THRESHOLD
                 )
         matrices.append(np.eye(3) if matrix is None else np.asarray(matrix, np.float64))
     return matrices
@@ -61,12 +61,12 @@ def differences(
     smooth = [cv2.GaussianBlur(frame, (0, 0), 1.5).astype(np.float32) for frame in frames]
     result = []
     for number, frame in enumerate(smooth):
-        each = [
+        absolute = [
             np.abs(frame - _warped(smooth[other], homography_between(steps, number, other), np.nan))
             for other in (number - gap, number + gap)
             if 0 <= other < len(frames)
         ]
-        channels = [value if value.ndim == 2 else value.max(axis=2) for value in each]
+        channels = [value if value.ndim == 2 else value.max(axis=2) for value in absolute]
         if not channels:
             result.append(np.zeros(frame.shape[:2], np.float32))
             continue
@@ -88,8 +88,8 @@ def mixtures(
         model = cv2.createBackgroundSubtractorMOG2(2 * MIXTURE_FRAMES, threshold, False)
         for other in neighbours(len(frames), number, gap, gap + MIXTURE_FRAMES):
             # Where a neighbour shows no pixel, the pixel of the frame is used.
-            moved = _warped(frames[other], homography_between(steps, number, other), None, frame)
-            model.apply(moved)
+            warped = _warped(frames[other], homography_between(steps, number, other), None, frame)
+            model.apply(warped)
         masks.append((model.apply(frame, learningRate=0) > 0).astype(np.uint8))
     return masks
 
@@ -144,8 +144,10 @@ def homography_residual(flow: NDArray) -> tuple[NDArray[np.float32], NDArray[np.
     matrix, _ = cv2.findHomography(start, end, cv2.RANSAC, FLOW_THRESHOLD)
     if matrix is None:
         return flow, np.zeros(flow.shape[:2], np.float32)
-    moved = cv2.perspectiveTransform(np.stack([x, y], axis=-1).reshape(1, -1, 2), matrix)
-    background = moved.reshape(flow.shape) - np.stack([x, y], axis=-1)
+    background_targets = cv2.perspectiveTransform(
+        np.stack([x, y], axis=-1).reshape(1, -1, 2), matrix
+    )
+    background = background_targets.reshape(flow.shape) - np.stack([x, y], axis=-1)
     residual = (flow - background).astype(np.float32)
     return residual, np.linalg.norm(residual, axis=2)
 
@@ -179,10 +181,10 @@ def clusters(
     features = np.column_stack([residual[rows, columns], columns / near, rows / near]).astype(
         np.float32
     )
-    chosen = np.linspace(0, len(rows) - 1, min(CLUSTER_SAMPLES, len(rows))).astype(np.intp)
+    samples = np.linspace(0, len(rows) - 1, min(CLUSTER_SAMPLES, len(rows))).astype(np.intp)
     cv2.setRNGSeed(0)
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 20, 0.1)
-    _, _, centres = cv2.kmeans(features[chosen], count, None, stop, 3, cv2.KMEANS_PP_CENTERS)  # type: ignore[call-overload]
+    _, _, centres = cv2.kmeans(features[samples], count, None, stop, 3, cv2.KMEANS_PP_CENTERS)  # type: ignore[call-overload]
     distance = np.square(features[:, None] - centres[None]).sum(axis=2)
     labels[rows, columns] = 1 + distance.argmin(axis=1)
     return labels
@@ -209,7 +211,7 @@ def track_parts(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
     part has that label. Otherwise it gets a new label, up to 255.
     """
     masks_by_label: dict[int, NDArray[np.bool_]] = {}
-    seen: dict[int, int] = {}
+    last_frames: dict[int, int] = {}
     following = 1
     labels = []
     for number, mask in enumerate(masks):
@@ -218,7 +220,7 @@ def track_parts(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
         components = connected_parts(mask)
         for index, part in enumerate(components):
             for known, last in masks_by_label.items():
-                if number - seen[known] <= MAX_UNSEEN_FRAMES and (
+                if number - last_frames[known] <= MAX_UNSEEN_FRAMES and (
                     shared := int((part & last).sum())
                 ):
                     pairs.append((shared, index, known))
@@ -234,7 +236,7 @@ def track_parts(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
                 names[index], following = following, following + 1
             name = names[index]
             label[part] = name
-            masks_by_label[name], seen[name] = part, number
+            masks_by_label[name], last_frames[name] = part, number
         labels.append(label)
     return labels
 

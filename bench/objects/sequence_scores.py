@@ -72,8 +72,8 @@ def best(scores: Sequence[ClipScore]) -> list[ClipScore]:
     def mean(variant: str) -> float:
         return fmean(s.iou for s in scores if s.variant == variant)
 
-    chosen = max(variants, key=mean)
-    return [s for s in scores if s.variant == chosen]
+    best_variant = max(variants, key=mean)
+    return [s for s in scores if s.variant == best_variant]
 
 
 def table(scores: Sequence[ClipScore]) -> Table:
@@ -86,22 +86,27 @@ def table(scores: Sequence[ClipScore]) -> Table:
     head += ["path, %", "turn, °"] if paths else []
     rows = []
     for method in dict.fromkeys(s.method for s in scores):
-        chosen = best([s for s in scores if s.method == method])
-        good = [s for s in chosen if not s.failure]
-        by_clip = {s.clip: s for s in chosen}
-        name = method + (f" ({chosen[0].variant})" if chosen[0].variant else "")
+        best_scores = best([s for s in scores if s.method == method])
+        successful = [s for s in best_scores if not s.failure]
+        by_clip = {s.clip: s for s in best_scores}
+        name = method + (f" ({best_scores[0].variant})" if best_scores[0].variant else "")
         row = [name, *(_iou(by_clip.get(clip)) for clip in clips)]
         if several:
             row.append(
-                f"{fmean(s.iou for s in good):.3f}" if len(good) == len(clips) else EMPTY_CELL
+                f"{fmean(s.iou for s in successful):.3f}"
+                if len(successful) == len(clips)
+                else EMPTY_CELL
             )
-        if good:
-            row.append(f"{100 * fmean(s.followed for s in good):.0f}")
-            row += [str(sum(s.switches for s in good)), f"{fmean(s.seconds for s in good):#.3g}"]
+        if successful:
+            row.append(f"{100 * fmean(s.followed for s in successful):.0f}")
+            row += [
+                str(sum(s.switches for s in successful)),
+                f"{fmean(s.seconds for s in successful):#.3g}",
+            ]
         else:
             row += [EMPTY_CELL] * 3
         if paths:
-            row += _path_cells([error for s in good for error in s.paths])
+            row += _path_cells([error for s in successful for error in s.paths])
         rows.append(row)
     return Table(head, rows)
 

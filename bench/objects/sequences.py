@@ -77,9 +77,9 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     sizes: list[str] = []
     with running_peers(options, FLOWS) as peers:
         missing = dict(peers.survey.missing)
-        every: list[Labeller] = [Reconstruct(preset) for preset in options.preset]
-        every += [Differences(), Mixtures(), *map(FlowClusters, peers.methods)]
-        methods = choose(every, options.only, kind="method", name=lambda method: method.name)
+        labellers: list[Labeller] = [Reconstruct(preset) for preset in options.preset]
+        labellers += [Differences(), Mixtures(), *map(FlowClusters, peers.methods)]
+        methods = choose(labellers, options.only, kind="method", name=lambda method: method.name)
         with Console(stderr=True).status("") as progress:
             for clip in clips(options):
                 height, width = clip.frames[0].shape[:2]
@@ -144,8 +144,8 @@ def main(arguments: list[str] | None = None) -> int:
     except (OSError, ValueError) as error:
         print(f"bench.objects.sequences: {error}", file=sys.stderr)
         return 2
-    plain = measured | {"scores": [asdict(score) for score in measured["scores"]]}
-    write_results(RESULTS / output_name(options, "objects_sequences"), report(measured), plain)
+    record = measured | {"scores": [asdict(score) for score in measured["scores"]]}
+    write_results(RESULTS / output_name(options, "objects_sequences"), report(measured), record)
     console = wide_console()
     for group, scores in groups(measured["scores"]).items():
         console.print(group, table(scores).rich())

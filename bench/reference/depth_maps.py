@@ -94,11 +94,11 @@ def _sample(
         return 0.0, 0.0
     depth, spread = depth / total, spread / total
     first = np.append((np.array([column, row]) - centre) / camera.focal, 1.0)
-    turned = (rotation @ first)[2]
-    moved = turned + depth * translation[2]
-    if moved <= 0:
+    rotated_depth = (rotation @ first)[2]
+    target_depth = rotated_depth + depth * translation[2]
+    if target_depth <= 0:
         return 0.0, 0.0
-    return depth / moved, spread * abs(turned) / moved**2
+    return depth / target_depth, spread * abs(rotated_depth) / target_depth**2
 
 
 def merge_depths(inverse_depths: Array, deviations: Array, tolerance: float) -> tuple[Array, Array]:

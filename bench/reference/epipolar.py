@@ -15,9 +15,9 @@ def displacement(
     `inverse_depth`, (H, W), is D = f·d, px/frame for ‖t‖ = 1.
     """
     ray = rays(camera, *inverse_depth.shape)
-    moved = np.einsum("ij,jyx->iyx", rotation, ray)
-    moved += translation[:, None, None] * inverse_depth / camera.focal
-    return camera.focal * (moved[:2] / moved[2] - ray[:2])
+    points = np.einsum("ij,jyx->iyx", rotation, ray)
+    points += translation[:, None, None] * inverse_depth / camera.focal
+    return camera.focal * (points[:2] / points[2] - ray[:2])
 
 
 def restrict_to_line(
@@ -113,8 +113,8 @@ def _equations(
 def _points(inverse_depth: Array, camera: Camera, rotation: Array, translation: Array) -> Array:
     """Return R x̂ + d t of every pixel, (3, H, W)."""
     ray = rays(camera, *inverse_depth.shape)
-    turned = np.einsum("ij,jyx->iyx", rotation, ray)
-    return np.asarray(turned + translation[:, None, None] * inverse_depth / camera.focal)
+    rotated = np.einsum("ij,jyx->iyx", rotation, ray)
+    return np.asarray(rotated + translation[:, None, None] * inverse_depth / camera.focal)
 
 
 def rays(camera: Camera, height: int, width: int) -> Array:

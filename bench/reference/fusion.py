@@ -38,20 +38,20 @@ def compare(
     sums = np.zeros((*inverse_depth.shape, 4))
     colors = np.zeros((*inverse_depth.shape, 3))
     for (y, x), d in np.ndenumerate(inverse_depth):
-        turned = projection[2, :3] @ (x, y, 1)
+        rotated_depth = projection[2, :3] @ (x, y, 1)
         u, v, g = projection @ (x, y, 1, d)
         if (
             d <= 0
-            or min(g, turned) <= MIN_DEPTH_RATIO
+            or min(g, rotated_depth) <= MIN_DEPTH_RATIO
             or not _inside(u / g, v / g, other_inverse_depth)
         ):
             continue
-        seen = inverse_depth_at(other_inverse_depth, u / g, v / g)
-        if seen <= 0:
+        other_depth = inverse_depth_at(other_inverse_depth, u / g, v / g)
+        if other_depth <= 0:
             continue
         pixel = _nearest(u / g, v / g)
-        slope = turned / g**2
-        difference = seen - d / g
+        slope = rotated_depth / g**2
+        difference = other_depth - d / g
         limit = tolerance * np.hypot(slope * deviation[y, x], other_deviation[pixel])
         if difference < -limit:
             sums[y, x, 3] = 1

@@ -57,9 +57,9 @@ def minimise(
         data = robust_energy(terms, motion, rho, scales)
         energies.append(data + alpha * smoothness_energy(rho, smoothness))
         half.append(half_quadratic_energy(tensor, motion, rho, weights, alpha, smoothness))
-        moved, size = np.linalg.norm(rho - before), np.linalg.norm(rho)
-        changes.append(float(moved / size) if size > 0 else 0.0)
-        if moved <= tolerance * size:
+        change, size = np.linalg.norm(rho - before), np.linalg.norm(rho)
+        changes.append(float(change / size) if size > 0 else 0.0)
+        if change <= tolerance * size:
             return Minimisation(energies, half, changes, True)
     return Minimisation(energies, half, changes, False)
 

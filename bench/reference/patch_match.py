@@ -72,9 +72,9 @@ def plane_cost(
     rows, columns = np.indices(levels0.shape)
     ray_vectors = np.stack([columns - cx, rows - cy, np.full(levels0.shape, camera.focal)])
     to_pixels = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1]])
-    turned, shift = to_pixels @ rotation, to_pixels @ translation
+    rotated, shift = to_pixels @ rotation, to_pixels @ translation
     target, east, south = (
-        np.einsum("ij,jyx->iyx", turned, ray) + np.multiply.outer(shift, change)
+        np.einsum("ij,jyx->iyx", rotated, ray) + np.multiply.outer(shift, change)
         for ray, change in zip((ray_vectors, _EAST, _SOUTH), planes, strict=True)
     )
     return window_cost(levels0, levels1, target, east, south, noise=noise)
@@ -172,13 +172,13 @@ def plane_disagreement(
     """
     height, width = planes0.shape[1:]
     cx, cy = camera.center_for(height, width)
-    moved = np.einsum("ij,jyx->iyx", rotation, rays(camera, height, width))
-    moved += translation[:, None, None] * planes0[0] / camera.focal
-    u, v = cx + camera.focal * moved[0] / moved[2], cy + camera.focal * moved[1] / moved[2]
+    points = np.einsum("ij,jyx->iyx", rotation, rays(camera, height, width))
+    points += translation[:, None, None] * planes0[0] / camera.focal
+    u, v = cx + camera.focal * points[0] / points[2], cy + camera.focal * points[1] / points[2]
     column, row = np.floor(u + 0.5).astype(int), np.floor(v + 0.5).astype(int)
     depth, east, south = planes1[:, row.clip(0, height - 1), column.clip(0, width - 1)]
     back = depth + east * (u - column) + south * (v - row)
-    return np.where(_inside(u, v), np.abs(back - planes0[0] / moved[2]), np.inf)
+    return np.where(_inside(u, v), np.abs(back - planes0[0] / points[2]), np.inf)
 
 
 def _inside(u: Array, v: Array) -> Array:

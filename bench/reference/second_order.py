@@ -69,9 +69,9 @@ def second_order_weights(rho: Array, smoothness: SecondOrder) -> Array:
 def second_order_half_quadratic(rho: Array, weights: Array, smoothness: SecondOrder) -> float:
     """Return the half-quadratic form of the smoothness, with weights of `second_order_weights`."""
     measures = second_order_measures(rho, smoothness.spacing)
-    whole = smoothness.stiffness() * smoothness.open(*rho.shape[1:])
+    full_weights = smoothness.stiffness() * smoothness.open(*rho.shape[1:])
     total = (weights * measures**2).sum()
-    for weight, full, contrast in zip(weights, whole, smoothness.contrasts, strict=True):
+    for weight, full, contrast in zip(weights, full_weights, smoothness.contrasts, strict=True):
         if np.isfinite(contrast):
             open_edges = full > 0
             b = weight[open_edges] / full[open_edges]

@@ -103,7 +103,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
         if name == request["peer"]:
             calls[PEER] = partial(peer, *frames)
     times = measure_in_turns(calls, request["rounds"])
-    beside = {"name": PEER, "size": request["peer"], "times": times.pop(PEER)}
+    peer_times = {"name": PEER, "size": request["peer"], "times": times.pop(PEER)}
     shares = {}
     for name in pairs:
         watch = Stopwatch()
@@ -112,7 +112,7 @@ def measure(request: dict[str, Any]) -> dict[str, Any]:
                 interpret(name)
         total = sum(watch.seconds.values())
         shares[name] = {label: seconds / total for label, seconds in watch.seconds.items()}
-    return {"times": times, "shares": shares, "peer": beside, "lanes": runtime.lanes()}
+    return {"times": times, "shares": shares, "peer": peer_times, "lanes": runtime.lanes()}
 
 
 def measure_in_turns(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, list[float]]:

@@ -51,24 +51,24 @@ _Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
 def differences(
-    result: tisfm.Reconstruction, seen: dict[str, NDArray[Any]], frames: Sequence[int]
+    result: tisfm.Reconstruction, views: dict[str, NDArray[Any]], frames: Sequence[int]
 ) -> dict[str, float]:
     """Return the largest differences between Blender and a reconstruction, by name of `BARS`.
 
     `seen` is the result of `seen_by_blender`; `frames` are numbers of frames that Blender rendered.
     """
     cloud = result.points()
-    positions, colors = cloud.positions[seen["points"]], cloud.colors[seen["points"]]
+    positions, colors = cloud.positions[views["points"]], cloud.colors[views["points"]]
     poses = result.poses[list(frames)]
     expected = _Z_UP @ _Y_UP @ poses @ _Y_UP
-    between = expected[:, :3, :3].transpose(0, 2, 1) @ seen["poses"][:, :3, :3]
-    turned = np.degrees(Rotation.from_matrix(between).magnitude())
+    between = expected[:, :3, :3].transpose(0, 2, 1) @ views["poses"][:, :3, :3]
+    angles = np.degrees(Rotation.from_matrix(between).magnitude())
     extent = np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))
-    distances = np.linalg.norm(expected[:, :3, 3] - seen["poses"][:, :3, 3], axis=1)
+    distances = np.linalg.norm(expected[:, :3, 3] - views["poses"][:, :3, 3], axis=1)
     height, width = result.shape
     cx, cy = result.camera.center_for(height, width)
     offsets = []
-    for pose, (across, up, ahead) in zip(poses, seen["positions"].transpose(0, 2, 1), strict=True):
+    for pose, (across, up, ahead) in zip(poses, views["positions"].transpose(0, 2, 1), strict=True):
         x, y, depth = ((positions - pose[:3, 3]) @ pose[:3, :3]).T
         with np.errstate(divide="ignore", invalid="ignore"):
             column, row = (result.camera.focal * c / depth for c in (x, y))
@@ -79,10 +79,10 @@ def differences(
     angle = 2 * np.arctan(height / 2 / result.camera.focal)
     values = (
         distances.max() / extent,
-        turned.max(),
-        abs(np.degrees(float(seen["angle"]) - angle)),
+        angles.max(),
+        abs(np.degrees(float(views["angle"]) - angle)),
         np.concatenate(offsets).max(),
-        np.abs(255 * _srgb(seen["colors"][:, :3]) - colors).max(),
+        np.abs(255 * _srgb(views["colors"][:, :3]) - colors).max(),
     )
     return dict(zip(BARS, map(float, values), strict=True))
 
@@ -100,8 +100,8 @@ def seen_by_blender(
     np.savez(request, frames=frames, points=points, rate=RATE)
     reader = Path(__file__).with_name("blender_reader.py")
     subprocess.run([python, reader, folder, request, answer], check=True, stdout=sys.stderr)
-    with np.load(answer) as seen:
-        return {**seen, "points": points}
+    with np.load(answer) as views:
+        return {**views, "points": points}
 
 
 def report(figures: dict[str, dict[str, float]], conditions: dict[str, Any]) -> str:
@@ -138,14 +138,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             result = tisfm.reconstruct(
                 images, camera=camera, settings=settings, folder=Path(folder) / f"result{k}"
             )
-            chosen = range(len(result))
-            seen = seen_by_blender(options.python, result, Path(folder) / f"export{k}", chosen)
-            figures[name], version = differences(result, seen, chosen), str(seen["version"])
+            numbers = range(len(result))
+            views = seen_by_blender(options.python, result, Path(folder) / f"export{k}", numbers)
+            figures[name], version = differences(result, views, numbers), str(views["version"])
     conditions = {
         "command": "python -m bench.sequences.blender --python FILE",
         "sequence": SEQUENCE,
         "preset": options.preset,
-        "points": f"{len(seen['points'])} in each of {len(chosen)} frames",
+        "points": f"{len(views['points'])} in each of {len(numbers)} frames",
         "Blender": version,
         **machine(),
     }

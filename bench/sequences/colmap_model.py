@@ -50,22 +50,22 @@ def figures(model: Any) -> dict[str, float]:
     errors: list[float] = []
     lost = 0
     for point in points.values():
-        seen = [images[element.image_id] for element in point.track.elements]
+        track_images = [images[element.image_id] for element in point.track.elements]
         positions = np.array(
             [
                 image.points2D[element.point2D_idx].xy
-                for image, element in zip(seen, point.track.elements, strict=True)
+                for image, element in zip(track_images, point.track.elements, strict=True)
             ]
         )
         triangulated = pycolmap.estimate_triangulation(
             positions,
-            [image.cam_from_world() for image in seen],
-            [model.cameras[image.camera_id] for image in seen],
+            [image.cam_from_world() for image in track_images],
+            [model.cameras[image.camera_id] for image in track_images],
         )
         if triangulated is None:
             lost += 1
             continue
-        for image, position in zip(seen, positions, strict=True):
+        for image, position in zip(track_images, positions, strict=True):
             projected = image.project_point(triangulated["xyz"])
             errors.append(
                 np.inf if projected is None else float(np.linalg.norm(projected - position))

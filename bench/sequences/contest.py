@@ -267,8 +267,8 @@ def _together(before: Score | None, after: Score) -> Score:
 def _off(focal: tuple[float, float, bool] | None, true: float) -> tuple[float, float, bool] | None:
     if focal is None:
         return None
-    estimate, deviation, seen = focal
-    return estimate / true - 1, deviation / true, seen
+    estimate, deviation, reliable = focal
+    return estimate / true - 1, deviation / true, reliable
 
 
 def _ask(command: list[str | Path], question: dict[str, Any], threads: int) -> dict[str, Any]:

@@ -73,9 +73,9 @@ def start(*options: str, command: Sequence[str] = RUN) -> subprocess.Popen[bytes
 
 def end(process: subprocess.Popen[bytes]) -> None:
     """Wait for the end of a command; raise RuntimeError if it failed."""
-    _, said = process.communicate()
+    _, messages = process.communicate()
     if process.returncode != 0:
-        raise RuntimeError(f"a run ended with {process.returncode}: {said.decode()}")
+        raise RuntimeError(f"a run ended with {process.returncode}: {messages.decode()}")
 
 
 def written(folder: Path) -> list[float]:
@@ -164,11 +164,11 @@ def measure_kills(
 ) -> dict[str, int]:
     """Kill a command at random moments and resume it; count the results that differ."""
     with tempfile.TemporaryDirectory() as folder:
-        whole, output = Path(folder, "whole"), Path(folder, "out")
+        complete, output = Path(folder, "whole"), Path(folder, "out")
         begin = time.monotonic()
-        end(start(str(source), "-o", str(whole), *options, command=command))
+        end(start(str(source), "-o", str(complete), *options, command=command))
         seconds = time.monotonic() - begin
-        expected, choice = contents(whole), random.Random(1)
+        expected, choice = contents(complete), random.Random(1)
         counts = {"killed": 0, "ended before": 0, "other bytes": 0}
         while counts["killed"] < kills:
             resume = ["--resume"] if output.exists() else []
@@ -245,12 +245,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             results.frames = measure_frames(frames)
         if kills:
             Path(folder, "few").mkdir()
-            few = render_frames(Path(folder, "few"), 40, 96, 128)
-            results.kills["a run"] = measure_kills(few, kills)
-            results.kills["a run of two workers"] = measure_kills(few, kills, "--workers", "2")
+            source_of_kills = render_frames(Path(folder, "few"), 40, 96, 128)
+            results.kills["a run"] = measure_kills(source_of_kills, kills)
+            results.kills["a run of two workers"] = measure_kills(
+                source_of_kills, kills, "--workers", "2"
+            )
             with cluster() as address:
                 name = "a run on a cluster of two workers"
-                results.kills[name] = measure_kills(few, kills, "--cluster", address)
+                results.kills[name] = measure_kills(source_of_kills, kills, "--cluster", address)
             Path(folder, "film").mkdir()
             room = room_film(rounds_of(48), 96, 128, textured=True, samples=1)
             for number, frame in enumerate(room.frames):

@@ -113,10 +113,12 @@ class Checks:
         film = self._film("trip", round_trip_path(count), room, seed)
         with self._reconstructed(film) as result:
             name = f"round trip of {count} frames, {room}, seed {seed}"
-            whole = len(np.unique(result.piece)) == 1 and result.piece[0] == 0
+            in_one_piece = len(np.unique(result.piece)) == 1 and result.piece[0] == 0
             yield Bar(f"{name}: frames with a pose", float((result.piece == 0).sum()), count, False)
             yield Bar(
-                f"{name}: gap, % of the path", gap(result.poses, film.poses) if whole else None, 0.3
+                f"{name}: gap, % of the path",
+                gap(result.poses, film.poses) if in_one_piece else None,
+                0.3,
             )
             yield Bar(f"{name}: ATE, %", path_error(result.poses, film.poses), None)
 
@@ -149,11 +151,11 @@ class Checks:
         film = self._film("walk", walk_path(count), room, seed)
         with self._reconstructed(film) as result:
             name = f"walk of {count} frames, {room}, seed {seed}"
-            whole = bool((result.piece == 0).all())
+            in_one_piece = bool((result.piece == 0).all())
             yield Bar(f"{name}: ATE, %", path_error(result.poses, film.poses), None)
-            share = share_of_mesh(film, result) if whole else None
+            share = share_of_mesh(film, result) if in_one_piece else None
             yield Bar(f"{name}: mesh within 2 % of the depth, %", share, 95.0, False)
-            ratio = flicker(film, result, self._settings) if whole else None
+            ratio = flicker(film, result, self._settings) if in_one_piece else None
             yield Bar(f"{name}: flicker, over the flicker of pairs", ratio, 1 / 3)
 
     def _frames(self, room: str, seed: int) -> Iterator[Bar]:

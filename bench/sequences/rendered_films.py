@@ -177,8 +177,8 @@ def share_of_mesh(film: Film, result: tisfm.Reconstruction) -> float:
     vertices = result.mesh().vertices
     if not len(vertices):
         return 0.0
-    moved = align(centres(result.poses), centres(film.poses)).apply(vertices)
-    return 100 * float(np.mean(_distance(moved, film) < MAX_VERTEX_ERROR))
+    aligned = align(centres(result.poses), centres(film.poses)).apply(vertices)
+    return 100 * float(np.mean(_distance(aligned, film) < MAX_VERTEX_ERROR))
 
 
 def depth_in_one_scale(film: Film, result: tisfm.Reconstruction) -> float:

@@ -161,21 +161,21 @@ def chain(
     for index in range(count):
         last = index == count - 1
         result = interpret(index, index - 1) if last else interpret(index, index + 1)
-        seen = result.status not in LITTLE_PARALLAX and result.motions is not None
-        unit = _unit(points, result.inverse_depth, focal, center) if seen else 1.0
+        has_depth = result.status not in LITTLE_PARALLAX and result.motions is not None
+        unit = _unit(points, result.inverse_depth, focal, center) if has_depth else 1.0
         if unit is None:  # the scale is lost: a new segment begins
             pose, piece, unit = np.eye(4), piece + 1, 1.0
         chained.poses.append(pose)
         chained.piece.append(piece)
         chained.status.append(str(result.status))
         chained.units.append(unit)
-        if seen:
+        if has_depth:
             keep(index, result)
         if result.motions is None:
             continue
         motion = pose_matrix(result.motions[0])
-        motion[:3, 3] *= unit if seen else 0.0
-        if seen:
+        motion[:3, 3] *= unit if has_depth else 0.0
+        if has_depth:
             points = _points(result.inverse_depth, focal, center) * unit
         if points is not None:
             points = motion[:3, :3] @ points + motion[:3, 3:]

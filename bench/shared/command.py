@@ -108,11 +108,11 @@ def choose(items: Sequence[T], words: Sequence[str] | None, *, kind: str, name: 
     if words is None:
         return list(items)
     lowered = [word.lower() for word in words]
-    chosen = [item for item in items if any(word in name(item).lower() for word in lowered)]
-    if not chosen:
+    matching = [item for item in items if any(word in name(item).lower() for word in lowered)]
+    if not matching:
         names = ", ".join(name(item) for item in items)
         raise ValueError(f"no {kind} has {' or '.join(words)} in its name: there are {names}")
-    return chosen
+    return matching
 
 
 @contextlib.contextmanager

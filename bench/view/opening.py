@@ -102,8 +102,8 @@ def measure_opening(chromium: Any, folder: Path, steps: Sequence[int]) -> Openin
             raise RuntimeError(f"tisfm view serves no page of {folder}")
         served = time.perf_counter() - begin
         tab.goto(address[0])
-        seen = tab.wait_for_function("window.pointsSeen", timeout=1000 * PAGE_TIMEOUT)
-        first = seen.json_value() - began
+        drawn = tab.wait_for_function("window.pointsSeen", timeout=1000 * PAGE_TIMEOUT)
+        first = drawn.json_value() - began
         processor = _processor_time(command.pid)
         refined = arrivals.last_after(begin, tab) - begin
         resident = process_memory("VmRSS", command.pid)
