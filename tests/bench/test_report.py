@@ -110,7 +110,7 @@ def test_a_run_on_a_gpu_has_one_lane_and_files_of_its_own(capsys):
     )
     with pytest.raises(SystemExit):
         parse(["--bars", "--arch", "cuda"])
-    assert "the bars are those of the CPU" in capsys.readouterr().err
+    assert "the bars hold for the CPU" in capsys.readouterr().err
 
 
 def test_the_gpu_is_named():

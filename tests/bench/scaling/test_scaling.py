@@ -36,7 +36,7 @@ def test_report():
     assert "| fast | 2.00 | 2.00 |" in text
     assert "| fast | 10x30 | 50.0 | 0.00 |" in text
     assert "| sweeps | 75.0 | 100.0 |" in text
-    assert "## Time over that of DIS at 10x10" in text
+    assert "## Time over the time of DIS at 10x10" in text
     assert "| fast | 2 | 5e-07 | 2.00 | 6.60 |" in text
     assert "## Bars" not in text
 
@@ -105,13 +105,13 @@ def test_growth_is_that_of_the_same_rounds():
 
 
 def test_calls_take_turns_and_quick_ones_are_doubled(monkeypatch):
-    monkeypatch.setattr(scaling_worker, "QUICK", -1.0)
+    monkeypatch.setattr(scaling_worker, "FAST_CALL", -1.0)
     log = []
     calls = {name: lambda name=name: log.append(name) for name in "ab"}
     times = scaling_worker.measure_in_turns(calls, 2)
     assert log == list("ab" * 4)  # two warm up
     assert {name: len(values) for name, values in times.items()} == {"a": 2, "b": 2}
-    monkeypatch.setattr(scaling_worker, "QUICK", 1.0)
+    monkeypatch.setattr(scaling_worker, "FAST_CALL", 1.0)
     log.clear()
     scaling_worker.measure_in_turns(calls, 1)
     assert log == list("abab" + "aabb")

@@ -11,7 +11,7 @@ from bench.sequences import memory
 @pytest.mark.nightly
 def test_a_short_film_in_a_process_of_its_own(tmp_path, monkeypatch):
     monkeypatch.setattr(memory, "RESULTS", tmp_path)
-    monkeypatch.setattr(memory, "LOT", 12)
+    monkeypatch.setattr(memory, "BATCH", 12)
     assert memory.main(["--counts", "12", "--depth-of", "none", "--output", "own"]) == 0
     (row,) = json.loads((tmp_path / "own.json").read_text())["rows"]
     assert row["frames"] == 12 and row["frames with a pose"] == 12 and row["pieces"] == 1
@@ -27,7 +27,7 @@ def test_the_table_has_a_row_for_each_film():
 
 def test_what_is_rendered_is_not_rendered_again(tmp_path, monkeypatch):
     monkeypatch.setattr(memory, "CACHE", tmp_path)
-    monkeypatch.setattr(memory, "LOT", 2)
+    monkeypatch.setattr(memory, "BATCH", 2)
     folder, camera = memory.film(3)
     assert sorted(file.name for file in folder.iterdir()) == [f"0000{k}.png" for k in range(4)]
     assert camera.focal == 96
