@@ -14,9 +14,11 @@ from tisfm.formats.reading import read_json
 __all__ = ["read_camera", "write_camera"]
 
 FORMAT = 2
-NAME = "camera.json"  # name of the file in the folder of a reconstruction
-LONGEST_SIDE = 2**20  # px: the longest side of a frame that a file may have
-SAME_SHAPE = 0.01  # relative difference of two aspect ratios below which they count as equal
+NAME = "camera.json"  # of the file in the folder of a reconstruction
+MAX_SIDE = 2**20  # px: the longest side of a frame that a file may have
+MAX_ASPECT_DIFFERENCE = (
+    0.01  # relative difference of two aspect ratios below which they count as equal
+)
 
 
 def write_camera(
@@ -92,8 +94,8 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
     >>> read_camera("walk", shape=(360, 480)).focal  # of larger frames from the same lens
     288.0
     """
-    file = file_of(path)
-    record = record_in(file)
+    file = camera_file_path(path)
+    record = read_camera_record(file)
     try:
         if record["format"] != FORMAT:
             raise InputError(
@@ -101,7 +103,7 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
                 "with tisfm reconstruct or write_camera"
             )
         height, width = record["height"], record["width"]
-        if not all(type(side) is int and 1 <= side <= LONGEST_SIDE for side in (height, width)):
+        if not all(type(side) is int and 1 <= side <= MAX_SIDE for side in (height, width)):
             raise InputError(f"its frames are {width}×{height}")
         center = record["center"]
         camera = check_camera(
@@ -115,38 +117,38 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         reason = " ".join(str(error).split())
-        raise FormatError(f"{file} is not a camera that can be read: {reason}") from error
+        raise FormatError(f"{file} is not a camera file: {reason}") from error
     if shape is None or tuple(shape) == (height, width):
         return camera
     ratios = shape[0] / height, shape[1] / width
-    if abs(ratios[0] / ratios[1] - 1) > SAME_SHAPE:
+    if abs(ratios[0] / ratios[1] - 1) > MAX_ASPECT_DIFFERENCE:
         raise InputError(
             f"{file} is the camera of frames of {width}×{height} px, not of {shape[1]}×{shape[0]}: "
-            "give one of frames of that shape"
+            "give the camera of frames with that aspect ratio"
         )
     scaled = camera.scaled(ratios[1], height, width)
     return scaled if camera.center is not None else replace(scaled, center=None)
 
 
-def doubt_of(path: str | os.PathLike[str]) -> str:
+def focal_doubt(path: str | os.PathLike[str]) -> str:
     """Return why the focal length in a camera file is doubtful, or "" if it is not."""
-    record = record_in(path)
+    record = read_camera_record(path)
     return "" if record.get("seen", True) else str(record.get("message", ""))
 
 
-def record_in(path: str | os.PathLike[str]) -> dict[str, Any]:
+def read_camera_record(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return all entries of a camera file."""
-    file = file_of(path)
+    file = camera_file_path(path)
     try:
         record = read_json(file)
     except FormatError as error:
         reason = str(error).removeprefix(f"{file} ")
-        raise FormatError(f"{file} is not a camera that can be read: {reason}") from error
+        raise FormatError(f"{file} is not a camera file: {reason}") from error
     if not isinstance(record, dict):
-        raise FormatError(f"{file} is not a camera that can be read: it is no object of JSON")
+        raise FormatError(f"{file} is not a camera file: it does not hold an object of JSON")
     return record
 
 
-def file_of(path: str | os.PathLike[str]) -> Path:
+def camera_file_path(path: str | os.PathLike[str]) -> Path:
     """Return the camera file; the path may also be the folder that holds it."""
     return Path(path) / NAME if Path(path).is_dir() else Path(path)

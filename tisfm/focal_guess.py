@@ -15,9 +15,11 @@ from tisfm.errors import InputError, InputTypeError
 
 __all__ = ["FocalGuess", "GuessedFocalWarning", "guess_camera", "guess_focal"]
 
-SIDES = 1.2  # focal lengths per longer side: a field of view of 45°, between phones and lenses
+DEFAULT_FOCAL_RATIO = (
+    1.2  # of the longer side: a field of view of 45°, between phones and other cameras
+)
 FILM_DIAGONAL = math.hypot(36, 24)  # mm
-PLAUSIBLE = (0.1, 100)  # focal lengths per longer side: EXIF data outside this range are wrong
+FOCAL_RATIO_RANGE = (0.1, 100)  # of the longer side: EXIF data outside this range are wrong
 _SIDEWAYS = (5, 6, 7, 8)  # orientations in EXIF data that exchange height and width
 _MILLIMETRES = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # mm per unit of EXIF resolution; 2 is inch
 
@@ -89,9 +91,9 @@ def guess_focal(source: str | os.PathLike[str] | Sequence[int]) -> FocalGuess:
     (768.0, 'size')
     """
     if isinstance(source, (str, os.PathLike)):
-        size, exif = _look(source)
+        size, exif = _read_size_and_exif(source)
         return _from_exif(size, exif) or _from_size(size)
-    return _from_size(_size(source))
+    return _from_size(_checked_size(source))
 
 
 def guess_camera(source: str | os.PathLike[str] | Sequence[int]) -> Camera:
@@ -151,9 +153,9 @@ def at_size(shape: tuple[int, int] | None) -> str:
 
 def _from_size(size: tuple[int, int]) -> FocalGuess:
     return FocalGuess(
-        focal=SIDES * max(size),
+        focal=DEFAULT_FOCAL_RATIO * max(size),
         origin="size",
-        reason=f"{SIDES:g} times the longer side, as no EXIF data state it",
+        reason=f"{DEFAULT_FOCAL_RATIO:g} times the longer side, as no EXIF data state it",
         shape=size,
     )
 
@@ -186,8 +188,8 @@ def _from_exif(size: tuple[int, int], exif: Mapping[int, Any]) -> FocalGuess | N
 
 
 def _plausible(focal: float, size: tuple[int, int]) -> bool:
-    least, most = PLAUSIBLE
-    return least * max(size) <= focal <= most * max(size)
+    min_ratio, max_ratio = FOCAL_RATIO_RANGE
+    return min_ratio * max(size) <= focal <= max_ratio * max(size)
 
 
 def _positive(exif: Mapping[int, Any], tag: int) -> float | None:
@@ -199,7 +201,7 @@ def _positive(exif: Mapping[int, Any], tag: int) -> float | None:
     return value if 0 < value < math.inf else None
 
 
-def _look(path: str | os.PathLike[str]) -> tuple[tuple[int, int], Mapping[int, Any]]:
+def _read_size_and_exif(path: str | os.PathLike[str]) -> tuple[tuple[int, int], Mapping[int, Any]]:
     """Return the size (H, W) of an image file and its EXIF data."""
     from tisfm.formats.image_headers import PILLOW_FORMATS
     from tisfm.formats.images import read_image
@@ -239,7 +241,7 @@ def _exif(picture: Image.Image) -> Mapping[int, Any]:
         return {}
 
 
-def _size(shape: Sequence[int]) -> tuple[int, int]:
+def _checked_size(shape: Sequence[int]) -> tuple[int, int]:
     try:
         height, width, *_ = (int(side) for side in shape)
     except TypeError:

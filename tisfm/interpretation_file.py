@@ -25,15 +25,15 @@ from tisfm.settings import Settings
 from tisfm.status import History, Status
 
 FORMAT = 7  # increased whenever a reader of the previous format would misread a file
-_READ = (6, FORMAT)  # formats that can be read; format 6 had no packed arrays
-_MOST_PIXELS = 2**24  # of a packed frame, unless the file has more bytes than this
-_MOST_ABOUT = 2**20  # bytes of the entry "about", which usually has a thousandth of that
-_LARGEST_HALF = 65504.0  # largest number of float16
+_READABLE_FORMATS = (6, FORMAT)  # formats that can be read; format 6 had no packed arrays
+_MAX_PIXELS = 2**24  # of a packed frame, unless the file has more bytes than this
+_MAX_ABOUT_BYTES = 2**20  # bytes of the entry "about", which usually has a thousandth of that
+_MAX_HALF = 65504.0  # largest number of float16
 _HISTORY = tuple(f"history_{record.name}" for record in fields(History))
-_ALWAYS = ("rho", "flow", "inverse_depth", "confidence", "occlusion", "frame")
-_RIGID = ("inverse_depth_std", "motions", "labels")  # stored unless motion="field"
-_PARTS = ("about", *_ALWAYS, *_RIGID, *_HISTORY)
-_ABOUT = ("format", "version", "camera", "settings", "status", "message", "packed")
+_REQUIRED = ("rho", "flow", "inverse_depth", "confidence", "occlusion", "frame")
+_RIGID_ARRAYS = ("inverse_depth_std", "motions", "labels")  # stored unless motion="field"
+_ENTRIES = ("about", *_REQUIRED, *_RIGID_ARRAYS, *_HISTORY)
+_ABOUT_ENTRIES = ("format", "version", "camera", "settings", "status", "message", "packed")
 _RIGID_STATUSES = (
     "pose_mismatch", "little_parallax", "pure_rotation", "two_motions", "behind_camera",
     "unexplained", "uncertain",
@@ -42,7 +42,7 @@ _WITHOUT_DEPTH = (
     "no_motion", "no_texture", "little_parallax", "pure_rotation", "unrelated", "aperture",
 )  # fmt: skip
 _WITHOUT_MOTION = ("no_motion", "no_texture")  # no depth either, even for motion="field"
-_WILD = ("diverged", "pose_mismatch")  # statuses whose numbers may be useless
+_UNUSABLE_STATUSES = ("diverged", "pose_mismatch")  # statuses whose numbers may be useless
 
 _HALF, _FLOAT, _DOUBLE, _INT = (np.dtype(kind) for kind in ("<f2", "<f4", "<f8", "<i4"))
 _TYPES = {
@@ -66,13 +66,13 @@ _STORED = {name: (kind,) for name, kind in _TYPES.items()} | {
     "confidence": (_HALF,),
     "labels": (np.dtype("u1"), np.dtype("<u2"), _INT),
 }
-_FIXED, _BITS = ("int16", "int32"), ("uint32",)
+_FIXED_POINT, _TRUNCATED = ("int16", "int32"), ("uint32",)
 _PACKED = {  # integer types that each array may be packed as
-    "rho": _FIXED,
-    "flow": _FIXED,
-    "confidence": _FIXED,
-    "inverse_depth": _BITS,
-    "inverse_depth_std": _BITS,
+    "rho": _FIXED_POINT,
+    "flow": _FIXED_POINT,
+    "confidence": _FIXED_POINT,
+    "inverse_depth": _TRUNCATED,
+    "inverse_depth_std": _TRUNCATED,
     "occlusion": ("uint8",),
     "labels": ("uint8", "uint16", "int32"),
     "frame": ("uint8",),
@@ -92,7 +92,7 @@ def write_interpretation(
         "message": result.status.message,
         "packed": {},
     }
-    arrays = {name: getattr(result, name) for name in (*_ALWAYS, *_RIGID)}
+    arrays = {name: getattr(result, name) for name in (*_REQUIRED, *_RIGID_ARRAYS)}
     arrays.update({f"history_{name}": array for name, array in vars(result.history).items()})
     given = {name: array for name, array in arrays.items() if array is not None}
     for name, array in given.items():
@@ -104,10 +104,10 @@ def write_interpretation(
         most = len(given["motions"]) - 1
         kinds = (kind for kind in _STORED["labels"] if most <= np.iinfo(kind).max)
         given["labels"] = given["labels"].astype(next(kinds))
-    if compact and str(result.status) not in _WILD:
+    if compact and str(result.status) not in _UNUSABLE_STATUSES:
         _pack(given, about["packed"])
     if "rho" not in about["packed"] and (
-        max(given["rho"].max(), -given["rho"].min()) <= _LARGEST_HALF  # False for NaN
+        max(given["rho"].max(), -given["rho"].min()) <= _MAX_HALF  # False for NaN
     ):
         given["rho"] = _half(given["rho"])
     if "confidence" not in about["packed"]:
@@ -120,17 +120,17 @@ def _pack(arrays: dict[str, NDArray[Any]], packed: dict[str, Any]) -> None:
     for name, kinds in _PACKED.items():
         if name not in arrays:
             continue
-        step = STEP if kinds == _FIXED else None
+        step = STEP if kinds == _FIXED_POINT else None
         array = arrays[name]
         if name == "confidence":  # positive values must not be rounded to 0
             array = np.maximum(array, np.float32(STEP), out=array.copy(), where=array > 0)
-        found = pack(array, row_axis=_rows(name), step=step)
+        found = pack(array, row_axis=_row_axis(name), step=step)
         if found is not None:
             arrays[name], packing = found
             packed[name] = packing.to_json()
 
 
-def _rows(name: str) -> int:
+def _row_axis(name: str) -> int:
     """Return the axis of image rows of an array: 1 for (6, H, W), else 0."""
     return 1 if name == "rho" else 0
 
@@ -155,8 +155,8 @@ def read_interpretation(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 def _read(file: NpzFile) -> dict[str, Any]:
     about = _read_about(file)
-    file.require_only(_PARTS)
-    missing = sorted({*_ALWAYS, *_HISTORY}.difference(file))
+    file.require_only(_ENTRIES)
+    missing = sorted({*_REQUIRED, *_HISTORY}.difference(file))
     if missing:
         raise InputError(f"it has no {', '.join(missing)}")
     camera, settings = _camera(about["camera"]), _settings(about["settings"])
@@ -188,7 +188,7 @@ def _read(file: NpzFile) -> dict[str, Any]:
 def _packings(file: NpzFile, about: Any) -> dict[str, Packing]:
     """Return the packing of each packed array, by its name."""
     if not isinstance(about, dict) or not set(about) <= set(_PACKED):
-        raise InputError(f"what is packed is {about!r}, expected some of {', '.join(_PACKED)}")
+        raise InputError(f"packed arrays are {about!r}: expected some of {', '.join(_PACKED)}")
     packings = {}
     for name, packing in about.items():
         try:
@@ -204,7 +204,7 @@ def _packings(file: NpzFile, about: Any) -> dict[str, Packing]:
 def _refuse_inflated(file: NpzFile, frame: tuple[int, ...]) -> None:
     """Refuse a small file with a huge frame, whose size determines that of all arrays."""
     pixels = frame[0] * frame[1]
-    if pixels > max(_MOST_PIXELS, file.length):
+    if pixels > max(_MAX_PIXELS, file.length):
         raise InputError(f"it has {pixels:,} pixels packed in {file.length:,} bytes")
 
 
@@ -213,7 +213,7 @@ def _array(file: NpzFile, name: str, packing: Packing | None) -> NDArray[Any]:
     if packing is None:
         return file.read(name).astype(_TYPES[name], copy=False)
     try:
-        return unpack(file.read(name), packing, _TYPES[name], row_axis=_rows(name))
+        return unpack(file.read(name), packing, _TYPES[name], row_axis=_row_axis(name))
     except ValueError as error:
         raise InputError(f"{name} {error}") from error
 
@@ -221,29 +221,31 @@ def _array(file: NpzFile, name: str, packing: Packing | None) -> NDArray[Any]:
 def _read_about(file: NpzFile) -> dict[str, Any]:
     """Return the entry "about", after the checks that need no other entry."""
     if "about" not in file:
-        missing = sorted({"about", *_ALWAYS}.difference(file))
+        missing = sorted({"about", *_REQUIRED}.difference(file))
         raise InputError(f"it has no {', '.join(missing)}")
-    text = file.read("about", max_bytes=_MOST_ABOUT)
+    text = file.read("about", max_bytes=_MAX_ABOUT_BYTES)
     if text.dtype.kind != "U" or text.shape != ():
         raise InputError(f"about is {text.shape} {text.dtype}, expected one text")
     # NumPy accepts any numbers as characters, but Python's own functions fail on some.
-    letters = np.frombuffer(text.tobytes(), np.dtype("u4").newbyteorder(text.dtype.byteorder))
-    if (letters > sys.maxunicode).any():
-        raise InputError("about has letters that there are not")
+    characters = np.frombuffer(text.tobytes(), np.dtype("u4").newbyteorder(text.dtype.byteorder))
+    if (characters > sys.maxunicode).any():
+        raise InputError("about has characters that Unicode does not define")
     try:
         about = json.loads(str(text))
     except RecursionError as error:
         raise InputError("about is nested too deeply") from error
     if not isinstance(about, dict):
         raise InputError(f"about is {about!r}, expected an object of JSON")
-    if "format" in about and (about["format"] not in _READ or type(about["format"]) is not int):
+    if "format" in about and (
+        about["format"] not in _READABLE_FORMATS or type(about["format"]) is not int
+    ):
         raise InputError(
-            f"its format is {about['format']!r} and this version reads {_READ[0]} to {FORMAT}: it "
-            f"was written by tisfm {about.get('version')}, whose results have to be computed again"
+            f"its format is {about['format']!r} and this version reads {_READABLE_FORMATS[0]} to "
+            f"{FORMAT}: tisfm {about.get('version')} wrote it; compute the interpretation again"
         )
-    if about.get("format") == _READ[0]:
+    if about.get("format") == _READABLE_FORMATS[0]:
         about = {"packed": {}} | about
-    _check_names("its account of itself", about, _ABOUT)
+    _check_names("about", about, _ABOUT_ENTRIES)
     for name in ("version", "status", "message"):
         if not isinstance(about[name], str):
             raise InputError(f"its {name} is {about[name]!r}, expected text")
@@ -291,12 +293,12 @@ def _check_layout(
         raise InputError(
             f"frame is {size}, expected (H, W) or (H, W, 3) with sides of at least {MIN_SIDE} px"
         )
-    rigid = [name for name in _RIGID if name in layout]
-    if rigid != ([] if settings.motion == "field" else list(_RIGID)):
+    rigid = [name for name in _RIGID_ARRAYS if name in layout]
+    if rigid != ([] if settings.motion == "field" else list(_RIGID_ARRAYS)):
         raise InputError(
             f"it has {', '.join(rigid) or 'no motions'}, but its settings say motion="
-            f'"{settings.motion}": expected {", ".join(_RIGID)} for rigid motions and none of '
-            "them for a field"
+            f'"{settings.motion}": expected {", ".join(_RIGID_ARRAYS)} for rigid motions and none '
+            "of them for a field"
         )
     height, width = size[:2]
     (iterations, *_) = (*layout["history_level"][0], 0)
@@ -330,8 +332,8 @@ def _check_values(arrays: Mapping[str, NDArray[Any]], status: str) -> None:
         if (arrays[name] < 0).any():
             raise InputError(f"{name} is negative at {np.argmax(arrays[name] < 0)}")
     if status in _RIGID_STATUSES and "motions" not in arrays:
-        raise InputError(f"the status is {status!r}, which no field has")
-    if status in _WILD:
+        raise InputError(f'the status {status!r} does not occur with motion="field"')
+    if status in _UNUSABLE_STATUSES:
         return
     confidence = arrays["confidence"]
     if not (confidence.min() >= 0 and confidence.max() <= 1):  # NaN fails as well
@@ -339,7 +341,7 @@ def _check_values(arrays: Mapping[str, NDArray[Any]], status: str) -> None:
             f"confidence is {confidence.min():g} to {confidence.max():g}, expected 0 to 1"
         )
     if confidence[arrays["occlusion"]].any():
-        raise InputError("confidence is above 0 where occlusion says that a pixel is not seen")
+        raise InputError("confidence is above 0 at an occluded pixel")
     for name in ("rho", "flow", "inverse_depth", "motions"):
         if name in arrays and not np.isfinite(arrays[name]).all():
             raise InputError(f"{name} is not finite everywhere, but the status is {status!r}")

@@ -139,7 +139,7 @@ def _start(arch: Arch | None, threads: int | None, bind_threads: bool) -> None:
         return
     chosen = arch or _arch_of_environment()
     if chosen == "vulkan" and (device := software_vulkan()):
-        warnings.warn(software_said(device), SoftwareVulkanWarning, stacklevel=3)
+        warnings.warn(software_vulkan_message(device), SoftwareVulkanWarning, stacklevel=3)
     require_for_taichi(threads or os.cpu_count() or 1)
     options = cache_options()
 
@@ -187,7 +187,7 @@ def _initialise(arch: str, options: dict[str, Any]) -> None:
     _warned_of = id(program())  # started here, so no warning about an application's ti.init
 
 
-def software_said(device: str) -> str:
+def software_vulkan_message(device: str) -> str:
     """Return the warning for a software Vulkan device of this name."""
     return (
         f"vulkan runs on {device}, software on the CPU, not a GPU: it is slow, and answers may "
@@ -299,7 +299,7 @@ def _warn_of_application() -> None:
     if arch == "vulkan":
         _warned_of = program  # set first: the query of the drivers is slow and need not repeat
         if device := software_vulkan():
-            warnings.warn(software_said(device), SoftwareVulkanWarning, stacklevel=4)
+            warnings.warn(software_vulkan_message(device), SoftwareVulkanWarning, stacklevel=4)
     if arch == "cpu" and internals.configuration().real_matrix_scalarize:
         _warned_of = program
         warnings.warn(

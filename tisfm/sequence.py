@@ -170,10 +170,10 @@ def _interpret_pairs(
     settings: Settings,
     window: Window | None,
 ) -> Iterator[Interpretation]:
-    told, first = 0, True
+    warned_count, first = 0, True
     with closing(pairs):
         for pair in pairs:
-            told = _warn_of_skipped(source, told)
+            warned_count = _warn_of_skipped(source, warned_count)
             if first:
                 camera = _camera_after(source, pair, camera, settings)
             result = pair.interpret(camera=camera, settings=settings, window=window)
@@ -181,7 +181,7 @@ def _interpret_pairs(
             del pair  # frees its first frame before the next frame is read
             yield result
             del result  # its frame may be that of the source
-    _warn_of_skipped(source, told)
+    _warn_of_skipped(source, warned_count)
 
 
 def _interpret_shared(
@@ -192,7 +192,7 @@ def _interpret_shared(
     with closing(pairs):
         first = next(pairs)
         check_whole_levels(first)
-        told = _warn_of_skipped(frames, 0)
+        warned_count = _warn_of_skipped(frames, 0)
         camera = _camera_after(frames, first, camera, source.settings)
         result = first.interpret(camera=camera, settings=source.settings)
         camera, number = camera or result.camera, source.number(first) + 1
@@ -202,19 +202,19 @@ def _interpret_shared(
         if number >= len(frames):  # a video may have more frames than its header says
             for pair in pairs:
                 yield pair.interpret(camera=camera, settings=source.settings)
-            _warn_of_skipped(frames, told)
+            _warn_of_skipped(frames, warned_count)
             return
-    told_reasons = {reason for _, reason in frames.skipped[:told]}
+    warned_reasons = {reason for _, reason in frames.skipped[:warned_count]}
     for one in interpret_with_workers(source, camera=camera, workers=workers, first=number):
         if isinstance(one, Interpretation):
             yield one
-        elif one not in told_reasons:
+        elif one not in warned_reasons:
             warnings.warn(f"{one}; the frame is skipped", stacklevel=2)
 
 
-def _warn_of_skipped(source: FrameSource, told: int) -> int:
-    """Warn about skipped frames after the first `told`; return the number of skipped frames."""
-    for _, reason in source.skipped[told:]:
+def _warn_of_skipped(source: FrameSource, warned_count: int) -> int:
+    """Warn about skipped frames after the first `warned_count`; return the new count."""
+    for _, reason in source.skipped[warned_count:]:
         warnings.warn(f"{reason}; the frame is skipped", stacklevel=3)
     return len(source.skipped)
 

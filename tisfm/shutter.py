@@ -17,10 +17,10 @@ from tisfm.resampling import Resampling
 from tisfm.rigid import rigid_twist
 
 # All of these were set by hand.
-BEHIND = 1e-6  # least Z of a visible point
-LONGEST = 2.0  # median times between frames: the motion within a longer gap is not used
-NODES = 33  # nodes along the longer side; displacements are interpolated between nodes
-STEPS = 4  # iterations to find the row in which a pixel was read
+MIN_DEPTH = 1e-6  # least Z of a visible point
+MAX_GAP = 2.0  # median times between frames: the motion within a longer gap is not used
+NODES_ON_LONGER_SIDE = 33  # between these nodes, displacements are interpolated
+ROW_ITERATIONS = 4  # iterations to find the row in which a pixel was read
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,20 +39,21 @@ class Rolling:
     inverse_depth: Mapping[int, float] = field(default_factory=dict)
 
 
-def instants_of(
+def frame_instants(
     indices: Sequence[int],  # numbers of the frames in the source, increasing
     # s; if a time is unknown or does not increase, frames are assumed to be evenly spaced
     times: Sequence[float | None],
 ) -> np.ndarray:
     """Return the times of frames, (N,), in intervals between frames of the source."""
-    number = np.array(indices, np.float64)
-    known = np.array([time for time in times if time is not None])
-    if len(known) < len(times) or (np.diff(known) <= 0).any() or len(known) < 2:
-        return number
-    return np.asarray((known - known[0]) / np.median(np.diff(known) / np.diff(number)))
+    frame_numbers = np.array(indices, np.float64)
+    known_times = np.array([time for time in times if time is not None])
+    if len(known_times) < len(times) or (np.diff(known_times) <= 0).any() or len(known_times) < 2:
+        return frame_numbers
+    interval = np.median(np.diff(known_times) / np.diff(frame_numbers))
+    return np.asarray((known_times - known_times[0]) / interval)
 
 
-def rates_of(
+def motion_rates(
     poses: Mapping[int, np.ndarray],  # mapping of int to (4, 4) array: camera to world, by frame
     # time of each frame, in intervals
     instants: Mapping[int, float] | Sequence[float] | np.ndarray,
@@ -60,21 +61,21 @@ def rates_of(
     """Return the twist of the scene relative to the camera at every frame, (6,), per interval."""
     frames = sorted(poses)
     times = {frame: instants[after] - instants[frame] for frame, after in pairwise(frames)}
-    longest = LONGEST * float(np.median(list(times.values()))) if times else 0.0
+    max_gap = MAX_GAP * float(np.median(list(times.values()))) if times else 0.0
     twists = {
         frame: _twist(poses[frame], poses[after]) / times[frame]
         for frame, after in pairwise(frames)
     }
     rates = {}
-    for number, frame in enumerate(frames):
-        near = [k for k in frames[max(0, number - 1) : number + 1] if k in twists]
-        short = [k for k in near if times[k] <= longest] or near
-        if short:
-            rates[frame] = np.mean([twists[k] for k in short], axis=0)
+    for k, frame in enumerate(frames):
+        neighbours = [near for near in frames[max(0, k - 1) : k + 1] if near in twists]
+        in_short_gaps = [near for near in neighbours if times[near] <= max_gap] or neighbours
+        if in_short_gaps:
+            rates[frame] = np.mean([twists[near] for near in in_short_gaps], axis=0)
     return rates
 
 
-def at_middle(
+def points_at_middle_row(
     points: np.ndarray,  # (N, 2) array: px
     depth: np.ndarray,  # (N,) array: Z of each point, positive
     rate: np.ndarray,  # (6,) array: rate of the frame, as in `Rolling`
@@ -89,29 +90,29 @@ def at_middle(
     center = np.array(camera.center_for(*shape))
     ray = np.column_stack([(points - center) / camera.focal, np.ones(len(points))])
     delay = _delay(points[:, 1], readout, shape)
-    moved = transported(ray * np.asarray(depth)[:, None], rate, -delay)
-    ahead = moved[:, 2] > BEHIND
-    found = np.array(points, np.float64)
-    found[ahead] = moved[ahead, :2] / moved[ahead, 2:] * camera.focal + center
-    return found
+    moved = moved_by_twist(ray * np.asarray(depth)[:, None], rate, -delay)
+    in_front = moved[:, 2] > MIN_DEPTH
+    corrected = np.array(points, np.float64)
+    corrected[in_front] = moved[in_front, :2] / moved[in_front, 2:] * camera.focal + center
+    return corrected
 
 
-def transported(points: np.ndarray, rate: np.ndarray, time: np.ndarray) -> np.ndarray:
+def moved_by_twist(points: np.ndarray, rate: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Return points, (N, 3), moved by a twist (T, ω) for the given times, (N,)."""
     velocity, spin = rate[:3], rate[3:]
     angle = max(float(np.linalg.norm(spin)), 1e-12)
     axis = spin / angle
-    turned = (angle * time)[:, None]
-    sine, rest = np.sin(turned), 2 * np.sin(turned / 2) ** 2
-    about = np.cross(axis, points)
-    across = np.cross(axis, velocity)
+    rotation_angle = (angle * time)[:, None]
+    sine, one_minus_cosine = np.sin(rotation_angle), 2 * np.sin(rotation_angle / 2) ** 2
+    axis_cross_points = np.cross(axis, points)
+    axis_cross_velocity = np.cross(axis, velocity)
     return np.asarray(
         points
-        + sine * about
-        + rest * np.cross(axis, about)
+        + sine * axis_cross_points
+        + one_minus_cosine * np.cross(axis, axis_cross_points)
         + time[:, None] * velocity
-        + rest / angle * across
-        + (turned - sine) / angle * np.cross(axis, across)
+        + one_minus_cosine / angle * axis_cross_velocity
+        + (rotation_angle - sine) / angle * np.cross(axis, axis_cross_velocity)
     )
 
 
@@ -123,27 +124,27 @@ class UnrolledPixels(Resampling):
         camera: Camera,  # a pinhole
         readout: float,
         rate: np.ndarray,  # (6,) array: rate of the frame, as in `Rolling`
-        # float or (h, w) array: inverse depth of the whole frame, or at its `nodes_of` at the time
-        # of the middle row, 1/unit of the rate. Zero and negative values are treated as far.
+        # float or (h, w) array: inverse depth of the whole frame, or at its `interpolation_nodes`
+        # at the time of the middle row, 1/unit of the rate. Zero and negative values count as far.
         inverse_depth: float | np.ndarray,
         shape: tuple[int, ...],  # height and width, px
     ) -> None:
         height, width = shape
         center = np.array(camera.center_for(height, width))
-        grid = nodes_of(shape)
-        wanted = grid.reshape(-1, 2)
+        nodes_xy = interpolation_nodes(shape)
+        targets = nodes_xy.reshape(-1, 2)
         depth = 1 / np.maximum(np.ravel(inverse_depth), 1e-12)
-        ray = np.column_stack([(wanted - center) / camera.focal, np.ones(len(wanted))])
-        there = wanted
-        for _ in range(STEPS):
-            delay = _delay(there[:, 1], readout, shape)
-            moved = transported(ray * depth[:, None], rate, delay)
-            there = moved[:, :2] / np.maximum(moved[:, 2:], BEHIND) * camera.focal + center
-        nodes = (there - wanted).reshape(grid.shape).astype(np.float32)
-        rows, columns = grid.shape[:2]
-        at_x = np.linspace(0, columns - 1, width, dtype=np.float32)
-        at_y = np.linspace(0, rows - 1, height, dtype=np.float32)
-        flow = cv2.remap(nodes, *np.meshgrid(at_x, at_y), cv2.INTER_LINEAR)
+        ray = np.column_stack([(targets - center) / camera.focal, np.ones(len(targets))])
+        sources = targets
+        for _ in range(ROW_ITERATIONS):
+            delay = _delay(sources[:, 1], readout, shape)
+            moved = moved_by_twist(ray * depth[:, None], rate, delay)
+            sources = moved[:, :2] / np.maximum(moved[:, 2:], MIN_DEPTH) * camera.focal + center
+        nodes = (sources - targets).reshape(nodes_xy.shape).astype(np.float32)
+        rows, columns = nodes_xy.shape[:2]
+        node_columns = np.linspace(0, columns - 1, width, dtype=np.float32)
+        node_rows = np.linspace(0, rows - 1, height, dtype=np.float32)
+        flow = cv2.remap(nodes, *np.meshgrid(node_columns, node_rows), cv2.INTER_LINEAR)
         super().__init__(np.ascontiguousarray(np.moveaxis(flow, -1, 0)))
 
 
@@ -160,14 +161,14 @@ class UnrolledFrame(UnrolledPixels):
         frame: int,  # a frame with a rate
         shape: tuple[int, int],  # height and width, px
     ) -> None:
-        rate, usual = rolling.rates[frame], rolling.inverse_depth[frame]
-        super().__init__(rolling.camera, rolling.readout, rate, usual, shape)
+        rate, median_inverse_depth = rolling.rates[frame], rolling.inverse_depth[frame]
+        super().__init__(rolling.camera, rolling.readout, rate, median_inverse_depth, shape)
 
 
-def nodes_of(shape: tuple[int, ...]) -> np.ndarray:
+def interpolation_nodes(shape: tuple[int, ...]) -> np.ndarray:
     """Return the nodes for interpolating displacements: pixels (x, y), (h, w, 2)."""
     height, width = shape
-    spacing = max(shape) / (NODES - 1)
+    spacing = max(shape) / (NODES_ON_LONGER_SIDE - 1)
     columns, rows = (max(2, round(side / spacing) + 1) for side in (width, height))
     x, y = np.meshgrid(np.linspace(0, width - 1, columns), np.linspace(0, height - 1, rows))
     return np.stack([x, y], axis=-1)

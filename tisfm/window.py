@@ -20,13 +20,13 @@ class Window:
 
     def __init__(self) -> None:
         self.previous: PreviousPair | None = None  # data of the previous pair
-        self._apart: int | None = None
+        self._spacing: int | None = None
 
-    def begin(self, apart: int) -> None:
-        """Drop the previous pair if the frame spacing of the next pair, `apart`, is another one."""
-        if apart != self._apart:
+    def begin(self, spacing: int) -> None:
+        """Drop the previous pair if the next pair has another frame spacing."""
+        if spacing != self._spacing:
             self.previous = None
-        self._apart = apart
+        self._spacing = spacing
 
 
 def window_of(size: WindowSize, settings: Settings) -> Window | None:

@@ -142,7 +142,7 @@ def test_cameras_with_wild_values(tmp_path):
 # Archives
 
 
-def test_text_of_letters_that_there_are_not(tmp_path):
+def test_characters_beyond_unicode(tmp_path):
     path = file_of(tmp_path, seeds.interpretations()[0], "x.npz")
     rewritten(path, about=np.array([0x110000, 0xFFFFFFFF], np.uint32).view("<U2")[0])
     with pytest.raises(FormatError, match="not a complete interpretation"):

@@ -12,7 +12,7 @@ from tests.rendered import room_film
 from tisfm.metrics import pose_errors
 from tisfm.motion.rolling_shutter import _depth_of_frame1
 from tisfm.rigid import pose_matrix, rigid_motion
-from tisfm.shutter import UnrolledPixels, nodes_of
+from tisfm.shutter import UnrolledPixels, interpolation_nodes
 
 READOUT = 0.8
 MOTIONS = {
@@ -139,7 +139,7 @@ def test_frames_that_are_taken_apart_have_a_smaller_share():
 
 def test_depth_of_the_next_frame_is_that_of_the_points_that_it_shows():
     camera, shape = tisfm.Camera(focal=120.0), (121, 160)
-    nodes = nodes_of(shape)
+    nodes = interpolation_nodes(shape)
     plane = np.full(shape, 0.25, np.float32)
     ahead = _depth_of_frame1(plane, np.array((0.0, 0.0, -0.8, 0.0, 0.0, 0.0)), camera)
     np.testing.assert_allclose(ahead, 1 / (4 - 0.8), rtol=1e-6)
@@ -163,7 +163,7 @@ def test_depth_of_the_next_frame_is_that_of_the_points_that_it_shows():
 def test_one_depth_at_all_nodes_is_one_depth():
     camera, shape = tisfm.Camera(focal=120.0), (121, 160)
     twist = np.array((0.2, 0.1, 0.3, 0.02, -0.03, 0.04))
-    nodes = np.full(nodes_of(shape).shape[:2], 0.25)
+    nodes = np.full(interpolation_nodes(shape).shape[:2], 0.25)
     image = np.random.default_rng(0).uniform(0, 255, shape).astype(np.float32)
     one, other = (
         UnrolledPixels(camera, 0.7, twist, depth, shape).apply(image) for depth in (0.25, nodes)

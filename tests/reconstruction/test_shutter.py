@@ -9,9 +9,9 @@ from tisfm.rigid import pose_matrix
 from tisfm.shutter import (
     Rolling,
     UnrolledFrame,
-    at_middle,
-    rates_of,
-    transported,
+    motion_rates,
+    moved_by_twist,
+    points_at_middle_row,
 )
 
 CAMERA, SHAPE = Camera(focal=120.0, center=(83.0, 55.0)), (121, 160)
@@ -27,7 +27,7 @@ def moved(points, twist):
 def test_points_are_moved_as_rigid_motions_move_them(twist):
     points = np.random.default_rng(0).normal(size=(7, 3))
     times = np.linspace(-1.5, 2, 7)
-    for point, time, found in zip(points, times, transported(points, twist, times), strict=True):
+    for point, time, found in zip(points, times, moved_by_twist(points, twist, times), strict=True):
         np.testing.assert_allclose(found, moved(point, time * twist), atol=1e-12)
 
 
@@ -35,7 +35,7 @@ def test_rates_of_a_steady_motion_are_its_twist():
     instants = np.array([0, 1, 2.5, 3, 7])
     poses = {k: np.linalg.inv(pose_matrix(at * TWIST)) for k, at in enumerate(instants)}
     del poses[1]  # a frame without a pose
-    rates = rates_of(poses, instants)
+    rates = motion_rates(poses, instants)
     assert sorted(rates) == [0, 2, 3, 4]
     for rate in rates.values():
         np.testing.assert_allclose(rate, TWIST, atol=1e-9)
@@ -44,7 +44,7 @@ def test_rates_of_a_steady_motion_are_its_twist():
 def test_rates_beside_a_long_gap_are_those_of_the_near_side():
     """The camera turns to and fro, and its motion in the gap is unknown."""
     poses = {k: pose_matrix((0, 0, 0, 0, 0.1 * (-1) ** k, 0)) for k in [*range(8), *range(27, 35)]}
-    rates = rates_of(poses, np.arange(40))
+    rates = motion_rates(poses, np.arange(40))
     np.testing.assert_allclose(rates[7][4], 0.2, atol=1e-9)
     np.testing.assert_allclose(rates[27][4], -0.2, atol=1e-9)
 
@@ -52,13 +52,13 @@ def test_rates_beside_a_long_gap_are_those_of_the_near_side():
 def test_points_that_would_be_behind_stay():
     rate = np.array([0, 0, -5.0, 0, 0, 0])  # it comes nearer by more than both depths
     points = np.array([[80.0, 0.0], [80.0, 120.0]])
-    moved = at_middle(points, np.array([2.0, 2.0]), -rate, 0.9, CAMERA, SHAPE)
+    moved = points_at_middle_row(points, np.array([2.0, 2.0]), -rate, 0.9, CAMERA, SHAPE)
     np.testing.assert_array_equal(moved[1], points[1])
     assert np.isfinite(moved).all() and moved[0, 1] > 0
 
 
 def test_a_frame_alone_has_no_rate():
-    assert rates_of({4: np.eye(4)}, np.arange(5)) == {}
+    assert motion_rates({4: np.eye(4)}, np.arange(5)) == {}
 
 
 @pytest.mark.parametrize("readout", [0.9, -0.5])
@@ -75,7 +75,7 @@ def test_points_go_to_where_the_middle_row_would_have_them(readout):
     seen = np.column_stack([120 * there[:, 0] / there[:, 2] + cx, row])
     middle = 120 * world[:, :2] / world[:, 2:] + (cx, cy)
     assert np.abs(seen - middle).max() > 1
-    found = at_middle(seen, there[:, 2], TWIST, readout, CAMERA, SHAPE)
+    found = points_at_middle_row(seen, there[:, 2], TWIST, readout, CAMERA, SHAPE)
     np.testing.assert_allclose(found, middle, atol=1e-8)
 
 
@@ -93,7 +93,7 @@ def test_a_frame_is_made_as_its_middle_row_saw_it():
 
     taken = np.column_stack([x.ravel(), y.ravel()])
     # Pixels of the frame are points of a surface that is a plane at the middle row.
-    middle = at_middle(taken, np.full(len(taken), depth), TWIST, readout, CAMERA, SHAPE)
+    middle = points_at_middle_row(taken, np.full(len(taken), depth), TWIST, readout, CAMERA, SHAPE)
     frame = pattern(*middle.T).reshape(SHAPE).astype(np.float32)
     made = UnrolledFrame(rolling, 3, SHAPE)
     found = made.apply(frame)

@@ -9,7 +9,7 @@ from tisfm.reconstruction.rolling_shutter.readout import estimate_readout
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 from tisfm.rigid import pose_matrix
-from tisfm.shutter import at_middle, rates_of, transported
+from tisfm.shutter import motion_rates, moved_by_twist, points_at_middle_row
 
 CAMERA, SHAPE = Camera(focal=300.0), (240, 320)
 
@@ -26,7 +26,7 @@ def seen_by(poses, readout, noise, outliers=0.0):
     """Return views of points, each row read at its own time; some points are wrong."""
     random = np.random.default_rng(0)
     world = random.uniform((-3, -2, 3), (4, 2, 7), (500, 3))
-    rates = rates_of(poses, np.arange(len(poses)))
+    rates = motion_rates(poses, np.arange(len(poses)))
     center = np.array(CAMERA.center_for(*SHAPE))
     views = []
     for frame, pose in poses.items():
@@ -34,7 +34,7 @@ def seen_by(poses, readout, noise, outliers=0.0):
         row = np.zeros(len(local))
         for _ in range(8):
             late = readout * (row - (SHAPE[0] - 1) / 2) / SHAPE[0]
-            there = transported(local, rates[frame], late)
+            there = moved_by_twist(local, rates[frame], late)
             place = CAMERA.focal * there[:, :2] / there[:, 2:] + center
             row = place[:, 1].clip(0, SHAPE[0])
         place += random.normal(0, noise, place.shape)
@@ -66,7 +66,7 @@ def matched(views):
 def test_it_is_found_beside_noise_and_wrong_points(readout):
     poses = shaken(14)
     views = seen_by(poses, readout, 0.3, outliers=0.1)
-    rates = rates_of(poses, np.arange(14))
+    rates = motion_rates(poses, np.arange(14))
     found = estimate_readout(views, matched(views), poses, rates, CAMERA, SHAPE)
     assert abs(found.readout - readout) < min(0.03, 4 * found.deviation)
     assert 0 < found.deviation < 0.1 * abs(readout)
@@ -75,7 +75,7 @@ def test_it_is_found_beside_noise_and_wrong_points(readout):
 def test_rows_that_are_read_at_once_are_told():
     poses = shaken(14)
     views = seen_by(poses, 0.0, 0.3)
-    rates = rates_of(poses, np.arange(14))
+    rates = motion_rates(poses, np.arange(14))
     found = estimate_readout(views, matched(views), poses, rates, CAMERA, SHAPE)
     assert abs(found.readout) < found.deviation < 0.05
 
@@ -86,7 +86,7 @@ def test_a_steady_way_shows_little_of_it():
     shaking = shaken(14)
     views = [seen_by(path, 0.5, 0.3) for path in (poses, shaking)]
     steady, shaken_ = (
-        estimate_readout(v, {}, path, rates_of(path, np.arange(14)), CAMERA, SHAPE)
+        estimate_readout(v, {}, path, motion_rates(path, np.arange(14)), CAMERA, SHAPE)
         for v, path in zip(views, (poses, shaking), strict=True)
     )
     assert steady.deviation > 5 * shaken_.deviation
@@ -107,7 +107,7 @@ def test_a_readout_that_poses_and_focal_length_explain_is_not_seen(twist, readou
     """In a steady motion, other poses or another focal length move rows in the same way."""
     poses = {k: pose_matrix(np.multiply(k, twist)) for k in range(10)}
     views = seen_by(poses, readout, 0.3)
-    found = estimate_readout(views, {}, poses, rates_of(poses, np.arange(10)), CAMERA, SHAPE)
+    found = estimate_readout(views, {}, poses, motion_rates(poses, np.arange(10)), CAMERA, SHAPE)
     assert found.deviation > 1  # larger than any readout time
     assert not _is_seen(found)
 
@@ -118,7 +118,7 @@ def test_it_depends_on_no_choice_of_axes():
     views = seen_by(poses, 0.5, 0.3)
     elsewhere = pose_matrix((3, -2, 1, 0.5, 1.0, -0.3))
     moved = {frame: elsewhere @ pose for frame, pose in poses.items()}
-    rates = rates_of(poses, np.arange(8))
+    rates = motion_rates(poses, np.arange(8))
     here, there = (
         estimate_readout(views, {}, some, rates, CAMERA, SHAPE) for some in (poses, moved)
     )
@@ -130,10 +130,12 @@ def test_nothing_is_said_of_views_that_share_nothing():
     poses = shaken(4)
     nothing = Observations(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
     views = [View(frame=k, observations=nothing, detected=np.empty((0, 2))) for k in range(4)]
-    rates = rates_of(poses, np.arange(4))
+    rates = motion_rates(poses, np.arange(4))
     assert estimate_readout(views, {}, poses, rates, CAMERA, SHAPE) is None
     assert estimate_readout([], {}, poses, rates, CAMERA, SHAPE) is None
 
 
 def test_at_middle_needs_no_point():
-    assert at_middle(np.empty((0, 2)), np.empty(0), np.ones(6), 0.5, CAMERA, SHAPE).shape == (0, 2)
+    assert points_at_middle_row(
+        np.empty((0, 2)), np.empty(0), np.ones(6), 0.5, CAMERA, SHAPE
+    ).shape == (0, 2)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tisfm.camera import Camera
 from tisfm.camera_file import NAME as CAMERA
-from tisfm.camera_file import read_camera, record_in
+from tisfm.camera_file import read_camera, read_camera_record
 from tisfm.errors import InputError, OutOfRangeError
 from tisfm.folders.result_folder import make_subfolder
 from tisfm.reconstruction.result.reconstruction import Reconstruction
@@ -156,5 +156,5 @@ def source_camera(export: ExportRequest) -> tuple[Camera, tuple[int, int]]:
             f"{export.frames.folder} has no {CAMERA}, so the lens of the frames is unknown: run "
             "tisfm reconstruct again"
         )
-    record = record_in(file)
+    record = read_camera_record(file)
     return read_camera(file), (int(record["height"]), int(record["width"]))

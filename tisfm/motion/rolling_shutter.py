@@ -12,7 +12,7 @@ from tisfm.motion.problems import pyramid_of
 from tisfm.motion.settings import EGOMOTION
 from tisfm.rigid import KnownPose, rigid_motion, rigid_twist
 from tisfm.settings import Settings
-from tisfm.shutter import UnrolledPixels, nodes_of
+from tisfm.shutter import UnrolledPixels, interpolation_nodes
 
 # Statuses of motions that frames are corrected by.
 MOTION_STATUSES = ("converged", "iteration_limit", "uncertain", "pure_rotation", "little_parallax")
@@ -82,7 +82,7 @@ def _unrolling_maps(
     if not (np.isfinite(rate).all() and np.isfinite(inverse_depth).all()):
         return None
     depths = [
-        _sample(inverse_depth, nodes_of(shape)),
+        _sample(inverse_depth, interpolation_nodes(shape)),
         _depth_of_frame1(inverse_depth, rate, camera),
     ]
     first, second = (
@@ -93,7 +93,7 @@ def _unrolling_maps(
 
 def _smooth_depth(inverse_depth: np.ndarray) -> np.ndarray:
     """Return inverse depth smoothed to the spacing of nodes, (H, W): edges would tear frames."""
-    x = nodes_of(inverse_depth.shape)[0, :, 0]
+    x = interpolation_nodes(inverse_depth.shape)[0, :, 0]
     return cv2.GaussianBlur(inverse_depth, (0, 0), float(x[1] - x[0]))
 
 
@@ -101,7 +101,7 @@ def _depth_of_frame1(inverse_depth: np.ndarray, rate: np.ndarray, camera: Camera
     """Return the inverse depth of frame 1 at its nodes, (h, w), from that of frame 0, (H, W)."""
     rotation, translation = rigid_motion(rate)
     center = np.array(camera.center_for(*inverse_depth.shape))
-    nodes = nodes_of(inverse_depth.shape)
+    nodes = interpolation_nodes(inverse_depth.shape)
     positions = nodes
     for _ in range(EGOMOTION.shutter_iterations):
         depth = _sample(inverse_depth, positions)

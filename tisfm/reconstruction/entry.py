@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from tisfm import runtime
 from tisfm.camera import Camera, check_camera
-from tisfm.camera_file import file_of, read_camera
+from tisfm.camera_file import camera_file_path, read_camera
 from tisfm.checks import check_count, refuse_masked
 from tisfm.errors import InputError, InputTypeError
 from tisfm.reconstruction.path.given_poses import poses_of_frames
@@ -212,7 +212,7 @@ def reconstruct(
     if of_result is not None:
         of_result.check(stated, calibrate)
     if folder is not None:
-        files = [file_of(camera)] if isinstance(camera, Path) else []
+        files = [camera_file_path(camera)] if isinstance(camera, Path) else []
         refuse_inside([*frames.files, *files], Path(folder))
     runtime.start()
     temporary = None

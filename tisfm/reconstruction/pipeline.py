@@ -35,7 +35,7 @@ from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, Sequenc
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import track_depths
 from tisfm.settings import Settings
-from tisfm.shutter import instants_of
+from tisfm.shutter import frame_instants
 from tisfm.sources import FrameSource
 from tisfm.sources.frame_reader import warn_notes
 from tisfm.status import Status
@@ -173,7 +173,7 @@ def read_frames(job: Job) -> ReadFrames:
     return ReadFrames(
         names=_distinct(names),
         times=tuple(times),
-        instants=instants_of(indices, times),
+        instants=frame_instants(indices, times),
         camera=camera,
         frames=frames,
         tracks=None if tracker is None else tracker.finish(),

@@ -13,7 +13,7 @@ from typing import Protocol, TypeVar
 
 from tisfm import runtime
 from tisfm.camera import Camera
-from tisfm.camera_file import doubt_of, read_camera
+from tisfm.camera_file import focal_doubt, read_camera
 from tisfm.errors import InputError
 from tisfm.focal_guess import at_size, guess_focal
 from tisfm.folders.result_folder import InputFiles, presence_file
@@ -226,7 +226,7 @@ class SequenceRun:
 def camera_of_file(file: Path, shape: tuple[int, int] | None, tell: Tell) -> Camera:
     """Return the camera in a file for frames of a shape; warn if its focal length is doubtful."""
     camera = read_camera(file, shape)
-    if doubt := doubt_of(file):
+    if doubt := focal_doubt(file):
         tell(f"{file}: {doubt}")
     return camera
 

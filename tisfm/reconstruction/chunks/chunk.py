@@ -15,7 +15,7 @@ from filelock import FileLock
 
 from tisfm import runtime
 from tisfm.camera import Camera
-from tisfm.camera_file import record_in
+from tisfm.camera_file import read_camera_record
 from tisfm.errors import InputError, RunError, is_user_error
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.folders.result_folder import remove, remove_link
@@ -126,7 +126,7 @@ class Chunk:
         about = [
             self.asked,
             asdict(self.span),
-            record_in(camera) if isinstance(camera, Path) else camera and asdict(camera),
+            read_camera_record(camera) if isinstance(camera, Path) else camera and asdict(camera),
             self.calibrate,
             self.depth_of,
         ]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy.typing as npt
 
 from tisfm.camera import Camera
-from tisfm.camera_file import file_of
+from tisfm.camera_file import camera_file_path
 from tisfm.errors import InputError, InputTypeError
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.folders.result_folder import (
@@ -136,7 +136,7 @@ class ChunkedRun:
         calibrate = checked_calibrate(calibrate, is_known=camera is not None or given is not None)
         camera, self._stated = checked_camera(camera)
         self.folder = Path(folder).absolute()
-        files = [file_of(camera)] if isinstance(camera, Path) else []
+        files = [camera_file_path(camera)] if isinstance(camera, Path) else []
         refuse_inside([*sources.files, *files], self.folder)
         self._taken, times = _taken(sources)
         self._notes = [*sources.notes, *filter(None, [times_note(times)])]
@@ -222,7 +222,7 @@ class ChunkedRun:
                 chunks = [one.with_camera(shared.camera) for one in chunks]
             elif len(chunks) > 1 and self._stated is None:  # guessed from the first chunk alone
                 list(made(chunks[:1], finished))
-                guessed = file_of(chunks[0].folder)
+                guessed = camera_file_path(chunks[0].folder)
                 chunks = [chunks[0], *(one.with_camera(guessed) for one in chunks[1:])]
             done = 0
             for number in made(chunks, finished):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.camera_file import NAME, read_camera, record_in, write_camera
+from tisfm.camera_file import NAME, read_camera, read_camera_record, write_camera
 from tisfm.reconstruction.chunks.chunk import Chunk, make_chunk
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
@@ -59,7 +59,7 @@ def shared_camera(
     best = next((one for one in found if one.calibration.seen), None)
     if best is None:
         best = min(found, key=_relative_deviation)
-    camera, record = read_camera(best.folder), record_in(best.folder)
+    camera, record = read_camera(best.folder), read_camera_record(best.folder)
     if camera.readout is None:  # no readout was found: chunks must not search again
         camera = replace(camera, readout=0.0)
     shape = record["height"], record["width"]

@@ -5,7 +5,7 @@ import os
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal
 
-from tisfm.camera_file import file_of, record_in
+from tisfm.camera_file import camera_file_path, read_camera_record
 from tisfm.errors import InputError
 from tisfm.focal_guess import at_size
 from tisfm.formats import FormatError
@@ -111,14 +111,14 @@ def calibration_in(
 
     Raises tisfm.formats.FormatError if its content is damaged.
     """
-    record = record_in(path)
+    record = read_camera_record(path)
     if "origin" not in record:
         return GIVEN
     try:
         calibration = from_json({"focal_std": 0.0} | record)
         ratio = focal / float(record["focal"])
     except (ValueError, KeyError, TypeError, ArithmeticError) as error:
-        raise FormatError(f"{file_of(path)} is damaged: {error}") from error
+        raise FormatError(f"{camera_file_path(path)} is damaged: {error}") from error
     return replace(
         calibration,
         focal=focal,

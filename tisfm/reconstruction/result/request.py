@@ -10,7 +10,7 @@ from typing import Any
 
 from tisfm import runtime
 from tisfm.camera import Camera
-from tisfm.camera_file import record_in
+from tisfm.camera_file import read_camera_record
 from tisfm.errors import InputError
 from tisfm.folders.files import (
     REPORT,
@@ -55,7 +55,9 @@ def make_request(
         "start": frames.chosen.start,
         "stop": frames.chosen.stop,
         "step": frames.chosen.step,
-        "camera": record_in(camera) if isinstance(camera, Path) else camera and asdict(camera),
+        "camera": read_camera_record(camera)
+        if isinstance(camera, Path)
+        else camera and asdict(camera),
         "settings": asdict(settings),
         "poses": None if poses is None else _trajectory_digest(poses),
         **{name: path and files_digest(_files_of(path)) for name, path in (files or {}).items()},

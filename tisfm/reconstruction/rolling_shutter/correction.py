@@ -17,7 +17,7 @@ from tisfm.reconstruction.rolling_shutter.readout import ReadoutEstimate, estima
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import points_of_tracks
 from tisfm.reconstruction.tracks.views import View
-from tisfm.shutter import Rolling, at_middle, rates_of
+from tisfm.shutter import Rolling, motion_rates, points_at_middle_row
 
 # Values without a stated source were set by hand.
 
@@ -61,7 +61,7 @@ class ReadoutCorrection:
         usual: dict[int, float] = {}
         self._depths: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         for piece in pieces:
-            for frame, rate in rates_of(piece.poses, instants).items():
+            for frame, rate in motion_rates(piece.poses, instants).items():
                 depth, known = _depths(seen[frame], piece.points, piece.poses[frame])
                 if known.any():
                     rates[frame], usual[frame] = rate, 1 / float(np.median(depth[known]))
@@ -111,7 +111,7 @@ class ReadoutCorrection:
 
     def _moved(self, frame: int, points: np.ndarray, depth: np.ndarray) -> np.ndarray:
         rolling = self.rolling
-        return at_middle(
+        return points_at_middle_row(
             points, depth, rolling.rates[frame], rolling.readout, self._camera, self._shape
         )
 
@@ -207,5 +207,5 @@ def _estimate(
     if not solution.pieces:
         return None
     largest = max(solution.pieces, key=lambda piece: len(piece.views))
-    rates = rates_of(largest.poses, instants)
+    rates = motion_rates(largest.poses, instants)
     return estimate_readout(views, matches, largest.poses, rates, camera, shape, begun=begun)

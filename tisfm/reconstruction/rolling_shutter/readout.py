@@ -14,7 +14,7 @@ from scipy import sparse
 from tisfm.camera import Camera
 from tisfm.reconstruction.geometry.rays import nearest_point_equations, unit_vectors
 from tisfm.reconstruction.tracks.views import View
-from tisfm.shutter import transported
+from tisfm.shutter import moved_by_twist
 
 # Values without a stated source were set by hand.
 
@@ -274,7 +274,7 @@ class _Problem:
     def _move(self, steps: np.ndarray, moves: np.ndarray) -> None:
         for k, step in enumerate(steps):
             columns = np.vstack([self._turns[k].T, self._shifts[k]])
-            moved = transported(columns, np.r_[np.zeros(3), step[3:]], np.ones(4))
+            moved = moved_by_twist(columns, np.r_[np.zeros(3), step[3:]], np.ones(4))
             self._turns[k], self._shifts[k] = moved[:3].T, moved[3] + step[:3]
         self._points += moves
 

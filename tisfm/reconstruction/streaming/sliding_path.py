@@ -25,7 +25,7 @@ from tisfm.reconstruction.rolling_shutter.correction import (
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations, Tracker
 from tisfm.reconstruction.tracks.views import View, ViewSelection
-from tisfm.shutter import Rolling, instants_of
+from tisfm.shutter import Rolling, frame_instants
 from tisfm.status import Status
 
 # Values without a stated source were set by hand.
@@ -323,5 +323,5 @@ class SlidingPath:
     def _instants(self) -> dict[int, float]:
         """Return the times of the recent frames, in intervals between frames of the source."""
         indices, times = zip(*self._index_and_time.values(), strict=True)
-        instants = instants_of(indices, times)
+        instants = frame_instants(indices, times)
         return dict(zip(self._index_and_time, map(float, instants), strict=True))
