@@ -34,7 +34,7 @@ PUBLIC = documented((ROOT / "docs" / "api.md").read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize("module", PUBLIC)
-def test_the_page_names_what_the_module_exports(module):
+def test_the_page_names_the_exports_of_the_module(module):
     loaded = import_module(module)
     assert sorted(PUBLIC[module]) == sorted(loaded.__all__)
     for name in PUBLIC[module]:

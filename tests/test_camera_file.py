@@ -12,7 +12,7 @@ LENS = Camera(focal=(500.0, 520.0), center=(321.5, 238.0), distortion=(-0.3, 0.1
 
 
 @pytest.mark.parametrize("camera", [Camera(focal=500.0), LENS])
-def test_what_is_written_is_read(camera, tmp_path):
+def test_written_cameras_are_read(camera, tmp_path):
     write_camera(tmp_path / "c.json", camera, (480, 640))
     assert read_camera(tmp_path / "c.json") == camera
     assert read_camera(tmp_path / "c.json", (480, 640)) == camera
@@ -62,7 +62,7 @@ def test_damaged_files_are_refused(text, tmp_path):
         read_camera(tmp_path / "c.json")
 
 
-def test_missing_files_are_told(tmp_path):
+def test_missing_files_are_reported(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"camera\.json"):
         read_camera(tmp_path)
 

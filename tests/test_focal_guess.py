@@ -114,7 +114,7 @@ def test_without_usable_exif_the_size_decides(tmp_path, tags):
     assert "1.2 times the longer side" in guess.reason
 
 
-def test_what_is_not_plausible_leaves_it_to_the_other_tags(tmp_path):
+def test_implausible_tags_are_passed_over(tmp_path):
     tags = {FILM: 60000, LENGTH: 4.5, RESOLUTION: 254}
     assert guess_focal(picture(tmp_path / "a.jpg", tags)).focal == pytest.approx(45)
 

@@ -31,7 +31,7 @@ def textured_pair(size=SIZE, seed=0):
 
 
 @given(frame=arrays(np.uint8, (5, 7)))
-def test_uint8_stays_as_it_is(frame):
+def test_uint8_is_unchanged(frame):
     grey0, grey1 = grey_pair(frame, 255 - frame)
     assert grey0.dtype == grey1.dtype == np.float32
     np.testing.assert_array_equal(grey0, frame)
@@ -189,7 +189,7 @@ def test_grey_as_three_channels_is_grey(frame):
 
 
 @pytest.mark.parametrize("height", [4, 32, 33, 100])
-def test_colours_add_up_in_one_order_whatever_the_size(height):
+def test_colours_add_up_in_one_order_at_any_size(height):
     frame = np.random.default_rng(height).integers(0, 256, (height, 9, 3)).astype(np.uint8)
     red, green, blue = np.moveaxis(frame.astype(np.float32), -1, 0)
     luma = np.float32(0.299) * red + np.float32(0.587) * green + np.float32(0.114) * blue

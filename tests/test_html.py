@@ -43,7 +43,7 @@ def html_of_other_means(text):
     return sorted(lines)
 
 
-def test_other_ways_are_found():
+def test_other_ways_are_detected():
     assert html_of_other_means('x = f"<b>{name}</b>"') == [1, 1]
     assert html_of_other_means('x = "<b>"') == [1]
     assert html_of_other_means("x = Markup(name)") == [1]

@@ -54,7 +54,7 @@ def test_rounding_is_no_motion_in_the_paper(scale):
 
 
 @pytest.mark.parametrize("preset", ["paper", "fast"])
-def test_neither_is_it_without_distortion(preset):
+def test_rounding_is_no_motion_after_undistortion(preset):
     lens = tisfm.Camera(focal=80.0, distortion=(-0.2, 0.05, 0.001, 0.001))
     check_nothing_moves(
         texture((60, 80)).astype(np.uint8), tisfm.Settings.preset(preset), camera=lens
@@ -80,14 +80,14 @@ def test_long_frames_are_compared_along_their_flow(axis):
     assert unrelated_status(frame0, frame1, 0 * flow, trust) == "unrelated"
 
 
-def test_a_flow_that_diverged_is_compared_as_well():
+def test_a_diverged_flow_is_compared_too():
     frame = texture((24, 40))
     flow = np.full((24, 40, 2), np.inf, np.float32)
     flow[::2], flow[1::3] = np.nan, 1e30
     assert unrelated_status(frame, frame, flow, np.ones(frame.shape, np.float32)) == "unrelated"
 
 
-def test_between_pixels_frames_are_interpolated_linearly():
+def test_frames_are_interpolated_linearly_between_pixels():
     frame = texture((24, 40))
     rng = np.random.default_rng(1)
     flow = rng.normal(0, 5, (24, 40, 2)).astype(np.float32)
@@ -107,7 +107,7 @@ def test_between_pixels_frames_are_interpolated_linearly():
     ("motion", "wide"),
     [
         ("field", False),
-        ("camera", True),
+        pytest.param("camera", True, marks=pytest.mark.nightly),
     ],
 )
 def test_long_frames_are_interpreted(motion, wide):
@@ -202,7 +202,7 @@ def test_a_masked_pose_is_refused(moving, size):
     ],
 )
 @pytest.mark.filterwarnings("error::RuntimeWarning")
-def test_confidence_and_history_are_numbers_whatever_happened(scale, preset, motion):
+def test_confidence_and_history_are_always_numbers(scale, preset, motion):
     frame = texture((34, 47)).astype(float)
     result = tisfm.interpret(
         frame * scale,

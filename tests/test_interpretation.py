@@ -98,21 +98,21 @@ def test_no_motion_is_exactly_zero():
     assert result.status == "no_motion" and "farther apart" in result.status.message
 
 
-def test_no_texture_is_said():
+def test_no_texture_is_reported():
     uniform = np.full((H, W), 100, np.uint8)
     result = tisfm.interpret(uniform, uniform)
     assert result.status == "no_texture" and "textured" in result.status.message
     assert np.isfinite(result.flow).all()
 
 
-def test_running_out_of_iterations_is_said():
+def test_running_out_of_iterations_is_reported():
     settings = tisfm.Settings(outer_iterations=1, tolerance=0)
     status = tisfm.interpret(*frames(), settings=settings).status
     assert status == "iteration_limit"
     assert "outer_iterations" in status.message and "tolerance 0" in status.message
 
 
-def test_converging_is_said():
+def test_convergence_is_reported():
     status = tisfm.interpret(*frames(), settings=tisfm.Settings(tolerance=10.0)).status
     assert status == "converged" and "changed by" in status.message
 

@@ -218,7 +218,7 @@ def test_scaling_keeps_distortion_and_a_pinhole_has_none():
 
 
 @pytest.mark.parametrize("number", [4, 5, 8, 12])
-def test_another_focal_length_leaves_the_lens_as_it_is(number):
+def test_another_focal_length_keeps_the_lens(number):
     lens = (-0.2, 0.05, 1e-2, -2e-2, 0.01, 0.1, 0.02, 0.01, 0.02, 0.01, -0.01, 0.02)[:number]
     camera = Camera(focal=(50.0, 55.0), center=(33.0, 21.0), distortion=lens)
     other = camera.with_focal(70.0)
@@ -237,7 +237,7 @@ def test_the_lens_of_a_tilted_sensor_fits_no_other_focal_length():
     assert Camera(distortion=(0.1,) + (0.0,) * 13).with_focal(500.0).focal == 500
 
 
-def test_where_distortion_would_be_lost_it_is_refused(scene):
+def test_loss_of_distortion_is_refused(scene):
     camera = Camera(100.0, distortion=BARREL)
     with pytest.raises(ValueError, match=r"has distortion.*camera\.pinhole\(\)"):
         camera_motion(scene.flow, np.ones(scene.flow.shape[:2]), camera)
@@ -289,7 +289,7 @@ def test_frames_keep_shape_type_and_range(shape, dtype):
     np.testing.assert_array_equal(frame, before)
 
 
-def test_without_distortion_a_frame_stays_as_it_is():
+def test_a_frame_without_distortion_is_unchanged():
     frame = np.random.default_rng(0).integers(0, 256, (20, 30), dtype=np.uint8)
     np.testing.assert_array_equal(undistort(frame, Camera(50.0)), frame)
     np.testing.assert_array_equal(Undistortion(Camera(50.0), 20, 30).apply(frame), frame)
@@ -323,7 +323,7 @@ def test_beyond_where_the_model_turns_back_there_are_no_data():
 
 
 @pytest.mark.parametrize("distortion", [(1e6, 0, 0, 0), (-50, 0, 0, 0), (0, 0, 9, 9)])
-def test_coefficients_of_another_camera_are_said(distortion):
+def test_coefficients_of_another_camera_are_reported(distortion):
     frame = np.random.default_rng(0).integers(0, 256, (40, 60), dtype=np.uint8)
     with pytest.raises(ValueError, match=r"distortion leaves data at .*% .*40 × 60 px: check"):
         tisfm.interpret(frame, frame, camera=Camera(50.0, distortion=distortion))
@@ -358,7 +358,7 @@ def test_flow_is_that_of_the_pinhole_image(scene, distortion):
     assert np.abs(with_it.frame - scene.frame0)[seen].mean() < 3
 
 
-def test_what_has_no_data_is_occluded_and_not_trusted(scene):
+def test_pixels_without_data_are_occluded_and_have_no_confidence(scene):
     camera = Camera(scene.camera.focal, distortion=PINCUSHION)
     frames = scene.frame0, scene.frame1
     result = tisfm.interpret(*frames, camera=camera)
@@ -369,7 +369,7 @@ def test_what_has_no_data_is_occluded_and_not_trusted(scene):
     assert result.confidence[~missing].mean() > 0.5 and result.occlusion[~missing].mean() < 0.1
 
 
-def test_what_goes_to_where_there_are_no_data_is_missing():
+def test_pixels_that_move_to_missing_data_are_missing():
     lens = Undistortion(Camera(60.0, distortion=PINCUSHION), 40, 60)
     assert lens.valid[20, 10] and not lens.valid[0, 0]
     flow = np.zeros((2, 40, 60), np.float32)
@@ -400,7 +400,7 @@ def test_kinds_of_frames_agree(scene, kind):
     assert result.frame.shape == frames[0].shape + (3,) * (kind == "colour")
 
 
-def test_sequences_as_well(scene):
+def test_sequences_are_undistorted(scene):
     camera = Camera(scene.camera.focal, distortion=BARREL)
     frames = [scene.frame0, scene.frame1]
     (result,) = tisfm.interpret_sequence(frames, camera=camera)

@@ -243,7 +243,7 @@ def test_a_file_holds_all_of_it(tmp_path, number):
     np.testing.assert_array_equal(read["confidence"], cloud.confidence)
 
 
-def test_a_library_reads_it_back(tmp_path):
+def test_a_library_reads_the_file(tmp_path):
     cloud = some_cloud(1000)
     cloud.save(str(tmp_path / "cloud"))  # no suffix is added
     data = (tmp_path / "cloud").read_bytes()

@@ -86,7 +86,7 @@ def test_the_import_alone_changes_nothing_but_the_finder_of_the_kernels():
     assert foreign == {"tisfm"}
 
 
-def test_the_first_use_changes_what_the_page_lists():
+def test_the_page_lists_the_changes_of_the_first_use():
     before, after = printed(STATE + USED)
     changed = {
         name

@@ -20,7 +20,7 @@ def test_a_turn_below_the_bound_is_a_pose():
     np.testing.assert_allclose(check_pose(turn).rotation, turn, atol=1e-12)
 
 
-def test_a_rounded_rotation_is_made_exact():
+def test_a_rounded_rotation_becomes_exact():
     rotation, _ = rigid_motion((0, 0, 0, 0.1, -0.2, 0.3))
     known = check_pose(np.round(rotation, 4))
     np.testing.assert_allclose(known.rotation @ known.rotation.T, np.eye(3), atol=1e-12)

@@ -219,7 +219,7 @@ def test_bounds_themselves_are_accepted(name, value):
 
 @pytest.mark.parametrize("name", NUMBERS)
 @pytest.mark.parametrize("value", ["1", True, 1j, Decimal(1), [1.0], np.array([1.0])], ids=repr)
-def test_what_is_no_number_is_refused(name, value):
+def test_other_values_than_numbers_are_refused(name, value):
     with pytest.raises(TypeError, match=f"{name} is .*expected a number"):
         tisfm.Settings(**{name: value})
 

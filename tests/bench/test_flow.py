@@ -82,7 +82,7 @@ def test_parts_without_texture(tmp_path, monkeypatch, capsys):
     assert "depth_bare" not in record["found"]["c"][0]
 
 
-def test_the_noise_is_what_it_says():
+def test_the_noise_has_the_stated_deviation():
     pair = bare_patches(90, 120)
     noise = untextured.add_noise(pair, 5, seed=0).frame1 - pair.frame1.astype(float)
     assert noise.std() == pytest.approx(5, rel=0.05)

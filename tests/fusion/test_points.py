@@ -8,7 +8,6 @@ import pytest
 
 import tisfm
 from tests.fusion.rooms import completeness, noisy_views, poses_in_room, relative_error, room_view
-from tests.one_thread import bits_on_one_thread, several_threads
 from tisfm.fusion import DepthView, fused_points
 from tisfm.fusion import points as points_module
 from tisfm.fusion.depth_views import PosedViews
@@ -72,7 +71,7 @@ def test_the_position_is_the_mean_by_precision():
 
 
 @pytest.mark.parametrize("agreeing", [1, 2, 3, 4])
-def test_as_many_views_as_asked_for(agreeing):
+def test_the_number_of_agreeing_views_is_a_setting(agreeing):
     """Two agree, a third sees something nearer, so that the point is hidden from it."""
     views = [wall(), wall(), wall(depth=1.5)]
     cloud = fused_points(views, agreeing=agreeing)
@@ -82,7 +81,7 @@ def test_as_many_views_as_asked_for(agreeing):
     assert near == 0
 
 
-def test_views_that_contradict_one_another_leave_nothing():
+def test_contradicting_views_leave_no_points():
     assert len(fused_points([wall(depth=z) for z in (1, 1.5, 2, 3)])) == 0
 
 
@@ -104,7 +103,7 @@ def test_few_views():
     ],
     ids=["NaN", "0", "−∞", "σ ∞", "σ NaN", "pose"],
 )
-def test_what_knows_nothing_is_left_out(change):
+def test_views_without_depth_are_left_out(change):
     """It neither counts as a view nor changes anything."""
     views = walls()
     expected = fused_points(views)
@@ -226,7 +225,7 @@ def test_views_are_read_one_by_one(rendered):
     assert lazily.read[:12] == list(range(12))
 
 
-def test_no_more_views_are_held_than_asked_for(rendered):
+def test_memory_holds_the_given_number_of_views(rendered):
     views = PosedViews(noisy_views(rendered), max_relative_std=0.1, max_depth=None, held=3)
     first = views[0]
     assert views[0] is first
@@ -247,9 +246,8 @@ def test_neighbours_see_the_same(rendered):
     assert choose_neighbours(0, [views.seen[0], turned], 5) == []
 
 
-@several_threads
-def test_the_same_bits_on_one_thread():
-    assert bits() == bits() == bits_on_one_thread("tests.fusion.test_points")
+def test_the_same_bits_twice():
+    assert bits() == bits()
 
 
 def test_inputs_are_not_modified():
@@ -305,7 +303,7 @@ def test_options_are_checked(options, error):
         fused_points(walls(), **options)
 
 
-def test_what_is_no_sequence_of_views_is_refused():
+def test_other_values_than_views_are_refused():
     with pytest.raises(TypeError, match="views is a generator: expected a sequence"):
         fused_points(view for view in walls())
     with pytest.raises(TypeError, match=r"views\[0\] is a str: expected a DepthView"):

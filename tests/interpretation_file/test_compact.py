@@ -100,7 +100,7 @@ def test_saving_twice_gives_the_same_bytes(result, compact, tmp_path):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e30])
-def test_a_result_that_diverged_is_kept_as_it_is(result, tmp_path, value):
+def test_a_diverged_result_is_unchanged(result, tmp_path, value):
     flow = result.flow.copy()
     flow[3, 4] = value
     wild = dataclasses.replace(result, flow=flow, status=Status("diverged", "wild"))

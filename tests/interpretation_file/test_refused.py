@@ -95,7 +95,7 @@ def test_load_of_a_damaged_file(saved):
     [b"", b"garbage" * 100, b"PK\x03\x04" + b"garbage" * 100, b"\x89PNG\r\n\x1a\n", b"\x80\x04N."],
     ids=["empty", "garbage", "garbled zip", "picture", "pickle"],
 )
-def test_load_of_something_else(tmp_path, content):
+def test_load_of_other_files(tmp_path, content):
     (tmp_path / "other.npz").write_bytes(content)
     refused(tmp_path / "other.npz")
 
@@ -401,7 +401,7 @@ def test_other_formats_are_named(saved, form, write):
     ],
     ids=str,
 )
-def test_load_of_what_this_version_does_not_know(saved, changes):
+def test_load_of_unknown_entries(saved, changes):
     about(saved, **changes)
     refused(saved)
 

@@ -81,7 +81,7 @@ def test_many_labels(rigid, tmp_path, count, dtype):
     np.testing.assert_array_equal(Interpretation.load(tmp_path / "many.npz").labels, labels)
 
 
-def test_what_is_rounded_is_rounded_little(result, saved):
+def test_rounding_is_small(result, saved):
     loaded = Interpretation.load(saved)
     error = np.abs(loaded.rho - result.rho)
     assert (error <= np.maximum(2.0**-11 * np.abs(result.rho), 2.0**-25)).all()
@@ -217,7 +217,7 @@ def test_a_failed_save_leaves_the_file_before(result, saved, monkeypatch):
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_what_would_be_refused_is_not_written(result, tmp_path, changes, words):
+def test_invalid_results_are_not_written(result, tmp_path, changes, words):
     with pytest.raises(ValueError, match=words):
         dataclasses.replace(result, **changes).save(tmp_path / "result.npz")
     assert not list(tmp_path.iterdir())

@@ -31,7 +31,7 @@ def test_memory_is_used_again(buffers):
     assert address(again) == first and buffers.kept == 0
 
 
-def test_memory_of_another_size_is_left_alone(buffers):
+def test_buffers_of_another_size_are_not_reused(buffers):
     array = buffers.floats(COUNT)
     first = address(array)
     del array

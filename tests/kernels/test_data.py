@@ -112,7 +112,7 @@ def test_spline_taps(size):
         assert taps[r * width + x, k] == expected
 
 
-def test_warp_refuses_what_it_cannot_read(make_problem):
+def test_warp_refuses_bad_arrays(make_problem):
     from tisfm.kernels.data.warp import warp
     from tisfm.solver.sampling import spline_coefficients, spline_taps
 

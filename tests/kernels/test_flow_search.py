@@ -84,7 +84,7 @@ def test_the_same_answer_twice_and_another_for_another_seed():
     assert (found[0] != found[2]).any()
 
 
-def test_what_is_not_sought_stays():
+def test_other_pixels_keep_their_flow():
     frame0, frame1 = texture(31, 45), texture(31, 45, seed=1)
     state = drawn((31, 45))
     state[:, 20:, 3] = 0
@@ -130,7 +130,7 @@ def nearest_by_steps(guide, known, edge):
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (8, 1), (9, 13)])
-def test_displacements_are_carried_the_shortest_way(size):
+def test_displacements_are_propagated_along_the_shortest_path(size):
     from tisfm.kernels.rigid.flow_search import carry
 
     guide = texture(*size)

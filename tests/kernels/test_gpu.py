@@ -131,7 +131,7 @@ def assert_the_same(result, expected):
 
 
 @pytest.mark.parametrize("case", nightly_except("camera", of=CASES))
-def test_the_ways_of_a_gpu_give_the_same_answer(case, tmp_path):
+def test_kernels_of_a_gpu_give_the_same_answer(case, tmp_path):
     assert_the_same(*interpreted_elsewhere(EMULATED, [case], tmp_path)[case])
 
 
@@ -151,7 +151,7 @@ def test_arrays_of_a_grid_stay_on_the_device(monkeypatch):
     assert isinstance(grids[0].allocate(2), ti.Ndarray)
 
 
-def test_placed_arrays_come_back():
+def test_arrays_come_back_from_the_device():
     from tisfm.kernels.layout.lanes import LaneGrid, on_host
 
     values = np.random.default_rng(0).normal(size=(2, 7, 8)).astype(np.float32)

@@ -42,7 +42,7 @@ def test_kernel_is_the_reference(size, count):
     np.testing.assert_array_equal(deviation, before[1])
 
 
-def test_what_agrees_is_averaged_by_precision():
+def test_agreeing_depths_are_averaged_by_precision():
     out, spread = merge(pixels(1.0, 1.05), pixels(0.1, 0.1 * 1.05 / 2))
     np.testing.assert_allclose(out, (1 + 4 * 1.05) / 5, rtol=1e-6)
     np.testing.assert_allclose(spread, (0.1 + 4 * 0.0525) / 5, rtol=1e-6)
@@ -59,7 +59,7 @@ def test_one_that_is_much_surer_outvotes_two():
     np.testing.assert_allclose(spread, 0.02, rtol=1e-6)
 
 
-def test_what_shows_nothing_has_no_vote():
+def test_pixels_without_depth_have_no_vote():
     out, spread = merge(pixels(0.0, 1.0), pixels(0.0, 0.1))
     assert out == 1 and spread == np.float32(0.1)
     out, spread = merge(pixels(0.0, 0.0), pixels(0.0, 0.0))

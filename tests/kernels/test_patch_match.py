@@ -170,7 +170,7 @@ def test_the_same_seed_gives_the_same_planes():
     np.testing.assert_array_equal(scene.found(rounds=2), scene.found(rounds=2))
 
 
-def test_noise_correlates_with_nothing():
+def test_noise_is_uncorrelated():
     rng = np.random.default_rng(3)
     frames = [128 + rng.normal(0, NOISE, (40, 60)).astype(np.float32) for _ in range(2)]
     planes = drawn((40, 60))

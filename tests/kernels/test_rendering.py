@@ -54,7 +54,7 @@ def test_no_motion_changes_nothing():
     np.testing.assert_allclose(spread, 0.1 * depth, rtol=1e-5)
 
 
-def test_a_scene_is_seen_from_its_next_place():
+def test_a_scene_is_rendered_from_its_next_pose():
     scene = static_scene("forward", 60, 80)
     motion = rigid_motion(scene.motions[0])
     depth = (1 / scene.depth).astype(np.float32)

@@ -10,7 +10,7 @@ from tests.pairwise import pairwise
 
 
 @pairwise(size=SIZES, lanes=LANES, count=[1, 3])
-def test_what_frames_say_is_added_up(size, lanes, count, make_problem):
+def test_constraints_of_frames_are_added(size, lanes, count, make_problem):
     from tisfm.kernels.rigid.several_frames import add_along, as_constraint
 
     problem = make_problem(*size, 1, lanes)
@@ -40,7 +40,7 @@ def test_what_frames_say_is_added_up(size, lanes, count, make_problem):
 
 
 @pytest.mark.parametrize("lanes", LANES)
-def test_where_nothing_is_said_there_is_no_constraint(lanes, make_problem):
+def test_pixels_without_data_have_no_constraint(lanes, make_problem):
     from tisfm.kernels.rigid.several_frames import as_constraint
 
     problem = make_problem(5, 7, 1, lanes)

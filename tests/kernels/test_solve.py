@@ -57,7 +57,7 @@ def test_a_weight_update_refuses_bad_values(change, match, make_problem):
         ({"y_hat": np.zeros(9, np.float32)}, "y_hat is"),
     ],
 )
-def test_a_linear_system_is_checked_once_when_it_is_made(change, match, make_problem):
+def test_a_linear_system_is_checked_at_construction(change, match, make_problem):
     from dataclasses import replace
 
     system = make_problem(5, 7, 3, 1).system(np.ones((6, 5, 7)))

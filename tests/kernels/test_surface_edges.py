@@ -51,7 +51,7 @@ def test_edges_go_to_those_of_the_frame(beside):
     np.testing.assert_allclose(spread, 0.1 * step(15), rtol=1e-6)
 
 
-def test_nothing_moves_where_there_is_one_surface():
+def test_one_surface_has_no_edges():
     depth, frame = step(14), 100 * step(15)
     out, _ = moved(depth, depth, np.zeros_like(depth), frame)
     np.testing.assert_array_equal(out, depth)
@@ -63,7 +63,7 @@ def test_straight_edges_stay_where_the_frame_is_bare():
     np.testing.assert_array_equal(out, depth)
 
 
-def test_what_looks_similar_counts():
+def test_similar_pixels_count():
     depth, frame = step(14), 100 * step(15)
     out, _ = moved(depth, depth, np.full_like(depth, 0.7), frame, similar=1e6)
     np.testing.assert_array_equal(out, depth)

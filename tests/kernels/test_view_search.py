@@ -57,7 +57,7 @@ def test_score_is_the_mean_of_the_best_frames(size, best):
 
 
 @pytest.mark.parametrize("stride", [2, 3])
-def test_a_cell_costs_what_its_first_pixel_does(stride):
+def test_the_cost_of_a_cell_is_that_of_its_first_pixel(stride):
     size = (25, 33)
     key, *others = frames(size)
     search = search_in(key, others, MOTIONS, stride=stride)

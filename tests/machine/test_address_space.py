@@ -81,7 +81,7 @@ def limited(monkeypatch):
 
 
 @on_linux
-def test_what_fits_is_not_refused(monkeypatch):
+def test_frames_that_fit_are_not_refused(monkeypatch):
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     bound = pages * os.sysconf("SC_PAGE_SIZE") + 3e9
     monkeypatch.setattr(memory, "limit", lambda: bound)

@@ -91,7 +91,7 @@ def test_a_lock_that_may_be_held_is_left(cache, age):
     assert (cache / "ticache.lock").exists()
 
 
-def test_no_lock_is_nothing_to_do(cache):
+def test_a_cache_without_a_lock_is_unchanged(cache):
     leave(cache / "Tone.tic", age=600)
     remove_stale_lock(cache)
     assert (cache / "Tone.tic").exists()

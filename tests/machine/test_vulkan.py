@@ -19,7 +19,7 @@ def offer(monkeypatch, *devices):
     monkeypatch.setattr(vulkan, "vulkan_devices", lambda: list(devices))
 
 
-def test_software_is_told_from_a_gpu(monkeypatch):
+def test_software_is_distinguished_from_a_gpu(monkeypatch):
     offer(monkeypatch)
     assert vulkan_device() is None and software_vulkan() == ""
     offer(monkeypatch, LAVAPIPE)

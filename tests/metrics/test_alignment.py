@@ -45,7 +45,7 @@ def test_no_other_similarity_is_nearer(seed, with_scale):
     assert with_scale or best.scale == 1
 
 
-def test_points_on_a_line_in_a_plane_and_at_one_place():
+def test_points_on_a_line_in_a_plane_and_at_one_position():
     line = np.outer(np.arange(5.0), [1, 2, 3])
     found = align(line, 2 * line[:, ::-1] + 1)
     np.testing.assert_allclose(found.apply(line), 2 * line[:, ::-1] + 1, atol=1e-12)

@@ -87,7 +87,7 @@ def test_relative_errors(evo, paths, step):
         assert value == pytest.approx(expected, abs=DIGITS)
 
 
-def test_it_reads_what_we_write(evo, paths):
+def test_evo_reads_written_files(evo, paths):
     """The file of one format, taken as the truth of that of the other."""
     folder, _, _ = paths
     found = read_tum(folder / "found.tum")

@@ -25,7 +25,7 @@ def iou(one, other):
     return (one & other).sum() / (one | other).sum()
 
 
-def test_true_labels_are_right_whatever_their_values():
+def test_true_labels_are_right_with_any_values():
     truth = bars([(255, 0, 3), (7, 5, 9)], [(255, 1, 4), (7, 5, 9)])
     labels = np.select([truth == 255, truth == 7], [2, 9])
     scores = label_scores(labels, truth)
@@ -36,7 +36,7 @@ def test_true_labels_are_right_whatever_their_values():
     assert scores.iou == 1 and scores.switches == 0 and scores.frames == 2
 
 
-def test_one_label_stands_for_a_thing_throughout():
+def test_one_label_stands_for_an_object_throughout():
     truth = bars(*[[(1, 0, 4)]] * 4)
     labels = bars([(3, 0, 4)], [(3, 0, 4)], [(5, 0, 4)], [(3, 0, 2), (5, 2, 4)])
     (thing,) = label_scores(labels, truth).objects
@@ -45,7 +45,7 @@ def test_one_label_stands_for_a_thing_throughout():
     assert thing.followed == 4 and thing.switches == 2  # 3, 3, 5, and 3: the first of equals
 
 
-def test_frames_count_where_the_thing_or_its_label_is():
+def test_frames_with_the_object_or_its_label_count():
     truth = bars([(1, 0, 4)], [], [], [(1, 0, 4)])
     labels = bars([(2, 0, 4)], [], [(2, 5, 6)], [])
     (thing,) = label_scores(labels, truth).objects
@@ -53,7 +53,7 @@ def test_frames_count_where_the_thing_or_its_label_is():
     assert thing.iou == pytest.approx(1 / 3)
 
 
-def test_things_share_no_label_and_the_sum_is_the_greatest():
+def test_objects_share_no_label_and_the_sum_is_the_greatest():
     # Label 1 covers both; the second thing has no other, the first has 2 in part.
     truth = bars([(1, 0, 4), (2, 4, 8)])
     labels = bars([(1, 1, 8), (2, 0, 1)])
@@ -62,7 +62,7 @@ def test_things_share_no_label_and_the_sum_is_the_greatest():
     assert first.iou == pytest.approx(1 / 4) and second.iou == pytest.approx(4 / 7)
 
 
-def test_a_thing_without_a_label():
+def test_an_object_without_a_label():
     truth = bars([(1, 0, 4), (2, 6, 8)], [(1, 0, 4)])
     labels = bars([(1, 0, 4)], [(1, 0, 4)])
     first, second = label_scores(labels, truth).objects
@@ -80,7 +80,7 @@ def test_hidden_and_lost_frames_are_passed_over_by_switches():
     assert label_scores(other, truth).switches == 1
 
 
-def test_least_decides_what_follows():
+def test_the_least_overlap_decides_about_a_match():
     truth = bars([(1, 0, 4)], [(1, 0, 4)])
     labels = bars([(2, 0, 4)], [(2, 3, 4), (3, 1, 3)])  # of 1/4 and 1/2 of it
     counts = [
@@ -147,7 +147,7 @@ def test_booleans_generators_and_inputs_stay():
         ),
     ],
 )
-def test_errors_say_what_came(labels, truth, error, words):
+def test_errors_name_the_argument(labels, truth, error, words):
     with pytest.raises(error, match=words):
         label_scores(labels, truth)
 

@@ -51,7 +51,7 @@ def test_scale_axes_and_world_are_no_error(scale, world, gaps):
     assert errors.rotation < 1e-6
 
 
-def test_errors_are_those_that_were_made():
+def test_errors_are_the_added_ones():
     truth, cameras = true_paths()
     found = found_from(truth, cameras)
     rng = np.random.default_rng(0)
@@ -145,7 +145,7 @@ def test_inputs_stay_and_frames_may_be_too_few():
         assert object_path_errors(*less) is None
 
 
-def test_errors_say_what_came():
+def test_errors_name_the_argument():
     path = random_path(np.random.default_rng(0), 4)
     with pytest.raises(ValueError, match="are of 4, 3, 4, 4 frames: expected as many"):
         object_path_errors(path, path[1:], path, path)

@@ -57,7 +57,7 @@ def test_the_scale_is_an_error_of_the_rigid_alignment_alone():
     assert path_length(truth) == 10
 
 
-def test_errors_of_one_pose_are_those_that_were_made():
+def test_errors_of_one_pose_are_the_added_ones():
     truth = random_path(np.random.default_rng(3), 10)
     found = truth.copy()
     found[6] = found[6] @ pose_matrix([0.3, 0, 0.4, 0, 0, 0])
@@ -141,7 +141,7 @@ def test_drift_is_that_of_the_benchmark():
     assert short.rotation == pytest.approx(rotation, rel=1e-6)
 
 
-def test_drift_leaves_out_what_is_not_known():
+def test_drift_excludes_unknown_poses():
     rng = np.random.default_rng(2)
     truth = random_path(rng, 30)
     found = shaken(truth, rng)

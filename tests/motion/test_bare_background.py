@@ -94,7 +94,7 @@ def test_label_and_motion_of_the_object(carried, scene):
 
 
 @pytest.mark.parametrize("preset", ["fast", "balanced"])
-def test_deviation_and_confidence_tell_what_was_carried(scene, carried, preset):
+def test_deviation_and_confidence_of_interpolated_depth(scene, carried, preset):
     """With `fast`, depth is interpolated on a coarser level than that of the labels."""
     result = carried if preset == "balanced" else interpreted(scene, FAST_OBJECTS)
     mine = (result.labels == 0) & (scene.labels == 0) & ~result.occlusion

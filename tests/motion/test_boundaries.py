@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.draws import nightly_except
 from tisfm.motion.objects import boundaries
 from tisfm.motion.objects.boundaries import sharpen_labels
 from tisfm.motion.objects.label_optimisation import MinSum
@@ -77,7 +78,7 @@ def test_boundaries_are_right_to_the_pixel(in_front, shift):
 
 
 @pytest.mark.parametrize("in_front", [True, False])
-def test_what_is_hidden_has_the_label_of_what_hides_less(in_front, monkeypatch):
+def test_hidden_pixels_get_the_label_that_hides_less(in_front, monkeypatch):
     """With a high cost of hidden pixels, the hidden strip gets a label that fits by chance."""
     true, *frames = scene(in_front=in_front)
     found = sharpen_labels(true, flows(), anywhere(), *frames)
@@ -133,7 +134,7 @@ def energy_of(found, costs, labels, free, frame, *, length, image_edges):
     return energy
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", nightly_except(0, 1, of=range(4)))
 def test_min_sum_finds_the_least_energy(seed):
     """The energy is exact for a chain of pixels, and a local minimum for a block."""
     rng = np.random.default_rng(seed)

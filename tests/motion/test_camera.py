@@ -10,7 +10,7 @@ import pytest
 import tisfm
 from bench.reference import flow as flow_of
 from bench.reference import motion_matrix
-from tests.motion.one_motion import CAMERA, SIZE, errors, interpreted
+from tests.motion.one_motion import CAMERA, SIZE, errors, interpreted, shared
 from tests.rendered import static_scene, two_blocks
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.metrics import depth_errors, endpoint_error
@@ -25,7 +25,7 @@ def scene(request):
 
 @pytest.fixture(scope="module")
 def result(scene):
-    return interpreted(scene)
+    return shared(scene)
 
 
 def test_depth_and_motion_of_static_scenes(result, scene):
@@ -37,7 +37,7 @@ def test_depth_and_motion_of_static_scenes(result, scene):
 
 
 def test_depth_is_far_better_than_that_of_the_field(result, scene):
-    field = interpreted(scene, tisfm.Settings())
+    field = shared(scene, tisfm.Settings())
     ours = depth_errors(result.depth, scene.depth, mask=scene.visible).abs_rel
     assert ours < 0.2 * depth_errors(field.depth, scene.depth, mask=scene.visible).abs_rel
     assert field.motions is None and field.labels is None and field.inverse_depth_std is None

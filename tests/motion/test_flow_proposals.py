@@ -8,10 +8,8 @@ import pytest
 
 import tisfm
 from tests.draws import nightly_except
-from tests.one_thread import bits_on_one_thread, several_threads
 from tests.pairwise import pairwise
 from tests.rendered import static_scene, two_blocks
-from tisfm import runtime
 from tisfm.formats import read_image
 from tisfm.formats.float_maps import read_flo
 from tisfm.motion import field
@@ -191,7 +189,7 @@ def test_any_type_of_frames_gives_the_same_flow(scene):
 
 
 @pytest.mark.parametrize("kind", ["stripes", "bare", "too far", "texture"])
-def test_areas_that_may_be_mistaken_do_not_move(kind):
+def test_ambiguous_areas_do_not_move(kind):
     """Stripes and bare areas match far away, and so does anything by chance in a whole image."""
     from tisfm.motion.fast_objects import distinctive_areas
     from tisfm.motion.matched_windows import Windows
@@ -265,6 +263,7 @@ def test_a_false_shift_of_a_texture_that_repeats_is_diverged():
 
 
 def bits():
+    """Return a digest of two interpretations, for `tests/test_one_thread.py`."""
     frame0, frame1, _, _ = with_object(moved(np.eye(2, 3)), (60, 0))
     digest = hashlib.sha256(tisfm.interpret(frame0, frame1).rho.tobytes())
     frame0, frame1, _, _ = moved(AFAR)
@@ -272,15 +271,9 @@ def bits():
     return digest.hexdigest()
 
 
-@several_threads
-def test_same_bits_with_one_thread_and_with_all():
-    assert bits_on_one_thread(__name__) == bits()
-    assert runtime.threads() > 1
-
-
 @pytest.mark.parametrize(("size", "other"), [((97, 151), (48, 76)), ((75, 113), (53, 79))])
 @pytest.mark.parametrize("back", [False, True])
-def test_a_flow_on_another_level_is_as_long_along_both_axes(size, other, back):
+def test_flow_scales_between_levels_alike_along_both_axes(size, other, back):
     """Flow scales by the exact factor of the levels, although their sizes are rounded."""
     from tisfm.motion.matched_windows import resize_flow
 

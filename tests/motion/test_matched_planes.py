@@ -34,7 +34,7 @@ def matched(frame0, frame1, camera, motion, settings=SETTINGS):
 
 @pytest.mark.parametrize("kind", ["sideways+rotation", "forward"])
 @pytest.mark.parametrize("preset", ["fast", "balanced", "accurate"])
-def test_what_is_believed_is_right(kind, preset):
+def test_accepted_planes_are_right(kind, preset):
     scene = static_scene(kind, 240, 320)
     motion, true = scaled_motion(scene)
     settings = tisfm.Settings.preset(preset)

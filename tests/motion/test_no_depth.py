@@ -32,7 +32,7 @@ def no_depth(result):
 
 
 @pytest.mark.parametrize("noise", [0, 3])
-def test_pure_rotation_is_said(noise):
+def test_pure_rotation_is_reported(noise):
     scene = static_scene("forward")
     spin = (0.004, -0.008, 0.006)
     rng = np.random.default_rng(0)
@@ -77,7 +77,7 @@ def of_noisy_frames(translation):
     return tisfm.interpret(*frames, camera=scene.camera, settings=CAMERA), scene
 
 
-def test_too_little_parallax_is_said():
+def test_too_little_parallax_is_reported():
     """The translation moves points by hundredths of a pixel."""
     result, scene = of_noisy_frames(0.008)
     assert result.status in ("little_parallax", "pure_rotation") and no_depth(result)
@@ -86,7 +86,7 @@ def test_too_little_parallax_is_said():
 
 
 @pytest.mark.parametrize("translation", [0.012, 0.02])
-def test_rough_depth_is_said_to_be_uncertain(translation):
+def test_rough_depth_is_reported_as_uncertain(translation):
     """It is still far better than a constant depth."""
     result, scene = of_noisy_frames(translation)
     assert result.status == "uncertain"

@@ -71,7 +71,7 @@ def check(estimate):
     assert diverged_status(estimate.flow, leaves_image(estimate.flow)) is None
 
 
-def test_what_stays_is_left_alone(scene, refined):
+def test_objects_inside_the_image_are_left_alone(scene, refined):
     calls = refined(lambda solution: solution)
     estimate, labels, _ = estimated(scene)
     assert [refine for refine, _ in calls] == ["motion"]
@@ -94,7 +94,7 @@ def test_a_label_that_runs_away_keeps_motion_and_depth(scene, refined):
     assert error(estimate, scene, labels == 2) < 0.2
 
 
-def test_the_images_say_of_a_label_what_it_came_to_be(scene, refined):
+def test_the_images_decide_about_the_label_of_each_part(scene, refined):
     """Precision comes from the layer of the label, not from the solution that diverged."""
 
     def change(solution):
@@ -159,7 +159,7 @@ def test_a_pair_that_runs_away_does(scene, refined):
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_a_label_of_which_nothing_stays(scene, monkeypatch, known):
+def test_a_label_without_a_part_inside_the_image(scene, monkeypatch, known):
     """All its pixels diverge: it takes the depth of its layer, or none if that diverged as well."""
 
     def rigid(pyramid, settings, motions, labels, *, refine="motion"):

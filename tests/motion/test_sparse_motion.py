@@ -82,7 +82,7 @@ def test_the_judge_prefers_the_true_motion():
     assert true == everything and isinstance(rays, Rays)
 
 
-def test_lengths_are_those_of_another_level():
+def test_lengths_scale_between_levels():
     motion = sparse_motions(made("depth")[0], CAMERA, SHAPE)[0][0]
     half = motion.scaled(0.5)
     assert half.parallax == motion.parallax / 2 and half.residual == motion.residual / 2

@@ -29,7 +29,7 @@ SEEDS = ((31, "camera"), (72, "camera"), (8, "objects"), (17, "objects"), (46, "
 
 
 @pytest.mark.parametrize(("seed", "motion"), SEEDS)
-def test_a_textured_patch_is_interpreted_or_said_to_be_too_little(seed, motion):
+def test_a_textured_patch_is_interpreted_or_reported_as_too_little(seed, motion):
     frame0, frame1 = thin_pair(seed)
     camera = tisfm.Camera(focal=1.2 * max(frame0.shape))
     settings = tisfm.Settings.preset("fast", motion=motion)
@@ -85,7 +85,7 @@ def test_fewer_than_eight_confident_pixels_are_too_few():
     assert issubclass(TooFewPixelsError, ValueError)
 
 
-def test_other_errors_are_not_taken_for_too_few_pixels(monkeypatch):
+def test_other_errors_are_not_reported_as_too_few_pixels(monkeypatch):
     def fails(*arguments, **options):
         raise ValueError("a bug")
 

@@ -182,6 +182,6 @@ def test_the_camera_goes_and_comes_back():
         ({"poses": np.zeros((1, 4, 4))}, "expected a rotation"),
     ],
 )
-def test_errors_say_what_came(change, words):
+def test_errors_name_the_argument(change, words):
     with pytest.raises(ValueError, match=words):
         bodies_film(**{"poses": bodies_path(1), "height": 10, "width": 12, **change})

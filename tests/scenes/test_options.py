@@ -121,7 +121,7 @@ def test_any_size(size):
         ),
     ],
 )
-def test_errors_say_what_came(call, words):
+def test_errors_name_the_argument(call, words):
     with pytest.raises(ValueError, match=words):
         call()
 

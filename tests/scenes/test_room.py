@@ -51,7 +51,7 @@ def test_walls_and_floor_are_planes(clean, label):
     assert np.hypot(*plane[:2]) > 0.2 * np.linalg.norm(plane)  # nothing faces the camera
 
 
-def test_most_of_it_is_bare(clean):
+def test_most_of_the_room_is_bare(clean):
     assert 0.5 < (~clean.textured).mean() < 0.8
     assert (clean.textured == (clean.labels >= 5)).all()
     assert clean.visible.mean() > 0.85 and not clean.visible.all()
@@ -73,7 +73,7 @@ def test_tiles_look_alike_but_not_the_same(clean):
     assert 2 < middle.std() < 12
 
 
-def test_noise_is_what_was_asked_for():
+def test_noise_has_the_given_deviation():
     # Float frames are not rounded, so their difference is the noise alone.
     noisy, quiet = (room(90, 120, noise=noise, dtype="float32") for noise in (3.0, 0))
     dark = (quiet.frame0 < 240) & (quiet.frame1 < 240)
@@ -134,7 +134,7 @@ def test_the_camera_may_look_anywhere():
 
 
 def test_twice_the_size_is_the_same_picture(clean):
-    fine = room(480, 640, noise=0, samples=2)
+    fine = room(480, 640, noise=0, samples=1)
     halved = fine.frame0.reshape(240, 2, 320, 2).mean(axis=(1, 3))
     difference = np.abs(halved - clean.frame0)
     # It has an octave more of detail, which counts for little.
@@ -162,6 +162,6 @@ def test_twice_the_size_is_the_same_picture(clean):
         ({"dtype": "int8"}, "dtype is 'int8': expected 'uint8'"),
     ],
 )
-def test_errors_say_what_came(change, words):
+def test_errors_name_the_argument(change, words):
     with pytest.raises(ValueError, match=words):
         room(**{"height": 10, "width": 12, **change})

@@ -117,7 +117,7 @@ def test_pixels_that_leave_the_image_are_not_visible():
     normal=st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda n: np.linalg.norm(n) > 0.1),
     distance=st.floats(1, 50),
 )
-def test_any_plane_is_hit_where_it_is(normal, distance):
+def test_rays_hit_any_plane_at_its_position(normal, distance):
     unit = np.array(normal) / np.linalg.norm(normal)
     backdrop = Plane(texture=PAINT, point=(0, 0, 1000))
     plane = Plane(texture=PAINT, point=distance * unit, normal=normal)

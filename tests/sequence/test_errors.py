@@ -31,7 +31,7 @@ from tisfm.sources import FrameSource
     ],
     ids=str,
 )
-def test_what_does_not_exist_is_named_at_once(folder, tmp_path, interpret, source, words):
+def test_missing_sources_are_named_at_once(folder, tmp_path, interpret, source, words):
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty" / "readme.txt").write_text("no picture")
     places = {"folder": folder, "empty": tmp_path / "empty"}
@@ -79,7 +79,7 @@ def test_a_folder_of_one_picture(folder):
 
 
 @pytest.mark.parametrize("source", [None, 3, 2.5, np.float32(1)], ids=repr)
-def test_what_is_no_source(source):
+def test_other_values_than_sources_are_refused(source):
     with pytest.raises(TypeError, match="expected a path, a list of paths, or an iterable"):
         tisfm.interpret_sequence(source)
 
@@ -92,7 +92,7 @@ def test_an_array_of_another_shape_is_no_source(shape):
 
 @pytest.mark.parametrize("name", ["text.mp4", "text.txt", "text"])
 @pytest.mark.parametrize("content", [b"no video\n" * 20, b""], ids=["text", "empty"])
-def test_what_is_no_video_is_named_at_once(tmp_path, name, content):
+def test_files_that_are_no_video_are_named_at_once(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
     why = "is not an image or a video that OpenCV can read" if content else r"is empty \(0 bytes\)"
     with pytest.raises(ValueError, match=why) as e:

@@ -34,7 +34,7 @@ def test_two_frames_are_alive_at_a_time(step):
     assert frames.alive == 0
 
 
-def test_frames_are_taken_as_they_are_needed():
+def test_frames_are_read_on_demand():
     frames = Counted(12)
     results = tisfm.interpret_sequence(frames, settings=QUICK)
     assert frames.made == 0
@@ -82,6 +82,6 @@ def test_one_mask_is_for_all_frames():
      (np.ones((2, *FRAMES[0].shape[:2])), ValueError, "2 masks")],
     ids=["size", "path", "black", "number"],
 )  # fmt: skip
-def test_what_are_no_masks(mask, error, words):
+def test_other_values_than_masks_are_refused(mask, error, words):
     with pytest.raises(error, match=words):
         next(tisfm.interpret_sequence(FRAMES, settings=QUICK, mask=mask))

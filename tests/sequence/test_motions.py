@@ -78,7 +78,7 @@ def test_poses_need_not_end(asked):
 
 
 @pytest.mark.parametrize("number", [0, 1, 3, 5])
-def test_another_number_of_poses_is_said_at_once(number):
+def test_another_number_of_poses_is_reported_at_once(number):
     with pytest.raises(ValueError, match=rf"poses are {number}, but there are 2 pairs of frames"):
         tisfm.interpret_sequence(FRAMES[:3], settings=CAMERA_MOTION, poses=TURNS[:1] * number)
 
@@ -93,7 +93,7 @@ def test_poses_are_counted_by_steps(asked):
 
 
 @pytest.mark.parametrize("source", [list, gradually])
-def test_poses_that_end_early_are_said_when_they_do(asked, source):
+def test_poses_that_end_early_are_reported_at_their_end(asked, source):
     results = tisfm.interpret_sequence(
         source(FRAMES[:4]),
         camera=tisfm.Camera(),
@@ -107,7 +107,7 @@ def test_poses_that_end_early_are_said_when_they_do(asked, source):
         next(results)
 
 
-def test_poses_that_are_left_over_are_said_at_the_end(asked):
+def test_remaining_poses_are_reported_at_the_end(asked):
     results = tisfm.interpret_sequence(
         gradually(FRAMES[:3]), camera=tisfm.Camera(), settings=CAMERA_MOTION, poses=TURNS[:4]
     )
@@ -133,7 +133,7 @@ def test_a_video_may_announce_too_many_frames(video, asked):
         (3, TypeError, "poses is 3: expected a 4×4 or 3×3 array for every pair"),
     ],
 )
-def test_what_are_no_poses(poses, error, words):
+def test_other_values_than_poses_are_refused(poses, error, words):
     with pytest.raises(error, match=words):
         tisfm.interpret_sequence(FRAMES[:2], settings=CAMERA_MOTION, poses=poses)
 
@@ -155,7 +155,7 @@ def test_poses_are_for_rigid_motions(motion):
         )
 
 
-def test_a_pair_is_known_by_its_pose_as_well():
+def test_the_pose_is_part_of_the_identity_of_a_pair():
     plain, turned, other = (
         FramePair(name0="a", name1="b", frame0=FRAMES[0], frame1=FRAMES[1], pose=pose)
         for pose in (None, TURNS[1], TURNS[2])
@@ -200,7 +200,7 @@ def test_the_focal_length_is_guessed_from_the_first_file(folder, recwarn):
 @pytest.mark.parametrize(
     ("camera", "motion"), [(tisfm.Camera(50.0), "camera"), (None, "field")], ids=["given", "field"]
 )
-def test_nothing_is_guessed_needlessly(folder, recwarn, camera, motion):
+def test_guesses_are_made_only_where_needed(folder, recwarn, camera, motion):
     settings = replace(CAMERA_MOTION, motion=motion)
     results = list(tisfm.interpret_sequence(folder, camera=camera, settings=settings))
     assert {result.camera for result in results} == {camera or tisfm.Camera()}

@@ -73,7 +73,7 @@ def test_a_pair_that_fails_is_not_relied_on():
         assert equal(pair, window)
 
 
-def test_what_was_kept_can_be_kept_again(steady):
+def test_kept_frames_can_be_kept_again(steady):
     """From a result that was saved, for runs that go on."""
     pairs = list(FrameSource(steady))
     window = Window()

@@ -305,7 +305,7 @@ def test_relaxation_changes_the_cycle(make):
     assert not np.allclose(*results)
 
 
-def test_the_paper_converges_to_what_sweeps_approach():
+def test_the_paper_converges_to_the_limit_of_sweeps():
     pair = two_blocks(96, 131)
     ends = []
     for changes in ({}, {"cycles": 0, "sweeps": 100, "tolerance": 0.0, "outer_iterations": 20}):

@@ -8,7 +8,6 @@ import pytest
 
 from bench import reference
 from tests.lanes import LANES
-from tests.one_thread import bits_on_one_thread, several_threads
 from tests.pairwise import pairwise
 
 
@@ -329,7 +328,7 @@ def test_a_roof_keeps_its_crease_along_an_image_edge(solver):
 
 
 @pytest.mark.parametrize("share", [1.0, 0.2, 0.05])
-def test_outlying_anchors_hardly_count(share, solver):
+def test_outlying_anchors_count_little(share, solver):
     """One in ten is wrong by 10 px, which would be 1 px as a mean."""
     rng = np.random.default_rng(4)
     known = rng.uniform(size=PLANE.shape) < share
@@ -342,7 +341,7 @@ def test_outlying_anchors_hardly_count(share, solver):
     assert np.abs(depth - PLANE).mean() < 0.05
 
 
-def test_next_to_nothing_known(solver):
+def test_very_few_anchors(solver):
     nothing = np.zeros_like(PLANE)
     depth, slopes = filled(solver, np.full_like(PLANE, np.nan), nothing)
     assert not depth.any() and not slopes.any()
@@ -384,14 +383,9 @@ def test_images_of_any_size(size, solver):
 
 
 def bits():
-    """Return D and slopes of a filled frame as text; called in another process as well."""
+    """Return D and slopes of a filled frame as text, for `tests/test_one_thread.py`."""
     from tisfm.solver.second_order import fill
 
     anchors, frame = problem(203, 317)
     depth, slopes = fill(anchors[1], anchors[0], frame)
     return hashlib.sha256(depth.tobytes() + slopes.tobytes()).hexdigest()
-
-
-@several_threads
-def test_same_bits_with_one_thread_and_with_all(solver):
-    assert bits_on_one_thread(__name__) == bits()

@@ -15,7 +15,7 @@ TIMES = st.lists(st.integers(0, 300), max_size=30, unique=True).map(
 
 @PATIENT
 @given(first=TIMES, second=TIMES)
-def test_pairs_are_nearest_to_one_another(first, second):
+def test_matches_are_mutually_nearest(first, second):
     mine, theirs = associate(first, second)
     assert len(set(mine)) == len(mine) == len(set(theirs)) == len(theirs)
     assert (np.diff(mine) > 0).all() and (np.diff(theirs) > 0).all()

@@ -62,7 +62,7 @@ def test_every_rotation_survives_its_quaternion(tmp_path_factory, spin, half_tur
     np.testing.assert_allclose(read_tum(file).poses[0], pose, atol=1e-14)
 
 
-def test_a_quaternion_is_what_others_say_it_is(tmp_path):
+def test_quaternions_follow_the_convention_of_tum(tmp_path):
     file = tmp_path / "quarter.tum"
     half = np.sqrt(0.5)
     file.write_text(f"0 1 2 3 0 0 {half} {half}\n")  # a quarter turn about z
@@ -106,7 +106,7 @@ def test_damage_is_named_with_its_line(tmp_path, read, text, words):
     assert str(file) in str(error.value)
 
 
-def test_what_cannot_be_written_is_refused_and_nothing_is_left(tmp_path):
+def test_invalid_paths_are_refused_and_leave_no_file(tmp_path):
     wrong = PATH.copy()
     wrong[4, 0, 0] = 5
     for poses, times, words in (

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.pairwise import pairwise
 from tests.rendered import static_scene, two_blocks
 from tisfm.metrics import endpoint_error_map
 from tisfm.scenes import Scene
@@ -40,8 +41,7 @@ def precision_and_recall(found, truth):
     return hits / found.sum(), hits / truth.sum()
 
 
-@pytest.mark.parametrize("preset", ["fast", "balanced", "accurate"])
-@pytest.mark.parametrize("shift", [3, -5])
+@pairwise(preset=["fast", "balanced", "accurate"], shift=[3, -5], short=True)
 def test_a_block_that_passes_a_wall_at_rest(preset, shift):
     pair = passing_block(shift)
     settings = tisfm.Settings.preset(preset)
@@ -71,7 +71,7 @@ def test_both_blocks_of_the_demo():
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.2])
-def test_a_change_of_illumination_is_not_taken_for_occlusion(factor):
+def test_a_change_of_illumination_is_no_occlusion(factor):
     """A fifth of the brightness, under which the flow itself is off by 0.1 px."""
     pair = passing_block(4)
     frames = pair.frame0.astype(np.float32), factor * pair.frame1.astype(np.float32)
@@ -112,7 +112,7 @@ def test_the_image_ends_a_margin_beyond_its_last_pixels(axis, side):
 
 
 @pytest.mark.parametrize("preset", ["paper", "balanced"])
-def test_what_leaves_the_image_is_not_seen(preset):
+def test_pixels_that_leave_the_image_are_occluded(preset):
     pair = static_scene("sideways", H, W)
     settings = tisfm.Settings.preset(preset)
     result = tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera, settings=settings)
@@ -121,7 +121,7 @@ def test_what_leaves_the_image_is_not_seen(preset):
     assert result.occlusion[leaves].all()
 
 
-def test_nothing_is_occluded_where_nothing_moves():
+def test_still_frames_have_no_occlusion():
     pair = two_blocks(H, W)
     uniform = np.full((H, W), 90, np.uint8)
     for frames in ((pair.frame0, pair.frame0), (uniform, uniform + 20)):
@@ -147,7 +147,7 @@ def test_a_flow_without_any_number_is_occluded_everywhere():
     assert occlusion(grey, grey, flow, tisfm.Settings()).all()
 
 
-def test_what_leaves_the_image_need_not_be_found_twice():
+def test_pixels_that_leave_the_image_need_no_backward_flow():
     pair = passing_block(4)
     grey = [frame.astype(np.float32) for frame in (pair.frame0, pair.frame1)]
     flow = np.ascontiguousarray(np.moveaxis(pair.flow, -1, 0), dtype=np.float32)

@@ -76,7 +76,7 @@ def test_triangulation_under_a_given_pose_is_exact(scene):
     np.testing.assert_allclose(found.inverse_depth, 1 / scene.depth, rtol=1e-6)
 
 
-def test_what_is_beside_the_epipolar_line_is_taken_to_its_nearest_point():
+def test_points_beside_the_epipolar_line_move_to_its_nearest_point():
     camera = tisfm.Camera(focal=50.0)
     pose = np.eye(4)
     pose[:3, 3] = (-1, 0, 0)  # moves the scene to the left: the flow is (-f/Z, 0)
@@ -120,7 +120,7 @@ def test_a_true_estimate_has_no_errors_and_one_of_known_noise_its_share_within()
     assert score(replace(rough, deviation=rough.deviation * 3), pair).within > 0.98
 
 
-def test_things_that_move_have_scales_of_their_own():
+def test_moving_objects_have_scales_of_their_own():
     pair = small_entries("two-blocks-0")[0].load()
     assert pair.group == TWO_BLOCKS and set(np.unique(pair.movers)) == {0, 2, 3}
     factors = np.select([pair.movers == 2, pair.movers == 3], [3.0, 0.5], 1.0)
@@ -130,7 +130,7 @@ def test_things_that_move_have_scales_of_their_own():
     assert found.abs_rel_movers == pytest.approx(0, abs=1e-9)
 
 
-def test_what_cannot_be_compared_is_no_bug():
+def test_results_without_common_depth_are_failures():
     pair = small_entries("two-blocks-0")[0].load()
     behind = score(replace(exact(pair), inverse_depth=-1 / pair.depth), pair)
     assert "no depth where" in behind.failure and behind.abs_rel is None
@@ -156,7 +156,7 @@ def test_a_bug_of_the_comparison_is_no_dash(monkeypatch):
         score(exact(pair), pair)
 
 
-def test_depth_that_is_told_to_be_unseen_is_counted_and_not_averaged():
+def test_reported_absence_of_depth_is_counted_and_not_averaged():
     pair = small_entries("sideways-f300")[0].load()
     silent = replace(exact(pair, status="little_parallax"), inverse_depth=None)
     found = score(silent, pair)
@@ -178,7 +178,7 @@ def test_no_pixel_is_left_out_and_a_pair_without_depth_counts_as_one():
     assert score(silent, pair).abs_rel_all == 1
 
 
-def test_parallax_is_what_the_rotation_leaves():
+def test_parallax_excludes_the_rotation():
     """Of a wall at 2 m, a camera of 50 px that moves by 0.1 m: 50 · 0.1 / 2 px."""
     pose = np.eye(4)
     pose[:3, 3] = (-0.1, 0, 0)
@@ -210,7 +210,7 @@ def test_the_most_certain_pixels_are_judged_in_the_unit_of_the_pose():
     assert score(estimate, replace(pair, pose_given=False)).abs_rel_certain is None
 
 
-def test_what_a_status_promises_is_counted():
+def test_statuses_are_compared_with_errors():
     def of(status, error, parallax):
         return Score(
             method="a", pair="p", group="g", status=status, abs_rel_all=error, parallax=parallax

@@ -27,7 +27,7 @@ def true_poses(scene):
     return np.stack([pose_matrix(scene.motions[k]) for k in (0, 2, 3)])
 
 
-def test_what_is_true_has_no_error(scene):
+def test_the_truth_has_no_error(scene):
     labels = true_objects(scene)
     depth = scene.depth * np.array([1.0, 3.0, 0.2])[labels]
     order = np.array([2, 0, 1])  # of labels, any
@@ -41,7 +41,7 @@ def test_what_is_true_has_no_error(scene):
         assert item.direction == pytest.approx(0, abs=1e-4)
 
 
-def test_one_motion_for_all_has_no_labels_and_the_wrong_direction_on_things(scene):
+def test_one_motion_for_all_has_no_labels_and_wrong_directions_of_objects(scene):
     found = compare_objects(scene, scene.depth, true_poses(scene)[:1], None)
     assert [item.iou for item in found] == [None] * 3
     assert found[0].direction == pytest.approx(0, abs=1e-4) and found[1].direction > 5
@@ -59,7 +59,7 @@ def test_a_shared_label_is_seen(scene):
     assert details([score]).rows[0][2] == "2"
 
 
-def test_two_stages_are_taken_at_their_best_threshold(scene):
+def test_two_stages_are_compared_at_their_best_threshold(scene):
     objects = compare_objects(scene, scene.depth, true_poses(scene)[:1], None)
     rough = tuple(replace(item, abs_rel=0.5) for item in objects)
     given = {"method": "a", "group": "g", "pair": "p", "seconds": 1.0}

@@ -59,7 +59,7 @@ def test_homographies_are_those_of_the_background():
     np.testing.assert_allclose(back, np.eye(3), atol=1e-9)
 
 
-def test_what_differs_from_the_background_moves():
+def test_flow_unlike_the_background_is_a_moving_object():
     frames, masks = panned(7)
     steps = segmentation.homographies(frames)
     # In 3 frames it moves by more than its width.
@@ -76,7 +76,7 @@ def test_what_differs_from_the_background_moves():
     assert list(neighbours(10, 1, 1, 4)) == [4, 3, 0, 2]
 
 
-def test_flow_off_the_background_is_what_is_left():
+def test_flow_without_the_background_motion():
     flow = np.zeros((60, 80, 2), np.float32)
     flow[..., 0] = 2 + 0.01 * np.arange(80)
     flow[20:40, 30:50] += (3, -1)
@@ -159,7 +159,7 @@ def test_scores_are_those_of_the_metrics(clip):
     assert rows[1][-2:] == ["0.0 (1 not found)", "0.0"]
 
 
-def test_peers_are_taken_at_their_best():
+def test_peers_are_compared_at_their_best():
     given = {"method": "a", "group": "DAVIS"}
     scores = [
         ClipScore(**given, clip="one", variant="x", iou=0.9),

@@ -155,7 +155,7 @@ def test_an_altered_checkout_is_found_out(tmp_path, monkeypatch):
     assert "flow differs by more than 0.001 px at 100.000% of the pixels" in text
 
 
-def test_what_is_no_checkout_is_refused(tmp_path, capsys):
+def test_a_folder_that_is_no_checkout_is_refused(tmp_path, capsys):
     with pytest.raises(SystemExit):
         regression.main(["--before", str(tmp_path)])
     assert "is no checkout of this project" in capsys.readouterr().err

@@ -40,7 +40,7 @@ def as_in_blender(result):
     }
 
 
-def test_where_all_agrees_nothing_differs(result):
+def test_equal_models_have_no_difference(result):
     found = differences(result, as_in_blender(result), FRAMES)
     assert list(found) == list(BARS) and max(found.values()) < 1e-4
 
@@ -56,13 +56,13 @@ def test_where_all_agrees_nothing_differs(result):
         ("angle", lambda seen: seen + np.radians(0.5), "of its vertical angle, deg", 0.5),
     ],
 )
-def test_what_differs_is_measured(result, name, change, quantity, expected):
+def test_each_difference_is_measured(result, name, change, quantity, expected):
     seen = as_in_blender(result)
     seen[name] = change(seen[name])
     assert differences(result, seen, FRAMES)[quantity] == pytest.approx(expected, rel=1e-3)
 
 
-def test_places_are_measured_over_the_extent_of_the_path(result):
+def test_positions_are_measured_over_the_extent_of_the_path(result):
     seen = as_in_blender(result)
     extent = np.linalg.norm(np.ptp(result.poses[list(FRAMES), :3, 3], axis=0))
     seen["poses"][1, 2, 3] += 0.1 * extent

@@ -68,7 +68,7 @@ def test_a_scale_that_is_lost_begins_a_piece():
     assert found.units[3] == 1 and len(kept) == N
 
 
-def test_a_pair_without_a_motion_leaves_the_camera_where_it_is():
+def test_a_pair_without_a_motion_does_not_move_the_camera():
     def interpret(first, second):
         result = interpretation(first, second)
         if first == 1:

@@ -44,7 +44,7 @@ def test_a_model_without_errors(tmp_path):
     assert found[ERROR] < 1e-3 and found["points that cannot be triangulated again"] == 0
 
 
-def test_places_that_are_off_show(tmp_path):
+def test_wrong_positions_are_measured(tmp_path):
     found = figures(model(tmp_path, off=1.0))
     # Seen thrice, 1/3 px too low twice and 2/3 once; seen twice, half a pixel twice.
     assert found[ERROR] == pytest.approx(0.42, abs=0.1)

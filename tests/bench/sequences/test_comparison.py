@@ -53,7 +53,7 @@ def held(entries, methods, **options):
     return run_contest(methods, entries, **settings)
 
 
-def test_what_is_stored_comes_back(tmp_path):
+def test_stored_results_are_read(tmp_path):
     result = Result().drop(2)
     for k in (0, 1, 3):
         store_map(tmp_path, k, result.inverse[k], result.deviation[k] if k else None)
@@ -119,7 +119,7 @@ def test_sequences_can_be_stepped_and_thinned(entries, tmp_path):
     assert found == [] and set(missing) == {name for name, _ in SELECTED}
 
 
-def test_without_anything_to_run_it_says_so(tmp_path, monkeypatch, capsys):
+def test_nothing_to_run_is_reported(tmp_path, monkeypatch, capsys):
     monkeypatch.delenv("TISFM_DATA", raising=False)
     assert main([]) == 2 and "give --data" in capsys.readouterr().err
     make_sequence(tmp_path / "wall")
@@ -144,7 +144,7 @@ def test_a_process_that_fails_is_a_failure_of_the_method(entries, tmp_path):
         given.run(replace(loaded, poses=poses), loaded.camera, here)
 
 
-def test_an_unknown_camera_is_told(entries, tmp_path):
+def test_an_unknown_camera_is_reported(entries, tmp_path):
     loaded = entries[0].load()
     unknown = OwnMethod(preset="fast", method="reconstruct", threads=1, camera_given=False)
     assert unknown.name == "tisfm fast, camera unknown"
@@ -167,7 +167,7 @@ def test_the_focal_length_has_a_column(focal, text):
     assert score.as_json()["focal"] == focal
 
 
-def test_the_worker_says_whether_it_can_run():
+def test_the_worker_reports_whether_it_can_run():
     command = [sys.executable, COLMAP_WORKER, "survey"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert set(json.loads(done.stdout)) in ({"version"}, {"reason"})

@@ -25,7 +25,7 @@ def test_the_table_has_a_row_for_each_film():
     assert "| 500 | 300 | 1 | 500 | 0.012 |" in text
 
 
-def test_what_is_rendered_is_not_rendered_again(tmp_path, monkeypatch):
+def test_rendered_sequences_are_not_rendered_again(tmp_path, monkeypatch):
     monkeypatch.setattr(memory, "CACHE", tmp_path)
     monkeypatch.setattr(memory, "BATCH", 2)
     folder, camera = memory.film(3)

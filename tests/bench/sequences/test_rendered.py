@@ -56,7 +56,7 @@ def test_rounds_go_on_as_they_began():
     assert ((looking * outward).sum(axis=1) > 0.99 * np.linalg.norm(outward, axis=1)).all()
 
 
-def test_the_camera_turns_where_it_is():
+def test_the_camera_turns_on_the_spot():
     poses = turn_path(5, 7, 6, step=0.03)
     assert len(poses) == 18
     way = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
@@ -82,7 +82,7 @@ def test_a_shaken_camera_turns_between_frames():
     assert 2 < angle.max() < 3.2 and np.linalg.norm(poses[-1, :3, 3]) > 0.5
 
 
-def test_depth_in_one_scale_counts_what_has_none():
+def test_missing_depth_counts_in_one_scale():
     true = np.random.default_rng(0).uniform(1, 3, (4, 6, 8)).astype(np.float32)
     found = 2 * true
     found[1] *= 1.1

@@ -46,7 +46,7 @@ def test_a_worker_gives_flow_and_starts_again_after_it_died(dis):
     np.testing.assert_array_equal(dis.run(first).flow, expected)
 
 
-def test_what_a_library_refuses_is_reported_and_the_worker_goes_on(dis):
+def test_an_error_of_a_library_is_reported_and_the_worker_goes_on(dis):
     pair = scene_pairs(96, 128)[0]
     other = np.zeros((10, 12), np.uint8)
     unequal = replace(pair, name="unequal", frame1=other)

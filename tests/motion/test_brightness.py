@@ -39,7 +39,7 @@ def test_a_doubt_says_that_one_frame_is_darker():
         ({"motion": "field", "gradient": 0.0}, "one brightness"),
     ],
 )
-def test_what_is_to_be_done_about_the_light(changes, advice):
+def test_advice_about_brightness(changes, advice):
     settings = tisfm.Settings.preset("fast", **changes)
     doubt = Status("unrelated", "why")
 

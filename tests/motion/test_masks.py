@@ -107,7 +107,7 @@ def test_ignored_pixels_are_not_trusted(settings):
     assert (second.occlusion != first.occlusion).any()
 
 
-def test_distortion_bends_masks_as_well():
+def test_masks_are_undistorted():
     scene = static_scene("sideways", 120, 160)
     camera = tisfm.Camera(focal=scene.camera.focal, distortion=(-0.2, 0.05, 0.0, 0.0))
     mask = np.ones((120, 160), bool)

@@ -64,7 +64,7 @@ def test_a_bare_room_in_twelve_bits_of_sixteen(bare_room, with_pose):
     assert off[0] < 1.3 * off[1]
 
 
-def test_motion_of_a_hardly_bare_scene_is_refined_with_depth(monkeypatch):
+def test_motion_of_a_mostly_textured_scene_is_refined_with_depth(monkeypatch):
     """Up to 15 % without texture, jointly with depth; above, from a finer flow field."""
     import tisfm.motion.camera
 

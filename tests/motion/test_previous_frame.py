@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import tisfm
-from tests.pairwise import pairwise
 from tests.rendered import three_blocks, two_blocks
 from tisfm.metrics import endpoint_error_map
 
@@ -33,7 +32,15 @@ def both(frames, pair, settings):
     return last, tisfm.interpret(*frames[1:], **options)
 
 
-@pairwise(make=[two_blocks, three_blocks], preset=["balanced", "accurate"], short=True)
+@pytest.mark.parametrize(
+    ("make", "preset"),
+    [
+        (two_blocks, "balanced"),
+        (three_blocks, "accurate"),
+        pytest.param(two_blocks, "accurate", marks=pytest.mark.nightly),
+        pytest.param(three_blocks, "balanced", marks=pytest.mark.nightly),
+    ],
+)
 def test_pixels_hidden_in_the_next_frame_are_seen_in_the_previous_one(make, preset):
     frames, pair = triple(make)
     last, alone = both(frames, pair, tisfm.Settings.preset(preset))
@@ -72,7 +79,7 @@ def test_no_motion_in_three_frames_is_exactly_none():
     assert not last.flow.any() and last.status == "no_motion"
 
 
-def test_three_frames_that_are_masked_or_distorted():
+def test_three_frames_with_a_mask_and_distortion():
     frames, pair = triple(two_blocks, height=90, width=120)
     camera = replace(pair.camera, distortion=(0.02, 0.0, 0.0, 0.0, 0.0))
     mask = np.ones(frames[0].shape, bool)
@@ -125,7 +132,7 @@ def test_a_bend_that_changes_everywhere_is_none():
     assert fit_bend(flow, flow, seen) is None  # forth and back: not a steady motion
 
 
-def test_a_flow_is_turned_round_where_it_arrives():
+def test_flow_is_inverted_at_its_end_points():
     from tisfm.motion.previous_frame import PreviousPair
 
     frame = np.zeros((40, 60), np.float32)

@@ -124,7 +124,7 @@ def test_a_result_with_masked_values_is_not_saved(tmp_path):
 
 
 @pytest.mark.parametrize("rows", [list, tuple, lambda frame: [list(row) for row in frame]])
-def test_rows_may_be_masked_as_well(rows):
+def test_rows_may_be_masked(rows):
     free, hidden = masked(MAP)
     metrics.depth_errors(rows(free), MAP)
     with pytest.raises(ValueError, match="depth has 1 of 48 values masked"):
@@ -139,7 +139,7 @@ def test_rows_may_be_masked_as_well(rows):
 @pytest.mark.parametrize(
     "values", [None, 3.0, "text", b"bytes", [], [[]], np.ma.masked_array(MAP), {"a": 1}, range(3)]
 )
-def test_what_has_no_mask_passes(values):
+def test_arrays_without_a_mask_pass(values):
     refuse_masked(values, "values")
 
 

@@ -108,14 +108,14 @@ def test_a_block_moving_along_epipolar_lines_gets_a_label():
     assert not one.labels.any()
 
 
-def test_a_block_that_looks_further_away_is_taken_for_one_at_rest():
+def test_a_block_that_looks_further_away_counts_as_at_rest():
     """A limit of the method: objects seen through a window look the same."""
     scene = two_blocks(120, 160, seed=1, block_motions=[[0.015, 0, 0, 0, 0, 0], np.zeros(6)])
     assert len(interpreted(scene, OBJECTS).motions) == 1
 
 
 @pytest.mark.parametrize(("kind", "seed"), list(zip(STATIC_KINDS, (0, 1, 1, 0), strict=True)))
-def test_nothing_at_rest_floats(kind, seed):
+def test_parts_at_rest_do_not_float(kind, seed):
     scene = static_scene(kind, 120, 160, seed=seed)
     result = interpreted(scene, OBJECTS)
     assert len(result.motions) == 1 and not result.labels.any()

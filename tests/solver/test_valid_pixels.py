@@ -32,7 +32,7 @@ def pyramid(counted, motion=(3, 0)):
     return pyramid_of(*frames(motion), tisfm.Camera(focal=100.0), SETTINGS, counted)
 
 
-def test_what_counts_stays_and_what_does_not_is_not_looked_at():
+def test_valid_pixels_stay_and_others_are_not_read():
     frame, counted = frames()[0], half()
     found = filled(frame, ~counted)
     np.testing.assert_array_equal(found[counted], frame[counted])
@@ -66,7 +66,7 @@ def test_all_but_one_pixel():
     assert not filled(frame, np.ones(SIZE, bool)).any()
 
 
-def test_statistics_are_those_of_what_counts():
+def test_statistics_are_those_of_valid_pixels():
     frame = 100 + RNG.normal(0, 3, SIZE).astype(np.float32)
     frame[:, :64] = 100
     counted = np.zeros(SIZE, bool)
@@ -79,7 +79,7 @@ def test_statistics_are_those_of_what_counts():
     assert noise_deviation(frame) < 1
 
 
-def test_levels_keep_off_what_is_ignored():
+def test_levels_avoid_ignored_pixels():
     counted = pyramid((half(), np.ones(SIZE, bool))).counted
     within, everywhere = counted.levels[0]
     assert not within[19:71, 9:61].any() and within.sum() == within.size - 52**2
@@ -91,7 +91,7 @@ def test_levels_keep_off_what_is_ignored():
     assert pyramid((scattered, scattered)).counted.levels[2][0].all()
 
 
-def test_what_goes_to_ignored_pixels_is_missing():
+def test_pixels_that_move_to_ignored_pixels_are_missing():
     everything = np.ones(SIZE, bool)
     counted = pyramid((everything, half())).counted
     flow = np.zeros((2, *SIZE), np.float32)
@@ -184,7 +184,7 @@ def test_windows_of_ignored_pixels_are_not_compared():
             assert (one[75:, 10:-10, 2] < 0.3).mean() > 0.8
 
 
-def test_the_sweep_continues_what_is_around():
+def test_the_sweep_continues_the_surroundings():
     from tisfm.motion.plane_sweep import sweep_depth
 
     frame0, frame1 = frames(motion=(6, 0))
