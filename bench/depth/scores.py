@@ -86,12 +86,12 @@ def score(estimate: Estimate, pair: DepthPair) -> Score:
         abs_rel_limited=depth_errors(limit_depth(depth), pair.depth).abs_rel,
         abs_rel_raw=raw,
         abs_rel_all=errors_of_depth.abs_rel_all,
-        abs_rel_certain=_of_certain(estimate, pair),
-        abs_rel_rest=_of_parts(depth, pair, at_rest=True),
-        abs_rel_movers=_of_parts(depth, pair, at_rest=False),
+        abs_rel_certain=_certain_error(estimate, pair),
+        abs_rel_rest=_error_of_parts(depth, pair, at_rest=True),
+        abs_rel_movers=_error_of_parts(depth, pair, at_rest=False),
         delta1=errors_of_depth.delta1,
         density=errors_of_depth.density,
-        within=_within(inverse_depth, estimate, pair, errors_of_depth.scale),
+        within=_share_within_deviation(inverse_depth, estimate, pair, errors_of_depth.scale),
     )
 
 
@@ -130,7 +130,7 @@ def parallax_of(pair: DepthPair) -> float | None:
     return float(pair.camera.focal * np.median(np.hypot(*parallax)))
 
 
-def _of_certain(estimate: Estimate, pair: DepthPair) -> float | None:
+def _certain_error(estimate: Estimate, pair: DepthPair) -> float | None:
     """Return the error of the pixels with the least relative deviation, in the unit of the pose."""
     if not pair.pose_given or estimate.deviation is None or estimate.inverse_depth is None:
         return None
@@ -138,7 +138,7 @@ def _of_certain(estimate: Estimate, pair: DepthPair) -> float | None:
     return certain_error(estimate.inverse_depth, estimate.deviation, pair.depth)
 
 
-def _of_parts(depth: NDArray, pair: DepthPair, *, at_rest: bool) -> float | None:
+def _error_of_parts(depth: NDArray, pair: DepthPair, *, at_rest: bool) -> float | None:
     """Return abs-rel of the static pixels or of the moving objects, each in its own scale."""
     if pair.movers is None or pair.depth is None:
         return None
@@ -153,7 +153,7 @@ def _of_parts(depth: NDArray, pair: DepthPair, *, at_rest: bool) -> float | None
     return total / pixels if pixels else None
 
 
-def _within(
+def _share_within_deviation(
     inverse_depth: NDArray, estimate: Estimate, pair: DepthPair, scale: float
 ) -> float | None:
     """Return the share of visible pixels off by less than their standard deviation."""

@@ -16,7 +16,7 @@ from typing import Any, get_args
 
 from rich.console import Console
 
-from bench.regression.checkout import Checkout, Paired, interpretation, starts
+from bench.regression.checkout import Checkout, Paired, measure_interpretation, measure_starts
 from bench.regression.pairs import QUICK_SIZE, SIZE, TIMED_SIZE, Pair, real_pairs, scene_pairs
 from bench.regression.report import Case, Findings, difference, markdown, out_of_bounds
 from bench.shared.command import choose, options_parser
@@ -137,12 +137,14 @@ def measure(options: argparse.Namespace, console: Console) -> Findings:
                 pair = moving if motion == "objects" else static
                 question = request(paths[pair.name], preset, motion)
                 name = f"{preset}, {motion}, {pair.name}"
-                times.append(interpretation(name, workers, question, options.rounds))
+                times.append(measure_interpretation(name, workers, question, options.rounds))
                 console.print(name, *times[-1].ratios(), highlight=False)
         if "starts" in options.only:
             question = request(paths[static.name], "balanced", "field")
             rounds = max(options.rounds // 4, 2)
-            times += starts(checkouts, question, rounds, threads=options.threads, exchange=folder)
+            times += measure_starts(
+                checkouts, question, rounds, threads=options.threads, exchange=folder
+            )
     conditions = {
         **machine(),
         "threads": options.threads,

@@ -106,7 +106,7 @@ def measure_in_turns(rounds: int, measure: Callable[[int], Any]) -> list[tuple[A
     return samples
 
 
-def interpretation(
+def measure_interpretation(
     name: str, workers: Sequence[Worker], request: dict[str, Any], rounds: int
 ) -> Paired:
     """Time one request of two running workers.
@@ -126,7 +126,7 @@ def interpretation(
     return Paired.of(name, samples)
 
 
-def starts(
+def measure_starts(
     checkouts: Sequence[Checkout], request: dict[str, Any], rounds: int, **options: Any
 ) -> list[Paired]:
     """Time fresh processes: the import, and the first answer of a cold and of a warm start.

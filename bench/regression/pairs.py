@@ -56,13 +56,13 @@ class Pair:
 def scene_pairs(height: int, width: int) -> list[Pair]:
     """Return a static scene, one with moving objects, and one with bare walls."""
     return [
-        _of_scene("static_scene", static_scene("forward+rotation", height, width)),
-        _of_scene("two_blocks", two_blocks(height, width)),
-        _of_scene("bare_patches", bare_patches(height, width)),
+        _scene_pair("static_scene", static_scene("forward+rotation", height, width)),
+        _scene_pair("two_blocks", two_blocks(height, width)),
+        _scene_pair("bare_patches", bare_patches(height, width)),
     ]
 
 
-def _of_scene(name: str, scene: SyntheticPair) -> Pair:
+def _scene_pair(name: str, scene: SyntheticPair) -> Pair:
     return Pair(
         name=name,
         frame0=scene.frame0,

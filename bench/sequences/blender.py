@@ -55,7 +55,7 @@ def differences(
 ) -> dict[str, float]:
     """Return the largest differences between Blender and a reconstruction, by name of `BARS`.
 
-    `seen` is the result of `seen_by_blender`; `frames` are numbers of frames that Blender rendered.
+    `views` is the result of `views_in_blender`; `frames` are the numbers of the rendered frames.
     """
     cloud = result.points()
     positions, colors = cloud.positions[views["points"]], cloud.colors[views["points"]]
@@ -87,7 +87,7 @@ def differences(
     return dict(zip(BARS, map(float, values), strict=True))
 
 
-def seen_by_blender(
+def views_in_blender(
     python: str, result: tisfm.Reconstruction, folder: Path, frames: Sequence[int]
 ) -> dict[str, NDArray[Any]]:
     """Export a reconstruction; return the views of Blender, and the numbers of its points."""
@@ -139,7 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 images, camera=camera, settings=settings, folder=Path(folder) / f"result{k}"
             )
             numbers = range(len(result))
-            views = seen_by_blender(options.python, result, Path(folder) / f"export{k}", numbers)
+            views = views_in_blender(options.python, result, Path(folder) / f"export{k}", numbers)
             figures[name], version = differences(result, views, numbers), str(views["version"])
     conditions = {
         "command": "python -m bench.sequences.blender --python FILE",

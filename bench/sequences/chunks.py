@@ -1,8 +1,8 @@
 """``python -m bench.sequences.chunks``: reconstruction in chunks, compared with all frames at once.
 
 Real sequences have at most 100 frames, so their chunks are shorter than the default. In a rendered
-film, a camera circles in a room and looks outward, 225 frames a round. The table and all figures
-are written to bench/results. With ``--folder``, results are kept there, and a second run uses the
+film, a camera moves in circles in a room and looks outward, 225 frames a round. The table and all
+figures are written to bench/results. With ``--folder``, results are kept there, and a second run uses the
 complete results.
 """
 
@@ -16,7 +16,7 @@ from rich.console import Console
 
 import tisfm
 from bench.sequences.entries import MAX_DEPTH
-from bench.sequences.memory import HEIGHT, WIDTH, film
+from bench.sequences.memory import HEIGHT, WIDTH, render_frames
 from bench.sequences.rendered_films import circle_path, path_error, poses_of_segment
 from bench.shared.command import options_parser
 from bench.shared.results import RESULTS, Table, cell, machine, markdown_page, write_results
@@ -48,18 +48,18 @@ FIGURES = {  # name of a figure → its format
 Row = dict[str, Any]
 
 
-def in_turn(function: Any, items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+def map_in_process(function: Any, items: Sequence[Any]) -> Iterator[tuple[int, Any]]:
     """Call a function with each item, in this process."""
     for number, item in enumerate(items):
         yield number, function(item)
 
 
-def in_chunks(
+def reconstruct_in_chunks(
     source: Any, folder: Path, camera: tisfm.Camera | None, chunk: int, stop: int | None = None
 ) -> tuple[tisfm.Reconstruction, int]:
     """Return a sequence reconstructed in chunks, and the number of chunks."""
     run = ChunkedRun(source, folder, camera=camera, settings=SETTINGS, chunk=chunk, stop=stop)
-    result = run.result(in_turn, resume=True)
+    result = run.result(map_in_process, resume=True)
     return result, len(list(folder.glob(".tisfm-chunks/[0-9]*.json")))
 
 
@@ -69,7 +69,9 @@ def real_rows(data: Path, name: str, chunks: Sequence[int], folder: Path) -> Ite
     loaded = sequence.load(1)
     files = [str(file) for file in loaded.frames]
     for chunk in (AT_ONCE, *chunks):
-        result, count = in_chunks(files, folder / f"{name}-{chunk}", loaded.camera, chunk)
+        result, count = reconstruct_in_chunks(
+            files, folder / f"{name}-{chunk}", loaded.camera, chunk
+        )
         errors = compare_sequence(
             sequence, loaded, result, camera=result.camera, max_depth=MAX_DEPTH
         )
@@ -83,9 +85,11 @@ def real_rows(data: Path, name: str, chunks: Sequence[int], folder: Path) -> Ite
 
 
 def film_rows(count: int, chunks: Sequence[int], folder: Path) -> Iterator[Row]:
-    source, camera = film(count)
+    source, camera = render_frames(count)
     for chunk in (AT_ONCE, *chunks):
-        result, number = in_chunks(str(source), folder / f"rounds-{chunk}", camera, chunk, count)
+        result, number = reconstruct_in_chunks(
+            str(source), folder / f"rounds-{chunk}", camera, chunk, count
+        )
         inside = result.piece == result.largest_piece
         error = path_error(poses_of_segment(result, result.largest_piece), circle_path(count))
         values = (

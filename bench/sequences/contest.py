@@ -77,7 +77,7 @@ class OwnMethod:
             raise MethodFailure("not all poses are known")
         if not self.camera_given and camera.distortion is not None:
             raise MethodFailure("its lens has distortion, which is not estimated")
-        answer = _ask(
+        answer = _request(
             [sys.executable, "-m", "bench.sequences.worker"],
             {
                 "method": self.method,
@@ -116,7 +116,7 @@ class Colmap:
         for name, path in zip(names, loaded.frames, strict=True):
             picture = undistort(read_image(path), camera)
             write_png(images / name, picture)
-        answer = _ask(
+        answer = _request(
             [self.python, COLMAP_WORKER],
             {
                 "images": str(images),
@@ -212,7 +212,7 @@ def run_contest(
             for method in methods:
                 step(f"{entry.name}: {method.name}")
                 for score in _scores(method, entry, loaded, loaded.camera, scored=turn == 0):
-                    of_entry[score.method] = _together(of_entry.get(score.method), score)
+                    of_entry[score.method] = _merge_rounds(of_entry.get(score.method), score)
         scores += of_entry.values()
         keep(scores)
     return SequenceContest(conditions=conditions, scores=tuple(scores), missing=missing)
@@ -250,13 +250,13 @@ def _scores(
                     evaluation=evaluation,
                     seconds=(outcome.seconds,),
                     peak=outcome.peak,
-                    focal=_off(outcome.focal, camera.focal),
+                    focal=_relative_focal(outcome.focal, camera.focal),
                 )
             )
         return scores
 
 
-def _together(before: Score | None, after: Score) -> Score:
+def _merge_rounds(before: Score | None, after: Score) -> Score:
     """Return the score of the first round with the times of the next one."""
     if before is None or after.failure:
         return after
@@ -264,14 +264,16 @@ def _together(before: Score | None, after: Score) -> Score:
     return replace(before, seconds=before.seconds + after.seconds, peak=peak, failure="")
 
 
-def _off(focal: tuple[float, float, bool] | None, true: float) -> tuple[float, float, bool] | None:
+def _relative_focal(
+    focal: tuple[float, float, bool] | None, true: float
+) -> tuple[float, float, bool] | None:
     if focal is None:
         return None
     estimate, deviation, reliable = focal
     return estimate / true - 1, deviation / true, reliable
 
 
-def _ask(command: list[str | Path], question: dict[str, Any], threads: int) -> dict[str, Any]:
+def _request(command: list[str | Path], question: dict[str, Any], threads: int) -> dict[str, Any]:
     """Send one request to a process, and return its answer."""
     try:
         done = subprocess.run(

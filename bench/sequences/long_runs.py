@@ -71,14 +71,14 @@ def start(*options: str, command: Sequence[str] = RUN) -> subprocess.Popen[bytes
     return subprocess.Popen(call, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
 
-def end(process: subprocess.Popen[bytes]) -> None:
+def wait_for(process: subprocess.Popen[bytes]) -> None:
     """Wait for the end of a command; raise RuntimeError if it failed."""
     _, messages = process.communicate()
     if process.returncode != 0:
         raise RuntimeError(f"a run ended with {process.returncode}: {messages.decode()}")
 
 
-def written(folder: Path) -> list[float]:
+def finish_times(folder: Path) -> list[float]:
     """Return the times at which the pairs of a run were finished, s, in order."""
     return sorted(path.stat().st_mtime for path in folder.glob("*.npz"))
 
@@ -95,8 +95,8 @@ def measure_workers(source: Path, rounds: int, begun: int) -> list[tuple[float, 
         both = []
         for workers in (1, 2):
             with tempfile.TemporaryDirectory() as folder, cluster(workers) as address:
-                end(start(str(source), "-o", folder, "--cluster", address, "--threads", "1"))
-                times = written(Path(folder))
+                wait_for(start(str(source), "-o", folder, "--cluster", address, "--threads", "1"))
+                times = finish_times(Path(folder))
                 both.append(speed(times, begun, len(times)))
         speeds.append((both[0], both[1]))
     return speeds
@@ -127,8 +127,8 @@ def measure_frames(count: int) -> dict[str, float]:
             last = (process_memory("VmRSS", process.pid) or 0.0) / 1e6 or last
             if early == 0 and output.exists() and len(os.listdir(output)) > 4 * EARLY_PAIRS:
                 early = last
-        end(process)
-        times = written(output)
+        wait_for(process)
+        times = finish_times(output)
         stretch = min(SPEED_PAIRS, len(times) // 4)
         return {
             "pairs": len(times),
@@ -150,7 +150,7 @@ def cluster(workers: int = 2) -> Iterator[str]:
         yield local.scheduler_address
 
 
-def contents(folder: Path) -> dict[str, bytes]:
+def file_contents(folder: Path) -> dict[str, bytes]:
     """Return the content of every file of a run, without times."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
@@ -166,9 +166,9 @@ def measure_kills(
     with tempfile.TemporaryDirectory() as folder:
         complete, output = Path(folder, "whole"), Path(folder, "out")
         begin = time.monotonic()
-        end(start(str(source), "-o", str(complete), *options, command=command))
+        wait_for(start(str(source), "-o", str(complete), *options, command=command))
         seconds = time.monotonic() - begin
-        expected, choice = contents(complete), random.Random(1)
+        expected, choice = file_contents(complete), random.Random(1)
         counts = {"killed": 0, "ended before": 0, "other bytes": 0}
         while counts["killed"] < kills:
             resume = ["--resume"] if output.exists() else []
@@ -181,10 +181,10 @@ def measure_kills(
                 counts["killed"] += 1
                 continue
             counts["ended before"] += 1
-            counts["other bytes"] += contents(output) != expected
+            counts["other bytes"] += file_contents(output) != expected
             shutil.rmtree(output)
-        end(start(str(source), "-o", str(output), *options, "--resume", command=command))
-        counts["other bytes"] += contents(output) != expected
+        wait_for(start(str(source), "-o", str(output), *options, "--resume", command=command))
+        counts["other bytes"] += file_contents(output) != expected
         return counts
 
 

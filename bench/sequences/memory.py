@@ -37,7 +37,7 @@ FIGURES = {  # name of a figure → its format
 }
 
 
-def film(count: int) -> tuple[Path, tisfm.Camera]:
+def render_frames(count: int) -> tuple[Path, tisfm.Camera]:
     """Return a folder with at least `count` rendered frames, and their camera."""
     folder = CACHE / f"rounds-{HEIGHT}x{WIDTH}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -57,7 +57,7 @@ def film(count: int) -> tuple[Path, tisfm.Camera]:
 def measure(count: int, preset: Preset, depth_of: DepthOf, threads: int) -> dict[str, float]:
     """Reconstruct `count` frames in this process, and return the figures."""
     runtime.start(threads=threads)
-    folder, camera = film(count)
+    folder, camera = render_frames(count)
     settings = tisfm.Settings.preset(preset, motion="camera")
     result = tisfm.reconstruct(
         str(folder), stop=count, camera=camera, settings=settings, depth_of=depth_of
@@ -94,7 +94,7 @@ def main(arguments: list[str] | None = None) -> int:
         (count,) = options.counts
         print(json.dumps(measure(count, options.preset, options.depth_of, options.threads)))
         return 0
-    film(max(options.counts))
+    render_frames(max(options.counts))
     console, rows = Console(), []
     module = [sys.executable, "-m", "bench.sequences.memory", "--here"]
     settings = [f"--{name}={getattr(options, name)}" for name in ("preset", "threads")]

@@ -43,21 +43,19 @@ STEPS = 6  # of the slider in each start
 MAX_SECONDS = 3.0  # s until points are visible; set by hand
 NAMES = {"run": "`tisfm run`", "reconstruction": "`tisfm reconstruct`"}
 HEAD = (
-    "", "frames", "page served, s", "points seen, s", "in the slowest start, s",
-    "processor until then, s", "all points have come, s", "step of the slider, s",
-    "its points have come, s", "memory, MB", "peak, MB",
+    "", "frames", "page served, s", "points visible, s", "in the slowest start, s",
+    "processor until then, s", "all points arrived, s", "step of the slider, s",
+    "its points arrived, s", "memory, MB", "peak, MB",
 )  # fmt: skip
-_STEP = np.array((0.1, 0.0, 0.04, 0.0, 0.01, 0.0))  # motion of the camera per frame, m and rad
-_DRIFT = 0.01  # m per frame, added to the long path so that no two cameras coincide
+CAMERA_MOTION = np.array(
+    (0.1, 0.0, 0.04, 0.0, 0.01, 0.0)
+)  # motion of the camera per frame, m and rad
+DRIFT = 0.01  # m per frame, added to the long path so that no two cameras coincide
 
 
 def bars(results: Mapping[str, Sequence[Opening]]) -> list[Bar]:
     return [
-        Bar(
-            f"{NAMES[kind]}: s until points are seen",
-            median(o.first for o in openings),
-            MAX_SECONDS,
-        )
+        Bar(f"{NAMES[kind]}: s to visible points", median(o.first for o in openings), MAX_SECONDS)
         for kind, openings in results.items()
     ]
 
@@ -140,7 +138,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def write_frames(folder: Path, count: int, height: int, width: int) -> float:
     """Write frames of a room with patterned walls as PNG files; return the focal length, px."""
     folder.mkdir()
-    poses = np.array([pose_matrix(k * _STEP) for k in range(count)])
+    poses = np.array([pose_matrix(k * CAMERA_MOTION) for k in range(count)])
     film = room_film(poses, height, width, textured=True, samples=1)
     for k, frame in enumerate(film.frames):
         write_png(folder / f"{k:04d}.png", frame)
@@ -192,7 +190,7 @@ def lengthen_reconstruction(short: Path, long: Path, count: int) -> None:
         os.link(depth_path(short, number), depth_path(long, k))
         os.link(short / PICTURES / f"{number:06d}.jpg", long / PICTURES / f"{k:06d}.jpg")
     poses = result.poses[numbers].copy()
-    poses[:, 0, 3] += _DRIFT * np.arange(count)
+    poses[:, 0, 3] += DRIFT * np.arange(count)
     longer = replace(
         result,
         poses=poses,

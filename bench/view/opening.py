@@ -27,7 +27,7 @@ PAGE_TIMEOUT = 120.0  # s to wait for the page
 IDLE_TIME = 1.5  # s without data after which a frame counts as complete; set by hand
 MIN_PAYLOAD = 10_000  # bytes of a message with points or pictures
 # Notes the second picture after the first call that draws 1,000 points or more.
-_NOTES = """
+DRAWING_NOTES = """
 const draw = WebGL2RenderingContext.prototype.drawArrays;
 WebGL2RenderingContext.prototype.drawArrays = function (mode, first, count) {
   draw.call(this, mode, first, count);
@@ -38,7 +38,7 @@ WebGL2RenderingContext.prototype.drawArrays = function (mode, first, count) {
   }
 };
 """
-_STARTS = "import sys; from tisfm.cli.command_line import main; sys.exit(main())"
+COMMAND = "import sys; from tisfm.cli.command_line import main; sys.exit(main())"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,11 +87,11 @@ def measure_opening(chromium: Any, folder: Path, steps: Sequence[int]) -> Openin
     Raise RuntimeError if the command serves no page.
     """
     tab = chromium.new_context(viewport=WINDOW).new_page()
-    tab.add_init_script(_NOTES)
+    tab.add_init_script(DRAWING_NOTES)
     arrivals = Arrivals(tab)
     begin, began = time.perf_counter(), time.time()
     command = subprocess.Popen(
-        [sys.executable, "-c", _STARTS, "view", str(folder), "--no-browser", "--port", "0"],
+        [sys.executable, "-c", COMMAND, "view", str(folder), "--no-browser", "--port", "0"],
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -107,7 +107,7 @@ def measure_opening(chromium: Any, folder: Path, steps: Sequence[int]) -> Openin
         processor = _processor_time(command.pid)
         refined = arrivals.last_after(begin, tab) - begin
         resident = process_memory("VmRSS", command.pid)
-        step_times = tuple(_stepped(tab, arrivals, number) for number in steps)
+        step_times = tuple(_measure_step(tab, arrivals, number) for number in steps)
         return Opening(
             served=served,
             first=first,
@@ -144,7 +144,7 @@ class Arrivals:
             tab.wait_for_timeout(1000 * (IDLE_TIME - idle) + 20)
 
 
-def _stepped(tab: Any, arrivals: Arrivals, number: int) -> tuple[float, float]:
+def _measure_step(tab: Any, arrivals: Arrivals, number: int) -> tuple[float, float]:
     """Step to a frame by the number field of the slider, and return both times."""
     field = (
         tab.get_by_text("Frame", exact=True)

@@ -28,8 +28,8 @@ def test_the_table_has_a_row_for_each_film():
 def test_rendered_sequences_are_not_rendered_again(tmp_path, monkeypatch):
     monkeypatch.setattr(memory, "CACHE", tmp_path)
     monkeypatch.setattr(memory, "BATCH", 2)
-    folder, camera = memory.film(3)
+    folder, camera = memory.render_frames(3)
     assert sorted(file.name for file in folder.iterdir()) == [f"0000{k}.png" for k in range(4)]
     assert camera.focal == 96
     monkeypatch.setattr(memory.cv2, "imwrite", None)
-    np.testing.assert_array_equal(memory.film(4)[0], folder)
+    np.testing.assert_array_equal(memory.render_frames(4)[0], folder)
