@@ -2,8 +2,8 @@
 
 Real sequences have at most 100 frames, so their chunks are shorter than the default. In a rendered
 film, a camera moves in circles in a room and looks outward, 225 frames a round. The table and all
-figures are written to bench/results. With ``--folder``, results are kept there, and a second run uses the
-complete results.
+figures are written to bench/results. With ``--folder``, results are kept there, and a second run
+uses the complete results.
 """
 
 import sys
