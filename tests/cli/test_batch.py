@@ -10,9 +10,9 @@ import pytest
 
 from tests.cli.command_line import TISFM, assert_one_line, files
 from tests.waiting import PATIENCE, started, wait_for
-from tisfm.cli import batch as module
-from tisfm.cli.batch import TRIES, read_jobs
+from tisfm.cli.batch import read_jobs
 from tisfm.folders.result_folder import is_locked
+from tisfm.running.commands import MAX_ATTEMPTS
 
 
 @pytest.fixture
@@ -62,13 +62,13 @@ def test_sequences_are_reconstructed(tisfm_run, frames, jobs):
     [
         ("", ["no columns source and output"]),
         ("source\nframes\n", ["no columns source and output"]),
-        ("source,output\n", ["lists nothing"]),
+        ("source,output\n", ["has no jobs"]),
         ("source,output\nframes,\n", ["line 2 has no output"]),
         ("source,output\nframes,a,b\n", ["line 2 has more cells"]),
         ("source,output\nframes,a\nframes,./a\n", ["lines 2 and 3 have the same output"]),
         ("source,output,colour\nframes,a,red\n", ["line 2", "colour"]),
         ("source,output,preset\nframes,a,slow\n", ["line 2", "slow"]),
-        ('source,output\n"frames,a\n', ["is no CSV"]),
+        ('source,output\n"frames,a\n', ["is not a CSV file"]),
         ("source,output,focal,focal\nframes,a,1,2\n", ["names a column twice"]),
         ("source,output,mask\nframes,a,it's\n", ["line 2: No closing quotation"]),
     ],
@@ -85,7 +85,7 @@ def test_other_mistakes(tisfm_run, frames, jobs):
         assert_one_line(*tisfm_run("batch", name, option, "0")[::2], "expected a positive number")
     assert_one_line(*tisfm_run("batch", "gone.csv")[::2], "gone.csv")
     Path("latin.csv").write_bytes(b"source,output\nfr\xe9,a\n")
-    assert_one_line(*tisfm_run("batch", "latin.csv")[::2], "is no CSV")
+    assert_one_line(*tisfm_run("batch", "latin.csv")[::2], "is not a CSV file")
 
 
 @pytest.mark.parametrize("codes", [[-9, -9, 0], [-9] * 3, [-2], [-15], [1]])
@@ -104,9 +104,9 @@ def test_a_job_whose_process_is_killed_is_begun_again(
         process.communicate.return_value = b"", b"1 pair: one. Results in a.\nsome advice\n"
         return process
 
-    monkeypatch.setattr(module.subprocess, "Popen", popen)
+    monkeypatch.setattr(subprocess, "Popen", popen)
     code, _, err = tisfm_run("batch", jobs("source,output\nframes,a\n"))
-    assert code == (codes[-1] != 0) and len(calls) == len(codes) <= TRIES
+    assert code == (codes[-1] != 0) and len(calls) == len(codes) <= MAX_ATTEMPTS
     assert err.startswith("a: 1 pair: one. Results in a.\n")
     assert [("--resume" in call) for call in calls] == [False, writes, writes][: len(calls)]
 

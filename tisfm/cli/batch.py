@@ -3,13 +3,6 @@
 import csv
 import os
 import shlex
-import signal
-import subprocess
-import sys
-import threading
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -21,18 +14,10 @@ from tisfm.cli.console import tell
 from tisfm.cli.parsing import WrongOptionError
 from tisfm.cli.progress import TimeEstimate, progress_bar
 from tisfm.errors import InputError
-from tisfm.folders.run_record import RECORD
-from tisfm.reconstruction.result.folder import REQUEST
-from tisfm.reconstruction.result.renewal import CHUNKS
+from tisfm.running.commands import CommandProcesses
 from tisfm.threads import usable_cores
 
-Command = Literal["run", "reconstruct"]
-
 SOURCE, OUTPUT = "source", "output"
-NOTE = "note: "
-TRIES = 3  # for a job whose process was killed
-_WANTED = (-signal.SIGINT, -signal.SIGTERM)  # signals by which a user ends a process
-_CALL = "import sys; sys.path.remove(''); from tisfm.cli.command_line import main; sys.exit(main())"
 _FLAGS = {"yes": "--", "no": "--no-"}
 
 
@@ -59,13 +44,7 @@ class Batch:
 
     def __call__(self) -> int:
         """Run the command and return the exit code."""
-        return batch(
-            self.jobs,
-            self.command,
-            workers=self.workers,
-            threads=self.threads,
-            resume=self.resume,
-        )
+        return batch(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,76 +90,63 @@ def read_jobs(path: Path) -> list[Job]:
             reader.fieldnames = columns
             for row in reader:
                 job = _job(row, f"{path}, line {reader.line_num}", reader.line_num)
-                place = os.path.realpath(job.output)
-                if place in outputs:
+                real_path = os.path.realpath(job.output)
+                if real_path in outputs:
                     raise InputError(
-                        f"{path}, lines {outputs[place]} and {job.line} have the same output, "
+                        f"{path}, lines {outputs[real_path]} and {job.line} have the same output, "
                         f"{job.output}"
                     )
-                outputs[place] = job.line
+                outputs[real_path] = job.line
                 jobs.append(job)
     except (csv.Error, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is no CSV: {error}") from error
+        raise InputError(f"{path} is not a CSV file: {error}") from error
     if not jobs:
-        raise InputError(f"{path} lists nothing: expected a line for each video")
+        raise InputError(f"{path} has no jobs: expected a line for each video")
     return jobs
 
 
-def batch(
-    path: Path,
-    command: Command,
-    *,
-    workers: int = 1,
-    threads: int | None = None,
-    resume: bool = False,
-) -> int:
+def batch(options: Batch) -> int:
     """Run a command for every line of a list; return the exit code, 1 if any of them failed.
 
-    Each job has a process of its own with `threads` threads, by default its share of the cores. A
-    process that is killed is started again.
+    Each job has a process of its own. A process that is killed is started again.
     """
+    path, workers, threads = options.jobs, options.workers, options.threads
     if workers < 1:
         raise InputError(f"workers is {workers}: expected a positive number")
     if threads is not None and threads < 1:
         raise InputError(f"threads is {threads}: expected a positive number")
     jobs = read_jobs(path)
-    each = threads or max(1, usable_cores() // workers)
-    calls = [_arguments(job, command, each, resume=resume) for job in jobs]
+    threads = threads or max(1, usable_cores() // workers)
+    calls = [_arguments(job, options, threads) for job in jobs]
     for job, call in zip(jobs, calls, strict=True):
         try:
             _check(call)
         except ValueError as error:
             raise InputError(f"{path}, line {job.line}: {error}") from error
     failed = 0
-    with (
-        _ending_by_signal(),
-        progress_bar() as progress,
-        _workers(workers) as executor,
-        _Processes() as processes,
-    ):
+    with progress_bar() as progress, CommandProcesses(workers) as processes:
         task = progress.add_task(path.name, total=len(jobs))
-        ends = [
-            executor.submit(processes.finished, call, Path(job.output))
-            for job, call in zip(jobs, calls, strict=True)
+        futures = [
+            processes.submit(call, Path(job.output)) for job, call in zip(jobs, calls, strict=True)
         ]
         estimate = TimeEstimate("videos")
-        for number, (job, end) in enumerate(zip(jobs, ends, strict=True), 1):
-            code, last, notes = end.result()
+        for number, (job, future) in enumerate(zip(jobs, futures, strict=True), 1):
+            finished = future.result()
             estimate.update(number, len(jobs))
-            failed += code != 0
-            tell(f"{job.output}: {last}" if last else f"{job.output}: exit code {code}")
-            for note in notes:
-                tell(f"{job.output}: {note}")
+            failed += finished.exit_code != 0
+            message = finished.message or f"exit code {finished.exit_code}"
+            for line in (message, *finished.notes):
+                tell(f"{job.output}: {line}")
             progress.advance(task)
-    done = len(jobs) - failed
-    tell(f"{done} of {len(jobs)} done" + (f", {failed} failed" if failed else ""))
+    count = len(jobs) - failed
+    tell(f"{count} of {len(jobs)} done" + (f", {failed} failed" if failed else ""))
     return 1 if failed else 0
 
 
 def _check(call: list[str]) -> None:
     """Raise WrongOptionError if a command does not take these arguments."""
     if {"--help", "-h"} & set(call):
-        raise WrongOptionError("help is no option of a job: remove this column")
+        raise WrongOptionError("--help is not an option of a job: remove this column")
     parse_command(call)
 
 
@@ -207,109 +173,7 @@ def _job(row: dict[str, str], where: str, line: int) -> Job:
     return Job(line=line, source=cells[SOURCE], output=cells[OUTPUT], options=tuple(options))
 
 
-def _arguments(job: Job, command: Command, threads: int, *, resume: bool) -> list[str]:
-    again = ["--resume"] if resume else []
-    options = ["-o", job.output, *again, "--threads", str(threads), *job.options]
-    return [command, job.source, *options]
-
-
-class _Processes:
-    """The processes of jobs. They are terminated if an exception leaves the block."""
-
-    def __init__(self) -> None:
-        self._running: set[subprocess.Popen[bytes]] = set()
-        self._lock = threading.Lock()
-        self._is_over = False
-
-    def __enter__(self) -> "_Processes":
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *about: object) -> None:
-        if kind is None:
-            return
-        with self._lock:
-            self._is_over = True
-            for process in self._running:
-                process.terminate()
-
-    def finished(self, arguments: Sequence[str], output: Path) -> tuple[int, str, list[str]]:
-        """Run a command in a process of its own.
-
-        Return its exit code, its last message, and its notes.
-        """
-        code, said, call = 1, "", list(arguments)
-        notes: list[str] = []
-        before = _state(output)
-        for _ in range(TRIES):
-            with self._lock:
-                if self._is_over:
-                    break
-                # Unlike -m, this does not import modules from the working folder instead of
-                # Python's.
-                process = subprocess.Popen(
-                    [sys.executable, "-c", _CALL, *call],
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.DEVNULL,
-                    stderr=subprocess.PIPE,
-                )
-                self._running.add(process)
-            try:
-                _, errors = process.communicate()
-            finally:
-                with self._lock:
-                    self._running.discard(process)
-            text = errors.decode("utf-8", "replace")
-            code, said, notes = process.returncode, _said(text), _notes(text)
-            if code >= 0 or code in _WANTED:
-                break
-            if "--resume" not in call and _state(output) != before:
-                call.append("--resume")  # first pairs or chunks are written
-        return code, said, notes
-
-
-def _said(errors: str) -> str:
-    """Return the line that names the results, or else the last line."""
-    lines = [line for line in errors.split("\n") if line.strip()]
-    results = [line for line in lines if "Results in " in line]
-    return (results or lines or [""])[-1].removeprefix("tisfm: ")
-
-
-def _notes(errors: str) -> list[str]:
-    """Return the lines that are notes on how a source was read."""
-    return [line for line in errors.split("\n") if line.startswith(NOTE)]
-
-
-def _state(output: Path) -> object:
-    """Return a state that changes when a run's record, or a request of chunks, is written."""
-    return [_about(path) for path in (output / RECORD, output / CHUNKS / REQUEST)]
-
-
-def _about(path: Path) -> tuple[int, int, int] | None:
-    try:
-        about = os.stat(path)
-    except OSError:
-        return None
-    return about.st_ino, about.st_mtime_ns, about.st_size
-
-
-@contextmanager
-def _ending_by_signal() -> Iterator[None]:
-    """Let SIGTERM leave the block as Ctrl-C does, so that no process stays behind."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-@contextmanager
-def _workers(count: int) -> Iterator[ThreadPoolExecutor]:
-    """Run `count` jobs at a time; leaving the block cancels the jobs that have not begun."""
-    executor = ThreadPoolExecutor(count, thread_name_prefix="tisfm-batch")
-    try:
-        yield executor
-    finally:
-        executor.shutdown(cancel_futures=True)
+def _arguments(job: Job, options: Batch, threads: int) -> list[str]:
+    resume = ["--resume"] if options.resume else []
+    others = ["-o", job.output, *resume, "--threads", str(threads), *job.options]
+    return [options.command, job.source, *others]

@@ -1,10 +1,12 @@
 """Output of commands: lines, tables and progress bars."""
 
 import os
+import signal
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 from rich.console import Console, ConsoleOptions
@@ -83,3 +85,26 @@ def tell_device(arch: Arch | None) -> None:
         tell(runtime.software_said(device.name))
     elif device is not None:
         tell(f"vulkan runs on {device.name}")
+
+
+@contextmanager
+def watch_interrupt(watched: bool) -> Iterator[Callable[[], bool]]:
+    """Yield a function that returns whether Ctrl-C was pressed.
+
+    If `watched`, the first Ctrl-C interrupts nothing.
+    """
+    was_pressed = False
+
+    def receive(number: int, frame: FrameType | None) -> None:
+        nonlocal was_pressed
+        was_pressed = True
+        signal.signal(signal.SIGINT, before)
+
+    before = signal.getsignal(signal.SIGINT) or signal.default_int_handler
+    if watched:
+        signal.signal(signal.SIGINT, receive)
+    try:
+        yield lambda: was_pressed
+    finally:
+        if watched:
+            signal.signal(signal.SIGINT, before)

@@ -1,7 +1,6 @@
 """``tisfm eval``."""
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
@@ -9,7 +8,6 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from tisfm.camera import Camera
 from tisfm.cli.console import print_whole, start_kernels, tell
 from tisfm.cli.options import SettingsOptions, StatedCameraOptions
 from tisfm.cli.progress import TimeEstimate, progress_bar
@@ -22,7 +20,7 @@ from tisfm.evaluation.pairs import evaluate as evaluate_pairs
 from tisfm.formats.float_maps import require_writable_flow
 from tisfm.interpretation import Interpretation
 from tisfm.runtime import Arch
-from tisfm.settings import Preset, Settings
+from tisfm.settings import Preset
 
 LayoutName = Literal[
     "middlebury", "kitti", "sintel", "yosemite", "stereo", "new_tsukuba", "sevenscenes",
@@ -116,35 +114,12 @@ class Eval:
                 raise InputError(
                     "--motion field works on pairs, but --sequence is given: use camera or objects"
                 )
-            return evaluate_sequences(
-                self.folders,
-                self.output,
-                layout=self.layout,
-                camera=self.camera.camera(),
-                settings=self.settings.settings(),
-                step=self.step,
-                give_poses=self.give_poses,
-                max_depth=self.max_depth,
-                result=self.result,
-                arch=self.arch,
-                threads=self.threads,
-            )
+            return evaluate_sequences(self)
         if self.result is not None:
             raise InputError(
                 f"--result is {self.result}, but pairs are compared: give --sequence or --objects"
             )
-        return evaluate(
-            self.folders,
-            self.output,
-            layout=_layout_of_pairs(self.layout),
-            camera=self.camera.camera(),
-            settings=self.settings.settings(),
-            step=self.step,
-            give_poses=self.give_poses,
-            max_depth=self.max_depth,
-            arch=self.arch,
-            threads=self.threads,
-        )
+        return evaluate(self)
 
 
 def _layout_of_pairs(layout: str | None) -> Layout | None:
@@ -153,29 +128,19 @@ def _layout_of_pairs(layout: str | None) -> Layout | None:
     raise InputError(f"--layout is {layout!r}, which has only sequences: give --sequence")
 
 
-def evaluate(
-    folders: Sequence[str],
-    output: Path | None,
-    *,
-    layout: Layout | None = None,
-    camera: Camera | None = None,
-    settings: Settings,
-    step: int | None = None,
-    give_poses: bool = False,
-    max_depth: float | None = None,
-    arch: Arch | None = None,
-    threads: int | None = None,
-) -> int:
+def evaluate(options: Eval) -> int:
     """Interpret the pairs of datasets, print their errors, write all; return the exit code."""
+    layout, step, output = _layout_of_pairs(options.layout), options.step, options.output
+    camera, settings = options.camera.camera(), options.settings.settings()
     pairs = dict.fromkeys(
-        pair for folder in folders for pair in find_pairs(folder, layout, step=step)
+        pair for folder in options.folders for pair in find_pairs(folder, layout, step=step)
     )
     if step is not None and all(LAYOUTS[pair.layout].step is None for pair in pairs):
         raise InputError(
-            f"step is {step}, but there is no sequence with poses in {', '.join(folders)}: leave "
-            "it out"
+            f"step is {step}, but there is no sequence with poses in "
+            f"{', '.join(options.folders)}: leave it out"
         )
-    start_kernels(arch, threads=threads)
+    start_kernels(options.arch, threads=options.threads)
     writer = (
         None
         if output is None
@@ -197,8 +162,8 @@ def evaluate(
             pairs,
             camera=camera,
             settings=settings,
-            give_poses=give_poses,
-            max_depth=max_depth,
+            give_poses=options.give_poses,
+            max_depth=options.max_depth,
             on_load=None if writer is None else _require_writable,
             on_pair=finish_pair,
         )

@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -40,43 +40,33 @@ from tisfm.evaluation.sequences import (
 from tisfm.folders.result_folder import InputFiles, make_result_folder
 from tisfm.formats import atomic_write
 from tisfm.reconstruction.progress import Progress
-from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.trajectory import read_trajectory, write_tum
 from tisfm.trajectory.times import times_or_numbers
 from tisfm.version import __version__
 
+if TYPE_CHECKING:  # it imports this module
+    from tisfm.cli.evaluate import Eval
+
 
 @notes_as_lines()
-def evaluate_sequences(
-    folders: Sequence[str],
-    output: Path | None,
-    *,
-    layout: str | None = None,
-    camera: Camera | None = None,
-    settings: Settings,
-    step: int | None = None,
-    give_poses: bool = False,
-    max_depth: float | None = None,
-    result: Path | None = None,
-    arch: Arch | None = None,
-    threads: int | None = None,
-) -> int:
+def evaluate_sequences(options: "Eval") -> int:
     """Reconstruct the sequences of datasets, print their errors, write all; return the exit code.
 
-    With `result` nothing is reconstructed: it is a trajectory, or what a reconstruction saved.
+    With the option `result` nothing is reconstructed.
     """
-    sequences = _found(folders, layout)
-    if result is not None and len(sequences) > 1:
+    sequences = _sequences(options.folders, options.layout)
+    if options.result is not None and len(sequences) > 1:
         names = ", ".join(sequence.name for sequence in sequences)
         raise InputError(
             f"one result is given, but there are {len(sequences)} sequences, {names}: give the "
             "folder of one"
         )
-    if max_depth is not None and not max_depth > 0:
-        raise InputError(f"max_depth is {max_depth}: expected a positive depth")
-    if result is None:
-        start_kernels(arch, threads=threads)
+    if options.max_depth is not None and not options.max_depth > 0:
+        raise InputError(f"max_depth is {options.max_depth}: expected a positive depth")
+    output, camera, settings = options.output, options.camera.camera(), options.settings.settings()
+    if options.result is None:
+        start_kernels(options.arch, threads=options.threads)
     evaluations: list[SequenceEvaluation] = []
     paths = {} if output is None else _paths(sequences, output)
     with progress_bar() as progress:
@@ -86,14 +76,7 @@ def evaluate_sequences(
             try:
                 evaluations.append(
                     _evaluate(
-                        sequence,
-                        paths.get(sequence),
-                        camera=camera,
-                        settings=settings,
-                        step=1 if step is None else step,
-                        give_poses=give_poses,
-                        max_depth=max_depth,
-                        result=result,
+                        sequence, paths.get(sequence), options, camera=camera, settings=settings
                     )
                 )
             except (OSError, TypeError, ValueError, RuntimeError, MemoryError) as error:
@@ -103,7 +86,12 @@ def evaluate_sequences(
                 evaluations.append(SequenceEvaluation(sequence=sequence, fault=text))
             progress.advance(task)
     if output is not None:
-        _write_record(output, evaluations, settings=settings, camera=camera)
+        _write_record(
+            output,
+            settings=asdict(settings),
+            camera=None if camera is None else asdict(camera),
+            sequences=[as_record(evaluation) for evaluation in evaluations],
+        )
     for table in sequence_tables(evaluations):
         print_whole(table)
     faults = [evaluation for evaluation in evaluations if evaluation.fault is not None]
@@ -116,7 +104,7 @@ def evaluate_sequences(
     return 1 if faults else 0
 
 
-def _found(folders: Sequence[str], layout: str | None) -> list[DatasetSequence]:
+def _sequences(folders: Sequence[str], layout: str | None) -> list[DatasetSequence]:
     if layout is not None and layout not in SEQUENCE_LAYOUTS:
         names = ", ".join(map(repr, SEQUENCE_LAYOUTS))
         raise InputError(f"layout is {layout!r}, which has no sequences: expected one of {names}")
@@ -142,43 +130,42 @@ def _paths(sequences: Sequence[DatasetSequence], output: Path) -> dict[DatasetSe
 def _evaluate(
     sequence: DatasetSequence,
     path: Path | None,
+    options: "Eval",
     *,
     camera: Camera | None,
     settings: Settings,
-    step: int,
-    give_poses: bool,
-    max_depth: float | None,
-    result: Path | None,
 ) -> SequenceEvaluation:
+    step = 1 if options.step is None else options.step
     loaded = sequence.load(step)
-    taken_by = camera or loaded.camera
-    if taken_by is None:
+    camera = camera or loaded.camera
+    if camera is None:
         raise InputError(f"{sequence.folder} states no camera: give --focal")
-    if result is None:
-        evaluation, found = reconstruct_and_compare(
+    result: SequenceResult
+    if options.result is None:
+        evaluation, result = reconstruct_and_compare(
             sequence,
             loaded,
-            camera=taken_by,
+            camera=camera,
             settings=settings,
             step=step,
-            give_poses=give_poses,
-            max_depth=max_depth,
+            give_poses=options.give_poses,
+            max_depth=options.max_depth,
             progress=_estimate(sequence.name),
         )
     else:
-        found, with_depth = _read(result, loaded)
+        result, has_depth = _read(options.result, loaded)
         evaluation = compare_sequence(
             sequence,
             loaded,
-            found,
-            camera=taken_by,
+            result,
+            camera=camera,
             step=step,
-            poses_given=give_poses,
-            max_depth=max_depth,
-            with_depth=with_depth,
+            poses_given=options.give_poses,
+            max_depth=options.max_depth,
+            with_depth=has_depth,
         )
     if path is not None:
-        _write_paths(path, loaded, found)
+        _write_paths(path, loaded, result)
     return evaluation
 
 
@@ -195,36 +182,26 @@ def _read(path: Path, loaded: LoadedSequence) -> tuple[SequenceResult, bool]:
     return TrajectoryResult(read_trajectory(path), loaded, path), False
 
 
-def _write_paths(path: Path, loaded: LoadedSequence, found: SequenceResult) -> None:
+def _write_paths(path: Path, loaded: LoadedSequence, result: SequenceResult) -> None:
     """Write the poses of a sequence, each piece, which has its own world, to its own file."""
-    known = [None] * len(loaded.frames) if loaded.times is None else list(loaded.times)
-    times = times_or_numbers(known)
-    numbers, counts = np.unique(found.piece[found.piece >= 0], return_counts=True)
-    for place, number in enumerate(numbers[np.argsort(-counts, kind="stable")]):
-        file = path if place == 0 else path.with_name(f"{path.stem}-piece{place + 1}.tum")
+    frame_times = [None] * len(loaded.frames) if loaded.times is None else list(loaded.times)
+    times = times_or_numbers(frame_times)
+    pieces, counts = np.unique(result.piece[result.piece >= 0], return_counts=True)
+    for rank, piece in enumerate(pieces[np.argsort(-counts, kind="stable")], 1):
+        file = path if rank == 1 else path.with_name(f"{path.stem}-piece{rank}.tum")
         InputFiles(loaded.frames).refuse(file)
         make_result_folder(file.parent)
-        mine = (found.piece == number)[:, None, None]
-        write_tum(file, np.where(mine, found.poses, np.nan), times)
+        in_piece = (result.piece == piece)[:, None, None]
+        write_tum(file, np.where(in_piece, result.poses, np.nan), times)
 
 
-def _write_record(
-    folder: Path,
-    evaluations: Sequence[SequenceEvaluation],
-    *,
-    settings: Settings,
-    camera: Camera | None,
-) -> None:
+def _write_record(folder: Path, **record: Any) -> None:
     make_result_folder(folder)
-    record: dict[str, Any] = {
-        "version": __version__,
-        "settings": asdict(settings),
-        "camera": None if camera is None else asdict(camera),
-        "sequences": [as_record(evaluation) for evaluation in evaluations],
-    }
-    text = json.dumps(record, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(
+        {"version": __version__, **record}, indent=2, ensure_ascii=False, allow_nan=False
+    )
     with atomic_write(folder / EVALUATION_RECORD) as file:
-        file.write(text.encode("utf-8"))
+        file.write(f"{text}\n".encode())
 
 
 def evaluate_objects(
@@ -248,28 +225,16 @@ def evaluate_objects(
     scores = compare_masks(result, folder, step=1 if step is None else step)
     masks = true_masks(folder).resolve()
     name = masks.parent.name if masks.name == "masks" else masks.name
-    labels = {thing.object_id: thing.label for thing in scores.objects if thing.label is not None}
+    labels = {one.object_id: one.label for one in scores.objects if one.label is not None}
     true_folder = masks.parent if masks.name == "masks" else masks
     paths = None
     if has_true_paths(true_folder):
         paths = compare_object_paths(result, true_folder, labels, step=step or 1)
     if output is not None:
-        make_result_folder(output)
-        record = {
-            "version": __version__,
-            "objects": {
-                "name": name,
-                "iou": scores.iou,
-                "switches": scores.switches,
-                **asdict(scores),
-                **(
-                    {"paths": {k: asdict(v) for k, v in paths.items()}} if paths is not None else {}
-                ),
-            },
-        }
-        text = json.dumps(record, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        with atomic_write(output / EVALUATION_RECORD) as file:
-            file.write(text.encode("utf-8"))
+        objects = {"name": name, "iou": scores.iou, "switches": scores.switches, **asdict(scores)}
+        if paths is not None:
+            objects["paths"] = {label: asdict(errors) for label, errors in paths.items()}
+        _write_record(output, objects=objects)
     print_whole(mask_table(name, scores))
     if paths is not None:
         print_whole(object_path_table(name, paths))

@@ -81,90 +81,68 @@ class Export:
 
     def __call__(self) -> int:
         """Run the command and return the exit code."""
-        return export(
-            self.folder,
-            self.output,
-            formats=self.to,
-            frames=(self.start, self.stop, self.step),
-            frames_per_second=self.fps,
-            scale=self.scale,
-            disparity=self.disparity,
-            screen=self.screen,
-            screen_depth=self.screen_depth,
-        )
+        return export(self)
 
 
 _WITH_SCREEN = {"video-anaglyph", "video-wiggle"}
-_LONG, _SOON = 20.0, 1.0  # s: exports that take longer print their time; when they do
+_LONG = 20.0  # s: a shorter remaining time is not printed; set by hand
+_SOON = 1.0  # s over which the speed of an export is measured; set by hand
 
 
-def export(
-    folder: Path,
-    output: Path,
-    *,
-    formats: Sequence[str],
-    frames: tuple[int, int | None, int] = (0, None, 1),
-    frames_per_second: float | None = None,
-    scale: tuple[int, int, float] | None = None,
-    disparity: float | None = None,
-    screen: float | None = None,
-    screen_depth: float | None = None,
-) -> int:
+def export(options: Export) -> int:
     """Write a result in other formats, and return the exit code.
 
-    `frames` are start, stop and step; `scale` are two frames and the distance between the positions
-    of the camera. Everything that can be checked is checked before the first file is written.
+    Everything that can be checked is checked before the first file is written.
     """
     from tisfm.exports.export_request import ExportRequest, check_rate
 
-    wanted = _formats(formats)
-    if frames_per_second is not None:
-        check_rate(frames_per_second)
-    if disparity is not None:
-        check_disparity(disparity)
-    check_screen(screen, screen_depth)
-    depths = {"disparity": disparity, "screen": screen, "screen-depth": screen_depth}
-    given = [f"--{name}" for name, value in depths.items() if value is not None]
-    if given and not wanted.keys() & _WITH_SCREEN:
-        raise InputError(
-            f"{given[0]} is only for {' and '.join(sorted(_WITH_SCREEN))}: give one of them with "
-            "--to, or leave it out"
-        )
+    folder, output, scale = options.folder, options.output, options.scale
+    formats = _formats(options.to)
+    if options.fps is not None:
+        check_rate(options.fps)
+    if options.disparity is not None:
+        check_disparity(options.disparity)
+    check_screen(options.screen, options.screen_depth)
+    for name in ("disparity", "screen", "screen_depth"):
+        if getattr(options, name) is not None and not formats.keys() & _WITH_SCREEN:
+            raise InputError(
+                f"--{name.replace('_', '-')} is only for {' and '.join(sorted(_WITH_SCREEN))}: "
+                "give one of them with --to, or leave it out"
+            )
     _refuse_inside(output, folder)
-    result, found = _opened(folder, scale)
-    if screen_depth is not None and not found.has_one_scale:
+    result, frames = _opened(folder, scale)
+    if options.screen_depth is not None and not frames.has_one_scale:
         raise InputError(
             f"--screen-depth needs one unit of depth, but each pair of {folder} has its own: give "
             "--screen, a quantile"
         )
-    asked = ExportRequest(
+    request = ExportRequest(
         result=result,
-        frames=found,
-        chosen=_chosen(len(found), *frames),
+        frames=frames,
+        chosen=_chosen(len(frames), options.start, options.stop, options.step),
         folder=output,
-        frames_per_second=frames_per_second,
-        disparity=disparity,
-        screen=screen,
-        screen_depth=screen_depth,
+        frames_per_second=options.fps,
+        disparity=options.disparity,
+        screen=options.screen,
+        screen_depth=options.screen_depth,
     )
-    for form in wanted.values():
-        form.check(asked)
+    for form in formats.values():
+        form.check(request)
     make_result_folder(output)
-    _announce(wanted, asked)
+    _announce(formats, request)
     if result is not None and scale is not None and len(result.unit) > 1:
-        piece = int(result.piece[scale[0]])
-        sizes = [int((result.piece == k).sum()) for k in range(len(result.unit))]
+        size = int((result.piece == result.piece[scale[0]]).sum())
         tell(
-            f"--scale sets the unit of the piece of these two frames, which has {sizes[piece]} "
-            "frames; other pieces keep their units"
+            f"--scale sets the unit of the piece of these two frames, which has {size} frames; "
+            "other pieces keep their units"
         )
-    said: set[str] = set()
-    for name, form in wanted.items():
+    printed: set[str] = set()
+    for name, form in formats.items():
         with progress_bar() as bar:
-            files = form.write(asked, _told(name, bar))
-        tell(f"{name}: {_named(files)}")
-        notes = [note for note in form.notes(asked) if note not in said]
-        said.update(notes)
+            files = form.write(request, _progress_callback(name, bar))
+        tell(f"{name}: {_listed_files(files)}")
+        notes = [note for note in form.notes(request) if note not in printed]
+        printed.update(notes)
         for note in notes:
             tell(f"{name}: {note}")
     return 0
@@ -227,37 +205,37 @@ def _chosen(count: int, start: int, stop: int | None, step: int) -> range:
 
 def _refuse_inside(output: Path, folder: Path) -> None:
     """Raise InputError if the output lies in the folder of the result."""
-    place, result = output.resolve(), folder.resolve()
-    if result in (place, *place.parents):
+    path, result = output.resolve(), folder.resolve()
+    if result in (path, *path.parents):
         raise InputError(f"{output} lies in {folder}, the input: give another folder with -o")
 
 
-def _announce(wanted: "dict[str, Format]", asked: "ExportRequest") -> None:
+def _announce(formats: "dict[str, Format]", request: "ExportRequest") -> None:
     """Print the expected size of a large export, and whether the disk has space for it."""
-    height, width = asked.frames.shape
-    pixels = len(asked.chosen) * height * width
-    expected = sum(form.bytes_per_pixel for form in wanted.values()) * pixels
-    free = shutil.disk_usage(asked.folder).free
-    about = f"up to {as_size(expected)} for {len(asked.chosen)} frames of {width}×{height} px"
+    height, width = request.frames.shape
+    pixels = len(request.chosen) * height * width
+    expected = sum(form.bytes_per_pixel for form in formats.values()) * pixels
+    free = shutil.disk_usage(request.folder).free
+    about = f"up to {as_size(expected)} for {len(request.chosen)} frames of {width}×{height} px"
     if expected > free:
         tell(f"{about}, but {as_size(free)} are free: choose frames with --start, --stop, --step")
     elif expected > MUCH:
-        tell(f"{about} in {asked.folder}")
+        tell(f"{about} in {request.folder}")
 
 
-def _told(name: str, bar: Progress) -> Callable[[int, int], None]:
+def _progress_callback(name: str, bar: Progress) -> Callable[[int, int], None]:
     """Return a callback for the progress of a format; it prints the expected time of a long one."""
-    task, is_said = bar.add_task(name, total=None), False
+    task, is_printed = bar.add_task(name, total=None), False
     begin, before = 0.0, 0
 
     def tell_progress(done: int, total: int) -> None:
-        nonlocal begin, before, is_said
+        nonlocal begin, before, is_printed
         bar.update(task, completed=done, total=total)
         now = time.monotonic()
         if not before or done <= before:  # the first pass gives no speed
             begin, before = now, done
-        elif not is_said and now - begin > _SOON:
-            is_said = True
+        elif not is_printed and now - begin > _SOON:
+            is_printed = True
             left = (now - begin) / (done - before) * (total - done)
             if left > _LONG:
                 tell(f"{name}: about {as_duration(left)} for {total - done} more frames")
@@ -265,7 +243,7 @@ def _told(name: str, bar: Progress) -> Callable[[int, int], None]:
     return tell_progress
 
 
-def _named(files: Sequence[Path]) -> str:
+def _listed_files(files: Sequence[Path]) -> str:
     """Return the paths of files, or their number in each folder if there are more than four."""
     folders = Counter(file.parent for file in files)
     if len(files) <= 4:

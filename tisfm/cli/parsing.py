@@ -91,7 +91,9 @@ def wrapped_help(text: str) -> Iterator[str]:
 
     description = joined(text, width)
     original = _strings.remove_single_line_breaks
-    _strings.remove_single_line_breaks = lambda text: text if text == description else joined(text)
+    _strings.remove_single_line_breaks = lambda helptext: (
+        helptext if helptext == description else joined(helptext)
+    )
     try:
         yield description
     finally:

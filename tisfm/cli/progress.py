@@ -5,6 +5,7 @@ import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TypeVar
 
 from rich.console import Console
@@ -20,6 +21,9 @@ from rich.progress import (
 from rich.text import Text
 
 from tisfm.cli.console import tell
+from tisfm.folders.files import TIMINGS
+from tisfm.formats import atomic_write
+from tisfm.formats.csv_table import csv_table
 from tisfm.machine.text import as_duration, as_size, printable
 from tisfm.reconstruction.progress import Stage
 from tisfm.running.pair_writer import PairWriter
@@ -216,6 +220,14 @@ class StageTimes:
         self._add()
         self._stage = None
         self.seconds["In all"] = self._since - self._begin
+
+    def write(self, folder: Path) -> None:
+        """Write the times, as ``timings.csv``.
+
+        Only this file has timings, so that all other files are equal each time.
+        """
+        with atomic_write(folder / TIMINGS) as file:
+            file.write(csv_table(("stage", "seconds"), self.seconds.items()).encode())
 
     def _add(self) -> None:
         now = time.perf_counter()

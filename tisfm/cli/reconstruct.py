@@ -2,14 +2,12 @@
 
 import math
 import shutil
-import signal
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import FrameType
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -17,16 +15,13 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
-from tisfm.cli.console import notes_as_lines, tell, tell_device
+from tisfm.cli.console import notes_as_lines, tell, tell_device, watch_interrupt
 from tisfm.cli.options import CameraOptions, FrameOptions
 from tisfm.cli.progress import MUCH, STAGES, StageTimes, TimeEstimate, progress_bar
 from tisfm.cli.report import report_reconstruction
 from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
-from tisfm.folders.files import TIMINGS
 from tisfm.folders.result_folder import locked_folder
-from tisfm.formats import atomic_write
-from tisfm.formats.csv_table import csv_table
 from tisfm.fusion.mesh import check_scikit_image
 from tisfm.machine.text import as_size
 from tisfm.reconstruction.chunks.chunk import CHUNK
@@ -41,7 +36,7 @@ from tisfm.runtime import Arch, SoftwareVulkanWarning
 from tisfm.settings import Preset, Settings
 from tisfm.sources import Source
 from tisfm.sources.webcam import webcam_number
-from tisfm.trajectory import read_trajectory, write_kitti, write_tum
+from tisfm.trajectory import Trajectory, read_trajectory, write_kitti, write_tum
 from tisfm.trajectory.times import times_or_numbers
 
 
@@ -122,42 +117,15 @@ class Reconstruct:
 
     def __call__(self) -> int:
         """Run the command and return the exit code."""
-        if not self.source:
-            raise InputError(
-                "SOURCE is missing: give a video, a folder, a quoted glob or images, as in: "
-                "tisfm reconstruct VIDEO -o DIR"
-            )
-        return reconstruct(
-            self.source[0] if len(self.source) == 1 else self.source,
-            self.output,
-            camera=self._camera(),
-            calibrate="nothing" if self.camera.focal == "guess" else self.calibrate,
-            settings=Settings.preset(self.preset, motion=self.motion),
-            frames=self.frames.selection(),
-            poses=self.poses,
-            mask=self.mask,
-            labels=self.labels,
-            object_sizes=_sizes(self.object_sizes),
-            depth_of=self.depth_of,
-            scale=self.scale,
-            ply=self.ply,
-            mesh=self.mesh,
-            report=self.report,
-            workers=self.workers,
-            cluster=self.cluster,
-            chunk=self.chunk,
-            resume=self.resume,
-            arch=self.arch,
-            threads=self.threads,
-        )
+        return reconstruct(self)
 
-    def _camera(self) -> Camera | Path | None:
-        """Return the camera, its file, or None if its focal length is to be found or guessed."""
+    def known_camera(self) -> Camera | Path | None:
+        """Return the camera, its file, or None if the focal length is estimated or guessed."""
         options = self.camera
         if not options.guess("camera"):
             return options.camera()
-        stated = (options.center, options.distortion, options.readout)
-        if any(value is not None for value in stated) or options.aspect != 1:
+        values = (options.center, options.distortion, options.readout)
+        if any(value is not None for value in values) or options.aspect != 1:
             raise InputError(
                 "--center, --distortion, --aspect and --readout need a focal length: give --focal; "
                 "with --calibrate focal, an approximate value is enough"
@@ -167,10 +135,10 @@ class Reconstruct:
         return None
 
 
-def _sizes(given: Sequence[str]) -> dict[int, float]:
+def _object_sizes(words: Sequence[str]) -> dict[int, float]:
     """Return lengths by ids, from words such as 3=4.5."""
     sizes = {}
-    for word in given:
+    for word in words:
         number, _, length = word.partition("=")
         try:
             sizes[int(number)] = float(length)
@@ -185,49 +153,28 @@ POSES, TRAJECTORY, POINTS = "poses.txt", "trajectory.txt", "points.ply"
 _PICTURE, _DEPTH = 0.2, 4.0  # bytes per value of a picture, and per pixel of depth
 
 
-def reconstruct(
-    source: Source,
-    output: Path,
-    *,
-    camera: Camera | Path | None,
-    calibrate: Calibrate | None = None,
-    settings: Settings,
-    frames: FrameSelection,
-    poses: Path | None = None,
-    mask: str | None = None,
-    labels: str | None = None,
-    object_sizes: Mapping[int, float] | None = None,
-    depth_of: DepthOf = "all",
-    scale: tuple[int, int, float] | None = None,
-    ply: bool = False,
-    mesh: str | None = None,
-    report: bool = False,
-    workers: int = 1,
-    cluster: str | None = None,
-    chunk: int | None = None,
-    resume: bool = False,
-    arch: Arch | None = None,
-    threads: int | None = None,
-) -> int:
-    """Reconstruct a sequence, write its folder, and return the exit code.
-
-    `camera` may be a camera file; `poses` is a trajectory of the used frames; `scale` is two frames
-    and the distance between the positions of the camera; `mesh` is "ply" or "glb". With `report`,
-    ``report.html`` is written at the end. With `workers`, a `cluster` or a `chunk`, the sequence is
-    reconstructed in chunks of frames.
-    """
-    in_chunks = workers != 1 or cluster is not None or chunk is not None
-    check_workers(workers, cluster)
-    if in_chunks and (labels is not None or object_sizes):
+def reconstruct(options: Reconstruct) -> int:
+    """Reconstruct a sequence, write its folder, and return the exit code."""
+    if not options.source:
+        raise InputError(
+            "SOURCE is missing: give a video, a folder, a quoted glob or images, as in: "
+            "tisfm reconstruct VIDEO -o DIR"
+        )
+    source: Source = options.source[0] if len(options.source) == 1 else options.source
+    output, frames, scale = options.output, options.frames.selection(), options.scale
+    camera, object_sizes = options.known_camera(), _object_sizes(options.object_sizes)
+    in_chunks = options.workers != 1 or (options.cluster, options.chunk) != (None, None)
+    check_workers(options.workers, options.cluster)
+    if in_chunks and (options.labels is not None or object_sizes):
         raise InputError(
             "--labels and --object-sizes need moving objects, which chunks do not estimate: leave "
             "out --workers, --cluster and --chunk"
         )
-    given = None if poses is None else read_trajectory(poses)
-    for file in (poses, camera):
+    poses = None if options.poses is None else read_trajectory(options.poses)
+    for file in (options.poses, camera):
         if isinstance(file, Path):
             _refuse_inside(file, output)
-    if depth_of == "none" and (ply or mesh is not None):
+    if options.depth_of == "none" and (options.ply or options.mesh is not None):
         raise InputError(
             "--depth-of none estimates no depth, which --ply and --mesh need: leave out one of them"
         )
@@ -236,55 +183,32 @@ def reconstruct(
         raise InputError("--scale changes the unit of --object-sizes: give one of them, or --poses")
     if scale is not None:
         _check_scale(*scale, count=_count(source, frames))
-    if mesh is not None:
+    if options.mesh is not None:
         check_scikit_image()
-    if report:
+    if options.report:
         check_report(output)
     if isinstance(camera, Path):
         _check_fits(camera, source, frames)
-    options = {
-        "camera": camera,
-        "calibrate": calibrate,
-        "settings": settings,
-        "poses": given,
-        "mask": mask,
-        "labels": labels,
-        "object_sizes": object_sizes,
-        "depth_of": depth_of,
-    }
-    run = _run_of(
-        source,
-        output,
-        options,
-        frames=frames,
-        others={"scale": scale, "ply": ply, "mesh": mesh},
-        arch=arch,
-        threads=threads,
-        in_chunks={
-            "chunk": CHUNK if chunk is None else chunk,
-            "workers": workers,
-            "cluster": cluster,
-        }
-        if in_chunks
-        else None,
-    )
-    if resume and run.is_done():
+    run = _prepared_run(options, source, frames, camera, poses, object_sizes, in_chunks)
+    if options.resume and run.is_done():
         run.finish()  # remove the leftovers of a killed command
         tell(f"{output} is already complete. Results in {output}.")
-        if report:
+        if options.report:
             report_reconstruction(Reconstruction.load(output), output, source=source)
         return 0
-    endless = isinstance(source, str) and webcam_number(source) is not None and frames.stop is None
-    if endless:
+    is_endless = (
+        isinstance(source, str) and webcam_number(source) is not None and frames.stop is None
+    )
+    if is_endless:
         tell("Ctrl-C ends the recording; a second Ctrl-C ends the command.")
-    if not endless:
-        _announce(source, output, frames, depth_of)
-    tell_device(arch)
+    else:
+        _announce(source, output, frames, options.depth_of)
+    tell_device(options.arch)
     stages = StageTimes()
     estimates = {stage: TimeEstimate(f"frames, {text}") for stage, text in STAGES.items()}
     with (
         progress_bar() as bar,
-        interrupted(endless) as is_interrupted,
+        watch_interrupt(is_endless) as is_interrupted,
         notes_as_lines(),
     ):
         warnings.simplefilter("ignore", GuessedFocalWarning)  # printed at the end
@@ -298,7 +222,7 @@ def reconstruct(
                 raise Enough
             bar.update(task, description=STAGES[stage], completed=done, total=total)
 
-        result = run.result(resume=resume, progress=tell_progress)
+        result = run.result(resume=options.resume, progress=tell_progress)
         stages.end()
     # The result is written and summarised before steps that may fail.
     with locked_folder(output, reentrant=True):  # fusion takes long
@@ -308,34 +232,63 @@ def reconstruct(
             result = result.rescaled(*scale)
             result.save(output)
             write_trajectories(result, output)
-        if ply:
+        if options.ply:
             result.points().save(output / POINTS)
-        if mesh is not None:
-            result.mesh().save(output / f"mesh.{mesh}")
-        write_timings(output, stages.seconds)
+        if options.mesh is not None:
+            result.mesh().save(output / f"mesh.{options.mesh}")
+        stages.write(output)
         run.finish()
-    if report:
+    if options.report:
         report_reconstruction(result, output, source=source)
     return 0
 
 
-def _run_of(
+def _prepared_run(
+    options: Reconstruct,
     source: Source,
-    output: Path,
-    options: Mapping[str, Any],
-    *,
-    in_chunks: Mapping[str, Any] | None,
-    **others: Any,
+    frames: FrameSelection,
+    camera: Camera | Path | None,
+    poses: Trajectory | None,
+    object_sizes: Mapping[int, float],
+    in_chunks: bool,
 ) -> ReconstructRun:
     """Return the run, whole or in chunks."""
-    if in_chunks is None:
-        return WholeRun(source, output, options, **others)
-    return ChunksRun(source, output, options, **others, **in_chunks)
+    settings = {
+        "camera": camera,
+        "calibrate": "nothing" if options.camera.focal == "guess" else options.calibrate,
+        "settings": Settings.preset(options.preset, motion=options.motion),
+        "poses": poses,
+        "mask": options.mask,
+        "labels": options.labels,
+        "object_sizes": object_sizes,
+        "depth_of": options.depth_of,
+    }
+    shared: dict[str, Any] = {
+        "frames": frames,
+        "others": {"scale": options.scale, "ply": options.ply, "mesh": options.mesh},
+        "arch": options.arch,
+        "threads": options.threads,
+    }
+    if not in_chunks:
+        return WholeRun(source, options.output, settings, **shared)
+    return ChunksRun(
+        source,
+        options.output,
+        settings,
+        chunk=CHUNK if options.chunk is None else options.chunk,
+        workers=options.workers,
+        cluster=options.cluster,
+        **shared,
+    )
+
+
+def _is_webcam(source: Source) -> bool:
+    return isinstance(source, str) and webcam_number(source) is not None
 
 
 def _announce(source: Source, output: Path, frames: FrameSelection, depth_of: DepthOf) -> None:
     """Print the expected size of a large result, and whether the disk has space for it."""
-    if isinstance(source, str) and webcam_number(source) is not None:
+    if _is_webcam(source):
         return
     try:
         count = len(frames.open(source)) + 1
@@ -381,7 +334,7 @@ def _refuse_inside(file: Path, output: Path) -> None:
 
 def _count(source: Source, frames: FrameSelection) -> int | None:
     """Return the largest possible number of frames; None if it is unknown before reading."""
-    if isinstance(source, str) and webcam_number(source) is not None:
+    if _is_webcam(source):
         chosen = slice(frames.start, frames.stop, frames.step)
         return None if frames.stop is None else len(range(frames.stop)[chosen])
     opened = frames.open(source)
@@ -401,26 +354,6 @@ def _check_scale(frame0: int, frame1: int, distance: float, *, count: int | None
         )
 
 
-@contextmanager
-def interrupted(watched: bool) -> Iterator[Callable[[], bool]]:
-    """Yield a function: was Ctrl-C pressed? If `watched`, the first Ctrl-C interrupts nothing."""
-    told = False
-
-    def note(number: int, frame: FrameType | None) -> None:
-        nonlocal told
-        told = True
-        signal.signal(signal.SIGINT, before)
-
-    before = signal.getsignal(signal.SIGINT) or signal.default_int_handler
-    if watched:
-        signal.signal(signal.SIGINT, note)
-    try:
-        yield lambda: told
-    finally:
-        if watched:
-            signal.signal(signal.SIGINT, before)
-
-
 def write_trajectories(result: Reconstruction, folder: Path) -> None:
     """Write the poses of the largest piece in the formats of TUM and KITTI.
 
@@ -432,15 +365,6 @@ def write_trajectories(result: Reconstruction, folder: Path) -> None:
         return
     write_tum(folder / TRAJECTORY, poses, times_or_numbers(result.times))
     write_kitti(folder / POSES, poses)
-
-
-def write_timings(folder: Path, seconds: Mapping[str, float]) -> None:
-    """Write the time of each stage.
-
-    Only this file has timings, so that all other files are equal each time.
-    """
-    with atomic_write(folder / TIMINGS) as file:
-        file.write(csv_table(("stage", "seconds"), seconds.items()).encode())
 
 
 def _tell(result: Reconstruction, output: Path) -> None:
