@@ -225,7 +225,7 @@ def _tracked(frames: PieceFrames, cells: int) -> Iterator[tuple[int, Observation
             lost = np.union1d(np.intersect1d(lost, seen.tracks), seen.tracks[now[~reliable]])
         before = grey, seen
         left = ~np.isin(seen.tracks, lost)
-        yield frame, Observations(points=seen.points[left], tracks=seen.tracks[left])
+        yield frame, seen.select(left)
 
 
 def _points_of(frames: PieceFrames, group: _Group) -> list[SeenPoints]:
