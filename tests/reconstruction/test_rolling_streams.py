@@ -97,7 +97,7 @@ def test_what_was_said_of_a_frame_stays_and_nothing_piles_up(monkeypatch):
     def watched(stream, real=Stream._drop_old):
         real(stream)
         names = [path.name for path in stream._folder.rglob("*.*")]
-        held.append((stream._path.last_fixed, sorted(stream._frames._provisional), names))
+        held.append((stream._path.last_fixed, stream._frames.provisional_frames(), names))
 
     monkeypatch.setattr(Stream, "_drop_old", watched)
     camera = replace(film().camera, readout=READOUT)

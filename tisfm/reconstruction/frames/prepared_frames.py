@@ -1,8 +1,8 @@
 """Frames prepared for all stages: grey levels without distortion, stored on disk."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -27,8 +27,23 @@ JPEG_QUALITY = 95  # of the JPEG pictures, from which colours are read
 CACHED_FRAMES = 24  # frames in memory at a time
 
 
+@dataclass(frozen=True, kw_only=True)
+class FrameState:
+    """The state of a stored frame."""
+
+    is_masked: bool = False  # it has ignored pixels
+    is_labelled: bool = False  # it shows a moving object
+    # Its correction may be replaced, so its uncorrected files are stored as well.
+    is_provisional: bool = False
+
+
 class PreparedFrames:
-    """The frames of a sequence: read from the source once, and later from a folder."""
+    """The frames of a sequence: read from the source once, and later from a folder.
+
+    `add` stores a frame without the distortion that its camera states. Corrections that are
+    estimated later rewrite stored frames: `correct` for good, `correct_provisionally` until
+    `finalise_corrections`. Both resample labels too. `set_labels` is possible at any time.
+    """
 
     def __init__(
         self,
@@ -45,9 +60,7 @@ class PreparedFrames:
         self._labels_are_prepared = labels_are_prepared
         self._source_camera, self._cache, self._pictures = camera, cache, pictures
         self._cached_frames: dict[int, np.ndarray] = {}
-        self._masked: set[int] = set()
-        self._labelled: set[int] = set()  # frames that show a moving object
-        self._provisional: set[int] = set()  # frames whose uncorrected files are kept too
+        self._states: dict[int, FrameState] = {}
         self._flow: FlowCache | None = None
 
     def add(self, frame: SourceFrame) -> tuple[np.ndarray, np.ndarray | None]:
@@ -58,6 +71,7 @@ class PreparedFrames:
         Raises TypeError, ValueError if `tisfm.frames.check_frame` refuses the frame.
         """
         number = self.count
+        self._states[number] = FrameState()
         image = check_frame(frame.image, frame.name)
         grey, _ = grey_pair(image, image, stretch=frame.stretch)
         picture = eight_bit(image, image, stretch=frame.stretch)
@@ -77,9 +91,8 @@ class PreparedFrames:
         self.shape = grey.shape
         levels = np.rint(grey).clip(0, 255).astype(np.uint8)
         write_npy(self._grey_path(number), levels if (levels == grey).all() else grey)
-        if ignored is not None and ignored.any():
-            write_npy(self._mask_path(number), ignored)
-            self._masked.add(number)
+        if ignored is not None:
+            self._write_mask(number, ignored)
         write_picture(self._picture_path(number), picture)
         if labels is not None:
             self.set_labels(number, labels)
@@ -105,34 +118,39 @@ class PreparedFrames:
                 self._resample(number, UnrolledFrame(rolling, number, self.shape))
             self.camera = replace(self.camera, readout=0.0)
 
-    def replace_correction(self, rolling: Rolling | None) -> None:
-        """Restore the uncorrected unsettled frames, and correct them for a new estimate."""
-        for number in sorted(self._provisional):
+    def correct_provisionally(self, rolling: Rolling | None) -> None:
+        """Remove the readout effect of a first estimate; provisional corrections are undone first.
+
+        With None, they are undone only. The readout time of `camera` stays.
+        """
+        for number in self.provisional_frames():
             for path in self._paths(number):
                 if _uncorrected_file(path).exists():
                     _uncorrected_file(path).replace(path)
                 else:
                     path.unlink(missing_ok=True)
             self._cached_frames.pop(number, None)
-            self._masked.discard(number)
-            if self._mask_path(number).exists():
-                self._masked.add(number)
-        self._provisional = set()
+            is_masked = self._mask_path(number).exists()
+            self._change_state(number, is_masked=is_masked, is_provisional=False)
         if rolling is None:
             return
         for number in sorted(rolling.rates):
             for path in self._paths(number):
                 if path.exists():
                     copy_file(path, _uncorrected_file(path))
-            self._provisional.add(number)
+            self._change_state(number, is_provisional=True)
             self._resample(number, UnrolledFrame(rolling, number, self.shape))
+
+    def provisional_frames(self) -> list[int]:
+        """Return the frames whose correction may be replaced, in order."""
+        return sorted(number for number, state in self._states.items() if state.is_provisional)
 
     def finalise_corrections(self, last: int) -> None:
         """Make the correction of the frames up to `last` final."""
-        for number in [k for k in self._provisional if k <= last]:
-            for path in self._paths(number):
-                _uncorrected_file(path).unlink(missing_ok=True)
-            self._provisional.discard(number)
+        for number in self.provisional_frames():
+            if number <= last:
+                self._delete_uncorrected(number)
+                self._change_state(number, is_provisional=False)
 
     def flow(self, number: int) -> np.ndarray | None:
         """Return the image motion from the previous frame to a frame; None for the first frame.
@@ -150,18 +168,16 @@ class PreparedFrames:
     def _resample(self, number: int, resampling: Resampling) -> None:
         self._flow = None
         ignored = ~resampling.valid
-        if number in self._masked:
-            before = np.load(self._mask_path(number)).astype(np.float32)
-            ignored |= resampling.nearest(before) > 0
+        before = self.ignored(number)
+        if before is not None:
+            ignored |= resampling.nearest(before.astype(np.float32)) > 0
         grey = self.grey(number)
         self._cached_frames.pop(number)
         write_npy(self._grey_path(number), resampling.apply(grey))
-        if ignored.any():
-            write_npy(self._mask_path(number), ignored)
-            self._masked.add(number)
+        self._write_mask(number, ignored)
         picture = read_picture(self._pictures.parent, number)
         write_picture(self._picture_path(number), resampling.apply(picture))
-        if number in self._labelled and not self._labels_are_prepared:
+        if self._states[number].is_labelled and not self._labels_are_prepared:
             self.set_labels(number, _resample_labels(self.labels(number), resampling))
 
     def tracker_input(self, number: int) -> tuple[np.ndarray, np.ndarray | None]:
@@ -180,24 +196,22 @@ class PreparedFrames:
             labels = np.where(ignored, np.uint8(0), labels)
         before = self.labels(number) > 0
         write_labels(self._pictures.parent, number, labels)
-        self._labelled.discard(number)
-        if labels.any():
-            self._labelled.add(number)
+        self._change_state(number, is_labelled=bool(labels.any()))
         return not np.array_equal(before, labels > 0)
 
     def labels(self, number: int) -> np.ndarray:
         """Return the id of the moving object at each pixel, (H, W) uint8; 0 is static."""
-        if number not in self._labelled:
+        if not self._states[number].is_labelled:
             return np.zeros(self.shape, np.uint8)
         return read_labels(self._pictures.parent, number, self.shape)
 
     def object_ids(self) -> set[int]:
         """Return the ids of the moving objects in all frames."""
-        return {int(k) for number in self._labelled for k in np.unique(self.labels(number)) if k}
+        return {int(k) for number in self._states for k in np.unique(self.labels(number)) if k}
 
     def ignored(self, number: int) -> np.ndarray | None:
         """Return the masked pixels of a frame, (H, W) bool; None if there are none."""
-        if number not in self._masked:
+        if not self._states[number].is_masked:
             return None
         ignored: np.ndarray = np.load(self._mask_path(number))
         return ignored
@@ -205,39 +219,42 @@ class PreparedFrames:
     def delete(self, number: int) -> None:
         """Delete a frame; the numbers of other frames stay."""
         self._cached_frames.pop(number, None)
-        self._masked.discard(number)
-        self._labelled.discard(number)
-        self._provisional.discard(number)
+        self._states.pop(number, None)
         for path in self._paths(number):
             path.unlink(missing_ok=True)
-            _uncorrected_file(path).unlink(missing_ok=True)
+        self._delete_uncorrected(number)
 
     def grey(self, number: int) -> np.ndarray:
         """Return a frame, (H, W) float32, grey levels on the 8-bit scale."""
-        if number not in self._cached_frames:
-            while len(self._cached_frames) >= CACHED_FRAMES:
-                self._cached_frames.pop(next(iter(self._cached_frames)))
-            self._cached_frames[number] = np.load(self._grey_path(number))
-        else:
-            self._cached_frames[number] = self._cached_frames.pop(
-                number
-            )  # now the most recently used
-        return self._cached_frames[number].astype(np.float32)
+        cached = self._cached_frames.pop(number, None)
+        frame: np.ndarray = np.load(self._grey_path(number)) if cached is None else cached
+        while len(self._cached_frames) >= CACHED_FRAMES:
+            self._cached_frames.pop(next(iter(self._cached_frames)))
+        self._cached_frames[number] = frame  # the last one is the most recently used
+        return frame.astype(np.float32)
 
     def used_pixels(self, number: int) -> np.ndarray | None:
         """Return the pixels of a frame that are used, (H, W) bool; None if all are used."""
         ignored = self.ignored(number)
-        if number in self._labelled:
-            aside = self.labels(number) > 0
-            ignored = aside if ignored is None else ignored | aside
+        if self._states[number].is_labelled:
+            moving = self.labels(number) > 0
+            ignored = moving if ignored is None else ignored | moving
         return None if ignored is None else ~ignored
 
+    def _change_state(self, number: int, **changes: Any) -> None:
+        self._states[number] = replace(self._states[number], **changes)
+
+    def _write_mask(self, number: int, ignored: np.ndarray) -> None:
+        if ignored.any():
+            write_npy(self._mask_path(number), ignored)
+            self._change_state(number, is_masked=True)
+
+    def _delete_uncorrected(self, number: int) -> None:
+        for path in self._paths(number):
+            _uncorrected_file(path).unlink(missing_ok=True)
+
     def _paths(self, number: int) -> tuple[Path, ...]:
-        return (
-            self._grey_path(number),
-            self._mask_path(number),
-            self._picture_path(number),
-        )
+        return self._grey_path(number), self._mask_path(number), self._picture_path(number)
 
     def _grey_path(self, number: int) -> Path:
         return self._cache / f"{number:06d}.npy"

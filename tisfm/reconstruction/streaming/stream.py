@@ -145,7 +145,7 @@ class Stream:
         solution = self._path.solve(at_end=at_end)
         self._update_camera()
         if self._path.readout:
-            self._frames.replace_correction(solution.rolling)
+            self._frames.correct_provisionally(solution.rolling)
         pieces = {
             number: self._final_piece(number, piece, solution, first)
             for number, piece in solution.pieces.items()
