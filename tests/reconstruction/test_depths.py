@@ -10,12 +10,12 @@ from tests.draws import nightly_except
 from tests.reconstruction.films import depth_error, walk
 from tisfm import Settings
 from tisfm.reconstruction.depth import segment_depth as depths
-from tisfm.reconstruction.depth.edge_alignment import align_edges
 from tisfm.reconstruction.depth.segment_depth import depth_effort
 from tisfm.reconstruction.depth.view_fusion import (
     DIFFERENCE_LIMIT,
     FILLED_DEVIATION,
     add_difference_to_deviation,
+    align_edges,
     fill_holes,
     fuse_views,
     relative_difference,

@@ -9,8 +9,7 @@ from tests.reconstruction.films import path_error
 from tests.rendered import bodies_film
 from tisfm.evaluation.moving_objects import compare_object_paths, has_true_paths
 from tisfm.formats.label_picture import write_label_png
-from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
-from tisfm.reconstruction.frames.image_motion import ImageMotion
+from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS, ImageMotion
 from tisfm.reconstruction.objects.label_propagation import propagate_labels
 from tisfm.reconstruction.objects.sequence_labels import SequenceLabels
 from tisfm.reconstruction.result.folder import write_objects

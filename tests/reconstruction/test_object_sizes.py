@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import tisfm
 from tests.rendered import bodies_film
-from tisfm.reconstruction.objects.object_scale import longest_side, trimmed_extent
+from tisfm.reconstruction.objects.object_depth import longest_side, trimmed_extent
 from tisfm.scenes import bodies_path
 
 OBJECTS = tisfm.Settings.preset("fast", motion="objects")

@@ -13,8 +13,7 @@ import tisfm
 from tests.reconstruction.films import path_error
 from tests.rendered import bodies_film
 from tisfm.formats import FormatError
-from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
-from tisfm.reconstruction.frames.image_motion import ImageMotion
+from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS, ImageMotion
 from tisfm.reconstruction.objects.sequence_labels import SequenceLabels, enlarge_labels
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.scenes import bodies_path

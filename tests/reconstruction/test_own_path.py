@@ -8,7 +8,7 @@ import pytest
 from tests.rendered import bodies_film
 from tisfm.camera import Camera
 from tisfm.reconstruction.depth.segment_depth import PieceDepths, depth_effort
-from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
+from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.objects import object_path as own_path

@@ -7,13 +7,13 @@ import pytest
 from tests.noise import moving_noise
 from tests.reconstruction.walks import CAMERA
 from tisfm import Camera
-from tisfm.reconstruction.frames.frame_flow import (
+from tisfm.reconstruction.frames.image_motion import (
     TRACKING_SETTINGS,
     FlowCache,
+    ImageMotion,
     flow_scale,
     shrink_for_flow,
 )
-from tisfm.reconstruction.frames.image_motion import ImageMotion
 from tisfm.reconstruction.tracks.tracker import Tracker, choose_new_points, thin_out
 
 

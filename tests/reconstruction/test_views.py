@@ -3,7 +3,7 @@
 import numpy as np
 
 from tests.reconstruction.walks import CAMERA, frames
-from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
+from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS
 from tisfm.reconstruction.tracks import retrieval as loops
 from tisfm.reconstruction.tracks.retrieval import ImageDescriptors, find_similar_views
 from tisfm.reconstruction.tracks.tracker import Observations, Tracker

@@ -8,7 +8,7 @@ import numpy as np
 
 from tisfm.exports.guided_matching import are_reliable, is_smooth, measure_points, points_in_world
 from tisfm.exports.observations import PieceFrames, SeenPoints, consistent_points
-from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
+from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS
 from tisfm.reconstruction.tracks.tracker import Observations, Tracker, choose_new_points
 from tisfm.reconstruction.tracks.triangulation import triangulate_tracks
 

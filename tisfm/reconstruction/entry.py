@@ -20,10 +20,9 @@ from tisfm.reconstruction.progress import DepthOf, Progress
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.earlier_labels import find_result_labels
 from tisfm.reconstruction.result.folder import CACHE
-from tisfm.reconstruction.result.object_sizes import checked_object_sizes
+from tisfm.reconstruction.result.moving_object import checked_object_sizes
 from tisfm.reconstruction.result.reconstruction import Reconstruction
-from tisfm.reconstruction.result.renewal import renewed_folder
-from tisfm.reconstruction.result.temporary_folder import TemporaryFolder
+from tisfm.reconstruction.result.renewal import TemporaryFolder, renewed_folder
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
 from tisfm.sources.frame_reader import warn_notes

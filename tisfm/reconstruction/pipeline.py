@@ -28,8 +28,7 @@ from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
 from tisfm.reconstruction.progress import DepthOf, Enough, Progress
 from tisfm.reconstruction.result.calibration import Calibrate, Calibration, as_json
 from tisfm.reconstruction.result.folder import CACHE, PICTURES, write_depth, write_record
-from tisfm.reconstruction.result.moving_object import MovingObject
-from tisfm.reconstruction.result.object_sizes import refuse_unknown_ids
+from tisfm.reconstruction.result.moving_object import MovingObject, refuse_unknown_ids
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations

@@ -4,6 +4,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.errors import InputError
+from tisfm.reconstruction.geometry.rays import pinhole_rays
 
 # Values without a stated source were set by hand.
 
@@ -81,8 +82,6 @@ def _grid_points(
     inverse_depth: np.ndarray | float, camera: Camera, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the rays (3, P) of a grid of image points, and their inverse depth (P,)."""
-    height, width = shape
-    cx, cy = camera.center_for(height, width)
     rows, columns = (
         ((np.arange(count) + 0.5) * length / count - 0.5)
         for count, length in zip(GRID_SHAPE, shape, strict=True)
@@ -93,8 +92,8 @@ def _grid_points(
     if not valid.any():
         raise InputError("inverse_depth is nowhere positive: expected a rough depth of the frame")
     inverse_depths = np.where(valid, inverse_depths, np.median(inverse_depths[valid]))
-    x, y = np.meshgrid((columns - cx) / camera.focal, (rows - cy) / camera.focal)
-    return np.stack([x.ravel(), y.ravel(), np.ones(x.size)]), inverse_depths
+    points = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    return np.ascontiguousarray(pinhole_rays(points, camera, shape).T), inverse_depths
 
 
 def _parallax_values(

@@ -10,12 +10,12 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.kernels.rigid.rendering import rendered
-from tisfm.reconstruction.depth.edge_alignment import align_edges
 from tisfm.reconstruction.depth.neighbour_frames import choose_neighbours
 from tisfm.reconstruction.depth.pose_adjustment import KeyframeWindow, make_keyframe_window
 from tisfm.reconstruction.depth.view_fusion import (
     View,
     add_difference_to_deviation,
+    align_edges,
     fill_holes,
     fuse_views,
     upsample,

@@ -1,4 +1,4 @@
-"""Fusion of the depth that several keyframes give one view, its deviation, and filled holes.
+"""Fusion of the depth that several keyframes give one view: deviation, filled holes, edges.
 
 Inverse depth is (H, W) float32, and NaN where a keyframe has none.
 """
@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from tisfm.kernels.rigid.merging import merged
+from tisfm.kernels.rigid.surface_edges import RADIUS, by_look
 from tisfm.reconstruction.depth.window_depth import FAR_SHARE, MAX_DEPTH_FACTOR, second_order
 from tisfm.solver.sampling import enlarged, reduced
 from tisfm.solver.second_order import fill
@@ -140,3 +141,44 @@ def _double_rows(image: np.ndarray) -> np.ndarray:
     is_smooth = np.abs(following - previous) < MAX_SMOOTH_STEP * np.minimum(previous, following)
     out[1:-1:2] = np.where(is_smooth, (previous + following) / 2, previous)
     return out
+
+
+# Values without a stated source were set by hand.
+
+# Neighbours whose inverse depth differs by more than this share lie on two surfaces.
+MIN_JUMP = 0.1
+# A pixel that differs by this many grey levels has a weight of 1/e.
+GREY_SCALE = 10.0
+
+
+def align_edges(
+    # inverse_depth, deviation, frame: (H, W) float32, the frame has grey levels. If any inverse
+    # depth is not finite, nothing changes.
+    inverse_depth: np.ndarray,
+    deviation: np.ndarray,
+    frame: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return inverse depth and its deviation, with edges moved to the image edges nearby."""
+    if not np.isfinite(inverse_depth).all():
+        return inverse_depth, deviation
+    depth = np.ascontiguousarray(inverse_depth)
+    std = np.ascontiguousarray(deviation)
+    out, out_deviation = np.empty((2, *depth.shape), np.float32)
+    by_look(depth, std, _surface_threshold(depth), frame, out, out_deviation, similar=GREY_SCALE)
+    return out, out_deviation
+
+
+def _surface_threshold(inverse_depth: np.ndarray) -> np.ndarray:
+    """Return the geometric mean of the extremes in a window around a depth edge; elsewhere 0."""
+    neighbourhood, window = (np.ones((side, side), np.uint8) for side in (3, 2 * RADIUS + 1))
+    edge = _has_edge(inverse_depth, neighbourhood)
+    # Pixels so near to the edge that the window holds pixels of both surfaces.
+    near_edge = cv2.dilate(edge.astype(np.uint8), np.ones((2 * RADIUS - 1,) * 2, np.uint8)) > 0
+    lowest, highest = cv2.erode(inverse_depth, window), cv2.dilate(inverse_depth, window)
+    return np.where(near_edge, np.sqrt(lowest * highest), np.float32(0))
+
+
+def _has_edge(inverse_depth: np.ndarray, window: np.ndarray) -> np.ndarray:
+    highest = cv2.dilate(inverse_depth, window)
+    has_edge: np.ndarray = highest - cv2.erode(inverse_depth, window) > MIN_JUMP * highest
+    return has_edge

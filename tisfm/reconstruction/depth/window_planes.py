@@ -15,7 +15,8 @@ from tisfm.motion.matched_planes import (
     grey_scale,
     noise_deviation,
 )
-from tisfm.motion.settings import DEPTH
+from tisfm.motion.settings import DEPTH as PAIR_DEPTH
+from tisfm.reconstruction.geometry.rays import pinhole_rays
 from tisfm.solver.image_pyramid import gaussian_pyramid, smooth
 
 # Values without a stated source were set by hand.
@@ -124,9 +125,9 @@ class Window:
         self.motions[:, :, 3] /= self.unit
         self.size = key.shape
         axes_depth = float(np.median([_axes_meeting_depth(motion) for motion in self.motions]))
-        self.largest = DEPTH.max_plane_depth * max(height, width) + camera.focal * axes_depth
+        self.largest = PAIR_DEPTH.max_plane_depth * max(height, width) + camera.focal * axes_depth
         self.finest = self.level = 0
-        while height * width >> 2 * self.finest > DEPTH.max_plane_pixels:
+        while height * width >> 2 * self.finest > PAIR_DEPTH.max_plane_pixels:
             self.finest += 1
         while height * width >> 2 * self.level > cells or self.level < self.finest:
             self.level += 1
@@ -204,9 +205,9 @@ class Window:
             stride=stride,
             center=camera.center_for(*frames[0].shape),
             focal=camera.focal,
-            noise=max(density * noise, DEPTH.min_coarse_noise),
-            seen=DEPTH.min_window_variance,
-            least=scale * DEPTH.min_plane_depth,
+            noise=max(density * noise, PAIR_DEPTH.min_coarse_noise),
+            seen=PAIR_DEPTH.min_window_variance,
+            least=scale * PAIR_DEPTH.min_plane_depth,
             largest=scale * self.largest,
         )
 
@@ -224,12 +225,11 @@ class Window:
 
 def mean_parallax(motion: np.ndarray, camera: Camera, shape: tuple[int, ...]) -> float:
     """Return the root mean square of |(t₁ − x̂ t₃, t₂ − ŷ t₃)| over the pixels of an image."""
-    height, width = shape
-    cx, cy = camera.center_for(height, width)
-    x = (np.linspace(0, width - 1, 32) - cx) / camera.focal
-    y = (np.linspace(0, height - 1, 32)[:, None] - cy) / camera.focal
-    t1, t2, t3 = motion[:, 3]
-    return float(np.sqrt(np.mean((t1 - x * t3) ** 2 + (t2 - y * t3) ** 2)))
+    columns, rows = (np.linspace(0, length - 1, 32) for length in (shape[1], shape[0]))
+    points = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    rays = pinhole_rays(points, camera, (shape[0], shape[1]))
+    shifts = motion[:2, 3] - rays[:, :2] * motion[2, 3]
+    return float(np.sqrt(np.mean((shifts**2).sum(axis=1))))
 
 
 def _axes_meeting_depth(motion: np.ndarray) -> float:

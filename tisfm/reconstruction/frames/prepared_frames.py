@@ -21,7 +21,7 @@ from tisfm.solver.pixel_masks import filled
 from tisfm.sources.frame_reader import SourceFrame
 
 if TYPE_CHECKING:
-    from tisfm.reconstruction.frames.frame_flow import FlowCache
+    from tisfm.reconstruction.frames.image_motion import FlowCache
 
 JPEG_QUALITY = 95  # of the JPEG pictures, from which colours are read
 CACHED_FRAMES = 24  # frames in memory at a time
@@ -160,7 +160,7 @@ class PreparedFrames:
         if number == 0:
             return None
         if self._flow is None:
-            from tisfm.reconstruction.frames.frame_flow import FlowCache
+            from tisfm.reconstruction.frames.image_motion import FlowCache
 
             self._flow = FlowCache(self.camera, lambda one: self.tracker_input(one)[0])
         return self._flow.flow_to(number)

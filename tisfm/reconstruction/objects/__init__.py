@@ -1,6 +1,6 @@
 """Moving objects: the labels of every frame, and the path and depth of each object.
 
 May import: `camera`, `motion`, `settings`, `reconstruction.depth`, `reconstruction.frames`,
-`reconstruction.mapping`, `reconstruction.path`, `reconstruction.result` and
-`reconstruction.tracks`.
+`reconstruction.geometry`, `reconstruction.mapping`, `reconstruction.path`,
+`reconstruction.result` and `reconstruction.tracks`.
 """

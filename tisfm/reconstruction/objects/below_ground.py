@@ -15,6 +15,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.motion.objects.candidates import smallest_object
 from tisfm.reconstruction.frames.image_motion import ChainedFlow, ImageMotion, sample_image
+from tisfm.reconstruction.geometry.rays import pinhole_rays
 from tisfm.reconstruction.objects.motion_evidence import (
     MOVING_EVIDENCE,
     REFUTING_DIFFERENCE,
@@ -94,7 +95,9 @@ class BelowGround:
         depths: Sequence[StaticDepth],  # static depth of every frame
     ) -> None:
         self._motion, self._poses, self._camera, self._depths = motion, poses, camera, depths
-        self._rays = _rays(camera, motion.grey(0).shape)
+        height, width = motion.grey(0).shape
+        pixels = np.indices((height, width))[::-1].reshape(2, -1).T  # (x, y)
+        self._rays = pinhole_rays(pixels, camera, (height, width)).reshape(height, width, 3)
         self._grounds = [
             None if pose is None else self._fit_ground(depth)
             for pose, depth in zip(poses, depths, strict=True)
@@ -236,14 +239,6 @@ class BelowGround:
         return next(
             chain for chain in self._motion.chained_flows(frame, steps) if chain.frame == other
         )
-
-
-def _rays(camera: Camera, shape: tuple[int, ...]) -> np.ndarray:
-    """Return (x̂, ŷ, 1) of every pixel, (H, W, 3) float64."""
-    cx, cy = camera.center_for(*shape[:2])
-    rows, columns = np.indices(shape[:2])
-    x_hat, y_hat = (columns - cx) / camera.focal, (rows - cy) / camera.focal
-    return np.stack([x_hat, y_hat, np.ones_like(x_hat)], axis=-1)
 
 
 def _is_upright(planes: np.ndarray) -> np.ndarray:

@@ -1,7 +1,6 @@
 """Labels of moving objects, whose ids persist from frame to frame and through occlusion."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -16,22 +15,25 @@ from tisfm.reconstruction.frames.image_motion import (
     pixel_grid,
     sample_image,
 )
-from tisfm.reconstruction.objects.boundaries import refine_boundaries
+from tisfm.reconstruction.objects.label_propagation import refine_boundaries
 from tisfm.reconstruction.objects.motion_evidence import Evidence
-from tisfm.reconstruction.objects.moving_regions import find_moving_regions
-from tisfm.reconstruction.objects.smooth_motion import MIN_PIXELS, SmoothMotions, Terms
+from tisfm.reconstruction.objects.moving_regions import (
+    MIN_PIXELS,
+    SmoothMotions,
+    Terms,
+    find_moving_regions,
+)
+from tisfm.reconstruction.objects.tracked_objects import (
+    MIN_FRAMES,
+    TrackedObject,
+    final_labels,
+    mask_position,
+    most_similar_object,
+)
 
 # Values without a stated source were set by hand.
 # A region shows a known object if this share of its pixels has the propagated label.
 MIN_PROPAGATED = 0.1
-# Frames for which an object may be occluded and still keep its id.
-MAX_OCCLUSION = 15
-# Smallest overlap of two grey-level histograms of the same object, 0 to 1.
-MIN_HISTOGRAM_OVERLAP = 0.6
-# Largest distance from the predicted position after occlusion, in sizes of the object.
-MAX_DISTANCE = 1.5
-# Growth of this distance with each occluded frame, as a share.
-DISTANCE_GROWTH = 0.1
 # Share of an occluded object that has to reappear before it is recognised.
 MIN_REAPPEARED = 0.2
 # Bins of a grey-level histogram.
@@ -59,44 +61,6 @@ CHANGE_COST = 2.0
 KNOWN_WEIGHT = 0.5
 # Data weight of all other pixels.
 UNKNOWN_WEIGHT = 0.02
-# Largest label: in given labels, 255 marks ignored pixels.
-MAX_OBJECTS = 254
-# Frames in which an object has to be seen.
-MIN_FRAMES = 4
-# An object is a part of a larger object if they touch in this share of the frames of the smaller
-# one, and their motions differ by less than MAX_SAME_MOTION,
-MIN_TOUCHING = 0.7
-# or if they touch in this share of the frames of the smaller one,
-MIN_TOUCHING_LOOSE = 0.3
-# and in this share of the frames with both objects, and their motions differ by less than
-# MAX_SIMILAR_MOTION.
-MIN_TOUCHING_OF_BOTH = 0.6
-# Difference of two motions, as a share of the faster one.
-MAX_SAME_MOTION = 0.3
-MAX_SIMILAR_MOTION = 0.9
-
-
-@dataclass(kw_only=True)
-class _Object:
-    """The state of an object."""
-
-    id: int
-    last_frame: int  # the last frame in which it was labelled
-    mask: np.ndarray  # (H, W) bool: its mask in that frame, with its occluded parts
-    velocity: np.ndarray  # (2,) float64: its mean motion in that frame, px/frame
-    histogram: np.ndarray  # (BINS,) float64: its grey-level histogram; the sum is 1
-    core_frames: int = 0  # number of frames in which its region has a core (`find_moving_regions`)
-    pixel_count: int = 0  # its labelled pixels in all frames
-    # dict of int to (2,) float64: by frame: its mean motion minus the motion of its surroundings,
-    # px/frame
-    motions: dict[int, np.ndarray] = field(default_factory=dict)
-    # dict of int to (3,) float64: by frame: its centre, (x, y), and its size, the square root of
-    # its area, px
-    positions: dict[int, np.ndarray] = field(default_factory=dict)
-
-    def center(self) -> np.ndarray:
-        """Return the centre of its last mask, (x, y) px."""
-        return _center(self.mask)
 
 
 class ObjectTracker:
@@ -109,7 +73,7 @@ class ObjectTracker:
         evidence: Sequence[Evidence],
     ) -> None:
         self._motion, self._evidence = motion, evidence
-        self._objects: dict[int, _Object] = {}
+        self._objects: dict[int, TrackedObject] = {}
         self._touching_frames: dict[tuple[int, int], int] = {}
 
     def labels(self) -> Iterator[np.ndarray]:
@@ -122,7 +86,7 @@ class ObjectTracker:
         for frame in range(len(self._motion)):
             previous = self._label_frame(frame, previous)
             result.append(previous)
-        table = self._final_labels()
+        table = final_labels(self._objects, self._touching_frames, len(self._motion))
         for labels in result:
             yield table[labels]
 
@@ -226,7 +190,7 @@ class ObjectTracker:
         labels[window][region[window]] = best[region[window]]
 
     @staticmethod
-    def _predicted_mask(obj: _Object, *, enlarge: bool = True) -> np.ndarray:
+    def _predicted_mask(obj: TrackedObject, *, enlarge: bool = True) -> np.ndarray:
         """Return the mask of an object predicted for the next frame, enlarged if `enlarge`."""
         x, y = obj.velocity
         shifted = cv2.warpAffine(
@@ -242,45 +206,20 @@ class ObjectTracker:
     ) -> int:
         """Return the id of the occluded object that reappears in a region; 0 for none."""
         visible_ids = set(np.unique(labels)) | set(np.unique(propagated))
-        position = np.array([*_center(region), region.sum() ** 0.5])
+        size = region.sum()
+        candidates = [
+            obj
+            for obj in self._objects.values()
+            if obj.id not in visible_ids and size > MIN_REAPPEARED * obj.mask.sum()
+        ]
         histogram = self._histogram(frame, region)
-        max_similarity, best_id = 0.0, 0
-        for obj in self._objects.values():
-            gap = frame - obj.last_frame
-            is_occluded = obj.id not in visible_ids and 0 < gap <= MAX_OCCLUSION + 1
-            if not is_occluded or region.sum() <= MIN_REAPPEARED * obj.mask.sum():
-                continue
-            similarity = self._similarity(obj, position, histogram, gap)
-            if similarity > max_similarity:
-                max_similarity, best_id = similarity, obj.id
-        return best_id
-
-    @staticmethod
-    def _similarity(obj: _Object, position: np.ndarray, histogram: np.ndarray, gap: int) -> float:
-        """Return the likeness of a region and an object last seen `gap` frames ago; 0 for none."""
-        if not obj.mask.any():
-            return 0.0
-        size = max(position[2], obj.mask.sum() ** 0.5)
-        expected = obj.center() + gap * obj.velocity
-        distance = float(
-            np.linalg.norm(position[:2] - expected) / (size * (1 + DISTANCE_GROWTH * gap))
-        )
-        overlap = float(np.sqrt(histogram * obj.histogram).sum())
-        return (
-            overlap / (1 + distance)
-            if distance < MAX_DISTANCE and overlap > MIN_HISTOGRAM_OVERLAP
-            else 0.0
-        )
+        return most_similar_object(candidates, frame, mask_position(region), histogram)
 
     def _new_object(self, frame: int) -> int:
         number = 1 + max(self._objects, default=0)
-        empty = np.zeros(self._motion.grey(frame).shape, bool)
-        self._objects[number] = _Object(
-            id=number,
-            last_frame=frame,
-            mask=empty,
-            velocity=np.zeros(2),
-            histogram=np.zeros(BINS),
+        mask = np.zeros(self._motion.grey(frame).shape, bool)
+        self._objects[number] = TrackedObject(
+            id=number, last_frame=frame, mask=mask, velocity=np.zeros(2), histogram=np.zeros(BINS)
         )
         return number
 
@@ -313,7 +252,7 @@ class ObjectTracker:
                 np.median(flow[surroundings], axis=0) if surroundings.any() else np.zeros(2)
             )
             obj.motions[frame] = velocity - background
-            obj.positions[frame] = np.array([*_center(mask), mask.sum() ** 0.5])
+            obj.positions[frame] = mask_position(mask)
         components = cv2.connectedComponents((labels > 0).astype(np.uint8), connectivity=4)[1]
         for region, has_core in regions:
             for number in np.unique(labels[region & (labels > 0)]):
@@ -324,82 +263,6 @@ class ObjectTracker:
                 for second in ids[i + 1 :]:
                     pair = first, second
                     self._touching_frames[pair] = self._touching_frames.get(pair, 0) + 1
-
-    def _final_labels(self) -> np.ndarray:
-        """Return the final label of each object, (K,) uint8; 0 for an object that is dropped."""
-        count = 1 + max(self._objects, default=0)
-        root = np.arange(count)  # the object that each object is a part of
-        by_size = sorted(self._objects, key=lambda k: self._objects[k].pixel_count)
-        for index, smaller in enumerate(by_size):
-            larger = [k for k in by_size[index + 1 :] if self._is_part_of(smaller, k)]
-            if larger:
-                root[smaller] = larger[-1]  # the largest
-        for smaller in reversed(by_size):  # larger objects first
-            root[smaller] = root[root[smaller]]
-        for later in sorted(self._objects):  # objects that reappear
-            if root[later] == later and (earlier := self._earlier_object(later, root)):
-                root[root == later] = root[earlier]
-        table, number = np.zeros(count, np.uint8), 0
-        for obj in sorted(self._objects):
-            if root[obj] != obj:
-                continue
-            members = np.flatnonzero(root == obj)
-            frames = {frame for k in members for frame in self._objects[int(k)].motions}
-            min_frames = min(MIN_FRAMES, len(self._motion))
-            core_frames = sum(self._objects[int(k)].core_frames for k in members)
-            if len(frames) >= min_frames and core_frames >= min_frames - 1 and number < MAX_OBJECTS:
-                number += 1
-                table[members] = number
-        return table
-
-    def _earlier_object(self, later: int, root: np.ndarray) -> int:
-        """Return the object, occluded earlier, that looks like a later one; 0 for none."""
-        obj = self._objects[later]
-        frames = [f for k in np.flatnonzero(root == later) for f in self._objects[int(k)].motions]
-        if not frames:  # the refined boundary left no pixel of the object
-            return 0
-        first = min(frames)
-        max_similarity, best_id = 0.0, 0
-        for other in self._objects.values():
-            gap = first - other.last_frame
-            if not 0 < gap <= MAX_OCCLUSION + 1 or first not in obj.positions:
-                continue
-            similarity = self._similarity(other, obj.positions[first], obj.histogram, gap)
-            if similarity > max_similarity:
-                max_similarity, best_id = similarity, other.id
-        return best_id
-
-    def _is_part_of(self, smaller: int, larger: int) -> bool:
-        """Return whether an object is a part of another one: they touch and move alike."""
-        touching_frames = self._pair_count(self._touching_frames, smaller, larger)
-        smaller_motions, larger_motions = (
-            self._objects[smaller].motions,
-            self._objects[larger].motions,
-        )
-        common_frames = len(smaller_motions.keys() & larger_motions.keys())
-        if touching_frames < max(1, MIN_TOUCHING_LOOSE * len(smaller_motions)) or not common_frames:
-            return False
-        difference = self._motion_difference(smaller, larger)
-        if touching_frames >= MIN_TOUCHING * len(smaller_motions) and difference < MAX_SAME_MOTION:
-            return True
-        return (
-            touching_frames >= MIN_TOUCHING_OF_BOTH * common_frames
-            and difference < MAX_SIMILAR_MOTION
-        )
-
-    @staticmethod
-    def _pair_count(counts: dict[tuple[int, int], int], first: int, second: int) -> int:
-        return counts.get((min(first, second), max(first, second)), 0)
-
-    def _motion_difference(self, first: int, second: int) -> float:
-        """Return the difference of the motions of two objects, as a share of the faster one."""
-        motions0, motions1 = self._objects[first].motions, self._objects[second].motions
-        frames = sorted(motions0.keys() & motions1.keys())
-        differences = np.linalg.norm([motions0[f] - motions1[f] for f in frames], axis=1)
-        speeds = np.maximum(
-            *(np.linalg.norm([m[f] for f in frames], axis=1) for m in (motions0, motions1))
-        )
-        return float(np.median(differences) / max(np.median(speeds), 1e-9))
 
     def _propagate(self, frame: int, previous: np.ndarray) -> np.ndarray:
         """Return the labels of the previous frame, propagated by the image motion; 0 for none."""
@@ -417,12 +280,6 @@ class ObjectTracker:
 
     def _min_pixels(self, image: np.ndarray) -> int:
         return smallest_object(image.size)
-
-
-def _center(mask: np.ndarray) -> np.ndarray:
-    """Return the centre of a mask, (x, y) px."""
-    rows, columns = np.nonzero(mask)
-    return np.array([columns.mean(), rows.mean()])
 
 
 def _box(mask: np.ndarray) -> tuple[int, int, int, int]:

@@ -7,10 +7,9 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.frames.disk_cache import DiskCache
-from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
-from tisfm.reconstruction.frames.image_motion import ImageMotion
+from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS, ImageMotion
 from tisfm.reconstruction.objects.below_ground import BelowGround, StaticDepth
-from tisfm.reconstruction.objects.identities import MAX_OBJECTS, ObjectTracker
+from tisfm.reconstruction.objects.identities import ObjectTracker
 from tisfm.reconstruction.objects.motion_evidence import (
     STATIC_EVIDENCE,
     Evidence,
@@ -19,6 +18,7 @@ from tisfm.reconstruction.objects.motion_evidence import (
 )
 from tisfm.reconstruction.objects.moving_regions import REGION_EVIDENCE
 from tisfm.reconstruction.objects.path_evidence import path_evidence
+from tisfm.reconstruction.objects.tracked_objects import MAX_OBJECTS
 
 # Frames with evidence that a static depth needs. Set by hand.
 MIN_STATIC_WEIGHT = 0.3

@@ -6,8 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
-from tisfm.reconstruction.frames.image_motion import ImageMotion
+from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS, ImageMotion
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.objects.label_propagation import propagate_labels
 from tisfm.reconstruction.objects.sequence_labels import SequenceLabels, enlarge_labels

@@ -13,8 +13,9 @@ from tisfm.camera import Camera
 from tisfm.errors import InputError, OutOfRangeError
 from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.result.calibration import GIVEN, Calibration
+from tisfm.reconstruction.result.folder import read_depth, read_labels, read_picture, read_record
 from tisfm.reconstruction.result.moving_object import MovingObject
-from tisfm.reconstruction.result.temporary_folder import TemporaryFolder
+from tisfm.reconstruction.result.renewal import TemporaryFolder, copy_folder
 from tisfm.settings import Settings
 from tisfm.status import Status
 
@@ -153,14 +154,10 @@ class Reconstruction:
         >>> result.labels(0).shape, result.labels(0).dtype
         ((180, 240), dtype('uint8'))
         """
-        from tisfm.reconstruction.result.folder import read_labels
-
         return read_labels(self.folder, self._number(frame), self.shape)
 
     def picture(self, frame: int) -> np.ndarray:
         """Return the frame without distortion, (H, W) or (H, W, 3) RGB uint8."""
-        from tisfm.reconstruction.result.folder import read_picture
-
         return read_picture(self.folder, self._number(frame))
 
     def points(
@@ -337,8 +334,6 @@ class Reconstruction:
         >>> result = tisfm.Reconstruction.load("walk")
         >>> result.save("copy")
         """
-        from tisfm.reconstruction.result.renewal import copy_folder
-
         copy_folder(self, folder)
 
     @classmethod
@@ -359,13 +354,9 @@ class Reconstruction:
         >>> result.depth(0).shape
         (180, 240)
         """
-        from tisfm.reconstruction.result.folder import read_record
-
         return cls(**read_record(folder), folder=Path(folder).absolute())
 
     def _depth_of(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
-        from tisfm.reconstruction.result.folder import read_depth
-
         number = self._number(frame)
         inverse_depth, deviation = read_depth(self.folder, number, self.shape)
         unit = np.float32(self.unit[self.piece[number]] if self.piece[number] >= 0 else 1)
@@ -379,7 +370,8 @@ class Reconstruction:
 
     def _views(self, frames: Iterable[int] | None) -> "_Views":
         if frames is None:
-            return _Views(self, self._keyframes_of(self.largest_piece))
+            largest = self.largest_piece
+            return _Views(self, [k for k in self.keyframes if self.piece[k] == largest])
         numbers = [self._number(frame) for frame in frames]
         pieces = sorted({int(self.piece[frame]) for frame in numbers} - {-1})
         if len(pieces) > 1:
@@ -388,9 +380,6 @@ class Reconstruction:
                 "each has a scale of its own"
             )
         return _Views(self, [frame for frame in numbers if self.piece[frame] >= 0])
-
-    def _keyframes_of(self, piece: int) -> list[int]:
-        return [frame for frame in self.keyframes if self.piece[frame] == piece]
 
 
 class _Views(Sequence["DepthView"]):

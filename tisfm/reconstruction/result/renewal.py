@@ -1,6 +1,9 @@
-"""The output folder of a reconstruction. If a new one fails, the earlier one is restored."""
+"""The output folder of a reconstruction: prepared, restored after a failure, or temporary."""
 
 import os
+import shutil
+import tempfile
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -153,3 +156,18 @@ def _remove(path: Path) -> None:
     remove(path / RECORD)  # first: without it the result is not complete
     for name in {*PARTS, *OPTIONAL_FILES, CACHE} - {RECORD}:
         remove(path / name)
+
+
+class TemporaryFolder:
+    """A new folder, deleted when the last reference to this object goes, or when the process ends.
+
+    `tempfile.TemporaryDirectory` would warn that it was not closed; here this is the normal end.
+    """
+
+    def __init__(self) -> None:
+        self.name = tempfile.mkdtemp(prefix="tisfm-")  # path of the folder
+        self._remove = weakref.finalize(self, shutil.rmtree, self.name, ignore_errors=True)
+
+    def remove(self) -> None:
+        """Delete the folder now."""
+        self._remove()

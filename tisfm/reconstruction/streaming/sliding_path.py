@@ -8,7 +8,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.frames.disk_cache import DiskCache
-from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
+from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS
 from tisfm.reconstruction.mapping.models import continue_model
 from tisfm.reconstruction.mapping.solution import (
     MAX_USEFUL_DEVIATION,

@@ -8,7 +8,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.errors import InputError
 from tisfm.reconstruction.frames.disk_cache import DiskCache
-from tisfm.reconstruction.frames.frame_flow import TRACKING_SETTINGS
+from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS
 from tisfm.reconstruction.tracks.tracker import CELLS, Observations, Tracker
 from tisfm.reconstruction.tracks.views import View, ViewSelection
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.frames.frame_flow import find_flow, flow_scale, shrink_for_flow
+from tisfm.reconstruction.frames.image_motion import find_flow, flow_scale, shrink_for_flow
 from tisfm.settings import Settings
 
 # Values without a stated source were set by hand.

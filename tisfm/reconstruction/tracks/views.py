@@ -10,7 +10,7 @@ from tisfm.camera import Camera
 from tisfm.errors import InputTypeError
 from tisfm.motion.sparse_matches import Features, detect_features, match_features
 from tisfm.reconstruction.frames.disk_cache import DiskCache
-from tisfm.reconstruction.frames.frame_flow import flow_scale, shrink_for_flow
+from tisfm.reconstruction.frames.image_motion import flow_scale, shrink_for_flow
 from tisfm.reconstruction.tracks.retrieval import ImageDescriptors, find_similar_views
 from tisfm.reconstruction.tracks.tracker import Observations
 

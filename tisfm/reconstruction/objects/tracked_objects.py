@@ -1,0 +1,148 @@
+"""Tracked moving objects: their state, their similarity, and which of them are one object."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+# Values without a stated source were set by hand.
+
+# Frames for which an object may be occluded and still keep its id.
+MAX_OCCLUSION = 15
+# Smallest overlap of two grey-level histograms of the same object, 0 to 1.
+MIN_HISTOGRAM_OVERLAP = 0.6
+# Largest distance from the predicted position after occlusion, in sizes of the object.
+MAX_DISTANCE = 1.5
+# Growth of this distance with each occluded frame, as a share.
+DISTANCE_GROWTH = 0.1
+# Largest label: in given labels, 255 marks ignored pixels.
+MAX_OBJECTS = 254
+# Frames in which an object has to be seen.
+MIN_FRAMES = 4
+# An object is a part of a larger object if they touch in this share of the frames of the smaller
+# one, and their motions differ by less than MAX_SAME_MOTION,
+MIN_TOUCHING = 0.7
+# or if they touch in this share of the frames of the smaller one,
+MIN_TOUCHING_LOOSE = 0.3
+# and in this share of the frames with both objects, and their motions differ by less than
+# MAX_SIMILAR_MOTION.
+MIN_TOUCHING_OF_BOTH = 0.6
+# Difference of two motions, as a share of the faster one.
+MAX_SAME_MOTION = 0.3
+MAX_SIMILAR_MOTION = 0.9
+
+
+@dataclass(kw_only=True)
+class TrackedObject:
+    """The state of an object."""
+
+    id: int
+    last_frame: int  # the last frame in which it was labelled
+    mask: np.ndarray  # (H, W) bool: its mask in that frame, with its occluded parts
+    velocity: np.ndarray  # (2,) float64: its mean motion in that frame, px/frame
+    histogram: np.ndarray  # (BINS,) float64: its grey-level histogram; the sum is 1
+    core_frames: int = 0  # number of frames in which its region has a core (`find_moving_regions`)
+    pixel_count: int = 0  # its labelled pixels in all frames
+    # dict of int to (2,) float64: by frame: its mean motion minus the motion of its surroundings,
+    # px/frame
+    motions: dict[int, np.ndarray] = field(default_factory=dict)
+    # dict of int to (3,) float64: by frame: its centre, (x, y), and its size, the square root of
+    # its area, px
+    positions: dict[int, np.ndarray] = field(default_factory=dict)
+
+
+def mask_position(mask: np.ndarray) -> np.ndarray:
+    """Return the centre, (x, y), of a mask, and its size, the square root of its area, px, (3,)."""
+    rows, columns = np.nonzero(mask)
+    return np.array([columns.mean(), rows.mean(), mask.sum() ** 0.5])
+
+
+def most_similar_object(
+    objects: Iterable[TrackedObject],
+    frame: int,
+    position: np.ndarray,  # (3,) float64: centre and size of a region, as in `mask_position`
+    histogram: np.ndarray,  # (BINS,) float64: its grey-level histogram
+) -> int:
+    """Return the id of the object, occluded before a frame, that a region shows; 0 for none."""
+    max_similarity, best_id = 0.0, 0
+    for obj in objects:
+        gap = frame - obj.last_frame
+        if not 0 < gap <= MAX_OCCLUSION + 1 or not obj.mask.any():
+            continue
+        own_position = mask_position(obj.mask)
+        expected = own_position[:2] + gap * obj.velocity
+        limit = max(position[2], own_position[2]) * (1 + DISTANCE_GROWTH * gap)
+        distance = float(np.linalg.norm(position[:2] - expected) / limit)
+        overlap = float(np.sqrt(histogram * obj.histogram).sum())
+        if distance >= MAX_DISTANCE or overlap <= MIN_HISTOGRAM_OVERLAP:
+            continue
+        if overlap / (1 + distance) > max_similarity:
+            max_similarity, best_id = overlap / (1 + distance), obj.id
+    return best_id
+
+
+def final_labels(
+    objects: Mapping[int, TrackedObject],  # by id
+    touching_frames: Mapping[tuple[int, int], int],  # number of frames, by the two ids in order
+    frame_count: int,  # frames of the sequence
+) -> np.ndarray:
+    """Return the final label of each object, (K,) uint8; 0 for an object that is dropped.
+
+    Parts of one object, and an object before and after an occlusion, get one label.
+    """
+    count = 1 + max(objects, default=0)
+    root = np.arange(count)  # the object that each object is a part of
+    by_size = sorted(objects, key=lambda k: objects[k].pixel_count)
+    for index, smaller in enumerate(by_size):
+        larger = [
+            k
+            for k in by_size[index + 1 :]
+            if _is_part_of(objects[smaller], objects[k], touching_frames.get(_pair(smaller, k), 0))
+        ]
+        if larger:
+            root[smaller] = larger[-1]  # the largest
+    for smaller in reversed(by_size):  # larger objects first
+        root[smaller] = root[root[smaller]]
+    for later in sorted(objects):  # objects that reappear
+        if root[later] == later and (earlier := _earlier_object(objects, later, root)):
+            root[root == later] = root[earlier]
+    table, number = np.zeros(count, np.uint8), 0
+    for obj in sorted(objects):
+        if root[obj] != obj:
+            continue
+        members = np.flatnonzero(root == obj)
+        frames = {frame for k in members for frame in objects[int(k)].motions}
+        min_frames = min(MIN_FRAMES, frame_count)
+        core_frames = sum(objects[int(k)].core_frames for k in members)
+        if len(frames) >= min_frames and core_frames >= min_frames - 1 and number < MAX_OBJECTS:
+            number += 1
+            table[members] = number
+    return table
+
+
+def _pair(first: int, second: int) -> tuple[int, int]:
+    return min(first, second), max(first, second)
+
+
+def _earlier_object(objects: Mapping[int, TrackedObject], later: int, root: np.ndarray) -> int:
+    """Return the object, occluded earlier, that looks like a later one; 0 for none."""
+    obj = objects[later]
+    frames = [f for k in np.flatnonzero(root == later) for f in objects[int(k)].motions]
+    first = min(frames, default=-1)
+    if first not in obj.positions:  # also if the refined boundary left no pixel of the object
+        return 0
+    return most_similar_object(objects.values(), first, obj.positions[first], obj.histogram)
+
+
+def _is_part_of(smaller: TrackedObject, larger: TrackedObject, touching_frames: int) -> bool:
+    """Return whether an object is a part of another one: they touch and move alike."""
+    frames = sorted(smaller.motions.keys() & larger.motions.keys())
+    if touching_frames < max(1, MIN_TOUCHING_LOOSE * len(smaller.motions)) or not frames:
+        return False
+    motions = np.array([[obj.motions[f] for f in frames] for obj in (smaller, larger)])
+    speed = np.median(np.linalg.norm(motions, axis=2).max(axis=0))
+    distance = np.median(np.linalg.norm(motions[0] - motions[1], axis=1))
+    difference = float(distance / max(speed, 1e-9))  # as a share of the faster motion
+    if touching_frames >= MIN_TOUCHING * len(smaller.motions) and difference < MAX_SAME_MOTION:
+        return True
+    return touching_frames >= MIN_TOUCHING_OF_BOTH * len(frames) and difference < MAX_SIMILAR_MOTION
