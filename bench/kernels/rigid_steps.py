@@ -19,7 +19,7 @@ from tisfm.kernels.rigid import (
     several_frames,
     shared_depth,
 )
-from tisfm.reconstruction.depth.pose_adjustment import OUTLIER_SCALE
+from tisfm.reconstruction.depth.settings import DEPTH
 
 DEPTH_WEIGHT = 3.0  # weight of the smoothness of depth while the motion changes
 MIN_CURVATURE = 1e-6  # of the costs around the cheapest hypothesis
@@ -323,7 +323,7 @@ def squares(problem: Problem) -> np.ndarray:
 
 def tolerated_square(problem: Problem) -> float:
     """Return the squared residual at which the weight in the adjustment is a quarter."""
-    return OUTLIER_SCALE**2 * float(np.median(squares(problem)))
+    return DEPTH.outlier_scale**2 * float(np.median(squares(problem)))
 
 
 def displacement_of(problem: Problem) -> np.ndarray:

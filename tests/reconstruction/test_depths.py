@@ -11,9 +11,8 @@ from tests.reconstruction.films import depth_error, walk
 from tisfm import Settings
 from tisfm.reconstruction.depth import segment_depth as depths
 from tisfm.reconstruction.depth.segment_depth import depth_effort
+from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.depth.view_fusion import (
-    DIFFERENCE_LIMIT,
-    FILLED_DEVIATION,
     add_difference_to_deviation,
     align_edges,
     fill_holes,
@@ -47,7 +46,7 @@ def test_the_mean_of_all_that_are_compared_counts():
 
 def test_surfaces_of_others_are_limited():
     np.testing.assert_allclose(
-        relative_difference(flat(), [flat(5.0)]), DIFFERENCE_LIMIT, rtol=1e-6
+        relative_difference(flat(), [flat(5.0)]), DEPTH.difference_limit, rtol=1e-6
     )
 
 
@@ -108,7 +107,9 @@ def test_planes_go_on_where_nothing_is_shown(hole):
     known = np.isfinite(shown)
     np.testing.assert_array_equal(inverse_depth[known], plane[known])
     np.testing.assert_array_equal(spread[known], deviation[known])
-    np.testing.assert_allclose(spread[hole], FILLED_DEVIATION * inverse_depth[hole], rtol=1e-6)
+    np.testing.assert_allclose(
+        spread[hole], DEPTH.filled_deviation * inverse_depth[hole], rtol=1e-6
+    )
 
 
 def test_holes_end_at_the_edges_of_the_frame():
@@ -186,7 +187,7 @@ def test_errors_of_poses_are_in_the_deviation(monkeypatch, draws):
         shaken = film.poses @ np.array([pose_matrix(twist) for twist in twists])
         with_comparison.append(within_one(film, shaken))
         with monkeypatch.context() as patched:
-            patched.setattr(depths, "DIFFERENCE_TO_DEVIATION", 0.0)
+            patched.setattr(depths, "DEPTH", replace(DEPTH, difference_to_deviation=0.0))
             without.append(within_one(film, shaken))
     # About 0.8: rounding on a processor decides which keyframes agree.
     assert 0.6 < np.mean(with_comparison) < 0.9

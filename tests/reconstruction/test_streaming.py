@@ -1,6 +1,7 @@
 """`tisfm.reconstruct_stream`: it yields frames with poses and depth, and keeps few frames."""
 
 import tempfile
+from dataclasses import replace
 from functools import cache
 
 import cv2
@@ -172,7 +173,7 @@ def test_known_poses_stay_as_they_are(monkeypatch):
 
 
 def test_memory_and_disk_hold_the_last_frames_only(disk, monkeypatch):
-    monkeypatch.setattr(stream, "MAX_FRAME_DISTANCE", 8)
+    monkeypatch.setattr(stream, "DEPTH", replace(stream.DEPTH, max_frame_distance=8))
     film = swing()
     running = Stream(FrameSource(film.frames), film.camera, "nothing", FAST, DELAY)
     kept, views, files, points = [], [], [], []

@@ -10,15 +10,9 @@ import numpy as np
 
 from tisfm.kernels.model.constants import NEAREST
 from tisfm.motion.matched_planes import noise_deviation
+from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.depth.window_planes import Window, WindowPlanes
 
-# Cells: side of the square around a cell in which its certainty is measured. The windows of the
-# match have a side of 11. Set by hand.
-INNER_SIDE = 5
-# Cells: standard deviation of D at which a match has half the weight. Chosen on rendered scenes:
-# matches with this deviation are off by 0.3 cells, and a tenth of them by 1 cell. More certain
-# matches are off by 0.1 cells, and a fiftieth of them by 1 cell.
-HALF_WEIGHT_DEVIATION = 0.5
 # Variance of the image gradient (Sobel) of noise with the variance 1. Exact.
 SOBEL_NOISE_GAIN = 3 / 16
 
@@ -29,7 +23,7 @@ def match_weights(window: Window, planes: WindowPlanes) -> np.ndarray:
     if planes.reliable.any():
         depth = np.where(planes.reliable, depth, np.median(depth[planes.reliable]))
     deviation = match_deviation(window, depth.astype(np.float32))
-    weight = np.where(planes.reliable, 1 / (1 + (deviation / HALF_WEIGHT_DEVIATION) ** 2), 0)
+    weight = np.where(planes.reliable, 1 / (1 + (deviation / DEPTH.half_weight_cells) ** 2), 0)
     return np.stack([weight, np.where(weight > 0, depth, 0)]).astype(np.float32)
 
 
@@ -53,7 +47,7 @@ def match_deviation(
         total += (gradients[0] * slope_x + gradients[1] * slope_y) ** 2
         total -= np.float32(SOBEL_NOISE_GAIN * noise) * (slope_x**2 + slope_y**2)
     total *= np.float32(window.best / len(window.motions))
-    square = cv2.boxFilter(total, -1, (INNER_SIDE, INNER_SIDE), normalize=False)
+    square = cv2.boxFilter(total, -1, (DEPTH.inner_side, DEPTH.inner_side), normalize=False)
     with np.errstate(divide="ignore"):
         deviation: np.ndarray = np.sqrt(np.float32(2 * noise) / np.maximum(square, 0))
     return deviation

@@ -4,19 +4,8 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.errors import InputError
+from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.geometry.rays import pinhole_rays
-
-# Values without a stated source were set by hand.
-
-# Rows and columns of the grid of image points whose parallax is computed.
-GRID_SHAPE = (9, 12)
-# Parallax, as a share of the image width, beyond which a frame gets no better.
-FULL_PARALLAX = 0.03
-# Parallax, as a share of the image width, beyond which windows look less and less alike.
-MAX_PARALLAX = 0.12
-# A frame whose mean gain over the grid points is smaller is not added. The gain of a point that no
-# chosen frame shows yet is 1 at most.
-MIN_GAIN = 0.03
 
 
 def choose_neighbours(
@@ -66,7 +55,7 @@ def choose_neighbours(
             gains += (np.sqrt(total + values * is_same) - np.sqrt(total)).mean(axis=1)
         gains[chosen] = 0
         best = int(np.argmax(gains))
-        if gains[best] < MIN_GAIN:
+        if gains[best] < DEPTH.min_gain:
             break
         for is_same, total in zip((same_side, ~same_side), sums, strict=True):
             total += values[best] * is_same[best]
@@ -84,7 +73,7 @@ def _grid_points(
     """Return the rays (3, P) of a grid of image points, and their inverse depth (P,)."""
     rows, columns = (
         ((np.arange(count) + 0.5) * length / count - 0.5)
-        for count, length in zip(GRID_SHAPE, shape, strict=True)
+        for count, length in zip(DEPTH.parallax_grid, shape, strict=True)
     )
     depth_map = np.broadcast_to(np.asarray(inverse_depth, np.float64), shape)
     inverse_depths = depth_map[np.ix_(rows.astype(int), columns.astype(int))].ravel()
@@ -123,8 +112,8 @@ def _parallax_values(
         inside &= (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
     displacement = np.where(inside[:, None], displacement, 0)
     parallax = np.hypot(displacement[:, 0], displacement[:, 1]) / full_width
-    values = np.minimum(1, parallax / FULL_PARALLAX) * np.minimum(
-        1, MAX_PARALLAX / np.maximum(parallax, 1e-9)
+    values = np.minimum(1, parallax / DEPTH.full_parallax) * np.minimum(
+        1, DEPTH.max_parallax / np.maximum(parallax, 1e-9)
     )
     direction = displacement / np.maximum(full_width * parallax, 1e-9)[:, None]
     return values * inside, direction

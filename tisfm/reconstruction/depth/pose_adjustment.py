@@ -22,6 +22,7 @@ from tisfm.kernels.rigid.shared_depth import add_frame, answered, squared_residu
 from tisfm.motion.matched_planes import noise_deviation
 from tisfm.motion.problems import depth_problem
 from tisfm.motion.window_statistics import window_variance
+from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.geometry.rays import cross_matrices
 from tisfm.rigid import rigid_motion, rigid_twist
 from tisfm.settings import Settings
@@ -31,32 +32,6 @@ from tisfm.solver.sampling import spline_taps
 from tisfm.solver.smoothness import mean_step
 from tisfm.solver.unknowns import Unknowns
 
-# Values without a stated source were set by hand.
-
-# Pixels of the pyramid level that images are compared on.
-MAX_PIXELS = 2**17
-# px: standard deviation of the Gaussian that smooths images first.
-PRESMOOTHING = 0.6
-# Grey-level variance of a window, in variances of the noise, at which a pixel has half the weight.
-HALF_WEIGHT_TEXTURE = 50.0
-# px: side of this window.
-TEXTURE_WINDOW = 11
-# Residual with a quarter of the weight, in square roots of the median squared residual.
-OUTLIER_SCALE = 3.0
-# Relative standard deviation of depth at which a pixel has half the weight.
-HALF_WEIGHT_DEVIATION = 0.05
-# Damping of a depth step, as a share of a pixel's mean data term.
-DEPTH_DAMPING = 1e-3
-# Damping of a pose step, as a share of the diagonal of the system.
-POSE_DAMPING = 1e-3
-# px: side of the window whose depth moves together.
-DEPTH_WINDOW = 9
-# Largest depth step, as a share of the inverse depth of the pixel.
-MAX_DEPTH_STEP = 0.1
-# Gauss–Newton steps.
-ROUNDS = 2
-# Frames that are adjusted at a time, at most.
-MAX_FRAMES = 200
 # Shrunk frames in memory.
 CACHED_FRAMES = 64
 
@@ -87,7 +62,7 @@ def make_keyframe_window(
 ) -> KeyframeWindow:
     """Return the window of a keyframe."""
     level = 0
-    while frame.size >> 2 * level > MAX_PIXELS:
+    while frame.size >> 2 * level > DEPTH.max_adjust_pixels:
         level += 1
     small = _shrink(frame, level)
     height, width = small.shape
@@ -98,9 +73,9 @@ def make_keyframe_window(
     depth = sampled[0]
     valid = np.isfinite(depth) & (depth > 0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        certainty = 1 / (1 + (sampled[1] / depth / HALF_WEIGHT_DEVIATION) ** 2)
-    variance = window_variance(small, TEXTURE_WINDOW)
-    texture = variance / (variance + HALF_WEIGHT_TEXTURE * noise_deviation(small) ** 2)
+        certainty = 1 / (1 + (sampled[1] / depth / DEPTH.half_weight_deviation) ** 2)
+    variance = window_variance(small, DEPTH.texture_window)
+    texture = variance / (variance + DEPTH.adjust_texture * noise_deviation(small) ** 2)
     weight = np.where(valid, np.nan_to_num(certainty) * texture, 0)
     if used_pixels is not None:
         mask = np.pad(used_pixels[half::stride, half::stride], [(0, 1)] * 2, mode="edge")
@@ -123,7 +98,7 @@ def adjust_poses(
     settings: Settings,
     *,
     fixed_frames: Collection[int] = (),  # frames whose poses are fixed; by default the first frame
-    rounds: int = ROUNDS,  # Gauss–Newton steps
+    rounds: int = DEPTH.adjust_rounds,  # Gauss–Newton steps
 ) -> dict[int, np.ndarray]:
     """Return poses that fit the images better. The depth of the windows is changed in place."""
     adjusted = {frame: np.array(pose, np.float64) for frame, pose in poses.items()}
@@ -240,7 +215,7 @@ def _linearise(
         matrix[block, block], vector[block] = add_frame(
             grid, tensor, unknowns.rho, weight, *image_points, slopes, sums, number=j,
             motion=motions[0], focal=camera.focal,
-            tolerated=max(OUTLIER_SCALE**2 * median_square, 1e-12),
+            tolerated=max(DEPTH.outlier_scale**2 * median_square, 1e-12),
         )  # fmt: skip
         rotation, translation = relative[:, :3], relative[:, 3]
         to_members[block, 6 * (j + 1) : 6 * (j + 2)] = np.eye(6)
@@ -253,7 +228,7 @@ def _linearise(
     # Translations of the steps are in the unit of the poses.
     for j in range(count + 1):
         to_members[:, 6 * j : 6 * j + 3] /= unit
-    depth_damping = DEPTH_DAMPING * max(float(sums[0].sum()) / key.size, 1e-12) + 1e-12
+    depth_damping = DEPTH.depth_damping * max(float(sums[0].sum()) / key.size, 1e-12) + 1e-12
     depth_matrix, depth_vector = answered(grid, slopes, sums, held=depth_damping)
     matrix -= depth_matrix
     vector -= depth_vector
@@ -276,10 +251,14 @@ def _move_depth(
     images = np.empty((2, grid.height, grid.width), np.float32)
     lanes_to_images(grid, sums, images)
     # Single pixels are noisy, so the depth of a neighbourhood moves together.
-    curvature, gradient = (cv2.blur(values, (DEPTH_WINDOW, DEPTH_WINDOW)) for values in images)
+    curvature, gradient = (
+        cv2.blur(values, (DEPTH.depth_window, DEPTH.depth_window)) for values in images
+    )
     depth = window.inverse_depth
     step = -gradient / (curvature + np.float32(damping)) / np.float32(scale)
-    window.inverse_depth = depth + np.clip(step, -MAX_DEPTH_STEP * depth, MAX_DEPTH_STEP * depth)
+    window.inverse_depth = depth + np.clip(
+        step, -DEPTH.max_depth_step * depth, DEPTH.max_depth_step * depth
+    )
 
 
 def _twist_between(pose: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -300,8 +279,8 @@ def _solve(
     back by its twist in `displacements` from the pose before the adjustment.
     """
     steps: dict[int, np.ndarray] = {}
-    for begin in range(0, len(frames), MAX_FRAMES):
-        batch = frames[begin : begin + MAX_FRAMES]
+    for begin in range(0, len(frames), DEPTH.max_adjust_frames):
+        batch = frames[begin : begin + DEPTH.max_adjust_frames]
         batch_index = {frame: k for k, frame in enumerate(batch)}
         matrix, vector = np.zeros((6 * len(batch),) * 2), np.zeros(6 * len(batch))
         for system in systems:
@@ -311,7 +290,7 @@ def _solve(
             matrix[np.ix_(batch_rows, batch_rows)] += system.matrix[np.ix_(rows, rows)]
             vector[batch_rows] += system.vector[rows]
         diagonal = np.diag(matrix).copy()
-        prior = np.where(diagonal > 0, POSE_DAMPING * diagonal, 1.0)
+        prior = np.where(diagonal > 0, DEPTH.pose_damping * diagonal, 1.0)
         matrix += np.diag(prior)
         vector += prior * np.concatenate([displacements[frame] for frame in batch])
         free = _pose_rows([batch_index[frame] for frame in batch if frame not in fixed_frames])
@@ -327,4 +306,4 @@ def _pose_rows(numbers: Sequence[int]) -> np.ndarray:
 
 
 def _shrink(frame: np.ndarray, level: int) -> np.ndarray:
-    return gaussian_pyramid(smooth(frame, PRESMOOTHING), 0.5, level + 1)[level]
+    return gaussian_pyramid(smooth(frame, DEPTH.adjust_smoothing), 0.5, level + 1)[level]

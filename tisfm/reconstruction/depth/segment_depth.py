@@ -12,6 +12,7 @@ from tisfm.camera import Camera
 from tisfm.kernels.rigid.rendering import rendered
 from tisfm.reconstruction.depth.neighbour_frames import choose_neighbours
 from tisfm.reconstruction.depth.pose_adjustment import KeyframeWindow, make_keyframe_window
+from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.depth.view_fusion import (
     View,
     add_difference_to_deviation,
@@ -25,26 +26,6 @@ from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import track_depths
 from tisfm.settings import Settings
-
-# Values without a stated source were set by hand.
-
-# A frame becomes a keyframe if tracks have moved by this share of the longer side since the last
-# keyframe,
-MIN_MOTION = 0.1
-# or if less than this share of its tracks is still visible.
-MIN_KEPT_TRACKS = 0.25
-# px: keyframes are compared on every second pixel.
-COMPARE_STRIDE = 2
-# px: stride of the pixels at which keyframes are rendered into the frames between them.
-RENDER_STRIDE: dict[Effort, int] = {"fast": 2, "balanced": 1, "accurate": 1}
-# Frames of one keyframe window, at most: a resting camera would give windows without end.
-MAX_WINDOW_FRAMES = 24
-# Largest distance, in frames, between a keyframe and a frame that it is compared with.
-MAX_FRAME_DISTANCE = 40
-# Frames from which the depth of a keyframe is found, at most.
-MAX_NEIGHBOURS: dict[Effort, int] = {"fast": 3, "balanced": 4, "accurate": 6}
-# Relative standard deviation of a keyframe per relative difference from its neighbour keyframes.
-DIFFERENCE_TO_DEVIATION = 1.75
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,22 +130,24 @@ class PieceDepths:
         depth = self._window_depths[key]
         shape = self._frames.shape
         own_depth, own_deviation = (
-            image[::COMPARE_STRIDE, ::COMPARE_STRIDE]
+            image[:: DEPTH.compare_stride, :: DEPTH.compare_stride]
             for image in (depth.inverse_depth, depth.deviation)
         )
         others = [
-            self._render_keyframe(self._window_depths[k], k, key, COMPARE_STRIDE)
+            self._render_keyframe(self._window_depths[k], k, key, DEPTH.compare_stride)
             for k in self._window_depths
             if k != key
         ]
         mean, deviation = fuse_views(
             add_difference_to_deviation(
-                [(own_depth, own_deviation), *others], DIFFERENCE_TO_DEVIATION
+                [(own_depth, own_deviation), *others], DEPTH.difference_to_deviation
             )
         )
         # The keyframe's own depth is known at every pixel; only the correction is upsampled.
-        inverse_depth = depth.inverse_depth * upsample(mean / own_depth, COMPARE_STRIDE, shape)
-        deviation = upsample(deviation, COMPARE_STRIDE, shape)
+        inverse_depth = depth.inverse_depth * upsample(
+            mean / own_depth, DEPTH.compare_stride, shape
+        )
+        deviation = upsample(deviation, DEPTH.compare_stride, shape)
         return replace(depth, inverse_depth=inverse_depth, deviation=deviation)
 
     def keyframe_windows(self) -> list[KeyframeWindow]:
@@ -179,8 +162,8 @@ class PieceDepths:
             first, last = limits[number], limits[number + 2]
             members = [frame for frame in frames if first <= frame <= last and frame != key]
             images = self._frames.grey(key), depth.inverse_depth, depth.deviation
-            for start in range(0, len(members), MAX_WINDOW_FRAMES):
-                batch = members[start : start + MAX_WINDOW_FRAMES]
+            for start in range(0, len(members), DEPTH.max_window_frames):
+                batch = members[start : start + DEPTH.max_window_frames]
                 windows.append(
                     make_keyframe_window(key, batch, *images, self._frames.used_pixels(key))
                 )
@@ -214,14 +197,14 @@ class PieceDepths:
             rough = self._render_keyframe(self._window_depths[previous], previous, key, 1)[0]
         if rough is None or not np.isfinite(rough).any():
             return None
-        nearby = [f for f in poses if abs(f - key) <= MAX_FRAME_DISTANCE]
+        nearby = [f for f in poses if abs(f - key) <= DEPTH.max_frame_distance]
         neighbours = choose_neighbours(
             np.array([poses[f] for f in nearby]),
             nearby.index(key),
             rough,
             self._camera,
             self._frames.shape,
-            max_count=MAX_NEIGHBOURS[effort],
+            max_count=getattr(DEPTH.max_neighbours, effort),
             uncropped_shape=self._uncropped_shape,
         )
         others = [nearby[k] for k in neighbours]
@@ -267,7 +250,7 @@ class PieceDepths:
 
     def _render_depth(self, frame: int) -> View:
         """Return the depth of a frame, rendered from the keyframes, and its deviation."""
-        stride = RENDER_STRIDE[self._effort]
+        stride = getattr(DEPTH.render_stride, self._effort)
         views = [
             self._render_keyframe(depth, key, frame, stride)
             for key, depth in self.final_depths.items()
@@ -291,11 +274,11 @@ def choose_keyframes(
     for frame in frames[bisect_right(frames, keys[0]) :]:
         last, current = observations[keys[-1]], observations[frame]
         index0, index1 = last.common_tracks(current)
-        if len(index0) < max(1, MIN_KEPT_TRACKS * len(last.tracks)):
+        if len(index0) < max(1, DEPTH.min_kept_tracks * len(last.tracks)):
             keys.append(frame)
             continue
         distances = np.hypot(*(current.points[index1] - last.points[index0]).T)
-        if np.median(distances) > MIN_MOTION * side:
+        if np.median(distances) > DEPTH.min_keyframe_motion * side:
             keys.append(frame)
     return keys if previous is None else keys[1:]
 

@@ -10,29 +10,10 @@ import numpy as np
 
 from tisfm.kernels.rigid.merging import merged
 from tisfm.kernels.rigid.surface_edges import RADIUS, by_look
-from tisfm.reconstruction.depth.window_depth import FAR_SHARE, MAX_DEPTH_FACTOR, second_order
+from tisfm.reconstruction.depth.settings import DEPTH
+from tisfm.reconstruction.depth.window_depth import second_order
 from tisfm.solver.sampling import enlarged, reduced
 from tisfm.solver.second_order import fill
-
-# Values without a stated source were set by hand.
-
-# Rendered surfaces whose inverse depth differs by more than this share are different surfaces.
-MAX_DIFFERENCE = 0.1
-# Neighbours that differ by more than this share lie on different surfaces.
-MAX_SMOOTH_STEP = 0.05
-# Side of the window in which differences are averaged, as a share of the longer image side.
-WINDOW_SHARE = 0.05
-# Limit of a single difference, as a share of the inverse depth.
-DIFFERENCE_LIMIT = 0.5
-# Weight of the median of all differences, relative to a window full of pixels.
-MEDIAN_WEIGHT = 0.02
-# Relative standard deviation of inverse depth in a filled hole.
-FILLED_DEVIATION = 0.5
-# Cells of the grid that holes are filled on.
-MAX_FILL_CELLS = 2**13
-# Inverse depth is scaled so that its median on this grid is this number of cell sides.
-FILL_MEDIAN = 20.0
-
 
 View = tuple[np.ndarray, np.ndarray]  # inverse depth and its deviation, (H, W) float32 each
 
@@ -46,16 +27,16 @@ def relative_difference(
     for other in others:
         difference = np.abs(other - inverse_depth) / inverse_depth
         valid = np.isfinite(difference)
-        total += np.where(valid, np.minimum(difference, np.float32(DIFFERENCE_LIMIT)), 0)
+        total += np.where(valid, np.minimum(difference, np.float32(DEPTH.difference_limit)), 0)
         count += valid
     compared = count > 0
     if not compared.any():
         return total
-    median_term = np.float32(MEDIAN_WEIGHT) * np.median(total[compared] / count[compared])
-    side = 2 * round(WINDOW_SHARE * max(inverse_depth.shape) / 2) + 1
+    median_term = np.float32(DEPTH.median_weight) * np.median(total[compared] / count[compared])
+    side = 2 * round(DEPTH.difference_window * max(inverse_depth.shape) / 2) + 1
     blurred = cv2.blur(np.dstack([total, count]), (side, side))
     mean_difference: np.ndarray = (blurred[..., 0] + median_term) / (
-        blurred[..., 1] + np.float32(MEDIAN_WEIGHT)
+        blurred[..., 1] + np.float32(DEPTH.median_weight)
     )
     return mean_difference
 
@@ -84,7 +65,7 @@ def fuse_views(
     valid = np.isfinite(depths) & np.isfinite(deviations)
     depths, deviations = (np.where(valid, each, np.float32(0)) for each in (depths, deviations))
     out, out_deviation = np.empty((2, *depths.shape[1:]), np.float32)
-    merged(depths, deviations, out, out_deviation, alike=MAX_DIFFERENCE)
+    merged(depths, deviations, out, out_deviation, alike=DEPTH.max_difference)
     return np.where(out > 0, out, np.nan), np.where(out > 0, out_deviation, np.nan)
 
 
@@ -102,12 +83,14 @@ def fill_holes(
     if valid.all() or not valid.any():
         return inverse_depth, np.where(valid, deviation, np.inf).astype(np.float32)
     level = 0
-    while frame.size >> 2 * level > MAX_FILL_CELLS:
+    while frame.size >> 2 * level > DEPTH.max_fill_cells:
         level += 1
     side = 2**level
     height, width = (-(-length // side) for length in frame.shape)
-    min_value = np.float32(np.quantile(inverse_depth[valid], FAR_SHARE) / MAX_DEPTH_FACTOR)
-    scale = np.float32(FILL_MEDIAN / np.median(inverse_depth[valid]))
+    min_value = np.float32(
+        np.quantile(inverse_depth[valid], DEPTH.far_share) / DEPTH.max_depth_factor
+    )
+    scale = np.float32(DEPTH.fill_median / np.median(inverse_depth[valid]))
     images = np.stack([valid, np.where(valid, scale * inverse_depth, 0), frame])
     coverage, target, small_frame = reduced(images.astype(np.float32), side, height, width)
     target = np.divide(target, coverage, out=np.zeros_like(target), where=coverage > 0)
@@ -115,7 +98,7 @@ def fill_holes(
     value = np.maximum(enlarged(filled[None] / scale, side, *frame.shape)[0], min_value)
     return (
         np.where(valid, inverse_depth, value).astype(np.float32),
-        np.where(valid, deviation, FILLED_DEVIATION * value).astype(np.float32),
+        np.where(valid, deviation, DEPTH.filled_deviation * value).astype(np.float32),
     )
 
 
@@ -138,17 +121,11 @@ def upsample(
 def _double_rows(image: np.ndarray) -> np.ndarray:
     out = image.repeat(2, axis=0)
     previous, following = image[:-1], image[1:]
-    is_smooth = np.abs(following - previous) < MAX_SMOOTH_STEP * np.minimum(previous, following)
+    is_smooth = np.abs(following - previous) < DEPTH.max_smooth_step * np.minimum(
+        previous, following
+    )
     out[1:-1:2] = np.where(is_smooth, (previous + following) / 2, previous)
     return out
-
-
-# Values without a stated source were set by hand.
-
-# Neighbours whose inverse depth differs by more than this share lie on two surfaces.
-MIN_JUMP = 0.1
-# A pixel that differs by this many grey levels has a weight of 1/e.
-GREY_SCALE = 10.0
 
 
 def align_edges(
@@ -164,7 +141,9 @@ def align_edges(
     depth = np.ascontiguousarray(inverse_depth)
     std = np.ascontiguousarray(deviation)
     out, out_deviation = np.empty((2, *depth.shape), np.float32)
-    by_look(depth, std, _surface_threshold(depth), frame, out, out_deviation, similar=GREY_SCALE)
+    by_look(
+        depth, std, _surface_threshold(depth), frame, out, out_deviation, similar=DEPTH.grey_scale
+    )
     return out, out_deviation
 
 
@@ -180,5 +159,5 @@ def _surface_threshold(inverse_depth: np.ndarray) -> np.ndarray:
 
 def _has_edge(inverse_depth: np.ndarray, window: np.ndarray) -> np.ndarray:
     highest = cv2.dilate(inverse_depth, window)
-    has_edge: np.ndarray = highest - cv2.erode(inverse_depth, window) > MIN_JUMP * highest
+    has_edge: np.ndarray = highest - cv2.erode(inverse_depth, window) > DEPTH.min_jump * highest
     return has_edge

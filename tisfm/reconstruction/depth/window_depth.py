@@ -9,7 +9,7 @@ sum Σ w_j (A_j D² + 2 B_j D) is one scalar term.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import cv2
 import numpy as np
@@ -25,8 +25,8 @@ from tisfm.kernels.rigid.several_frames import add_along, as_constraint
 from tisfm.motion.problems import depth_problem
 from tisfm.motion.textureless_depth import SECOND_ORDER, texture_weight
 from tisfm.reconstruction.depth.match_deviation import match_weights
+from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.depth.window_planes import (
-    MAX_COST,
     Window,
     WindowPlanes,
     plane_costs,
@@ -44,51 +44,7 @@ from tisfm.solver.second_order import (
 from tisfm.solver.smoothness import image_edges_in_lanes, mean_step
 from tisfm.solver.unknowns import Unknowns
 
-# Largest number of cells of a keyframe. Frames of 4:3 get 160×120, 320×240 and 640×480.
 Effort = Literal["fast", "balanced", "accurate"]
-CELLS: dict[Effort, int] = {"fast": 2**15, "balanced": 2**17, "accurate": 2**19}
-# Values without a stated source were set by hand.
-
-# Share of the cells with a reliable match: with fewer, no depth is propagated.
-MIN_MATCHED_SHARE = 0.01
-# Weight of the data term of a frame at full strength, relative to that of a matched cell.
-DATA_WEIGHT = 8.0
-# Share of the weight of a matched cell that is left under a data term at full strength, since both
-# use the same images.
-MATCH_SHARE_LEFT = 0.1
-# px per px: difference of slopes at which smoothness yields. It is smaller than for pairs, since
-# matches are more certain: otherwise the slope of a floor is smoothed into that of the walls.
-SLOPE_SCALE = 0.0009
-# Weight of image edges in the smoothness.
-IMAGE_EDGES = 10.0
-# Grey-level variance of a window, in variances of the noise, at which data terms have half the
-# weight.
-HALF_WEIGHT_TEXTURE = 1000.0
-# Warps, and iterations of each.
-WARPS = 3
-ITERATIONS = 1
-# Largest propagated depth, as a multiple of the largest matched depth.
-MAX_DEPTH_FACTOR = 2.0
-# Share of the matched cells, the farthest ones, that this limit ignores.
-FAR_SHARE = 0.01
-# Smallest standard deviation of D, in cells.
-MIN_DEVIATION = 0.005
-# The share of the residuals of nearby data terms that is added to it,
-RESIDUAL_SHARE = 0.07
-# and the largest residual that counts, in cells.
-MAX_RESIDUAL = 2.5
-# The share of D that is added for every pixel of propagation. Slopes of surfaces scale with D and
-# with pixels of the frame, which do not depend on the size of a cell.
-DEVIATION_PER_PIXEL = np.float32(0.002)
-# The share of the difference between nearby matches and D that is added,
-DIFFERENCE_SHARE = 0.8
-# reduced where this difference is near the scatter of these matches. With these values, the error
-# is within one standard deviation at 60 to 76 % of the pixels of rendered rooms, at 57 % of
-# TartanAir, and at 28 % of a HoloLens recording, whose poses are inexact. `segment_depth` raises
-# the deviation where keyframes differ.
-SCATTER_SHARE = np.float32(0.2)
-# Cells: window that these differences are averaged in.
-AVERAGING_WINDOW = (15, 15)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,8 +78,10 @@ def window_depth(
     translation, or the effort is unknown.
     """
     others = list(others)
-    if effort not in CELLS:
-        raise InputError(f"effort is {effort!r}: expected one of {', '.join(map(repr, CELLS))}")
+    if effort not in get_args(Effort):
+        raise InputError(
+            f"effort is {effort!r}: expected one of {', '.join(map(repr, get_args(Effort)))}"
+        )
     motions = _check_motions(key, others, motions, key_mask, masks)
     runtime.start()
     window = Window(
@@ -131,7 +89,7 @@ def window_depth(
         others,
         motions,
         camera,
-        cells=CELLS[effort],
+        cells=getattr(DEPTH.cells, effort),
         key_mask=key_mask,
         masks=masks,
         uncropped_shape=uncropped_shape,
@@ -139,13 +97,15 @@ def window_depth(
     planes = window_planes(window)
     anchors = match_weights(window, planes)
     planes = replace(planes, reliable=anchors[0] > 0)
-    if planes.reliable.sum() < max(1, MIN_MATCHED_SHARE * window.used_cells.sum()):
+    if planes.reliable.sum() < max(1, DEPTH.min_matched_share * window.used_cells.sum()):
         return None
     refinement = _DepthRefinement(window, settings, anchors)
-    for _ in range(WARPS):
+    for _ in range(DEPTH.warps):
         refinement.step()
     depth = refinement.depth()
-    min_depth = np.quantile(planes.inverse_depth[planes.reliable], FAR_SHARE) / MAX_DEPTH_FACTOR
+    min_depth = (
+        np.quantile(planes.inverse_depth[planes.reliable], DEPTH.far_share) / DEPTH.max_depth_factor
+    )
     depth = np.maximum(depth, np.float32(min_depth))
     deviation = _deviation(planes, depth, refinement.residual())
     side, scale = 2**window.level, window.unit * window.camera_of(window.level).focal
@@ -166,8 +126,8 @@ def second_order(level: int) -> SecondOrderSettings:
         SECOND_ORDER,
         alpha=SECOND_ORDER.alpha / side,
         beta=SECOND_ORDER.beta / side**3,
-        turn=SLOPE_SCALE,
-        image_edges=IMAGE_EDGES,
+        turn=DEPTH.slope_scale,
+        image_edges=DEPTH.image_edges,
     )
 
 
@@ -186,9 +146,9 @@ class _DepthRefinement:
         depth, slopes = fill(anchors[1], anchors[0], frame, smoothness, iterations=1)
         self._grid = grid = runtime.lane_grid(*frame.shape)
         unknowns = Unknowns(grid, camera, 1)
-        textured = texture_weight(frame, half_variance=HALF_WEIGHT_TEXTURE) * window.used_cells
+        textured = texture_weight(frame, half_variance=DEPTH.data_texture) * window.used_cells
         weighted_anchors = np.stack(
-            [anchors[0] * (1 - (1 - MATCH_SHARE_LEFT) * textured), anchors[1]]
+            [anchors[0] * (1 - (1 - DEPTH.match_share_left) * textured), anchors[1]]
         )
         constraint = grid.allocate(3)
         self._sums = sums = grid.allocate(3)
@@ -207,14 +167,15 @@ class _DepthRefinement:
         tensor = grid.allocate(6)
         constancy = depth_problem(settings, camera.focal).constancy
         visibility = (
-            np.maximum(1 - plane_costs(window, depth, slopes) / np.float32(MAX_COST), 0) * textured
+            np.maximum(1 - plane_costs(window, depth, slopes) / np.float32(DEPTH.max_cost), 0)
+            * textured
         )
         self._linearise: list[Callable[[], None]] = []
         for j, motion in enumerate(window.motions):
             other = window.at_cell_level(1 + j)
             data = DataTerm(grid, frame, other, spline_taps(other), constancy, mean_step(frame))
             weight = grid.allocate(1)
-            image_to_lanes(grid, np.float32(DATA_WEIGHT) * visibility[j], weight)
+            image_to_lanes(grid, np.float32(DEPTH.data_weight) * visibility[j], weight)
             self._linearise.append(
                 in_turn(
                     displacement.bind(
@@ -241,7 +202,7 @@ class _DepthRefinement:
             linearise()
         self._bound_constraint()
         self._minimiser.update()
-        self._minimiser.minimise(ITERATIONS)
+        self._minimiser.minimise(DEPTH.iterations)
 
     def depth(self) -> np.ndarray:
         """Return D, (h, w) float32, cells."""
@@ -261,19 +222,20 @@ def _deviation(
     """Return the standard deviation of D, (h, w) float32, cells."""
     distance = cv2.distanceTransform((~planes.reliable).astype(np.uint8), cv2.DIST_L2, 5)
     distance *= 2**planes.level
-    precision, square = (cv2.blur(image, AVERAGING_WINDOW) for image in residual)
-    square = np.minimum(square / np.maximum(precision, LEAST_DIVISOR), MAX_RESIDUAL**2)
+    precision, square = (cv2.blur(image, DEPTH.averaging_window) for image in residual)
+    square = np.minimum(square / np.maximum(precision, LEAST_DIVISOR), DEPTH.max_residual**2)
     reliable = planes.reliable.astype(np.float32)
-    difference = cv2.blur(reliable * np.abs(depth - planes.inverse_depth), AVERAGING_WINDOW)
+    difference = cv2.blur(reliable * np.abs(depth - planes.inverse_depth), DEPTH.averaging_window)
     difference = difference / np.maximum(
-        cv2.blur(reliable, AVERAGING_WINDOW), np.float32(1 / math.prod(AVERAGING_WINDOW))
+        cv2.blur(reliable, DEPTH.averaging_window),
+        np.float32(1 / math.prod(DEPTH.averaging_window)),
     )
-    difference = np.float32(DIFFERENCE_SHARE) * difference**2 / (difference + SCATTER_SHARE)
+    difference = np.float32(DEPTH.difference_share) * difference**2 / (difference + DEPTH.scatter)
     deviation: np.ndarray = np.sqrt(
-        MIN_DEVIATION**2
-        + RESIDUAL_SHARE**2 * square
+        DEPTH.min_deviation**2
+        + DEPTH.residual_share**2 * square
         + difference**2
-        + (DEVIATION_PER_PIXEL * distance * depth) ** 2,
+        + (DEPTH.deviation_per_pixel * distance * depth) ** 2,
         dtype=np.float32,
     )
     return deviation

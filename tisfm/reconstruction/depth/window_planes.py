@@ -16,33 +16,10 @@ from tisfm.motion.matched_planes import (
     noise_deviation,
 )
 from tisfm.motion.settings import DEPTH as PAIR_DEPTH
+from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.geometry.rays import pinhole_rays
 from tisfm.solver.image_pyramid import gaussian_pyramid, smooth
 
-# Values without a stated source were set by hand.
-
-# px: standard deviation of the Gaussian that smooths images first.
-PRESMOOTHING = 0.6
-# Coarser levels that are searched before the level of the cells.
-COARSER_LEVELS = 2
-# Rounds of improvement: on the coarsest level, on the next one, and on each finer level.
-SEARCH_ROUNDS = (3, 2, 1)
-# px of the finest level: cells with a larger side are searched on their own level first.
-MAX_CELL_SIDE = 2
-# Random planes near a cell's own plane in each round.
-RANDOM_DRAWS = 2
-# px: spread of D of these random planes, on the coarsest grid and on finer grids.
-DRAW_SPREAD = (4.0, 1.0)
-# Spread of their slopes, px per px.
-DRAW_TILT = 0.05
-# px: shorter side of the coarsest level.
-MIN_COARSE_SIDE = 8
-# Factor by which both spreads shrink in every round.
-DRAW_SHRINKAGE = 0.6
-# Largest cost of a reliable match.
-MAX_COST = 0.25
-# px: smallest region of reliable matches. In a region, neighbours differ by at most 1 px in D.
-MIN_REGION = 200
 # Steps per px in which values of D are compared.
 REGION_UNITS = 16
 # Seed of the noise that replaces masked pixels of other frames: it correlates with nothing.
@@ -132,10 +109,11 @@ class Window:
         while height * width >> 2 * self.level > cells or self.level < self.finest:
             self.level += 1
         smallest = int(np.log2(max(1, min(key.shape))))
-        levels = min(self.level + COARSER_LEVELS + 1, smallest + 1)
+        levels = min(self.level + DEPTH.coarser_levels + 1, smallest + 1)
         self.finest, self.level = min(self.finest, levels - 1), min(self.level, levels - 1)
         self.frames = [
-            gaussian_pyramid(smooth(frame, PRESMOOTHING), 0.5, levels) for frame in (key, *others)
+            gaussian_pyramid(smooth(frame, DEPTH.window_smoothing), 0.5, levels)
+            for frame in (key, *others)
         ]
         height, width = self.shape
         self.used_cells = np.ones((height, width), bool)
@@ -172,11 +150,11 @@ class Window:
         larger than pixels of the finest level, the last two searches have the same cells.
         """
         side = 2 ** (self.level - self.finest)
-        last = self.level + 1 if side <= MAX_CELL_SIDE else self.level
+        last = self.level + 1 if side <= DEPTH.max_cell_side else self.level
         coarser = [
             (level, self._search(level, 1), 1)
-            for level in range(self.level + COARSER_LEVELS, last - 1, -1)
-            if min(self.frames[0][level].shape) >= MIN_COARSE_SIDE
+            for level in range(self.level + DEPTH.coarser_levels, last - 1, -1)
+            if min(self.frames[0][level].shape) >= DEPTH.min_coarse_side
         ]
         return [*coarser, (self.finest, self.last_search, side)]
 
@@ -253,23 +231,25 @@ def window_planes(window: Window) -> WindowPlanes:
             planes[..., :3] *= np.float32(2.0 ** (level - finer))
         level, side = finer, stride * 2**finer
         search.score(planes)
-        for search_round in range(SEARCH_ROUNDS[min(index, len(SEARCH_ROUNDS) - 1)]):
-            shrinkage = DRAW_SHRINKAGE**search_round
+        for search_round in range(DEPTH.search_rounds[min(index, len(DEPTH.search_rounds) - 1)]):
+            shrinkage = DEPTH.draw_shrinkage**search_round
             search.improve(
                 planes,
-                draws=RANDOM_DRAWS,
-                spread=(DRAW_SPREAD[1] if index else DRAW_SPREAD[0]) * shrinkage,
-                tilt=stride * DRAW_TILT * shrinkage,
-                seed=index * max(SEARCH_ROUNDS) + search_round,
+                draws=DEPTH.random_draws,
+                spread=(DEPTH.draw_spread[1] if index else DEPTH.draw_spread[0]) * shrinkage,
+                tilt=stride * DEPTH.draw_tilt * shrinkage,
+                seed=index * max(DEPTH.search_rounds) + search_round,
             )
     planes[..., :3] *= np.float32(0.5 ** (window.level - level))
     depth = np.ascontiguousarray(planes[..., 0])
-    reliable = (planes[..., 3] < MAX_COST) & (depth > 0) & window.used_cells
+    reliable = (planes[..., 3] < DEPTH.max_cost) & (depth > 0) & window.used_cells
     return WindowPlanes(
         level=window.level,
         inverse_depth=depth,
         slopes=np.ascontiguousarray(np.moveaxis(planes[..., 1:3], -1, 0)),
-        reliable=_remove_small_regions(depth, reliable, max(1, MIN_REGION >> 2 * window.level)),
+        reliable=_remove_small_regions(
+            depth, reliable, max(1, DEPTH.min_region >> 2 * window.level)
+        ),
     )
 
 

@@ -16,48 +16,8 @@ from tisfm.camera import Camera
 from tisfm.motion.objects.candidates import smallest_object
 from tisfm.reconstruction.frames.image_motion import ChainedFlow, ImageMotion, sample_image
 from tisfm.reconstruction.geometry.rays import pinhole_rays
-from tisfm.reconstruction.objects.motion_evidence import (
-    MOVING_EVIDENCE,
-    REFUTING_DIFFERENCE,
-    Evidence,
-    StaticMotion,
-    grey_difference,
-)
-
-# Values without a stated source were set by hand.
-
-# Share of the frame that shows the ground.
-MIN_GROUND = 0.03
-# An upright camera: the inverse depth of the ground changes less from left to right than this share
-# of its change from top to bottom,
-MIN_VERTICAL_SLOPE = 0.15
-# and its inverse depth at the image centre is smaller than this share of that change.
-MIN_SLOPE_TO_CENTRE = 0.4
-# Share of the inverse depth within which a pixel fits the ground plane.
-FIT_TOLERANCE = 0.07
-# Trials of the robust fit.
-RANSAC_TRIALS = 300
-# Pixels on which the trials are compared.
-RANSAC_POINTS = 4000
-# Least-squares rounds after the trials.
-FIT_ROUNDS = 3
-# Largest relative change of the camera's height above the ground. A vehicle keeps its height, a
-# hand above a table does not.
-MAX_HEIGHT_CHANGE = 0.3
-# Frames before and after with which this height is compared.
-HEIGHT_FRAMES = 10
-# Share of these frames that need a ground plane.
-MIN_STEADY_SHARE = 0.5
-# Depth of a pixel below the ground, as a multiple of the depth of the ground.
-MIN_DEPTH_RATIO = 1.3
-# Share of the largest inverse depth of the ground: farther pixels are not judged.
-MIN_JUDGED_DEPTH = 0.2
-# Distances, in frames, of the frames whose static points an object may hide.
-HIDDEN_STEPS = (3, 5, 8)
-# Grey levels: smallest mean difference at the position of a hidden point.
-MIN_GREY_DIFFERENCE = 12.0
-# Points that an object has to hide, per square root of its area in px.
-MIN_HIDDEN = 1.0
+from tisfm.reconstruction.objects.motion_evidence import Evidence, StaticMotion, grey_difference
+from tisfm.reconstruction.objects.settings import OBJECTS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,8 +74,8 @@ class BelowGround:
             return None
         ground, apparent = self._rays @ plane, self._depths[frame].inverse_depth
         below = (
-            (ground > MIN_JUDGED_DEPTH * np.abs(ground).max())
-            & (apparent * MIN_DEPTH_RATIO < ground)
+            (ground > OBJECTS.min_judged_depth * np.abs(ground).max())
+            & (apparent * OBJECTS.min_below_ground < ground)
             & ~moving_pixels
         )
         regions = list(_inner_regions(below))
@@ -124,21 +84,23 @@ class BelowGround:
         hiding = self._hiding_pixels(frame)
         mask = np.zeros(below.shape, bool)
         for region in regions:
-            mask |= region & (np.count_nonzero(hiding & region) > MIN_HIDDEN * region.sum() ** 0.5)
+            mask |= region & (
+                np.count_nonzero(hiding & region) > OBJECTS.min_hidden_points * region.sum() ** 0.5
+            )
         if not mask.any():
             return None
         weight = np.float32(mask * self._refuted_ground(frame, ground))
-        return Evidence(total=MOVING_EVIDENCE * weight, weight=weight)
+        return Evidence(total=OBJECTS.moving_evidence * weight, weight=weight)
 
     def _fit_ground(self, depth: StaticDepth) -> np.ndarray | None:
         """Return the ground plane, (3,), or None. Its product with a ray is the inverse depth."""
         lower_half = depth.static_pixels & (self._rays[..., 1] > 0)
         rays, inverse_depth = self._rays[lower_half], depth.inverse_depth[lower_half]
-        if len(rays) < MIN_GROUND * depth.static_pixels.size:
+        if len(rays) < OBJECTS.min_ground_share * depth.static_pixels.size:
             return None
         random = np.random.default_rng(0)
-        sample = random.integers(len(rays), size=min(RANSAC_POINTS, len(rays)))
-        triples = random.integers(len(rays), size=(RANSAC_TRIALS, 3))
+        sample = random.integers(len(rays), size=min(OBJECTS.ground_sample, len(rays)))
+        triples = random.integers(len(rays), size=(OBJECTS.ground_trials, 3))
         solvable = np.abs(np.linalg.det(rays[triples])) > 1e-9
         planes = np.linalg.solve(rays[triples[solvable]], inverse_depth[triples[solvable], None])
         planes = planes[..., 0]
@@ -147,9 +109,9 @@ class BelowGround:
             return None
         fits = _plane_inliers(rays[sample] @ planes.T, inverse_depth[sample, None])
         plane = planes[np.argmax(fits.sum(axis=0))]
-        for _ in range(FIT_ROUNDS):
+        for _ in range(OBJECTS.ground_rounds):
             inliers = _plane_inliers(rays @ plane, inverse_depth)
-            if inliers.sum() < MIN_GROUND * depth.static_pixels.size:
+            if inliers.sum() < OBJECTS.min_ground_share * depth.static_pixels.size:
                 return None
             plane = np.linalg.lstsq(rays[inliers], inverse_depth[inliers], rcond=None)[0]
         return plane if _is_upright(plane) else None
@@ -159,15 +121,15 @@ class BelowGround:
 
         None if the height of the camera above the ground changes, or too few frames show it.
         """
-        window = slice(max(0, frame - HEIGHT_FRAMES), frame + HEIGHT_FRAMES + 1)
+        window = slice(max(0, frame - OBJECTS.height_frames), frame + OBJECTS.height_frames + 1)
         planes = [plane for plane in self._grounds[window] if plane is not None]
         if self._poses[frame] is None or len(planes) < max(
-            3, MIN_STEADY_SHARE * len(self._grounds[window])
+            3, OBJECTS.min_ground_frames * len(self._grounds[window])
         ):
             return None
         plane = np.median(planes, axis=0)
         low, high = np.quantile(np.array(planes)[:, 1], (0.1, 0.9))
-        return plane if high - low < MAX_HEIGHT_CHANGE * plane[1] else None
+        return plane if high - low < OBJECTS.max_height_change * plane[1] else None
 
     def _hiding_pixels(self, frame: int) -> np.ndarray:
         """Return the pixels, (H, W) bool, that hide static points nearer than their apparent depth.
@@ -180,7 +142,7 @@ class BelowGround:
         grey, own = self._motion.grey(frame), self._depths[frame]
         height, width = self._motion.grey(frame).shape
         for direction in (-1, 1):
-            for steps in HIDDEN_STEPS:
+            for steps in OBJECTS.hidden_steps:
                 number = frame + direction * steps
                 if not 0 <= number < len(self._poses) or self._poses[number] is None:
                     continue
@@ -192,11 +154,13 @@ class BelowGround:
                     axis=-1
                 )
                 is_lost = other.static_pixels & inside & ~self._chained_flow(number, frame).valid
-                is_farther = sample_image(own.inverse_depth, positions) * MIN_DEPTH_RATIO < expected
+                is_farther = (
+                    sample_image(own.inverse_depth, positions) * OBJECTS.min_below_ground < expected
+                )
                 is_static = sample_image(np.float32(own.static_pixels), positions) > 0.5
                 is_different = (
                     grey_difference(grey, positions, self._motion.grey(number))
-                    > MIN_GREY_DIFFERENCE
+                    > OBJECTS.min_hidden_difference
                 )
                 x, y = (
                     np.rint(positions[is_lost & is_farther & is_static & is_different])
@@ -213,7 +177,7 @@ class BelowGround:
         for direction in (-1, 1):
             numbers = [
                 frame + direction * steps
-                for steps in HIDDEN_STEPS
+                for steps in OBJECTS.hidden_steps
                 if 0 <= frame + direction * steps < len(self._poses)
                 and self._poses[frame + direction * steps] is not None
             ]
@@ -223,7 +187,7 @@ class BelowGround:
             difference = grey_difference(other, static.positions(depth), grey)
             on_ground = grey_difference(other, static.positions(ground), grey)
             refutation = np.maximum(
-                refutation, (on_ground - difference) / (REFUTING_DIFFERENCE + difference)
+                refutation, (on_ground - difference) / (OBJECTS.refuting_difference + difference)
             )
         return np.clip(refutation, 0, 1)
 
@@ -244,13 +208,13 @@ class BelowGround:
 def _is_upright(planes: np.ndarray) -> np.ndarray:
     """Return which planes, (..., 3), are ground below an upright camera."""
     slope_x, slope_y, center = np.moveaxis(planes, -1, 0)
-    return (np.abs(slope_x) < MIN_VERTICAL_SLOPE * slope_y) & (
-        np.abs(center) < MIN_SLOPE_TO_CENTRE * slope_y
+    return (np.abs(slope_x) < OBJECTS.max_sideways_slope * slope_y) & (
+        np.abs(center) < OBJECTS.max_central_depth * slope_y
     )
 
 
 def _plane_inliers(plane_depth: np.ndarray, inverse_depth: np.ndarray) -> np.ndarray:
-    return np.abs(inverse_depth - plane_depth) < FIT_TOLERANCE * np.abs(plane_depth)
+    return np.abs(inverse_depth - plane_depth) < OBJECTS.ground_tolerance * np.abs(plane_depth)
 
 
 def _inner_regions(mask: np.ndarray) -> Iterator[np.ndarray]:

@@ -17,50 +17,14 @@ from tisfm.reconstruction.frames.image_motion import (
 )
 from tisfm.reconstruction.objects.label_propagation import refine_boundaries
 from tisfm.reconstruction.objects.motion_evidence import Evidence
-from tisfm.reconstruction.objects.moving_regions import (
-    MIN_PIXELS,
-    SmoothMotions,
-    Terms,
-    find_moving_regions,
-)
+from tisfm.reconstruction.objects.moving_regions import SmoothMotions, Terms, find_moving_regions
+from tisfm.reconstruction.objects.settings import OBJECTS
 from tisfm.reconstruction.objects.tracked_objects import (
-    MIN_FRAMES,
     TrackedObject,
     final_labels,
     mask_position,
     most_similar_object,
 )
-
-# Values without a stated source were set by hand.
-# A region shows a known object if this share of its pixels has the propagated label.
-MIN_PROPAGATED = 0.1
-# Share of an occluded object that has to reappear before it is recognised.
-MIN_REAPPEARED = 0.2
-# Bins of a grey-level histogram.
-BINS = 16
-# Reach of an object beyond its predicted mask, in sizes of the object.
-REACH_SHARE = 0.1
-# Visible share of an object that is needed for a quadratic motion.
-MIN_QUADRATIC = 0.5
-# Visible share of an object that is needed for an affine motion; with less, one velocity is fitted.
-MIN_AFFINE = 0.15
-# Standard deviations from the motion of an object beyond which pixels belong to another object.
-MAX_MOTION_DEVIATIONS = 4.0
-# Largest error of such pixels from a motion fitted to them, as a share of their error from the
-# known motions.
-MAX_OWN_ERROR = 0.5
-# px: limit of the errors of a motion.
-MAX_ERROR = 1e3
-# Tolerance between motions where none fits, as a share of the smallest error of the pixel.
-ERROR_TOLERANCE = 0.5
-# Largest cost of a motion, in squared ratios of its error to the usual error.
-MAX_COST = 16.0
-# Cost of a label that differs from the propagated one, in the same unit.
-CHANGE_COST = 2.0
-# Data weight of pixels of a region with known motion, of 1.
-KNOWN_WEIGHT = 0.5
-# Data weight of all other pixels.
-UNKNOWN_WEIGHT = 0.02
 
 
 class ObjectTracker:
@@ -96,7 +60,7 @@ class ObjectTracker:
         labels = np.zeros(grey.shape, np.int32)
         propagated = np.zeros_like(labels) if previous is None else self._propagate(frame, previous)
         confirmed_ids = [
-            number for number, obj in self._objects.items() if obj.core_frames >= MIN_FRAMES
+            number for number, obj in self._objects.items() if obj.core_frames >= OBJECTS.min_frames
         ]
         regions = list(
             find_moving_regions(grey, self._evidence[frame], np.isin(propagated, confirmed_ids))
@@ -105,7 +69,7 @@ class ObjectTracker:
         for region, _ in regions:
             counts = np.bincount(propagated[region], minlength=1)
             counts[0] = 0
-            min_pixels = min(MIN_PROPAGATED * region.sum(), self._min_pixels(region) / 2)
+            min_pixels = min(OBJECTS.min_propagated * region.sum(), self._min_pixels(region) / 2)
             ids = [int(k) for k in np.flatnonzero(counts) if counts[k] >= min_pixels]
             if not ids:
                 ids = [
@@ -142,16 +106,24 @@ class ObjectTracker:
             obj = self._objects[number]
             is_tracked = obj.last_frame == frame - 1
             pixels = region & (propagated == number)
-            pixels = pixels if pixels.sum() >= MIN_PIXELS else region & (labels == number)
+            pixels = (
+                pixels if pixels.sum() >= OBJECTS.min_motion_pixels else region & (labels == number)
+            )
             visible = pixels.sum() / max(1, obj.mask.sum()) if is_tracked else 1.0
-            terms: Terms = 6 if visible >= MIN_QUADRATIC else 3 if visible >= MIN_AFFINE else 1
+            terms: Terms = (
+                6
+                if visible >= OBJECTS.min_quadratic_visible
+                else 3
+                if visible >= OBJECTS.min_affine_visible
+                else 1
+            )
             velocity = obj.velocity if is_tracked else None
             errors[number], deviation = motions.residuals_from(pixels, velocity, terms=terms)
             scale = min(scale, deviation)
             min_deviations = np.minimum(min_deviations, errors[number] / deviation)
             if is_tracked:
                 errors[number][~self._predicted_mask(obj)] = np.inf
-        outliers = np.uint8(region & (min_deviations > MAX_MOTION_DEVIATIONS))
+        outliers = np.uint8(region & (min_deviations > OBJECTS.max_motion_deviations))
         opened = cv2.morphologyEx(outliers, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
         count, components, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
         for k in range(1, count):
@@ -160,7 +132,7 @@ class ObjectTracker:
                 continue
             own_errors, _ = motions.residuals_from(part)
             nearest = np.min([error[part] for error in errors.values()], axis=0)
-            if np.median(own_errors[part]) > MAX_OWN_ERROR * np.median(nearest):
+            if np.median(own_errors[part]) > OBJECTS.max_own_error * np.median(nearest):
                 continue
             other_labels, other_propagated = (
                 np.where(part, 0, labels),
@@ -174,16 +146,20 @@ class ObjectTracker:
             return
         top, left, height, width = _box(region)
         window = np.s_[top : top + height, left : left + width]
-        distances = np.stack([np.minimum(error[window], MAX_ERROR) for error in errors.values()])
+        distances = np.stack(
+            [np.minimum(error[window], OBJECTS.max_motion_error) for error in errors.values()]
+        )
         nearest = distances.min(axis=0)
         tolerance = (
-            scale**2 + (ERROR_TOLERANCE * nearest) ** 2
+            scale**2 + (OBJECTS.error_tolerance * nearest) ** 2
         )  # where no motion fits, only a clear difference counts
-        costs = np.minimum((distances**2 - nearest**2) / tolerance, MAX_COST)
+        costs = np.minimum((distances**2 - nearest**2) / tolerance, OBJECTS.max_motion_cost)
         numbers = np.array(list(errors))
-        costs += CHANGE_COST * (labels[window] != numbers[:, None, None])
+        costs += OBJECTS.identity_change_cost * (labels[window] != numbers[:, None, None])
         weight = np.where(
-            motions.valid[window] & region[window], KNOWN_WEIGHT, UNKNOWN_WEIGHT
+            motions.valid[window] & region[window],
+            OBJECTS.known_motion_weight,
+            OBJECTS.unknown_motion_weight,
         ).astype(np.float32)
         grey = np.ascontiguousarray(self._motion.grey(frame)[window])
         best = numbers[Potts(grey).assign(costs.astype(np.float32), weight)]
@@ -198,7 +174,7 @@ class ObjectTracker:
         )
         if not enlarge:
             return shifted > 0
-        side = 1 + 2 * round(REACH_SHARE * obj.mask.sum() ** 0.5 + 1)
+        side = 1 + 2 * round(OBJECTS.reach * obj.mask.sum() ** 0.5 + 1)
         return cv2.dilate(shifted, np.ones((side, side), np.uint8)) > 0
 
     def _find_reappeared(
@@ -210,7 +186,7 @@ class ObjectTracker:
         candidates = [
             obj
             for obj in self._objects.values()
-            if obj.id not in visible_ids and size > MIN_REAPPEARED * obj.mask.sum()
+            if obj.id not in visible_ids and size > OBJECTS.min_reappeared * obj.mask.sum()
         ]
         histogram = self._histogram(frame, region)
         return most_similar_object(candidates, frame, mask_position(region), histogram)
@@ -219,7 +195,11 @@ class ObjectTracker:
         number = 1 + max(self._objects, default=0)
         mask = np.zeros(self._motion.grey(frame).shape, bool)
         self._objects[number] = TrackedObject(
-            id=number, last_frame=frame, mask=mask, velocity=np.zeros(2), histogram=np.zeros(BINS)
+            id=number,
+            last_frame=frame,
+            mask=mask,
+            velocity=np.zeros(2),
+            histogram=np.zeros(OBJECTS.histogram_bins),
         )
         return number
 
@@ -239,7 +219,9 @@ class ObjectTracker:
             predicted = (
                 self._predicted_mask(obj, enlarge=False) if obj.last_frame == frame - 1 else mask
             )
-            is_reliable = is_unoccluded or mask.sum() >= MIN_QUADRATIC * predicted.sum()
+            is_reliable = (
+                is_unoccluded or mask.sum() >= OBJECTS.min_quadratic_visible * predicted.sum()
+            )
             obj.mask = mask if is_unoccluded else predicted | mask if is_reliable else predicted
             obj.last_frame = frame
             obj.pixel_count += int(mask.sum())
@@ -275,7 +257,7 @@ class ObjectTracker:
 
     def _histogram(self, frame: int, mask: np.ndarray) -> np.ndarray:
         grey = self._motion.grey(frame)[mask]
-        counts, _ = np.histogram(grey, BINS, (0, 256))
+        counts, _ = np.histogram(grey, OBJECTS.histogram_bins, (0, 256))
         return counts / max(1, counts.sum())
 
     def _min_pixels(self, image: np.ndarray) -> int:

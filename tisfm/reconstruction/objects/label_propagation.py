@@ -7,23 +7,7 @@ import numpy as np
 
 from tisfm.motion.objects.label_optimisation import Potts
 from tisfm.reconstruction.frames.image_motion import ImageMotion, pixel_grid, sample_image
-
-# Values without a stated source were set by hand.
-
-# px: largest shift of a boundary.
-MAX_SHIFT = 10
-# px: width of the rim of an object, where its motion is unreliable.
-RIM_WIDTH = 5
-# Pixels of an object inside this rim; with fewer, the whole object is used.
-MIN_CORE = 30
-# Grey levels that are added to the median difference.
-MIN_DIFFERENCE = 2.0
-# Cost of a changed label, in squared ratios of a grey-level difference to the usual difference.
-CHANGE_COST = 2.0
-# Largest cost of a label, in the same unit.
-MAX_COST = 16.0
-# Data weight of pixels near a boundary, of 1.
-BAND_WEIGHT = 0.5
+from tisfm.reconstruction.objects.settings import OBJECTS
 
 
 def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np.ndarray:
@@ -37,7 +21,9 @@ def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np
     if len(numbers) < 2:
         return labels
     grey, grid = motion.grey(frame), pixel_grid(labels.shape)
-    window = np.ones((2 * MAX_SHIFT + 1, 2 * MAX_SHIFT + 1), np.uint8)
+    window = np.ones(
+        (2 * OBJECTS.max_boundary_shift + 1, 2 * OBJECTS.max_boundary_shift + 1), np.uint8
+    )
     surroundings = np.stack([cv2.dilate(np.uint8(labels == k), window) > 0 for k in numbers])
     band = surroundings.sum(axis=0) > 1
     differences = np.full((len(numbers), *labels.shape), np.inf, np.float32)
@@ -45,8 +31,11 @@ def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np
         flow, other = chain.positions - grid, motion.grey(chain.frame)
         for index, number in enumerate(numbers):
             mask = labels == number
-            core = cv2.erode(np.uint8(mask), np.ones((RIM_WIDTH, RIM_WIDTH), np.uint8)) > 0
-            source = core if core.sum() >= MIN_CORE else mask
+            core = (
+                cv2.erode(np.uint8(mask), np.ones((OBJECTS.rim_width, OBJECTS.rim_width), np.uint8))
+                > 0
+            )
+            source = core if core.sum() >= OBJECTS.min_core_pixels else mask
             continued = _continued_flow(flow, source)
             difference = np.abs(sample_image(other, grid + continued) - grey)
             x, y = np.moveaxis(grid + continued, -1, 0)
@@ -56,11 +45,13 @@ def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np
     own_difference = np.take_along_axis(
         differences, np.searchsorted(numbers, labels)[None], axis=0
     )[0]
-    scale = MIN_DIFFERENCE + 1.5 * float(np.median(own_difference[np.isfinite(own_difference)]))
-    costs = np.minimum((differences / scale) ** 2, MAX_COST)
-    costs += CHANGE_COST * (labels != numbers[:, None, None])
-    costs[~surroundings] = 2 * MAX_COST
-    weight = np.where(band, BAND_WEIGHT, 1).astype(np.float32)
+    scale = OBJECTS.difference_offset + 1.5 * float(
+        np.median(own_difference[np.isfinite(own_difference)])
+    )
+    costs = np.minimum((differences / scale) ** 2, OBJECTS.max_boundary_cost)
+    costs += OBJECTS.boundary_change_cost * (labels != numbers[:, None, None])
+    costs[~surroundings] = 2 * OBJECTS.max_boundary_cost
+    weight = np.where(band, OBJECTS.boundary_weight, 1).astype(np.float32)
     best = numbers[Potts(grey).assign(costs.astype(np.float32), weight)]
     return np.where(band, best, labels).astype(np.int32)
 
@@ -72,18 +63,8 @@ def _continued_flow(flow: np.ndarray, mask: np.ndarray) -> np.ndarray:
     )
     table = np.zeros((int(nearest.max()) + 1, 2), np.float32)
     table[nearest[mask]] = flow[mask]
-    extrapolated = cv2.blur(table[nearest], (RIM_WIDTH, RIM_WIDTH))
+    extrapolated = cv2.blur(table[nearest], (OBJECTS.rim_width, OBJECTS.rim_width))
     return np.where(mask[..., None], flow, extrapolated)
-
-
-# Values without a stated source were set by hand.
-
-# Cost of a label that differs from the propagated one.
-PROPAGATION_COST = 6.0
-# Data weight of pixels where forward and backward motion agree.
-FOLLOWED_WEIGHT = 0.5
-# Data weight of all other pixels.
-LOST_WEIGHT = 0.02
 
 
 def propagate_labels(
@@ -118,7 +99,9 @@ def _propagate(motion: ImageMotion, frame: int, other: int, labels: np.ndarray) 
     numbers = np.unique(labels)
     chain = next(chain for chain in motion.chained_flows(frame, 1) if chain.frame == other)
     shares = np.stack([sample_image(np.float32(labels == k), chain.positions) for k in numbers])
-    costs = np.where(chain.valid, PROPAGATION_COST * (1 - shares), 0).astype(np.float32)
-    weight = np.where(chain.valid, FOLLOWED_WEIGHT, LOST_WEIGHT).astype(np.float32)
+    costs = np.where(chain.valid, OBJECTS.propagation_cost * (1 - shares), 0).astype(np.float32)
+    weight = np.where(chain.valid, OBJECTS.consistent_weight, OBJECTS.inconsistent_weight).astype(
+        np.float32
+    )
     best = numbers[Potts(motion.grey(frame)).assign(costs, weight)]
     return refine_boundaries(best, motion, frame)

@@ -16,36 +16,7 @@ from tisfm.camera import Camera
 from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.frames.image_motion import ImageMotion, pixel_grid, sample_image
-
-# Values without a stated source were set by hand.
-# Distances, in frames, of the frames that a frame is compared with, before and after.
-FRAME_STEPS = (1, 3)
-# Standard deviation of the image motion, as a share of the longer side; added to that of the fit.
-MIN_DEVIATION = 1.5e-4
-# Standard deviations from the motion of the camera at which evidence is neutral.
-NEUTRAL_DEVIATIONS = 3.0
-# Evidence of one frame for a clearly static pixel.
-STATIC_EVIDENCE = -1.0
-# Largest evidence of one frame for a moving pixel.
-MOVING_EVIDENCE = 3.0
-# Weight, in frames, of the prior that a pixel is static.
-STATIC_PRIOR = 0.3
-# Share of the evidence of a frame that is passed on to the next one.
-PASSED_SHARE = 0.8
-# px: side of the window that images are compared in.
-COMPARE_WINDOW = 5
-# Additional difference, in grey levels, that refutes a static position.
-REFUTING_DIFFERENCE = 4.0
-# Weight, of 1, of evidence without support from grey levels.
-MIN_SUPPORT = 0.05
-# Largest static inverse depth that is tried, as a multiple of the largest usual inverse depth.
-TRIED_DEPTH_FACTOR = 3.0
-# px between two static positions that are tried.
-TRIED_STEP = 2.0
-# Smallest and largest number of static positions that are tried.
-TRIED_COUNTS = (8, 32)
-# Smallest depth of a point in another frame, as a share of its depth in this frame.
-MIN_DEPTH = 0.05
+from tisfm.reconstruction.objects.settings import OBJECTS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,8 +39,8 @@ class Evidence:
 
     def mean(self) -> np.ndarray:
         """Return the mean evidence, (H, W) float32; pixels without evidence are static."""
-        return (self.total + np.float32(STATIC_PRIOR * STATIC_EVIDENCE)) / (
-            self.weight + np.float32(STATIC_PRIOR)
+        return (self.total + np.float32(OBJECTS.static_prior * OBJECTS.static_evidence)) / (
+            self.weight + np.float32(OBJECTS.static_prior)
         )
 
     def combine_with(self, multi_frame: "Evidence") -> "Evidence":
@@ -87,7 +58,7 @@ class Evidence:
     def with_static_pixels(self, mask: np.ndarray) -> "Evidence":
         """Return the evidence with the pixels of a mask, (H, W) bool, set to static."""
         return Evidence(
-            total=np.where(mask, np.float32(STATIC_EVIDENCE), self.total),
+            total=np.where(mask, np.float32(OBJECTS.static_evidence), self.total),
             weight=np.where(mask, np.float32(1), self.weight),
         )
 
@@ -110,21 +81,25 @@ def frame_evidence(motion: ImageMotion, frame: int) -> Evidence:
     shape, camera = motion.grey(frame).shape, motion.camera()
     total, weight = (np.zeros(shape, np.float32) for _ in range(2))
     grid, grey = pixel_grid(shape), motion.grey(frame)
-    for chain in motion.chained_flows(frame, max(FRAME_STEPS)):
-        if chain.steps not in FRAME_STEPS:
+    for chain in motion.chained_flows(frame, max(OBJECTS.pair_steps)):
+        if chain.steps not in OBJECTS.pair_steps:
             continue
         flow = chain.positions - grid
         try:
             fit = camera_motion(flow, np.float32(chain.valid), camera)
         except TooFewPixelsError:
             continue
-        deviation = fit.residual + MIN_DEVIATION * max(shape) * chain.steps**0.5
+        deviation = fit.residual + OBJECTS.flow_deviation * max(shape) * chain.steps**0.5
         static = StaticMotion(fit.rotation, fit.translation, camera, shape)
         inverse_depth = static.nearest(chain.positions)
         error = (
             np.linalg.norm(static.positions(inverse_depth) - chain.positions, axis=-1) / deviation
         )
-        vote = np.clip((error / NEUTRAL_DEVIATIONS) ** 2 - 1, STATIC_EVIDENCE, MOVING_EVIDENCE)
+        vote = np.clip(
+            (error / OBJECTS.neutral_deviations) ** 2 - 1,
+            OBJECTS.static_evidence,
+            OBJECTS.moving_evidence,
+        )
         static_depths = inverse_depth[chain.valid & (vote < 0)]
         view = motion.grey(chain.frame), chain.positions, chain.valid, static
         support = support_of_motion(grey, [view], inverse_depth, static_depths)
@@ -132,7 +107,7 @@ def frame_evidence(motion: ImageMotion, frame: int) -> Evidence:
         frame_weight *= chain.valid
         total += frame_weight * vote
         weight += frame_weight
-    comparisons = 2 * len(FRAME_STEPS)
+    comparisons = 2 * len(OBJECTS.pair_steps)
     return Evidence(total=total / comparisons, weight=weight / comparisons)
 
 
@@ -167,7 +142,7 @@ def _accumulate(
                 for chain in motion.chained_flows(frame, 1)
                 if chain.frame == frame - direction
             )
-            factor = np.float32(PASSED_SHARE) * chain.valid
+            factor = np.float32(OBJECTS.passed_evidence) * chain.valid
             own = Evidence(
                 total=own.total + factor * sample_image(previous.total, chain.positions),
                 weight=own.weight + factor * sample_image(previous.weight, chain.positions),
@@ -201,14 +176,14 @@ class StaticMotion:
             ray + np.float32(inverse_depth) * component
             for ray, component in zip(cv2.split(self._rays), self._translation, strict=True)
         ]
-        scale = self._focal / np.maximum(point[2], np.float32(MIN_DEPTH))
+        scale = self._focal / np.maximum(point[2], np.float32(OBJECTS.min_depth_ratio))
         x, y = self._center
         return cv2.merge([point[0] * scale + x, point[1] * scale + y])
 
     def inverse_depth(self, inverse_depth: np.ndarray) -> np.ndarray:
         """Return the inverse depth in the other frame, (H, W) float32."""
         depth = self._rays[..., 2] + inverse_depth * self._translation[2]
-        return inverse_depth / np.maximum(depth, np.float32(MIN_DEPTH))
+        return inverse_depth / np.maximum(depth, np.float32(OBJECTS.min_depth_ratio))
 
     def slope_and_residual(
         self, inverse_depth: np.ndarray, positions: np.ndarray
@@ -221,7 +196,7 @@ class StaticMotion:
             ray + inverse_depth * component
             for ray, component in zip(cv2.split(self._rays), self._translation, strict=True)
         )
-        scale = self._focal / np.maximum(depth, np.float32(MIN_DEPTH))
+        scale = self._focal / np.maximum(depth, np.float32(OBJECTS.min_depth_ratio))
         t1, t2, t3 = self._translation
         projected_x, projected_y = x * scale, y * scale
         slope = [
@@ -237,7 +212,9 @@ class StaticMotion:
         t12, t3 = self._translation[:2], self._translation[2]
         ray, inverse_depth = self._rays, np.zeros(target.shape[:2], np.float32)
         for _ in range(2):  # the second round has the weights of the first result
-            depth = np.maximum(ray[..., 2] + inverse_depth * t3, np.float32(MIN_DEPTH))
+            depth = np.maximum(
+                ray[..., 2] + inverse_depth * t3, np.float32(OBJECTS.min_depth_ratio)
+            )
             residual = (target * ray[..., 2:] - ray[..., :2]) / depth[..., None]
             slope = (target * t3 - t12) / depth[..., None]
             square = np.maximum((slope * slope).sum(axis=-1), np.float32(1e-12))
@@ -254,7 +231,7 @@ def support_of_motion(
     # (H, W) float32: the inverse depth whose static position is nearest to these positions
     nearest: np.ndarray,
     static_depths: np.ndarray,  # (N,) float32: inverse depths of static points
-) -> np.ndarray:  # (H, W) float32: from `MIN_SUPPORT` to 1
+) -> np.ndarray:  # (H, W) float32: from `OBJECTS.min_support` to 1
     """Return how far the images support the image motion against every static position.
 
     In an area without texture all positions look alike, and the image motion is arbitrary. Where
@@ -262,13 +239,15 @@ def support_of_motion(
     fit all given frames.
     """
     max_inverse = (
-        float(np.quantile(static_depths, 0.99)) * TRIED_DEPTH_FACTOR if len(static_depths) else 0.0
+        float(np.quantile(static_depths, 0.99)) * OBJECTS.max_depth_factor
+        if len(static_depths)
+        else 0.0
     )
     shifts = [
         np.median(np.linalg.norm(static.positions(max_inverse) - static.positions(0.0), axis=-1))
         for *_, static in views
     ]
-    count = int(np.clip(max(shifts) / TRIED_STEP, *TRIED_COUNTS))
+    count = int(np.clip(max(shifts) / OBJECTS.static_step, *OBJECTS.static_counts))
     difference = _mean_difference(
         grey, [(other, positions, valid) for other, positions, valid, _ in views]
     )
@@ -283,7 +262,9 @@ def support_of_motion(
         ]
         min_difference = np.minimum(min_difference, _mean_difference(grey, static_views))
     return np.clip(
-        (min_difference - difference) / (REFUTING_DIFFERENCE + difference), MIN_SUPPORT, 1
+        (min_difference - difference) / (OBJECTS.refuting_difference + difference),
+        OBJECTS.min_support,
+        1,
     )
 
 
@@ -303,4 +284,7 @@ def grey_difference(other: np.ndarray, positions: np.ndarray, grey: np.ndarray) 
 
     It is averaged over windows.
     """
-    return cv2.blur(np.abs(sample_image(other, positions) - grey), (COMPARE_WINDOW, COMPARE_WINDOW))
+    return cv2.blur(
+        np.abs(sample_image(other, positions) - grey),
+        (OBJECTS.compare_window, OBJECTS.compare_window),
+    )

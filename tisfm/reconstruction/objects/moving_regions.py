@@ -9,28 +9,8 @@ import numpy as np
 from tisfm.motion.objects.candidates import smallest_object
 from tisfm.motion.objects.label_optimisation import Potts
 from tisfm.reconstruction.frames.image_motion import ImageMotion, pixel_grid, vector_lengths
-from tisfm.reconstruction.objects.motion_evidence import STATIC_PRIOR, Evidence
-
-# Values without a stated source were set by hand.
-
-# Mean evidence, −1 (static) to 3 (moving), at the boundary of a moving region.
-REGION_EVIDENCE = -0.3
-# Mean evidence of the core of a region. A new object needs a core.
-CORE_EVIDENCE = 0.3
-# Frames with evidence that a pixel of the core needs.
-MIN_CORE_FRAMES = 1.5
-# Pixels of the core, as a share of the smallest object.
-MIN_CORE_OF_SMALLEST = 0.25
-# Pixels of the core, as a share of the region.
-MIN_CORE_SHARE = 0.15
-# Mean evidence that is added where a known object is expected.
-KNOWN_OBJECT_BONUS = 0.4
-# Frames with evidence that give a pixel its full data weight.
-FULL_WEIGHT_FRAMES = 4.0
-# This full data weight, against the smoothness of labels.
-MAX_DATA_WEIGHT = 0.5
-# Share of the full data weight without any evidence.
-MIN_DATA_SHARE = 0.02
+from tisfm.reconstruction.objects.motion_evidence import Evidence
+from tisfm.reconstruction.objects.settings import OBJECTS
 
 
 def find_moving_regions(
@@ -40,13 +20,18 @@ def find_moving_regions(
 ) -> Iterator[tuple[np.ndarray, bool]]:
     """Yield the connected parts of a frame that move, (H, W) bool, and whether they have a core."""
     mean = evidence.mean()
-    core = (mean > CORE_EVIDENCE) & (evidence.weight > MIN_CORE_FRAMES)
-    mean += np.float32(KNOWN_OBJECT_BONUS) * object_mask
+    core = (mean > OBJECTS.core_evidence) & (evidence.weight > OBJECTS.min_core_frames)
+    mean += np.float32(OBJECTS.known_object_bonus) * object_mask
     costs = np.stack(
-        [2 * np.clip(mean - REGION_EVIDENCE, 0, 3), 4 * np.clip(REGION_EVIDENCE - mean, 0, 1)]
+        [
+            2 * np.clip(mean - OBJECTS.region_evidence, 0, 3),
+            4 * np.clip(OBJECTS.region_evidence - mean, 0, 1),
+        ]
     )
-    weight = MAX_DATA_WEIGHT * np.clip(
-        (evidence.weight + STATIC_PRIOR) / FULL_WEIGHT_FRAMES, MIN_DATA_SHARE, 1
+    weight = OBJECTS.max_data_weight * np.clip(
+        (evidence.weight + OBJECTS.static_prior) / OBJECTS.full_weight_frames,
+        OBJECTS.min_data_share,
+        1,
     )
     moving = Potts(grey).assign(costs.astype(np.float32), weight.astype(np.float32)) == 1
     count, components, statistics, _ = cv2.connectedComponentsWithStats(
@@ -57,22 +42,11 @@ def find_moving_regions(
     for component in range(1, count):
         if statistics[component, cv2.CC_STAT_AREA] >= smallest:
             min_core = max(
-                MIN_CORE_OF_SMALLEST * smallest,
-                MIN_CORE_SHARE * statistics[component, cv2.CC_STAT_AREA],
+                OBJECTS.min_core_of_smallest * smallest,
+                OBJECTS.min_core_share * statistics[component, cv2.CC_STAT_AREA],
             )
             yield components == component, bool(cores[component] >= min_core)
 
-
-# Values without a stated source were set by hand.
-
-# Smallest number of pixels for the fit of a smooth motion.
-MIN_PIXELS = 30
-# Smallest number of pixels for the fit of a quadratic motion.
-MIN_PIXELS_QUADRATIC = 400
-# px: pixels that differ by more from the expected velocity count little in the first round.
-START_TOLERANCE = 1.0
-# px: smallest standard deviation from a smooth motion.
-MIN_DEVIATION = 0.2
 
 Terms = Literal[1, 3, 6]
 
@@ -109,7 +83,7 @@ class SmoothMotions:
         deviations = []
         for index, (flow, valid) in enumerate(self._flows):
             pixels = mask & valid
-            if pixels.sum() < MIN_PIXELS:
+            if pixels.sum() < OBJECTS.min_motion_pixels:
                 continue
             sign = 1 if self._has_next and index == 0 else -1
             expected = None if velocity is None else sign * velocity
@@ -117,7 +91,7 @@ class SmoothMotions:
             deviations.append(1.48 * float(np.median(residual[pixels])))
             total += np.where(valid, residual, 0)
             count += valid
-        deviation = max([MIN_DEVIATION, *deviations])
+        deviation = max([OBJECTS.min_motion_deviation, *deviations])
         return total / np.maximum(count, 1), deviation
 
 
@@ -136,13 +110,17 @@ def smooth_motion(
     size = max(1.0, float(max(np.ptp(columns), np.ptp(rows))) / 2)
     x, y = np.moveaxis((pixel_grid(flow.shape) - center) / size, -1, 0).clip(-2, 2)
     monomials = [np.ones_like(x), x, y, x * x, x * y, y * y]
-    basis = np.stack(monomials[: terms if len(rows) >= MIN_PIXELS_QUADRATIC else min(terms, 3)], -1)
+    basis = np.stack(
+        monomials[: terms if len(rows) >= OBJECTS.min_quadratic_pixels else min(terms, 3)], -1
+    )
     stride = max(1, len(rows) // 4000)
     samples, flow_samples = basis[mask][::stride], flow[mask][::stride].astype(np.float64)
     weight = np.ones(len(flow_samples))
     if expected is not None:
         weight = (
-            1 / (1 + (np.linalg.norm(flow_samples - expected, axis=1) / START_TOLERANCE) ** 2) ** 2
+            1
+            / (1 + (np.linalg.norm(flow_samples - expected, axis=1) / OBJECTS.start_tolerance) ** 2)
+            ** 2
         )
     for _ in range(5):
         weighted = samples * weight[:, None]

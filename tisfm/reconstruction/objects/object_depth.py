@@ -16,20 +16,10 @@ from scipy.spatial.transform import Rotation
 from tisfm.motion.objects.depth import contact_scale
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.objects.object_path import ObjectPath, find_object_path
+from tisfm.reconstruction.objects.settings import OBJECTS
 from tisfm.reconstruction.result.folder import depth_path, read_depth, write_depth
 from tisfm.reconstruction.result.moving_object import MovingObject, ScaleFrom, labelled_objects
 from tisfm.settings import Settings
-
-# Values without a stated source were set by hand.
-
-# Share of the points that is dropped at both ends of an axis before an extent is measured.
-TRIMMED_SHARE = 0.03
-# px: width of the ring around an object whose depth may give the distance of the object.
-SURROUNDINGS = 15
-# Random orientations of a box that are tried for the smallest box.
-BOX_TRIALS = 2000
-# Points that boxes are fitted to.
-MAX_BOX_POINTS = 1000
 
 
 def find_object_scale(
@@ -57,7 +47,7 @@ def find_object_scale(
         contact = contact_scale(combined, labels, object_pixels & ~valid, object_id)
         if contact is not None:
             contacts.append(1 / contact)
-        window = np.ones((2 * SURROUNDINGS + 1, 2 * SURROUNDINGS + 1), np.uint8)
+        window = np.ones((2 * OBJECTS.surroundings + 1, 2 * OBJECTS.surroundings + 1), np.uint8)
         ring = (cv2.dilate(np.uint8(object_pixels), window) > 0) & (labels == 0) & (background > 0)
         if ring.any():
             # The object occludes its surroundings, so it is at least as near as their nearest part.
@@ -72,7 +62,7 @@ def find_object_scale(
 
 def trimmed_extent(points: np.ndarray) -> np.ndarray:
     """Return the extent of points, (N, 3), along each axis, (3,), without the outermost ones."""
-    low, high = np.quantile(points, [TRIMMED_SHARE, 1 - TRIMMED_SHARE], axis=0)
+    low, high = np.quantile(points, [OBJECTS.trimmed_points, 1 - OBJECTS.trimmed_points], axis=0)
     return np.asarray(high - low)
 
 
@@ -81,9 +71,9 @@ def longest_side(points: np.ndarray) -> float:
 
     It does not depend on the orientation of the points. `trimmed_extent` measures the sides.
     """
-    sample = points[:: 1 + len(points) // MAX_BOX_POINTS]
+    sample = points[:: 1 + len(points) // OBJECTS.max_box_points]
     random = np.random.default_rng(0)
-    rotations = Rotation.from_quat(random.normal(size=(BOX_TRIALS, 4))).as_matrix()
+    rotations = Rotation.from_quat(random.normal(size=(OBJECTS.box_trials, 4))).as_matrix()
     extents = np.stack([trimmed_extent(sample @ rotation) for rotation in rotations])
     areas = (extents * np.roll(extents, 1, axis=1)).sum(axis=1)
     return float(extents[areas.argmin()].max())

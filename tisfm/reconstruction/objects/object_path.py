@@ -14,23 +14,12 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.depth.segment_depth import FrameDepth, Frames, PieceDepths, depth_effort
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
+from tisfm.reconstruction.objects.settings import OBJECTS
 from tisfm.reconstruction.path.path_solver import find_path
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.tracks.tracker import CELLS, Observations
 from tisfm.settings import Settings
 
-# Values without a stated source were set by hand.
-
-# Frames in which an object has to be seen.
-MIN_FRAMES = 3
-# Pixels of the object in each of these frames.
-MIN_PIXELS = 400
-# px: width of the rim of an object in which there are no tracks.
-RIM_WIDTH = 5
-# px: smallest distance between tracks.
-MIN_TRACK_DISTANCE = 6
-# px: margin around an object in which depth is found too.
-BOX_MARGIN = 24
 # px: the box of an object starts at a multiple of this number, so that it holds whole pixels of the
 # coarsest matched level.
 BOX_ALIGNMENT = 16
@@ -88,14 +77,18 @@ def find_object_path(
     with_depth: bool = True,  # whether depth is found in addition to the path
 ) -> ObjectPath | str:
     """Return the path and depth of an object, or the reason why it has none."""
-    numbers = [frame for frame in obj.frames if (labels_of(frame) == obj.id).sum() >= MIN_PIXELS]
-    if len(numbers) < MIN_FRAMES:
-        return f"it is too small, or seen in fewer than {MIN_FRAMES} frames"
+    numbers = [
+        frame
+        for frame in obj.frames
+        if (labels_of(frame) == obj.id).sum() >= OBJECTS.min_object_pixels
+    ]
+    if len(numbers) < OBJECTS.min_path_frames:
+        return f"it is too small, or seen in fewer than {OBJECTS.min_path_frames} frames"
     object_frames = _ObjectFrames(frames, numbers, labels_of, obj.id)
     object_side = float(np.median(np.sqrt(obj.boxes[:, 2] * obj.boxes[:, 3])))
     frame_side = max(frames.shape)
-    cells = min(CELLS * frame_side / max(object_side, 1.0), frame_side / MIN_TRACK_DISTANCE)
-    rim = np.ones((RIM_WIDTH, RIM_WIDTH), np.uint8)
+    cells = min(CELLS * frame_side / max(object_side, 1.0), frame_side / OBJECTS.min_track_distance)
+    rim = np.ones((OBJECTS.track_rim, OBJECTS.track_rim), np.uint8)
 
     def tracker_input(number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         grey = np.rint(object_frames.grey(number)).clip(0, 255).astype(np.uint8)
@@ -149,8 +142,8 @@ def _bounding_box(frames: Frames, numbers: Iterable[int]) -> tuple[slice, slice]
     left, top, width, height = cv2.boundingRect(np.uint8(mask))
     rows, columns = (
         slice(
-            max(0, first - BOX_MARGIN) // BOX_ALIGNMENT * BOX_ALIGNMENT,
-            min(first + length + BOX_MARGIN, limit),
+            max(0, first - OBJECTS.box_margin) // BOX_ALIGNMENT * BOX_ALIGNMENT,
+            min(first + length + OBJECTS.box_margin, limit),
         )
         for first, length, limit in zip((top, left), (height, width), frames.shape, strict=True)
     )

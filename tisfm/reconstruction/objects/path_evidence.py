@@ -10,27 +10,8 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.frames.image_motion import ChainedFlow, ImageMotion
-from tisfm.reconstruction.objects.motion_evidence import (
-    MIN_DEVIATION,
-    MOVING_EVIDENCE,
-    NEUTRAL_DEVIATIONS,
-    STATIC_EVIDENCE,
-    Evidence,
-    StaticMotion,
-    support_of_motion,
-)
-
-# Values without a stated source were set by hand.
-
-# Frames before and after that one depth has to explain.
-FRAME_STEPS = (1, 2, 3, 5, 8)
-# Reweighted rounds of the robust fit of depth.
-FIT_ROUNDS = 3
-# px per square root of the frame distance: error with half the weight.
-OUTLIER_ERROR = 3.0
-# Largest usual error, as a share of the longer side; with a larger one, the path does not fit the
-# static points.
-MAX_USUAL_ERROR = 1.5e-3
+from tisfm.reconstruction.objects.motion_evidence import Evidence, StaticMotion, support_of_motion
+from tisfm.reconstruction.objects.settings import OBJECTS
 
 
 def path_evidence(
@@ -51,9 +32,9 @@ def path_evidence(
         return None
     shape = motion.grey(frame).shape
     views: list[tuple[ChainedFlow, StaticMotion]] = []
-    for chain in motion.chained_flows(frame, max(FRAME_STEPS)):
+    for chain in motion.chained_flows(frame, max(OBJECTS.path_steps)):
         other = poses[chain.frame]
-        if chain.steps in FRAME_STEPS and other is not None:
+        if chain.steps in OBJECTS.path_steps and other is not None:
             relative = np.linalg.inv(other) @ pose
             views.append((chain, StaticMotion(relative[:3, :3], relative[:3, 3], camera, shape)))
     if len(views) < 2:
@@ -64,11 +45,13 @@ def path_evidence(
     if static_pixels.sum() < 100:
         return None
     deviation = 1.48 * float(np.median(error[static_pixels]))
-    if deviation > MAX_USUAL_ERROR * max(shape):
+    if deviation > OBJECTS.max_path_error * max(shape):
         return None
-    deviation += MIN_DEVIATION / 2 * max(shape)  # many frames are more certain than one
+    deviation += OBJECTS.flow_deviation / 2 * max(shape)  # many frames are more certain than one
     vote = np.clip(
-        (error / (deviation * NEUTRAL_DEVIATIONS)) ** 2 - 1, STATIC_EVIDENCE, MOVING_EVIDENCE
+        (error / (deviation * OBJECTS.neutral_deviations)) ** 2 - 1,
+        OBJECTS.static_evidence,
+        OBJECTS.moving_evidence,
     )
     static_depths = inverse_depth[static_pixels & (vote < 0)]
     last_views = {chain.frame > frame: (chain, static) for chain, static in views}  # by side
@@ -87,14 +70,14 @@ def _joint_depth(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the inverse depth that fits all views best, and its error, px, (H, W) each."""
     inverse_depth = np.zeros(shape, np.float32)
-    for fit_round in range(FIT_ROUNDS):
+    for fit_round in range(OBJECTS.depth_rounds):
         squares, products = np.full(shape, 1e-12, np.float32), np.zeros(shape, np.float32)
         for chain, static in views:
             slope, residual = static.slope_and_residual(inverse_depth, chain.positions)
             weight = chain.valid / np.float32(chain.steps)  # errors add up along a chain
             if fit_round:
                 error = np.linalg.norm(residual, axis=-1) / np.float32(chain.steps**0.5)
-                weight = weight / (1 + (error / OUTLIER_ERROR) ** 2)
+                weight = weight / (1 + (error / OBJECTS.outlier_error) ** 2)
             squares += weight * (slope * slope).sum(axis=-1)
             products += weight * (slope * residual).sum(axis=-1)
         inverse_depth = np.maximum(inverse_depth + products / squares, 0)

@@ -11,19 +11,13 @@ from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS, ImageMot
 from tisfm.reconstruction.objects.below_ground import BelowGround, StaticDepth
 from tisfm.reconstruction.objects.identities import ObjectTracker
 from tisfm.reconstruction.objects.motion_evidence import (
-    STATIC_EVIDENCE,
     Evidence,
     accumulate_evidence,
     frame_evidence,
 )
-from tisfm.reconstruction.objects.moving_regions import REGION_EVIDENCE
 from tisfm.reconstruction.objects.path_evidence import path_evidence
+from tisfm.reconstruction.objects.settings import OBJECTS
 from tisfm.reconstruction.objects.tracked_objects import MAX_OBJECTS
-
-# Frames with evidence that a static depth needs. Set by hand.
-MIN_STATIC_WEIGHT = 0.3
-# Largest mean evidence of a static depth. Set by hand.
-MAX_STATIC_MEAN = STATIC_EVIDENCE / 2
 
 
 class SequenceLabels:
@@ -68,7 +62,7 @@ class SequenceLabels:
         combined = DiskCache(Evidence.arrays, Evidence.of_arrays)
         depths = DiskCache(StaticDepth.arrays, StaticDepth.of_arrays)
         for frame, own in enumerate(self._evidence):
-            moving_pixels = self._accumulated[frame].mean() > REGION_EVIDENCE
+            moving_pixels = self._accumulated[frame].mean() > OBJECTS.region_evidence
             path_result = path_evidence(self._motion, frame, poses, small_camera, moving_pixels)
             if path_result is None:
                 combined.append(own)
@@ -78,8 +72,8 @@ class SequenceLabels:
             combined.append(own.combine_with(multi_frame))
             static_pixels = (
                 ~moving_pixels
-                & (multi_frame.weight > MIN_STATIC_WEIGHT)
-                & (multi_frame.total < MAX_STATIC_MEAN * multi_frame.weight)
+                & (multi_frame.weight > OBJECTS.min_static_frames)
+                & (multi_frame.total < OBJECTS.max_static_mean * multi_frame.weight)
             )
             depths.append(StaticDepth(inverse_depth=inverse_depth, static_pixels=static_pixels))
         self._evidence = combined

@@ -5,31 +5,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-# Values without a stated source were set by hand.
+from tisfm.reconstruction.objects.settings import OBJECTS
 
-# Frames for which an object may be occluded and still keep its id.
-MAX_OCCLUSION = 15
-# Smallest overlap of two grey-level histograms of the same object, 0 to 1.
-MIN_HISTOGRAM_OVERLAP = 0.6
-# Largest distance from the predicted position after occlusion, in sizes of the object.
-MAX_DISTANCE = 1.5
-# Growth of this distance with each occluded frame, as a share.
-DISTANCE_GROWTH = 0.1
 # Largest label: in given labels, 255 marks ignored pixels.
 MAX_OBJECTS = 254
-# Frames in which an object has to be seen.
-MIN_FRAMES = 4
-# An object is a part of a larger object if they touch in this share of the frames of the smaller
-# one, and their motions differ by less than MAX_SAME_MOTION,
-MIN_TOUCHING = 0.7
-# or if they touch in this share of the frames of the smaller one,
-MIN_TOUCHING_LOOSE = 0.3
-# and in this share of the frames with both objects, and their motions differ by less than
-# MAX_SIMILAR_MOTION.
-MIN_TOUCHING_OF_BOTH = 0.6
-# Difference of two motions, as a share of the faster one.
-MAX_SAME_MOTION = 0.3
-MAX_SIMILAR_MOTION = 0.9
 
 
 @dataclass(kw_only=True)
@@ -67,14 +46,14 @@ def most_similar_object(
     max_similarity, best_id = 0.0, 0
     for obj in objects:
         gap = frame - obj.last_frame
-        if not 0 < gap <= MAX_OCCLUSION + 1 or not obj.mask.any():
+        if not 0 < gap <= OBJECTS.max_occlusion + 1 or not obj.mask.any():
             continue
         own_position = mask_position(obj.mask)
         expected = own_position[:2] + gap * obj.velocity
-        limit = max(position[2], own_position[2]) * (1 + DISTANCE_GROWTH * gap)
+        limit = max(position[2], own_position[2]) * (1 + OBJECTS.distance_growth * gap)
         distance = float(np.linalg.norm(position[:2] - expected) / limit)
         overlap = float(np.sqrt(histogram * obj.histogram).sum())
-        if distance >= MAX_DISTANCE or overlap <= MIN_HISTOGRAM_OVERLAP:
+        if distance >= OBJECTS.max_distance or overlap <= OBJECTS.min_histogram_overlap:
             continue
         if overlap / (1 + distance) > max_similarity:
             max_similarity, best_id = overlap / (1 + distance), obj.id
@@ -112,7 +91,7 @@ def final_labels(
             continue
         members = np.flatnonzero(root == obj)
         frames = {frame for k in members for frame in objects[int(k)].motions}
-        min_frames = min(MIN_FRAMES, frame_count)
+        min_frames = min(OBJECTS.min_frames, frame_count)
         core_frames = sum(objects[int(k)].core_frames for k in members)
         if len(frames) >= min_frames and core_frames >= min_frames - 1 and number < MAX_OBJECTS:
             number += 1
@@ -137,12 +116,18 @@ def _earlier_object(objects: Mapping[int, TrackedObject], later: int, root: np.n
 def _is_part_of(smaller: TrackedObject, larger: TrackedObject, touching_frames: int) -> bool:
     """Return whether an object is a part of another one: they touch and move alike."""
     frames = sorted(smaller.motions.keys() & larger.motions.keys())
-    if touching_frames < max(1, MIN_TOUCHING_LOOSE * len(smaller.motions)) or not frames:
+    if touching_frames < max(1, OBJECTS.min_touching_similar * len(smaller.motions)) or not frames:
         return False
     motions = np.array([[obj.motions[f] for f in frames] for obj in (smaller, larger)])
     speed = np.median(np.linalg.norm(motions, axis=2).max(axis=0))
     distance = np.median(np.linalg.norm(motions[0] - motions[1], axis=1))
     difference = float(distance / max(speed, 1e-9))  # as a share of the faster motion
-    if touching_frames >= MIN_TOUCHING * len(smaller.motions) and difference < MAX_SAME_MOTION:
+    if (
+        touching_frames >= OBJECTS.min_touching * len(smaller.motions)
+        and difference < OBJECTS.max_same_motion
+    ):
         return True
-    return touching_frames >= MIN_TOUCHING_OF_BOTH * len(frames) and difference < MAX_SIMILAR_MOTION
+    return (
+        touching_frames >= OBJECTS.min_touching_common * len(frames)
+        and difference < OBJECTS.max_similar_motion
+    )

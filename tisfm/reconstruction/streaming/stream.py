@@ -20,12 +20,12 @@ from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.reconstruction.calibration.source_camera import SourceCamera
 from tisfm.reconstruction.depth.pose_adjustment import adjust_poses
 from tisfm.reconstruction.depth.segment_depth import (
-    MAX_FRAME_DISTANCE,
     FrameDepth,
     PieceDepths,
     depth_effort,
     median_depth,
 )
+from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.depth.window_depth import WindowDepth
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
@@ -285,7 +285,7 @@ class Stream:
         """Drop the data that the path and depth of later frames do not need."""
         self._frames.finalise_corrections(self._path.last_fixed)
         keyframes = {key for key, _ in self._last_keyframes.values()}
-        first = self._path.last_fixed + 1 - MAX_FRAME_DISTANCE
+        first = self._path.last_fixed + 1 - DEPTH.max_frame_distance
         for frame in self._path.drop_before(first, keyframes=keyframes):
             self._frames.delete(frame)
         self._last_keyframes = {
