@@ -102,21 +102,13 @@ def adjust_poses(
 ) -> dict[int, np.ndarray]:
     """Return poses that fit the images better. The depth of the windows is changed in place."""
     adjusted = {frame: np.array(pose, np.float64) for frame, pose in poses.items()}
-    windows = [
-        window
-        for window in windows
-        if any(f in adjusted and f != window.key for f in window.members)
-    ]
+    windows = [w for w in windows if any(f in adjusted and f != w.key for f in w.members)]
     if not windows:
         return adjusted
     cache = _FrameCache(frames, camera, settings)
     for step_index in range(rounds):
-        systems = [
-            _linearise(window, adjusted, cache, move_depth=step_index > 0) for window in windows
-        ]
-        displacements = {
-            frame: _twist_between(adjusted[frame], pose) for frame, pose in poses.items()
-        }
+        systems = [_linearise(w, adjusted, cache, move_depth=step_index > 0) for w in windows]
+        displacements = {f: _twist_between(adjusted[f], pose) for f, pose in poses.items()}
         steps = _solve(systems, sorted(adjusted), displacements, fixed_frames or (min(adjusted),))
         for frame, step in steps.items():
             rotation, translation = rigid_motion(step)
@@ -219,12 +211,8 @@ def _linearise(
         )  # fmt: skip
         rotation, translation = relative[:, :3], relative[:, 3]
         to_members[block, 6 * (j + 1) : 6 * (j + 2)] = np.eye(6)
-        to_members[block, :6] = -np.block(
-            [
-                [rotation, cross_matrices(translation[None])[0] @ rotation],
-                [np.zeros((3, 3)), rotation],
-            ]
-        )
+        coupling = cross_matrices(translation[None])[0] @ rotation
+        to_members[block, :6] = -np.block([[rotation, coupling], [np.zeros((3, 3)), rotation]])
     # Translations of the steps are in the unit of the poses.
     for j in range(count + 1):
         to_members[:, 6 * j : 6 * j + 3] /= unit
@@ -251,14 +239,11 @@ def _move_depth(
     images = np.empty((2, grid.height, grid.width), np.float32)
     lanes_to_images(grid, sums, images)
     # Single pixels are noisy, so the depth of a neighbourhood moves together.
-    curvature, gradient = (
-        cv2.blur(values, (DEPTH.depth_window, DEPTH.depth_window)) for values in images
-    )
-    depth = window.inverse_depth
+    side = DEPTH.depth_window
+    curvature, gradient = (cv2.blur(values, (side, side)) for values in images)
     step = -gradient / (curvature + np.float32(damping)) / np.float32(scale)
-    window.inverse_depth = depth + np.clip(
-        step, -DEPTH.max_depth_step * depth, DEPTH.max_depth_step * depth
-    )
+    limit = DEPTH.max_depth_step * window.inverse_depth
+    window.inverse_depth = window.inverse_depth + np.clip(step, -limit, limit)
 
 
 def _twist_between(pose: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -75,22 +75,17 @@ class PieceDepths:
         self._settings, self._effort = settings, effort
         self._camera = frames.camera
         self._uncropped_shape = uncropped_shape or frames.shape
-        self._start_key, self._written_until = (
-            None if start_keyframe is None else start_keyframe[0],
-            written_until,
-        )
-        # `_window_depths` has the depth of each keyframe in use from its own window (except for
-        # `start_keyframe`), `final_depths` the final depth.
-        self._window_depths: dict[int, WindowDepth] = (
-            {} if start_keyframe is None else dict([start_keyframe])
-        )
+        self._written_until = written_until
+        # depth of each keyframe in use from its own window, except for `start_keyframe`
+        known = [] if start_keyframe is None else [start_keyframe]
+        self._window_depths: dict[int, WindowDepth] = dict(known)
+        self._start_key = next(iter(self._window_depths), None)
         # final depth of the last keyframe and of the one before it: fused with the depth of their
         # neighbour keyframes
         self.final_depths = dict(self._window_depths)
         # Chosen at the start. The iteration removes keyframes that get no depth.
-        self.keyframes = choose_keyframes(
-            piece, observations, max(self._uncropped_shape), self._start_key
-        )
+        side = max(self._uncropped_shape)
+        self.keyframes = choose_keyframes(piece, observations, side, self._start_key)
 
     def __iter__(self) -> Iterator[FrameDepth]:
         """Yield the depth of each frame that has any; a keyframe waits until the next is known."""
@@ -103,9 +98,8 @@ class PieceDepths:
             self._window_depths[key] = depth
             if previous is not None:
                 yield from self._finish_keyframe(previous)
-                self._window_depths = {
-                    k: v for k, v in self._window_depths.items() if k >= previous
-                }
+                recent = {k: v for k, v in self._window_depths.items() if k >= previous}
+                self._window_depths = recent
             previous = key
         if previous is not None:
             yield from self._finish_keyframe(previous)
@@ -127,27 +121,16 @@ class PieceDepths:
         Differences between the keyframes raise the deviation: they show errors of poses and of
         matches that a single window cannot see.
         """
-        depth = self._window_depths[key]
-        shape = self._frames.shape
-        own_depth, own_deviation = (
-            image[:: DEPTH.compare_stride, :: DEPTH.compare_stride]
-            for image in (depth.inverse_depth, depth.deviation)
-        )
-        others = [
-            self._render_keyframe(self._window_depths[k], k, key, DEPTH.compare_stride)
-            for k in self._window_depths
-            if k != key
-        ]
-        mean, deviation = fuse_views(
-            add_difference_to_deviation(
-                [(own_depth, own_deviation), *others], DEPTH.difference_to_deviation
-            )
-        )
+        depth, shape, stride = self._window_depths[key], self._frames.shape, DEPTH.compare_stride
+        views = [(depth.inverse_depth[::stride, ::stride], depth.deviation[::stride, ::stride])]
+        for other, other_depth in self._window_depths.items():
+            if other != key:
+                views.append(self._render_keyframe(other_depth, other, key, stride))
+        raised = add_difference_to_deviation(views, DEPTH.difference_to_deviation)
+        mean, deviation = fuse_views(raised)
         # The keyframe's own depth is known at every pixel; only the correction is upsampled.
-        inverse_depth = depth.inverse_depth * upsample(
-            mean / own_depth, DEPTH.compare_stride, shape
-        )
-        deviation = upsample(deviation, DEPTH.compare_stride, shape)
+        inverse_depth = depth.inverse_depth * upsample(mean / views[0][0], stride, shape)
+        deviation = upsample(deviation, stride, shape)
         return replace(depth, inverse_depth=inverse_depth, deviation=deviation)
 
     def keyframe_windows(self) -> list[KeyframeWindow]:
@@ -161,12 +144,11 @@ class PieceDepths:
                 continue
             first, last = limits[number], limits[number + 2]
             members = [frame for frame in frames if first <= frame <= last and frame != key]
-            images = self._frames.grey(key), depth.inverse_depth, depth.deviation
+            grey, used_pixels = self._frames.grey(key), self._frames.used_pixels(key)
+            images = grey, depth.inverse_depth, depth.deviation, used_pixels
             for start in range(0, len(members), DEPTH.max_window_frames):
                 batch = members[start : start + DEPTH.max_window_frames]
-                windows.append(
-                    make_keyframe_window(key, batch, *images, self._frames.used_pixels(key))
-                )
+                windows.append(make_keyframe_window(key, batch, *images))
         return windows
 
     def _frames_between(self, after: int, before: int) -> Iterator[FrameDepth]:
@@ -236,25 +218,16 @@ class PieceDepths:
         )
         inverse_depth, deviation = (np.empty(depth.shape, np.float32) for _ in range(2))
         cx, cy = self._camera.center_for(*self._frames.shape)
-        rendered(
-            depth,
-            std,
-            motion,
-            inverse_depth,
-            deviation,
-            center=(cx / stride, cy / stride),
-            focal=self._camera.focal / stride,
-        )
+        center, focal = (cx / stride, cy / stride), self._camera.focal / stride
+        rendered(depth, std, motion, inverse_depth, deviation, center=center, focal=focal)
         visible = inverse_depth > 0
         return np.where(visible, inverse_depth, np.nan), np.where(visible, deviation, np.nan)
 
     def _render_depth(self, frame: int) -> View:
         """Return the depth of a frame, rendered from the keyframes, and its deviation."""
         stride = getattr(DEPTH.render_stride, self._effort)
-        views = [
-            self._render_keyframe(depth, key, frame, stride)
-            for key, depth in self.final_depths.items()
-        ]
+        depths = self.final_depths.items()
+        views = [self._render_keyframe(depth, key, frame, stride) for key, depth in depths]
         inverse_depth, deviation = fuse_views(views)
         grey = np.ascontiguousarray(self._frames.grey(frame)[::stride, ::stride])
         filled, filled_deviation = align_edges(*fill_holes(inverse_depth, deviation, grey), grey)

@@ -11,7 +11,7 @@ import numpy as np
 from tisfm.kernels.rigid.merging import merged
 from tisfm.kernels.rigid.surface_edges import RADIUS, by_look
 from tisfm.reconstruction.depth.settings import DEPTH
-from tisfm.reconstruction.depth.window_depth import second_order
+from tisfm.reconstruction.depth.window_depth import min_inverse_depth, second_order
 from tisfm.solver.sampling import enlarged, reduced
 from tisfm.solver.second_order import fill
 
@@ -35,10 +35,8 @@ def relative_difference(
     median_term = np.float32(DEPTH.median_weight) * np.median(total[compared] / count[compared])
     side = 2 * round(DEPTH.difference_window * max(inverse_depth.shape) / 2) + 1
     blurred = cv2.blur(np.dstack([total, count]), (side, side))
-    mean_difference: np.ndarray = (blurred[..., 0] + median_term) / (
-        blurred[..., 1] + np.float32(DEPTH.median_weight)
-    )
-    return mean_difference
+    weight = blurred[..., 1] + np.float32(DEPTH.median_weight)
+    return np.asarray((blurred[..., 0] + median_term) / weight)
 
 
 def add_difference_to_deviation(views: Sequence[View], factor: float) -> list[View]:
@@ -46,9 +44,8 @@ def add_difference_to_deviation(views: Sequence[View], factor: float) -> list[Vi
     depths = [depth for depth, _ in views]
     raised = []
     for number, (depth, deviation) in enumerate(views):
-        difference = np.float32(factor) * relative_difference(
-            depth, depths[:number] + depths[number + 1 :]
-        )
+        others = depths[:number] + depths[number + 1 :]
+        difference = np.float32(factor) * relative_difference(depth, others)
         raised.append((depth, np.hypot(deviation, difference * depth)))
     return raised
 
@@ -87,9 +84,7 @@ def fill_holes(
         level += 1
     side = 2**level
     height, width = (-(-length // side) for length in frame.shape)
-    min_value = np.float32(
-        np.quantile(inverse_depth[valid], DEPTH.far_share) / DEPTH.max_depth_factor
-    )
+    min_value = min_inverse_depth(inverse_depth[valid])
     scale = np.float32(DEPTH.fill_median / np.median(inverse_depth[valid]))
     images = np.stack([valid, np.where(valid, scale * inverse_depth, 0), frame])
     coverage, target, small_frame = reduced(images.astype(np.float32), side, height, width)
@@ -121,9 +116,8 @@ def upsample(
 def _double_rows(image: np.ndarray) -> np.ndarray:
     out = image.repeat(2, axis=0)
     previous, following = image[:-1], image[1:]
-    is_smooth = np.abs(following - previous) < DEPTH.max_smooth_step * np.minimum(
-        previous, following
-    )
+    limit = DEPTH.max_smooth_step * np.minimum(previous, following)
+    is_smooth = np.abs(following - previous) < limit
     out[1:-1:2] = np.where(is_smooth, (previous + following) / 2, previous)
     return out
 
@@ -138,26 +132,19 @@ def align_edges(
     """Return inverse depth and its deviation, with edges moved to the image edges nearby."""
     if not np.isfinite(inverse_depth).all():
         return inverse_depth, deviation
-    depth = np.ascontiguousarray(inverse_depth)
-    std = np.ascontiguousarray(deviation)
+    depth, std = np.ascontiguousarray(inverse_depth), np.ascontiguousarray(deviation)
     out, out_deviation = np.empty((2, *depth.shape), np.float32)
-    by_look(
-        depth, std, _surface_threshold(depth), frame, out, out_deviation, similar=DEPTH.grey_scale
-    )
+    threshold = _surface_threshold(depth)
+    by_look(depth, std, threshold, frame, out, out_deviation, similar=DEPTH.grey_scale)
     return out, out_deviation
 
 
 def _surface_threshold(inverse_depth: np.ndarray) -> np.ndarray:
     """Return the geometric mean of the extremes in a window around a depth edge; elsewhere 0."""
-    neighbourhood, window = (np.ones((side, side), np.uint8) for side in (3, 2 * RADIUS + 1))
-    edge = _has_edge(inverse_depth, neighbourhood)
+    neighbours, window = (np.ones((side, side), np.uint8) for side in (3, 2 * RADIUS + 1))
+    nearest = cv2.dilate(inverse_depth, neighbours)
+    edge = nearest - cv2.erode(inverse_depth, neighbours) > DEPTH.min_jump * nearest
     # Pixels so near to the edge that the window holds pixels of both surfaces.
     near_edge = cv2.dilate(edge.astype(np.uint8), np.ones((2 * RADIUS - 1,) * 2, np.uint8)) > 0
     lowest, highest = cv2.erode(inverse_depth, window), cv2.dilate(inverse_depth, window)
     return np.where(near_edge, np.sqrt(lowest * highest), np.float32(0))
-
-
-def _has_edge(inverse_depth: np.ndarray, window: np.ndarray) -> np.ndarray:
-    highest = cv2.dilate(inverse_depth, window)
-    has_edge: np.ndarray = highest - cv2.erode(inverse_depth, window) > DEPTH.min_jump * highest
-    return has_edge

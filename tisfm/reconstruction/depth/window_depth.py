@@ -69,8 +69,8 @@ def window_depth(
     key_mask: np.ndarray | None = None,
     # sequence of (H, W) bool or None: pixels of each other frame that count
     masks: Sequence[np.ndarray | None] | None = None,
-    uncropped_shape: tuple[int, int]
-    | None = None,  # H and W of the uncropped frames, as for `Window`
+    # H and W of the uncropped frames, as for `Window`
+    uncropped_shape: tuple[int, int] | None = None,
 ) -> WindowDepth | None:  # none if there are too few reliable matches
     """Estimate the inverse depth of every pixel of a keyframe.
 
@@ -79,9 +79,8 @@ def window_depth(
     """
     others = list(others)
     if effort not in get_args(Effort):
-        raise InputError(
-            f"effort is {effort!r}: expected one of {', '.join(map(repr, get_args(Effort)))}"
-        )
+        efforts = ", ".join(map(repr, get_args(Effort)))
+        raise InputError(f"effort is {effort!r}: expected one of {efforts}")
     motions = _check_motions(key, others, motions, key_mask, masks)
     runtime.start()
     window = Window(
@@ -103,16 +102,18 @@ def window_depth(
     for _ in range(DEPTH.warps):
         refinement.step()
     depth = refinement.depth()
-    min_depth = (
-        np.quantile(planes.inverse_depth[planes.reliable], DEPTH.far_share) / DEPTH.max_depth_factor
-    )
-    depth = np.maximum(depth, np.float32(min_depth))
+    depth = np.maximum(depth, min_inverse_depth(planes.inverse_depth[planes.reliable]))
     deviation = _deviation(planes, depth, refinement.residual())
     side, scale = 2**window.level, window.unit * window.camera_of(window.level).focal
     images = enlarged(np.stack([depth, deviation]) / np.float32(scale), side, *key.shape)
     return WindowDepth(
         inverse_depth=images[0], deviation=images[1], reliable=planes.reliable, level=window.level
     )
+
+
+def min_inverse_depth(matches: np.ndarray) -> np.float32:
+    """Return the smallest inverse depth that may be propagated from matches, (N,)."""
+    return np.float32(np.quantile(matches, DEPTH.far_share) / DEPTH.max_depth_factor)
 
 
 def second_order(level: int) -> SecondOrderSettings:
@@ -147,14 +148,12 @@ class _DepthRefinement:
         self._grid = grid = runtime.lane_grid(*frame.shape)
         unknowns = Unknowns(grid, camera, 1)
         textured = texture_weight(frame, half_variance=DEPTH.data_texture) * window.used_cells
-        weighted_anchors = np.stack(
-            [anchors[0] * (1 - (1 - DEPTH.match_share_left) * textured), anchors[1]]
-        )
+        weight = anchors[0] * (1 - (1 - DEPTH.match_share_left) * textured)
         constraint = grid.allocate(3)
         self._sums = sums = grid.allocate(3)
         self._minimiser = minimiser = SecondOrderMinimiser(
             grid,
-            anchors_in_lanes(grid, weighted_anchors),
+            anchors_in_lanes(grid, np.stack([weight, anchors[1]])),
             image_edges_in_lanes(grid, frame, smoothness.image_edges),
             smoothness,
             constraints=constraint,
@@ -166,33 +165,25 @@ class _DepthRefinement:
         flow, direction = grid.allocate(2, zeros=False), grid.allocate(2, zeros=False)
         tensor = grid.allocate(6)
         constancy = depth_problem(settings, camera.focal).constancy
-        visibility = (
-            np.maximum(1 - plane_costs(window, depth, slopes) / np.float32(DEPTH.max_cost), 0)
-            * textured
-        )
+        costs = plane_costs(window, depth, slopes) / np.float32(DEPTH.max_cost)
+        visibility = np.maximum(1 - costs, 0) * textured
         self._linearise: list[Callable[[], None]] = []
         for j, motion in enumerate(window.motions):
             other = window.at_cell_level(1 + j)
             data = DataTerm(grid, frame, other, spline_taps(other), constancy, mean_step(frame))
-            weight = grid.allocate(1)
-            image_to_lanes(grid, np.float32(DEPTH.data_weight) * visibility[j], weight)
+            data_weight, labels = grid.allocate(1), grid.allocate(1)
+            image_to_lanes(grid, np.float32(DEPTH.data_weight) * visibility[j], data_weight)
+            motions = np.ascontiguousarray(motion[None], np.float32)
             self._linearise.append(
                 in_turn(
                     displacement.bind(
-                        grid,
-                        inverse_depth,
-                        grid.allocate(1),
-                        unknowns.x_hat,
-                        unknowns.y_hat,
-                        flow,
-                        direction,
-                        motions=np.ascontiguousarray(motion[None], np.float32),
-                        focal=camera.focal,
+                        grid, inverse_depth, labels, unknowns.x_hat, unknowns.y_hat, flow,
+                        direction, motions=motions, focal=camera.focal,
                     ),
                     data.bind_linearise(flow, tensor),
-                    add_along.bind(grid, tensor, flow, direction, inverse_depth, weight, sums),
+                    add_along.bind(grid, tensor, flow, direction, inverse_depth, data_weight, sums),
                 )
-            )
+            )  # fmt: skip
         self._bound_constraint = as_constraint.bind(grid, sums, constraint)
 
     def step(self) -> None:
@@ -226,10 +217,8 @@ def _deviation(
     square = np.minimum(square / np.maximum(precision, LEAST_DIVISOR), DEPTH.max_residual**2)
     reliable = planes.reliable.astype(np.float32)
     difference = cv2.blur(reliable * np.abs(depth - planes.inverse_depth), DEPTH.averaging_window)
-    difference = difference / np.maximum(
-        cv2.blur(reliable, DEPTH.averaging_window),
-        np.float32(1 / math.prod(DEPTH.averaging_window)),
-    )
+    min_share = np.float32(1 / math.prod(DEPTH.averaging_window))
+    difference = difference / np.maximum(cv2.blur(reliable, DEPTH.averaging_window), min_share)
     difference = np.float32(DEPTH.difference_share) * difference**2 / (difference + DEPTH.scatter)
     deviation: np.ndarray = np.sqrt(
         DEPTH.min_deviation**2
@@ -257,9 +246,9 @@ def _check_motions(
             f"motions is {motions.shape} for {len(others)} frames: expected ({len(others)}, 3, 4)"
         )
     if not np.isfinite(motions).all():
-        raise InputError("motions has values that are not finite")
+        raise InputError("motions has values that are not finite: leave out these frames")
     if not motions[:, :, 3].any(axis=1).all():
-        raise InputError("motions has one without translation: such a frame says nothing of depth")
+        raise InputError("a motion has no translation: its frame gives no depth, leave it out")
     arrays = [(f"others[{k}]", frame) for k, frame in enumerate(others)]
     arrays += [("key_mask", key_mask)] if key_mask is not None else []
     arrays += [(f"masks[{k}]", mask) for k, mask in enumerate(masks or []) if mask is not None]

@@ -41,68 +41,36 @@ class WindowPlanes:
 
 
 class Window:
-    """Image pyramids of a keyframe and other frames, and their motions.
-
-    Parameters
-    ----------
-    key : (H, W) float32
-        Grey levels.
-    others : sequence of (H, W) float32
-        M other frames.
-    motions : (M, 3, 4) array
-        R and t from the keyframe to each of them.
-    camera : Camera
-        A pinhole.
-    cells : int
-        Largest number of cells.
-    key_mask : (H, W) bool, optional
-        Pixels of the keyframe that count; by default all.
-    masks : sequence of (H, W) bool or None, optional
-        Pixels of each other frame that count.
-    uncropped_shape : (int, int), optional
-        H and W of the uncropped frames, if the frames are crops. Density of cells and search range
-        are those of the uncropped frames.
-
-    Attributes
-    ----------
-    camera : Camera
-    size : (int, int)
-        H and W.
-    motions : (M, 3, 4) float64
-        The given motions, with translations divided by `unit`.
-    unit : float
-        A length: an inverse depth d, in 1/unit of the poses, moves pixels by d times `unit` times
-        the focal length, on average over the image and for the frame with the median parallax.
-    frames : list of list of (h, w) float32
-        All pyramid levels, the finest first, of every frame, the keyframe first.
-    largest : float
-        Largest D of the search, px of level 0.
-    finest, level : int
-        The level whose windows are compared last, and the level of the cells.
-    used_cells : (h, w) bool
-        Cells of the keyframe that count.
-    """
+    """Image pyramids of a keyframe and other frames, and their motions."""
 
     def __init__(
         self,
-        key: np.ndarray,
-        others: Sequence[np.ndarray],
-        motions: np.ndarray,
-        camera: Camera,
+        key: np.ndarray,  # (H, W) float32: grey levels of the keyframe
+        others: Sequence[np.ndarray],  # sequence of (H, W) float32: M other frames
+        motions: np.ndarray,  # (M, 3, 4) array: R and t from the keyframe to each of them
+        camera: Camera,  # a pinhole
         *,
-        cells: int,
-        key_mask: np.ndarray | None = None,
+        cells: int,  # largest number of cells
+        key_mask: np.ndarray | None = None,  # (H, W) bool: pixels that count; by default all
+        # sequence of (H, W) bool or None: pixels of each other frame that count
         masks: Sequence[np.ndarray | None] | None = None,
+        # H and W of the uncropped frames, if the frames are crops. Density of cells and search
+        # range are those of the uncropped frames.
         uncropped_shape: tuple[int, int] | None = None,
     ) -> None:
-        self.camera = camera
+        self.camera, self.size = camera, key.shape
         height, width = uncropped_shape or key.shape
-        self.unit = self._unit(motions, key.shape)
+        # A length: an inverse depth d, in 1/unit of the poses, moves pixels by d times `unit` times
+        # the focal length, on average over the image and for the frame with the median parallax.
+        lengths = sorted(mean_parallax(motion, camera, key.shape) for motion in motions)
+        self.unit = lengths[len(lengths) // 2]
+        # (M, 3, 4) float64: the given motions, with translations divided by `unit`
         self.motions = np.array(motions, np.float64)
         self.motions[:, :, 3] /= self.unit
-        self.size = key.shape
         axes_depth = float(np.median([_axes_meeting_depth(motion) for motion in self.motions]))
+        # largest D of the search, px of level 0
         self.largest = PAIR_DEPTH.max_plane_depth * max(height, width) + camera.focal * axes_depth
+        # the level whose windows are compared last, and the level of the cells
         self.finest = self.level = 0
         while height * width >> 2 * self.finest > PAIR_DEPTH.max_plane_pixels:
             self.finest += 1
@@ -111,12 +79,14 @@ class Window:
         smallest = int(np.log2(max(1, min(key.shape))))
         levels = min(self.level + DEPTH.coarser_levels + 1, smallest + 1)
         self.finest, self.level = min(self.finest, levels - 1), min(self.level, levels - 1)
+        # list of list of (h, w) float32: all levels, the finest first, of every frame, the keyframe
+        # first
         self.frames = [
             gaussian_pyramid(smooth(frame, DEPTH.window_smoothing), 0.5, levels)
             for frame in (key, *others)
         ]
         height, width = self.shape
-        self.used_cells = np.ones((height, width), bool)
+        self.used_cells = np.ones((height, width), bool)  # of the keyframe
         if key_mask is not None:
             self.used_cells = _cell_coverage(key_mask, 2**self.level) > 0.5
             self.used_cells = self.used_cells[:height, :width]
@@ -166,10 +136,8 @@ class Window:
     def _search(self, level: int, stride: int) -> ViewSearch:
         low, gain, noise = self._grey_scaling
         density = 0.5 ** (level - self.finest)
-        frames = [
-            np.clip(gain * (frame[level] - low), 0, LEVELS).astype(np.float32)
-            for frame in self.frames
-        ]
+        scaled = [gain * (frame[level] - low) for frame in self.frames]
+        frames = [np.clip(frame, 0, LEVELS).astype(np.float32) for frame in scaled]
         for levels, mask in zip(frames[1:], self._masks, strict=True):
             if mask is not None:
                 _replace_masked(levels, mask)
@@ -195,10 +163,6 @@ class Window:
         finest = [frame[self.finest] for frame in self.frames]
         low, gain = grey_scale(finest[0], finest[1])
         return low, gain, float(gain) * max(noise_deviation(frame) for frame in finest)
-
-    def _unit(self, motions: np.ndarray, shape: tuple[int, ...]) -> float:
-        lengths = sorted(mean_parallax(motion, self.camera, shape) for motion in motions)
-        return lengths[len(lengths) // 2]
 
 
 def mean_parallax(motion: np.ndarray, camera: Camera, shape: tuple[int, ...]) -> float:
@@ -243,13 +207,12 @@ def window_planes(window: Window) -> WindowPlanes:
     planes[..., :3] *= np.float32(0.5 ** (window.level - level))
     depth = np.ascontiguousarray(planes[..., 0])
     reliable = (planes[..., 3] < DEPTH.max_cost) & (depth > 0) & window.used_cells
+    min_cells = max(1, DEPTH.min_region >> 2 * window.level)
     return WindowPlanes(
         level=window.level,
         inverse_depth=depth,
         slopes=np.ascontiguousarray(np.moveaxis(planes[..., 1:3], -1, 0)),
-        reliable=_remove_small_regions(
-            depth, reliable, max(1, DEPTH.min_region >> 2 * window.level)
-        ),
+        reliable=_remove_small_regions(depth, reliable, min_cells),
     )
 
 
@@ -309,9 +272,7 @@ def _cell_coverage(mask: np.ndarray, side: int) -> np.ndarray:
     """Return the share of every cell, `side` px wide, that a mask covers, (h, w) float32."""
     height, width = (-(-length // side) for length in mask.shape)
     below, right = side * height - mask.shape[0], side * width - mask.shape[1]
-    padded = cv2.copyMakeBorder(
-        mask.astype(np.float32), 0, below, 0, right, cv2.BORDER_CONSTANT, value=0
-    )
+    padded = np.pad(mask.astype(np.float32), ((0, below), (0, right)))
     return cv2.resize(padded, (width, height), interpolation=cv2.INTER_AREA)
 
 

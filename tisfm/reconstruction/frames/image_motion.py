@@ -133,28 +133,19 @@ class ChainedFlow:
 
 
 class ImageMotion:
-    """Image motion of a sequence, frame by frame; large frames are shrunk.
+    """Image motion of a sequence, frame by frame; large frames are shrunk."""
 
-    Parameters
-    ----------
-    camera : Camera
-        Pinhole camera of the frames.
-    settings : Settings
-        Settings of the image motion.
-
-    Attributes
-    ----------
-    scale : float
-        Scale of the shrunk frames, their px per px of the sequence's frames.
-    """
-
-    def __init__(self, camera: Camera, settings: Settings) -> None:
+    def __init__(
+        self,
+        camera: Camera,  # pinhole camera of the frames
+        settings: Settings,  # settings of the image motion
+    ) -> None:
         self._camera, self._settings = camera, settings
         self._frames = DiskCache(lambda grey: (grey,), lambda grey: grey)
         self._pairs = DiskCache(FlowPair.arrays, FlowPair.of_arrays)
         self._cached_pairs: dict[int, tuple[FlowPair, np.ndarray, np.ndarray]] = {}
         self._shape = (0, 0)  # of the sequence's frames
-        self.scale = 1.0
+        self.scale = 1.0  # of the shrunk frames, px per px of the sequence's frames
 
     def add(self, grey: np.ndarray) -> None:
         """Add the next frame, (H, W) uint8."""
@@ -206,6 +197,11 @@ class ImageMotion:
                 valid = valid & (sample_image(flow_valid, positions) > 0.99)
                 positions, current = positions + displacement, current + direction
                 yield ChainedFlow(frame=current, steps=steps, positions=positions, valid=valid)
+
+    def chained_flow(self, frame: int, other: int) -> ChainedFlow:
+        """Return the chain from a frame to another one."""
+        chains = self.chained_flows(frame, abs(other - frame))
+        return next(chain for chain in chains if chain.frame == other)
 
     def _pair(self, frame: int) -> tuple[FlowPair, np.ndarray, np.ndarray]:
         """Return the flow pair from a frame to the next, and the consistency mask of each."""

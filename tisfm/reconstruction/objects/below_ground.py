@@ -14,7 +14,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.motion.objects.candidates import smallest_object
-from tisfm.reconstruction.frames.image_motion import ChainedFlow, ImageMotion, sample_image
+from tisfm.reconstruction.frames.image_motion import ImageMotion, sample_image
 from tisfm.reconstruction.geometry.rays import pinhole_rays
 from tisfm.reconstruction.objects.motion_evidence import Evidence, StaticMotion, grey_difference
 from tisfm.reconstruction.objects.settings import OBJECTS
@@ -84,9 +84,8 @@ class BelowGround:
         hiding = self._hiding_pixels(frame)
         mask = np.zeros(below.shape, bool)
         for region in regions:
-            mask |= region & (
-                np.count_nonzero(hiding & region) > OBJECTS.min_hidden_points * region.sum() ** 0.5
-            )
+            min_points = OBJECTS.min_hidden_points * region.sum() ** 0.5
+            mask |= region & (np.count_nonzero(hiding & region) > min_points)
         if not mask.any():
             return None
         weight = np.float32(mask * self._refuted_ground(frame, ground))
@@ -123,9 +122,8 @@ class BelowGround:
         """
         window = slice(max(0, frame - OBJECTS.height_frames), frame + OBJECTS.height_frames + 1)
         planes = [plane for plane in self._grounds[window] if plane is not None]
-        if self._poses[frame] is None or len(planes) < max(
-            3, OBJECTS.min_ground_frames * len(self._grounds[window])
-        ):
+        min_planes = max(3, OBJECTS.min_ground_frames * len(self._grounds[window]))
+        if self._poses[frame] is None or len(planes) < min_planes:
             return None
         plane = np.median(planes, axis=0)
         low, high = np.quantile(np.array(planes)[:, 1], (0.1, 0.9))
@@ -140,34 +138,21 @@ class BelowGround:
         """
         hiding = np.zeros(self._rays.shape[:2], bool)
         grey, own = self._motion.grey(frame), self._depths[frame]
-        height, width = self._motion.grey(frame).shape
-        for direction in (-1, 1):
-            for steps in OBJECTS.hidden_steps:
-                number = frame + direction * steps
-                if not 0 <= number < len(self._poses) or self._poses[number] is None:
-                    continue
-                other = self._depths[number]
-                static = self._static_motion(number, frame)
-                positions = static.positions(other.inverse_depth)
-                expected = static.inverse_depth(other.inverse_depth)
-                inside = (positions > 0).all(axis=-1) & (positions < (width - 1, height - 1)).all(
-                    axis=-1
-                )
-                is_lost = other.static_pixels & inside & ~self._chained_flow(number, frame).valid
-                is_farther = (
-                    sample_image(own.inverse_depth, positions) * OBJECTS.min_below_ground < expected
-                )
-                is_static = sample_image(np.float32(own.static_pixels), positions) > 0.5
-                is_different = (
-                    grey_difference(grey, positions, self._motion.grey(number))
-                    > OBJECTS.min_hidden_difference
-                )
-                x, y = (
-                    np.rint(positions[is_lost & is_farther & is_static & is_different])
-                    .astype(int)
-                    .T
-                )
-                hiding[y, x] = True
+        limit = grey.shape[1] - 1, grey.shape[0] - 1
+        for number in [*self._frames_at(frame, -1), *self._frames_at(frame, 1)]:
+            other, other_grey = self._depths[number], self._motion.grey(number)
+            static = self._static_motion(number, frame)
+            positions = static.positions(other.inverse_depth)
+            expected = static.inverse_depth(other.inverse_depth)
+            inside = ((positions > 0) & (positions < limit)).all(axis=-1)
+            apparent = sample_image(own.inverse_depth, positions)
+            hidden = other.static_pixels & inside & ~self._motion.chained_flow(number, frame).valid
+            hidden &= apparent * OBJECTS.min_below_ground < expected
+            hidden &= sample_image(np.float32(own.static_pixels), positions) > 0.5
+            difference = grey_difference(grey, positions, other_grey)
+            hidden &= difference > OBJECTS.min_hidden_difference
+            x, y = np.rint(positions[hidden]).astype(int).T
+            hiding[y, x] = True
         return hiding
 
     def _refuted_ground(self, frame: int, ground: np.ndarray) -> np.ndarray:
@@ -175,42 +160,32 @@ class BelowGround:
         grey, depth = self._motion.grey(frame), self._depths[frame].inverse_depth
         refutation = np.zeros(depth.shape, np.float32)
         for direction in (-1, 1):
-            numbers = [
-                frame + direction * steps
-                for steps in OBJECTS.hidden_steps
-                if 0 <= frame + direction * steps < len(self._poses)
-                and self._poses[frame + direction * steps] is not None
-            ]
+            numbers = self._frames_at(frame, direction)
             if not numbers:
                 continue
             static, other = self._static_motion(frame, numbers[-1]), self._motion.grey(numbers[-1])
             difference = grey_difference(other, static.positions(depth), grey)
-            on_ground = grey_difference(other, static.positions(ground), grey)
-            refutation = np.maximum(
-                refutation, (on_ground - difference) / (OBJECTS.refuting_difference + difference)
-            )
+            gain = grey_difference(other, static.positions(ground), grey) - difference
+            refutation = np.maximum(refutation, gain / (OBJECTS.refuting_difference + difference))
         return np.clip(refutation, 0, 1)
 
     def _static_motion(self, frame: int, other: int) -> StaticMotion:
         pose, other_pose = self._poses[frame], self._poses[other]
         assert pose is not None and other_pose is not None
-        relative = np.linalg.inv(other_pose) @ pose
-        shape = self._rays.shape[:2]
-        return StaticMotion(relative[:3, :3], relative[:3, 3], self._camera, shape)
+        return StaticMotion.between(pose, other_pose, self._camera, self._rays.shape)
 
-    def _chained_flow(self, frame: int, other: int) -> ChainedFlow:
-        steps = abs(other - frame)
-        return next(
-            chain for chain in self._motion.chained_flows(frame, steps) if chain.frame == other
-        )
+    def _frames_at(self, frame: int, direction: int) -> list[int]:
+        """Return the frames with poses, `hidden_steps` before (−1) or after (1) a frame."""
+        numbers = [frame + direction * steps for steps in OBJECTS.hidden_steps]
+        count = len(self._poses)
+        return [k for k in numbers if 0 <= k < count and self._poses[k] is not None]
 
 
 def _is_upright(planes: np.ndarray) -> np.ndarray:
     """Return which planes, (..., 3), are ground below an upright camera."""
     slope_x, slope_y, center = np.moveaxis(planes, -1, 0)
-    return (np.abs(slope_x) < OBJECTS.max_sideways_slope * slope_y) & (
-        np.abs(center) < OBJECTS.max_central_depth * slope_y
-    )
+    is_level = np.abs(slope_x) < OBJECTS.max_sideways_slope * slope_y
+    return is_level & (np.abs(center) < OBJECTS.max_central_depth * slope_y)
 
 
 def _plane_inliers(plane_depth: np.ndarray, inverse_depth: np.ndarray) -> np.ndarray:

@@ -59,23 +59,20 @@ class ObjectTracker:
         grey = self._motion.grey(frame)
         labels = np.zeros(grey.shape, np.int32)
         propagated = np.zeros_like(labels) if previous is None else self._propagate(frame, previous)
-        confirmed_ids = [
-            number for number, obj in self._objects.items() if obj.core_frames >= OBJECTS.min_frames
-        ]
-        regions = list(
-            find_moving_regions(grey, self._evidence[frame], np.isin(propagated, confirmed_ids))
-        )
+        objects = self._objects.values()
+        confirmed = [obj.id for obj in objects if obj.core_frames >= OBJECTS.min_frames]
+        object_mask = np.isin(propagated, confirmed)
+        regions = list(find_moving_regions(grey, self._evidence[frame], object_mask))
         motions = SmoothMotions(self._motion, frame)
         for region, _ in regions:
             counts = np.bincount(propagated[region], minlength=1)
             counts[0] = 0
-            min_pixels = min(OBJECTS.min_propagated * region.sum(), self._min_pixels(region) / 2)
+            min_pixels = min(
+                OBJECTS.min_propagated * region.sum(), smallest_object(region.size) / 2
+            )
             ids = [int(k) for k in np.flatnonzero(counts) if counts[k] >= min_pixels]
             if not ids:
-                ids = [
-                    self._find_reappeared(frame, region, labels, propagated)
-                    or self._new_object(frame)
-                ]
+                ids = [self._find_object(frame, region, labels, propagated)]
                 labels[region] = ids[0]
             else:
                 labels[region] = fill_nearest(propagated, region & np.isin(propagated, ids))[region]
@@ -98,25 +95,19 @@ class ObjectTracker:
         Pixels that follow no known motion become an object that was occluded, or a new one.
         """
         errors: dict[int, np.ndarray] = {}  # error of each motion, px
-        min_deviations = np.full(
-            region.shape, np.inf, np.float32
-        )  # smallest error, in standard deviations
+        # smallest error of a pixel, in standard deviations of the motion
+        min_deviations = np.full(region.shape, np.inf, np.float32)
         scale = np.inf
         for number in ids:
             obj = self._objects[number]
             is_tracked = obj.last_frame == frame - 1
             pixels = region & (propagated == number)
-            pixels = (
-                pixels if pixels.sum() >= OBJECTS.min_motion_pixels else region & (labels == number)
-            )
+            if pixels.sum() < OBJECTS.min_motion_pixels:
+                pixels = region & (labels == number)
             visible = pixels.sum() / max(1, obj.mask.sum()) if is_tracked else 1.0
-            terms: Terms = (
-                6
-                if visible >= OBJECTS.min_quadratic_visible
-                else 3
-                if visible >= OBJECTS.min_affine_visible
-                else 1
-            )
+            terms: Terms = 3 if visible >= OBJECTS.min_affine_visible else 1
+            if visible >= OBJECTS.min_quadratic_visible:
+                terms = 6
             velocity = obj.velocity if is_tracked else None
             errors[number], deviation = motions.residuals_from(pixels, velocity, terms=terms)
             scale = min(scale, deviation)
@@ -128,41 +119,31 @@ class ObjectTracker:
         count, components, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
         for k in range(1, count):
             part = components == k
-            if statistics[k, cv2.CC_STAT_AREA] < self._min_pixels(region):
+            if statistics[k, cv2.CC_STAT_AREA] < smallest_object(region.size):
                 continue
             own_errors, _ = motions.residuals_from(part)
             nearest = np.min([error[part] for error in errors.values()], axis=0)
             if np.median(own_errors[part]) > OBJECTS.max_own_error * np.median(nearest):
                 continue
-            other_labels, other_propagated = (
-                np.where(part, 0, labels),
-                np.where(part, 0, propagated),
-            )
-            number = self._find_reappeared(
-                frame, part, other_labels, other_propagated
-            ) or self._new_object(frame)
+            others = np.where(part, 0, labels), np.where(part, 0, propagated)
+            number = self._find_object(frame, part, *others)
             labels[part], errors[number] = number, own_errors
         if len(errors) < 2:
             return
-        top, left, height, width = _box(region)
+        left, top, width, height = cv2.boundingRect(np.uint8(region))
         window = np.s_[top : top + height, left : left + width]
-        distances = np.stack(
-            [np.minimum(error[window], OBJECTS.max_motion_error) for error in errors.values()]
-        )
+        distances = np.stack([error[window] for error in errors.values()])
+        distances = np.minimum(distances, OBJECTS.max_motion_error)
         nearest = distances.min(axis=0)
-        tolerance = (
-            scale**2 + (OBJECTS.error_tolerance * nearest) ** 2
-        )  # where no motion fits, only a clear difference counts
+        # Where no motion fits, only a clear difference counts.
+        tolerance = scale**2 + (OBJECTS.error_tolerance * nearest) ** 2
         costs = np.minimum((distances**2 - nearest**2) / tolerance, OBJECTS.max_motion_cost)
         numbers = np.array(list(errors))
         costs += OBJECTS.identity_change_cost * (labels[window] != numbers[:, None, None])
-        weight = np.where(
-            motions.valid[window] & region[window],
-            OBJECTS.known_motion_weight,
-            OBJECTS.unknown_motion_weight,
-        ).astype(np.float32)
+        has_motion = motions.valid[window] & region[window]
+        weight = np.where(has_motion, OBJECTS.known_motion_weight, OBJECTS.unknown_motion_weight)
         grey = np.ascontiguousarray(self._motion.grey(frame)[window])
-        best = numbers[Potts(grey).assign(costs.astype(np.float32), weight)]
+        best = numbers[Potts(grey).assign(costs.astype(np.float32), weight.astype(np.float32))]
         labels[window][region[window]] = best[region[window]]
 
     @staticmethod
@@ -177,10 +158,10 @@ class ObjectTracker:
         side = 1 + 2 * round(OBJECTS.reach * obj.mask.sum() ** 0.5 + 1)
         return cv2.dilate(shifted, np.ones((side, side), np.uint8)) > 0
 
-    def _find_reappeared(
+    def _find_object(
         self, frame: int, region: np.ndarray, labels: np.ndarray, propagated: np.ndarray
     ) -> int:
-        """Return the id of the occluded object that reappears in a region; 0 for none."""
+        """Return the id of the occluded object that reappears in a region, or of a new one."""
         visible_ids = set(np.unique(labels)) | set(np.unique(propagated))
         size = region.sum()
         candidates = [
@@ -189,15 +170,14 @@ class ObjectTracker:
             if obj.id not in visible_ids and size > OBJECTS.min_reappeared * obj.mask.sum()
         ]
         histogram = self._histogram(frame, region)
-        return most_similar_object(candidates, frame, mask_position(region), histogram)
-
-    def _new_object(self, frame: int) -> int:
+        found = most_similar_object(candidates, frame, mask_position(region), histogram)
+        if found:
+            return found
         number = 1 + max(self._objects, default=0)
-        mask = np.zeros(self._motion.grey(frame).shape, bool)
         self._objects[number] = TrackedObject(
             id=number,
             last_frame=frame,
-            mask=mask,
+            mask=np.zeros(region.shape, bool),
             velocity=np.zeros(2),
             histogram=np.zeros(OBJECTS.histogram_bins),
         )
@@ -216,12 +196,10 @@ class ObjectTracker:
             obj, mask = self._objects[number], labels == number
             neighbourhood = cv2.dilate(np.uint8(mask), np.ones((5, 5), np.uint8)) > 0
             is_unoccluded = not (neighbourhood & (labels > 0) & ~mask).any()
-            predicted = (
-                self._predicted_mask(obj, enlarge=False) if obj.last_frame == frame - 1 else mask
-            )
-            is_reliable = (
-                is_unoccluded or mask.sum() >= OBJECTS.min_quadratic_visible * predicted.sum()
-            )
+            is_tracked = obj.last_frame == frame - 1
+            predicted = self._predicted_mask(obj, enlarge=False) if is_tracked else mask
+            min_visible = OBJECTS.min_quadratic_visible * predicted.sum()
+            is_reliable = is_unoccluded or mask.sum() >= min_visible
             obj.mask = mask if is_unoccluded else predicted | mask if is_reliable else predicted
             obj.last_frame = frame
             obj.pixel_count += int(mask.sum())
@@ -230,10 +208,8 @@ class ObjectTracker:
                 obj.velocity, obj.histogram = velocity, self._histogram(frame, mask)
             surroundings = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
             surroundings &= labels == 0
-            background = (
-                np.median(flow[surroundings], axis=0) if surroundings.any() else np.zeros(2)
-            )
-            obj.motions[frame] = velocity - background
+            around = flow[surroundings] if surroundings.any() else np.zeros((1, 2))
+            obj.motions[frame] = velocity - np.median(around, axis=0)
             obj.positions[frame] = mask_position(mask)
         components = cv2.connectedComponents((labels > 0).astype(np.uint8), connectivity=4)[1]
         for region, has_core in regions:
@@ -259,12 +235,3 @@ class ObjectTracker:
         grey = self._motion.grey(frame)[mask]
         counts, _ = np.histogram(grey, OBJECTS.histogram_bins, (0, 256))
         return counts / max(1, counts.sum())
-
-    def _min_pixels(self, image: np.ndarray) -> int:
-        return smallest_object(image.size)
-
-
-def _box(mask: np.ndarray) -> tuple[int, int, int, int]:
-    """Return the top, left, height and width of the bounding box of a mask."""
-    left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
-    return top, left, height, width

@@ -21,9 +21,8 @@ def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np
     if len(numbers) < 2:
         return labels
     grey, grid = motion.grey(frame), pixel_grid(labels.shape)
-    window = np.ones(
-        (2 * OBJECTS.max_boundary_shift + 1, 2 * OBJECTS.max_boundary_shift + 1), np.uint8
-    )
+    window = np.ones((2 * OBJECTS.max_boundary_shift + 1,) * 2, np.uint8)
+    rim = np.ones((OBJECTS.rim_width, OBJECTS.rim_width), np.uint8)
     surroundings = np.stack([cv2.dilate(np.uint8(labels == k), window) > 0 for k in numbers])
     band = surroundings.sum(axis=0) > 1
     differences = np.full((len(numbers), *labels.shape), np.inf, np.float32)
@@ -31,10 +30,7 @@ def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np
         flow, other = chain.positions - grid, motion.grey(chain.frame)
         for index, number in enumerate(numbers):
             mask = labels == number
-            core = (
-                cv2.erode(np.uint8(mask), np.ones((OBJECTS.rim_width, OBJECTS.rim_width), np.uint8))
-                > 0
-            )
+            core = cv2.erode(np.uint8(mask), rim) > 0
             source = core if core.sum() >= OBJECTS.min_core_pixels else mask
             continued = _continued_flow(flow, source)
             difference = np.abs(sample_image(other, grid + continued) - grey)
@@ -42,12 +38,9 @@ def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np
             outside = (x < 0) | (y < 0) | (x > labels.shape[1] - 1) | (y > labels.shape[0] - 1)
             difference = np.where(outside, np.inf, cv2.blur(difference, (3, 3)))
             differences[index] = np.minimum(differences[index], difference)
-    own_difference = np.take_along_axis(
-        differences, np.searchsorted(numbers, labels)[None], axis=0
-    )[0]
-    scale = OBJECTS.difference_offset + 1.5 * float(
-        np.median(own_difference[np.isfinite(own_difference)])
-    )
+    index = np.searchsorted(numbers, labels)[None]
+    own = np.take_along_axis(differences, index, axis=0)
+    scale = OBJECTS.difference_offset + 1.5 * float(np.median(own[np.isfinite(own)]))
     costs = np.minimum((differences / scale) ** 2, OBJECTS.max_boundary_cost)
     costs += OBJECTS.boundary_change_cost * (labels != numbers[:, None, None])
     costs[~surroundings] = 2 * OBJECTS.max_boundary_cost
@@ -81,11 +74,8 @@ def propagate_labels(
     """
     for index, frame in enumerate(labelled_frames):
         previous = labelled_frames[index - 1] if index else -frame - 1
-        following = (
-            labelled_frames[index + 1]
-            if index + 1 < len(labelled_frames)
-            else 2 * len(motion) - frame
-        )
+        is_last = index + 1 == len(labelled_frames)
+        following = 2 * len(motion) - frame if is_last else labelled_frames[index + 1]
         first, last = frame - (frame - previous - 1) // 2, frame + (following - frame) // 2
         for direction, last_frame in ((1, min(last, len(motion) - 1)), (-1, max(first, 0))):
             labels = labels_of(frame).astype(np.int32)
@@ -97,11 +87,9 @@ def propagate_labels(
 def _propagate(motion: ImageMotion, frame: int, other: int, labels: np.ndarray) -> np.ndarray:
     """Return the labels of a frame, (H, W) int32, from the labels of a neighbour frame."""
     numbers = np.unique(labels)
-    chain = next(chain for chain in motion.chained_flows(frame, 1) if chain.frame == other)
+    chain = motion.chained_flow(frame, other)
     shares = np.stack([sample_image(np.float32(labels == k), chain.positions) for k in numbers])
     costs = np.where(chain.valid, OBJECTS.propagation_cost * (1 - shares), 0).astype(np.float32)
-    weight = np.where(chain.valid, OBJECTS.consistent_weight, OBJECTS.inconsistent_weight).astype(
-        np.float32
-    )
-    best = numbers[Potts(motion.grey(frame)).assign(costs, weight)]
+    weight = np.where(chain.valid, OBJECTS.consistent_weight, OBJECTS.inconsistent_weight)
+    best = numbers[Potts(motion.grey(frame)).assign(costs, weight.astype(np.float32))]
     return refine_boundaries(best, motion, frame)

@@ -50,10 +50,7 @@ class Evidence:
         pixel counts only where many frames support it.
         """
         valid = (self.total > 0) | (multi_frame.total < 0)
-        return Evidence(
-            total=valid * self.total + multi_frame.total,
-            weight=valid * self.weight + multi_frame.weight,
-        )
+        return self._add_where(valid, multi_frame)
 
     def with_static_pixels(self, mask: np.ndarray) -> "Evidence":
         """Return the evidence with the pixels of a mask, (H, W) bool, set to static."""
@@ -65,9 +62,11 @@ class Evidence:
     def override_with(self, other: "Evidence") -> "Evidence":
         """Return the evidence, overruled by one that finds objects which look static here."""
         valid = (self.total > 0) | (other.weight == 0)
+        return self._add_where(valid, other)
+
+    def _add_where(self, valid: np.ndarray, other: "Evidence") -> "Evidence":
         return Evidence(
-            total=valid * self.total + other.total,
-            weight=valid * self.weight + other.weight,
+            total=valid * self.total + other.total, weight=valid * self.weight + other.weight
         )
 
 
@@ -92,14 +91,8 @@ def frame_evidence(motion: ImageMotion, frame: int) -> Evidence:
         deviation = fit.residual + OBJECTS.flow_deviation * max(shape) * chain.steps**0.5
         static = StaticMotion(fit.rotation, fit.translation, camera, shape)
         inverse_depth = static.nearest(chain.positions)
-        error = (
-            np.linalg.norm(static.positions(inverse_depth) - chain.positions, axis=-1) / deviation
-        )
-        vote = np.clip(
-            (error / OBJECTS.neutral_deviations) ** 2 - 1,
-            OBJECTS.static_evidence,
-            OBJECTS.moving_evidence,
-        )
+        error = np.linalg.norm(static.positions(inverse_depth) - chain.positions, axis=-1)
+        vote = evidence_of_error(error / deviation / OBJECTS.neutral_deviations)
         static_depths = inverse_depth[chain.valid & (vote < 0)]
         view = motion.grey(chain.frame), chain.positions, chain.valid, static
         support = support_of_motion(grey, [view], inverse_depth, static_depths)
@@ -109,6 +102,11 @@ def frame_evidence(motion: ImageMotion, frame: int) -> Evidence:
         weight += frame_weight
     comparisons = 2 * len(OBJECTS.pair_steps)
     return Evidence(total=total / comparisons, weight=weight / comparisons)
+
+
+def evidence_of_error(error: np.ndarray) -> np.ndarray:
+    """Return the evidence of one frame, from errors in `neutral_deviations`, (H, W)."""
+    return np.clip(error**2 - 1, OBJECTS.static_evidence, OBJECTS.moving_evidence)
 
 
 def accumulate_evidence(motion: ImageMotion, evidence: Sequence[Evidence]) -> Sequence[Evidence]:
@@ -129,7 +127,7 @@ def accumulate_evidence(motion: ImageMotion, evidence: Sequence[Evidence]) -> Se
 def _accumulate(
     motion: ImageMotion, evidence: Sequence[Evidence], direction: int
 ) -> DiskCache[Evidence]:
-    """Return the evidence accumulated from earlier frames, or, with way −1, from later ones.
+    """Return the evidence accumulated from earlier frames, or, with direction −1, from later ones.
 
     The result has the frames in the order of accumulation.
     """
@@ -137,11 +135,7 @@ def _accumulate(
     for frame in range(len(evidence))[::direction]:
         own = evidence[frame]
         if previous is not None:
-            chain = next(
-                chain
-                for chain in motion.chained_flows(frame, 1)
-                if chain.frame == frame - direction
-            )
+            chain = motion.chained_flow(frame, frame - direction)
             factor = np.float32(OBJECTS.passed_evidence) * chain.valid
             own = Evidence(
                 total=own.total + factor * sample_image(previous.total, chain.positions),
@@ -169,6 +163,14 @@ class StaticMotion:
         rays = cv2.merge([*cv2.split(image_points), np.ones(shape[:2], np.float32)])
         self._rays = cv2.transform(rays, rotation.astype(np.float32))
         self._translation = translation.astype(np.float32)
+
+    @classmethod
+    def between(
+        cls, pose: np.ndarray, other: np.ndarray, camera: Camera, shape: tuple[int, ...]
+    ) -> "StaticMotion":
+        """Return the motion from a frame to another, from their poses, (4, 4) camera to world."""
+        relative = np.linalg.inv(other) @ pose
+        return cls(relative[:3, :3], relative[:3, 3], camera, shape)
 
     def positions(self, inverse_depth: np.ndarray | float) -> np.ndarray:
         """Return positions, (H, W, 2) float32, of points with an inverse depth, 1/unit of t."""
@@ -210,11 +212,10 @@ class StaticMotion:
         """Return the inverse depth, (H, W) float32, whose position is nearest to given ones."""
         target = (positions - self._center) / self._focal
         t12, t3 = self._translation[:2], self._translation[2]
+        min_depth = np.float32(OBJECTS.min_depth_ratio)
         ray, inverse_depth = self._rays, np.zeros(target.shape[:2], np.float32)
         for _ in range(2):  # the second round has the weights of the first result
-            depth = np.maximum(
-                ray[..., 2] + inverse_depth * t3, np.float32(OBJECTS.min_depth_ratio)
-            )
+            depth = np.maximum(ray[..., 2] + inverse_depth * t3, min_depth)
             residual = (target * ray[..., 2:] - ray[..., :2]) / depth[..., None]
             slope = (target * t3 - t12) / depth[..., None]
             square = np.maximum((slope * slope).sum(axis=-1), np.float32(1e-12))
@@ -224,9 +225,9 @@ class StaticMotion:
 
 def support_of_motion(
     grey: np.ndarray,  # (H, W) float32
-    # sequence of (other, places, found, StaticMotion): another frame, (H, W) float32; the position
-    # of each pixel in it, (H, W, 2) float32; where this position is known, (H, W) bool; and the
-    # motion of static points
+    # sequence of (other, positions, valid, static): another frame, (H, W) float32; the position of
+    # each pixel in it, (H, W, 2) float32; where this position is known, (H, W) bool; and the motion
+    # of static points
     views: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, StaticMotion]],
     # (H, W) float32: the inverse depth whose static position is nearest to these positions
     nearest: np.ndarray,
@@ -238,34 +239,23 @@ def support_of_motion(
     the image motion is wrong, some static depth fits the images as well or better. One depth has to
     fit all given frames.
     """
-    max_inverse = (
-        float(np.quantile(static_depths, 0.99)) * OBJECTS.max_depth_factor
-        if len(static_depths)
-        else 0.0
-    )
+    largest = float(np.quantile(static_depths, 0.99)) if len(static_depths) else 0.0
+    max_inverse = largest * OBJECTS.max_depth_factor
     shifts = [
         np.median(np.linalg.norm(static.positions(max_inverse) - static.positions(0.0), axis=-1))
         for *_, static in views
     ]
     count = int(np.clip(max(shifts) / OBJECTS.static_step, *OBJECTS.static_counts))
-    difference = _mean_difference(
-        grey, [(other, positions, valid) for other, positions, valid, _ in views]
-    )
+    difference = _mean_difference(grey, [view[:3] for view in views])
     min_difference = np.full(grey.shape, np.inf, np.float32)
-    candidates: list[np.ndarray | float] = [
-        nearest,
-        *map(float, np.linspace(0, max_inverse, count)),
-    ]
+    candidates: list[np.ndarray | float] = [nearest, *np.linspace(0, max_inverse, count).tolist()]
     for inverse_depth in candidates:
         static_views = [
             (other, static.positions(inverse_depth), valid) for other, _, valid, static in views
         ]
         min_difference = np.minimum(min_difference, _mean_difference(grey, static_views))
-    return np.clip(
-        (min_difference - difference) / (OBJECTS.refuting_difference + difference),
-        OBJECTS.min_support,
-        1,
-    )
+    support = (min_difference - difference) / (OBJECTS.refuting_difference + difference)
+    return np.clip(support, OBJECTS.min_support, 1)
 
 
 def _mean_difference(
@@ -284,7 +274,5 @@ def grey_difference(other: np.ndarray, positions: np.ndarray, grey: np.ndarray) 
 
     It is averaged over windows.
     """
-    return cv2.blur(
-        np.abs(sample_image(other, positions) - grey),
-        (OBJECTS.compare_window, OBJECTS.compare_window),
-    )
+    side = OBJECTS.compare_window
+    return cv2.blur(np.abs(sample_image(other, positions) - grey), (side, side))

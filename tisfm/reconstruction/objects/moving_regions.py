@@ -22,17 +22,10 @@ def find_moving_regions(
     mean = evidence.mean()
     core = (mean > OBJECTS.core_evidence) & (evidence.weight > OBJECTS.min_core_frames)
     mean += np.float32(OBJECTS.known_object_bonus) * object_mask
-    costs = np.stack(
-        [
-            2 * np.clip(mean - OBJECTS.region_evidence, 0, 3),
-            4 * np.clip(OBJECTS.region_evidence - mean, 0, 1),
-        ]
-    )
-    weight = OBJECTS.max_data_weight * np.clip(
-        (evidence.weight + OBJECTS.static_prior) / OBJECTS.full_weight_frames,
-        OBJECTS.min_data_share,
-        1,
-    )
+    mean -= np.float32(OBJECTS.region_evidence)
+    costs = np.stack([2 * np.clip(mean, 0, 3), 4 * np.clip(-mean, 0, 1)])
+    weight = (evidence.weight + OBJECTS.static_prior) / OBJECTS.full_weight_frames
+    weight = OBJECTS.max_data_weight * np.clip(weight, OBJECTS.min_data_share, 1)
     moving = Potts(grey).assign(costs.astype(np.float32), weight.astype(np.float32)) == 1
     count, components, statistics, _ = cv2.connectedComponentsWithStats(
         moving.astype(np.uint8), connectivity=4
@@ -40,11 +33,9 @@ def find_moving_regions(
     cores = np.bincount(components[core], minlength=count)
     smallest = smallest_object(grey.size)
     for component in range(1, count):
-        if statistics[component, cv2.CC_STAT_AREA] >= smallest:
-            min_core = max(
-                OBJECTS.min_core_of_smallest * smallest,
-                OBJECTS.min_core_share * statistics[component, cv2.CC_STAT_AREA],
-            )
+        area = statistics[component, cv2.CC_STAT_AREA]
+        if area >= smallest:
+            min_core = max(OBJECTS.min_core_of_smallest * smallest, OBJECTS.min_core_share * area)
             yield components == component, bool(cores[component] >= min_core)
 
 
@@ -110,18 +101,14 @@ def smooth_motion(
     size = max(1.0, float(max(np.ptp(columns), np.ptp(rows))) / 2)
     x, y = np.moveaxis((pixel_grid(flow.shape) - center) / size, -1, 0).clip(-2, 2)
     monomials = [np.ones_like(x), x, y, x * x, x * y, y * y]
-    basis = np.stack(
-        monomials[: terms if len(rows) >= OBJECTS.min_quadratic_pixels else min(terms, 3)], -1
-    )
+    count = terms if len(rows) >= OBJECTS.min_quadratic_pixels else min(terms, 3)
+    basis = np.stack(monomials[:count], -1)
     stride = max(1, len(rows) // 4000)
     samples, flow_samples = basis[mask][::stride], flow[mask][::stride].astype(np.float64)
     weight = np.ones(len(flow_samples))
     if expected is not None:
-        weight = (
-            1
-            / (1 + (np.linalg.norm(flow_samples - expected, axis=1) / OBJECTS.start_tolerance) ** 2)
-            ** 2
-        )
+        distance = np.linalg.norm(flow_samples - expected, axis=1)
+        weight = 1 / (1 + (distance / OBJECTS.start_tolerance) ** 2) ** 2
     for _ in range(5):
         weighted = samples * weight[:, None]
         gram = weighted.T @ samples + 1e-6 * len(flow_samples) * np.eye(samples.shape[1])

@@ -21,6 +21,8 @@ from tisfm.reconstruction.result.folder import depth_path, read_depth, write_dep
 from tisfm.reconstruction.result.moving_object import MovingObject, ScaleFrom, labelled_objects
 from tisfm.settings import Settings
 
+NO_PATH = "the camera has no pose in its frames, or only poses outside the largest piece"
+
 
 def find_object_scale(
     path: ObjectPath,
@@ -47,7 +49,7 @@ def find_object_scale(
         contact = contact_scale(combined, labels, object_pixels & ~valid, object_id)
         if contact is not None:
             contacts.append(1 / contact)
-        window = np.ones((2 * OBJECTS.surroundings + 1, 2 * OBJECTS.surroundings + 1), np.uint8)
+        window = np.ones((2 * OBJECTS.surroundings + 1,) * 2, np.uint8)
         ring = (cv2.dilate(np.uint8(object_pixels), window) > 0) & (labels == 0) & (background > 0)
         if ring.any():
             # The object occludes its surroundings, so it is at least as near as their nearest part.
@@ -79,9 +81,6 @@ def longest_side(points: np.ndarray) -> float:
     return float(extents[areas.argmin()].max())
 
 
-NO_PATH = "the camera has no path where it is seen, or another one than the longest"
-
-
 def objects_with_depth(
     frames: PreparedFrames,  # with labels
     folder: Path,  # the folder of the depth files
@@ -108,19 +107,13 @@ def objects_with_depth(
         if isinstance(path, str):
             result.append(replace(obj, message=path))
             continue
-        poses_in_world = {
-            number: pose
-            for number, pose in path.piece.poses.items()
-            if np.isfinite(world[path.frames[number]]).all()
-        }
+        has_pose = np.isfinite(world[path.frames]).all(axis=(1, 2))
+        poses_in_world = {k: pose for k, pose in path.piece.poses.items() if has_pose[k]}
         if not poses_in_world:
             result.append(replace(obj, message=NO_PATH))
             continue
-        path = replace(
-            path,
-            piece=replace(path.piece, poses=poses_in_world),
-            depths=[depth for depth in path.depths if depth.frame in poses_in_world],
-        )
+        depths = [depth for depth in path.depths if depth.frame in poses_in_world]
+        path = replace(path, piece=replace(path.piece, poses=poses_in_world), depths=depths)
         size = (sizes or {}).get(obj.id)
         scale, scale_from = find_object_scale(path, obj.id, static_depth, frames.labels, size)
         result.append(with_world_path(obj, path, world, scale, scale_from))
@@ -151,11 +144,8 @@ def with_world_path(
     object_poses = obj.poses.copy()
     for number, pose in path.piece.poses.items():
         frame = path.frames[number]
-        object_to_camera = np.linalg.inv(
-            centering @ pose
-        )  # pose of the object, in the unit of `path`
+        object_to_camera = np.linalg.inv(centering @ pose)  # in the unit of `path`
         object_to_camera[:3, 3] *= scale
         object_poses[indices[frame]] = poses[frame] @ object_to_camera
-    return replace(
-        obj, poses=object_poses, extent=scale * trimmed_extent(points), scale_from=scale_from
-    )
+    extent = scale * trimmed_extent(points)
+    return replace(obj, poses=object_poses, extent=extent, scale_from=scale_from)

@@ -10,7 +10,12 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.frames.image_motion import ChainedFlow, ImageMotion
-from tisfm.reconstruction.objects.motion_evidence import Evidence, StaticMotion, support_of_motion
+from tisfm.reconstruction.objects.motion_evidence import (
+    Evidence,
+    StaticMotion,
+    evidence_of_error,
+    support_of_motion,
+)
 from tisfm.reconstruction.objects.settings import OBJECTS
 
 
@@ -35,8 +40,7 @@ def path_evidence(
     for chain in motion.chained_flows(frame, max(OBJECTS.path_steps)):
         other = poses[chain.frame]
         if chain.steps in OBJECTS.path_steps and other is not None:
-            relative = np.linalg.inv(other) @ pose
-            views.append((chain, StaticMotion(relative[:3, :3], relative[:3, 3], camera, shape)))
+            views.append((chain, StaticMotion.between(pose, other, camera, shape)))
     if len(views) < 2:
         return None
     inverse_depth, error = _joint_depth(views, shape)
@@ -48,11 +52,7 @@ def path_evidence(
     if deviation > OBJECTS.max_path_error * max(shape):
         return None
     deviation += OBJECTS.flow_deviation / 2 * max(shape)  # many frames are more certain than one
-    vote = np.clip(
-        (error / (deviation * OBJECTS.neutral_deviations)) ** 2 - 1,
-        OBJECTS.static_evidence,
-        OBJECTS.moving_evidence,
-    )
+    vote = evidence_of_error(error / (deviation * OBJECTS.neutral_deviations))
     static_depths = inverse_depth[static_pixels & (vote < 0)]
     last_views = {chain.frame > frame: (chain, static) for chain, static in views}  # by side
     compared = [

@@ -70,11 +70,9 @@ class SequenceLabels:
                 continue
             multi_frame, inverse_depth = path_result
             combined.append(own.combine_with(multi_frame))
-            static_pixels = (
-                ~moving_pixels
-                & (multi_frame.weight > OBJECTS.min_static_frames)
-                & (multi_frame.total < OBJECTS.max_static_mean * multi_frame.weight)
-            )
+            max_total = OBJECTS.max_static_mean * multi_frame.weight
+            static_pixels = ~moving_pixels & (multi_frame.weight > OBJECTS.min_static_frames)
+            static_pixels &= multi_frame.total < max_total
             depths.append(StaticDepth(inverse_depth=inverse_depth, static_pixels=static_pixels))
         self._evidence = combined
         return BelowGround(self._motion, poses, small_camera, depths)
@@ -100,9 +98,8 @@ class SequenceLabels:
         if not has_any:
             yield from stored
             return
-        other_labels = ObjectTracker(
-            self._motion, accumulate_evidence(self._motion, evidence)
-        ).labels()
+        accumulated = accumulate_evidence(self._motion, evidence)
+        other_labels = ObjectTracker(self._motion, accumulated).labels()
         for frame_labels, other in zip(stored, other_labels, strict=True):
             is_new = (frame_labels == 0) & (other > 0) & (other <= MAX_OBJECTS - count)
             yield np.where(is_new, other + np.uint8(count), frame_labels)
@@ -118,10 +115,8 @@ def enlarge_labels(
         return labels.astype(np.uint8)
     height, width = shape
     size = round(labels.shape[1] / scale), round(labels.shape[0] / scale)
-    max_coverage, enlarged = (
-        np.full((height, width), 0.5, np.float32),
-        np.zeros((height, width), np.uint8),
-    )
+    max_coverage = np.full((height, width), 0.5, np.float32)
+    enlarged = np.zeros((height, width), np.uint8)
     for number in np.unique(labels[labels > 0]):
         coverage = cv2.resize(np.float32(labels == number), size, interpolation=cv2.INTER_CUBIC)
         coverage = coverage[:height, :width]
