@@ -128,7 +128,7 @@ def test_same_bits_with_one_thread_and_with_all():
         (lambda a: (a[0], a[1], a[2][:1], a[3]), r"motions is \(1, 3, 4\) for 2 frames"),
         (lambda a: (a[0], [a[1][0], a[1][1][1:]], a[2], a[3]), r"others\[1\] is \(119, 160\)"),
         (lambda a: (a[0], a[1], a[2] * np.nan, a[3]), "not finite"),
-        (lambda a: (a[0], a[1], a[2] * [1, 1, 1, 0], a[3]), "without translation"),
+        (lambda a: (a[0], a[1], a[2] * [1, 1, 1, 0], a[3]), "has no translation"),
     ],
 )
 def test_arguments_are_checked(change, message):
