@@ -192,7 +192,7 @@ def test_pairs_have_no_path(tisfm_run, place, name):
         ),
         (["--to", "tum", "--screen", "0.5"], ["--screen is only for video-anaglyph and"]),
         (["--to", "ply,tum", "--disparity", "0.1"], ["--disparity is only for", "leave it out"]),
-        (["--to", "tum", "--scale", "0", "0", "1"], ["of one place"]),
+        (["--to", "tum", "--scale", "0", "0", "1"], ["one camera position"]),
         # What comes last is refused before anything is written.
         (["--to", "tum,masks"], ["--motion objects"]),
         (["--to", "tum", "--to", "video-flow"], ["has no image motion", "tisfm run"]),

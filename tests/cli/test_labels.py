@@ -97,7 +97,7 @@ def test_sizes(tisfm_run, place):
         (("1",), "--object-sizes has '1': expected ID=LENGTH, such as 3=4.5"),
         (("a=1",), "--object-sizes has 'a=1'"),
         (("1=-1",), "object_sizes[1] is -1.0: expected a positive length"),
-        (("7=1",), "has one of 7, but the ids of what moves are: 1, 2, 3"),
+        (("7=1",), "without an object: 7; the ids of moving objects are: 1, 2, 3"),
         (("1=1", "--scale", "0", "5", "1"), "--scale changes the unit"),
         (("1=1", "--motion", "camera"), 'expected motion="objects"'),
     ],

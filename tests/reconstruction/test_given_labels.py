@@ -234,7 +234,9 @@ def test_labels_of_a_result_stay_where_its_lens_put_them(tmp_path):
     )
     np.testing.assert_array_equal(labels_of(anew), labels_of(first))
     for options in ({}, {"camera": None}, {"camera": camera.with_focal(300.0)}):
-        with pytest.raises(ValueError, match="whose lens or readout is undone: give its camera"):
+        with pytest.raises(
+            ValueError, match="without lens distortion and rolling shutter: give its camera"
+        ):
             reconstructed(labels=first.folder, **options)
 
 

@@ -102,7 +102,11 @@ def test_what_lies_outside_is_left_out():
         ({1: "4.5"}, TypeError, "object_sizes.1. is '4.5': expected a length"),
         ({1: 0.0}, ValueError, "object_sizes.1. is 0.0: expected a positive length"),
         ({1: np.inf}, ValueError, "expected a positive length"),
-        ({1: 0.5, 9: 1}, ValueError, "has one of 9, but the ids of what moves are: 1, 2, 3"),
+        (
+            {1: 0.5, 9: 1},
+            ValueError,
+            "without an object: 9; the ids of moving objects are: 1, 2, 3",
+        ),
     ],
 )
 def test_what_are_no_sizes(sizes, error, words):
@@ -118,7 +122,9 @@ def test_what_are_no_sizes(sizes, error, words):
 
 def test_sizes_of_things_that_are_not_found():
     still = [film().frames[0][:48, :64]] * 3
-    with pytest.raises(ValueError, match="one of 1, but the ids of what moves are: none"):
+    with pytest.raises(
+        ValueError, match="without an object: 1; the ids of moving objects are: none"
+    ):
         tisfm.reconstruct(
             still, camera=tisfm.Camera(focal=60.0), settings=OBJECTS, object_sizes={1: 1.0}
         )

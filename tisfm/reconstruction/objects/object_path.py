@@ -104,9 +104,11 @@ def find_object_path(
             focal_known=False,
         )
     except ValueError:  # the views do not fit together
-        return "what it shows from frame to frame does not fit together"
+        return "its tracks do not fit one rigid motion"
     if not path.pieces:
-        return "it does not turn or come nearer enough, or is not rigid: its motion shows no depth"
+        return (
+            "its motion gives no depth: it hardly rotates or changes its distance, or is not rigid"
+        )
     piece = max(path.pieces, key=lambda piece: len(piece.poses))
     depths = (
         find_object_depths(object_frames, piece, path.observations, settings) if with_depth else []

@@ -51,13 +51,15 @@ class Calibration:
     def __post_init__(self) -> None:
         """Check the values, which may come from a file."""
         if self.origin not in ("given", "estimated", "guessed"):
-            raise InputError(f"origin is {self.origin!r}")
+            raise InputError(f"origin is {self.origin!r}: expected given, estimated or guessed")
         if not self.focal_std >= 0 or (self.origin == "estimated" and math.isinf(self.focal_std)):
-            raise InputError(f"focal_std is {self.focal_std}")
+            raise InputError(
+                f"focal_std is {self.focal_std}: expected at least 0, finite if estimated"
+            )
         if self.focal is not None and not 0 < self.focal < math.inf:
-            raise InputError(f"focal is {self.focal}")
+            raise InputError(f"focal is {self.focal}: expected a positive number of px")
         if self.shape is not None and (len(self.shape) != 2 or min(self.shape) < 1):
-            raise InputError(f"shape is {self.shape}")
+            raise InputError(f"shape is {self.shape}: expected two positive numbers of px")
 
 
 GIVEN = Calibration(origin="given")

@@ -38,8 +38,9 @@ class ResultLabels:
         ):
             return
         raise InputError(
-            f"labels are those of {self.folder}, of frames whose lens or readout is undone: give "
-            f"its camera as well, {self.folder / CAMERA}; or reconstruct {self.folder / PICTURES}"
+            f"the labels in {self.folder} fit its frames, without lens distortion and rolling "
+            f"shutter: give its camera too, {self.folder / CAMERA}; or reconstruct its frames, "
+            f"{self.folder / PICTURES}"
         )
 
 

@@ -135,13 +135,13 @@ def _read_objects(folder: Path, settings: Settings, count: int) -> tuple[MovingO
         record = read_json(path)
         if record["format"] != OBJECTS_FORMAT:
             raise InputError(
-                f"it is of format {record['format']}, this version reads {OBJECTS_FORMAT}: "
-                "reconstruct anew"
+                f"it has format {record['format']}, this version reads {OBJECTS_FORMAT}: "
+                "reconstruct the source again"
             )
         objects = tuple(MovingObject.of_json(obj) for obj in record["objects"])
         for obj in objects:
             if not set(obj.frames) <= set(range(count)):
-                raise InputError(f"thing {obj.id} is seen in other frames than those there are")
+                raise InputError(f"object {obj.id} is labelled in frames that do not exist")
     except FormatError:
         raise
     except _DAMAGE_ERRORS as error:
@@ -164,7 +164,7 @@ def read_picture(folder: Path, number: int) -> np.ndarray:
     refuse_large_image(str(path), data)
     picture = decode(str(path), data, cv2.IMREAD_UNCHANGED)
     if picture is None or picture.dtype != np.uint8 or picture.shape[2:] not in ((), (3,)):
-        raise FormatError(f"{path} is damaged: it is no picture of 8 bits")
+        raise FormatError(f"{path} is damaged: it is not a picture with 8 bits")
     return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
 
@@ -236,7 +236,7 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
         if len(record["status"]) != count:
             raise InputError(f"it has {len(record['status'])} statuses of {count} frames")
         if not set(record["keyframes"]) <= set(range(count)):
-            raise InputError(f"a keyframe is none of its {count} frames")
+            raise InputError(f"a keyframe has a number that is not below {count}")
         camera = record["camera"]
         stiffness = tuple(record["settings"]["stiffness"])
         settings = Settings(**{**record["settings"], "stiffness": stiffness})

@@ -155,6 +155,6 @@ def refuse_unknown_ids(sizes: Collection[int], object_ids: Collection[int]) -> N
     if unknown:
         ids = ", ".join(map(str, sorted(object_ids))) or "none"
         raise InputError(
-            f"object_sizes has one of {', '.join(map(str, unknown))}, but the ids of what moves "
-            f"are: {ids}"
+            f"object_sizes has ids without an object: {', '.join(map(str, unknown))}; the ids of "
+            f"moving objects are: {ids}"
         )

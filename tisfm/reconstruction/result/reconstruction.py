@@ -204,10 +204,8 @@ class Reconstruction:
         from tisfm.fusion import fused_points
 
         views = self._views(frames)
-        max_agreeing = min(agreeing, max(1, len(views)))
-        return fused_points(
-            views, agreeing=max_agreeing, max_relative_std=max_relative_std, voxel=voxel
-        )
+        count = min(agreeing, max(1, len(views)))
+        return fused_points(views, agreeing=count, max_relative_std=max_relative_std, voxel=voxel)
 
     def mesh(
         self,
@@ -256,10 +254,10 @@ class Reconstruction:
         from tisfm.fusion import fused_mesh
 
         views = self._views(frames)
-        max_agreeing = min(agreeing, max(1, len(views)))
+        count = min(agreeing, max(1, len(views)))
         return fused_mesh(
             views,
-            agreeing=max_agreeing,
+            agreeing=count,
             max_relative_std=max_relative_std,
             voxel=voxel,
             truncation=truncation,
@@ -291,23 +289,19 @@ class Reconstruction:
         1.04
         """
         number0, number1 = self._number(frame0), self._number(frame1)
-        piece = int(self.piece[number0])
         for frame in (number0, number1):
             if self.piece[frame] < 0:
-                raise InputError(f"frame {frame} has no pose: give two that have one, of one piece")
-        if piece != self.piece[number1]:
-            raise InputError(
-                f"frames {number0} and {number1} are of pieces {piece} and {self.piece[number1]}: "
-                "expected one piece, as its scale is its own"
-            )
+                raise InputError(f"frame {frame} has no pose: give two frames with poses")
+        self._require_one_piece([number0, number1])
         if not (np.isfinite(distance) and distance > 0):
             raise InputError(f"distance is {distance}: expected a positive length")
-        current_distance = float(
-            np.linalg.norm(self.poses[number0, :3, 3] - self.poses[number1, :3, 3])
-        )
-        if current_distance == 0:
-            raise InputError(f"frames {number0} and {number1} are of one place: give two others")
-        factor, poses = distance / current_distance, self.poses.copy()
+        piece, poses = int(self.piece[number0]), self.poses.copy()
+        length = float(np.linalg.norm(poses[number0, :3, 3] - poses[number1, :3, 3]))
+        if length == 0:
+            raise InputError(
+                f"frames {number0} and {number1} have one camera position: give others"
+            )
+        factor = distance / length
         poses[self.piece == piece, :3, 3] *= factor
         objects = tuple(obj.rescaled(factor, self.piece == piece) for obj in self.objects)
         unit = tuple(u * factor if k == piece else u for k, u in enumerate(self.unit))
@@ -373,13 +367,13 @@ class Reconstruction:
             largest = self.largest_piece
             return _Views(self, [k for k in self.keyframes if self.piece[k] == largest])
         numbers = [self._number(frame) for frame in frames]
-        pieces = sorted({int(self.piece[frame]) for frame in numbers} - {-1})
-        if len(pieces) > 1:
-            raise InputError(
-                f"frames are of pieces {', '.join(map(str, pieces))}: expected those of one, as "
-                "each has a scale of its own"
-            )
+        self._require_one_piece(numbers)
         return _Views(self, [frame for frame in numbers if self.piece[frame] >= 0])
+
+    def _require_one_piece(self, frames: Sequence[int]) -> None:
+        pieces = sorted({int(self.piece[frame]) for frame in frames} - {-1})
+        if len(pieces) > 1:
+            raise InputError(f"frames are in pieces {pieces}: give frames of one piece and scale")
 
 
 class _Views(Sequence["DepthView"]):
