@@ -6,7 +6,8 @@
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -31,10 +32,16 @@ from tisfm.settings import Settings
 from tisfm.status import Status
 from tisfm.trajectory.poses import check_poses
 
-FORMAT, OBJECTS_FORMAT = 2, 1
-RECORD, MARKER = "reconstruction.json", "reconstruction.begun"
-PATH, DEPTH, PICTURES, CACHE = "path.npz", "depth", "frames", "cache"
-MASKS, OBJECTS = "masks", "objects.json"
+FORMAT = 2  # of the record
+OBJECTS_FORMAT = 1  # of the file of moving objects
+RECORD = "reconstruction.json"
+MARKER = "reconstruction.begun"
+PATH = "path.npz"
+DEPTH = "depth"
+PICTURES = "frames"
+CACHE = "cache"
+MASKS = "masks"
+OBJECTS = "objects.json"
 MAX_HALF = 60000.0  # values are scaled to at most this: float16 ends at 65504
 # Errors that other JSON, or numbers outside NumPy's range, raise when read.
 _DAMAGE_ERRORS = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
@@ -131,7 +138,7 @@ def _read_objects(folder: Path, settings: Settings, count: int) -> tuple[MovingO
     for part in (path, folder / MASKS):
         if not part.exists():
             raise FormatError(f"{folder} has no {part.name}: it is not complete")
-    try:
+    with _damage_as_format_error(path):
         record = read_json(path)
         if record["format"] != OBJECTS_FORMAT:
             raise InputError(
@@ -142,11 +149,6 @@ def _read_objects(folder: Path, settings: Settings, count: int) -> tuple[MovingO
         for obj in objects:
             if not set(obj.frames) <= set(range(count)):
                 raise InputError(f"object {obj.id} is labelled in frames that do not exist")
-    except FormatError:
-        raise
-    except _DAMAGE_ERRORS as error:
-        reason = " ".join(str(error).split())
-        raise FormatError(f"{path} is damaged or of another kind: {reason}") from error
     return objects
 
 
@@ -209,32 +211,27 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
     if not (path / RECORD).is_file():
         reason = "is not complete" if (path / DEPTH).is_dir() else "is not that of a reconstruction"
         raise FileNotFoundError(f"the folder {path} {reason}: it has no {RECORD}")
-    try:
+    with _damage_as_format_error(path / RECORD):
         record = read_json(path / RECORD)
         if record["format"] != FORMAT:
             raise InputError(
                 f"it has format {record['format']}, written by tisfm {record.get('version')}; this "
                 f"version reads format {FORMAT}: reconstruct the source again"
             )
+        kinds = {"poses": "f", "piece": "i", "times": "f", "unit": "f"}
         with NpzFile(path / PATH) as file:
-            poses, piece, times, unit = (
-                file.read(name) for name in ("poses", "piece", "times", "unit")
-            )
-        for name, values, kind in (
-            ("poses", poses, "f"),
-            ("piece", piece, "i"),
-            ("times", times, "f"),
-            ("unit", unit, "f"),
-        ):
-            if values.dtype.kind != kind:
-                raise InputError(f"{name} of {PATH} are of type {values.dtype}")
+            arrays = {name: file.read(name) for name in kinds}
+        for name, values in arrays.items():
+            if values.dtype.kind != kinds[name]:
+                raise InputError(f"{name} of {PATH} has the type {values.dtype}")
+        poses, piece, times, unit = arrays.values()
         count = len(record["names"])
         if poses.shape != (count, 4, 4) or piece.shape != (count,) or times.shape != (count,):
             raise InputError(f"{PATH} does not have {count} frames")
         if unit.shape != (int(piece.max(initial=-1)) + 1,):
             raise InputError(f"{PATH} does not have a unit for every piece")
         if len(record["status"]) != count:
-            raise InputError(f"it has {len(record['status'])} statuses of {count} frames")
+            raise InputError(f"it has {len(record['status'])} statuses for {count} frames")
         if not set(record["keyframes"]) <= set(range(count)):
             raise InputError(f"a keyframe has a number that is not below {count}")
         camera = record["camera"]
@@ -263,16 +260,24 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
             version=str(record["version"]),
             objects=_read_objects(path, settings, count),
         )
+
+
+@contextmanager
+def _damage_as_format_error(path: Path) -> Iterator[None]:
+    try:
+        yield
     except FormatError:
         raise
     except _DAMAGE_ERRORS as error:
         reason = " ".join(str(error).split())
-        raise FormatError(f"{path / RECORD} is damaged or of another kind: {reason}") from error
+        raise FormatError(f"{path} is damaged or of another kind: {reason}") from error
 
 
 def _shape(values: Any) -> tuple[int, int]:
     """Return height and width of frames; ValueError for other values."""
     height, width = map(int, values)
     if height < 1 or width < 1 or height * width > LARGEST_PICTURE:
-        raise InputError(f"its frames are {height} × {width} px")
+        raise InputError(
+            f"its frames are {height} × {width} px: expected 1 to {LARGEST_PICTURE} px"
+        )
     return height, width
