@@ -103,7 +103,7 @@ def objects_with_depth(
     world = np.where((piece == largest)[:, None, None], poses, np.nan)
     result = []
     for obj in labelled_objects(len(poses), frames.labels):
-        path = find_object_path(obj, frames, frames.labels, settings, with_depth=with_depth)
+        path = find_object_path(obj, frames, settings, with_depth=with_depth)
         if isinstance(path, str):
             result.append(replace(obj, message=path))
             continue

@@ -4,7 +4,7 @@ In the axes of the object, the object rests and the camera moves. For this reaso
 found as in a static scene, from the pixels of the object alone.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -44,14 +44,12 @@ class _ObjectFrames:
     def __init__(
         self,
         frames: PreparedFrames,
-        numbers: Sequence[int],
-        labels_of: Callable[[int], np.ndarray],  # returns the labels of a frame, (H, W)
-        number: int,  # id of the object
+        numbers: Sequence[int],  # frames that show the object
+        object_id: int,
     ) -> None:
         self.camera: Camera = frames.camera
         self.shape = frames.shape
-        self._frames, self._numbers = frames, numbers
-        self._labels_of, self._number = labels_of, number
+        self._frames, self._numbers, self._object_id = frames, numbers, object_id
 
     def grey(self, number: int) -> np.ndarray:
         """Return a frame, (H, W) float32."""
@@ -65,26 +63,22 @@ class _ObjectFrames:
 
     def used_pixels(self, number: int) -> np.ndarray:
         """Return the mask of the object, (H, W) bool."""
-        return self._labels_of(self._numbers[number]) == self._number
+        return self._frames.labels(self._numbers[number]) == self._object_id
 
 
 def find_object_path(
     obj: MovingObject,
-    frames: PreparedFrames,
-    labels_of: Callable[[int], np.ndarray],  # returns the labels of a frame, (H, W)
+    frames: PreparedFrames,  # with labels
     settings: Settings,
     *,
     with_depth: bool = True,  # whether depth is found in addition to the path
 ) -> ObjectPath | str:
     """Return the path and depth of an object, or the reason why it has none."""
-    numbers = [
-        frame
-        for frame in obj.frames
-        if (labels_of(frame) == obj.id).sum() >= OBJECTS.min_object_pixels
-    ]
+    areas = {frame: (frames.labels(frame) == obj.id).sum() for frame in obj.frames}
+    numbers = [frame for frame, area in areas.items() if area >= OBJECTS.min_object_pixels]
     if len(numbers) < OBJECTS.min_path_frames:
         return f"it is too small, or seen in fewer than {OBJECTS.min_path_frames} frames"
-    object_frames = _ObjectFrames(frames, numbers, labels_of, obj.id)
+    object_frames = _ObjectFrames(frames, numbers, obj.id)
     object_side = float(np.median(np.sqrt(obj.boxes[:, 2] * obj.boxes[:, 3])))
     frame_side = max(frames.shape)
     cells = min(CELLS * frame_side / max(object_side, 1.0), frame_side / OBJECTS.min_track_distance)
@@ -106,23 +100,22 @@ def find_object_path(
     except ValueError:  # the views do not fit together
         return "its tracks do not fit one rigid motion"
     if not path.pieces:
-        return (
-            "its motion gives no depth: it hardly rotates or changes its distance, or is not rigid"
-        )
+        return "its motion gives no depth: it hardly turns or changes its distance, or is not rigid"
     piece = max(path.pieces, key=lambda piece: len(piece.poses))
-    depths = (
-        find_object_depths(object_frames, piece, path.observations, settings) if with_depth else []
-    )
-    return ObjectPath(frames=numbers, piece=piece, depths=depths)
+    found = ObjectPath(frames=numbers, piece=piece, depths=[])
+    if not with_depth:
+        return found
+    depths = find_object_depths(object_frames, piece, path.observations, settings)
+    return replace(found, depths=depths)
 
 
 def find_object_depths(
     frames: Frames,
     piece: Piece,
-    observations: Sequence[Observations],  # tracks of every frame, on counted pixels
+    observations: Sequence[Observations],  # tracks of every frame, on used pixels
     settings: Settings,
 ) -> list[FrameDepth]:
-    """Return the depth of frames within the bounding box of the counted pixels of all frames.
+    """Return the depth of frames within the bounding box of the used pixels of all frames.
 
     Pixels outside the box get no depth.
     """
@@ -136,7 +129,7 @@ def find_object_depths(
 
 
 def _bounding_box(frames: Frames, numbers: Iterable[int]) -> tuple[slice, slice]:
-    """Return the rows and columns of the bounding box of counted pixels, with a margin."""
+    """Return the rows and columns of the bounding box of used pixels, with a margin."""
     mask = np.zeros(frames.shape, bool)
     for number in numbers:
         used_pixels = frames.used_pixels(number)
@@ -172,7 +165,7 @@ class _CroppedFrames:
         return np.ascontiguousarray(self._frames.grey(number)[self._box])
 
     def used_pixels(self, number: int) -> np.ndarray | None:
-        """Return the counted pixels, (h, w) bool; None for all."""
+        """Return the used pixels, (h, w) bool; None for all."""
         used_pixels = self._frames.used_pixels(number)
         return None if used_pixels is None else np.ascontiguousarray(used_pixels[self._box])
 

@@ -34,8 +34,8 @@ from tisfm.reconstruction.result.folder import (
 )
 
 EARLIER = ".tisfm-earlier"  # holds the earlier result until the new one is complete
-# Names of this folder while files are moved into it, and while they are moved back.
-MOVING_OUT, MOVING_BACK = ".tisfm-leaving", ".tisfm-restoring"
+MOVING_OUT = ".tisfm-leaving"  # its name while files are moved into it
+MOVING_BACK = ".tisfm-restoring"  # its name while they are moved back
 # Chunks of a result that is not yet complete.
 CHUNKS = ".tisfm-chunks"
 _FOLDERS = (EARLIER, MOVING_OUT, MOVING_BACK, CHUNKS)
