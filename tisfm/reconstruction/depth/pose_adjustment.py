@@ -98,7 +98,7 @@ def adjust_poses(
     settings: Settings,
     *,
     fixed_frames: Collection[int] = (),  # frames whose poses are fixed; by default the first frame
-    rounds: int = DEPTH.adjust_rounds,  # Gauss–Newton steps
+    rounds: int | None = None,  # Gauss–Newton steps; by default those of the settings
 ) -> dict[int, np.ndarray]:
     """Return poses that fit the images better. The depth of the windows is changed in place."""
     adjusted = {frame: np.array(pose, np.float64) for frame, pose in poses.items()}
@@ -106,7 +106,7 @@ def adjust_poses(
     if not windows:
         return adjusted
     cache = _FrameCache(frames, camera, settings)
-    for step_index in range(rounds):
+    for step_index in range(DEPTH.adjust_rounds if rounds is None else rounds):
         systems = [_linearise(w, adjusted, cache, move_depth=step_index > 0) for w in windows]
         displacements = {f: _twist_between(adjusted[f], pose) for f, pose in poses.items()}
         steps = _solve(systems, sorted(adjusted), displacements, fixed_frames or (min(adjusted),))

@@ -21,7 +21,7 @@ from tisfm.reconstruction.depth.view_fusion import (
     fuse_views,
     upsample,
 )
-from tisfm.reconstruction.depth.window_depth import Effort, WindowDepth, window_depth
+from tisfm.reconstruction.depth.window_depth import Effort, WindowDepth, by_effort, window_depth
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import track_depths
@@ -186,7 +186,7 @@ class PieceDepths:
             rough,
             self._camera,
             self._frames.shape,
-            max_count=getattr(DEPTH.max_neighbours, effort),
+            max_count=by_effort(DEPTH.max_neighbours, effort),
             uncropped_shape=self._uncropped_shape,
         )
         others = [nearby[k] for k in neighbours]
@@ -225,7 +225,7 @@ class PieceDepths:
 
     def _render_depth(self, frame: int) -> View:
         """Return the depth of a frame, rendered from the keyframes, and its deviation."""
-        stride = getattr(DEPTH.render_stride, self._effort)
+        stride = by_effort(DEPTH.render_stride, self._effort)
         depths = self.final_depths.items()
         views = [self._render_keyframe(depth, key, frame, stride) for key, depth in depths]
         inverse_depth, deviation = fuse_views(views)

@@ -1,15 +1,9 @@
-"""Tuned numbers of depth; without another source, a number was set by hand."""
+"""Tuned numbers of depth; without another source, a number was set by hand.
+
+Three numbers are those of the efforts fast, balanced and accurate.
+"""
 
 from dataclasses import dataclass
-
-
-@dataclass(frozen=True, kw_only=True)
-class ByEffort:
-    """A number for each effort."""
-
-    fast: int
-    balanced: int
-    accurate: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +42,7 @@ class DepthSettings:
     half_weight_cells: float = 0.5
     # window_depth
     # largest number of cells of a keyframe; frames of 4:3 get 160×120, 320×240 and 640×480
-    cells: ByEffort = ByEffort(fast=2**15, balanced=2**17, accurate=2**19)
+    cells: tuple[int, int, int] = (2**15, 2**17, 2**19)
     # of the cells: with fewer reliable matches, no depth is propagated
     min_matched_share: float = 0.01
     # of a frame's data term at full strength, in weights of a matched cell
@@ -83,11 +77,11 @@ class DepthSettings:
     min_kept_tracks: float = 0.25
     compare_stride: int = 2  # px between the pixels on which keyframes are compared
     # px, into frames between keyframes
-    render_stride: ByEffort = ByEffort(fast=2, balanced=1, accurate=1)
+    render_stride: tuple[int, int, int] = (2, 1, 1)
     # of a keyframe window: a resting camera would give windows without end
     max_window_frames: int = 24
     max_frame_distance: int = 40  # frames between a keyframe and a frame that it is compared with
-    max_neighbours: ByEffort = ByEffort(fast=3, balanced=4, accurate=6)  # frames that give depth
+    max_neighbours: tuple[int, int, int] = (3, 4, 6)  # frames that give depth
     # relative deviation of a keyframe per relative difference from its neighbour keyframes
     difference_to_deviation: float = 1.75
     # view_fusion; differences are shares of the inverse depth

@@ -47,6 +47,11 @@ from tisfm.solver.unknowns import Unknowns
 Effort = Literal["fast", "balanced", "accurate"]
 
 
+def by_effort(numbers: tuple[int, int, int], effort: Effort) -> int:
+    """Return the number of an effort, from those of all efforts."""
+    return numbers[get_args(Effort).index(effort)]
+
+
 @dataclass(frozen=True, kw_only=True)
 class WindowDepth:
     """Inverse depth of a keyframe."""
@@ -88,7 +93,7 @@ def window_depth(
         others,
         motions,
         camera,
-        cells=getattr(DEPTH.cells, effort),
+        cells=by_effort(DEPTH.cells, effort),
         key_mask=key_mask,
         masks=masks,
         uncropped_shape=uncropped_shape,
