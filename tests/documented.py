@@ -9,12 +9,12 @@ from tisfm.cli.command_line import main
 from tisfm.formats import write_png
 from tisfm.scenes import bodies_film, bodies_path, two_blocks
 
-FRAMES, HEIGHT, WIDTH = 9, 180, 240  # of the film: smaller ones hardly show a path
-BODIES = 8  # frames with things that move
+FRAMES, HEIGHT, WIDTH = 7, 120, 160  # of the film of a room
+BODY_FRAMES = 6  # of the film of moving bodies
 
 
 def make(folder):
-    """Write pictures, what `run` and `reconstruct` leave, and a sequence whose truth is known."""
+    """Write images, results of `run` and `reconstruct`, and a sequence whose truth is known."""
     make_pictures(folder)
     make_middlebury(folder / "middlebury")
     assert main(["run", str(folder / "frames"), "-o", str(folder / "results"), "--preset", "fast",
@@ -24,7 +24,7 @@ def make(folder):
     make_calibrated(folder / "calibrated", film)
     assert main(["reconstruct", str(folder / "calibrated" / "images"), "-o", str(folder / "walk"),
                  "--preset", "fast", "--focal", str(film.camera.focal)]) == 0  # fmt: skip
-    bodies = bodies_film(bodies_path(BODIES), HEIGHT, WIDTH)
+    bodies = bodies_film(bodies_path(BODY_FRAMES), HEIGHT, WIDTH)
     settings = tisfm.Settings.preset("fast", motion="objects")
     found = tisfm.reconstruct(
         bodies.frames, camera=bodies.camera, settings=settings, labels=bodies.labels
@@ -43,7 +43,7 @@ def make_pictures(folder):
 
 
 def make_calibrated(folder, film):
-    """Write a film as the layout "calibrated" has it, with its depth in mm."""
+    """Write a film in the layout "calibrated", with its depth in mm."""
     for name in ("images", "depth"):
         (folder / name).mkdir(parents=True)
     for k, (frame, depth) in enumerate(zip(film.frames, film.depth, strict=True)):

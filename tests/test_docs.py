@@ -100,7 +100,7 @@ def test_the_changelog_has_this_version():
     assert all(when != "not released yet" for _, when in found[1:])
 
 
-def test_the_picture_is_small_and_what_its_program_draws(tmp_path):
+def test_the_picture_is_small_and_up_to_date(tmp_path):
     picture = DOCS / "demo.png"
     assert f"]({picture.relative_to(ROOT).as_posix()})" in README.read_text(encoding="utf-8")
     assert picture.stat().st_size < LARGEST
@@ -113,7 +113,7 @@ def test_the_picture_is_small_and_what_its_program_draws(tmp_path):
     assert np.abs(kept - drawn).mean() < 2  # grey levels: other processors round otherwise
 
 
-def test_the_animation_is_small_and_is_what_the_demo_writes():
+def test_the_animation_is_small_and_up_to_date():
     animation = DOCS / "demo.webp"
     assert f"]({animation.relative_to(ROOT).as_posix()})" in README.read_text(encoding="utf-8")
     assert animation.stat().st_size < LARGEST_ANIMATION

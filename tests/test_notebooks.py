@@ -41,6 +41,6 @@ def test_it_runs(path, tmp_path, monkeypatch, no_window):
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_nothing_that_a_cell_printed_is_kept(path):
+def test_notebooks_are_stored_without_output(path):
     for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
         assert not cell.get("outputs") and cell.get("execution_count") is None

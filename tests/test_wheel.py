@@ -129,7 +129,7 @@ def test_the_wheel_is_small_and_of_no_machine(wheel):
                 assert f"{place}{os.sep}" not in text, (name, place)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_pip_installs_it_and_the_command_runs(wheel, tmp_path):
     """Into an environment of its own; what it needs is taken from that of the tests."""
     place = tmp_path / "environment"

@@ -109,6 +109,7 @@ def tisfm_run(capsys):
     """Run the command line in this process; return exit code, stdout and stderr."""
 
     def run(*arguments):
+        capsys.readouterr()  # of commands that fixtures ran
         try:
             code = main([str(argument) for argument in arguments])
         except SystemExit as end:  # of help and of options that do not exist

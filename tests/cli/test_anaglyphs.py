@@ -46,7 +46,7 @@ def test_the_screen_is_that_of_the_first_pair(tisfm_run, frames):
         assert np.abs(found - expected).mean() < 0.3 * np.abs(found - other).mean()
 
 
-def test_by_default_it_is_in_the_middle(tisfm_run, frames):
+def test_the_default_screen_is_in_the_middle(tisfm_run, frames):
     assert tisfm_run(*RUN)[0] == 0
     about = record("out")
     assert (about["disparity"], about["screen"]) == (0.03, None)
@@ -58,7 +58,7 @@ def test_by_default_it_is_in_the_middle(tisfm_run, frames):
     assert files("out") == before
 
 
-def test_what_is_impossible_is_refused_before_any_work(tisfm_run, frames):
+def test_impossible_options_are_refused_before_any_work(tisfm_run, frames):
     for option, said in (
         (("--disparity", "0"), "disparity is 0"),
         (("--disparity", "0.5"), "expected a share of the width, above 0, up to 0.2"),

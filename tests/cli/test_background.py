@@ -20,7 +20,7 @@ from tisfm.running import pair_files
 from tisfm.running.background import Background
 
 
-def test_pieces_are_done_in_order_in_one_other_thread():
+def test_work_is_done_in_order_in_one_other_thread():
     done = []
     with Background() as background:
         for k in range(20):
@@ -60,7 +60,7 @@ def test_one_waits_and_the_next_is_waited_for():
 
 
 @pytest.mark.parametrize("fault", [OSError, KeyboardInterrupt, SystemExit])
-def test_an_error_comes_out_and_ends_the_work(fault):
+def test_an_error_is_raised_and_ends_the_work(fault):
     done = []
 
     def fail():
@@ -74,7 +74,7 @@ def test_an_error_comes_out_and_ends_the_work(fault):
     assert not done
 
 
-def test_an_error_of_the_last_piece_comes_out():
+def test_an_error_of_the_last_piece_is_raised():
     def fail():
         time.sleep(0.1)
         raise OSError("at the end")
@@ -84,7 +84,7 @@ def test_an_error_of_the_last_piece_comes_out():
 
 
 @pytest.mark.parametrize("fault", [ValueError, KeyboardInterrupt])
-def test_what_was_given_before_an_error_is_done(fault):
+def test_work_submitted_before_an_error_is_done(fault):
     done = []
     with pytest.raises(fault, match="outside"), Background() as background:
         for k in range(2):
@@ -93,7 +93,7 @@ def test_what_was_given_before_an_error_is_done(fault):
     assert done == [0, 1]
 
 
-def test_nothing_is_held_when_it_is_done():
+def test_finished_work_is_released():
     class Held:
         pass
 
@@ -123,7 +123,7 @@ def test_an_error_of_writing_ends_the_run(tisfm_run, frames, monkeypatch):
 
 
 @pytest.mark.parametrize("slow", [True, False])
-def test_ctrl_c_keeps_what_was_interpreted(tisfm_run, frames, monkeypatch, slow):
+def test_ctrl_c_keeps_interpreted_pairs(tisfm_run, frames, monkeypatch, slow):
     """Writing may lag behind: what was interpreted before is written whole."""
     original, calls = pair_files.write_depth_png, []
 
@@ -147,7 +147,7 @@ def test_ctrl_c_keeps_what_was_interpreted(tisfm_run, frames, monkeypatch, slow)
     assert list(record("out")["pairs"]) == ["f0", "f1"]
 
 
-def test_a_run_that_was_told_to_ignore_ctrl_c_goes_on(tisfm_run, frames, monkeypatch):
+def test_a_run_that_ignores_ctrl_c_continues(tisfm_run, frames, monkeypatch):
     """A shell tells this to jobs in the background of a script."""
     interpret = pair.interpret
 

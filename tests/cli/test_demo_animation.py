@@ -25,7 +25,7 @@ def middle_of_bright(picture):
     return np.mean(np.nonzero(picture[..., 1] > 130), axis=1)
 
 
-def test_it_is_one_endless_loop_of_some_seconds(tmp_path):
+def test_the_animation_is_an_endless_loop_of_some_seconds(tmp_path):
     write_animation(tmp_path / "a.webp", step(), width=120)
     with Image.open(tmp_path / "a.webp") as image:
         assert image.format == "WEBP" and image.size == (120, 90)
@@ -47,7 +47,7 @@ def test_the_same_result_gives_the_same_bytes(tmp_path):
     assert (tmp_path / "a.webp").read_bytes() == (tmp_path / "b.webp").read_bytes()
 
 
-def test_what_is_near_goes_around_and_nothing_is_left_empty():
+def test_near_points_circle_and_no_pixel_is_empty():
     pictures = animation_frames(step(), width=120)
     assert np.ptp(pictures[0], axis=2).max() == 0  # no colours there
     _, right = middle_of_bright(pictures[0])
@@ -64,7 +64,7 @@ def test_halfway_near_is_bright_in_colours():
 
 
 @pytest.mark.parametrize("inverse_depth", [0.0, np.nan, -1.0, 0.5])
-def test_without_relief_nothing_fails(inverse_depth):
+def test_flat_depth_is_animated(inverse_depth):
     flat = step(near=inverse_depth, far=inverse_depth)
     pictures = animation_frames(flat, width=31)
     assert pictures[0].shape == (23, 31, 3)

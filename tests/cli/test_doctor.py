@@ -67,7 +67,7 @@ def test_the_module_answers_as_the_command_does(tmp_path):
 
 
 @pytest.mark.nightly
-def test_a_library_that_crashes_takes_no_other_with_it(tmp_path):
+def test_a_crashing_library_leaves_the_others_examined(tmp_path):
     (tmp_path / "cv2.py").write_text("import os; os.abort()")
     done = doctor("--json", PYTHONPATH=str(tmp_path))
     assert done.returncode == 1 and done.stderr == ""
@@ -107,13 +107,13 @@ def test_an_address_space_that_is_too_small(kilobytes):
 
 
 @pytest.mark.nightly
-def test_what_reads_it_may_have_had_enough():
+def test_a_closed_pipe_prints_no_error():
     call = shlex.join([sys.executable, "-c", SCRIPT, "doctor"])
     done = subprocess.run(["sh", "-c", f"{call} | true"], capture_output=True, text=True)
     assert done.stderr == ""
 
 
-def test_wrong_options_are_left_to_the_parser(tisfm_run):
+def test_wrong_options_of_the_doctor_are_one_line(tisfm_run):
     code, _, err = tisfm_run("doctor", "--jsn")
     assert code == 2 and "did you mean --json?" in err
 
@@ -136,7 +136,7 @@ def test_other_commands_keep_their_traceback(tmp_path):
     assert done.returncode == 1 and "libGL.so.1 is not there" in done.stderr
 
 
-def test_a_look_that_fails_is_a_line(monkeypatch):
+def test_a_failed_check_is_a_line(monkeypatch):
     def fail():
         raise RuntimeError("unforeseen")
 

@@ -92,7 +92,7 @@ def test_bad_frames_are_one_line(tisfm_run, frames, place, kind):
     "kind",
     nightly_except("text as video", of=("truncated file", "garbage", "NaN", "text as video")),
 )
-def test_bad_frames_are_one_line_in_a_process_of_its_own(frames, place, kind):
+def test_bad_frames_are_one_line_in_a_process(frames, place, kind):
     """Libraries that decode may print lines of their own, past Python."""
     source = damaged(kind, place)
     done = subprocess.run([*TISFM, "run", *source, "-o", "out"], capture_output=True, text=True)
@@ -150,7 +150,7 @@ def test_an_unwritable_folder_is_one_line(tisfm_run, public_frames, monkeypatch,
 
 @pytest.mark.parametrize("output", ["file", "file/out", "file/deep/out"])
 @pytest.mark.parametrize("command", ["run", "demo", "eval", "figures"])
-def test_an_output_that_is_no_folder_is_one_line(
+def test_an_output_that_is_a_file_is_one_line(
     tisfm_run, frames, benchmark_folder, place, monkeypatch, output, command
 ):
     (place / "file").write_text("mine")
@@ -172,7 +172,7 @@ LONG = (100_000, 4)  # px: a row more than .flo files can have
 
 
 @pytest.mark.parametrize("size", [LONG, LONG[::-1]])
-def test_frames_beyond_what_files_can_hold_are_one_line(tisfm_run, place, monkeypatch, size):
+def test_frames_too_large_for_files_are_one_line(tisfm_run, place, monkeypatch, size):
     monkeypatch.setattr(pair, "interpret", forbid)
     for name in ("a.png", "b.png"):
         write_png(place / name, np.zeros(size, np.uint8))
@@ -189,7 +189,7 @@ def _refuse_wide_frames(name, height, width):
     raise InputError(f"{name} is {width} px wide")
 
 
-def test_pairs_beyond_what_files_can_hold_are_faults(tisfm_run, benchmark_folder, monkeypatch):
+def test_pairs_too_large_for_files_are_faults(tisfm_run, benchmark_folder, monkeypatch):
     with monkeypatch.context() as patched:
         patched.setattr(evaluate, "require_writable_flow", _refuse_wide_frames)
         patched.setattr(pairs, "interpret", forbid)
@@ -243,7 +243,7 @@ def test_values_out_of_range_are_one_line(tisfm_run, frames, place, without_vulk
     assert not (place / "out").exists() or not files("out")
 
 
-def test_an_error_on_the_way_keeps_the_pairs_before(tisfm_run, frames):
+def test_pairs_before_an_error_are_kept(tisfm_run, frames):
     (frames / "f3.png").write_bytes(b"damaged")
     run = ("run", "frames", "--no-figures", "-o")
     code, _, err = tisfm_run(*run, "out")
@@ -336,7 +336,7 @@ def test_a_bug_leaves_its_traceback(tisfm_run, frames, monkeypatch, kind, where)
 
 
 @pytest.mark.parametrize("kind", ["shapes", "types", "taichi"])
-def test_a_bug_is_no_fault_of_a_pair(tisfm_run, benchmark_folder, monkeypatch, kind):
+def test_a_bug_is_raised(tisfm_run, benchmark_folder, monkeypatch, kind):
     monkeypatch.setattr(pairs, "interpret", getattr(Broken, kind))
     with pytest.raises(KINDS[kind]):
         tisfm_run("eval", "flows")

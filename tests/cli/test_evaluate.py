@@ -81,7 +81,7 @@ def test_options_reach_the_evaluation(tisfm_run, benchmark_folder):
     assert "2 iteration_limit" in err and "raise outer_iterations" in err
 
 
-def test_a_fault_is_told_at_the_end(tisfm_run, benchmark_folder):
+def test_a_fault_is_printed_at_the_end(tisfm_run, benchmark_folder):
     (benchmark_folder / "Fast" / "frame11.png").unlink()
     code, out, err = tisfm_run("eval", "flows", "-o", "out")
     assert code == 1

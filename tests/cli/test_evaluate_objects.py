@@ -24,7 +24,7 @@ def test_masks_are_compared(tisfm_run, folders):
     assert record["objects"][0]["label"] == 1
 
 
-def test_several_things_have_a_mean(tisfm_run, folders, place):
+def test_several_objects_have_a_mean(tisfm_run, folders, place):
     two = truth()
     two[:, 7, 8:] = 7
     save(place / "camel" / "masks", two, name="{:05d}.png")

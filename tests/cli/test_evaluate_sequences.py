@@ -61,7 +61,7 @@ def test_a_motion_of_pairs_is_refused(tisfm_run, wall, reconstruct):
     assert not reconstruct
 
 
-def test_how_long_a_sequence_takes_is_foretold(tisfm_run, wall, reconstruct, monkeypatch):
+def test_the_time_of_a_sequence_is_estimated(tisfm_run, wall, reconstruct, monkeypatch):
     now = [0.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     finds = tisfm.reconstruct
@@ -78,7 +78,7 @@ def test_how_long_a_sequence_takes_is_foretold(tisfm_run, wall, reconstruct, mon
     assert err.splitlines()[0] == "100 frames of wall, path: about 6 min 20 s to go, 0.25 a second"
 
 
-def test_poses_are_given_and_not_compared(tisfm_run, wall, reconstruct):
+def test_given_poses_are_not_compared(tisfm_run, wall, reconstruct):
     code, out, _ = tisfm_run("eval", "wall", "--sequence", "--give-poses")
     assert code == 0 and "Paths against the truth" not in out and "Depth of sequences" in out
     np.testing.assert_allclose(reconstruct[0][1]["poses"], PATH)
@@ -98,7 +98,7 @@ def test_a_path_of_another_program_is_compared(tisfm_run, wall, write):
     assert piece["absolute"]["scale"] == pytest.approx(1 / 3) and piece["share"] < 1e-9
 
 
-def test_what_was_saved_is_loaded(tisfm_run, wall, place, monkeypatch):
+def test_a_saved_evaluation_is_loaded(tisfm_run, wall, place, monkeypatch):
     class Reconstruction:
         @staticmethod
         def load(folder):
@@ -128,7 +128,7 @@ def test_every_piece_has_a_file(tisfm_run, wall, monkeypatch):
     np.testing.assert_array_equal(read_tum("out/wall-piece2.tum").times, [0, 1])
 
 
-def test_a_fault_of_one_is_told_and_the_others_go_on(tisfm_run, place, wall, reconstruct):
+def test_a_fault_of_one_sequence_does_not_stop_the_others(tisfm_run, place, wall, reconstruct):
     make_sequence(place / "broken")
     (place / "broken" / "poses.txt").write_text("1 2 3\n")
     code, out, err = tisfm_run("eval", ".", "--sequence", "-o", "out")

@@ -102,7 +102,7 @@ def test_a_unit_is_that_of_a_piece(tisfm_run, place):
     assert "--scale" not in tisfm_run(*arguments)[2]
 
 
-def test_all_that_a_sequence_has(tisfm_run, place):
+def test_all_exports_of_a_reconstruction(tisfm_run, place):
     for package in ("av", "OpenEXR"):
         pytest.importorskip(package)
     made(place / "walk", labelled=True, with_depth=(0, 1, 2, 4))
@@ -121,7 +121,7 @@ def test_all_that_a_sequence_has(tisfm_run, place):
     assert not [name for name in found if name.endswith(".tmp")]
 
 
-def test_options_of_views_change_what_is_seen(tisfm_run, place):
+def test_options_of_views_change_the_views(tisfm_run, place):
     pytest.importorskip("av")
     made(place / "walk", count=2, shape=(40, 160))
     seen = {}
@@ -136,7 +136,7 @@ def test_options_of_views_change_what_is_seen(tisfm_run, place):
         assert np.abs(frame - usual).mean() > 2, options
 
 
-def test_all_that_pairs_have(tisfm_run, place):
+def test_all_exports_of_a_run(tisfm_run, place):
     for package in ("av", "OpenEXR"):
         pytest.importorskip(package)
     run_of(place / "pairs", camera=LENS)
@@ -149,7 +149,7 @@ def test_all_that_pairs_have(tisfm_run, place):
         assert {kind.format(f"p{k}") for k in range(3)} <= found
 
 
-def test_what_a_run_wrote(tisfm_run, frames, place):
+def test_a_run_is_exported(tisfm_run, frames, place):
     assert tisfm_run("run", "frames", "-o", "pairs", "--no-figures", "--preset", "fast")[0] == 0
     code, _, err = tisfm_run("export", "pairs", "--to", "depth-tiff,masks", "-o", "out")
     assert code == 0, err
@@ -200,7 +200,7 @@ def test_pairs_have_no_path(tisfm_run, place, name):
         (["--to", "tum,depth-tum", "--scale", "0", "1", "9999"], ["beyond 13.11", "--scale"]),
     ],
 )  # fmt: skip
-def test_what_cannot_be_is_refused_first(tisfm_run, place, arguments, words):
+def test_impossible_exports_are_refused_first(tisfm_run, place, arguments, words):
     made(place / "walk")
     tisfm.camera_file.write_camera(place / "walk" / "camera.json", tisfm.Camera(40.0), (31, 45))
     code, _, err = tisfm_run("export", "walk", "-o", "out", *arguments)
@@ -224,7 +224,7 @@ def test_a_path_alone_has_no_depth(tisfm_run, place, name):
     assert_one_line(code, err, "has depth: reconstruct with --depth-of all")
 
 
-def test_without_a_pose_there_is_no_depth_to_ask_for(tisfm_run, place):
+def test_depth_without_a_pose_is_refused(tisfm_run, place):
     result = made(place / "walk", count=2, with_depth=())
     write_record(place / "walk", replace(result, piece=np.full(2, -1, np.int32), unit=()))
     code, _, err = tisfm_run("export", "walk", "--to", "video-depth", "-o", "out")
@@ -237,14 +237,14 @@ def test_a_unit_is_of_frames_with_a_pose(tisfm_run, place):
     assert_one_line(code, err, "frame 1 has no pose")
 
 
-def test_depth_that_is_gone_is_told(tisfm_run, place):
+def test_missing_depth_is_one_line(tisfm_run, place):
     made(place / "walk")
     shutil.rmtree(place / "walk" / "depth")
     code, _, err = tisfm_run("export", "walk", "--to", "video-depth", "-o", "out")
     assert_one_line(code, err, "its folder depth was removed")
 
 
-def test_folders_that_are_none(tisfm_run, place):
+def test_missing_folders_are_errors(tisfm_run, place):
     (place / "empty").mkdir()
     for folder, words in (("nowhere", "there is no folder"), ("empty", "has neither")):
         code, _, err = tisfm_run("export", folder, "--to", "tum", "-o", "out")
@@ -256,7 +256,7 @@ def test_folders_that_are_none(tisfm_run, place):
 
 
 @pytest.mark.parametrize("output", ["walk", "walk/out", "link/out"])
-def test_nothing_is_written_into_the_result(tisfm_run, place, output):
+def test_exports_into_the_result_are_refused(tisfm_run, place, output):
     made(place / "walk", labelled=True)
     (place / "link").symlink_to(place / "walk")
     before = names(place / "walk")

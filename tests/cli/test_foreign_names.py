@@ -110,7 +110,7 @@ def test_a_name_does_not_become_a_formula(name):
     assert row["pair"].removeprefix("'") == name
 
 
-def test_other_cells_stay_as_they_are():
+def test_other_cells_are_unchanged():
     text = csv_table(("a", "b", "c", "d"), [("f0", None, -1e-5, "a=b, c")])
     assert text == 'a,b,c,d\nf0,,-1e-05,"a=b, c"\n'
     assert csv_table(("a",), [("f\r=1",)]) == 'a\n"f\r=1"\n'  # no row begins within it
@@ -132,7 +132,7 @@ def test_the_table_of_a_run_quotes_names_and_messages(place):
     assert row["message"].startswith("'=cmd")
 
 
-def test_a_run_of_frames_named_like_formulas_goes_on(tisfm_run, place):
+def test_frames_named_like_formulas_are_resumed(tisfm_run, place):
     """The record has the names of files, not the table."""
     (place / "frames").mkdir()
     for k in range(3):

@@ -92,7 +92,7 @@ def test_the_camera_is_that_of_the_whole_frames(tisfm_run, frames, motion, focal
     assert np.abs(result.frame - mean).max() <= 0.5
 
 
-def test_damaged_frames_are_told_or_fatal(tisfm_run, frames):
+def test_damaged_frames_are_skipped_or_an_error(tisfm_run, frames):
     (frames / "f1.png").write_bytes(b"damaged")
     code, _, err = tisfm_run("run", "frames", *QUIET)
     assert_one_line(code, err, "frame 1: ", "f1.png")

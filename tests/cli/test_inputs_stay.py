@@ -51,21 +51,25 @@ X = ("d/x.png", "d/x_depth.png", "d/y.png")
 
 @pytest.mark.parametrize("output", ["d", "./d/", "d/../d", "link", "d/down/.."])
 @pytest.mark.parametrize("options", [(), ("--resume",), ("--no-figures",), ("--step", "2")])
-def test_files_of_the_output_folder(tisfm_run, d, place, nothing_interpreted, output, options):
+def test_frames_in_the_output_folder_are_not_replaced(
+    tisfm_run, d, place, nothing_interpreted, output, options
+):
     (place / "link").symlink_to(d, target_is_directory=True)
     (d / "down").mkdir()
     words = ("would replace", "x_depth.png")
     assert_refused(tisfm_run, place, "run", *X, "-o", output, *options, words=words)
 
 
-def test_files_as_the_shell_lists_them(tisfm_run, d, place, nothing_interpreted):
+def test_files_listed_by_the_shell_are_not_replaced(tisfm_run, d, place, nothing_interpreted):
     listed = sorted(map(str, Path("d").glob("*.png")))
     assert_refused(tisfm_run, place, "run", *listed, "-o", "d")
 
 
 @pytest.mark.parametrize("pattern", ["d?/*.png", "*/*.png", "./d[12]/x*", "d1/../d?/*.png"])
 @pytest.mark.parametrize("frames_there", [True, False])
-def test_patterns_of_folders(tisfm_run, d, place, nothing_interpreted, pattern, frames_there):
+def test_frames_of_a_pattern_are_not_replaced(
+    tisfm_run, d, place, nothing_interpreted, pattern, frames_there
+):
     shutil.copytree(d, place / "d1")
     if frames_there:
         shutil.copytree(d, place / "d2")
@@ -75,7 +79,9 @@ def test_patterns_of_folders(tisfm_run, d, place, nothing_interpreted, pattern, 
 
 @pytest.mark.parametrize("link", [os.symlink, os.link])
 @pytest.mark.parametrize("name", ["x_depth.png", "x.npz", "x_figure.png", "run.json", "x.ply"])
-def test_links_among_the_results(tisfm_run, d, place, nothing_interpreted, link, name):
+def test_links_to_frames_among_the_results_are_not_replaced(
+    tisfm_run, d, place, nothing_interpreted, link, name
+):
     """The frame lies elsewhere; a link of a result's name leads to it."""
     (place / "out").mkdir()
     link(os.path.abspath("d/x.png"), f"out/{name}")
@@ -83,21 +89,21 @@ def test_links_among_the_results(tisfm_run, d, place, nothing_interpreted, link,
     assert_refused(tisfm_run, place, *arguments, words=("would replace", "x.png", name))
 
 
-def test_a_frame_that_is_a_link_to_a_result(tisfm_run, d, place, nothing_interpreted):
+def test_a_frame_that_links_to_a_result_is_refused(tisfm_run, d, place, nothing_interpreted):
     (place / "out").mkdir()
     shutil.copy("d/x.png", "out/a_anaglyph.png")
     (place / "a.png").symlink_to("out/a_anaglyph.png")
     assert_refused(tisfm_run, place, "run", "a.png", "d/y.png", "-o", "out")
 
 
-def test_pictures_by_any_name(tisfm_run, d, place, nothing_interpreted):
+def test_images_of_any_suffix_are_not_replaced(tisfm_run, d, place, nothing_interpreted):
     """What a picture is follows from its contents: one that is called .npz would be deleted."""
     (d / "x.png").rename(place / "x.npz")
     assert_refused(tisfm_run, place, "run", "x.npz", "d/y.png", "-o", ".")
 
 
 @pytest.mark.parametrize("name", ["run.json", "x_pose.txt"])
-def test_a_file_of_poses(tisfm_run, d, place, nothing_interpreted, name):
+def test_a_pose_file_among_the_results_is_refused(tisfm_run, d, place, nothing_interpreted, name):
     (place / "out").mkdir()
     (place / "out" / name).write_text("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n")
     arguments = ("run", "d/x.png", "d/y.png", "-o", "out", "--motion", "camera", "--focal", "40")
@@ -124,7 +130,7 @@ def test_a_video(tisfm_run, place, nothing_interpreted, link, name):
     assert_refused(tisfm_run, place, "run", "clip.avi", "-o", "out", words=("clip.avi", name))
 
 
-def test_results_beside_a_video(tisfm_run, place):
+def test_results_may_lie_beside_a_video(tisfm_run, place):
     make_video("clip.avi")
     before = Path("clip.avi").read_bytes()
     assert tisfm_run("run", "clip.avi", "-o", ".", "--no-figures")[0] == 0
@@ -133,7 +139,7 @@ def test_results_beside_a_video(tisfm_run, place):
     assert set(files(".")) == promised(*names, figures=False) | {"clip.avi"}
 
 
-def test_results_beside_two_frames(tisfm_run, d):
+def test_results_may_lie_beside_two_frames(tisfm_run, d):
     """They replace nothing, and are welcome there."""
     before = files("d")
     assert tisfm_run("run", "d/x.png", "d/y.png", "-o", "d/new", "--no-figures")[0] == 0
@@ -143,7 +149,7 @@ def test_results_beside_two_frames(tisfm_run, d):
     assert set(after) == set(before) | promised("y", figures=False)
 
 
-def test_what_comes_between(tisfm_run, d, place, monkeypatch):
+def test_a_link_that_appears_during_the_run_is_not_followed(tisfm_run, d, place, monkeypatch):
     """A link that appears while a run is on its way is met when the file is written."""
     (place / "out").mkdir()
     before = files("d")
@@ -159,7 +165,7 @@ def test_what_comes_between(tisfm_run, d, place, monkeypatch):
     assert files("d") == before
 
 
-def test_names_that_a_file_system_takes_for_the_same(tisfm_run, d, place):
+def test_names_that_differ_in_case_have_other_results(tisfm_run, d, place):
     """Without regard to case: results of A.png and a.png may not be the same files."""
     for name in ("a.png", "A.jpg"):
         shutil.copy("d/x.png", name)
@@ -168,7 +174,7 @@ def test_names_that_a_file_system_takes_for_the_same(tisfm_run, d, place):
     assert set(files("out")) == promised("000000_a", "000001_A", figures=False)
 
 
-def test_names_in_another_case(d):
+def test_inputs_are_found_in_another_case(d):
     """By whatever name a file system knows it."""
     inputs = InputFiles([d / "x_depth.png"])
     other = d / "X_DEPTH.PNG"
@@ -199,7 +205,7 @@ def test_eval(tisfm_run, benchmark_folder, place, nothing_interpreted, name, lin
     assert_refused(tisfm_run, place, "eval", "flows", "-o", "out", words=("Slow_error.png", name))
 
 
-def test_eval_into_its_own_folder(tisfm_run, place, nothing_interpreted):
+def test_eval_into_the_folder_of_its_dataset(tisfm_run, place, nothing_interpreted):
     """The dataset X of D is D/X, and so is the folder of its results."""
     folder = place / "D" / "X"
     folder.mkdir(parents=True)
@@ -219,7 +225,7 @@ def test_the_record_of_eval(tisfm_run, benchmark_folder, place, nothing_interpre
 @pytest.mark.parametrize(
     "name", ["demo_depth.png", "figure_lambda.png", "demo.webp", "camera/demo.npz"]
 )
-def test_the_demo_keeps_what_no_demo_wrote(tisfm_run, d, place, nothing_interpreted, name):
+def test_the_demo_does_not_replace_other_files(tisfm_run, d, place, nothing_interpreted, name):
     target = place / "out" / name
     target.parent.mkdir(parents=True)
     shutil.copy("d/x.png", target)
@@ -227,12 +233,12 @@ def test_the_demo_keeps_what_no_demo_wrote(tisfm_run, d, place, nothing_interpre
     assert_refused(tisfm_run, place, "demo", "-o", "out", words=words)
 
 
-def test_the_demo_keeps_a_run(tisfm_run, d, place):
+def test_the_demo_does_not_replace_a_run(tisfm_run, d, place):
     assert tisfm_run("run", "d/x.png", "d/y.png", "-o", "out", "--preset", "fast")[0] == 0
     assert_refused(tisfm_run, place, "demo", "-o", "out", words=("would replace the run in out",))
 
 
-def test_a_demo_that_was_killed_is_replaced(place):
+def test_a_killed_demo_is_replaced(place):
     out = place / "out"
     for folder in (out, out / "camera", out / "objects"):
         folder.mkdir()

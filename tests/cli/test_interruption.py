@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.cli.command_line import ENDINGS, TISFM, assert_one_line, files, load, record
+from tests.draws import nightly_except
 from tests.waiting import started, wait_for
 from tisfm.folders.files import compare_records
 from tisfm.folders.result_folder import LOCK, FolderInUseError, locked_folder
@@ -20,23 +21,28 @@ QUIET = ("run", "frames", "-o", "out", "--no-figures")
 MANY = 24
 
 
-@pytest.mark.parametrize("ending", sorted(ENDINGS - {"_figure.png"}))
-@pytest.mark.parametrize("damage", ["gone", "emptied", "cut off", "flipped"])
-def test_a_damaged_file_is_made_again(tisfm_run, frames, ending, damage):
+DAMAGES = ("removed", "emptied", "cut off", "flipped")
+
+
+@pytest.mark.parametrize("shift", nightly_except(0, of=range(len(DAMAGES))))
+def test_resume_restores_damaged_files(tisfm_run, frames, shift):
+    """Each kind of file has another damage; all pairs of both in the nightly command."""
     assert tisfm_run(*QUIET)[0] == 0
     before = files("out")
-    path = Path(f"out/f1{ending}")
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 4
-    if damage == "gone":
-        path.unlink()
-    else:
-        path.write_bytes({"emptied": b"", "cut off": data[:-1], "flipped": bytes(data)}[damage])
-    assert tisfm_run(*QUIET, "--resume")[0] == 0
-    assert files("out") == before
+    for number, ending in enumerate(sorted(ENDINGS - {"_figure.png"})):
+        damage = DAMAGES[(number + shift) % len(DAMAGES)]
+        path = Path(f"out/f1{ending}")
+        data = bytearray(path.read_bytes())
+        data[len(data) // 2] ^= 4
+        if damage == "removed":
+            path.unlink()
+        else:
+            path.write_bytes({"emptied": b"", "cut off": data[:-1], "flipped": data}[damage])
+        assert tisfm_run(*QUIET, "--resume")[0] == 0
+        assert files("out") == before, (ending, damage)
 
 
-def test_what_killed_runs_left_is_removed(tisfm_run, frames):
+def test_files_left_by_killed_runs_are_removed(tisfm_run, frames):
     assert tisfm_run(*QUIET)[0] == 0
     before = files("out")
     for name in (".tisfm-0123456789abcdef.tmp", LOCK):
@@ -58,7 +64,7 @@ def test_two_runs_in_a_folder_refuse_each_other(tisfm_run, frames):
     assert tisfm_run(*QUIET)[0] == 0
 
 
-def test_what_differs_is_said(tisfm_run, frames):
+def test_resume_names_the_options_that_differ(tisfm_run, frames):
     assert tisfm_run(*QUIET)[0] == 0
     code, _, err = tisfm_run(*QUIET, "--resume", "--beta", "0.5", "--focal", "50")
     assert_one_line(code, err, "camera.focal was 600.0, now 50.0; settings.beta was ")
@@ -68,7 +74,7 @@ def test_what_differs_is_said(tisfm_run, frames):
     assert_one_line(code, err, 'version was "0.0.1", now ')
 
 
-def test_what_only_one_record_has_differs():
+def test_values_missing_in_one_record_differ():
     assert list(compare_records({"a": 1}, {"a": 1, "b": {"c": 2}})) == ['b was null, now {"c": 2}']
     assert list(compare_records({"a": {"b": 1}}, {"a": {}})) == ["a.b was 1, now null"]
 
@@ -79,21 +85,21 @@ def test_what_only_one_record_has_differs():
      {"../f0": {"frames": "", "status": "", "message": "", "files": {}}},
      {"f0": {"frames": "", "status": "", "message": "", "files": {".npz": [1]}}}],
 )  # fmt: skip
-def test_a_damaged_record_is_said(tisfm_run, frames, pairs):
+def test_a_damaged_record_is_one_line(tisfm_run, frames, pairs):
     assert tisfm_run(*QUIET)[0] == 0
     Path("out/run.json").write_text(json.dumps(record("out") | {"pairs": pairs}))
     code, _, err = tisfm_run(*QUIET, "--resume")
     assert_one_line(code, err, "run.json is damaged", "run without --resume")
 
 
-def test_nothing_of_an_earlier_run_stays(tisfm_run, frames):
+def test_files_of_an_earlier_run_are_removed(tisfm_run, frames):
     assert tisfm_run(*QUIET)[0] == 0
     Path("out/note.txt").write_text("mine")
     assert tisfm_run(*QUIET, "--step", "2", "--outputs", "flow")[0] == 0
     assert set(files("out")) == {"f0_flow.flo", "run.json", "run.csv", "note.txt"}
 
 
-def test_files_that_no_run_wrote_stay(tisfm_run, frames):
+def test_files_of_others_are_kept(tisfm_run, frames):
     assert tisfm_run(*QUIET, "--outputs", "flow")[0] == 0
     for name in ("f0.ply", "f1_depth.png"):
         Path("out", name).write_text("mine")
@@ -103,7 +109,7 @@ def test_files_that_no_run_wrote_stay(tisfm_run, frames):
     }  # fmt: skip
 
 
-def test_what_is_read_is_refused_before_anything_is_removed(tisfm_run, frames):
+def test_a_mask_among_the_results_is_refused_before_files_are_removed(tisfm_run, frames):
     assert tisfm_run(*QUIET)[0] == 0
     before = files("out")
     options = ("run", "frames", "-o", "out", "--step", "2", "--mask", "out/f2_depth.png")
@@ -131,14 +137,14 @@ def test_a_run_that_is_killed_while_it_removes_an_earlier_one(tisfm_run, frames,
     assert files("out") == files("whole")
 
 
-def test_a_run_of_more_frames_goes_on(tisfm_run, frames):
+def test_a_run_is_resumed_with_more_frames(tisfm_run, frames):
     assert tisfm_run(*QUIET, "--stop", "3")[0] == 0
     assert tisfm_run(*QUIET, "--resume")[0] == 0
     assert tisfm_run("run", "frames", "-o", "whole", "--no-figures")[0] == 0
     assert files("out") == files("whole")
 
 
-def test_the_table_is_made_again(tisfm_run, frames):
+def test_resume_restores_the_table(tisfm_run, frames):
     assert tisfm_run(*QUIET)[0] == 0
     before = files("out")
     Path("out/run.csv").write_text("")
@@ -161,7 +167,7 @@ def test_a_pipe_in_place_of_a_file_is_replaced(tisfm_run, frames):
      {"files": {"/../../x": [1, 2]}}, {"files": {"_flow.flo\0": [1, 2]}}],
     ids=str,
 )  # fmt: skip
-def test_a_record_with_other_values_is_damaged(tisfm_run, frames, change):
+def test_a_record_with_wrong_values_is_one_line(tisfm_run, frames, change):
     assert tisfm_run(*QUIET)[0] == 0
     about = record("out")
     about["pairs"]["f0"] |= change
@@ -172,7 +178,7 @@ def test_a_record_with_other_values_is_damaged(tisfm_run, frames, change):
 
 
 def test_outputs_are_chosen(tisfm_run, frames):
-    options = ("run", "frames", "-o", "out", "--outputs")
+    options = ("run", "frames", "-o", "out", "--preset", "fast", "--outputs")
     assert tisfm_run(*options, "depth, npz,figure", "--figures", "2", "--ply")[0] == 0
     some = {f"f{k}{end}" for k in range(3) for end in ("_depth.png", ".npz", ".ply")}
     assert set(files("out")) == some | {
@@ -209,20 +215,20 @@ def test_the_table_has_a_row_for_each_pair(tisfm_run, frames):
         assert all(float(row["seconds"]) > 0 for row in csv.DictReader(file))
 
 
-def test_a_window_of_three_goes_on_from_files(tisfm_run, frames):
+def test_resume_with_a_window_of_three_needs_npz_files(tisfm_run, frames):
     code, _, err = tisfm_run(*QUIET, "--window", "3", "--resume", "--outputs", "flow")
     assert_one_line(code, err, "add npz to --outputs")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="names of files there are Unicode")
-def test_names_that_are_no_text(tisfm_run, frames):
+def test_file_names_that_are_not_unicode(tisfm_run, frames):
     try:
         for k in range(4):
             (frames / f"f{k}.png").rename(frames / f"f\udcff{k}.png")
     except OSError:
         pytest.skip("this file system takes no such names")
     for more in ((), ("--resume",)):
-        assert tisfm_run("run", "frames", "-o", "out", *more)[0] == 0
+        assert tisfm_run("run", "frames", "-o", "out", "--figures", "5", *more)[0] == 0
     assert list(record("out")["pairs"]) == [f"f\udcff{k}" for k in range(3)]
     assert Path("out/f\udcff0_figure.png").exists()
 

@@ -62,7 +62,7 @@ def test_labels_of_the_first_frame_and_of_a_result(tisfm_run, clip):
     np.testing.assert_array_equal(masks("again"), found)
 
 
-def test_what_are_no_labels(tisfm_run, clip):
+def test_wrong_labels_are_refused(tisfm_run, clip):
     def refused(*options, words):
         code, _, err = tisfm_run("reconstruct", "film", "-o", "out", *OPTIONS, *options)
         assert_one_line(code, err, words)
@@ -102,7 +102,7 @@ def test_sizes(tisfm_run, place):
         (("1=1", "--motion", "camera"), 'expected motion="objects"'),
     ],
 )
-def test_what_are_no_sizes(tisfm_run, clip, more, words):
+def test_wrong_object_sizes_are_refused(tisfm_run, clip, more, words):
     options = (*OPTIONS, *(() if "camera" in more else ("--labels", "things")))
     code, _, err = tisfm_run("reconstruct", "film", "-o", "out", *options, "--object-sizes", *more)
     assert_one_line(code, err, words)

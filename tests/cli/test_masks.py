@@ -67,7 +67,7 @@ def test_another_mask_does_not_resume(tisfm_run, frames):
     ("mask", "words"),
     [("gone.png", "gone.png"), ("small.png", "(5, 7)"), ("black.png", "black at all pixels")],
 )
-def test_what_is_no_mask(tisfm_run, frames, mask, words):
+def test_wrong_masks_are_refused(tisfm_run, frames, mask, words):
     write_png("small.png", np.ones((5, 7), np.uint8))
     write_png("black.png", np.zeros((H, W), np.uint8))
     code, _, err = tisfm_run("run", "frames", *QUIET, "--mask", mask)

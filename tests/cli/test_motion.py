@@ -8,7 +8,6 @@ import pytest
 
 import tisfm
 from tests.cli.command_line import RECORDS, files, kept, load, record
-from tisfm.cli import demo_scenes, figures
 from tisfm.formats import read_depth_png, read_flo, read_image, write_png
 from tisfm.rigid import pose_matrix
 from tisfm.running import pair_files, pair_writer
@@ -103,7 +102,7 @@ def test_all_files_of_camera_motion_agree(tisfm_run):
     assert there[:, 3] @ true > 0.98
 
 
-def test_negative_inverse_depth_is_no_depth(tmp_path):
+def test_negative_inverse_depth_has_no_depth(tmp_path):
     """As it is in the depth of the result: black, 0, and not in the mean that sets the range."""
     result = tisfm.interpret(
         SCENE.frame0,
@@ -260,7 +259,7 @@ def test_depth_has_the_unit_of_the_poses(tisfm_run):
     poses = to_world(longer, np.linalg.inv(longer))
     start = pose_matrix((1, 2, 3, 0.5, -0.3, 0.2))  # the world is anywhere
     write_poses("poses.txt", [start @ pose for pose in poses])
-    options = ("run", "frames", "-o", "out", *CAMERA, "--poses", "poses.txt")
+    options = ("run", "frames", "-o", "out", *CAMERA, "--no-figures", "--poses", "poses.txt")
     assert tisfm_run(*options)[0] == 0
     for name, motion in (("f0", longer), ("f1", np.linalg.inv(longer))):
         rows = np.loadtxt(f"out/{name}_pose.txt").reshape(3, 4)
@@ -292,7 +291,7 @@ def test_poses_of_every_second_frame(tisfm_run, monkeypatch):
     np.testing.assert_allclose(seen[0], motions[1] @ motions[0], atol=1e-9)
 
 
-def test_resume_knows_the_poses(tisfm_run):
+def test_resume_refuses_other_poses(tisfm_run):
     write_poses("poses.txt", to_world(MOTION, np.linalg.inv(MOTION)))
     longer = MOTION.copy()
     longer[:3, 3] *= 2
@@ -309,7 +308,7 @@ def test_resume_knows_the_poses(tisfm_run):
 
 
 @pytest.mark.parametrize("when", ["interpret", "write_motions"])
-def test_an_interrupted_run_goes_on_to_the_same_bytes(tisfm_run, monkeypatch, when):
+def test_an_interrupted_run_is_resumed_to_the_same_bytes(tisfm_run, monkeypatch, when):
     options = ("--motion", "camera", "--no-figures")
     assert tisfm_run("run", "frames", "-o", "whole", *options)[0] == 0
     module = tisfm.pair if when == "interpret" else pair_files
@@ -375,7 +374,9 @@ def test_poses_are_for_rigid_motions(tisfm_run, motion):
 def test_poses_that_contradict_the_images(tisfm_run):
     """The depth is written, but sets no range for other pairs."""
     write_poses("poses.txt", to_world(np.linalg.inv(MOTION), MOTION))
-    code, _, err = tisfm_run("run", "frames", "-o", "out", *CAMERA, "--poses", "poses.txt")
+    code, _, err = tisfm_run(
+        "run", "frames", "-o", "out", *CAMERA, "--no-figures", "--poses", "poses.txt"
+    )
     first, advice = err.splitlines()
     assert code == 0 and first.startswith("2 pairs: 2 pose_mismatch")
     assert advice.startswith("pose_mismatch: the given pose contradicts the images")
@@ -385,37 +386,8 @@ def test_poses_that_contradict_the_images(tisfm_run):
 
 def test_poses_that_do_not_move_leave_no_depth(tisfm_run):
     Path("poses.txt").write_text(3 * IDENTITY)
-    code, _, err = tisfm_run("run", "frames", "-o", "out", *CAMERA, "--poses", "poses.txt")
+    code, _, err = tisfm_run(
+        "run", "frames", "-o", "out", *CAMERA, "--no-figures", "--poses", "poses.txt"
+    )
     assert code == 0 and "2 pure_rotation" in err and "the pose given has no translation" in err
     assert not read_image("out/f0_depth.png").any()
-
-
-# The demonstration
-
-
-def test_demo_interprets_no_pair_twice(place, monkeypatch):
-    height, width = 150, 100  # more than what compiles
-    seen = []
-    original = demo_scenes.interpret
-
-    def interpret(frame0, frame1, *, camera, settings):
-        seen.append((frame0.tobytes(), settings))
-        return original(frame0, frame1, camera=camera, settings=settings)
-
-    monkeypatch.setattr(demo_scenes, "interpret", interpret)
-    monkeypatch.setattr(figures, "interpret", interpret)
-    for work in ("blocks", "camera", "objects"):
-        rows = demo_scenes.done(
-            demo_scenes.Part(
-                work=work,
-                output=place / "out",
-                height=height,
-                width=width,
-                seed=0,
-                threads=1,
-                alive=place,
-            )
-        )
-        assert isinstance(rows, dict)
-    whole = [key for key in seen if len(key[0]) == height * width]
-    assert len(set(whole)) == len(whole) == 8

@@ -13,15 +13,15 @@ from tests.waiting import PATIENCE
 from tisfm.cli.command_line import main
 
 
-def test_a_process_of_its_own(frames):
+def test_redirected_output_has_no_banner(frames):
     """Neither a banner nor a progress bar in what is redirected."""
     done = subprocess.run(
-        [*TISFM, "run", "frames", "-o", "out"],
+        [*TISFM, "run", "frames", "-o", "out", "--no-figures", "--preset", "fast"],
         capture_output=True, text=True, env={**os.environ, "PYTHONIOENCODING": "utf-8"},
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (0, "")
     assert re.fullmatch(r"3 pairs: [^\n]*\n", done.stderr)
-    assert set(files("out")) == promised("f0", "f1", "f2")
+    assert set(files("out")) == promised("f0", "f1", "f2", figures=False)
 
 
 def test_the_module_is_the_command():

@@ -28,20 +28,20 @@ from tisfm.formats import FormatError, write_png
 from tisfm.results.opening import open_result
 from tisfm.running import pairs
 
-PLAIN = ("run", "frames", "-o", "out", "--preset", "fast")
+PLAIN = ("run", "frames", "-o", "out", "--preset", "fast", "--no-figures")
 
 
-def test_resume_skips_what_is_finished(tisfm_run, frames, monkeypatch):
-    assert tisfm_run("run", "frames", "-o", "out")[0] == 0
+def test_resume_skips_finished_pairs(tisfm_run, frames, monkeypatch):
+    assert tisfm_run("run", "frames", "-o", "out", "--figures", "2")[0] == 0
     before = files("out")
     monkeypatch.setattr(pair, "interpret", forbid)
     monkeypatch.setattr(pairs, "horn_schunck", forbid)
-    code, _, err = tisfm_run("run", "frames", "-o", "out", "--resume")
+    code, _, err = tisfm_run("run", "frames", "-o", "out", "--figures", "2", "--resume")
     assert code == 0 and err.startswith("3 pairs: ") and "median" not in err
     assert files("out") == before
 
 
-def test_resume_makes_again_what_was_deleted(tisfm_run, frames):
+def test_resume_restores_removed_files(tisfm_run, frames):
     run = ("run", "frames", "-o", "out", "--no-figures")
     assert tisfm_run(*run)[0] == 0
     before = files("out")
@@ -57,7 +57,7 @@ def test_resume_without_a_run_before(tisfm_run, frames):
     assert files("out") == files("fresh")
 
 
-def test_without_resume_all_is_made_again(tisfm_run, frames, monkeypatch):
+def test_without_resume_all_pairs_are_interpreted_again(tisfm_run, frames, monkeypatch):
     assert tisfm_run("run", "frames", "-o", "out", "--no-figures")[0] == 0
     monkeypatch.setattr(pair, "interpret", forbid)
     with pytest.raises(AssertionError, match="nothing was left"):
@@ -136,7 +136,7 @@ def test_resume_refuses_a_damaged_record(tisfm_run, frames, text):
 @pytest.mark.parametrize(
     "when", ["interpret", "write_depth_png", "save_figure", "first", "write_npz"]
 )
-def test_an_interrupted_run_goes_on_to_the_same_bytes(tisfm_run, frames, monkeypatch, when):
+def test_an_interrupted_run_is_resumed_to_the_same_bytes(tisfm_run, frames, monkeypatch, when):
     """Ctrl-C comes at the second pair ("first": at the first one), here or there."""
     options = [] if when == "save_figure" else ["--no-figures"]
     (frames / "f3.png").unlink()
@@ -172,7 +172,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(tisfm_run, frames, monkeyp
 
 @pytest.mark.nightly
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
-def test_ctrl_c_in_a_process_of_its_own(place):
+def test_ctrl_c_ends_a_process(place):
     """The signal comes at any moment, in the middle of a kernel as well."""
     noise = np.random.default_rng(0).integers(0, 256, (120, 200), dtype=np.uint8)
     texture = cv2.GaussianBlur(noise, (0, 0), 1.5)
@@ -195,9 +195,7 @@ def test_ctrl_c_in_a_process_of_its_own(place):
         assert load("out", name).rho.any()
 
 
-def test_what_an_interrupted_run_overwrites_is_not_taken_for_complete(
-    tisfm_run, frames, monkeypatch
-):
+def test_overwritten_files_of_an_interrupted_run_are_not_complete(tisfm_run, frames, monkeypatch):
     """Other settings over a finished run, stopped inside the first pair; then the first again."""
     options = ("run", "frames", "-o", "out", "--no-figures")
     assert tisfm_run(*options, "--preset", "fast")[0] == 0

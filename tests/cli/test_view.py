@@ -19,7 +19,7 @@ from tisfm.folders.result_folder import locked_folder
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 
 
-def test_a_page_that_plays_by_itself(place, capsys):
+def test_an_exported_page_has_all_frames(place, capsys):
     write_reconstruction(place / "r")
     assert main(["view", "r", "--html", "view.html", "--html-frames", "3"]) == 0
     text = (place / "view.html").read_text(encoding="utf-8")
@@ -43,7 +43,7 @@ def test_a_page_that_plays_by_itself(place, capsys):
         (["nowhere", "--html", "view.html"], ["there is no folder nowhere"]),
     ],
 )
-def test_what_is_refused(place, capsys, arguments, words):
+def test_wrong_options_of_view_are_one_line(place, capsys, arguments, words):
     write_reconstruction(place / "r")
     (place / "empty").mkdir()
     code = main(["view", *arguments, "--no-browser"])
@@ -51,7 +51,7 @@ def test_what_is_refused(place, capsys, arguments, words):
     assert not (place / "view.html").exists()
 
 
-def test_without_viser_it_says_what_to_install(place, capsys, monkeypatch):
+def test_a_missing_viser_is_one_line(place, capsys, monkeypatch):
     write_reconstruction(place / "r")
     monkeypatch.setitem(sys.modules, "viser", None)
     code = main(["view", "r", "--no-browser"])
@@ -70,7 +70,7 @@ def begun(*arguments):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows interrupts processes otherwise")
-def test_it_serves_a_run_as_soon_as_it_has_a_pair_until_it_is_interrupted(place):
+def test_a_growing_run_is_served_until_ctrl_c(place):
     (place / "r").mkdir()
     with locked_folder(place / "r"), begun("r") as process:
         line = process.stderr.readline()
@@ -87,7 +87,7 @@ def test_it_serves_a_run_as_soon_as_it_has_a_pair_until_it_is_interrupted(place)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows interrupts processes otherwise")
-def test_it_waits_for_a_run_no_longer_than_that_goes_on(place):
+def test_waiting_for_a_run_ends_with_the_run(place):
     (place / "r").mkdir()
     (place / "r" / "reconstruction.begun").touch()
     with ExitStack() as stack:
@@ -104,7 +104,7 @@ def assert_answers(url):
         assert b"<html" in answer.read()
 
 
-def test_a_page_that_leaves_out_frames_says_so(place, capsys):
+def test_a_page_names_the_frames_that_it_leaves_out(place, capsys):
     write_reconstruction(place / "r")
     (place / "r" / "frames" / "000002.jpg").unlink()
     assert main(["view", "r", "--html", "view.html"]) == 0

@@ -18,7 +18,7 @@ def test_a_window_is_that_of_a_sequence(tisfm_run, frames):
     assert record("out")["window"] == 3
 
 
-def test_a_run_that_goes_on_has_its_window(tisfm_run, frames):
+def test_a_run_with_a_window_is_resumed(tisfm_run, frames):
     run = ("run", "frames", "-o", "out", "--no-figures", "--window", "3")
     assert tisfm_run(*run)[0] == 0
     before = files("out")
@@ -31,7 +31,7 @@ def test_a_run_that_goes_on_has_its_window(tisfm_run, frames):
     assert_one_line(code, err, "other options")
 
 
-def test_windows_that_are_refused(tisfm_run, frames):
+def test_wrong_windows_are_refused(tisfm_run, frames):
     code, _, err = tisfm_run("run", "frames", "-o", "out", "--window", "3", "--motion", "camera")
     assert_one_line(code, err, "window is 3", 'motion="camera"')
     assert not Path("out").exists()

@@ -50,7 +50,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("line", WRONG)
-def test_a_mistake_is_one_line(tisfm_run, line):
+def test_a_wrong_option_is_one_line(tisfm_run, line):
     code, out, err = tisfm_run(*line.split())
     assert out == "" and code == 2
     assert_one_line(code, err, *WRONG[line])
@@ -67,7 +67,7 @@ def test_a_mistake_is_one_line(tisfm_run, line):
         ),
     ],
 )
-def test_a_mistake_is_the_same_line_in_a_terminal_of_few_characters(place, line, encoding):
+def test_a_wrong_option_is_the_same_line_in_ascii(place, line, encoding):
     """The parser draws frames of other characters there."""
     done = subprocess.run(
         [*TISFM, *line.split()],
@@ -93,7 +93,7 @@ def numbers_of(command):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_word_for_a_number_is_told_in_words(tisfm_run, command):
+def test_a_word_in_place_of_a_number_is_one_line(tisfm_run, command):
     """Of every option that takes numbers."""
     numeric = numbers_of(command)
     needed = {"figures": ["a", "b", "-o", "y"], "demo": [], "doctor": [], "batch": ["x"]}
@@ -115,18 +115,18 @@ def test_options_that_take_numbers_are_found():
     assert numbers_of("run")["--stiffness"] == 6 and numbers_of("export")["--scale"] == 3
 
 
-def test_outputs_are_told_the_nearest(tisfm_run, frames):
+def test_wrong_outputs_have_a_suggestion(tisfm_run, frames):
     code, _, err = tisfm_run("run", "frames", "-o", "out", "--outputs", "depht,npz")
     assert_one_line(code, err, "depht", "did you mean depth?")
 
 
-def test_a_list_of_videos_is_told_the_nearest(tisfm_run, place):
+def test_a_wrong_column_of_a_list_has_a_suggestion(tisfm_run, place):
     (place / "list.csv").write_text("source,output,prest\na.mp4,a,fast\n")
     code, _, err = tisfm_run("batch", "list.csv")
     assert_one_line(code, err, "list.csv, line 2", "did you mean --preset?")
 
 
-def test_help_is_left_alone(tisfm_run):
+def test_help_is_not_changed(tisfm_run):
     code, out, err = tisfm_run("run", "--help")
     assert code == 0 and "--preset" in out and err == ""
 
@@ -140,13 +140,13 @@ def test_the_options_of_a_command_are_those_of_its_help(tisfm_run):
 
 
 @given(st.text(max_size=12), st.lists(st.text(max_size=12), max_size=5))
-def test_what_is_nearest_is_known(word, known):
+def test_wrong_names_have_suggestions(word, known):
     found = nearest(word, known)
     assert found is None or found in known
     assert hint(word, known) == ("" if found is None else f", did you mean {found!r}?")
 
 
-def test_how_long_it_takes_is_foretold_once(monkeypatch):
+def test_the_time_of_a_run_is_estimated_once(monkeypatch):
     now, told = [100.0], []
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     monkeypatch.setattr(progress, "tell", told.append)
@@ -163,7 +163,7 @@ def test_how_long_it_takes_is_foretold_once(monkeypatch):
     assert len(told) == 1
 
 
-def test_what_a_sequence_takes_is_told_before(frames, capsys, monkeypatch):
+def test_the_time_of_a_sequence_is_estimated(frames, capsys, monkeypatch):
     def announced(start=0):
         frames_taken = FrameOptions(start=start)
         reconstruct._announce(str(frames), Path("out"), frames_taken, "all")

@@ -38,7 +38,7 @@ POSE_ROW = "1 0 0 5 0 1 0 6 0 0 1 7"
         (f"{POSE_ROW}\n0 1 0 5 1 0 0 6 0 0 1 7", "row 1 is not a rotation"),
     ],
 )
-def test_rows_that_are_no_poses(data, text, message):
+def test_wrong_pose_rows_are_named(data, text, message):
     make_new_tsukuba(data)
     (data / "poses_camera_to_world_3x4_cm.txt").write_text(text)
     with pytest.raises(FormatError, match=f"poses_camera_to_world_3x4_cm.txt.* {message}"):
@@ -56,7 +56,7 @@ def test_rows_that_are_no_poses(data, text, message):
         (["-1.#IND 0 0 5", "0 1 0 6", "0 0 1 7", "0 0 0 1"], "line 1: .*expected numbers"),
     ],
 )
-def test_matrices_that_are_no_poses(data, rows, message):
+def test_wrong_pose_matrices_are_named(data, rows, message):
     make_sevenscenes(data)
     (data / "frame-000003.pose.txt").write_text("\n".join(rows))
     first, second = find_pairs(data)
@@ -132,7 +132,7 @@ def test_every_other_size_is_named(data, kind):
         path.write_bytes(kept)
 
 
-def test_truth_that_knows_nothing(data):
+def test_truth_without_known_motion_is_refused(data):
     make_middlebury(data)
     write_flo(data / "Room" / "flow10.flo", np.full((H, W, 2), 1e10))
     with pytest.raises(ValueError, match=rf"flow10\.flo has no known motion at any of its {H * W}"):
@@ -149,7 +149,7 @@ def test_truth_that_knows_nothing(data):
         ({}, "holds 0 arrays, expected one"),
     ],
 )
-def test_arrays_that_are_no_disparity(data, arrays, message):
+def test_wrong_disparity_arrays_are_named(data, arrays, message):
     make_stereo(data)
     np.savez(data / "scene_disp.npz", **arrays)
     with pytest.raises(FormatError, match=rf"scene_disp\.npz {message}"):
@@ -157,7 +157,7 @@ def test_arrays_that_are_no_disparity(data, arrays, message):
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_nothing_but_a_map_is_unpacked(tmp_path, count):
+def test_only_disparity_maps_are_unpacked(tmp_path, count):
     path = tmp_path / "disp.npz"
     arrays = {f"part{k}": np.zeros((1000, 1000, 20)) for k in range(count)}
     np.savez_compressed(path, **arrays)
@@ -171,7 +171,7 @@ def test_nothing_but_a_map_is_unpacked(tmp_path, count):
 
 
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed, np.save])
-def test_too_little_memory_is_no_damage(tmp_path, monkeypatch, save):
+def test_too_little_memory_is_a_memory_error(tmp_path, monkeypatch, save):
     path = tmp_path / ("disp.npy" if save is np.save else "disp.npz")
     save(path, np.ones((H, W)))
 
@@ -184,7 +184,7 @@ def test_too_little_memory_is_no_damage(tmp_path, monkeypatch, save):
 
 
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed, np.save])
-def test_damaged_arrays_are_said_to_be(tmp_path, save):
+def test_damaged_arrays_are_named(tmp_path, save):
     path = tmp_path / ("disp.npy" if save is np.save else "disp.npz")
     save(path, np.arange(20, dtype=np.uint8).reshape(4, 5) + 1)
     whole = path.read_bytes()
@@ -227,7 +227,7 @@ def test_arrays_may_be_stored_by_columns(tmp_path):
         ("P2: nan 0 1 0 0 0 1 0 0 0 1 0", "no usable camera: focal is nan"),
     ],
 )
-def test_calibration_that_is_none(data, text, message):
+def test_wrong_calibration_is_named(data, text, message):
     make_kitti(data)
     (data / "training" / "calib_cam_to_cam" / "000000.txt").write_text(text)
     with pytest.raises(FormatError, match=f"000000.txt .*{message}"):

@@ -200,7 +200,7 @@ def test_disparity_in_other_files(data, name):
     assert np.isnan(flow[HOLE]).all()
 
 
-def test_folders_that_are_none(tmp_path):
+def test_missing_folders_are_errors(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"there is no folder .*gone: check the path"):
         find_pairs(tmp_path / "gone")
     (tmp_path / "file").write_text("text")

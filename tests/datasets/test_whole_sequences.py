@@ -91,7 +91,7 @@ def test_names_and_cameras(data):
     assert [s.layout for s in find_sequences(data, "tum")] == ["tum"]
 
 
-def test_depth_is_as_it_is_stored(data):
+def test_depth_is_read_unchanged(data):
     tum = found(data / "a", "tum").load()
     assert [path is not None for path in tum.depths] == [True, True, False, True]
     assert tum.depth(2) is None
@@ -137,7 +137,7 @@ def test_damage_is_named(data, kind, file, text, words):
     assert str(data / file) in str(error.value)
 
 
-def test_what_is_no_sequence(data):
+def test_other_folders_are_no_sequences(data):
     MAKE["calibrated"](data / "own")
     for missing in ("camera.txt", "images"):
         (data / "own" / missing).rename(data / "kept")

@@ -38,7 +38,7 @@ def test_poses_of_a_real_sequence(shared_data):
 
 
 @pytest.mark.parametrize("channels", [(), (3,)])
-def test_what_warms_up_reaches_all_kernels(monkeypatch, recwarn, channels):
+def test_warming_up_compiles_all_kernels(monkeypatch, recwarn, channels):
     """A pair without parallax would leave those of depth to be compiled while time is taken."""
     statuses = []
     original = pairs.interpret

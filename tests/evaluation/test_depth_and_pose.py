@@ -122,7 +122,7 @@ def test_too_little_parallax_is_counted_and_averaged_nowhere(sequences, camera_r
     assert printed(result, table=1)[1][1] == "–"
 
 
-def test_nothing_but_too_little_parallax(sequences, camera_results, tmp_path):
+def test_pairs_with_little_parallax_have_no_depth_errors(sequences, camera_results, tmp_path):
     _, given = camera_results
     given += [(SCENES[0].motions[0] * 0, np.nan, "pure_rotation")] * 6
     result = evaluate_to(tmp_path / "out", sequences, settings=camera_settings())
@@ -136,7 +136,7 @@ def test_nothing_but_too_little_parallax(sequences, camera_results, tmp_path):
     assert rows[-1] == "all, too little parallax: 4" and not any("mean" in row for row in rows)
 
 
-def test_a_known_pose_is_given(sequences, camera_results):
+def test_a_known_pose_is_used(sequences, camera_results):
     asked, given = camera_results
     given += [(SCENES[0].motions[0], 2.0, "converged")] * 6
     result = evaluate(find_pairs(sequences), settings=camera_settings())
@@ -217,7 +217,7 @@ def test_tables_without_one_motion_of_the_camera(sequences):
     assert [table.title for table in evaluation_tables(others)] == titles[:2]
 
 
-def test_poses_that_are_given(sequences, camera_results):
+def test_given_poses_are_used(sequences, camera_results):
     asked, given = camera_results
     given += [(SCENES[0].motions[0], SCENES[0].depth, "converged")] * 6
     pairs = find_pairs(sequences)

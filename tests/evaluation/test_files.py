@@ -46,7 +46,7 @@ def test_a_fault_of_one_pair_does_not_lose_the_others(data, tmp_path, name):
     assert about["errors"] is None and about["outputs"] is None
 
 
-def test_nothing_left_to_average(data):
+def test_pairs_that_all_fail_have_no_mean(data):
     for path in data.rglob("*10.png"):
         path.write_bytes(b"nothing")
     result = evaluate(find_pairs(data / "mid"), settings=FAST)
@@ -132,7 +132,7 @@ def test_names_stay_within_the_folder(data, tmp_path):
 
 
 @pytest.mark.parametrize("step", ["interpret", "write_flo", "save_figure", "rename"])
-def test_what_an_interruption_leaves_is_complete(data, tmp_path, monkeypatch, step):
+def test_files_of_an_interrupted_evaluation_are_whole(data, tmp_path, monkeypatch, step):
     """Ctrl-C at the second pair: the record holds the first, and every file there is whole."""
     evaluate_to(tmp_path / "whole", data / "mid")
     module = pairs if step == "interpret" else files
@@ -159,7 +159,7 @@ def test_what_an_interruption_leaves_is_complete(data, tmp_path, monkeypatch, st
     assert [entry["name"] for entry in about["pairs"]] == ["A"]
 
 
-def test_the_record_of_an_earlier_evaluation_does_not_stay(data, tmp_path):
+def test_the_record_of_an_earlier_evaluation_is_removed(data, tmp_path):
     evaluate_to(tmp_path / "out", data / "valley")
     EvaluationWriter(tmp_path / "out", camera=tisfm.Camera(5.0), settings=tisfm.Settings())
     about = record(tmp_path / "out")

@@ -65,7 +65,7 @@ def test_a_step_takes_some_of_the_true_masks(clip, tmp_path):
         compare_masks(tmp_path / "half", clip, step=0)
 
 
-def test_what_is_missing_is_said(clip, result, tmp_path):
+def test_missing_masks_are_errors(clip, result, tmp_path):
     (tmp_path / "empty" / "masks").mkdir(parents=True)
     for mine, true, words in (
         (tmp_path / "gone", clip, "there is no folder .*gone"),

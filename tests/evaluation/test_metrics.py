@@ -153,7 +153,7 @@ def test_flow_that_is_not_finite():
 
 
 @pytest.mark.parametrize("metric", [*FLOW_METRICS, endpoint_error_map, flow_errors])
-def test_flow_errors_say_what_came(metric):
+def test_flow_errors_name_wrong_arguments(metric):
     with pytest.raises(ValueError, match=r"flow is \(2, 3, 2\) and truth is \(2, 4, 2\)"):
         metric(np.zeros((2, 3, 2)), np.zeros((2, 4, 2)))
     with pytest.raises(ValueError, match=r"expected the same shape, \(H, W, 2\)"):
@@ -224,7 +224,7 @@ def test_depth_errors_are_in_their_ranges(depth, truth):
     assert errors.silog <= 100 * errors.rmse_log * (1 + 1e-12)
 
 
-def test_depth_errors_say_what_came():
+def test_depth_errors_name_wrong_arguments():
     with pytest.raises(ValueError, match=r"depth is \(2, 3\) and truth is \(3, 2\)"):
         depth_errors(np.ones((2, 3)), np.ones((3, 2)))
     with pytest.raises(ValueError, match=r"depth is \(3,\)"):
@@ -308,7 +308,7 @@ def test_the_true_pose_has_no_error(twist):
     assert errors.direction == 0 and errors.rotation == pytest.approx(0, abs=1e-12)
 
 
-def test_pose_errors_say_what_came():
+def test_pose_errors_name_wrong_arguments():
     with pytest.raises(ValueError, match=r"pose is \(3, 4\) .* finite \(4, 4\) matrix"):
         pose_errors(np.eye(4)[:3], np.eye(4))
     with pytest.raises(ValueError, match=r"truth is \(4, 4\) .*nan.* finite \(4, 4\)"):
@@ -340,7 +340,7 @@ def test_occlusion_scores_of_empty_maps_are_numbers():
     assert occlusion_scores(everything, everything).f1 == 1
 
 
-def test_occlusion_scores_say_what_came():
+def test_occlusion_scores_name_wrong_arguments():
     with pytest.raises(ValueError, match=r"occlusion is \(3, 4\) and truth is \(3, 5\)"):
         occlusion_scores(np.zeros((3, 4)), np.zeros((3, 5)))
     with pytest.raises(ValueError, match="no pixel counts"):
@@ -372,7 +372,7 @@ def test_std_coverage_of_gaussian_errors():
     assert std_coverage(found, 6 * deviation, truth) == pytest.approx(0.954, abs=0.01)
 
 
-def test_std_coverage_says_what_came():
+def test_std_coverage_names_wrong_arguments():
     good = np.ones((2, 3))
     with pytest.raises(ValueError, match=r"inverse_depth is \(2, 3\) and truth is \(2, 4\)"):
         std_coverage(good, good, np.ones((2, 4)))

@@ -153,7 +153,7 @@ def test_steps_and_wrong_sizes(sequence):
         compared(sequence, small)
 
 
-def test_reconstructions_are_asked_for_what_is_known(sequence, monkeypatch):
+def test_reconstructions_use_known_values(sequence, monkeypatch):
     asked = []
 
     def reconstruct(source, *, camera, settings, poses, progress):
@@ -196,7 +196,7 @@ def test_trajectories_are_brought_to_the_frames(sequence, tmp_path):
     assert evaluation.depth is None and evaluation.pieces[0].share < 1e-12
 
 
-def test_tables_and_records_have_what_there_is(sequence):
+def test_tables_and_records_have_available_errors(sequence):
     good = compared(sequence, Result(), seconds=2.0)
     broken = Result()
     broken.piece[3:] = 1

@@ -36,7 +36,7 @@ def test_the_table_has_no_empty_columns(data):
     assert rows[1][1:] == rows[2][1:]
 
 
-def test_names_are_no_markup(data):
+def test_names_are_printed_without_markup(data):
     (pair,) = find_pairs(data / "mid" / "A")
     odd = type(pair)(**{**vars(pair), "dataset": "[red]set[/red]"})
     result = pairs.Evaluation(settings=FAST, pairs=(PairEvaluation(pair=odd, fault="no file"),))

@@ -1,10 +1,8 @@
 """A film and its reconstruction, made once."""
 
-import os
 import shutil
 
 import pytest
-from filelock import FileLock
 
 import tisfm
 from tests.reconstruction.films import walk
@@ -19,16 +17,13 @@ def film():
 
 
 @pytest.fixture(scope="session")
-def found(film, tmp_path_factory):
+def found(film, make_once):
     """The reconstruction of the film; one for all processes of a run."""
-    folder = tmp_path_factory.getbasetemp()
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        folder = folder.parent
-    folder = folder / "exported_walk"
-    with FileLock(f"{folder}.lock"):
-        if not (folder / "reconstruction.json").exists():
-            tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, folder=folder)
-    return tisfm.Reconstruction.load(folder)
+
+    def reconstruct(folder):
+        tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, folder=folder / "walk")
+
+    return tisfm.Reconstruction.load(make_once("exported_walk", reconstruct) / "walk")
 
 
 @pytest.fixture(scope="session")

@@ -55,7 +55,7 @@ def test_every_image_sees_tracks_of_three_frames(exported):
         assert len(set(images)) == len(images)
 
 
-def test_triangulated_again_points_are_where_they_were_seen(exported):
+def test_triangulation_by_pycolmap_reprojects_to_the_tracks(exported):
     model = pycolmap.Reconstruction(exported[0] / "sparse" / "0")
     errors, lost = retriangulated(model)
     assert lost < 0.05 * model.num_points3D()
@@ -98,7 +98,7 @@ def test_colours_are_those_of_the_frames(found, exported):
     assert np.median(apart) < 6
 
 
-def test_text_and_binary_say_the_same(exported, tmp_path):
+def test_text_and_binary_models_are_equal(exported, tmp_path):
     folder = exported[0] / "sparse" / "0"
     assert {"cameras.txt", "images.txt", "points3D.txt"} <= set(os.listdir(folder))
     models = [pycolmap.Reconstruction() for _ in range(2)]
@@ -111,7 +111,7 @@ def test_text_and_binary_say_the_same(exported, tmp_path):
     max_examples=examples(8, 200), suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(data=st.data())
-def test_any_model_comes_back_from_text_and_binary(found, data, tmp_path_factory):
+def test_models_survive_text_and_binary_files(found, data, tmp_path_factory):
     seed = data.draw(st.integers(0, 2**32 - 1))
     random = np.random.default_rng(seed)
     count, points = data.draw(st.integers(2, 5)), data.draw(st.integers(0, 12))
@@ -156,12 +156,14 @@ def test_any_model_comes_back_from_text_and_binary(found, data, tmp_path_factory
         assert again["points"][number][1:4:2] == (color, track)
 
 
-def test_it_is_the_same_every_time(found, exported, tmp_path):
-    write_colmap(found, tmp_path / "again", form="both")
+def test_a_second_export_is_the_same_and_tells_its_progress(found, exported, tmp_path):
+    told = []
+    again = tmp_path / "again"
+    write_colmap(found, again, form="both", progress=lambda *count: told.append(count))
+    assert told == sorted(told) and told[-1] == (len(found), len(found))
     for path in sorted(exported[0].rglob("*")):
         if path.is_file():
-            again = tmp_path / "again" / path.relative_to(exported[0])
-            assert again.read_bytes() == path.read_bytes(), path.name
+            assert (again / path.relative_to(exported[0])).read_bytes() == path.read_bytes(), path
 
 
 def test_each_piece_is_a_model_the_largest_first(found, tmp_path):
@@ -193,7 +195,7 @@ def test_frames_without_a_pose_are_left_out(found, tmp_path):
     assert not (tmp_path / "out" / "images" / "000004.jpg").exists()
 
 
-def test_nothing_that_is_masked_or_moves_has_points(copied, tmp_path):
+def test_masked_and_moving_pixels_have_no_points(copied, tmp_path):
     half = copied.shape[1] // 2
     for frame in range(len(copied)):
         labels = np.zeros(copied.shape, np.uint8)
@@ -222,7 +224,7 @@ def test_depth_of_keyframes_is_enough(found, copied):
     assert np.bincount(tracks.frames, minlength=len(copied)).min() > 20
 
 
-def test_without_depth_points_are_carried_along_the_image_motion(film, copied, tmp_path):
+def test_without_depth_points_follow_the_flow(film, copied, tmp_path):
     """As of ``depth_of="none"``."""
     for frame in range(len(copied)):
         depth_path(copied.folder, frame).unlink(missing_ok=True)
@@ -238,7 +240,7 @@ def test_without_depth_points_are_carried_along_the_image_motion(film, copied, t
     assert np.median(errors) < 0.5
 
 
-def test_nothing_to_track_is_a_model_of_poses(copied, tmp_path):
+def test_frames_without_texture_give_a_model_of_poses(copied, tmp_path):
     blank = np.full(copied.shape, 128, np.uint8)
     for frame in range(len(copied)):
         cv2.imwrite(str(copied.folder / "frames" / f"{frame:06d}.jpg"), blank)
@@ -253,14 +255,8 @@ def test_more_points_where_they_may_be_nearer(found):
     assert 100 < len(few) < 0.6 * len(many)
 
 
-def test_progress_is_told(found, tmp_path):
-    told = []
-    write_colmap(found, tmp_path, images="none", progress=lambda *count: told.append(count))
-    assert told == sorted(told) and told[-1] == (len(found), len(found))
-
-
 @pytest.mark.parametrize("form", ["binary", "text"])
-def test_files_that_are_cut_off_are_told(exported, tmp_path, form):
+def test_truncated_files_are_errors(exported, tmp_path, form):
     """As pycolmap leaves them, silently, where a disk is full."""
     model = pycolmap.Reconstruction(exported[0] / "sparse" / "0")
     write_model(model, tmp_path / "model", form)
@@ -304,7 +300,7 @@ def test_without_two_poses_there_is_no_model(found, tmp_path):
         measured_tracks(found, 3)
 
 
-def test_what_fails_leaves_no_empty_folder(copied, tmp_path):
+def test_a_failed_export_leaves_no_empty_folder(copied, tmp_path):
     (copied.folder / "frames" / "000000.jpg").unlink()
     with pytest.raises(FileNotFoundError, match="not complete"):
         write_colmap(copied, tmp_path / "out")
@@ -315,7 +311,7 @@ def test_what_fails_leaves_no_empty_folder(copied, tmp_path):
     assert (tmp_path / "mine").exists()
 
 
-def test_a_lost_folder_is_told(copied, tmp_path):
+def test_a_missing_folder_is_an_error(copied, tmp_path):
     shutil.rmtree(copied.folder / "depth")
     with pytest.raises(FileNotFoundError, match="the folder is not complete"):
         write_colmap(copied, tmp_path / "out")

@@ -117,7 +117,7 @@ class Drawn:
         ),
     )
 )
-def test_any_depth_comes_back(tmp_path_factory, kind, inverse_depth):
+def test_depth_survives_its_files(tmp_path_factory, kind, inverse_depth):
     if kind == "exr":
         pytest.importorskip("OpenEXR")
     (file,) = write_depths(Drawn(inverse_depth), tmp_path_factory.mktemp("depth"), kind)
@@ -129,7 +129,7 @@ def test_any_depth_comes_back(tmp_path_factory, kind, inverse_depth):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_depth_is_what_it_was(tmp_path, kind):
+def test_exported_depth_is_unchanged(tmp_path, kind):
     if kind == "exr":
         pytest.importorskip("OpenEXR")
     result = made(tmp_path / "walk")
@@ -157,7 +157,7 @@ def test_the_unit_is_that_of_the_poses(tmp_path):
     np.testing.assert_allclose(found, result.depth(0) * 7 / length, rtol=1e-5)
 
 
-def test_what_does_not_fit_is_none_or_refused(tmp_path):
+def test_values_out_of_range_are_unknown_or_refused(tmp_path):
     result = made(tmp_path / "walk")
     length = np.linalg.norm(result.poses[1, :3, 3] - result.poses[0, :3, 3])
     frames = SequenceFrames(result.rescaled(0, 1, 5 * length))  # 5 to 25

@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,13 @@ from tisfm import Reconstruction
 from tisfm.exports import write_colmap
 from tisfm.formats import FormatError
 
+# Few points are quickly exported.
+write_colmap = partial(write_colmap, spacing=40)
+
 
 @pytest.fixture(scope="module")
 def found(found):
-    """The reconstruction with a path of six frames only: so many are quickly exported."""
+    """The reconstruction with a path of six frames only."""
     return replace(found, piece=np.where(np.arange(len(found)) < 6, 0, -1).astype(np.int32))
 
 
@@ -61,7 +65,7 @@ def test_an_export_that_fails_leaves_the_earlier_one(found, copied, tmp_path):
 
 
 @pytest.mark.parametrize("failing", range(1, 6))
-def test_what_fails_while_the_new_takes_the_place_of_the_earlier(
+def test_an_error_while_folders_are_exchanged_restores_the_earlier_export(
     found, tmp_path, monkeypatch, failing
 ):
     write_colmap(found, tmp_path / "out", images="link")
@@ -81,7 +85,7 @@ def test_what_fails_while_the_new_takes_the_place_of_the_earlier(
     assert sorted(os.listdir(tmp_path / "out")) == ["export.json", "images", "sparse"]
 
 
-def test_a_first_export_that_fails_in_the_end_leaves_nothing(found, tmp_path, monkeypatch):
+def test_a_failed_first_export_leaves_no_folder(found, tmp_path, monkeypatch):
     replace_file = Path.replace
 
     def broken(source, target):
@@ -96,7 +100,7 @@ def test_a_first_export_that_fails_in_the_end_leaves_nothing(found, tmp_path, mo
 
 
 @pytest.mark.parametrize("left", [".tisfm-new", ".tisfm-earlier"])
-def test_what_a_killed_export_left_is_removed(found, tmp_path, left):
+def test_files_left_by_a_killed_export_are_removed(found, tmp_path, left):
     """It was killed while the new one took the place of the earlier one."""
     write_colmap(found, tmp_path / "out")
     (tmp_path / "out" / "export.json").unlink()

@@ -13,7 +13,7 @@ from tisfm.exports import SequenceFrames, write_masks
 from tisfm.reconstruction.result.folder import write_labels
 
 
-def test_what_moves_is_black_and_its_own_mask_white(tmp_path):
+def test_moving_objects_are_black_and_white_in_their_own_masks(tmp_path):
     frames = SequenceFrames(made(tmp_path / "walk", labelled=True))
     (tmp_path / "out").mkdir()
     files = write_masks(frames, tmp_path / "out", chosen=(1, 3))
@@ -29,7 +29,7 @@ def test_what_moves_is_black_and_its_own_mask_white(tmp_path):
 
 @PATIENT
 @given(labels=arrays(np.uint8, SHAPE, elements=st.integers(0, 2)))
-def test_any_labels_come_back(tmp_path_factory, labels):
+def test_labels_survive_their_files(tmp_path_factory, labels):
     place = tmp_path_factory.mktemp("masks")
     result = made(place / "walk", count=2, labelled=True, with_depth=())
     write_labels(result.folder, 1, np.where(labels == 1, np.uint8(0), labels))  # thing 2 alone
@@ -40,7 +40,7 @@ def test_any_labels_come_back(tmp_path_factory, labels):
         np.testing.assert_array_equal(found, np.where((labels == 2) == is_thing, 255, 0))
 
 
-def test_none_are_made_up(tmp_path):
+def test_results_without_labels_have_no_masks(tmp_path):
     frames = SequenceFrames(made(tmp_path / "walk"))
     with pytest.raises(ValueError, match="reconstruct with --motion objects"):
         write_masks(frames, tmp_path)

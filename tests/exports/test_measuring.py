@@ -25,7 +25,7 @@ def inverse(film, frame=3):
 
 
 @pytest.mark.parametrize("other", [2, 4, 6])
-def test_places_are_true_to_a_fraction_of_a_pixel(film, begun, other):
+def test_measured_positions_are_exact_to_a_fraction_of_a_pixel(film, begun, other):
     found = sought(film, begun, inverse(film), other)
     true = true_places(film, begun, 3, [other])[:, 0]
     error = np.linalg.norm(found - true, axis=1)
@@ -40,7 +40,7 @@ def test_no_motion_is_found_to_be_none(film, begun):
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
-def test_a_wrong_depth_leads_elsewhere_but_the_place_is_as_measured(film, begun, factor):
+def test_a_wrong_depth_does_not_move_the_measured_positions(film, begun, factor):
     """It would fail if positions were projected from the depth."""
     other, right = 5, inverse(film)
     found = sought(film, begun, right, other)
@@ -77,14 +77,14 @@ def test_another_exposure_changes_little(film, begun):
     assert np.nanmedian(apart) < 0.25
 
 
-def test_unrelated_frames_share_nothing(film, begun):
+def test_unrelated_frames_share_no_points(film, begun):
     noise = np.random.default_rng(0).integers(0, 256, film.frames[0].shape).astype(np.uint8)
     poses = [Pose(camera=film.camera, matrix=film.poses[k]) for k in (3, 4)]
     found = measure_points(film.frames[3], noise, begun, inverse(film), *poses)
     assert np.isfinite(found[:, 0]).sum() <= 1
 
 
-def test_what_is_behind_the_camera_is_nowhere(film, begun):
+def test_points_behind_the_camera_have_no_position(film, begun):
     turned = film.poses[3] @ np.diag([-1.0, 1, -1, 1])
     poses = [Pose(camera=film.camera, matrix=matrix) for matrix in (film.poses[3], turned)]
     found = measure_points(film.frames[3], film.frames[4], begun, inverse(film), *poses)
@@ -93,6 +93,6 @@ def test_what_is_behind_the_camera_is_nowhere(film, begun):
     assert nothing.shape == (0, 2)
 
 
-def test_frames_without_depth_lead_as_if_all_were_far(film, begun):
+def test_frames_without_depth_predict_infinite_depth(film, begun):
     found = sought(film, begun, np.full(film.depth[3].shape, np.nan, np.float32), 3)
     np.testing.assert_allclose(found, begun, atol=1e-4)

@@ -77,7 +77,7 @@ def test_points_are_seen_where_they_were_measured(found, written):
         np.testing.assert_allclose(apart, tracks.residual[mine], atol=2e-3)
 
 
-def test_the_world_is_upright_and_its_axes_are_told(found, written):
+def test_the_world_is_upright_and_its_axes_are_stated(found, written):
     about = written[2]
     first = np.array(about["frames"][0]["transform_matrix"])
     np.testing.assert_allclose(first[:3, 1], (0, 0, 1), atol=1e-9)  # up in the frame is Z
@@ -125,7 +125,7 @@ def test_one_piece_by_choice(found, tmp_path):
         write_nerfstudio(pieces, tmp_path, piece=2)
 
 
-def test_masks_say_what_is_at_rest(copied, tmp_path):
+def test_masks_show_pixels_at_rest(copied, tmp_path):
     labels = np.zeros(copied.shape, np.uint8)
     labels[50:90, 60:100] = 3
     for frame in range(len(copied)):

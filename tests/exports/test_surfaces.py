@@ -44,7 +44,7 @@ def test_a_glb_of_points_has_y_up(tmp_path):
 
 @PATIENT
 @given(data=st.data())
-def test_any_points_come_back(tmp_path_factory, data):
+def test_points_survive_their_files(tmp_path_factory, data):
     count = data.draw(st.integers(1, 30))
     finite = st.floats(-1e6, 1e6, width=32)
     points = PointCloud(
@@ -66,7 +66,7 @@ def test_any_points_come_back(tmp_path_factory, data):
 
 
 @pytest.mark.parametrize(("name", "count"), [("a.glb", 0), ("a.obj", 3)])
-def test_what_a_file_cannot_hold_is_refused(tmp_path, name, count):
+def test_values_that_files_cannot_hold_are_refused(tmp_path, name, count):
     with pytest.raises(ValueError, match=name):
         save_points(cloud(count), tmp_path / name)
     assert not list(tmp_path.iterdir())
@@ -90,7 +90,7 @@ def test_points_and_surface_of_a_film(tmp_path):
     np.testing.assert_allclose(one.bounds[::-1, 1], -other.bounds[:, 1], rtol=1e-6)
 
 
-def test_nothing_to_see_is_an_error(tmp_path):
+def test_results_without_points_are_errors(tmp_path):
     result = made(tmp_path / "walk", with_depth=())
     with pytest.raises(ValueError, match="has no points"):
         write_points(result, tmp_path)

@@ -28,7 +28,7 @@ def stamps(file):
     seed=st.integers(0, 99),
     rate=st.one_of(st.none(), st.floats(1, 120)),
 )
-def test_every_piece_comes_back(tmp_path_factory, piece, seed, rate):
+def test_every_segment_survives_its_files(tmp_path_factory, piece, seed, rate):
     place = tmp_path_factory.mktemp("paths")
     numbers = sorted({p for p in piece if p >= 0})
     piece = [numbers.index(p) if p >= 0 else -1 for p in piece]  # there is none without a frame

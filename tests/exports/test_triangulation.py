@@ -22,7 +22,7 @@ def setting(count=5, step=(0.1, 0, 0.02, 0, 0.01, 0), seed=0, points=40):
     return poses, world, places
 
 
-def test_exact_places_give_the_points_wherever_they_begin():
+def test_exact_positions_give_the_points_from_any_start():
     poses, world, places = setting()
     begun = world * np.random.default_rng(1).uniform(0.8, 1.25, (len(world), 1))
     found = triangulate(places, poses, SHAPE, begun, np.full(len(world), 1.0))
@@ -38,14 +38,14 @@ def test_noise_is_spread_over_the_frames():
     assert np.nanmedian(found.residual) < 0.5
 
 
-def test_without_parallax_depth_stays_as_it_was():
+def test_without_parallax_depth_is_unchanged():
     poses, world, places = setting(step=(0, 0, 0, 0.01, 0.02, 0))
     begun = 1.3 * world
     found = triangulate(places, poses, SHAPE, begun, np.full(len(world), 0.02))
     np.testing.assert_allclose(found.positions, begun, rtol=1e-4, atol=1e-3)
 
 
-def test_one_wrong_place_is_dropped_and_the_rest_kept():
+def test_one_wrong_position_is_dropped():
     poses, world, places = setting()
     places[7, 3] += (9, -4)
     kept, left, found = consistent_points(places, poses, SHAPE, world, np.full(len(world), 0.1), 3)

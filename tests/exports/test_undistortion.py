@@ -37,7 +37,7 @@ def as_a_compositor(picture, places):
 
 
 @cameras
-def test_it_undistorts_as_the_library_does(camera):
+def test_undistortion_equals_that_of_the_library(camera):
     frame = smooth(SHAPE)
     places = st_maps(camera, SHAPE)[0]
     inside = places[..., 2] > 0
@@ -81,9 +81,7 @@ def test_no_distortion_would_map_each_pixel_to_itself():
     off=st.tuples(st.floats(-4, 4), st.floats(-4, 4)),
     shape=st.tuples(st.integers(20, 41), st.integers(20, 41)),
 )
-def test_any_map_comes_back_and_the_other_undoes_it(
-    tmp_path_factory, focal, bend, tangential, off, shape
-):
+def test_undistortion_inverts_distortion(tmp_path_factory, focal, bend, tangential, off, shape):
     height, width = shape
     center = (width - 1) / 2 + off[0], (height - 1) / 2 + off[1]
     camera = tisfm.Camera(focal, center=center, distortion=(bend, 0.0, *tangential))
@@ -103,7 +101,7 @@ def test_any_map_comes_back_and_the_other_undoes_it(
     assert np.abs((1 - back[1]) * height - 0.5 - y)[valid].max(initial=0) < 0.12
 
 
-def test_a_strong_lens_leaves_out_what_folds():
+def test_pixels_where_a_strong_lens_folds_are_left_out():
     strong = tisfm.Camera(60.0, distortion=(-0.6, 0.0, 0.0, 0.0))
     for places in st_maps(strong, SHAPE):
         none = places[..., 2] == 0

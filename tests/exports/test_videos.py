@@ -99,7 +99,7 @@ def test_side_by_side_is_the_frame_and_its_depth(tmp_path):
     assert np.abs(blurred(right) - blurred(depth[2][:H, :W])).mean() < 6
 
 
-def test_what_is_left_half_written_is_gone(tmp_path):
+def test_half_written_videos_are_removed(tmp_path):
     file = tmp_path / "a.mp4"
     file.write_bytes(b"an earlier one")
 

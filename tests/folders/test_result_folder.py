@@ -10,7 +10,7 @@ from tisfm.folders import result_folder
 from tisfm.folders.result_folder import LOCK, FolderInUseError, is_locked, locked_folder
 
 
-def test_it_is_written_to_while_the_lock_is_held(tmp_path):
+def test_a_locked_folder_is_being_written(tmp_path):
     assert not is_locked(tmp_path) and not is_locked(tmp_path / "nowhere")
     assert not list(tmp_path.iterdir())  # looking leaves nothing
     with locked_folder(tmp_path):
@@ -20,7 +20,7 @@ def test_it_is_written_to_while_the_lock_is_held(tmp_path):
     assert not is_locked(tmp_path)
 
 
-def test_the_file_of_a_killed_run_says_nothing(tmp_path):
+def test_the_lock_file_of_a_killed_run_does_not_lock(tmp_path):
     (tmp_path / LOCK).touch()
     assert not is_locked(tmp_path)
     with locked_folder(tmp_path):

@@ -23,7 +23,7 @@ def test_atomic_write_replaces_on_success(tmp_path):
 
 
 @pytest.mark.parametrize("fault", [RuntimeError, KeyboardInterrupt, SystemExit, FileNotFoundError])
-def test_atomic_write_leaves_nothing_after_a_failure(tmp_path, fault):
+def test_a_failed_atomic_write_leaves_no_file(tmp_path, fault):
     path = tmp_path / "file.bin"
     with pytest.raises(fault, match="inside"), atomic_write(path) as file:
         file.write(b"half")
@@ -118,7 +118,7 @@ def test_atomic_write_refuses_links_to_folders_and_devices(tmp_path):
         assert (tmp_path / name).is_symlink()
 
 
-def test_atomic_write_takes_the_longest_names(tmp_path):
+def test_atomic_write_accepts_the_longest_names(tmp_path):
     path = tmp_path / ("n" * 255)
     with atomic_write(path) as file:
         file.write(b"x")

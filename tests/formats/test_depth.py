@@ -151,7 +151,7 @@ def test_dpt_names_the_fault(tmp_path, data, message):
         read_dpt(tmp_path / "a.dpt")
 
 
-def test_dpt_refuses_what_is_no_depth(tmp_path):
+def test_dpt_refuses_other_arrays(tmp_path):
     for shape in [(4,), (4, 5, 1), (0, 5), (1, 100_000)]:
         with pytest.raises(ValueError, match=r"expected \(H, W\)"):
             write_dpt(tmp_path / "a.dpt", np.zeros(shape))

@@ -83,7 +83,7 @@ def test_flo_names_the_fault(tmp_path, data, message):
     assert "a.flo" in str(caught.value)
 
 
-def test_flo_refuses_what_is_no_flow(tmp_path):
+def test_flo_refuses_other_arrays(tmp_path):
     for shape in [(4, 5), (4, 5, 3), (0, 5, 2), (4, 5, 2, 1)]:
         with pytest.raises(ValueError, match=r"expected \(H, W, 2\)"):
             write_flo(tmp_path / "a.flo", np.zeros(shape))
@@ -136,7 +136,7 @@ def test_kitti_flow_values_of_the_file(tmp_path):
 
 
 @pytest.mark.parametrize("value", [512.0, -512.01, 1e10, np.inf, -np.inf])
-def test_kitti_flow_refuses_what_it_cannot_hold(tmp_path, value):
+def test_kitti_flow_refuses_values_out_of_range(tmp_path, value):
     flow = np.zeros((3, 4, 2))
     flow[1, 2, 1] = value
     with pytest.raises(ValueError, match=r"outside -512 to 511\.984375 px.*at 1 pixels.*NaN"):
@@ -144,7 +144,7 @@ def test_kitti_flow_refuses_what_it_cannot_hold(tmp_path, value):
     assert contents(tmp_path) == set()
 
 
-def test_kitti_flow_refuses_what_is_no_flow(tmp_path):
+def test_kitti_flow_refuses_other_arrays(tmp_path):
     for shape in [(4, 5), (4, 5, 3), (0, 5, 2)]:
         with pytest.raises(ValueError, match=r"expected \(H, W, 2\)"):
             write_kitti_flow(tmp_path / "a.png", np.zeros(shape))

@@ -74,7 +74,7 @@ def test_trimesh_loads_the_colours(kind):
     assert (found[:, 3] == 255).all()
 
 
-def test_every_colour_comes_back():
+def test_every_colour_survives_a_glb_file():
     colors = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
     light = colors_in(glb_points(np.zeros((256, 3), np.float32), colors), count=256)
     np.testing.assert_array_equal(srgb_from_light(light), colors)

@@ -9,7 +9,7 @@ from tisfm.formats.label_picture import label_colours, read_label_picture, write
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (7, 13), (60, 3)])
-def test_labels_come_back(tmp_path, shape):
+def test_labels_survive_a_picture(tmp_path, shape):
     labels = np.random.default_rng(1).integers(0, 256, shape).astype(np.uint8)
     write_label_png(tmp_path / "labels.png", labels)
     np.testing.assert_array_equal(read_label_picture(tmp_path / "labels.png"), labels)
@@ -29,7 +29,7 @@ def test_others_see_an_indexed_picture_in_the_usual_colours(tmp_path):
     "labels",
     [np.zeros((2, 3, 4), np.uint8), np.full((2, 2), 256), np.full((2, 2), -1), np.zeros((2, 2))],
 )
-def test_what_is_no_labels_is_refused(tmp_path, labels):
+def test_wrong_labels_are_refused(tmp_path, labels):
     with pytest.raises(ValueError, match="labels"):
         write_label_png(tmp_path / "labels.png", labels)
     assert not list(tmp_path.iterdir())

@@ -29,7 +29,7 @@ def again(array, *, row_axis=0, step=None):
     kind=st.sampled_from(["u1", "<u2", "<i4", "?"]),
     row_axis=st.integers(0, 1),
 )
-def test_whole_numbers_come_back(data, kind, row_axis):
+def test_whole_numbers_survive_packing(data, kind, row_axis):
     array = data.draw(arrays.arrays(kind, SIDES))
     found = again(array, row_axis=row_axis)
     assert found.dtype == array.dtype and found.flags.writeable
@@ -64,7 +64,7 @@ def test_numbers_without_a_step_keep_their_leading_bits(array):
     np.testing.assert_array_equal(np.signbit(found), np.signbit(array))
 
 
-def test_infinity_stays():
+def test_infinity_is_kept():
     array = np.array([[np.inf, -np.inf, 0.0, -0.0, 1.0]], np.float32)
     found = again(array)
     np.testing.assert_array_equal(found, array)
@@ -74,13 +74,13 @@ def test_infinity_stays():
 @pytest.mark.parametrize(
     ("value", "step"), [(np.nan, STEP), (np.inf, STEP), (2e6, STEP), (3.4e38, None)]
 )
-def test_what_would_be_lost_is_not_packed(value, step):
+def test_values_that_packing_would_change_are_stored_unpacked(value, step):
     array = np.ones((3, 4), np.float32)
     array[1, 2] = value
     assert pack(array, row_axis=0, step=step) is None
 
 
-def test_noise_takes_little_more_than_it_holds():
+def test_noise_is_hardly_larger_when_packed():
     """Values within ±4 steps of a plane: about 3 bits each, and no more than 6."""
     rows, columns = np.mgrid[:200, :300]
     noise = np.random.default_rng(1).integers(-4, 5, rows.shape)

@@ -77,7 +77,7 @@ def test_truncated_pictures_are_refused(tmp_path, name, capfd):
 
 @PROPERTY
 @given(data=st.data())
-def test_damaged_pictures_raise_nothing_else(tmp_path, data):
+def test_damaged_pictures_raise_format_errors_only(tmp_path, data):
     good, _ = FILES[data.draw(st.sampled_from(sorted(FILES)))]
     bad = bytearray(good)
     for _ in range(data.draw(st.integers(1, 4))):
@@ -117,7 +117,7 @@ def test_reading_restores_the_log_level(tmp_path):
 @pytest.mark.parametrize(
     "reader", [read_image, read_flo, read_dpt, read_kitti_flow, read_depth_png]
 )
-def test_readers_explain_what_is_not_a_file(tmp_path, reader):
+def test_readers_name_missing_files(tmp_path, reader):
     with pytest.raises(FileNotFoundError, match=r"nothing\.xyz does not exist: check the path"):
         reader(tmp_path / "nothing.xyz")
     with pytest.raises(IsADirectoryError, match="is a folder"):
@@ -130,7 +130,7 @@ def test_readers_explain_what_is_not_a_file(tmp_path, reader):
 
 
 @pytest.mark.parametrize("reader", [read_image, read_depth_png])
-def test_text_is_no_picture(tmp_path, reader):
+def test_text_is_refused_as_a_picture(tmp_path, reader):
     (tmp_path / "a.png").write_bytes(b"just some text")
     with pytest.raises(FormatError, match=r"a\.png cannot be read as a"):
         reader(tmp_path / "a.png")
@@ -154,7 +154,7 @@ def test_png_of_a_view(tmp_path):
     assert np.array_equal(read_image(tmp_path / "a.png"), COLOUR8[::-2, ::3])
 
 
-def test_png_refuses_what_is_no_picture(tmp_path):
+def test_png_refuses_other_arrays(tmp_path):
     with pytest.raises(TypeError, match="float64, expected uint8 or uint16"):
         write_png(tmp_path / "a.png", np.zeros((4, 5)))
     for shape in [(4,), (4, 5, 2), (4, 5, 4), (0, 5), (4, 0, 3)]:
@@ -289,7 +289,7 @@ def exhausted_opencv(*arguments, **options):
 
 
 @pytest.mark.parametrize("reader", [read_image, guess_focal, read_depth_png])
-def test_running_out_of_memory_is_no_damage(tmp_path, reader, monkeypatch):
+def test_too_little_memory_is_a_memory_error(tmp_path, reader, monkeypatch):
     write_depth_png(tmp_path / "a.png", GREY16, scale=1.0)
     monkeypatch.setattr(Image, "open", exhausted)
     with pytest.raises(MemoryError):
@@ -307,7 +307,7 @@ def test_opencv_out_of_memory_is_a_memory_error(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("reader", ["OpenCV", "Pillow"])
-def test_other_readers_take_our_png(tmp_path, reader):
+def test_other_readers_read_our_png(tmp_path, reader):
     for image in (GREY8, GREY16, COLOUR8, COLOUR16, GREY8[:1, :1], COLOUR16[:1], GREY16[:, :1]):
         write_png(tmp_path / "a.png", image)
         if reader == "Pillow":

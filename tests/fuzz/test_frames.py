@@ -22,7 +22,7 @@ FAST = tisfm.Settings.preset("fast", motion="camera")
     preset=list(PRESETS),
     shape=["smallest", "usual", "long", "square"],
 )
-def test_results_keep_what_is_promised(way, kind, preset, shape):
+def test_results_keep_their_promises(way, kind, preset, shape):
     number = sum(len(part) for part in (*way, kind, preset, shape))
     case = drawn(7, number, way=way, kind=kind, preset=preset, shape=shape)
     assert outcome(case) in ("result", "refused"), case
@@ -31,7 +31,7 @@ def test_results_keep_what_is_promised(way, kind, preset, shape):
 # A case follows from its number.
 
 
-def test_a_number_tells_all_of_a_case():
+def test_a_number_determines_a_case():
     assert drawn(3, 5) == drawn(3, 5) != drawn(3, 6)
     one, other = (frame_cases.frames_of(drawn(3, 5)) for _ in range(2))
     for frame, again in zip(one, other, strict=True):
@@ -77,7 +77,7 @@ def refusing(case, images, folder):
         (lambda case, images, folder: None, "result"),
     ],
 )
-def test_what_a_case_does_wrong_is_seen(call, word, monkeypatch):
+def test_broken_promises_of_a_case_are_found(call, word, monkeypatch):
     monkeypatch.setitem(frame_cases._CALLS, "interpret", call)
     case = drawn(1, 2, way=("interpret", "camera"), kind="texture")
     assert outcome(case).startswith(word)
@@ -141,7 +141,7 @@ sys.exit(frames.main(sys.argv[1:]))
 
 
 @pytest.mark.nightly
-def test_a_case_that_takes_too_long_is_ended_and_reported(capfd, monkeypatch):
+def test_a_slow_case_is_ended_and_reported(capfd, monkeypatch):
     """The first case has twice the limit: no second one begins within the seconds of the run."""
     monkeypatch.setattr(frames, "PROGRAM", (sys.executable, "-c", HANGING))
     assert frames.main(["--seconds", "2", "--limit", "1"]) == 1
@@ -150,7 +150,7 @@ def test_a_case_that_takes_too_long_is_ended_and_reported(capfd, monkeypatch):
     assert "1 cases, 1 wrong" in said
 
 
-def test_slow_cases_are_told(capsys):
+def test_slow_cases_are_listed(capsys):
     times = {"interpret": [(0.1, k) for k in range(9)] + [(3.0, 9)]}
     assert frames.report({("interpret", "result"): 10}, times, [], 10) == 0
     said = capsys.readouterr().out

@@ -81,7 +81,7 @@ def test_other_texts_after_a_byte_order_mark(tmp_path):
 
 @pytest.mark.parametrize("text", [b"\0" * 96, b"\xff" * 96, b"1 " * 100_000, b"1" * 10**6])
 @pytest.mark.parametrize("name", ["poses", "tum", "trajectory", "calibration", "pose"])
-def test_texts_of_something_else(name, text, tmp_path):
+def test_texts_of_other_kinds_are_refused(name, text, tmp_path):
     refused(name, text, tmp_path)
 
 
@@ -92,7 +92,7 @@ NESTED = (b"[" * 10**5, b'{"a":' * 10**5)
 
 @pytest.mark.parametrize("text", [*NESTED, b"1" * 5000, b"\xff\xfe\0", b"nul", b"[]", b"5"])
 @pytest.mark.parametrize("name", ["reconstruction", "objects", "camera"])
-def test_json_that_is_none(name, text, tmp_path):
+def test_invalid_json_is_refused(name, text, tmp_path):
     refused(name, text, tmp_path)
 
 
@@ -279,7 +279,7 @@ def test_pictures_that_opencv_alone_knows(tmp_path):
         b"ID3\3\0\0\0\0\0\0#EXTM3U\n",
     ],
 )
-def test_lists_of_other_files_are_no_videos(data, tmp_path):
+def test_playlists_are_refused_as_videos(data, tmp_path):
     with pytest.raises(FormatError, match="list of other files"):
         open_video(str(file_of(tmp_path, data, "film.mp4")))
 
@@ -304,7 +304,7 @@ def test_frames_that_are_too_large(data, tmp_path, monkeypatch):
             read(path)
 
 
-def test_a_codec_that_nobody_knows(tmp_path):
+def test_an_unknown_codec_is_refused(tmp_path):
     data = next(data for data in seeds.videos() if b"XVID" in data)
     path = str(file_of(tmp_path, data.replace(b"XVID", b"Q?!q").replace(b"xvid", b"Q?!q")))
     with pytest.raises(ValueError, match="unknown format"):

@@ -60,7 +60,7 @@ def large(path):
         (large, "memory"),
     ],
 )
-def test_what_is_wrong_is_seen(read, word, tmp_path):
+def test_broken_promises_are_found(read, word, tmp_path):
     if read is large and watching.resource is None:
         pytest.skip("memory is not watched on this system")
     target = Target(read=read, seeds=list, seconds=0.05 if read is long else 10)
@@ -69,7 +69,7 @@ def test_what_is_wrong_is_seen(read, word, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["depth_png", "depth_of_frame"])
-def test_check_sums_are_made_right(name, tmp_path):
+def test_mutations_repair_check_sums(name, tmp_path):
     target = TARGETS[name]
     (whole,) = target.seeds()
     assert repaired(whole) == whole

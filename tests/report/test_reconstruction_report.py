@@ -20,7 +20,7 @@ def written(result, folder, **options):
     return page
 
 
-def test_it_says_what_became_of_the_frames(tmp_path):
+def test_the_report_tells_the_status_of_frames(tmp_path):
     result = reconstruction(tmp_path / "r", pieces=[0, 0, 0, -1, 1, 1], skipped=[(6, "cut off")])
     page = written(result, tmp_path)
     for words in (
@@ -44,7 +44,7 @@ def test_it_says_what_became_of_the_frames(tmp_path):
     assert sum("hidden" in slide for slide in page.all("div", _class="slide")) == 5
 
 
-def test_no_frame_has_a_pose(tmp_path):
+def test_a_report_without_poses(tmp_path):
     page = written(reconstruction(tmp_path / "r", pieces=[-1, -1]), tmp_path)
     assert "0 of 2" in page.text and not page.all("svg")
     # No place is held for pictures that no frame has, and nothing explains their colours.
@@ -52,7 +52,7 @@ def test_no_frame_has_a_pose(tmp_path):
     assert len(page.all("figure")) == 2
 
 
-def test_names_and_messages_do_not_run(tmp_path):
+def test_names_and_messages_are_escaped(tmp_path):
     result = reconstruction(
         tmp_path / "r",
         pieces=[0, -1],
@@ -65,7 +65,7 @@ def test_names_and_messages_do_not_run(tmp_path):
     assert all("alert" not in script for script in page.scripts)
 
 
-def test_it_is_the_same_when_made_twice(tmp_path):
+def test_a_second_report_is_the_same(tmp_path):
     result = reconstruction(tmp_path / "r", pieces=[0] * 5)
     first = write_reconstruction_report(result, tmp_path).read_bytes()
     assert write_reconstruction_report(result, tmp_path).read_bytes() == first
@@ -73,18 +73,18 @@ def test_it_is_the_same_when_made_twice(tmp_path):
 
 def test_long_sequences_and_large_frames_stay_small(tmp_path):
     """Noise is what takes most bytes."""
-    statuses = [Status("converged")] * 200
+    statuses = [Status("converged")] * 90
     statuses[77] = Status("uncertain", "give it more parallax")
-    result = reconstruction(tmp_path / "r", pieces=[0] * 200, shape=(300, 400), statuses=statuses)
+    result = reconstruction(tmp_path / "r", pieces=[0] * 90, shape=(300, 400), statuses=statuses)
     path = write_reconstruction_report(result, tmp_path)
     assert path.stat().st_size < 20_000_000
     page = Read(path)
     slides = page.all("div", _class="slide")
-    assert 40 < len(slides) <= 48 and f"{len(slides)} of 200 frames" in page.text
+    assert 40 < len(slides) <= 48 and f"{len(slides)} of 90 frames" in page.text
     assert "number 77 uncertain" in page.text  # the one that is not like the others
 
 
-def test_a_budget_is_kept_whatever_the_pictures():
+def test_embedded_images_stay_within_their_budget():
     from tisfm.report.pictures import Pictures
 
     noise = np.random.default_rng(0).integers(0, 256, (700, 900, 3), np.uint8)
@@ -96,7 +96,7 @@ def test_a_budget_is_kept_whatever_the_pictures():
             assert max(image.size) <= 560 and image.format == "JPEG"
 
 
-def test_what_is_no_report_is_not_replaced(tmp_path):
+def test_files_of_others_are_not_replaced(tmp_path):
     (tmp_path / REPORT).write_text("mine")
     with pytest.raises(ValueError, match="not a report of tisfm"):
         write_reconstruction_report(reconstruction(tmp_path / "r", pieces=[0]), tmp_path)

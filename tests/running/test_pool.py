@@ -1,4 +1,4 @@
-"""Work that other processes do."""
+"""Pools of processes: kills and errors."""
 
 import os
 import signal
@@ -33,14 +33,14 @@ def refuse(number):
 
 
 @pytest.mark.nightly
-def test_all_is_done_once():
+def test_each_item_is_computed_once():
     with open_pool(2) as two:
         assert sorted(two.map_unordered(square, range(7))) == [(k, k**2) for k in range(7)]
         assert list(two.map_unordered(square, [])) == []
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="processes are not killed here")
-def test_what_died_is_done_again(tmp_path):
+def test_items_of_a_killed_process_are_computed_again(tmp_path):
     items = [(k, str(tmp_path), 2) for k in range(6)]
     with open_pool(2) as two:
         assert sorted(two.map_unordered(square_or_die, items)) == [(k, k**2) for k in range(6)]
@@ -48,11 +48,11 @@ def test_what_died_is_done_again(tmp_path):
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="processes are not killed here")
-def test_what_always_dies_is_said(tmp_path):
+def test_an_item_that_always_kills_its_process_is_an_error(tmp_path):
     with open_pool(2) as two, pytest.raises(RuntimeError, match="workers were killed 3 times"):
         list(two.map_unordered(square_or_die, [(2, str(tmp_path), 100)]))
 
 
-def test_an_error_is_raised_here():
+def test_an_error_is_raised_in_the_parent_process():
     with open_pool(2) as two, pytest.raises(ValueError, match="one is refused"):
         list(two.map_unordered(refuse, range(3)))

@@ -26,34 +26,29 @@ def interpret(source, **options):
 
 
 @pytest.mark.parametrize("options", [{}, {"start": 1, "step": 2}, {"motion": "camera"}])
-def test_two_workers_give_the_results_of_one_process(film, options):
+def test_two_workers_give_the_results_of_one_process(quick_workers, film, options):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # the focal length is a guess
         one, two = (interpret(film, workers=workers, **options) for workers in (1, 2))
-    assert (
-        len(one)
-        == len(two)
-        == len(range(COUNT)[options.get("start", 0) :: options.get("step", 1)]) - 1
-    )
+    frames = range(COUNT)[options.get("start", 0) :: options.get("step", 1)]
+    assert len(one) == len(two) == len(frames) - 1
     for first, second in zip(one, two, strict=True):
         assert np.array_equal(first.flow, second.flow)
         assert np.array_equal(first.inverse_depth, second.inverse_depth)
         assert first.camera == second.camera and first.status == second.status
 
 
-def test_an_error_comes_after_the_results_before_it(film):
+def test_an_error_comes_after_the_results_before_it(quick_workers, film):
     write_png(film / "f4.png", np.zeros((5, 6), np.uint8))
-    found, results = (
-        [],
-        tisfm.interpret_sequence(film, settings=tisfm.Settings.preset("fast"), workers=2),
-    )
+    found, settings = [], tisfm.Settings.preset("fast")
+    results = tisfm.interpret_sequence(film, settings=settings, workers=2)
     with pytest.raises(ValueError, match="must have the same size"):
         found.extend(results)
         found += results
     assert len(found) <= 3
 
 
-def test_skipped_frames_are_warned_of(film):
+def test_a_skipped_frame_is_warned_of(quick_workers, film):
     data = (film / "f4.png").read_bytes()
     (film / "f4.png").write_bytes(data[: len(data) // 2])
     with pytest.warns(UserWarning, match="the frame is skipped"):

@@ -84,7 +84,7 @@ def test_near_covers_far_and_holes_are_filled():
     assert view.tolist() == [[1, 2, 3, 7, 8, 6, 6, 9, 9, 10, 11, 12]]
 
 
-def test_holes_show_what_is_behind():
+def test_holes_show_the_background():
     image = np.arange(1, 13, dtype=np.uint8)[None]
     inverse_depth = np.zeros((1, 12))
     inverse_depth[0, 6:8] = 3.0
@@ -139,7 +139,7 @@ def test_only_holes_are_filled_otherwise(shifts):
         assert depth_of[behind[y, x]] <= max(sides, default=8) + 1
 
 
-def test_nothing_behind_shines_through_a_stretched_surface():
+def test_a_stretched_surface_hides_the_background():
     # Near, sloping surface on the right, whose shift falls by 1 every third pixel; far on the left.
     near = 6 - np.arange(12) // 3
     shifts = np.concatenate([np.zeros(8), near])[None]
@@ -148,7 +148,7 @@ def test_nothing_behind_shines_through_a_stretched_surface():
     assert (view[0, 2:] == 200).all()
 
 
-def test_second_view_ignores_what_is_no_depth():
+def test_the_second_view_ignores_unknown_depth():
     image = np.random.default_rng(1).integers(0, 255, (3, 5), np.uint8)
     for value in (np.nan, np.inf, -np.inf, -3.0, 0.0):
         view = second_view(image, np.full((3, 5), value), displacement=2.0)
@@ -166,7 +166,7 @@ def test_second_view_ignores_what_is_no_depth():
     ),
     displacement=st.floats(-50, 50),
 )
-def test_constant_picture_stays_constant(inverse_depth, displacement):
+def test_a_constant_picture_is_kept(inverse_depth, displacement):
     image = np.full((*inverse_depth.shape, 3), 77, np.uint8)
     view = second_view(image, inverse_depth, displacement=displacement)
     assert view.shape == image.shape
@@ -183,7 +183,7 @@ def test_second_view_does_not_change_its_input():
     assert np.array_equal(inverse_depth, before[1])
 
 
-def test_second_view_names_what_is_wrong():
+def test_the_second_view_names_wrong_arguments():
     with pytest.raises(ValueError, match=r"inverse_depth is \(3, 5\) but image is \(3, 4\)"):
         second_view(np.zeros((3, 4)), np.zeros((3, 5)), displacement=1.0)
     with pytest.raises(ValueError, match=r"image is \(3, 4, 2\), expected"):
@@ -202,7 +202,7 @@ def test_rows_of_the_matrices_sum_to_one(name):
 
 @pytest.mark.parametrize("linear", [True, False])
 @pytest.mark.parametrize("name", ["2009", "crt"])
-def test_grey_stays_grey(name, linear):
+def test_grey_is_kept(name, linear):
     grey = np.arange(256, dtype=np.uint8).reshape(16, 16)
     result = dubois(grey, grey, matrices=name, linear=linear).astype(int)
     # A row that sums to 0.999 takes a quarter of a level away, and rounding half of one.

@@ -61,7 +61,7 @@ def test_other_quantities_and_odd_histories():
 
 
 @pytest.mark.parametrize("size", [(2.0, 1.6), (38.4, 21.6)])
-def test_it_is_read_at_any_size(size):
+def test_energy_figures_are_legible_at_any_size(size):
     long = history(np.repeat(np.arange(40)[::-1], 5), np.tile([0, 0, 1, 1, 1], 40), range(1, 201))
     figure = empty(*size)
     figure.set_layout_engine("constrained")

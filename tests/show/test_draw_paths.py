@@ -120,7 +120,7 @@ def test_pieces_are_aligned_each_on_its_own():
 
 
 @pytest.mark.parametrize("truth", [False, True])
-def test_paths_of_nothing_of_one_place_and_of_a_line(tmp_path, truth):
+def test_empty_and_straight_paths_and_paths_at_rest(tmp_path, truth):
     nothing = np.full((4, 4, 4), np.nan)
     axes = draw_path(nothing, truth=nothing if truth else None)
     assert "no" in words(axes) and not shaded(axes)

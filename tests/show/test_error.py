@@ -95,7 +95,7 @@ def test_depths_of_an_evaluation_share_a_scale():
     assert (wider[10:20, 10:20] == error_to_color([[0.0]])[0, 0]).all()
 
 
-def test_depths_of_an_evaluation_say_what_came():
+def test_depth_figures_name_wrong_arguments():
     with pytest.raises(ValueError, match=r"truth is \(40, 60\) but depth is \(40, 59\)"):
         depth_error_figure(np.ones((40, 59)), np.ones((40, 60)))
     with pytest.raises(ValueError, match=r"no pixel of the \(4, 6\) depth"):

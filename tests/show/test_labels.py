@@ -54,7 +54,7 @@ def test_outlines_grow_with_the_picture():
     assert 2 <= np.count_nonzero((shown[20] == 255).all(-1)) <= 6
 
 
-def test_large_labels_are_no_longer_work():
+def test_large_labels_take_no_longer():
     """A label of many digits has its colour, which that of the same category has, at once."""
     huge = np.full((4, 5), 15 * 10**16 + 1)
     huge[:, :2] = 0
@@ -70,7 +70,7 @@ def test_large_labels_are_no_longer_work():
     )
 
 
-def test_labels_say_what_came():
+def test_labels_name_wrong_arguments():
     frame = np.zeros((4, 5), np.uint8)
     with pytest.raises(TypeError, match="labels has dtype float64, expected integers"):
         label_overlay(frame, np.zeros((4, 5)))

@@ -18,7 +18,7 @@ from tisfm.show.palette import ESTIMATE, INK, OTHER
 QUANTITIES = ("depth", "confidence", "error")
 
 
-def test_without_a_cone_grey_stays_grey():
+def test_grey_is_kept_for_colour_blind_eyes():
     """The matrices are those of the paper, or it would not."""
     greys = np.repeat(np.arange(0, 256, 51)[:, None], 3, axis=1)
     for vision in VISIONS:
@@ -41,13 +41,13 @@ def test_maps_rise_evenly(quantity, vision):
 
 
 @pytest.mark.parametrize("vision", VISIONS)
-def test_what_is_unknown_is_like_nothing_else(vision):
+def test_the_colour_of_unknown_pixels_is_unique(vision):
     for quantity in QUANTITIES:
         assert distances([UNKNOWN_COLOR], color_ramp(quantity), vision).min() > 20
 
 
 @pytest.mark.parametrize("vision", VISIONS)
-def test_categories_are_told_apart(vision):
+def test_categories_are_distinguishable(vision):
     colors = label_colors(16)
     apart = distances(colors, colors, vision) + 1000 * np.eye(16)
     assert apart.min() > 15
@@ -75,7 +75,7 @@ def test_quantities_have_names():
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (5, 7)])
-def test_what_is_not_known_is_one_grey(shape):
+def test_unknown_pixels_have_one_grey(shape):
     nothing = np.full(shape, np.nan)
     for picture in (
         depth_to_color(nothing),

@@ -47,7 +47,7 @@ def test_the_budget_is_that_of_the_whole_range(near, eye, budget):
         ({}, 0),
     ],
 )
-def test_what_lies_in_the_screen_stays(screen, moved):
+def test_points_in_the_screen_plane_do_not_move(screen, moved):
     depth = np.full((9, WIDTH), 0.5)
     depth[:, :2], depth[:, 2:5], depth[:, -5:] = 0.0, 0.25, 1.0
     view = stereo_view(stripe(), depth, max_disparity=8.0, limit=1.0, crop=False, **screen)
@@ -86,7 +86,7 @@ def test_whole_pixels_are_those_of_the_second_view():
         np.testing.assert_array_equal(stereo_view(picture, depth, **options), view)
 
 
-def test_the_picture_itself_is_the_left_eye():
+def test_the_left_view_is_the_picture():
     image = np.random.default_rng(0).integers(0, 256, (7, 60), dtype=np.uint8)
     depth = np.linspace(0, 1, 420).reshape(7, 60)
     np.testing.assert_array_equal(stereo_view(image, depth, eye=0, crop=False), image)
@@ -95,14 +95,14 @@ def test_the_picture_itself_is_the_left_eye():
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
-def test_without_depth_all_stays(value):
+def test_without_depth_no_pixel_moves(value):
     image = np.random.default_rng(0).integers(0, 256, (8, 30), dtype=np.uint8)
     depth = np.full((8, 30), value)
     for options in ({}, {"screen": 0.5}, {"screen_depth": 3.0}):
         np.testing.assert_array_equal(stereo_view(image, depth, **options), image)
 
 
-def test_what_is_near_is_not_stretched_into_holes():
+def test_the_foreground_is_not_stretched_into_holes():
     """A bright near block before dark texture: behind it, nothing bright but the block is seen."""
     rng = np.random.default_rng(0)
     image = rng.integers(0, 90, (40, 120), dtype=np.uint8)
@@ -118,7 +118,7 @@ def test_what_is_near_is_not_stretched_into_holes():
         assert np.abs(np.diff(hole.astype(float), axis=1)).mean() > 10
 
 
-def test_holes_of_the_depth_take_the_farther_side():
+def test_holes_of_depth_get_the_farther_depth():
     nan = np.nan
     image = np.random.default_rng(0).integers(0, 256, (3, 6), dtype=np.uint8)
     holes = np.array([[nan, 3, nan, nan, 1, nan], [nan] * 6, [2.0] * 6])
@@ -130,7 +130,7 @@ def test_holes_of_the_depth_take_the_farther_side():
     assert np.isnan(holes[0, 0])
 
 
-def test_the_border_is_cut_off_alike_for_all_eyes():
+def test_both_views_lose_the_same_border():
     """A plane in the screen looks the same to all; one at infinity shows no border made up."""
     image = np.full((20, WIDTH), 120, np.uint8)
     image[:, ::8] = 200
@@ -178,14 +178,14 @@ def test_options_are_checked(options, message):
             anaglyph(np.ones((3, 4)), np.ones((3, 4)), **options)
 
 
-def test_the_picture_is_never_what_is_returned():
+def test_the_input_picture_is_never_returned():
     image = np.random.default_rng(0).integers(0, 256, (8, 30), dtype=np.uint8)
     for options in ({"eye": 0, "crop": False}, {"eye": 0}, {}, {"max_disparity": 0}):
         for depth in (np.zeros((8, 30)), np.ones((8, 30))):
             assert not np.shares_memory(stereo_view(image, depth, **options), image)
 
 
-def test_soft_rims_go_with_what_is_near():
+def test_soft_edges_move_with_the_foreground():
     """The pixel around a near block, half of it, moves with it: none is left behind."""
     image = np.full((40, 120), 20, np.uint8)
     image[10:30, 50:70] = 250
@@ -197,7 +197,7 @@ def test_soft_rims_go_with_what_is_near():
     assert (view[12:28, 40:48] > 200).any()
 
 
-def test_edges_stay_sharp():
+def test_edges_are_kept_sharp():
     """Between near and far nothing is put at a depth of its own: two surfaces, and no third."""
     image = np.where(np.arange(120) < 61, 250, 20).astype(np.uint8) * np.ones((9, 1), np.uint8)
     depth = np.where(np.arange(120) < 60, 1.0, 0.0) * np.ones((9, 1))
@@ -205,7 +205,7 @@ def test_edges_stay_sharp():
     assert (view[4, :40] > 240).all() and (view[4, 43:] < 30).all()
 
 
-def test_half_of_a_small_picture_is_left():
+def test_half_of_a_small_picture_is_kept():
     """However far a picture moves, its border takes no more than half of it."""
     image = np.tile(np.arange(64, dtype=np.uint8) * 4, (32, 1))
     depth = np.ones(image.shape)

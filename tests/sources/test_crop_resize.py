@@ -37,7 +37,7 @@ def test_half_the_size_is_the_mean_of_four_pixels(kind):
 
 
 @pytest.mark.parametrize("size", [W, W + 1, 1000])
-def test_smaller_frames_stay_as_they_are(size):
+def test_smaller_frames_are_unchanged(size):
     for found, frame in zip(images(FRAMES, size=size), FRAMES, strict=True):
         np.testing.assert_array_equal(found, frame)
 
@@ -74,7 +74,7 @@ def test_without_crop_and_size_the_camera_is_the_same():
     assert source.camera_after(camera, None) is camera
 
 
-def test_frames_know_their_size_before():
+def test_the_size_of_frames_is_known_before_reading():
     source = FrameSource(FRAMES, crop=(1, 2, 10, 8), size=5)
     assert {frame.full for frame in source.frames()} == {(H, W)}
     assert {pair.full for pair in source} == {(H, W)}
@@ -106,7 +106,7 @@ def test_inputs_are_not_modified():
 
 
 @pytest.mark.parametrize("size", [0, -1, 3, 2.5, "40", True, (40, 30)], ids=repr)
-def test_what_is_no_size(size):
+def test_wrong_sizes_are_refused(size):
     with pytest.raises(ValueError, match=r"size is .*: expected the longer side"):
         tisfm.interpret_sequence(FRAMES, size=size)
 
@@ -115,13 +115,13 @@ def test_what_is_no_size(size):
     "crop", [5, (1, 2, 3), (0, 0, 10, 10.0), (-1, 0, 10, 10), (0, 0, 3, 10), "0010", (0, 0, 10, 0)],
     ids=repr,
 )  # fmt: skip
-def test_what_is_no_crop(crop):
+def test_wrong_crops_are_refused(crop):
     with pytest.raises(ValueError, match=r"crop is .*\(left, top, width, height\)"):
         tisfm.interpret_sequence(FRAMES, crop=crop)
 
 
 @pytest.mark.parametrize("crop", [(21, 0, 20, 10), (0, 15, 10, 10), (100, 100, 4, 4)], ids=str)
-def test_a_crop_beyond_the_frame_is_said_when_it_is_met(crop):
+def test_a_crop_beyond_a_later_frame_is_an_error(crop):
     results = tisfm.interpret_sequence(FRAMES, crop=crop, settings=QUICK)
     with pytest.raises(ValueError, match="frame_000000 is 40 px wide and 24 px high"):
         next(results)
@@ -133,7 +133,7 @@ def test_a_size_that_leaves_too_little_of_the_shorter_side():
         next(FrameSource(frames, size=40).frames())
 
 
-def test_frames_that_are_none_are_refused_before_they_are_cut():
+def test_wrong_arrays_are_refused_before_they_are_cropped():
     bad = FRAMES[0].astype(float)
     bad[0, 0] = np.nan
     with pytest.raises(ValueError, match="frame_000001 is NaN"):

@@ -65,7 +65,7 @@ def test_a_sequence_of_a_range():
         )
 
 
-def test_what_comes_after_the_range_is_not_touched(folder):
+def test_frames_after_the_range_are_not_read(folder):
     (folder / "frame11.png").write_bytes(b"damaged")
     assert indices(folder, stop=4) == [0, 1, 2, 3]
     frames = iter(FRAMES)
@@ -74,13 +74,13 @@ def test_what_comes_after_the_range_is_not_touched(folder):
 
 
 @pytest.mark.parametrize("start", [-1, 1.0, "2", None, True], ids=repr)
-def test_what_is_no_start(start):
+def test_wrong_starts_are_refused(start):
     with pytest.raises(ValueError, match=r"start is .*: expected the number of a frame, from 0"):
         tisfm.interpret_sequence(FRAMES, start=start)
 
 
 @pytest.mark.parametrize("stop", [-1, 0, 1, 3, 4, 2.0, "5", True], ids=repr)
-def test_what_is_no_stop(stop):
+def test_wrong_stops_are_refused(stop):
     with pytest.raises(ValueError, match=r"stop is .*: expected at least 5, to make a pair"):
         tisfm.interpret_sequence(FRAMES, start=2, stop=stop, step=2)
 
@@ -132,7 +132,7 @@ def test_names_that_are_times(tmp_path, names, times):
      ["140363657976355558", "140363657976355559"], ["1.5.2", "1.5.3"]],
     ids=str,
 )  # fmt: skip
-def test_names_that_are_no_times(names):
+def test_other_names_have_no_times(names):
     assert increasing_times(names) is None
 
 
@@ -147,7 +147,7 @@ def test_a_damaged_picture_is_named_with_its_number(folder):
         next(frames)
 
 
-def test_damaged_pictures_are_left_out_and_told(folder):
+def test_damaged_frames_are_skipped_with_a_reason(folder):
     for name in ("frame1.png", "frame9.png"):
         (folder / name).write_bytes(b"damaged")
     source = FrameSource(folder, bad_frames="skip")
@@ -160,7 +160,7 @@ def test_damaged_pictures_are_left_out_and_told(folder):
     assert (first.name0, first.name1, second.name1) == ("frame2", "frame10", "frame11")
 
 
-def test_what_is_skipped_is_known_when_the_next_frame_comes(folder):
+def test_skipped_frames_are_known_with_the_next_frame(folder):
     (folder / "frame11.png").write_bytes(b"damaged")
     source = FrameSource(folder, bad_frames="skip")
     for frame in source.frames():
@@ -168,7 +168,7 @@ def test_what_is_skipped_is_known_when_the_next_frame_comes(folder):
     assert [index for index, _ in source.skipped] == [4]
 
 
-def test_a_sequence_warns_of_what_it_skips(folder):
+def test_a_sequence_warns_of_skipped_frames(folder):
     for name in ("frame2.png", "frame11.png"):
         (folder / name).write_bytes(b"damaged")
     with pytest.warns(UserWarning, match="the frame is skipped") as caught:
@@ -179,7 +179,7 @@ def test_a_sequence_warns_of_what_it_skips(folder):
 
 
 @pytest.mark.filterwarnings("ignore:.*skipped")
-def test_a_focal_length_is_not_guessed_from_what_is_damaged(folder):
+def test_a_focal_length_is_not_guessed_from_damaged_frames(folder):
     exif = Image.Exif()
     exif[ExifTags.IFD.Exif] = {ExifTags.Base.FocalLengthIn35mmFilm: 50}
     Image.fromarray(FRAMES[1]).save(folder / "frame2.png", exif=exif.tobytes())
@@ -200,7 +200,7 @@ def test_only_damage_is_skipped(folder):
         indices(folder, bad_frames="skip")
 
 
-def test_nothing_but_damage_is_no_pair(folder):
+def test_a_source_of_damaged_frames_is_an_error(folder):
     for file in numbered(folder)[1:]:
         file.write_bytes(b"damaged")
     with pytest.raises(ValueError, match=r"before there was a pair \(4 were skipped\)"):
@@ -213,7 +213,7 @@ def test_there_are_two_choices(choice):
         tisfm.interpret_sequence(FRAMES, bad_frames=choice)
 
 
-def test_poses_of_all_pairs_do_not_go_with_skipping():
+def test_poses_of_pairs_exclude_skipping():
     source = FrameSource(FRAMES, bad_frames="skip")
     with pytest.raises(ValueError, match="poses are given, one for every pair, and bad frames"):
         with_poses(source, [np.eye(4)] * 5)

@@ -30,7 +30,7 @@ def test_a_folder_is_read_in_natural_order(folder, as_text):
     assert names == ["frame1", "frame2", "frame9", "frame10"]
 
 
-def test_what_is_no_picture_is_left_aside(folder):
+def test_other_files_are_ignored(folder):
     (folder / "notes.txt").write_text("no picture")
     (folder / "._frame1.png").write_bytes(b"what another system leaves behind")
     check_frames(folder, FRAMES[:5])
@@ -51,7 +51,7 @@ def test_a_pattern_leaves_folders_aside(folder):
     check_frames(str(folder / "frame*"), FRAMES[:5])
 
 
-def test_a_path_with_brackets_is_no_pattern(folder):
+def test_an_existing_path_with_brackets_is_no_pattern(folder):
     odd = folder.rename(folder.with_name("frames [1] *"))
     check_frames(str(odd), FRAMES[:5])
 

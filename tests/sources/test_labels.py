@@ -47,7 +47,7 @@ def test_an_array_for_each(kind):
         check(labels_of(FRAMES, given), LABELS)
 
 
-def test_true_and_false_are_one_thing():
+def test_boolean_masks_are_one_object():
     check(labels_of(FRAMES, [labels > 0 for labels in LABELS]), [labels > 0 for labels in LABELS])
 
 
@@ -128,7 +128,7 @@ def test_files_of_labels_are_files_of_the_source(folder, masks):
         ("gone", FileNotFoundError, "there is no picture or folder of labels gone"),
     ],
 )
-def test_what_are_no_labels(labels, error, words):
+def test_wrong_labels_are_refused(labels, error, words):
     with pytest.raises(error, match=words):
         FrameSource(FRAMES, labels=labels)
 
@@ -145,23 +145,23 @@ def test_what_are_no_labels(labels, error, words):
         (np.ma.array(FIRST, mask=FIRST), ValueError, "masked"),
     ],
 )
-def test_labels_of_a_frame_that_are_none(labels, error, words):
+def test_a_frame_with_wrong_labels_is_named(labels, error, words):
     with pytest.raises(error, match=f"labels of frame frame_000000.*{words}"):
         next(FrameSource(FRAMES, labels={0: labels}).frames())
 
 
-def test_colours_are_no_labels(folder, masks):
+def test_colour_images_are_refused_as_labels(folder, masks):
     write_png(masks / "frame1.png", np.dstack([FIRST, 2 * FIRST, FIRST]))
     with pytest.raises(FormatError, match=r"frame1\.png is a picture of mode RGB: expected labels"):
         next(FrameSource(folder, labels=masks).frames())
 
 
-def test_other_numbers_of_pictures_are_said(masks):
+def test_a_wrong_number_of_label_images_is_an_error(masks):
     with pytest.raises(ValueError, match=r"of 5 frames.*6 frames; none of them has"):
         FrameSource(FRAMES, labels=masks)
 
 
-def test_things_of_255_are_said():
+def test_labels_of_255_are_warned_of():
     void = [np.where(labels > 0, 255, 0) for labels in LABELS]
     with pytest.raises(ValueError, match="0 or 255 everywhere, and pixels of 255 are ignored"):
         list(FrameSource(FRAMES, labels=void).frames())
@@ -169,7 +169,7 @@ def test_things_of_255_are_said():
 
 
 @pytest.mark.parametrize("key", [0.5, (1, 2), None])
-def test_what_names_no_frame(key):
+def test_label_images_without_a_frame_are_an_error(key):
     with pytest.raises(TypeError, match=r"labels has the key .* expected the number or name"):
         FrameSource(FRAMES, labels={key: LABELS[0]})
 
@@ -189,18 +189,18 @@ def test_labels_that_end_early():
     [FIRST, FIRST > 0, [labels > 0 for labels in LABELS], [255 * (FIRST > 0)] * 2,
      [FIRST.astype(float)] * 2, iter(LABELS), [], np.zeros((2, H, W), int)],
 )  # fmt: skip
-def test_what_says_what_counts(mask):
+def test_the_meaning_of_values_is_stated(mask):
     assert not are_labels(mask)
 
 
-def test_numbers_of_several_things_are_labels():
+def test_several_values_are_labels():
     assert are_labels(LABELS)
     assert are_labels([[[0, 1], [1, 7]]])
     assert are_labels(np.stack(LABELS).astype(int))
     assert are_labels([np.where(FIRST == 7, 255, FIRST), np.where(FIRST == 1, 255, FIRST)])
 
 
-def test_the_number_of_one_thing_may_be_either():
+def test_one_value_may_be_a_mask_or_a_label():
     with pytest.raises(ValueError, match=r"number 7 at every pixel .* labels="):
         are_labels([7 * (FIRST > 0)] * 6)
 

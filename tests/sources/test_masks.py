@@ -107,7 +107,7 @@ def test_masks_are_cropped_with_their_frames():
     check(ignored(FRAMES, BONNET, crop=(3, 10, 20, 12)), [BONNET[10:22, 3:23]] * 6)
 
 
-def test_a_pixel_is_ignored_where_a_part_of_it_is():
+def test_a_resized_pixel_is_ignored_if_a_part_is():
     mask = np.ones((H, W), bool)
     mask[8, 12] = False
     for one in ignored(FRAMES, mask, size=W // 2):
@@ -127,13 +127,13 @@ def test_a_source_with_masks_can_be_read_again(folder, masks):
 
 
 @pytest.mark.parametrize("mask", [3, None.__class__, 2.5], ids=repr)
-def test_what_is_no_mask(mask):
+def test_wrong_masks_are_refused(mask):
     with pytest.raises(TypeError, match=r"mask is .*expected a picture, an array, or one for"):
         FrameSource(FRAMES, mask=mask)
 
 
 @pytest.mark.parametrize("shape", [(), (W,), (1, 6, H, W)], ids=str)
-def test_an_array_of_another_shape_is_no_mask(shape):
+def test_an_array_of_another_shape_is_refused(shape):
     with pytest.raises(ValueError, match=r"mask is \(.*expected \(H, W\), or \(N, H, W\)"):
         FrameSource(FRAMES, mask=np.ones(shape))
 
@@ -149,7 +149,7 @@ def test_a_mask_that_does_not_exist(mask, words):
 
 
 @pytest.mark.parametrize("count", [0, 5, 7])
-def test_another_number_of_masks_is_said_at_once(count):
+def test_a_wrong_number_of_masks_is_an_error_at_once(count):
     with pytest.raises(ValueError, match=f"mask has {count} masks, but there are 6 frames"):
         FrameSource(FRAMES, mask=[BONNET] * count)
 
@@ -169,7 +169,7 @@ def test_masks_that_end_early(folder):
 
 
 @pytest.mark.parametrize("mask", [BONNET[:-1], [BONNET.T] * 6, [BONNET[0]] * 6], ids=repr)
-def test_a_mask_of_another_size_is_said(mask):
+def test_a_mask_of_another_size_is_an_error(mask):
     with pytest.raises(ValueError, match=r"mask of frame frame_000000 is \(.*but frame frame_0"):
         next(FrameSource(FRAMES, mask=mask).frames())
 

@@ -99,7 +99,7 @@ def test_chosen_frames(tmp_path, decoder, chosen):
 
 
 @pytest.mark.parametrize("found", [None, "16.1.0", "unknown"])
-def test_what_is_installed_decodes(tmp_path, monkeypatch, found):
+def test_the_installed_library_decodes(tmp_path, monkeypatch, found):
     def installed(name):
         if found is None:
             raise PackageNotFoundError(name)
@@ -112,7 +112,7 @@ def test_what_is_installed_decodes(tmp_path, monkeypatch, found):
     assert isinstance(open_video(path), OpenCvVideo)
 
 
-def test_what_only_opencv_knows_is_left_to_it(tmp_path, monkeypatch):
+def test_formats_of_opencv_alone_are_read_by_opencv(tmp_path, monkeypatch):
     path = film(tmp_path / "a.mp4", colour_frames(3))
 
     def refuse(self, path):
@@ -123,7 +123,7 @@ def test_what_only_opencv_knows_is_left_to_it(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["a.txt", "a.mp4", "a"])
-def test_a_text_is_no_video(tmp_path, decoder, name):
+def test_a_text_is_refused_as_a_video(tmp_path, decoder, name):
     (tmp_path / name).write_text("no video\n" * 20)
     with pytest.raises(ValueError):
         decoder(str(tmp_path / name))
@@ -172,7 +172,7 @@ def test_a_rate_that_varies_is_not_taken_for_a_cut(tmp_path, decoder):
 
 
 @pytest.mark.parametrize("name", ["a.mkv", "a.avi"])
-def test_what_is_cut_off_is_said_at_the_end(tmp_path, decoder, name):
+def test_a_truncated_video_is_an_error_at_its_end(tmp_path, decoder, name):
     codec = "mjpeg" if name == "a.avi" else "libx264"
     pixels = "yuvj420p" if codec == "mjpeg" else "yuv420p"
     path = film(tmp_path / name, colour_frames(60), codec=codec, pixels=pixels)

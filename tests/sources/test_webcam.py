@@ -71,13 +71,13 @@ def test_names_of_cameras(camera, source, number):
 
 
 @pytest.mark.parametrize("source", ["webcam:", "webcam:-1", "webcam:a", "webcams", "0", "a/webcam"])
-def test_what_names_no_camera(source):
+def test_other_names_are_no_webcam(source):
     assert webcam_number(source) is None
     with pytest.raises(FileNotFoundError, match="there is no file or folder"):
         FrameSource(source)
 
 
-def test_a_file_of_that_name_comes_first(folder, monkeypatch):
+def test_a_file_named_like_a_webcam_is_read(folder, monkeypatch):
     folder.rename(folder.with_name("webcam"))
     monkeypatch.chdir(folder.parent)
     assert FrameSource("webcam").count == 5
@@ -98,7 +98,7 @@ def test_frames_in_time(camera):
     assert not camera.made[-1].open
 
 
-def test_what_waited_is_dropped(camera):
+def test_waiting_frames_are_dropped(camera):
     """Who takes a second for a frame gets the one that comes next, at its own time."""
     frames = FrameSource("webcam").frames()
     for _ in range(5):

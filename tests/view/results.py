@@ -8,11 +8,11 @@ import numpy as np
 
 import tisfm
 from tests.reconstruction.films import along
+from tests.rendered import room_film
 from tisfm.folders.run_record import FORMAT
 from tisfm.reconstruction.result.folder import PICTURES, write_depth, write_labels, write_record
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.result.reconstruction import Reconstruction
-from tisfm.scenes import room_film
 from tisfm.status import Status
 
 HEIGHT, WIDTH = 45, 61

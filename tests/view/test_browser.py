@@ -87,7 +87,7 @@ def set_number(tab, label, value):
     field.blur()
 
 
-def test_it_shows_the_scene_and_asks_nobody_else(look, tmp_path):
+def test_the_scene_is_shown_without_other_hosts(look, tmp_path):
     write_reconstruction(tmp_path / "r")
     _, tab = look(tmp_path / "r")
     # Points fade in on a white ground.
@@ -126,6 +126,7 @@ def test_playing_moves_the_slider(look, tmp_path):
     tab.get_by_role("button", name="Play").wait_for()
 
 
+@pytest.mark.nightly
 def test_a_click_reads_the_pixel_that_is_there(look, tmp_path):
     write_run(tmp_path / "r", 2)
     page, tab = look(tmp_path / "r")
@@ -168,7 +169,7 @@ def sees_whole_frame(page, client):
 
 
 @pytest.mark.nightly
-def test_all_of_the_frame_is_followed_in_any_window_also_by_those_who_come_later(look, tmp_path):
+def test_following_shows_the_whole_frame_in_any_window(look, tmp_path):
     write_reconstruction(tmp_path / "r")
     page, tab = look(tmp_path / "r")
     tab.get_by_label("Follow the camera").check()
@@ -227,7 +228,7 @@ def test_the_view_goes_to_the_camera(look, tmp_path):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("size", [(1700, 700), (760, 480), (400, 701)])
-def test_all_is_in_sight_in_any_window_until_the_view_is_moved(look, tmp_path, size):
+def test_the_scene_fits_any_window_until_the_view_is_moved(look, tmp_path, size):
     write_reconstruction(tmp_path / "r")
     page, tab = look(tmp_path / "r")
     wait_until(tab, lambda: page.server.get_clients(), "nobody is there")
@@ -278,7 +279,7 @@ def test_thresholds_and_colours(look, tmp_path):
 
 
 @pytest.mark.nightly
-def test_a_run_that_goes_on_grows(look, tmp_path):
+def test_a_growing_run_is_shown(look, tmp_path):
     shot = write_run(tmp_path / "r", 3)
     write_record_of(tmp_path / "r", shot, [0], "camera")
     _, tab = look(tmp_path / "r")
@@ -288,7 +289,7 @@ def test_a_run_that_goes_on_grows(look, tmp_path):
 
 
 @pytest.mark.nightly
-def test_it_saves_pictures_films_and_pages(look, browser, tmp_path, monkeypatch):
+def test_pictures_videos_and_pages_are_saved(look, browser, tmp_path, monkeypatch):
     monkeypatch.setattr("tisfm.view.downloads.FILM_SIZE", (120, 160))
     write_reconstruction(tmp_path / "r", 3)
     _, tab = look(tmp_path / "r")

@@ -59,12 +59,12 @@ def test_points_project_to_their_pixels(height, width, most, scale, seed):
 
 
 @pytest.mark.parametrize("most", [1, 10, 100, 1000, 5000])
-def test_about_as_many_points_are_left_as_asked_for(most):
+def test_the_number_of_points_is_limited(most):
     points = frame_cloud(made(np.ones((60, 80))), "image", RANGES, PointFilter(most_points=most))
     assert 0.3 * min(most, 4800) <= len(points) <= 1.4 * most + 1
 
 
-def test_thresholds_leave_what_they_say(tmp_path):
+def test_thresholds_select_points(tmp_path):
     write_run(tmp_path, 1)
     frame = open_result(tmp_path).read(0)
 

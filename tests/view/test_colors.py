@@ -43,7 +43,7 @@ def full(**parts):
     return made(inverse, **{**given, **parts})
 
 
-def test_what_is_not_known_is_grey():
+def test_unknown_values_are_grey():
     frame = full()
     assert pixel_colors(frame, "depth", RANGES)[0, 0].tolist() == GREY
     deviation = pixel_colors(frame, "deviation", RANGES)
@@ -69,7 +69,7 @@ def test_depth_has_one_range_whatever_the_scale_of_a_frame():
     )
 
 
-def test_things_differ_in_colour_and_keep_it():
+def test_objects_differ_in_colour_and_keep_it():
     colors = label_colors(12)
     assert len({tuple(color) for color in colors}) == 12
     np.testing.assert_array_equal(label_colors(4), colors[:4])
@@ -79,7 +79,7 @@ def test_things_differ_in_colour_and_keep_it():
 
 
 @pytest.mark.parametrize("quantity", QUANTITIES)
-def test_legends_say_what_colours_mean(quantity):
+def test_legends_state_the_meaning_of_colours(quantity):
     found = legend(quantity, RANGES, "the unit", (1, 3))
     text = legend_html(found)
     if quantity == "image":
@@ -94,7 +94,7 @@ def test_legends_say_what_colours_mean(quantity):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_pictures_are_as_wide_as_asked_for(kind):
+def test_pictures_have_the_requested_width(kind):
     assert picture_of(full(), kind, RANGES, width=4).shape == (3, 4, 3)
     plain = picture_of(full(), kind, RANGES, width=15)
     marked = picture_of(full(), kind, RANGES, width=15, marked=(2, 3))
@@ -145,7 +145,7 @@ def test_few_frames_are_kept():
     assert tiny[7].number == 7 and len(tiny) == 1
 
 
-def test_all_that_a_frame_keeps_is_counted():
+def test_the_memory_of_a_frame_is_counted():
     frame = full()
     before = frame.nbytes
     assert frame.relative_deviation is not None and frame.flow is not None
@@ -153,7 +153,7 @@ def test_all_that_a_frame_keeps_is_counted():
     assert sum(arrays.values()) <= before == frame.nbytes
 
 
-def test_a_frame_keeps_its_data_when_others_come_before_it():
+def test_frame_data_are_kept_when_earlier_frames_appear():
     result = Frames(5)
     cache = FrameCache(result)
     cache[1]
@@ -161,7 +161,7 @@ def test_a_frame_keeps_its_data_when_others_come_before_it():
     assert cache[2].number == 2 and result.read_ones == [1]
 
 
-def test_samples_leave_out_what_cannot_be_read():
+def test_samples_leave_out_unreadable_frames():
     result = Frames(3)
     assert [frame.number for frame in sampled(FrameCache(result), 3)] == [0, 1]
 

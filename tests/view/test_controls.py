@@ -58,51 +58,49 @@ def status(page):
     return page.controls.status.content
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "shown"),
-    [
-        ("frame", 1, status),
-        ("color", "confidence", legend),
-        ("shape", "surface", kind_of_points),
-        ("size", 3.0, size_of_points),
-        ("most", 1, count),
-        ("min_confidence", 0.5, count),
-        ("max_deviation", 1.0, count),
-        ("hidden", False, count),
-        ("box", True, nodes),
-        ("measure", True, distance),
-    ],
+OF_A_RUN = (  # name, value, and what it changes
+    ("color", "confidence", legend),
+    ("shape", "surface", kind_of_points),
+    ("size", 3.0, size_of_points),
+    ("most", 1, count),
+    ("min_confidence", 0.5, count),
+    ("max_deviation", 1.0, count),
+    ("hidden", False, count),
+    ("box", True, nodes),
+    ("measure", True, distance),
+    ("frame", 1, status),
 )
-def test_controls_of_a_run(opened, tmp_path, name, value, shown):
+OF_A_RECONSTRUCTION = (
+    ("follow", True, sees_camera),
+    ("with_frame", False, sees_points),
+    ("path", False, nodes),
+    ("frusta", False, frusta),
+    ("pictures", False, pictures),
+    ("objects", False, nodes),
+    ("fused", "points", note),
+)
+
+
+def assert_controls_work(page, controls):
+    """Set each control, check that the page changes, and set it back."""
+    wait_until_drawn(page)
+    for name, value, shown in controls:
+        before, old = shown(page), getattr(page.controls, name).value
+        change(page, name, value)
+        wait_until_drawn(page)
+        assert shown(page) != before, name
+        change(page, name, old)
+        wait_until_drawn(page)
+
+
+def test_controls_of_a_run(opened, tmp_path):
     write_run(tmp_path / "r", 2)
-    page = opened(tmp_path / "r")
-    wait_until_drawn(page)
-    before = shown(page)
-    change(page, name, value)
-    wait_until_drawn(page)
-    assert shown(page) != before
+    assert_controls_work(opened(tmp_path / "r"), OF_A_RUN)
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "shown"),
-    [
-        ("follow", True, sees_camera),
-        ("fused", "points", note),
-        ("with_frame", False, sees_points),
-        ("path", False, nodes),
-        ("frusta", False, frusta),
-        ("pictures", False, pictures),
-        ("objects", False, nodes),
-    ],
-)
-def test_controls_of_a_reconstruction(opened, tmp_path, name, value, shown):
+def test_controls_of_a_reconstruction(opened, tmp_path):
     write_reconstruction(tmp_path / "r", 3, things=True)
-    page = opened(tmp_path / "r")
-    wait_until_drawn(page)
-    before = shown(page)
-    change(page, name, value)
-    wait_until_drawn(page)
-    assert shown(page) != before
+    assert_controls_work(opened(tmp_path / "r"), OF_A_RECONSTRUCTION)
 
 
 def test_play_is_a_button_that_becomes_pause(opened, tmp_path):
@@ -139,7 +137,7 @@ def test_the_ends_of_the_box(opened, tmp_path, name):
     wait_for(lambda: count(page) < before)
 
 
-def test_clear_forgets_what_was_measured(opened, tmp_path):
+def test_clear_removes_measurements(opened, tmp_path):
     write_run(tmp_path / "r", 1)
     page = opened(tmp_path / "r")
     page.marks.measured = [np.zeros(3)]
@@ -156,7 +154,7 @@ def test_the_speed_holds_from_now_on(opened, tmp_path):
     assert page.playback._begin[0] > since[0]
 
 
-def test_one_frame_has_nothing_to_play(opened, tmp_path):
+def test_one_frame_cannot_be_played(opened, tmp_path):
     shot = write_run(tmp_path / "r", 2)
     write_record_of(tmp_path / "r", shot, [0], "camera")
     page = opened(tmp_path / "r")
@@ -165,7 +163,7 @@ def test_one_frame_has_nothing_to_play(opened, tmp_path):
     wait_for(lambda: not page.controls.frame.disabled and not page.controls.play.disabled)
 
 
-def test_the_box_begins_around_the_points_and_its_fields_have_round_steps(opened, tmp_path):
+def test_the_box_surrounds_the_points_and_has_round_steps(opened, tmp_path):
     write_reconstruction(tmp_path / "r", 2)
     page = opened(tmp_path / "r")
     low, high = (np.array(getattr(page.controls, name).value) for name in ("box_low", "box_high"))

@@ -14,7 +14,7 @@ pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[
 
 
 @given(aspect=st.floats(0.2, 5), focal=st.floats(10, 1000))
-def test_all_of_the_frame_is_in_sight_and_fills_the_window(aspect, focal):
+def test_the_whole_frame_fills_the_window(aspect, focal):
     frame = SimpleNamespace(shape=(HEIGHT, WIDTH), camera=SimpleNamespace(focal=focal))
     up = math.tan(following_fov(frame, aspect) / 2)
     own_up, own_side = HEIGHT / (2 * focal), WIDTH / (2 * focal)

@@ -52,7 +52,7 @@ def evil_folder(folder):
 @pytest.fixture
 def tab(browser):
     """Return a tab that fails the test if a page opens a dialog."""
-    tab = tab_of(browser)
+    tab = tab_of(browser, viewport={"width": 400, "height": 300})  # software draws few pixels fast
     tab.on("dialog", lambda dialog: pytest.fail(f"a script said {dialog.message}"))
     yield tab
     tab.context.close()

@@ -59,7 +59,7 @@ def test_the_deviation_of_flow_is_its_change_with_depth(reconstruction):
     assert reading.flow_std == pytest.approx(np.abs(after - before), rel=0.1, abs=1e-3)
 
 
-def test_a_thing_has_a_motion_of_its_own(reconstruction):
+def test_an_object_has_its_own_motion(reconstruction):
     frame = reconstruction.read(0)
     poses = film().poses
     expected = np.linalg.inv(poses[1]) @ np.array(
@@ -84,7 +84,7 @@ def test_a_frame_without_a_pose_has_no_motion(tmp_path):
         assert frame.reading(5, 5).depth > 0
 
 
-def test_a_pair_has_what_was_stored(tmp_path):
+def test_a_pair_has_the_stored_values(tmp_path):
     write_run(tmp_path / "r")
     frame = open_result(tmp_path / "r").read(0)
     reading = frame.reading(10, 20)

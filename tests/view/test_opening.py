@@ -11,7 +11,7 @@ from tisfm.formats import FormatError
 from tisfm.results.opening import NotReadyError, describe_progress, open_result
 
 
-def test_a_run_that_goes_on_shows_what_is_finished(tmp_path):
+def test_finished_pairs_of_a_running_run_are_shown(tmp_path):
     shot = write_run(tmp_path, 4)
     write_record_of(tmp_path, shot, [0], "camera")
     result = open_result(tmp_path)
@@ -35,7 +35,7 @@ def test_pairs_are_in_the_order_of_their_numbers(tmp_path):
     assert open_result(tmp_path).names == ["f0", "f2", "f3"]
 
 
-def test_a_record_that_is_damaged_meanwhile_leaves_what_was_there(tmp_path):
+def test_a_record_damaged_later_keeps_the_earlier_result(tmp_path):
     write_run(tmp_path, 2)
     result = open_result(tmp_path)
     (tmp_path / "run.json").write_text('{"pairs": {"f0": 1}}')
@@ -75,7 +75,7 @@ def test_the_path_of_a_reconstruction_is_its_own(tmp_path):
     assert result.read(3).picture.shape == (45, 61, 3)
 
 
-def test_a_reconstruction_that_is_being_replaced_stays(tmp_path):
+def test_a_reconstruction_is_readable_while_it_is_replaced(tmp_path):
     write_reconstruction(tmp_path / "r")
     result = open_result(tmp_path / "r")
     record = (tmp_path / "r" / "reconstruction.json").read_text()
@@ -98,9 +98,7 @@ RECORD = json.dumps({"format": 2, "version": "1", "settings": {"motion": "field"
         (None, "", "no finished pair yet", "neither run.json nor reconstruction.json"),
     ],
 )
-def test_what_is_being_made_is_waited_for_and_what_was_killed_is_not(
-    tmp_path, name, text, yet, ended
-):
+def test_running_results_are_awaited_and_killed_ones_are_not(tmp_path, name, text, yet, ended):
     if name is not None:
         (tmp_path / name).write_text(text)
     with locked_folder(tmp_path), pytest.raises(NotReadyError, match=yet):
@@ -131,7 +129,7 @@ def test_other_folders_are_refused(tmp_path):
         open_result(tmp_path / "file")
 
 
-def test_a_run_that_kept_nothing_is_refused(tmp_path):
+def test_a_run_without_npz_files_is_refused(tmp_path):
     shot = write_run(tmp_path, 1)
     write_record_of(tmp_path, shot, [0], "camera", files=("_depth.png",))
     with pytest.raises(FormatError, match="run again with npz among --outputs"):

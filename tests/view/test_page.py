@@ -27,7 +27,7 @@ from tisfm.view.static_page import static_page
 from tisfm.view.waiting_page import WaitingPage
 
 
-def test_it_listens_on_this_computer_alone(opened, tmp_path, capsys):
+def test_the_server_listens_on_this_computer_alone(opened, tmp_path, capsys):
     write_run(tmp_path / "r", 1)
     page = opened(tmp_path / "r")
     assert page.url.startswith("http://127.0.0.1:")
@@ -64,7 +64,7 @@ def test_pages_from_elsewhere_are_refused(opened, tmp_path):
             connect(address, origin=origin, **options)
 
 
-def test_a_host_that_is_none_is_refused(tmp_path):
+def test_a_wrong_host_is_refused(tmp_path):
     write_run(tmp_path / "r", 1)
     with pytest.raises(OSError, match=r"cannot listen at 192\.0\.2\.1"):
         ViewerPage(open_result(tmp_path / "r"), host="192.0.2.1")
@@ -113,7 +113,7 @@ def test_coarse_first_then_all(opened, tmp_path, monkeypatch):
     assert any(number < 150 for number in shown)
 
 
-def test_controls_change_what_is_shown(opened, tmp_path):
+def test_thresholds_and_colours_change_the_points(opened, tmp_path):
     write_run(tmp_path / "r", 3)
     page = opened(tmp_path / "r")
     wait_until_drawn(page)
@@ -139,7 +139,7 @@ def test_controls_change_what_is_shown(opened, tmp_path):
     wait_for(lambda: len(page.points) == 0 and "box" in page.scene._nodes)
 
 
-def test_it_plays_and_stops(opened, tmp_path):
+def test_playback_starts_and_stops(opened, tmp_path):
     write_reconstruction(tmp_path / "r")
     page = opened(tmp_path / "r")
     page.controls.speed.value = 30
@@ -160,7 +160,7 @@ def test_it_plays_and_stops(opened, tmp_path):
     assert page.number == number and page.controls.play.label == "Play"
 
 
-def test_a_run_that_goes_on_grows_in_the_page(opened, tmp_path):
+def test_a_growing_run_grows_in_the_page(opened, tmp_path):
     shot = write_run(tmp_path / "r", 4)
     write_record_of(tmp_path / "r", shot, [1], "camera")
     page = opened(tmp_path / "r")
@@ -171,7 +171,7 @@ def test_a_run_that_goes_on_grows_in_the_page(opened, tmp_path):
     assert page.controls.frame.value == 1
 
 
-def test_a_frame_stays_as_it_is_while_others_follow(opened, tmp_path):
+def test_a_frame_is_not_drawn_again_when_later_frames_appear(opened, tmp_path):
     shot = write_run(tmp_path / "r", 4, with_poses=True)
     write_record_of(tmp_path / "r", shot, [0, 1], "camera", with_poses=True)
     page = opened(tmp_path / "r")
@@ -192,7 +192,7 @@ def drawings_of(page, monkeypatch):
     return drawn
 
 
-def test_pairs_before_the_one_that_is_shown_leave_it_as_it_is(opened, tmp_path, monkeypatch):
+def test_earlier_pairs_do_not_change_the_shown_pair(opened, tmp_path, monkeypatch):
     shot = write_run(tmp_path / "r", 4)
     write_record_of(tmp_path / "r", shot, [1, 3], "camera")
     page = opened(tmp_path / "r", number=1)
@@ -223,7 +223,7 @@ def test_a_frame_moves_where_its_pose_changes(opened, tmp_path):
     wait_for(lambda: len(page.scene.frusta) == 4)
 
 
-def test_a_frame_that_cannot_be_read_is_told(opened, tmp_path):
+def test_an_unreadable_frame_is_stated(opened, tmp_path):
     write_run(tmp_path / "r", 3)
     page = opened(tmp_path / "r")
     wait_until_drawn(page)  # and what it keeps of other frames is read
@@ -272,7 +272,7 @@ def test_clicks_do_not_hit_points_that_are_not_seen(opened, tmp_path):
     assert page.marks.pixel == (15, 16)
 
 
-def test_a_pixel_outside_of_the_frame_is_told(opened, tmp_path):
+def test_a_pixel_outside_the_frame_is_stated(opened, tmp_path):
     write_reconstruction(tmp_path / "r")
     page = opened(tmp_path / "r")
     wait_until_drawn(page)
@@ -302,7 +302,7 @@ def test_two_clicks_measure(opened, tmp_path):
     assert not page.marks.measured
 
 
-def test_paths_of_the_camera_and_of_things(opened, tmp_path):
+def test_paths_of_the_camera_and_of_objects(opened, tmp_path):
     poses, piece = film().poses.copy(), np.array([0, 0, 0, 1, 1], np.int32)
     changes = {"poses": poses, "piece": piece, "unit": (1.0, 1.0)}
     write_reconstruction(tmp_path / "r", things=True, changes=changes)
@@ -359,7 +359,7 @@ def test_a_static_page_has_the_path_of_every_piece(tmp_path, monkeypatch):
     assert shown == [[0, 1, 2], [3, 4], [0, 1, 2]]  # and it begins anew
 
 
-def test_a_page_waits_for_a_reconstruction_and_shows_how_far_it_is(opened, tmp_path):
+def test_a_page_shows_the_progress_of_a_reconstruction(opened, tmp_path):
     folder = tmp_path / "r"
     shot = write_reconstruction(tmp_path / "made")
     for part in ("frames", "depth"):
@@ -410,7 +410,7 @@ def test_the_whole_scene_is_a_layer(opened, tmp_path):
     assert page.controls.fused_note.content == ""
 
 
-def test_a_whole_scene_that_cannot_be_had_is_told(opened, tmp_path):
+def test_a_scene_that_cannot_be_fused_is_stated(opened, tmp_path):
     write_reconstruction(tmp_path / "r", changes={"keyframes": ()})
     page = opened(tmp_path / "r")
     change(page, "fused", "surface")

@@ -42,7 +42,7 @@ def test_a_pixel_of_the_picture_in_a_frustum(row, column, back):
     assert picked_pixel(eye, (1, 0, 0), frame, distance) is None
 
 
-def test_outside_of_the_picture_nothing_is_hit():
+def test_clicks_outside_the_picture_hit_no_pixel():
     frame = made(np.ones((11, 23)))
     assert picked_pixel((0, 0, -1), (0.9, 0, 1), frame, 0.4) is None
 

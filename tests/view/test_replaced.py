@@ -102,7 +102,7 @@ def test_ranges_that_differ_little_are_kept():
     assert differ(one, Ranges(inverse_depth=1.0, flow=40.0), 1.25)
 
 
-def test_a_page_that_waits_in_vain_says_so(tmp_path):
+def test_a_page_states_that_the_run_has_ended(tmp_path):
     folder = tmp_path / "r"
     folder.mkdir()
     (folder / "reconstruction.begun").touch()

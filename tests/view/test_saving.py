@@ -67,7 +67,7 @@ def test_a_screenshot_is_exact(page, browser):
     np.testing.assert_array_equal(saved, expected)
 
 
-def test_a_film_leaves_out_what_cannot_be_read_and_says_so(page, browser, tmp_path, monkeypatch):
+def test_a_video_leaves_out_unreadable_frames_and_states_them(page, browser, tmp_path, monkeypatch):
     av = pytest.importorskip("av", reason="PyAV is not installed: pip install 'tisfm[video]'")
     monkeypatch.setattr("tisfm.view.downloads.FILM_SIZE", (64, 96))
     (tmp_path / "r" / "frames" / "000002.jpg").unlink()
@@ -84,7 +84,7 @@ def test_a_film_leaves_out_what_cannot_be_read_and_says_so(page, browser, tmp_pa
         save_film(page, browser)
 
 
-def test_a_browser_that_is_gone_is_told_nothing(page, browser, monkeypatch):
+def test_a_closed_browser_gets_no_message(page, browser, monkeypatch):
     notify(page, browser, "a", "b")
     assert browser.notes == [("a", "b")]
     monkeypatch.setattr("viser.ViserServer.get_clients", lambda _: {})
@@ -96,7 +96,7 @@ def test_a_browser_that_is_gone_is_told_nothing(page, browser, monkeypatch):
     ("quantity", "words"),
     [("depth", "depth Z, harmonic mean"), ("confidence", "confidence</div>"), ("image", "")],
 )
-def test_a_static_page_says_what_its_colours_mean(tmp_path, quantity, words):
+def test_a_static_page_has_a_legend(tmp_path, quantity, words):
     write_run(tmp_path / "r", 1)
     made = static_page(
         open_result(tmp_path / "r"),

@@ -38,7 +38,7 @@ def test_camera_and_points_are_in_sight(aspect, wide, depth, deep):
         assert ((np.abs(seen) < half).all(axis=1) & (depths > 0)).mean() >= share
 
 
-def test_it_looks_as_the_camera_does_and_stands_upright():
+def test_the_viewpoint_is_upright_and_looks_like_the_camera():
     points = np.random.default_rng(0).uniform((-1, -1, 2), (1, 1, 3), (500, 3))
     up = np.array((np.sin(0.4), -np.cos(0.4), 0))  # the camera was held at a slant
     pose, _ = overview(points, FRUSTUM, up=up)

@@ -77,14 +77,14 @@ def test_a_surface_of_before_whose_light_has_8_bits_is_read(tmp_path):
 
 @pytest.mark.parametrize(("name", "kind"), [("points.ply", "points"), ("mesh.glb", "surface")])
 @pytest.mark.parametrize("data", [b"", b"ply\n", b"glTF\x02\x00\x00\x00"])
-def test_damaged_files_are_told(tmp_path, name, kind, data):
+def test_damaged_files_are_stated(tmp_path, name, kind, data):
     (tmp_path / name).write_bytes(data)
     with pytest.raises(FormatError, match=name):
         read_fused(tmp_path, kind)
 
 
 @given(most=st.integers(1, 200))
-def test_few_points_are_left(most):
+def test_few_points_are_kept(most):
     points = some_points(100)
     whole = FusedScene(positions=points.positions, colors=points.colors, faces=None, origin="")
     few = thinned(whole, points=most)
@@ -113,7 +113,7 @@ def test_a_coarser_surface_is_much_the_same(most):
 
 
 @given(low=st.floats(-2, 1), wide=st.floats(0, 3))
-def test_what_is_clipped_lies_in_the_box(low, wide):
+def test_clipped_points_lie_in_the_box(low, wide):
     box = np.full(3, low), np.full(3, low + wide)
     points = some_points()
     whole = FusedScene(positions=points.positions, colors=points.colors, faces=None, origin="")
@@ -152,20 +152,20 @@ def test_keyframes_of_the_piece_are_fused(tmp_path, monkeypatch):
     assert fuse_keyframes(result, "points", 4).origin == "3 of 5 keyframes, fused"
 
 
-def test_without_keyframes_there_is_nothing_to_fuse(tmp_path):
+def test_results_without_keyframes_are_not_fused(tmp_path):
     write_reconstruction(tmp_path / "r", changes={"keyframes": ()})
     with pytest.raises(ValueError, match="no keyframes"):
         open_result(tmp_path / "r").fused("points", 0)
 
 
-def test_what_was_written_is_taken_before_anything_is_fused(tmp_path):
+def test_written_points_are_preferred_to_fusion(tmp_path):
     write_reconstruction(tmp_path / "r")
     points = some_points()
     points.save(tmp_path / "r" / "points.ply")
     assert len(open_result(tmp_path / "r").fused("points", 3).positions) == len(points)
 
 
-def test_the_surface_in_the_browser_has_the_colours_it_was_given():
+def test_the_surface_has_its_colours_in_the_browser():
     from io import BytesIO
 
     from trimesh import load_scene

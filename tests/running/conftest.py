@@ -1,0 +1,3 @@
+"""Fixtures of the tests of runs."""
+
+from tests.cli.conftest import quick_workers  # noqa: F401
