@@ -9,7 +9,7 @@ import pytest
 
 import tisfm
 from tests.cases.inputs import room, sliding, write_film
-from tests.cli.conftest import place, tisfm_run  # noqa: F401
+from tests.cli.conftest import tisfm_run, work_folder  # noqa: F401
 from tisfm.exports import write_kitti_paths, write_tum_paths
 from tisfm.reconstruction.path.given_poses import poses_of_frames
 from tisfm.sources.frame_reader import SourceWarning

@@ -17,7 +17,7 @@ from tisfm.running import pool
 
 
 @pytest.fixture(autouse=True)
-def place(tmp_path, monkeypatch):
+def work_folder(tmp_path, monkeypatch):
     """An empty working folder, and the width of a terminal; standard error is not a terminal."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "100")
@@ -71,9 +71,9 @@ def without_vulkan(monkeypatch):
 
 
 @pytest.fixture
-def frames(place):
+def frames(work_folder):
     """A folder of four frames f0.png to f3.png."""
-    folder = place / "frames"
+    folder = work_folder / "frames"
     folder.mkdir()
     for k, frame in enumerate(FRAMES):
         write_png(folder / f"f{k}.png", frame)
@@ -81,9 +81,9 @@ def frames(place):
 
 
 @pytest.fixture
-def benchmark_folder(place):
+def benchmark_folder(work_folder):
     """Two pairs in the layout of Middlebury, with the motion that `make_frames` gives them."""
-    folder = place / "flows"
+    folder = work_folder / "flows"
     for k, name in enumerate(("Slow", "Fast")):
         (folder / name).mkdir(parents=True)
         write_png(folder / name / "frame10.png", FRAMES[k])
@@ -93,9 +93,9 @@ def benchmark_folder(place):
 
 
 @pytest.fixture
-def sequence_folder(place):
+def sequence_folder(work_folder):
     """A sequence in the layout of New Tsukuba, whose camera moves to the left."""
-    folder = place / "walk"
+    folder = work_folder / "walk"
     folder.mkdir()
     for k, frame in enumerate(FRAMES):
         write_png(folder / f"rgb_{k:05d}.png", frame)

@@ -12,12 +12,12 @@ RUN = ("run", "frames", "-o", "out", "--outputs", "anaglyph,npz", "--preset", "f
 
 
 @pytest.fixture
-def frames(place):
+def frames(work_folder):
     scene = two_blocks(48, 64)
-    (place / "frames").mkdir()
+    (work_folder / "frames").mkdir()
     for k, frame in enumerate((scene.frame0, scene.frame1, scene.frame0)):
-        write_png(place / "frames" / f"f{k}.png", frame)
-    return place / "frames"
+        write_png(work_folder / "frames" / f"f{k}.png", frame)
+    return work_folder / "frames"
 
 
 def drawn(name, **options):

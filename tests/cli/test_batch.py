@@ -16,7 +16,7 @@ from tisfm.running.commands import MAX_ATTEMPTS
 
 
 @pytest.fixture
-def jobs(place):
+def jobs(work_folder):
     def write(text, name="jobs.csv", encoding="utf-8"):
         Path(name).write_text(text, encoding=encoding)
         return name

@@ -33,12 +33,12 @@ def film():
 
 
 @pytest.fixture
-def frames(place):
+def frames(work_folder):
     """The folder `film` with the frames of the film."""
-    (place / "film").mkdir()
+    (work_folder / "film").mkdir()
     for k, frame in enumerate(film().frames):
-        cv2.imwrite(str(place / "film" / f"f{k:02d}.png"), frame)
-    return place / "film"
+        cv2.imwrite(str(work_folder / "film" / f"f{k:02d}.png"), frame)
+    return work_folder / "film"
 
 
 def command(*more, output="out"):
@@ -55,19 +55,19 @@ def contents(folder):
 
 
 @pytest.fixture
-def chunked(make_once, frames, place):
+def chunked(make_once, frames, work_folder):
     """The folder `whole`: the result of one process in chunks, without interruption."""
 
     def reconstruct(folder):
         assert main([*command(*CHUNKS, output=str(folder / "result"))]) == 0
 
     folder = make_once("chunked_reconstruction", reconstruct)
-    shutil.copytree(folder / "result", place / "whole")
-    return place / "whole"
+    shutil.copytree(folder / "result", work_folder / "whole")
+    return work_folder / "whole"
 
 
 def test_workers_write_the_same_folder_as_one_process(
-    quick_workers, tisfm_run, frames, chunked, place
+    quick_workers, tisfm_run, frames, chunked, work_folder
 ):
     code, out, err = tisfm_run(*command(*CHUNKS, "--workers", "2"))
     assert code == 0 and out == ""
@@ -94,7 +94,7 @@ OTHER_OPTIONS = [
 ]
 
 
-def test_resume_completes_a_result_and_refuses_other_options(tisfm_run, frames, place):
+def test_resume_completes_a_result_and_refuses_other_options(tisfm_run, frames, work_folder):
     run = command(*FAST, "--stop", "8", "--scale", "0", "5", "2.5", "--ply")
     assert tisfm_run(*run, "--resume")[0] == 0  # no earlier result exists
     before = contents("out")
@@ -114,7 +114,7 @@ def test_resume_completes_a_result_and_refuses_other_options(tisfm_run, frames, 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", ["poses.txt", "asked.json", "frames/000003.jpg"])
-def test_resume_restores_a_missing_file(tisfm_run, frames, place, name):
+def test_resume_restores_a_missing_file(tisfm_run, frames, work_folder, name):
     run = command(*FAST, "--stop", "8")
     assert tisfm_run(*run)[0] == 0
     before = contents("out")
@@ -124,7 +124,7 @@ def test_resume_restores_a_missing_file(tisfm_run, frames, place, name):
     assert contents("out") == before
 
 
-def test_chunks_of_another_command_are_refused(tisfm_run, frames, chunked, place):
+def test_chunks_of_another_command_are_refused(tisfm_run, frames, chunked, work_folder):
     """Chunks of 12 frames are continued neither without chunks, nor with chunks of 13."""
     Path("out/.tisfm-chunks").mkdir(parents=True)
     shutil.copy(chunked / "asked.json", "out/.tisfm-chunks/asked.json")
@@ -145,10 +145,10 @@ def test_chunks_of_another_command_are_refused(tisfm_run, frames, chunked, place
         (("--chunk", "20", "--object-sizes", "1=2"), "--labels and --object-sizes"),
     ],
 )
-def test_impossible_options_of_chunks_are_refused(tisfm_run, frames, place, options, text):
+def test_impossible_options_of_chunks_are_refused(tisfm_run, frames, work_folder, options, text):
     code, _, err = tisfm_run(*command(*options))
     assert_one_line(code, err, text)
-    assert not (place / "out").exists()
+    assert not (work_folder / "out").exists()
 
 
 def test_a_cluster_that_does_not_answer_is_named(tisfm_run, frames):
@@ -157,13 +157,13 @@ def test_a_cluster_that_does_not_answer_is_named(tisfm_run, frames):
     assert_one_line(code, err, "the cluster nonsense does not answer")
 
 
-def test_a_webcam_has_no_chunks(tisfm_run, place):
+def test_a_webcam_has_no_chunks(tisfm_run, work_folder):
     webcam = ("reconstruct", "webcam:0", "-o", "out")
     code, _, err = tisfm_run(*webcam, "--workers", "2")
     assert_one_line(code, err, "record the camera to a file first")
     code, _, err = tisfm_run(*webcam, "--resume")
     assert_one_line(code, err, "webcam:0 shows other frames now")
-    assert not (place / "out").exists()
+    assert not (work_folder / "out").exists()
 
 
 def start_process(*arguments):
@@ -186,7 +186,7 @@ class InterruptedAtTheThirdItem(InThisProcess):
 
 
 def test_an_interrupted_command_is_resumed(
-    quick_workers, tisfm_run, frames, chunked, place, monkeypatch
+    quick_workers, tisfm_run, frames, chunked, work_folder, monkeypatch
 ):
     arguments = command(*CHUNKS, "--workers", "2")
     with monkeypatch.context() as patch:
@@ -201,7 +201,7 @@ def test_an_interrupted_command_is_resumed(
 @pytest.mark.nightly
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="there is no such signal")
 @pytest.mark.parametrize(("workers", "file"), [("1", "001"), ("2", "000.json")])
-def test_a_killed_command_is_resumed(tisfm_run, frames, chunked, place, workers, file):
+def test_a_killed_command_is_resumed(tisfm_run, frames, chunked, work_folder, workers, file):
     """The command is killed once a file is there."""
     arguments = command(*CHUNKS, "--workers", workers)
     with start_process(*arguments) as process:
@@ -217,7 +217,7 @@ def test_a_killed_command_is_resumed(tisfm_run, frames, chunked, place, workers,
 @pytest.mark.nightly
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="there is no such signal")
 def test_chunks_of_a_killed_cluster_worker_are_computed_again(
-    tisfm_run, frames, chunked, place, cluster
+    tisfm_run, frames, chunked, work_folder, cluster
 ):
     arguments = command(*CHUNKS, "--cluster", cluster.scheduler_address)
     with start_process(*arguments) as process:

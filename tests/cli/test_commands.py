@@ -74,13 +74,13 @@ def test_demo(quick_workers, tisfm_run, interpreted):
 
 
 @pytest.mark.nightly
-def test_the_demo_has_a_default_folder(tisfm_run, place):
+def test_the_demo_has_a_default_folder(tisfm_run, work_folder):
     assert tisfm_run("demo", "--height", "24", "--width", "32")[0] == 0
     assert set(files("tisfm-demo")) == DEMO_FILES
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
-def test_ctrl_c_ends_the_demo(place):
+def test_ctrl_c_ends_the_demo(work_folder):
     code = """
 import sys
 import time
@@ -97,10 +97,10 @@ demo_scenes.interpret = demo_scenes.horn_schunck = endless  # workers import thi
 if __name__ == "__main__":
     sys.exit(main(["demo", "--height", "60", "--width", "80", "-o", "out"]))
 """
-    (place / "script.py").write_text(code)
-    out, command = place / "out", [sys.executable, "script.py"]
+    (work_folder / "script.py").write_text(code)
+    out, command = work_folder / "out", [sys.executable, "script.py"]
     with started(command, stderr=subprocess.PIPE, text=True) as process:
-        wait_for((place / "begun").exists, process)
+        wait_for((work_folder / "begun").exists, process)
         process.send_signal(signal.SIGINT)
         err = process.communicate(timeout=PATIENCE)[1]
     assert process.returncode == 130 and err == "tisfm: interrupted\n"
@@ -148,7 +148,7 @@ def test_figures_read_a_camera_file(tisfm_run, frames, monkeypatch):
     assert seen == [tisfm.Camera(focal=50.0)]
 
 
-def test_figures_of_a_missing_file(tisfm_run, frames, place):
+def test_figures_of_a_missing_file(tisfm_run, frames, work_folder):
     code, _, err = tisfm_run("figures", "frames/f0.png", "gone.png", "-o", "out")
     assert_one_line(code, err, "gone.png")
-    assert not (place / "out").exists()
+    assert not (work_folder / "out").exists()

@@ -35,13 +35,13 @@ printf '%s\\n' "${COMPREPLY[@]}"
 
 
 @pytest.fixture
-def complete(tisfm_run, place):
+def complete(tisfm_run, work_folder):
     """Return what bash completes words to."""
     if shutil.which("bash") is None:
         pytest.skip("there is no bash")
     code, out, err = tisfm_run("--completion", "bash")
     assert code == 0 and err == ""
-    (place / "script").write_text(out)
+    (work_folder / "script").write_text(out)
 
     def asked(words):
         done = subprocess.run(["bash", "-c", ASK, "ask", words], capture_output=True, text=True)
@@ -86,9 +86,9 @@ def test_tcsh_needs_a_package(tisfm_run, monkeypatch):
 
 
 @pytest.fixture
-def fish_script(tisfm_run, place):
+def fish_script(tisfm_run, work_folder):
     """A file with the script for fish."""
-    path = place / "tisfm.fish"
+    path = work_folder / "tisfm.fish"
     path.write_text(tisfm_run("--completion", "fish")[1])
     return path
 
@@ -112,12 +112,12 @@ def test_fish_gets_a_script(fish_script):
         ("tisfm demo --pre", []),
     ],
 )
-def test_fish_completes_commands_options_and_values(fish_script, place, words, expected):
+def test_fish_completes_commands_options_and_values(fish_script, work_folder, words, expected):
     done = subprocess.run(
         ["fish", "--no-config", "-c", f"source '{fish_script}'; complete -C '{words}'"],
         capture_output=True,
         text=True,
-        env={**os.environ, "HOME": str(place)},
+        env={**os.environ, "HOME": str(work_folder)},
     )
     assert done.returncode == 0 and done.stderr == ""
     assert sorted(line.split("\t")[0] for line in done.stdout.splitlines()) == expected
@@ -132,10 +132,10 @@ def test_fish_completes_commands_options_and_values(fish_script, place, words, e
         ("tisfm run x -o y --no-fig", "tisfm run x -o y --no-figures"),
     ],
 )
-def test_zsh_completes_as_somebody_types(tisfm_run, place, words, expected):
+def test_zsh_completes_as_somebody_types(tisfm_run, work_folder, words, expected):
     pty = pytest.importorskip("pty")
-    (place / "functions").mkdir()
-    (place / "functions/_tisfm").write_text(tisfm_run("--completion", "zsh")[1])
+    (work_folder / "functions").mkdir()
+    (work_folder / "functions/_tisfm").write_text(tisfm_run("--completion", "zsh")[1])
     keyboard, terminal = pty.openpty()
     shell = subprocess.Popen(
         ["zsh", "-f", "-i"],
@@ -143,7 +143,7 @@ def test_zsh_completes_as_somebody_types(tisfm_run, place, words, expected):
         stdout=terminal,
         stderr=terminal,
         start_new_session=True,
-        env={**os.environ, "HOME": str(place), "TERM": "dumb", "PS1": "", "PROMPT": ""},
+        env={**os.environ, "HOME": str(work_folder), "TERM": "dumb", "PS1": "", "PROMPT": ""},
     )
     os.close(terminal)
     try:

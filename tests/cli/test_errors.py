@@ -20,10 +20,10 @@ from tisfm.formats import write_png
 from tisfm.running import pair_files
 
 
-def damaged(kind, place):
+def damaged(kind, work_folder):
     """Make one bad input; return it as a list of sources."""
-    good = place / "frames" / "f1.png"
-    bad = place / "bad.png"
+    good = work_folder / "frames" / "f1.png"
+    bad = work_folder / "bad.png"
     if kind == "truncated file":
         data = good.read_bytes()
         bad.write_bytes(data[: len(data) // 2])
@@ -42,22 +42,22 @@ def damaged(kind, place):
         write_png(bad, FRAMES[0].astype(np.uint16))
     elif kind in ("NaN", "infinite"):
         pixels = FRAMES[0].astype(np.float32)
-        bad, good = place / "bad.tif", place / "good.tif"
+        bad, good = work_folder / "bad.tif", work_folder / "good.tif"
         cv2.imwrite(str(good), pixels)
         pixels[3, 5] = np.nan if kind == "NaN" else np.inf
         cv2.imwrite(str(bad), pixels)
     elif kind == "text as video":
-        bad = place / "bad.mp4"
+        bad = work_folder / "bad.mp4"
         bad.write_text("no video\n" * 100)
         return [bad]
     elif kind == "empty folder":
-        bad = place / "bad"
+        bad = work_folder / "bad"
         bad.mkdir()
         return [bad]
     elif kind == "single frame":
         return [good]
     elif kind == "pattern without a match":
-        return [place / "gone*.png"]
+        return [work_folder / "gone*.png"]
     return [bad, good]
 
 
@@ -80,21 +80,21 @@ BAD_INPUTS = {
 
 
 @pytest.mark.parametrize("kind", BAD_INPUTS)
-def test_bad_frames_are_one_line(tisfm_run, frames, place, kind):
-    source = damaged(kind, place)
+def test_bad_frames_are_one_line(tisfm_run, frames, work_folder, kind):
+    source = damaged(kind, work_folder)
     code, out, err = tisfm_run("run", *source, "-o", "out")
     assert out == ""
     assert_one_line(code, err, *BAD_INPUTS[kind])
-    assert not (place / "out").exists() or not files("out")
+    assert not (work_folder / "out").exists() or not files("out")
 
 
 @pytest.mark.parametrize(
     "kind",
     nightly_except("text as video", of=("truncated file", "garbage", "NaN", "text as video")),
 )
-def test_bad_frames_are_one_line_in_a_process(frames, place, kind):
+def test_bad_frames_are_one_line_in_a_process(frames, work_folder, kind):
     """Libraries that decode may print lines of their own, past Python."""
-    source = damaged(kind, place)
+    source = damaged(kind, work_folder)
     done = subprocess.run([*TISFM, "run", *source, "-o", "out"], capture_output=True, text=True)
     assert done.stdout == ""
     assert_one_line(done.returncode, done.stderr, *BAD_INPUTS[kind])
@@ -151,9 +151,9 @@ def test_an_unwritable_folder_is_one_line(tisfm_run, public_frames, monkeypatch,
 @pytest.mark.parametrize("output", ["file", "file/out", "file/deep/out"])
 @pytest.mark.parametrize("command", ["run", "demo", "eval", "figures"])
 def test_an_output_that_is_a_file_is_one_line(
-    tisfm_run, frames, benchmark_folder, place, monkeypatch, output, command
+    tisfm_run, frames, benchmark_folder, work_folder, monkeypatch, output, command
 ):
-    (place / "file").write_text("mine")
+    (work_folder / "file").write_text("mine")
     monkeypatch.setattr(pair, "interpret", forbid)
     monkeypatch.setattr(pairs, "interpret", forbid)
     monkeypatch.setattr(demo, "open_pool", forbid)
@@ -165,24 +165,24 @@ def test_an_output_that_is_a_file_is_one_line(
     }
     code, _, err = tisfm_run(command, *source[command], "-o", output)
     assert_one_line(code, err, output, "give another with -o")
-    assert (place / "file").read_text() == "mine"
+    assert (work_folder / "file").read_text() == "mine"
 
 
 LONG = (100_000, 4)  # px: a row more than .flo files can have
 
 
 @pytest.mark.parametrize("size", [LONG, LONG[::-1]])
-def test_frames_too_large_for_files_are_one_line(tisfm_run, place, monkeypatch, size):
+def test_frames_too_large_for_files_are_one_line(tisfm_run, work_folder, monkeypatch, size):
     monkeypatch.setattr(pair, "interpret", forbid)
     for name in ("a.png", "b.png"):
-        write_png(place / name, np.zeros(size, np.uint8))
-    before = set(place.rglob("*"))
+        write_png(work_folder / name, np.zeros(size, np.uint8))
+    before = set(work_folder.rglob("*"))
     code, _, err = tisfm_run("run", "a.png", "b.png", "-o", "out", "--preset", "fast", "--flo")
     assert_one_line(code, err, f"frame a is {size[0]} × {size[1]} px", 99999, "scale the frames")
     options = ["--height", size[0], "--width", size[1]]
     code, _, err = tisfm_run("demo", "-o", "out", *options)
     assert_one_line(code, err, f"scene is {size[0]} × {size[1]} px", 99999, "scale the frames")
-    assert set(place.rglob("*")) == before
+    assert set(work_folder.rglob("*")) == before
 
 
 def _refuse_wide_frames(name, height, width):
@@ -236,11 +236,13 @@ def test_results_do_not_go_among_the_frames(tisfm_run, frames, source, output):
     ],
     ids=lambda value: " ".join(value),
 )
-def test_values_out_of_range_are_one_line(tisfm_run, frames, place, without_vulkan, options, words):
+def test_values_out_of_range_are_one_line(
+    tisfm_run, frames, work_folder, without_vulkan, options, words
+):
     code, out, err = tisfm_run("run", "frames", "-o", "out", *options)
     assert code == 1 and out == ""
     assert_one_line(code, err, *words)
-    assert not (place / "out").exists() or not files("out")
+    assert not (work_folder / "out").exists() or not files("out")
 
 
 def test_pairs_before_an_error_are_kept(tisfm_run, frames):
@@ -282,11 +284,11 @@ def test_source_is_required(tisfm_run):
      ["run", "frames", "-o", "out", "--focal", "wide"]],
     ids=" ".join,
 )  # fmt: skip
-def test_wrong_usage_is_code_2(tisfm_run, frames, place, arguments):
+def test_wrong_usage_is_code_2(tisfm_run, frames, work_folder, arguments):
     code, out, err = tisfm_run(*arguments)
     assert code == 2 and out == ""
     assert err and "Traceback" not in err and "dummy" not in err
-    assert not (place / "out").exists()
+    assert not (work_folder / "out").exists()
 
 
 # Bugs

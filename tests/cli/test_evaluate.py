@@ -22,15 +22,15 @@ def table_of(out):
 
 
 @pytest.mark.parametrize("columns", ["100", "30"])  # a narrow terminal loses no column
-def test_eval_prints_a_table(tisfm_run, benchmark_folder, place, monkeypatch, columns):
+def test_eval_prints_a_table(tisfm_run, benchmark_folder, work_folder, monkeypatch, columns):
     monkeypatch.setenv("COLUMNS", columns)
-    before = set(place.rglob("*"))
+    before = set(work_folder.rglob("*"))
     code, out, err = tisfm_run("eval", "flows", "flows/Slow")
     assert code == 0 and err == "2 pairs: 2 converged.\n"
     rows = table_of(out)
     assert list(rows) == ["flows/Fast", "flows/Slow", "flows, mean of 2"]
     assert all(0 < float(row[0]) < 0.2 for row in rows.values())
-    assert set(place.rglob("*")) == before
+    assert set(work_folder.rglob("*")) == before
 
 
 def test_eval_writes_what_it_prints(tisfm_run, benchmark_folder):

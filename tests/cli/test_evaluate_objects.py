@@ -10,9 +10,9 @@ from tests.evaluation.test_masks import save, truth
 
 
 @pytest.fixture
-def folders(place):
-    save(place / "camel" / "masks", truth(), name="{:05d}.png")
-    save(place / "found" / "masks", truth() // 255, indexed=True)
+def folders(work_folder):
+    save(work_folder / "camel" / "masks", truth(), name="{:05d}.png")
+    save(work_folder / "found" / "masks", truth() // 255, indexed=True)
 
 
 def test_masks_are_compared(tisfm_run, folders):
@@ -24,17 +24,17 @@ def test_masks_are_compared(tisfm_run, folders):
     assert record["objects"][0]["label"] == 1
 
 
-def test_several_objects_have_a_mean(tisfm_run, folders, place):
+def test_several_objects_have_a_mean(tisfm_run, folders, work_folder):
     two = truth()
     two[:, 7, 8:] = 7
-    save(place / "camel" / "masks", two, name="{:05d}.png")
+    save(work_folder / "camel" / "masks", two, name="{:05d}.png")
     code, out, err = tisfm_run("eval", "camel/masks", "--objects", "--result", "found")
     assert code == 0 and err == "2 objects in 4 frames.\n"
     assert "0.500" in out and "4 of 8" in out and "all" in out
 
 
-def test_a_step_is_taken(tisfm_run, folders, place):
-    save(place / "half" / "masks", truth()[::2] // 255, indexed=True)
+def test_a_step_is_taken(tisfm_run, folders, work_folder):
+    save(work_folder / "half" / "masks", truth()[::2] // 255, indexed=True)
     code, _, err = tisfm_run("eval", "camel", "--objects", "--result", "half", "--step", "2")
     assert code == 0 and err == "1 object in 2 frames.\n"
 

@@ -15,10 +15,10 @@ from tisfm.trajectory import read_tum, write_kitti, write_tum
 
 
 @pytest.fixture
-def wall(place):
+def wall(work_folder):
     """A sequence with poses and depth."""
-    make_sequence(place / "wall")
-    return place / "wall"
+    make_sequence(work_folder / "wall")
+    return work_folder / "wall"
 
 
 @pytest.fixture
@@ -98,7 +98,7 @@ def test_a_path_of_another_program_is_compared(tisfm_run, wall, write):
     assert piece["absolute"]["scale"] == pytest.approx(1 / 3) and piece["share"] < 1e-9
 
 
-def test_a_saved_evaluation_is_loaded(tisfm_run, wall, place, monkeypatch):
+def test_a_saved_evaluation_is_loaded(tisfm_run, wall, work_folder, monkeypatch):
     class Reconstruction:
         @staticmethod
         def load(folder):
@@ -106,14 +106,14 @@ def test_a_saved_evaluation_is_loaded(tisfm_run, wall, place, monkeypatch):
             return Result(unit=4)
 
     monkeypatch.setattr(tisfm, "Reconstruction", Reconstruction, raising=False)
-    (place / "saved").mkdir()
+    (work_folder / "saved").mkdir()
     code, out, _ = tisfm_run("eval", "wall", "--sequence", "--result", "saved")
     assert code == 0 and "6 of 6" in out and "Depth of sequences" in out
 
 
-def test_sequences_of_one_name_have_a_file_each(tisfm_run, place, reconstruct):
+def test_sequences_of_one_name_have_a_file_each(tisfm_run, work_folder, reconstruct):
     for part in ("a", "b"):
-        make_sequence(place / part / "wall")
+        make_sequence(work_folder / part / "wall")
     code, _, _ = tisfm_run("eval", "a", "b", "--sequence", "-o", "out")
     assert code == 0
     assert {path.name for path in Path("out").iterdir()} == {"wall.tum", "wall_2.tum", "eval.json"}
@@ -128,9 +128,11 @@ def test_every_piece_has_a_file(tisfm_run, wall, monkeypatch):
     np.testing.assert_array_equal(read_tum("out/wall-piece2.tum").times, [0, 1])
 
 
-def test_a_fault_of_one_sequence_does_not_stop_the_others(tisfm_run, place, wall, reconstruct):
-    make_sequence(place / "broken")
-    (place / "broken" / "poses.txt").write_text("1 2 3\n")
+def test_a_fault_of_one_sequence_does_not_stop_the_others(
+    tisfm_run, work_folder, wall, reconstruct
+):
+    make_sequence(work_folder / "broken")
+    (work_folder / "broken" / "poses.txt").write_text("1 2 3\n")
     code, out, err = tisfm_run("eval", ".", "--sequence", "-o", "out")
     assert code == 1 and "broken (failed)" in out
     lines = err.splitlines()
@@ -152,8 +154,8 @@ def test_a_fault_of_one_sequence_does_not_stop_the_others(tisfm_run, place, wall
     ],
     ids=lambda value: " ".join(value),
 )
-def test_wrong_words_are_one_line(tisfm_run, place, wall, arguments, words):
-    make_sequence(place / "other")
+def test_wrong_words_are_one_line(tisfm_run, work_folder, wall, arguments, words):
+    make_sequence(work_folder / "other")
     code, out, err = tisfm_run("eval", *arguments, "-o", "out")
     assert out == ""
     assert_one_line(code, err, *words)

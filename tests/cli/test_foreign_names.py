@@ -66,10 +66,10 @@ def test_progress():
 
 @posix
 @pytest.mark.parametrize("command", ["run", "reconstruct"])
-def test_damaged_frames_of_evil_names(tisfm_run, place, command):
-    (place / "frames").mkdir()
+def test_damaged_frames_of_evil_names(tisfm_run, work_folder, command):
+    (work_folder / "frames").mkdir()
     for k in range(2):
-        (place / "frames" / f"{k}{ESC}[red]{k}.png").write_bytes(b"no picture")
+        (work_folder / "frames" / f"{k}{ESC}[red]{k}.png").write_bytes(b"no picture")
     code, out, err = tisfm_run(command, "frames", "-o", f"out{ESC}")
     assert code == 1 and obeyed(out + err) == set()
     assert r"\x1b[31mred" in err and "[red]" in err
@@ -77,15 +77,15 @@ def test_damaged_frames_of_evil_names(tisfm_run, place, command):
 
 @posix
 @pytest.mark.parametrize("command", ["view", "report", "export", "eval", "batch"])
-def test_folders_of_evil_names(tisfm_run, place, command):
+def test_folders_of_evil_names(tisfm_run, work_folder, command):
     more = {"export": ["--to", "tum", "-o", f"o{ESC}"]}.get(command, [])
     code, out, err = tisfm_run(command, f"{ESC}[red]", *more)
     assert code != 0 and obeyed(out + err) == set() and r"\x1b[31mred" in err
 
 
-def test_texts_of_a_foreign_record(tisfm_run, place):
-    run_of(place / "r")
-    path = place / "r" / "run.json"
+def test_texts_of_a_foreign_record(tisfm_run, work_folder):
+    run_of(work_folder / "r")
+    path = work_folder / "r" / "run.json"
     record = json.loads(path.read_text())
     record["pairs"][f"../{ESC}"] = record["pairs"].pop("p0")
     path.write_text(json.dumps(record))
@@ -95,8 +95,8 @@ def test_texts_of_a_foreign_record(tisfm_run, place):
 
 
 @posix
-def test_exported_files_of_evil_names(tisfm_run, place):
-    made(place / "r", count=2, names=[f"a{ESC}", f"b{MARKUP.replace('/', '')}"])
+def test_exported_files_of_evil_names(tisfm_run, work_folder):
+    made(work_folder / "r", count=2, names=[f"a{ESC}", f"b{MARKUP.replace('/', '')}"])
     code, out, err = tisfm_run("export", "r", "--to", "depth-tiff", "-o", "o")
     assert code == 0 and obeyed(out + err) == set()
     assert r"\x1b[31mred" in err and ":bomb:" in err
@@ -116,30 +116,33 @@ def test_other_cells_are_unchanged():
     assert csv_table(("a",), [("f\r=1",)]) == 'a\n"f\r=1"\n'  # no row begins within it
 
 
-def test_the_table_of_a_run_quotes_names_and_messages(place):
-    record = RunRecord(place, {})
+def test_the_table_of_a_run_quotes_names_and_messages(work_folder):
+    record = RunRecord(work_folder, {})
     about = {"number": 0, "status": "uncertain", "message": "=cmd|' /C calc'!A0", "twists": None}
     record.took("=1+1", 0.5)
     record.finish("=1+1", about, {})
     record.write()
     for name in ("run.csv", "timings.csv"):
-        with open(place / name, newline="", encoding="utf-8") as file:
+        with open(work_folder / name, newline="", encoding="utf-8") as file:
             (row,) = csv.DictReader(file)
         assert row["pair"] == "'=1+1"
-    assert json.loads((place / "run.json").read_text())["pairs"].keys() == {"=1+1"}
-    with open(place / "run.csv", newline="", encoding="utf-8") as file:
+    assert json.loads((work_folder / "run.json").read_text())["pairs"].keys() == {"=1+1"}
+    with open(work_folder / "run.csv", newline="", encoding="utf-8") as file:
         (row,) = csv.DictReader(file)
     assert row["message"].startswith("'=cmd")
 
 
-def test_frames_named_like_formulas_are_resumed(tisfm_run, place):
+def test_frames_named_like_formulas_are_resumed(tisfm_run, work_folder):
     """The record has the names of files, not the table."""
-    (place / "frames").mkdir()
+    (work_folder / "frames").mkdir()
     for k in range(3):
-        write_png(place / "frames" / f"={k}.png", FRAMES[k])
+        write_png(work_folder / "frames" / f"={k}.png", FRAMES[k])
     call = ("run", "frames", "-o", "out", "--preset", "fast", "--outputs", "npz")
     assert tisfm_run(*call, "--stop", "2")[0] == 0
     code, _, err = tisfm_run(*call, "--resume", "--report")
     assert code == 0 and "2 pairs" in err
-    assert sorted(json.loads((place / "out" / "run.json").read_text())["pairs"]) == ["=0", "=1"]
-    assert (place / "out" / "run.csv").read_text().count("\n'=") == 2
+    assert sorted(json.loads((work_folder / "out" / "run.json").read_text())["pairs"]) == [
+        "=0",
+        "=1",
+    ]
+    assert (work_folder / "out" / "run.csv").read_text().count("\n'=") == 2

@@ -34,7 +34,7 @@ def test_a_range(tisfm_run, frames, options, names):
     assert set(files("out")) == promised(*names, figures=False)
 
 
-def test_a_range_of_a_video(tisfm_run, place):
+def test_a_range_of_a_video(tisfm_run, work_folder):
     writer = cv2.VideoWriter("clip.avi", cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))
     if not writer.isOpened():
         pytest.skip("this build of OpenCV cannot write MJPG video")
@@ -106,7 +106,7 @@ def test_damaged_frames_are_skipped_or_an_error(tisfm_run, frames):
     np.testing.assert_array_equal(load("out", "f0").flow, kept(expected).flow)
 
 
-def test_no_camera_is_one_line(tisfm_run, place, monkeypatch):
+def test_no_camera_is_one_line(tisfm_run, work_folder, monkeypatch):
     class Absent:
         def __init__(self, number):
             assert number == 1

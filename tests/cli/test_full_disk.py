@@ -71,9 +71,9 @@ def limited(code, *arguments):
     return [json.loads(line) for line in done.stdout.splitlines()]
 
 
-def test_commands_name_file_and_reason(place):
+def test_commands_name_file_and_reason(work_folder):
     pytest.importorskip("av")
-    made(place / "r", count=6)
+    made(work_folder / "r", count=6)
     forms = {
         "depth-tiff": "tiff", "nerfstudio": "", "colmap": "", "video-depth": "mp4",
         "gltf-camera": "", "depth-pfm": "pfm",
@@ -90,13 +90,13 @@ def test_commands_name_file_and_reason(place):
         assert "File too large" in last or "was not written to its end" in last, (call, said)
         assert {"report": "report.html", "view": "view.html"}.get(call[0], call[-1]) in last, last
     assert failed >= 6
-    left = [path for path in place.rglob("*") if path.is_file() and "r" not in path.parts]
-    assert all(".tisfm" not in str(path.relative_to(place)) for path in left)
+    left = [path for path in work_folder.rglob("*") if path.is_file() and "r" not in path.parts]
+    assert all(".tisfm" not in str(path.relative_to(work_folder)) for path in left)
     assert all(path.stat().st_size < LIMIT for path in left)
 
 
-def test_steps_of_a_reconstruction_name_file_and_reason(place):
-    made(place / "r", count=2)
+def test_steps_of_a_reconstruction_name_file_and_reason(work_folder):
+    made(work_folder / "r", count=2)
     before = {p: p.read_bytes() for p in Path("r").rglob("*") if p.is_file()}
     said = dict(limited(STEPS, "made", "r"))
     names = {

@@ -278,7 +278,7 @@ def killed(command, folder, more):
         pytest.param(("--window", "3", "--figures", "5"), 5, marks=pytest.mark.nightly),
     ],
 )
-def test_runs_that_are_killed_end_in_the_same_bytes(place, tisfm_run, more, most_kills):
+def test_runs_that_are_killed_end_in_the_same_bytes(work_folder, tisfm_run, more, most_kills):
     noise = np.random.default_rng(0).integers(0, 256, (120, 200), dtype=np.uint8)
     texture = cv2.GaussianBlur(noise, (0, 0), 1.5)
     os.mkdir("many")

@@ -25,10 +25,10 @@ def film():
 
 
 @pytest.fixture
-def clip(place):
+def clip(work_folder):
     """Folders `film` of frames and `things` of their labels, for which tests run."""
     for name in ("film", "things"):
-        (place / name).mkdir()
+        (work_folder / name).mkdir()
     for k, (frame, labels) in enumerate(zip(film().frames, film().labels, strict=True)):
         cv2.imwrite(f"film/f{k}.png", frame)
         write_label_png(f"things/f{k}.png", labels)
@@ -75,10 +75,10 @@ def test_wrong_labels_are_refused(tisfm_run, clip):
     refused("--labels", "things", words="(119, 160), but that of frame f0 is (120, 160)")
 
 
-def test_sizes(tisfm_run, place):
+def test_sizes(tisfm_run, work_folder):
     many = bodies_film(bodies_path(16), 240, 320)
     for name in ("film", "things"):
-        (place / name).mkdir()
+        (work_folder / name).mkdir()
     for k, (frame, labels) in enumerate(zip(many.frames, many.labels, strict=True)):
         cv2.imwrite(f"film/f{k:02d}.png", frame)
         write_label_png(f"things/f{k:02d}.png", labels)

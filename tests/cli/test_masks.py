@@ -14,9 +14,9 @@ BONNET[-6:] = 0
 
 
 @pytest.fixture
-def masks(place):
+def masks(work_folder):
     """A folder of masks called like the frames; the bonnet is in the second one alone."""
-    folder = place / "masks"
+    folder = work_folder / "masks"
     folder.mkdir()
     for k in range(4):
         write_png(folder / f"f{k}.png", BONNET if k == 1 else np.full((H, W), 255, np.uint8))

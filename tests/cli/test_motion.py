@@ -28,7 +28,7 @@ ENDINGS = (
 
 
 @pytest.fixture(autouse=True)
-def place(tmp_path, monkeypatch):
+def work_folder(tmp_path, monkeypatch):
     """A working folder with three frames: there and back again."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "100")
@@ -136,7 +136,7 @@ def replaced(result, **arrays):
 @pytest.mark.parametrize(
     "status", ["no_motion", "pure_rotation", "little_parallax", "no_texture", "unrelated"]
 )
-def test_outputs_without_depth(tisfm_run, place, status):
+def test_outputs_without_depth(tisfm_run, work_folder, status):
     frame0 = SCENE.frame0 if status != "no_texture" else np.full((H, W), 7, np.uint8)
     frame1 = {
         "no_motion": SCENE.frame0,
@@ -145,7 +145,7 @@ def test_outputs_without_depth(tisfm_run, place, status):
         "little_parallax": np.roll(SCENE.frame0, (1, 1), (0, 1)),
         "unrelated": np.random.default_rng(0).integers(0, 256, (H, W), np.uint8),
     }[status]
-    two = [place / "a.png", place / "b.png"]
+    two = [work_folder / "a.png", work_folder / "b.png"]
     write_png(two[0], frame0)
     write_png(two[1], frame1)
     focal = 150 if status == "little_parallax" else 600  # wide: a shift is no rotation there
@@ -389,5 +389,5 @@ def test_poses_that_do_not_move_leave_no_depth(tisfm_run):
     code, _, err = tisfm_run(
         "run", "frames", "-o", "out", *CAMERA, "--no-figures", "--poses", "poses.txt"
     )
-    assert code == 0 and "2 pure_rotation" in err and "the pose given has no translation" in err
+    assert code == 0 and "2 pure_rotation" in err and "the given pose has no translation" in err
     assert not read_image("out/f0_depth.png").any()

@@ -24,12 +24,12 @@ HEIGHT, WIDTH = 120, 160
 
 
 @pytest.fixture
-def film(place):
+def film(work_folder):
     """The film of a walk; the folder `film` has its frames."""
     film = walk(COUNT, HEIGHT, WIDTH)
-    (place / "film").mkdir()
+    (work_folder / "film").mkdir()
     for k in range(COUNT):
-        cv2.imwrite(str(place / "film" / f"f{k}.png"), film.frames[k])
+        cv2.imwrite(str(work_folder / "film" / f"f{k}.png"), film.frames[k])
     return film
 
 
@@ -41,13 +41,13 @@ def options(film, *more):
 
 
 @pytest.fixture
-def fusing(place, monkeypatch):
+def fusing(work_folder, monkeypatch):
     """Return a list that tells for each fusion whether the folder was locked meanwhile."""
     locked, original = [], Reconstruction.points
 
     def lock():
         try:
-            with locked_folder(place / "out"):
+            with locked_folder(work_folder / "out"):
                 locked.append(False)
         except FolderInUseError:
             locked.append(True)
@@ -62,7 +62,7 @@ def fusing(place, monkeypatch):
     return locked
 
 
-def test_the_folder_holds_the_promised_files(tisfm_run, film, place, fusing):
+def test_the_folder_holds_the_promised_files(tisfm_run, film, work_folder, fusing):
     """Another command cannot take the folder while points are fused."""
     mesh = ["--mesh", "glb"] if find_spec("skimage") else []
     code, out, err = tisfm_run("reconstruct", "film", *options(film, "--ply", *mesh))
@@ -72,13 +72,13 @@ def test_the_folder_holds_the_promised_files(tisfm_run, film, place, fusing):
         err,
     )
     assert told
-    assert sorted(path.name for path in (place / "out").iterdir()) == [
+    assert sorted(path.name for path in (work_folder / "out").iterdir()) == [
         "asked.json", "camera.json", "depth", "frames", *(["mesh.glb"] if mesh else []), "path.npz",
         "points.ply", "poses.txt", "reconstruction.json", "timings.csv", "trajectory.txt",
     ]  # fmt: skip
     assert fusing and all(fusing)
     if mesh:
-        assert (place / "out" / "mesh.glb").read_bytes()[:4] == b"glTF"
+        assert (work_folder / "out" / "mesh.glb").read_bytes()[:4] == b"glTF"
     result = Reconstruction.load("out")
     assert len(result) == COUNT and len(result.keyframes) == int(told[1])
     np.testing.assert_allclose(read_kitti("out/poses.txt").poses, result.poses, atol=1e-9)
@@ -87,16 +87,16 @@ def test_the_folder_holds_the_promised_files(tisfm_run, film, place, fusing):
     np.testing.assert_array_equal(tum.times, np.arange(COUNT))
 
 
-def test_a_new_reconstruction_replaces_the_earlier_one(tisfm_run, film, place):
+def test_a_new_reconstruction_replaces_the_earlier_one(tisfm_run, film, work_folder):
     run = ("reconstruct", "film", *options(film, "--depth-of"))
     assert tisfm_run(*run, "keyframes", "--ply")[0] == 0
     keyframes = Reconstruction.load("out").keyframes
-    depth = sorted(int(path.stem) for path in (place / "out" / "depth").iterdir())
+    depth = sorted(int(path.stem) for path in (work_folder / "out" / "depth").iterdir())
     assert keyframes and depth == list(keyframes)
     assert tisfm_run(*run, "none", "--stop", "6")[0] == 0
     assert len(Reconstruction.load("out")) == len(read_kitti("out/poses.txt").poses) == 6
-    assert not list((place / "out" / "depth").iterdir())
-    assert not (place / "out" / "points.ply").exists()
+    assert not list((work_folder / "out" / "depth").iterdir())
+    assert not (work_folder / "out" / "points.ply").exists()
     assert np.isfinite(read_kitti("out/poses.txt").poses).all()
 
 
@@ -132,13 +132,13 @@ def test_scale_and_mask_are_taken(tisfm_run, film):
     assert np.isnan(result.depth(result.keyframes[0])[100:]).all()
 
 
-def test_nothing_is_fused_without_depth(tisfm_run, film, place):
+def test_nothing_is_fused_without_depth(tisfm_run, film, work_folder):
     code, _, err = tisfm_run("reconstruct", "film", *options(film, *NO_DEPTH, "--ply"))
     assert_one_line(code, err, "estimates no depth, which --ply and --mesh need")
-    assert not (place / "out").exists()
+    assert not (work_folder / "out").exists()
 
 
-def test_the_estimated_focal_length_is_passed_on(tisfm_run, film, place):
+def test_the_estimated_focal_length_is_passed_on(tisfm_run, film, work_folder):
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # a line states the doubt, once
         code, _, err = tisfm_run("reconstruct", "film", "-o", "out", "--preset", "fast", *NO_DEPTH)
@@ -188,15 +188,15 @@ def test_the_estimated_focal_length_is_passed_on(tisfm_run, film, place):
         (("--focal", "guess", "--calibrate", "focal"), "--focal guess"),
     ],
 )
-def test_cameras_that_do_not_fit_are_refused(tisfm_run, film, place, options, text):
+def test_cameras_that_do_not_fit_are_refused(tisfm_run, film, work_folder, options, text):
     write_camera("lens.json", tisfm.Camera(focal=10.0), (10, 10))
-    (place / "f0.png").write_bytes((place / "film" / "f0.png").read_bytes())
+    (work_folder / "f0.png").write_bytes((work_folder / "film" / "f0.png").read_bytes())
     code, _, err = tisfm_run("reconstruct", "film", "-o", "out", *options)
     assert_one_line(code, err, text)
-    assert not (place / "out").exists()
+    assert not (work_folder / "out").exists()
 
 
-def test_the_focal_length_is_guessed_on_request(tisfm_run, film, place):
+def test_the_focal_length_is_guessed_on_request(tisfm_run, film, work_folder):
     code, _, err = tisfm_run(
         "reconstruct", "film", "-o", "out", "--preset", "fast", "--focal", "guess", *NO_DEPTH
     )
@@ -251,11 +251,11 @@ def test_a_camera_file_is_scaled_to_a_webcam(tisfm_run, film, webcam):
     assert Reconstruction.load("out").camera.focal == film.camera.focal
 
 
-def test_poses_with_times_belong_to_the_nearest_frames(tisfm_run, film, place):
-    (place / "timed").mkdir()
+def test_poses_with_times_belong_to_the_nearest_frames(tisfm_run, film, work_folder):
+    (work_folder / "timed").mkdir()
     stamps = 1305031102.0 + 0.04 * np.arange(COUNT)
     for k, stamp in enumerate(stamps):
-        (place / "film" / f"f{k}.png").rename(place / "timed" / f"{stamp:.6f}.png")
+        (work_folder / "film" / f"f{k}.png").rename(work_folder / "timed" / f"{stamp:.6f}.png")
     # Twice as many poses as frames, each a little late; none for the last frames.
     between = np.repeat(film.poses[: COUNT - 2], 2, axis=0)[:-1]
     between[1::2, :3, 3] += 1
@@ -270,22 +270,22 @@ def test_poses_with_times_belong_to_the_nearest_frames(tisfm_run, film, place):
 
 
 @pytest.mark.parametrize("scale", [("0", "0", "1"), ("-1", "3", "1"), ("0", "6", "0")])
-def test_an_impossible_scale_is_refused_at_once(tisfm_run, film, place, scale):
+def test_an_impossible_scale_is_refused_at_once(tisfm_run, film, work_folder, scale):
     code, _, err = tisfm_run("reconstruct", "film", *options(film, "--scale", *scale))
     assert_one_line(code, err, "--scale is")
-    assert not (place / "out").exists()
+    assert not (work_folder / "out").exists()
 
 
-def test_the_scale_of_a_missing_frame_is_refused_at_once(tisfm_run, film, place):
+def test_the_scale_of_a_missing_frame_is_refused_at_once(tisfm_run, film, work_folder):
     code, _, err = tisfm_run(
         "reconstruct", "film", *options(film, *NO_DEPTH, "--scale", "0", "7", "1")
     )
     assert_one_line(code, err, "the sequence has 9 frames: expected numbers from 0 to 8")
-    assert not (place / "out").exists()
+    assert not (work_folder / "out").exists()
 
 
 def test_poses_are_written_when_the_scale_turns_out_to_be_wrong(
-    tisfm_run, film, place, monkeypatch
+    tisfm_run, film, work_folder, monkeypatch
 ):
     monkeypatch.setattr("tisfm.cli.reconstruct._count", lambda source, frames: None)
     code, _, err = tisfm_run(
@@ -297,16 +297,16 @@ def test_poses_are_written_when_the_scale_turns_out_to_be_wrong(
     assert np.isfinite(read_kitti("out/poses.txt").poses).all()
 
 
-def test_a_mesh_without_its_library_is_refused_at_once(tisfm_run, film, place, monkeypatch):
+def test_a_mesh_without_its_library_is_refused_at_once(tisfm_run, film, work_folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "skimage", None)
     code, _, err = tisfm_run("reconstruct", "film", *options(film, "--mesh", "ply"))
     assert_one_line(code, err, "scikit-image")
-    assert not (place / "out").exists()
+    assert not (work_folder / "out").exists()
 
 
-def test_frames_without_motion_have_no_pose(tisfm_run, film, place):
+def test_frames_without_motion_have_no_pose(tisfm_run, film, work_folder):
     for k in range(COUNT):
-        cv2.imwrite(str(place / "film" / f"f{k}.png"), film.frames[0])
+        cv2.imwrite(str(work_folder / "film" / f"f{k}.png"), film.frames[0])
     code, _, err = tisfm_run("reconstruct", "film", *options(film))
     assert code == 0
     assert err.startswith(f"0 of {COUNT} frames have a pose")
@@ -322,11 +322,11 @@ def test_frames_without_motion_have_no_pose(tisfm_run, film, place):
         (["film", "--stop", "1"], "stop is 1"),
     ],
 )
-def test_faults_are_one_line(tisfm_run, film, place, arguments, words):
+def test_faults_are_one_line(tisfm_run, film, work_folder, arguments, words):
     code, _, err = tisfm_run("reconstruct", *arguments, *options(film))
     assert code == 1
     assert_one_line(code, err, words)
-    assert not (place / "out" / "reconstruction.json").exists()
+    assert not (work_folder / "out" / "reconstruction.json").exists()
 
 
 def test_poses_of_another_number_are_refused(tisfm_run, film):
@@ -336,17 +336,17 @@ def test_poses_of_another_number_are_refused(tisfm_run, film):
     assert_one_line(code, err, "poses are 3")
 
 
-def test_files_of_others_are_kept(tisfm_run, film, place):
-    (place / "out").mkdir()
-    (place / "out" / "letter.txt").write_text("dear")
+def test_files_of_others_are_kept(tisfm_run, film, work_folder):
+    (work_folder / "out").mkdir()
+    (work_folder / "out" / "letter.txt").write_text("dear")
     code, _, err = tisfm_run("reconstruct", "film", *options(film))
     assert code == 1
     assert_one_line(code, err, "letter.txt")
-    assert (place / "out" / "letter.txt").read_text() == "dear"
+    assert (work_folder / "out" / "letter.txt").read_text() == "dear"
 
 
-def test_a_pose_file_in_the_folder_is_kept(tisfm_run, film, place):
-    (place / "out").mkdir()
+def test_a_pose_file_in_the_folder_is_kept(tisfm_run, film, work_folder):
+    (work_folder / "out").mkdir()
     write_kitti("out/poses.txt", film.poses)
     code, _, err = tisfm_run("reconstruct", "film", *options(film, "--poses", "out/poses.txt"))
     assert code == 1
@@ -355,8 +355,8 @@ def test_a_pose_file_in_the_folder_is_kept(tisfm_run, film, place):
 
 
 @pytest.mark.parametrize("name", ["out", "out/camera.json"])
-def test_a_camera_file_in_the_folder_is_kept(tisfm_run, film, place, name):
-    (place / "out").mkdir()
+def test_a_camera_file_in_the_folder_is_kept(tisfm_run, film, work_folder, name):
+    (work_folder / "out").mkdir()
     write_camera("out/camera.json", film.camera, (HEIGHT, WIDTH))
     code, _, err = tisfm_run("reconstruct", "film", "-o", "out", "--camera", name)
     assert_one_line(code, err, "lies in out")

@@ -172,7 +172,7 @@ def test_an_interrupted_run_is_resumed_to_the_same_bytes(tisfm_run, frames, monk
 
 @pytest.mark.nightly
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
-def test_ctrl_c_ends_a_process(place):
+def test_ctrl_c_ends_a_process(work_folder):
     """The signal comes at any moment, in the middle of a kernel as well."""
     noise = np.random.default_rng(0).integers(0, 256, (120, 200), dtype=np.uint8)
     texture = cv2.GaussianBlur(noise, (0, 0), 1.5)

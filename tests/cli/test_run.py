@@ -55,7 +55,7 @@ def test_run_of_two_images(tisfm_run, frames):
     np.testing.assert_array_equal(load("deep/er/out", "f2").flow, kept(expected).flow)
 
 
-def test_run_of_a_video(tisfm_run, place):
+def test_run_of_a_video(tisfm_run, work_folder):
     writer = cv2.VideoWriter("clip.avi", cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))
     if not writer.isOpened():
         pytest.skip("this build of OpenCV cannot write MJPG video")
@@ -137,7 +137,7 @@ def test_a_pair_without_motion_does_not_set_the_ranges(tisfm_run, frames):
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
-def test_a_diverging_pair_does_not_set_the_ranges(tisfm_run, frames, place):
+def test_a_diverging_pair_does_not_set_the_ranges(tisfm_run, frames, work_folder):
     for k in range(2):
         cv2.imwrite(f"h{k}.tif", FRAMES[k].astype(np.float32) * 1e30)
     cv2.imwrite("g1.tif", FRAMES[1].astype(np.float32))
@@ -287,7 +287,7 @@ def test_the_focal_length_can_be_guessed(tisfm_run, frames, command, film):
         assert record("out")["camera"]["focal"] == pytest.approx(focal)
 
 
-def test_the_focal_length_of_a_video_is_guessed_by_its_size(tisfm_run, place):
+def test_the_focal_length_of_a_video_is_guessed_by_its_size(tisfm_run, work_folder):
     writer = cv2.VideoWriter("clip.avi", cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))
     if not writer.isOpened():
         pytest.skip("this build of OpenCV cannot write MJPG video")
@@ -325,9 +325,9 @@ def test_step(tisfm_run, frames):
     np.testing.assert_array_equal(load("out", "f0").flow, kept(expected).flow)
 
 
-def test_markup_in_names_is_printed(tisfm_run, frames, place):
+def test_markup_in_names_is_printed(tisfm_run, frames, work_folder):
     for k in range(2):
-        (frames / f"f{k}.png").rename(place / f"[red]{k}.png")
+        (frames / f"f{k}.png").rename(work_folder / f"[red]{k}.png")
     code, _, err = tisfm_run(
         "run", "[red]0.png", "[red]1.png", "-o", "out [bold] x", "--no-figures"
     )

@@ -19,10 +19,10 @@ from tisfm.folders.result_folder import locked_folder
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 
 
-def test_an_exported_page_has_all_frames(place, capsys):
-    write_reconstruction(place / "r")
+def test_an_exported_page_has_all_frames(work_folder, capsys):
+    write_reconstruction(work_folder / "r")
     assert main(["view", "r", "--html", "view.html", "--html-frames", "3"]) == 0
-    text = (place / "view.html").read_text(encoding="utf-8")
+    text = (work_folder / "view.html").read_text(encoding="utf-8")
     assert text.rstrip().endswith("</html>") and "__VISER_EMBED_DATA__" in text
     out, err = capsys.readouterr()
     assert out == "" and "3 of 5 frames in view.html" in err
@@ -43,16 +43,16 @@ def test_an_exported_page_has_all_frames(place, capsys):
         (["nowhere", "--html", "view.html"], ["there is no folder nowhere"]),
     ],
 )
-def test_wrong_options_of_view_are_one_line(place, capsys, arguments, words):
-    write_reconstruction(place / "r")
-    (place / "empty").mkdir()
+def test_wrong_options_of_view_are_one_line(work_folder, capsys, arguments, words):
+    write_reconstruction(work_folder / "r")
+    (work_folder / "empty").mkdir()
     code = main(["view", *arguments, "--no-browser"])
     assert_one_line(code, capsys.readouterr().err, *words)
-    assert not (place / "view.html").exists()
+    assert not (work_folder / "view.html").exists()
 
 
-def test_a_missing_viser_is_one_line(place, capsys, monkeypatch):
-    write_reconstruction(place / "r")
+def test_a_missing_viser_is_one_line(work_folder, capsys, monkeypatch):
+    write_reconstruction(work_folder / "r")
     monkeypatch.setitem(sys.modules, "viser", None)
     code = main(["view", "r", "--no-browser"])
     assert_one_line(code, capsys.readouterr().err, "pip install 'tisfm[view]'")
@@ -70,15 +70,15 @@ def begun(*arguments):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows interrupts processes otherwise")
-def test_a_growing_run_is_served_until_ctrl_c(place):
-    (place / "r").mkdir()
-    with locked_folder(place / "r"), begun("r") as process:
+def test_a_growing_run_is_served_until_ctrl_c(work_folder):
+    (work_folder / "r").mkdir()
+    with locked_folder(work_folder / "r"), begun("r") as process:
         line = process.stderr.readline()
         assert "waits for it" in line
         url = re.search(r"http://127\.0\.0\.1:\d+", line)[0]
         assert_answers(url)
-        shot = write_run(place / "r", 2)
-        write_record_of(place / "r", shot, [0], "camera")
+        shot = write_run(work_folder / "r", 2)
+        write_record_of(work_folder / "r", shot, [0], "camera")
         assert f"r at {url}" in process.stderr.readline()
         assert_answers(url)
         process.send_signal(signal.SIGINT)
@@ -87,11 +87,11 @@ def test_a_growing_run_is_served_until_ctrl_c(place):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows interrupts processes otherwise")
-def test_waiting_for_a_run_ends_with_the_run(place):
-    (place / "r").mkdir()
-    (place / "r" / "reconstruction.begun").touch()
+def test_waiting_for_a_run_ends_with_the_run(work_folder):
+    (work_folder / "r").mkdir()
+    (work_folder / "r" / "reconstruction.begun").touch()
     with ExitStack() as stack:
-        with locked_folder(place / "r"):
+        with locked_folder(work_folder / "r"):
             process = stack.enter_context(begun("r"))
             assert "no complete reconstruction yet: http" in process.stderr.readline()
         out, err = process.communicate(timeout=PATIENCE)
@@ -104,9 +104,9 @@ def assert_answers(url):
         assert b"<html" in answer.read()
 
 
-def test_a_page_names_the_frames_that_it_leaves_out(place, capsys):
-    write_reconstruction(place / "r")
-    (place / "r" / "frames" / "000002.jpg").unlink()
+def test_a_page_names_the_frames_that_it_leaves_out(work_folder, capsys):
+    write_reconstruction(work_folder / "r")
+    (work_folder / "r" / "frames" / "000002.jpg").unlink()
     assert main(["view", "r", "--html", "view.html"]) == 0
     out, err = capsys.readouterr()
     assert out == "" and "4 of 5 frames in view.html" in err

@@ -38,12 +38,12 @@ COUNT = 12
 
 
 @pytest.fixture
-def film(place):
+def film(work_folder):
     """A folder of frames."""
-    (place / "film").mkdir()
+    (work_folder / "film").mkdir()
     for k, frame in enumerate(make_frames(COUNT, seed=5)):
-        write_png(place / f"film/f{k:02d}.png", frame)
-    return place / "film"
+        write_png(work_folder / f"film/f{k:02d}.png", frame)
+    return work_folder / "film"
 
 
 def files_of(folder):
@@ -72,12 +72,12 @@ def test_two_workers_write_the_same_files_as_one_process(quick_workers, tisfm_ru
     assert [pair["number"] for pair in record("many")["pairs"].values()] == list(range(COUNT - 1))
 
 
-def test_workers_take_steps_and_masks(quick_workers, tisfm_run, film, place):
-    (place / "masks").mkdir()
+def test_workers_take_steps_and_masks(quick_workers, tisfm_run, film, work_folder):
+    (work_folder / "masks").mkdir()
     for k in range(COUNT):
         mask = np.full((H, W), 255, np.uint8)
         mask[-4:, : W // 2 + k] = 0
-        write_png(place / f"masks/f{k:02d}.png", mask)
+        write_png(work_folder / f"masks/f{k:02d}.png", mask)
     options = ("--step", "2", "--start", "1", "--mask", "masks", *QUIET)
     found = assert_same_as_one_process(tisfm_run, *options)
     assert {name for name in found if name.endswith(".npz")} == {
@@ -103,13 +103,15 @@ def make_clip():
     writer.release()
 
 
-def test_workers_share_a_video(quick_workers, tisfm_run, place):
+def test_workers_share_a_video(quick_workers, tisfm_run, work_folder):
     make_clip()
     assert_same_as_one_process(tisfm_run, *QUIET, source="clip.avi", shared=("--workers", "3"))
 
 
 @pytest.mark.parametrize("said", [2, 5, 9, 11])
-def test_workers_share_a_video_with_a_wrong_frame_count(quick_workers, tisfm_run, place, said):
+def test_workers_share_a_video_with_a_wrong_frame_count(
+    quick_workers, tisfm_run, work_folder, said
+):
     make_clip()
     data = bytearray(Path("clip.avi").read_bytes())
     for name, offset in ((b"avih", 24), (b"strh", 40)):  # where each has the number
@@ -121,8 +123,8 @@ def test_workers_share_a_video_with_a_wrong_frame_count(quick_workers, tisfm_run
     assert len(record("many")["pairs"]) == 8
 
 
-def test_frames_with_decimals_are_not_shared(quick_workers, tisfm_run, place):
-    (place / "film").mkdir()
+def test_frames_with_decimals_are_not_shared(quick_workers, tisfm_run, work_folder):
+    (work_folder / "film").mkdir()
     for k, frame in enumerate(make_frames(3)):
         assert cv2.imwrite(f"film/f{k}.tiff", frame.astype(np.float32) / 300)
     code, _, err = tisfm_run(*RUN, *QUIET, "-o", "out", "--workers", "2")
@@ -192,58 +194,58 @@ def make_chunk(folder, **changes):
     return Chunk(**{**about, **changes})
 
 
-def test_a_worker_of_another_version_is_an_error(film, place):
-    (place / "alive").touch()
-    error = interpret_chunk(make_chunk(place, version="0.0.7")).error
+def test_a_worker_of_another_version_is_an_error(film, work_folder):
+    (work_folder / "alive").touch()
+    error = interpret_chunk(make_chunk(work_folder, version="0.0.7")).error
     assert isinstance(error, RuntimeError) and "the command has 0.0.7" in str(error)
 
 
-def test_a_worker_without_the_folder_is_an_error(film, place):
-    error = interpret_chunk(make_chunk(place)).error
+def test_a_worker_without_the_folder_is_an_error(film, work_folder):
+    error = interpret_chunk(make_chunk(work_folder)).error
     assert isinstance(error, RuntimeError) and "does not see the folder" in str(error)
 
 
-def test_a_worker_with_other_vectors_is_an_error(film, place):
-    (place / "alive").touch()
-    error = interpret_chunk(make_chunk(place, lanes=4)).error
+def test_a_worker_with_other_vectors_is_an_error(film, work_folder):
+    (work_folder / "alive").touch()
+    error = interpret_chunk(make_chunk(work_folder, lanes=4)).error
     assert isinstance(error, RuntimeError) and "that of the command 4" in str(error)
 
 
 @pytest.mark.parametrize("first", [1, COUNT - 2])
-def test_a_worker_with_other_files_is_an_error(film, place, first):
-    (place / "alive").touch()
+def test_a_worker_with_other_files_is_an_error(film, work_folder, first):
+    (work_folder / "alive").touch()
     (film / "f00.png").rename(film / "f0.png")
-    error = interpret_chunk(make_chunk(place, first=first)).error
+    error = interpret_chunk(make_chunk(work_folder, first=first)).error
     assert isinstance(error, RuntimeError) and "sees other files in film (12)" in str(error)
     (film / "f0.png").unlink()
-    error = interpret_chunk(make_chunk(place, first=first)).error
+    error = interpret_chunk(make_chunk(work_folder, first=first)).error
     assert isinstance(error, RuntimeError) and "(11) than the process that began (12)" in str(error)
 
 
-def test_a_bug_in_a_worker_is_raised(film, place, monkeypatch):
-    (place / "alive").touch()
+def test_a_bug_in_a_worker_is_raised(film, work_folder, monkeypatch):
+    (work_folder / "alive").touch()
     monkeypatch.setattr(PairWork, "interpret", lambda *arguments: np.zeros(3) + np.zeros(4))
     with pytest.raises(ValueError, match="broadcast"):
-        interpret_chunk(make_chunk(place))
+        interpret_chunk(make_chunk(work_folder))
 
 
-def test_a_worker_stops_when_its_run_has_ended(film, place, monkeypatch):
-    (place / "alive").touch()
+def test_a_worker_stops_when_its_run_has_ended(film, work_folder, monkeypatch):
+    (work_folder / "alive").touch()
     original = PairWork.interpret
 
     def last(self, pair, window=None):
-        (place / "alive").unlink()
+        (work_folder / "alive").unlink()
         return original(self, pair, window)
 
     monkeypatch.setattr(PairWork, "interpret", last)
-    done = interpret_chunk(make_chunk(place))
+    done = interpret_chunk(make_chunk(work_folder))
     assert [pair.name for pair in done.pairs] == ["f01"]
     assert not [t for t in threading.enumerate() if t.name.startswith("tisfm-frames")]
 
 
 @pytest.mark.parametrize(("count", "workers"), [(1, 4), (7, 2), (1000, 3)])
-def test_chunks_cover_all_pairs(count, workers, place):
-    parts = split_chunk(make_chunk(place, first=1, end=1 + count), workers)
+def test_chunks_cover_all_pairs(count, workers, work_folder):
+    parts = split_chunk(make_chunk(work_folder, first=1, end=1 + count), workers)
     assert [part.first for part in parts[1:]] == [part.end for part in parts[:-1]]
     assert parts[0].first == 1 and parts[-1].first < 1 + count
     assert parts[-1].end > 10**9  # a video may have more frames than it says

@@ -67,7 +67,7 @@ def test_a_wrong_option_is_one_line(tisfm_run, line):
         ),
     ],
 )
-def test_a_wrong_option_is_the_same_line_in_ascii(place, line, encoding):
+def test_a_wrong_option_is_the_same_line_in_ascii(work_folder, line, encoding):
     """The parser draws frames of other characters there."""
     done = subprocess.run(
         [*TISFM, *line.split()],
@@ -120,8 +120,8 @@ def test_wrong_outputs_have_a_suggestion(tisfm_run, frames):
     assert_one_line(code, err, "depht", "did you mean depth?")
 
 
-def test_a_wrong_column_of_a_list_has_a_suggestion(tisfm_run, place):
-    (place / "list.csv").write_text("source,output,prest\na.mp4,a,fast\n")
+def test_a_wrong_column_of_a_list_has_a_suggestion(tisfm_run, work_folder):
+    (work_folder / "list.csv").write_text("source,output,prest\na.mp4,a,fast\n")
     code, _, err = tisfm_run("batch", "list.csv")
     assert_one_line(code, err, "list.csv, line 2", "did you mean --preset?")
 

@@ -47,7 +47,7 @@ def test_the_report_tells_the_status_of_frames(tmp_path):
 def test_a_report_without_poses(tmp_path):
     page = written(reconstruction(tmp_path / "r", pieces=[-1, -1]), tmp_path)
     assert "0 of 2" in page.text and not page.all("svg")
-    # No place is held for pictures that no frame has, and nothing explains their colours.
+    # Neither empty pictures nor their legends are shown.
     assert "none here" not in page.text and not page.all("p", _class="legend")
     assert len(page.all("figure")) == 2
 
