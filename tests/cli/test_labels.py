@@ -75,19 +75,20 @@ def test_wrong_labels_are_refused(tisfm_run, clip):
     refused("--labels", "things", words="(119, 160), but that of frame f0 is (120, 160)")
 
 
-def test_sizes(tisfm_run, work_folder):
-    many = bodies_film(bodies_path(16), 240, 320)
+def test_the_size_of_an_object_gives_its_scale(tisfm_run, work_folder):
+    longer = bodies_film(bodies_path(12), 180, 240)
     for name in ("film", "things"):
         (work_folder / name).mkdir()
-    for k, (frame, labels) in enumerate(zip(many.frames, many.labels, strict=True)):
+    for k, (frame, labels) in enumerate(zip(longer.frames, longer.labels, strict=True)):
         cv2.imwrite(f"film/f{k:02d}.png", frame)
         write_label_png(f"things/f{k:02d}.png", labels)
-    options = (*OPTIONS, "--focal", str(many.camera.focal), "--labels", "things", "--object-sizes")
-    assert tisfm_run("reconstruct", "film", "-o", "out", *options, "1=0.6", "3=0.41")[0] == 0
+    focal = ("--focal", str(longer.camera.focal))
+    options = (*OPTIONS, *focal, "--labels", "things", "--object-sizes", "1=0.6", "3=0.41")
+    assert tisfm_run("reconstruct", "film", "-o", "out", *options)[0] == 0
     found = {thing.id: thing for thing in tisfm.Reconstruction.load("out").objects}
     assert found[1].scale_from == "size"
-    assert found[2].scale_from == "none"  # without depth, nothing else tells
-    # It hardly turns in so few frames: whether it has points hangs on how a CPU rounds.
+    assert found[2].scale_from == "none"  # neither a size nor depth is known
+    # It hardly turns in so few frames: rounding decides whether it has points.
     assert found[3].scale_from in ("size", "none")
 
 
