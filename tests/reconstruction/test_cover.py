@@ -8,7 +8,7 @@ import pytest
 import tisfm
 from tests.reconstruction.films import board_film, path_error
 from tisfm.reconstruction.mapping.database import colmap_camera, pycolmap
-from tisfm.reconstruction.mapping.model_scores import Coverage, places_in
+from tisfm.reconstruction.mapping.model_scores import Coverage, grid_points
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 from tisfm.rigid import pose_matrix
@@ -70,17 +70,17 @@ def crowd():
 
 
 def test_a_model_explains_what_lies_on_its_epipolar_lines(crowd):
-    of_world = crowd.explained([model_of(MOTION)])[0, 1]
-    of_thing = crowd.explained([model_of(OTHER)])[0, 1]
+    of_world = crowd.explained_matches([model_of(MOTION)])[0, 1]
+    of_thing = crowd.explained_matches([model_of(OTHER)])[0, 1]
     assert of_world[150:].all() and of_thing[:150].all()
     assert of_world[:150].mean() < 0.4 and of_thing[150:].mean() < 0.4
 
 
 def test_area_counts_and_not_the_number_of_points(crowd):
-    of_world = crowd.explained([model_of(MOTION)])
-    of_thing = crowd.explained([model_of(OTHER)])
+    of_world = crowd.explained_matches([model_of(MOTION)])
+    of_thing = crowd.explained_matches([model_of(OTHER)])
     assert of_thing[0, 1].sum() > 2 * of_world[0, 1].sum()
-    assert crowd.share(of_world) > 1.3 * crowd.share(of_thing)
+    assert crowd.explained_area(of_world) > 1.3 * crowd.explained_area(of_thing)
 
 
 def test_shares_are_those_of_the_nearest_points():
@@ -88,21 +88,21 @@ def test_shares_are_those_of_the_nearest_points():
     points = random.uniform(0, 100, (9, 2))
     pairs = {(0, 1): np.array([[0, 0], [2, 2], [5, 5], [8, 8]])}
     cover = Coverage([view_of(0, points), view_of(1, points)], pairs, (100, 130))
-    places = places_in((100, 130))
+    places = grid_points((100, 130))
     distance = np.linalg.norm(places[:, None] - points[None, [0, 2, 5, 8]], axis=-1)
     expected = np.bincount(distance.argmin(axis=1), minlength=4) / len(places)
     for k in range(4):
-        assert cover.share({(0, 1): np.arange(4) == k}) == pytest.approx(expected[k])
-    assert cover.share({(0, 1): np.ones(4, bool)}) == pytest.approx(1)
+        assert cover.explained_area({(0, 1): np.arange(4) == k}) == pytest.approx(expected[k])
+    assert cover.explained_area({(0, 1): np.ones(4, bool)}) == pytest.approx(1)
 
 
 def test_nothing_matched_is_nothing_explained():
-    assert Coverage([], {}, SHAPE).share({}) == 0
+    assert Coverage([], {}, SHAPE).explained_area({}) == 0
     points = np.empty((0, 2))
     pairs = {(0, 1): np.empty((0, 2), np.int32)}
     cover = Coverage([view_of(0, points), view_of(1, points)], pairs, SHAPE)
-    assert cover.share(cover.explained([])) == 0
-    assert cover.share(cover.explained([model_of(MOTION)])) == 0
+    assert cover.explained_area(cover.explained_matches([])) == 0
+    assert cover.explained_area(cover.explained_matches([model_of(MOTION)])) == 0
 
 
 def test_pairs_across_pieces_do_not_count():
@@ -113,9 +113,9 @@ def test_pairs_across_pieces_do_not_count():
     first, second = model_of(MOTION), model_of(MOTION)
     second.images = {number + 2: image for number, image in second.images.items()}
     second.reg_image_ids = lambda: list(second.images)
-    assert set(cover.explained([first, second])) == {(0, 1)}
-    assert set(cover.explained([first])) == {(0, 1), (1, 2), (0, 3)}
-    assert not cover.explained([first])[1, 2].any()
+    assert set(cover.explained_matches([first, second])) == {(0, 1)}
+    assert set(cover.explained_matches([first])) == {(0, 1), (1, 2), (0, 3)}
+    assert not cover.explained_matches([first])[1, 2].any()
 
 
 def test_a_board_that_fills_a_third_of_the_frames_is_not_the_world():

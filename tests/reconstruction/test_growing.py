@@ -24,7 +24,7 @@ class Model:
 
 @pytest.fixture
 def chosen(monkeypatch):
-    """Return a function that runs `_one` with given models, and returns its choice."""
+    """Return a function that runs `_build_model` with given models, and returns its choice."""
 
     def choose(models):
         grown = []
@@ -37,7 +37,7 @@ def chosen(monkeypatch):
             for k in range(len(models)):
                 yield 2 * k + 1, 2 * k + 2, None
 
-        monkeypatch.setattr(growing, "_grow", grow)
+        monkeypatch.setattr(growing, "_add_views", grow)
         monkeypatch.setattr(growing, "pycolmap", lambda: SimpleNamespace(Reconstruction=Model))
         mapper = SimpleNamespace(
             begin_reconstruction=lambda model: None,
@@ -47,12 +47,12 @@ def chosen(monkeypatch):
         )
         score = SimpleNamespace(
             score=lambda model: model.explained * MATCHES,
-            least_view=lambda model: model.least_view,
-            matches=lambda views: MATCHES,
+            worst_view_share=lambda model: model.least_view,
+            match_count=lambda views: MATCHES,
         )
         options = SimpleNamespace(mapper=None, triangulation=None)
-        first_pairs = SimpleNamespace(starts=starts)
-        found = growing._one(mapper, score, options, first_pairs, set(range(1, 11)))
+        first_pairs = SimpleNamespace(candidates=starts)
+        found = growing._build_model(mapper, score, options, first_pairs, set(range(1, 11)))
         return (None if found is None else grown.index(found)), len(grown)
 
     return choose

@@ -69,8 +69,8 @@ def test_a_right_model_scores_each_match_with_one_and_a_wrong_one_less():
     views = [view_of(0, projected(points, REST)), view_of(1, projected(points, MOTION))]
     both = np.repeat(np.arange(80)[:, None], 2, axis=1)
     score = MatchScore(views, {(0, 1): both}, SHAPE)
-    assert score.matches() == score.matches({1, 2}) == 80
-    assert score.matches({1}) == 0
+    assert score.match_count() == score.match_count({1, 2}) == 80
+    assert score.match_count({1}) == 0
     assert score.score(model_of(MOTION)) == pytest.approx(80, rel=1e-3)
     assert score.score(model_of(OTHER)) < 40
     turned_back = np.column_stack([MOTION[:, :3], -MOTION[:, 3]])  # all depths are negative
@@ -85,8 +85,8 @@ def test_a_view_at_a_wrong_place_explains_less_than_the_others():
     views = [view_of(k, projected(points, pose)) for k, pose in enumerate([REST, *places])]
     both = np.repeat(np.arange(80)[:, None], 2, axis=1)
     score = MatchScore(views, {(k, m): both for k in range(5) for m in range(k)}, SHAPE)
-    assert score.least_view(model_of(*places)) == pytest.approx(1, abs=1e-3)
-    assert score.least_view(model_of(*places[:3], OTHER)) < 0.6
+    assert score.worst_view_share(model_of(*places)) == pytest.approx(1, abs=1e-3)
+    assert score.worst_view_share(model_of(*places[:3], OTHER)) < 0.6
 
 
 def test_half_the_tolerance_halves_the_score():

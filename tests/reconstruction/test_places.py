@@ -53,23 +53,23 @@ PLACES = {1: (-0.5, 0.0, 0.0), 2: (0.0, 0.0, 0.0), 3: (0.01, 0.0, 0.0)}
 def test_points_that_are_seen_from_one_place_are_deleted():
     mapper, found, deleted = model(PLACES, {10: (1, 2, 3), 11: (2, 3), 12: (1, 2)})
     one_place = LowParallaxFilter(mapper, found)
-    one_place.delete(2)
+    one_place.delete_points(2)
     assert deleted == [11] and set(found.points3D) == {10, 12}
-    one_place.delete(1)
-    one_place.delete(3)
+    one_place.delete_points(1)
+    one_place.delete_points(3)
     assert deleted == [11]
 
 
 def test_how_far_apart_is_a_share_of_the_depth():
     for depth, gone in ((0.4, []), (0.6, [11])):
         mapper, found, deleted = model(PLACES, {11: (2, 3)}, depth=depth)
-        LowParallaxFilter(mapper, found).delete(3)
+        LowParallaxFilter(mapper, found).delete_points(3)
         assert deleted == gone
 
 
 def test_a_view_without_points_is_left():
     mapper, found, deleted = model(PLACES, {12: (1, 2)})
-    LowParallaxFilter(mapper, found).delete(3)
+    LowParallaxFilter(mapper, found).delete_points(3)
     assert deleted == []
 
 

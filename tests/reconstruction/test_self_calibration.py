@@ -88,7 +88,7 @@ def test_the_focal_length_is_found(found):
     assert found.calibration.origin == "estimated" and found.calibration.seen
     assert 0 < found.calibration.focal_std < 0.05 * true
     assert abs(found.camera.focal - true) < 3 * found.calibration.focal_std
-    assert "found from the sequence" in found.calibration.message
+    assert "estimated from the sequence" in found.calibration.message
 
 
 def test_the_path_is_as_good_as_with_it_given(found):
@@ -207,7 +207,10 @@ def test_a_motion_that_does_not_show_it_is_told():
 
 @pytest.mark.parametrize(
     ("name", "answer"),
-    [("_best_start", None), pytest.param("_of_part", (-100.0, 0.0), marks=pytest.mark.nightly)],
+    [
+        ("_find_start_focal", None),
+        pytest.param("_calibrate_part", (-100.0, 0.0), marks=pytest.mark.nightly),
+    ],
 )
 def test_adjustments_that_lead_nowhere_leave_the_guess(monkeypatch, name, answer):
     monkeypatch.setattr(self_calibration, name, lambda *_: answer)
@@ -230,7 +233,7 @@ def test_a_path_that_explains_little_is_begun_with_another_focal_length(first, b
         return [SimpleNamespace(cameras={1: lens}, score=score)] if score else []
 
     shared = SimpleNamespace(grow_models=grown, score=lambda found: sum(one.score for one in found))
-    (found,) = self_calibration._grown(shared, Camera(focal=100.0), 90.0, "focal")
+    (found,) = self_calibration._grow_models(shared, Camera(focal=100.0), 90.0, "focal")
     assert found.score == best
 
 
@@ -256,16 +259,16 @@ def models_where_the_focal_is_hardly_seen(monkeypatch, again, *, shows_parallax)
     shared = SimpleNamespace(
         models=lambda *_: ["before"],
         score=lambda _: 0.5,
-        matches=lambda: 200,
+        match_count=lambda: 200,
         shows_parallax=lambda _: shows_parallax,
     )
     hardly = FocalEstimate(focal=100.0, deviation=10.0)
     for name, answer in (
         ("ViewGraph", SimpleNamespace(of=lambda *_, **__: shared)),
-        ("_best_start", lambda *_: 100.0),
-        ("_grown", lambda *_: ["before"]),
+        ("_find_start_focal", lambda *_: 100.0),
+        ("_grow_models", lambda *_: ["before"]),
         ("_adjust", lambda *_: None),
-        ("_estimate", lambda *_: hardly),
+        ("_estimate_focal", lambda *_: hardly),
         ("find_models", lambda *_, **__: again),
     ):
         monkeypatch.setattr(self_calibration, name, answer)
@@ -407,7 +410,7 @@ def test_what_is_said_of_an_estimate(deviation, origin, seen, text):
     camera = estimate.apply_to(CAMERA)
     assert camera.focal == (100 if origin == "guessed" else 50)
     shape, focal = (300, 400), 2 * camera.focal
-    told = make_calibration(estimate, GUESS, camera, sought=True, focal=focal, shape=shape)
+    told = make_calibration(estimate, GUESS, camera, is_estimated=True, focal=focal, shape=shape)
     assert (told.origin, told.seen) == (origin, seen)
     assert (told.focal, told.shape) == (focal, shape)
     assert told.focal_std == (math.inf if origin == "guessed" else 2 * deviation)

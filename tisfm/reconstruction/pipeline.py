@@ -136,7 +136,7 @@ def read_frames(job: Job) -> ReadFrames:
             if not names:
                 camera = SourceCamera.of_first_frame(source, job.camera, frame)
                 frames = PreparedFrames(
-                    camera.used,
+                    camera.used_camera,
                     job.folder / CACHE,
                     job.folder / PICTURES,
                     labels_are_prepared=job.labels_are_prepared,
@@ -187,7 +187,7 @@ def solve_path(job: Job, read: ReadFrames) -> SolvedPath:
 
     With moving objects, every frame is labelled as well.
     """
-    frames, full = read.frames, read.camera.full
+    frames, full = read.frames, read.camera.full_camera
 
     def correct(path: CameraPath) -> None:
         nonlocal full
@@ -306,7 +306,7 @@ def _path(job: Job, read: ReadFrames, tracks: SequenceTracks, calibrate: Calibra
         calibrate=calibrate,
         max_deviation=read.camera.max_focal_deviation,
         readout=readout,
-        focal_known=job.calibrate == "nothing" and read.camera.is_focal_stated,
+        focal_known=job.calibrate == "nothing" and read.camera.is_focal_known,
     )
     return solver.solve(read.instants)
 
@@ -329,7 +329,7 @@ def _calibration(job: Job, read: ReadFrames, solved: SolvedPath) -> Calibration:
     calibration = read.camera.calibration(
         solved.path.focal,
         read.frames.camera,
-        sought=job.calibrate != "nothing",
+        is_estimated=job.calibrate != "nothing",
         focal=solved.camera.focal,
         readout=(rolling.readout, rolling.deviation) if rolling and is_found else None,
     )

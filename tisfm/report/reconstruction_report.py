@@ -127,7 +127,7 @@ def _summary(result: Reconstruction, folder: Path, source: str | None) -> list[t
         ("Focal length", f"{focal}, {about.origin}"),
         ("Version", result.version),
     ]
-    if about.message and about.message != f"{focal}, found from the sequence":
+    if about.message and about.message != f"{focal}, estimated from the sequence":
         rows.append(("Note on the camera", shortened(about.message)))
     if about.readout:
         rows.append(("Rolling shutter", f"{about.readout:.2f} of the time to the next frame"))

@@ -29,7 +29,7 @@ from tisfm.reconstruction.tracks.views import View
 START_FACTORS = (1.0, 0.42, 2.4)
 # Mean score per match, 0 to 1: a model with at least this score has the right shape: it is not
 # bent.
-MIN_STRAIGHT_SCORE = 0.5
+MIN_SHAPE_SCORE = 0.5
 # Views in each of the two windows on which start values are compared.
 WINDOW_VIEWS = 16
 # Observations that the uncertainty estimate uses, in all its parts together.
@@ -44,12 +44,12 @@ PART_COUNT = 6
 PART_START_FACTOR = 1.2
 # Share of the change from start value to estimate: a part that changes less does not show the focal
 # length.
-MIN_RETURN = 0.1
+MIN_RELATIVE_CHANGE = 0.1
 # Standard deviation of the estimate per spread of the parts, both of the logarithm.
 SPREAD_TO_DEVIATION = 0.7
 # Change of the logarithm of the focal length if distortion is estimated too: if the change is
 # larger than this and than the spread of the parts, the lens seems to distort.
-MIN_BEND = 0.03
+MIN_LOG_FOCAL_CHANGE = 0.03
 
 
 def find_models_and_focal(
@@ -70,47 +70,48 @@ def find_models_and_focal(
     good; found, none if no focal length leads to a path, or if few views show parallax with the
     estimate.
     """
-    shared = ViewGraph.of(views, matches, shape, focal_known=False)
-    begun = _best_start(shared, camera, calibrate)
-    found = [] if begun is None else _grown(shared, camera, begun, calibrate)
-    if not found:
+    graph = ViewGraph.of(views, matches, shape, focal_known=False)
+    start_focal = _find_start_focal(graph, camera, calibrate)
+    reconstructions = _grow_models(graph, camera, start_focal, calibrate) if start_focal else []
+    if not reconstructions:
         models = find_models(views, matches, camera, shape, focal_known=False)
-        return models, _unknown(camera) if models else None
-    _adjust(found[0], calibrate)
-    estimate = replace(_estimate(found[0], camera, shape, calibrate), max_deviation=max_deviation)
+        return models, _guess_estimate(camera) if models else None
+    _adjust(reconstructions[0], calibrate)
+    estimate = _estimate_focal(reconstructions[0], camera, shape, calibrate)
+    estimate = replace(estimate, max_deviation=max_deviation)
     if not estimate.is_useful:
         return find_models(views, matches, camera, shape, focal_known=False), estimate
-    if not estimate.radial and not shared.shows_parallax(estimate.apply_to(camera)):
+    lens = estimate.apply_to(camera)
+    if not estimate.radial and not graph.shows_parallax(lens):
         return [], None
     if not estimate.is_certain and not estimate.radial:
         # A rotation seen with a wrong focal length may look like a path. Such a path does not
         # appear again if models start with the estimated focal length: then there is no path. New
         # models may be bent too: they count only with a good score.
-        again = find_models(views, matches, estimate.apply_to(camera), shape, focal_known=False)
-        explained = shared.score(found) * shared.matches()
-        if not again or sum(model.score for model in again) >= MIN_STRAIGHT_SCORE * explained:
-            return again, estimate
-    for other in found[1:]:
-        _set(other, estimate.focal, estimate.radial)
-        _adjust(other, "nothing")
-    lens = estimate.apply_to(camera)
-    straight_views = [
+        new_models = find_models(views, matches, lens, shape, focal_known=False)
+        score = graph.score(reconstructions) * graph.match_count()
+        if not new_models or sum(model.score for model in new_models) >= MIN_SHAPE_SCORE * score:
+            return new_models, estimate
+    for model in reconstructions[1:]:
+        _set_focal(model, estimate.focal, estimate.radial)
+        _adjust(model, "nothing")
+    undistorted_views = [
         replace(view, observations=undistort_observations(view.observations, lens, shape))
         for view in views
     ]
-    return shared.models(found, straight_views, lens.pinhole()), estimate
+    return graph.models(reconstructions, undistorted_views, lens.pinhole()), estimate
 
 
 def undistort_observations(
-    seen: Observations, lens: Camera, shape: tuple[int, int]
+    observations: Observations, lens: Camera, shape: tuple[int, int]
 ) -> Observations:
     """Return where a pinhole would see the tracks; tracks outside the frame are left out."""
-    if lens.is_pinhole or not len(seen.points):
-        return seen
+    if lens.is_pinhole or not len(observations.points):
+        return observations
     height, width = shape
-    points = undistort_points(seen.points, lens, shape)
-    inside = ((points >= 0) & (points <= (width - 1, height - 1))).all(axis=1)
-    return Observations(points=points[inside], tracks=seen.tracks[inside])
+    points = undistort_points(observations.points, lens, shape)
+    is_inside = ((points >= 0) & (points <= (width - 1, height - 1))).all(axis=1)
+    return Observations(points=points[is_inside], tracks=observations.tracks[is_inside])
 
 
 def undistort_points(points: np.ndarray, lens: Camera, shape: tuple[int, int]) -> np.ndarray:
@@ -119,42 +120,43 @@ def undistort_points(points: np.ndarray, lens: Camera, shape: tuple[int, int]) -
         return points
     cx, cy = lens.center_for(*shape)
     matrix = np.array([[lens.focal, 0, cx], [0, lens.focal, cy], [0, 0, 1]])
-    found = cv2.undistortPoints(points[:, None], matrix, np.array(lens.distortion), P=matrix)
-    return np.asarray(found[:, 0])
+    undistorted = cv2.undistortPoints(points[:, None], matrix, np.array(lens.distortion), P=matrix)
+    return np.asarray(undistorted[:, 0])
 
 
-def _estimate(
-    whole: Any, camera: Camera, shape: tuple[int, int], calibrate: Calibrate
+def _estimate_focal(
+    model: Any, camera: Camera, shape: tuple[int, int], calibrate: Calibrate
 ) -> FocalEstimate:
     """Return the focal length of a reconstruction, with its uncertainty from the parts."""
-    focal, radial = _found(whole)
+    focal, radial = _focal_and_radial(model)
     if not _is_possible(focal):
-        return _unknown(camera)
+        return _guess_estimate(camera)
     starts = [focal * PART_START_FACTOR ** (1 if k % 2 else -1) for k in range(PART_COUNT)]
     parts = [
-        _of_part(whole, part, start, calibrate)
-        for part, start in zip(_parts(whole, camera, shape), starts, strict=True)
+        _calibrate_part(model, part, start, calibrate)
+        for part, start in zip(_split(model, camera, shape), starts, strict=True)
     ]
-    focals = np.array([one for one, _ in parts])
+    focals = np.array([part_focal for part_focal, _ in parts])
     if not all(map(_is_possible, focals)):
-        return _unknown(camera)
+        return _guess_estimate(camera)
     # If the data do not determine the focal length, the adjustment leaves the start value.
-    stayed = np.abs(np.log(focals / starts)) < MIN_RETURN * math.log(PART_START_FACTOR)
-    if stayed.sum() > len(parts) / 2:
-        return _unknown(camera)
-    off = np.stack([np.log(focals / focal), [one - radial for _, one in parts]], axis=1)
-    deviation, radial_deviation = SPREAD_TO_DEVIATION * np.sqrt(np.mean(off**2, axis=0))
-    bend = 0.0 if calibrate == "radial" else _bend(whole)
+    min_change = MIN_RELATIVE_CHANGE * math.log(PART_START_FACTOR)
+    is_unchanged = np.abs(np.log(focals / starts)) < min_change
+    if is_unchanged.sum() > len(parts) / 2:
+        return _guess_estimate(camera)
+    errors = np.stack([np.log(focals / focal), [k1 - radial for _, k1 in parts]], axis=1)
+    deviation, radial_deviation = SPREAD_TO_DEVIATION * np.sqrt(np.mean(errors**2, axis=0))
+    change = 0.0 if calibrate == "radial" else _log_focal_change(model)
     return FocalEstimate(
         focal=focal,
-        deviation=focal * math.hypot(deviation, bend),
+        deviation=focal * math.hypot(deviation, change),
         radial=radial,
         radial_deviation=float(radial_deviation),
-        shows_distortion=abs(bend) > max(MIN_BEND, deviation),
+        shows_distortion=abs(change) > max(MIN_LOG_FOCAL_CHANGE, deviation),
     )
 
 
-def _unknown(guess: Camera) -> FocalEstimate:
+def _guess_estimate(guess: Camera) -> FocalEstimate:
     return FocalEstimate(focal=guess.focal, deviation=math.inf)
 
 
@@ -163,128 +165,137 @@ def _is_possible(focal: float) -> bool:
     return SHORTEST <= focal <= LONGEST
 
 
-def _bend(whole: Any) -> float:
+def _log_focal_change(model: Any) -> float:
     """Return the change of the log focal length when distortion is estimated too."""
-    bent = copy.deepcopy(whole)
-    camera = next(iter(bent.cameras.values()))
+    distorted = copy.deepcopy(model)
+    camera = next(iter(distorted.cameras.values()))
     params = [*camera.params, 0.0]
     camera.model = pycolmap().CameraModelId.SIMPLE_RADIAL
     camera.params = params
-    _adjust(bent, "radial")
-    focal = _found(bent)[0]
-    return math.log(focal / _found(whole)[0]) if _is_possible(focal) else math.inf
+    _adjust(distorted, "radial")
+    focal = _focal_and_radial(distorted)[0]
+    return math.log(focal / _focal_and_radial(model)[0]) if _is_possible(focal) else math.inf
 
 
-def _grown(shared: ViewGraph, camera: Camera, begun: float, calibrate: Calibrate) -> list[Any]:
+def _grow_models(
+    graph: ViewGraph, camera: Camera, start_focal: float, calibrate: Calibrate
+) -> list[Any]:
     """Return reconstructions from a focal length, or from another if they explain too little.
 
     The start value may come from windows whose models are bent, for example where the camera
     follows a moving object.
     """
-    best = shared.grow_models(replace(camera, focal=begun), calibrate)
-    if best and shared.score(best) >= MIN_STRAIGHT_SCORE:
+    best = graph.grow_models(replace(camera, focal=start_focal), calibrate)
+    if best and graph.score(best) >= MIN_SHAPE_SCORE:
         return best
-    for times in START_FACTORS:
-        others = shared.grow_models(replace(camera, focal=times * camera.focal), calibrate)
+    for factor in START_FACTORS:
+        candidates = graph.grow_models(replace(camera, focal=factor * camera.focal), calibrate)
         if (
-            others
-            and shared.score(others) > shared.score(best)
-            and _is_possible(_found(others[0])[0])
+            candidates
+            and graph.score(candidates) > graph.score(best)
+            and _is_possible(_focal_and_radial(candidates[0])[0])
         ):
-            best = others
+            best = candidates
     return best
 
 
-def _best_start(shared: ViewGraph, camera: Camera, calibrate: Calibrate) -> float | None:
+def _find_start_focal(graph: ViewGraph, camera: Camera, calibrate: Calibrate) -> float | None:
     """Return the focal length, px, that explains the matches in windows of views best."""
-    best, most = None, 0.0
-    for times in START_FACTORS:
-        explained, found = 0.0, []
-        for window in _windows(shared):
-            grown = window.grow_models(replace(camera, focal=times * camera.focal), calibrate)
-            if grown and _is_possible(_found(grown[0])[0]):
-                explained += window.score(grown[:1])
-                found.append(_found(grown[0])[0])
-        if explained > most:
-            best, most = float(np.exp(np.mean(np.log(found)))), explained
+    best, best_score = None, 0.0
+    for factor in START_FACTORS:
+        score, focals = 0.0, []
+        for window in _comparison_windows(graph):
+            models = window.grow_models(replace(camera, focal=factor * camera.focal), calibrate)
+            if models and _is_possible(_focal_and_radial(models[0])[0]):
+                score += window.score(models[:1])
+                focals.append(_focal_and_radial(models[0])[0])
+        if score > best_score:
+            best, best_score = float(np.exp(np.mean(np.log(focals)))), score
     return best
 
 
-def _windows(shared: ViewGraph) -> list[ViewGraph]:
-    count = len(shared.views)
+def _comparison_windows(graph: ViewGraph) -> list[ViewGraph]:
+    count = len(graph.views)
     if count <= 2 * WINDOW_VIEWS:
-        return [shared]
+        return [graph]
     begins = (count // 4 - WINDOW_VIEWS // 2, count - count // 4 - WINDOW_VIEWS // 2)
-    return [shared.part(begin, begin + WINDOW_VIEWS) for begin in begins]
+    return [graph.subgraph(begin, begin + WINDOW_VIEWS) for begin in begins]
 
 
-def _parts(whole: Any, camera: Camera, shape: tuple[int, int]) -> list[tuple[set[int], set[int]]]:
+def _split(model: Any, camera: Camera, shape: tuple[int, int]) -> list[tuple[set[int], set[int]]]:
     """Return views and points of each part: halves of the time, and halves of the image.
 
     Points that most views see come first, until there are MAX_PART_OBSERVATIONS observations.
     """
-    views = sorted(whole.reg_image_ids())
-    lengths = {number: point.track.length() for number, point in whole.points3D.items()}
+    views = sorted(model.reg_image_ids())
+    lengths = {number: point.track.length() for number, point in model.points3D.items()}
     points, count = set(), 0
-    for number in sorted(lengths, key=lambda one: (-lengths[one], one)):
+    for number in sorted(lengths, key=lambda point_id: (-lengths[point_id], point_id)):
         if count < MAX_PART_OBSERVATIONS:
             points.add(number)
             count += lengths[number]
     half = max(2, len(views) // 2)
     parts = [(set(views[:half]), points), (set(views[-half:]), points)]
     center = camera.center_for(*shape)
-    places = {number: _places(whole, whole.points3D[number]).mean(axis=0) for number in points}
+    positions = {
+        number: _image_positions(model, model.points3D[number]).mean(axis=0) for number in points
+    }
     for axis in (0, 1):
-        near = {number for number in points if places[number][axis] < center[axis]}
-        parts += [(set(views), near), (set(views), points - near)]
+        first_half = {number for number in points if positions[number][axis] < center[axis]}
+        parts += [(set(views), first_half), (set(views), points - first_half)]
     return parts
 
 
-def _places(whole: Any, point: Any) -> np.ndarray:
+def _image_positions(model: Any, point: Any) -> np.ndarray:
     """Return the observed positions of a point, (N, 2), px."""
-    images = whole.images
+    images = model.images
     return np.array(
-        [images[one.image_id].points2D[one.point2D_idx].xy for one in point.track.elements]
+        [
+            images[element.image_id].points2D[element.point2D_idx].xy
+            for element in point.track.elements
+        ]
     )
 
 
-def _of_part(
-    whole: Any, part: tuple[set[int], set[int]], begun: float, calibrate: Calibrate
+def _calibrate_part(
+    model: Any, part: tuple[set[int], set[int]], start_focal: float, calibrate: Calibrate
 ) -> tuple[float, float]:
     """Return the focal length, px, and k1 of a part, adjusted from another focal length."""
     views, points = part
-    less = copy.deepcopy(whole)
-    for number in sorted(set(less.reg_image_ids()) - views):
-        less.deregister_frame(less.images[number].frame_id)
-    few = [k for k, point in less.points3D.items() if k not in points or point.track.length() < 2]
-    for number in few:
-        less.delete_point3D(number)
-    _set(less, begun, _found(whole)[1])
-    _adjust(less, calibrate)
-    return _found(less)
+    part_model = copy.deepcopy(model)
+    for number in sorted(set(part_model.reg_image_ids()) - views):
+        part_model.deregister_frame(part_model.images[number].frame_id)
+    unused = [
+        k for k, point in part_model.points3D.items() if k not in points or point.track.length() < 2
+    ]
+    for number in unused:
+        part_model.delete_point3D(number)
+    _set_focal(part_model, start_focal, _focal_and_radial(model)[1])
+    _adjust(part_model, calibrate)
+    return _focal_and_radial(part_model)
 
 
-def _adjust(whole: Any, calibrate: Calibrate) -> None:
+def _adjust(model: Any, calibrate: Calibrate) -> None:
     """Adjust poses, points and the unknown part of the camera until convergence."""
     options = pycolmap().BundleAdjustmentOptions()
     options.refine_focal_length = calibrate != "nothing"
     options.refine_extra_params = calibrate == "radial"
     options.refine_principal_point = False
-    scene = pycolmap().BundleAdjustmentConfig()
-    for number in sorted(whole.reg_image_ids()):
-        scene.add_image(number)
-    scene.fix_gauge(pycolmap().BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    config = pycolmap().BundleAdjustmentConfig()
+    for number in sorted(model.reg_image_ids()):
+        config.add_image(number)
+    config.fix_gauge(pycolmap().BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
     robust_adjustment(options, MAX_STEPS, STEP_TOLERANCE)
-    pycolmap().create_default_bundle_adjuster(options, scene, whole).solve()
+    pycolmap().create_default_bundle_adjuster(options, config, model).solve()
 
 
-def _found(whole: Any) -> tuple[float, float]:
+def _focal_and_radial(model: Any) -> tuple[float, float]:
     """Return the focal length, px, and k1, which is 0 if it is not estimated."""
-    focal, _, _, *radial = next(iter(whole.cameras.values())).params
+    focal, _, _, *radial = next(iter(model.cameras.values())).params
     return float(focal), float(radial[0]) if radial else 0.0
 
 
-def _set(whole: Any, focal: float, radial: float) -> None:
-    camera = next(iter(whole.cameras.values()))
+def _set_focal(model: Any, focal: float, radial: float) -> None:
+    camera = next(iter(model.cameras.values()))
     _, cx, cy, *rest = camera.params
     camera.params = [focal, cx, cy, *([radial] if rest else [])]

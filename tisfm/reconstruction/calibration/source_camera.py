@@ -22,27 +22,27 @@ from tisfm.sources import FrameSource, SourceFrame
 # Share of the focal length: an estimate with a larger standard deviation is worse than the focal
 # length in the EXIF data of a file. Set by hand.
 MAX_EXIF_DEVIATION = 0.1
-UNSEEN_SAID = (
-    "the motion does not show the focal length, as where the camera goes straight on without "
-    "turning or all lies in one plane"
+UNSEEN_NOTE = (
+    "the motion does not show the focal length: the camera moves straight without a rotation, or "
+    "the scene is one plane"
 )
-BENT_SAID = 'the lens seems to distort: calibrate="radial" (--calibrate radial) finds that as well'
-HARDLY_SAID = "the motion hardly shows it"
-ADVICE = "give it if you know it, for instance from a calibration"
+DISTORTION_NOTE = 'the lens seems to distort: use calibrate="radial" (--calibrate radial)'
+UNCERTAIN_NOTE = "the motion hardly shows it"
+ADVICE = "if you know the focal length, give it"
 
 
 @dataclass(frozen=True, kw_only=True)
 class SourceCamera:
     """The camera of a source's frames."""
 
-    full: Camera  # camera of the frames of the source, before crop and reduction
+    full_camera: Camera  # camera of the frames of the source, before crop and reduction
     shape: tuple[int, int]  # height and width of these frames, px
-    used: Camera  # camera of the frames after crop and reduction
+    used_camera: Camera  # camera of the frames after crop and reduction
     # Share of a full frame's rows that the crop keeps. The readout time of a used frame is this
     # share of the readout time of the full frame.
-    rows: float
+    row_share: float
     guess: FocalGuess | None  # the guess of the focal length; None if a camera was given
-    stated: Calibration  # known calibration of a given camera
+    given_calibration: Calibration  # known calibration of a given camera
 
     @classmethod
     def of_first_frame(
@@ -50,29 +50,29 @@ class SourceCamera:
     ) -> "SourceCamera":
         """Return the given camera, the camera of a file, or a guess from the first frame."""
         height, width = frame.full or frame.image.shape[:2]
-        guess, stated = None, GIVEN
+        guess, given_calibration = None, GIVEN
         if isinstance(given, Path):
-            full = read_camera(given, (height, width))
-            stated = calibration_in(given, full.focal)
+            full_camera = read_camera(given, (height, width))
+            given_calibration = calibration_in(given, full_camera.focal)
         elif given is not None:
-            full = given
+            full_camera = given
         else:
             guess = guess_focal(source.first_file or frame.full or frame.image.shape)
-            full = Camera(focal=guess.focal)
-        whole = source.camera_after(replace(full, readout=1.0), frame.full)
+            full_camera = Camera(focal=guess.focal)
+        with_readout = source.camera_after(replace(full_camera, readout=1.0), frame.full)
         return cls(
-            full=full,
+            full_camera=full_camera,
             shape=(height, width),
-            used=source.camera_after(full, frame.full),
-            rows=whole.readout or 1.0,
+            used_camera=source.camera_after(full_camera, frame.full),
+            row_share=with_readout.readout or 1.0,
             guess=guess,
-            stated=stated,
+            given_calibration=given_calibration,
         )
 
     @property
-    def is_focal_stated(self) -> bool:
+    def is_focal_known(self) -> bool:
         """Whether the focal length is given, and the given value is reliable."""
-        return self.guess is None and self.stated.seen
+        return self.guess is None and self.given_calibration.seen
 
     @property
     def max_focal_deviation(self) -> float:
@@ -82,16 +82,15 @@ class SourceCamera:
 
     def full_readout(self, readout: float) -> float:
         """Return the readout time of full frames, at most 1 interval, from that of used frames."""
-        return max(-1.0, min(readout / self.rows, 1.0))
+        return max(-1.0, min(readout / self.row_share, 1.0))
 
     def calibration(
         self,
-        # found, used, sought, focal: as `found`, `camera`, `sought` and `focal` of
-        # `make_calibration`
-        found: FocalEstimate | None,
-        used: Camera,
+        # estimate, used_camera (camera there), is_estimated, focal: as for `make_calibration`
+        estimate: FocalEstimate | None,
+        used_camera: Camera,
         *,
-        sought: bool,
+        is_estimated: bool,
         focal: float,
         # (float, float): estimated readout time of used frames, and its standard deviation, in
         # intervals between frames
@@ -99,45 +98,45 @@ class SourceCamera:
     ) -> Calibration:
         """Return the origin and the uncertainty of the camera, in px of full frames."""
         calibration = make_calibration(
-            found,
+            estimate,
             self.guess,
-            used,
-            sought=sought,
+            used_camera,
+            is_estimated=is_estimated,
             focal=focal,
             shape=self.shape,
-            stated=self.stated,
+            given_calibration=self.given_calibration,
         )
         if readout is None:
             return calibration
         return replace(
             calibration,
             readout=self.full_readout(readout[0]),
-            readout_std=readout[1] / self.rows,
+            readout_std=readout[1] / self.row_share,
         )
 
 
 def make_calibration(
     # estimate from the sequence, px of the used frames (after crop and reduction)
-    found: FocalEstimate | None,
+    estimate: FocalEstimate | None,
     # guess from the first file or the size of frames; None if a camera was given
     guess: FocalGuess | None,
     camera: Camera,  # camera of the used frames
     *,
-    sought: bool,  # whether the focal length was to be estimated from the sequence
+    is_estimated: bool,  # whether the focal length was to be estimated from the sequence
     focal: float,  # focal length of `camera`, px of the frames of the source
     shape: tuple[int, int],  # height and width of the frames of the source, px
-    stated: Calibration = GIVEN,  # known calibration of a given camera
+    given_calibration: Calibration = GIVEN,  # known calibration of a given camera
 ) -> Calibration:
     """Return the origin and uncertainty of a focal length, in px of the frames of the source."""
-    if not sought and guess is None:
-        return replace(stated, focal=focal, shape=shape)
-    if found is None or not found.is_useful:
-        told = f"the focal length is a guess, {focal:.0f} px{at_size(shape)}"
+    if not is_estimated and guess is None:
+        return replace(given_calibration, focal=focal, shape=shape)
+    if estimate is None or not estimate.is_useful:
+        text = f"the focal length is a guess, {focal:.0f} px{at_size(shape)}"
         if guess is not None:
-            told += f", {guess.reason}"
-        if sought:
-            told += f": {'no path was found' if found is None else UNSEEN_SAID}"
-        message = f"{told}; {ADVICE}"
+            text += f", {guess.reason}"
+        if is_estimated:
+            text += f": {'no path was found' if estimate is None else UNSEEN_NOTE}"
+        message = f"{text}; {ADVICE}"
         return Calibration(
             origin="guessed",
             focal=focal,
@@ -146,19 +145,19 @@ def make_calibration(
             seen=False,
             message=message,
         )
-    deviation = found.deviation * focal / camera.focal
-    told = f"{describe_focal(focal, deviation, shape)}, found from the sequence"
-    if found.radial:
-        told += f" with k1 = {found.radial:.3f} ± {float(f'{found.radial_deviation:.1g}'):g}"
-    doubt = BENT_SAID if found.shows_distortion else HARDLY_SAID
-    message = told if found.is_certain else f"the focal length is {told}: {doubt}; {ADVICE}"
+    deviation = estimate.deviation * focal / camera.focal
+    text = f"{describe_focal(focal, deviation, shape)}, estimated from the sequence"
+    if estimate.radial:
+        text += f" with k1 = {estimate.radial:.3f} ± {float(f'{estimate.radial_deviation:.1g}'):g}"
+    reason = DISTORTION_NOTE if estimate.shows_distortion else UNCERTAIN_NOTE
+    message = text if estimate.is_certain else f"the focal length is {text}: {reason}; {ADVICE}"
     return Calibration(
         origin="estimated",
         focal=focal,
         focal_std=deviation,
         shape=shape,
-        seen=found.is_certain,
+        seen=estimate.is_certain,
         message=message,
-        radial=found.radial,
-        radial_std=found.radial_deviation,
+        radial=estimate.radial,
+        radial_std=estimate.radial_deviation,
     )

@@ -14,7 +14,7 @@ from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 
 # The fewest observations that two views share, or a view and the known points. Set by hand.
-MIN_SHARED = 15
+MIN_OBSERVATIONS = 15
 # The number of pycolmap's two-view configuration "calibrated".
 CALIBRATED_PAIR = 2
 # The fewest tracks that two views share. Set by hand.
@@ -45,31 +45,31 @@ def colmap_camera(camera: Camera, shape: tuple[int, int], calibrate: Calibrate =
         "focal": ("SIMPLE_PINHOLE", [focal, *center]),
         "radial": ("SIMPLE_RADIAL", [focal, *center, 0.0]),
     }[calibrate]
-    known = pycolmap().Camera(model=model, width=width, height=height, params=params, camera_id=1)
-    known.has_prior_focal_length = True  # so that the search for first pairs uses it
-    return known
+    result = pycolmap().Camera(model=model, width=width, height=height, params=params, camera_id=1)
+    result.has_prior_focal_length = True  # so that the search for first pairs uses it
+    return result
 
 
-def pairs_of(
+def match_pairs(
     views: Sequence[View], matches: Mapping[tuple[int, int], np.ndarray]
 ) -> dict[tuple[int, int], np.ndarray]:
     """Return, for pairs of indices of views, the indices of matching points, (N, 2)."""
-    near = {(k, k + apart) for apart in VIEW_STEPS for k in range(len(views) - apart)}
+    near_pairs = {(k, k + step) for step in VIEW_STEPS for k in range(len(views) - step)}
     pairs = {}
-    for first, second in sorted(near | set(matches)):
-        both = np.empty((0, 2), np.intp)
-        if (first, second) in near:
-            both = _shared(views[first].observations, views[second].observations)
+    for first, second in sorted(near_pairs | set(matches)):
+        indices = np.empty((0, 2), np.intp)
+        if (first, second) in near_pairs:
+            indices = _common_tracks(views[first].observations, views[second].observations)
         if (first, second) in matches:
-            begun = len(views[first].observations.points), len(views[second].observations.points)
-            both = np.vstack([both, matches[first, second] + begun])
-        if len(both) >= MIN_SHARED:
-            pairs[first, second] = both.astype(np.int32)
+            begins = [len(views[k].observations.points) for k in (first, second)]
+            indices = np.vstack([indices, matches[first, second] + begins])
+        if len(indices) >= MIN_OBSERVATIONS:
+            pairs[first, second] = indices.astype(np.int32)
     return pairs
 
 
 @contextmanager
-def database_of(
+def open_database(
     views: Sequence[View], pairs: Mapping[tuple[int, int], np.ndarray], camera: Any
 ) -> Iterator[Any]:
     """Open pycolmap's database of views and the matches of pairs of views."""
@@ -82,7 +82,7 @@ def database_of(
         database.close()
 
 
-class Directions(Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]):
+class MatchDirections(Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]):
     """Unit directions to matching points, for pairs of numbers of views; computed on access.
 
     All of them together would need many times the memory of the views.
@@ -102,8 +102,8 @@ class Directions(Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]):
 
     def __getitem__(self, numbers: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
         first, second = numbers[0] - 1, numbers[1] - 1
-        both = self._pairs[first, second]
-        return self._rays[first][both[:, 0]], self._rays[second][both[:, 1]]
+        indices = self._pairs[first, second]
+        return self._rays[first][indices[:, 0]], self._rays[second][indices[:, 1]]
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
         return ((first + 1, second + 1) for first, second in self._pairs)
@@ -130,14 +130,14 @@ def _write_views(database: Any, views: Sequence[View], camera: Any) -> None:
 
 
 def _write_pairs(database: Any, pairs: Mapping[tuple[int, int], np.ndarray]) -> None:
-    for (first, second), both in pairs.items():
-        pair = pycolmap().TwoViewGeometry()
-        pair.config = CALIBRATED_PAIR
-        pair.inlier_matches = both.astype(np.uint32)
-        database.write_two_view_geometry(first + 1, second + 1, pair)
+    for (first, second), indices in pairs.items():
+        geometry = pycolmap().TwoViewGeometry()
+        geometry.config = CALIBRATED_PAIR
+        geometry.inlier_matches = indices.astype(np.uint32)
+        database.write_two_view_geometry(first + 1, second + 1, geometry)
 
 
-def _shared(first: Observations, second: Observations) -> np.ndarray:
+def _common_tracks(first: Observations, second: Observations) -> np.ndarray:
     """Return the indices in two views of the tracks that they share, (N, 2)."""
     index0, index1 = first.common_tracks(second)
     if len(index0) < MIN_SHARED_TRACKS:

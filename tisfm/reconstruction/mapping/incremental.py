@@ -5,11 +5,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tisfm.reconstruction.mapping.database import MIN_SHARED, pycolmap
+from tisfm.reconstruction.mapping.database import MIN_OBSERVATIONS, pycolmap
 from tisfm.reconstruction.mapping.parallax import (
     LowParallaxFilter,
     beyond_homography,
     beyond_rotation,
+    epipolar_angles,
 )
 from tisfm.reconstruction.result.calibration import Calibrate
 
@@ -46,7 +47,7 @@ TOLERANCE_FRAME = 1000
 # rad: a smaller parallax is matching noise.
 MIN_PARALLAX = 5e-4
 # rad: a larger parallax makes a first pair no better.
-FULL_PARALLAX = 0.03
+MAX_PARALLAX = 0.03
 # Smallest ratio of the residuals of a homography to the residuals of the motion of a first pair, if
 # the focal length is a guess.
 MIN_HOMOGRAPHY_RATIO_GUESSED = 2.5
@@ -65,17 +66,17 @@ MIN_PARALLAX_PAIRS = 0.4
 MIN_MEAN_SCORE = 0.65
 # Smallest score of the worst view of a right model, as a share of the median view. Worst views of
 # right models had a share of 0.84 to 1 (blurred: 0.67), the worst view of a bent model 0.53.
-MIN_WORST_VIEW = 0.8
+MIN_WORST_VIEW_SHARE = 0.8
 # Otherwise a model is right if another first pair leads to the same score, within this share.
 MAX_SCORE_DIFFERENCE = 0.02
 # Views: models of at most this size are always built twice, which costs little.
-FEW_VIEWS = 8
+SMALL_MODEL_VIEWS = 8
 # The largest number of models that are built from different first pairs.
-MAX_STARTS = 3
+MAX_FIRST_PAIR_MODELS = 3
 # Smallest distance between first pairs, as a share of the remaining views,
-MIN_START_SHARE = 0.25
+MIN_PAIR_DISTANCE_SHARE = 0.25
 # but at most this number of views.
-MAX_START_DISTANCE = 4
+MAX_PAIR_DISTANCE = 4
 # Degrees: smallest angle between the rays of a triangulated point.
 MIN_TRIANGULATION_ANGLE = 0.5
 
@@ -88,10 +89,10 @@ class Score(Protocol):
     def score(self, model: Any) -> float:
         """Return the sum of the scores of the matches between the views of a model."""
 
-    def least_view(self, model: Any) -> float:
+    def worst_view_share(self, model: Any) -> float:
         """Return the mean match score of the worst view, divided by the median over all views."""
 
-    def matches(self, views: Collection[int] | None = None) -> int:
+    def match_count(self, views: Collection[int] | None = None) -> int:
         """Return the number of matches between views; numbers of views begin with 1."""
 
 
@@ -110,52 +111,47 @@ def grow_models(
     focal_known: bool = True,
 ) -> list[Any]:
     """Return pycolmap's reconstructions of the views in a database, the largest first."""
-    cache = _cache(database)
-    mapper = pycolmap().IncrementalMapper(cache)
-    options = _options(calibrate)
-    options.mapper.init_max_error = first_pair_tolerance(_longer_side(cache))
-    left = set(range(1, count + 1)) & set(cache.images)
+    cache, mapper, options = _open_mapper(database, calibrate)
+    remaining = set(range(1, count + 1)) & set(cache.images)
     first_pairs = _FirstPairs(pairs, focal_known)
-    found = []
-    while len(left) >= MIN_VIEWS:
-        reconstruction = _one(mapper, score, options, first_pairs, left)
-        if reconstruction is None:
+    models = []
+    while len(remaining) >= MIN_VIEWS:
+        model = _build_model(mapper, score, options, first_pairs, remaining)
+        if model is None:
             break
-        left -= set(reconstruction.reg_image_ids())
-        found.append(reconstruction)
-    return sorted(found, key=lambda one: (-one.num_reg_images(), min(one.reg_image_ids())))
+        remaining -= set(model.reg_image_ids())
+        models.append(model)
+    return sorted(models, key=lambda one: (-one.num_reg_images(), min(one.reg_image_ids())))
 
 
 def grow_from_poses(
     database: Any,
     # mapping of int to (3, 4) array: world to camera, for at least two views; numbers of views
     # begin with 1
-    known: Mapping[int, np.ndarray],
+    known_poses: Mapping[int, np.ndarray],
     *,
     # Whether the known poses stay fixed. Otherwise they are adjusted with all others.
     fixed: bool = True,
-    left: Collection[int] | None = None,  # the views that may be added; by default all others
+    allowed: Collection[int] | None = None,  # the views that may be added; by default all others
 ) -> Any:
     """Return pycolmap's reconstruction, continued from views with known poses."""
-    cache = _cache(database)
-    mapper = pycolmap().IncrementalMapper(cache)
-    options = _options()
+    cache, mapper, options = _open_mapper(database)
     options.mapper.fix_existing_frames = fixed
-    reconstruction = pycolmap().Reconstruction()
-    reconstruction.load(cache)
-    known = {number: pose for number, pose in known.items() if number in cache.images}
-    if len(known) < 2:  # the other known views share no points with any view
-        return reconstruction
-    for number, pose in known.items():
-        reconstruction.frame(number).rig_from_world = pycolmap().Rigid3d(pose)
-        reconstruction.register_frame(number)
-    mapper.begin_reconstruction(reconstruction)
-    for number in known:
+    model = pycolmap().Reconstruction()
+    model.load(cache)
+    known_poses = {number: pose for number, pose in known_poses.items() if number in cache.images}
+    if len(known_poses) < 2:  # the other known views share no points with any view
+        return model
+    for number, pose in known_poses.items():
+        model.frame(number).rig_from_world = pycolmap().Rigid3d(pose)
+        model.register_frame(number)
+    mapper.begin_reconstruction(model)
+    for number in known_poses:
         mapper.triangulate_image(options.triangulation, number)
-    others = set(cache.images) if left is None else set(cache.images) & set(left)
-    _grow(mapper, reconstruction, options, others - set(known), roughly=not fixed)
+    others = set(cache.images) if allowed is None else set(cache.images) & set(allowed)
+    _add_views(mapper, model, options, others - set(known_poses), is_rough=not fixed)
     mapper.end_reconstruction(False)
-    return reconstruction
+    return model
 
 
 def shows_parallax(
@@ -167,17 +163,20 @@ def shows_parallax(
 
     If few of them do, matching errors determine the focal length and the path.
     """
-    cache = _cache(database)
-    mapper = pycolmap().IncrementalMapper(cache)
-    options = _options()
-    options.mapper.init_max_error = first_pair_tolerance(_longer_side(cache))
-    return _FirstPairs(pairs, focal_known=True).usable_share(mapper, options) >= MIN_PARALLAX_PAIRS
+    _, mapper, options = _open_mapper(database)
+    first_pairs = _FirstPairs(pairs, focal_known=True)
+    return first_pairs.parallax_share(mapper, options) >= MIN_PARALLAX_PAIRS
 
 
-def _cache(database: Any) -> Any:
+def _open_mapper(database: Any, calibrate: Calibrate = "nothing") -> tuple[Any, Any, Any]:
+    """Return the cache of a database, its mapper and the options of the mapper."""
     settings = pycolmap().DatabaseCacheOptions()
-    settings.min_num_matches = MIN_SHARED
-    return pycolmap().DatabaseCache.create(database, settings)
+    settings.min_num_matches = MIN_OBSERVATIONS
+    cache = pycolmap().DatabaseCache.create(database, settings)
+    options = _options(calibrate)
+    camera = next(iter(cache.cameras.values()))
+    options.mapper.init_max_error = first_pair_tolerance(max(camera.width, camera.height))
+    return cache, pycolmap().IncrementalMapper(cache), options
 
 
 def first_pair_tolerance(
@@ -187,88 +186,77 @@ def first_pair_tolerance(
     return FIRST_PAIR_TOLERANCE * max(1.0, longer_side / TOLERANCE_FRAME)
 
 
-def _longer_side(cache: Any) -> int:
-    """Return the longer side of the frames, px."""
-    camera = next(iter(cache.cameras.values()))
-    return int(max(camera.width, camera.height))
-
-
 class _FirstPairs:
     """Selects the pairs of views from which a path may begin."""
 
-    def __init__(
-        self,
-        pairs: Pairs,  # mapping of (int, int) to two (N, 3) arrays: as for `grow_models`
-        focal_known: bool,  # as for `grow_models`
-    ) -> None:
+    def __init__(self, pairs: Pairs, focal_known: bool) -> None:  # as for `grow_models`
         self._pairs, self._focal_known = pairs, focal_known
-        self._parallax = beyond_rotation if focal_known else beyond_homography
-        self._ranked = self._rank()
+        self._residual_angles = beyond_rotation if focal_known else beyond_homography
+        self._ranked_pairs = self._rank()
 
-    def starts(
-        self, mapper: Any, options: Any, left: set[int], begun: Sequence[int]
+    def candidates(
+        self, mapper: Any, options: Any, remaining: set[int], used_views: Sequence[int]
     ) -> Iterator[tuple[int, int, Any]]:
         """Yield pairs of remaining views, with the motion from the first to the second.
 
-        Pairs near the views in `begun` are left out; the caller may extend `begun` meanwhile.
+        Pairs near `used_views` are left out; the caller may extend this list meanwhile.
         """
-        possible = [pair for pair in self._ranked if left.issuperset(pair)]
-        apart = min(max(MIN_START_SHARE * len(left), 1), MAX_START_DISTANCE)
+        pairs = [pair for pair in self._ranked_pairs if remaining.issuperset(pair)]
+        min_distance = min(max(MIN_PAIR_DISTANCE_SHARE * len(remaining), 1), MAX_PAIR_DISTANCE)
         for angle in FIRST_PAIR_ANGLES:
             options.mapper.init_min_tri_angle = angle
-            for first, second in possible[:MAX_FIRST_PAIRS]:
-                if any(abs(one - other) < apart for one in (first, second) for other in begun):
+            for pair in pairs[:MAX_FIRST_PAIRS]:
+                if any(abs(view - used) < min_distance for view in pair for used in used_views):
                     continue
-                motion = mapper.estimate_initial_two_view_geometry(options.mapper, first, second)
-                if motion is not None and self._is_needed(motion.matrix(), first, second):
-                    yield first, second, motion
+                motion = mapper.estimate_initial_two_view_geometry(options.mapper, *pair)
+                if motion is not None and self._has_parallax(motion.matrix(), *pair):
+                    yield *pair, motion
 
-    def usable_share(self, mapper: Any, options: Any) -> float:
+    def parallax_share(self, mapper: Any, options: Any) -> float:
         """Return the share, from 0 to 1, of the best pairs from which a path may begin.
 
         Pairs whose matches fit no motion are not counted.
         """
         options.mapper.init_min_tri_angle = FIRST_PAIR_ANGLES[-1]
-        usable = []
-        for pair in self._ranked[:MAX_FIRST_PAIRS]:
+        has_parallax = []
+        for pair in self._ranked_pairs[:MAX_FIRST_PAIRS]:
             motion = mapper.estimate_initial_two_view_geometry(options.mapper, *pair)
             if motion is not None:
-                usable.append(self._is_needed(motion.matrix(), *pair))
-        return float(np.mean(usable)) if usable else 0.0
+                has_parallax.append(self._has_parallax(motion.matrix(), *pair))
+        return float(np.mean(has_parallax)) if has_parallax else 0.0
 
     def _rank(self) -> list[tuple[int, int]]:
         """Return pairs that share many points with parallax, the best first."""
-        worth = {}
+        weights = {}
         for pair, (before, after) in self._pairs.items():
-            if len(before) >= 2 * MIN_SHARED:
-                parallax = self._parallax(before, after)
-                if np.median(parallax) > MIN_PARALLAX:
-                    worth[pair] = len(before) * min(
-                        float(np.quantile(parallax, PARALLAX_QUANTILE)), FULL_PARALLAX
+            if len(before) >= 2 * MIN_OBSERVATIONS:
+                angles = self._residual_angles(before, after)
+                if np.median(angles) > MIN_PARALLAX:
+                    weights[pair] = len(before) * min(
+                        float(np.quantile(angles, PARALLAX_QUANTILE)), MAX_PARALLAX
                     )
-        return sorted(worth, key=lambda one: (-worth[one], one))
+        return sorted(weights, key=lambda one: (-weights[one], one))
 
-    def _is_needed(self, motion: np.ndarray, first: int, second: int) -> bool:
+    def _has_parallax(self, motion: np.ndarray, first: int, second: int) -> bool:
         """Return whether a motion, (3, 4), explains directions much better than simpler motions.
 
         The required ratios exceed 1: a motion with a free depth for each point also fits noise
         better.
         """
         before, after = self._pairs[first, second]
-        normal = np.cross(motion[:, 3], before @ motion[:, :3].T)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-        away = float(np.median(np.abs((after * normal).sum(axis=1))))
-        by_homography = float(np.median(beyond_homography(before, after)))
+        epipolar_angle = float(np.median(epipolar_angles(np.eye(4)[:3], motion, before, after)))
+        homography_angle = float(np.median(beyond_homography(before, after)))
         if not self._focal_known:
-            return by_homography > MIN_HOMOGRAPHY_RATIO_GUESSED * away
-        by_rotation = float(np.median(beyond_rotation(before, after)))
+            return homography_angle > MIN_HOMOGRAPHY_RATIO_GUESSED * epipolar_angle
+        rotation_angle = float(np.median(beyond_rotation(before, after)))
         return (
-            by_rotation > MIN_ROTATION_RATIO * away and by_homography > MIN_HOMOGRAPHY_RATIO * away
+            rotation_angle > MIN_ROTATION_RATIO * epipolar_angle
+            and homography_angle > MIN_HOMOGRAPHY_RATIO * epipolar_angle
         )
 
 
-def _one(
-    mapper: Any, score: Score, options: Any, first_pairs: _FirstPairs, left: set[int]
+def _build_model(
+    mapper: Any, score: Score, options: Any, first_pairs: _FirstPairs, remaining: set[int]
 ) -> Any | None:
     """Return a reconstruction of some of the remaining views, or None.
 
@@ -276,87 +264,89 @@ def _one(
     it explains all views well, or if a model from another first pair gets the same score. Otherwise
     the model with the best score is returned.
     """
-    best, most, begun, is_right = None, 0.0, list[int](), False
-    enough = MIN_MEAN_SCORE * score.matches(left)
-    for pair in first_pairs.starts(mapper, options, left, begun):
-        begun += pair[:2]
-        reconstruction = pycolmap().Reconstruction()
-        mapper.begin_reconstruction(reconstruction)
+    best, best_score, used_views, is_accepted = None, 0.0, list[int](), False
+    min_score = MIN_MEAN_SCORE * score.match_count(remaining)
+    for pair in first_pairs.candidates(mapper, options, remaining, used_views):
+        used_views += pair[:2]
+        model = pycolmap().Reconstruction()
+        mapper.begin_reconstruction(model)
         mapper.register_initial_image_pair(options.mapper, *pair)
         mapper.triangulate_image(options.triangulation, pair[0])
-        _grow(mapper, reconstruction, options, left)
+        _add_views(mapper, model, options, remaining)
         mapper.end_reconstruction(False)
-        if reconstruction.num_reg_images() >= MIN_VIEWS:
-            explained = score.score(reconstruction)
-            is_even = (
-                reconstruction.num_reg_images() > FEW_VIEWS
-                and explained > enough
-                and score.least_view(reconstruction) > MIN_WORST_VIEW
+        if model.num_reg_images() >= MIN_VIEWS:
+            total_score = score.score(model)
+            is_consistent = (
+                model.num_reg_images() > SMALL_MODEL_VIEWS
+                and total_score > min_score
+                and score.worst_view_share(model) > MIN_WORST_VIEW_SHARE
             )
-            is_right = is_even or abs(explained - most) < MAX_SCORE_DIFFERENCE * most
-            if is_even or explained > most:
-                best, most = reconstruction, explained
-        if is_right or len(begun) >= 2 * MAX_STARTS:
+            is_accepted = (
+                is_consistent or abs(total_score - best_score) < MAX_SCORE_DIFFERENCE * best_score
+            )
+            if is_consistent or total_score > best_score:
+                best, best_score = model, total_score
+        if is_accepted or len(used_views) >= 2 * MAX_FIRST_PAIR_MODELS:
             break
     return best
 
 
-def _grow(
-    mapper: Any, reconstruction: Any, options: Any, left: set[int], *, roughly: bool = False
+def _add_views(
+    mapper: Any, model: Any, options: Any, remaining: set[int], *, is_rough: bool = False
 ) -> None:
-    """Add views to a reconstruction; with `roughly`, its rough poses are adjusted first."""
+    """Add views to a model; if its poses are rough, they are adjusted first."""
     local = options.get_local_bundle_adjustment()
-    one_place = LowParallaxFilter(mapper, reconstruction)
+    low_parallax_filter = LowParallaxFilter(mapper, model)
 
     def adjust_all(
         refinements: int,
         limits: tuple[int, float] = GROWING_LIMITS,
-        outlying: float = OUTLIER_PIXELS,
+        outlier_pixels: float = OUTLIER_PIXELS,
     ) -> tuple[int, int]:
         mapper.iterative_global_refinement(
             refinements,
             1e-3,
             options.mapper,
-            _adjustment(options, *limits, outlying),
+            robust_adjustment(options.get_global_bundle_adjustment(), *limits, outlier_pixels),
             options.triangulation,
             normalize_reconstruction=not options.mapper.fix_existing_frames,
         )
-        return reconstruction.num_reg_images(), reconstruction.num_points3D()
+        return model.num_reg_images(), model.num_points3D()
 
-    if roughly:
+    if is_rough:
         adjust_all(3, FINAL_LIMITS, ROUGH_OUTLIER_PIXELS)
     views, points = adjust_all(2)
     if points == 0:
         return
     while True:
         for number in mapper.find_next_images(options.mapper, False):
-            if number in left and mapper.register_next_image(options.mapper, number):
+            if number in remaining and mapper.register_next_image(options.mapper, number):
                 break
         else:
             break
         mapper.triangulate_image(options.triangulation, number)
-        one_place.delete(number)
+        low_parallax_filter.delete_points(number)
         mapper.iterative_local_refinement(
             1, 1e-3, options.mapper, local, options.triangulation, number
         )
-        one_place.delete(number)
-        now = reconstruction.num_reg_images(), reconstruction.num_points3D()
-        if now[0] >= GROWTH_FACTOR * views or now[1] >= GROWTH_FACTOR * points:
+        low_parallax_filter.delete_points(number)
+        counts = model.num_reg_images(), model.num_points3D()
+        if counts[0] >= GROWTH_FACTOR * views or counts[1] >= GROWTH_FACTOR * points:
             views, points = adjust_all(1)
     adjust_all(1)
     adjust_all(1, FINAL_LIMITS)
 
 
-def _options(calibrate: Calibrate = "nothing") -> Any:
+def _options(calibrate: Calibrate) -> Any:
     options = pycolmap().IncrementalPipelineOptions()
     options.ba_refine_focal_length = calibrate != "nothing"
     options.ba_refine_extra_params = calibrate == "radial"
     options.ba_local_function_tolerance = 1e-5
     options.mapper.abs_pose_refine_focal_length = False
     options.mapper.abs_pose_refine_extra_params = False
-    options.mapper.abs_pose_min_num_inliers = MIN_SHARED
+    options.mapper.abs_pose_min_num_inliers = MIN_OBSERVATIONS
     options.mapper.abs_pose_min_inlier_ratio = MIN_INLIER_SHARE
-    options.mapper.init_min_num_inliers = 2 * MIN_SHARED
+    options.mapper.init_min_num_inliers = 2 * MIN_OBSERVATIONS
     options.triangulation.min_angle = options.mapper.filter_min_tri_angle = MIN_TRIANGULATION_ANGLE
     options.mapper.init_max_forward_motion = 1.0  # the triangulation angle decides instead
     for part in (options, options.mapper):
@@ -366,18 +356,13 @@ def _options(calibrate: Calibrate = "nothing") -> Any:
     return options
 
 
-def _adjustment(options: Any, steps: int, tolerance: float, outlying: float) -> Any:
-    """Return the options of the robust adjustment of all views and points."""
-    return robust_adjustment(options.get_global_bundle_adjustment(), steps, tolerance, outlying)
-
-
 def robust_adjustment(
-    adjustment: Any, steps: int, tolerance: float, outlying: float = OUTLIER_PIXELS
+    adjustment: Any, steps: int, tolerance: float, outlier_pixels: float = OUTLIER_PIXELS
 ) -> Any:
     """Return pycolmap's options of an adjustment, with a robust loss and at most `steps` steps."""
     adjustment.print_summary = False
     adjustment.ceres.loss_function_type = pycolmap().LossFunctionType.CAUCHY
-    adjustment.ceres.loss_function_scale = outlying
+    adjustment.ceres.loss_function_scale = outlier_pixels
     solver = adjustment.ceres.solver_options
     solver.num_threads = 1
     solver.max_num_iterations, solver.function_tolerance = steps, tolerance

@@ -8,7 +8,7 @@ The area tells which motion is the motion of the static scene. A moving object m
 than the static scene, and so more points.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from tisfm.reconstruction.geometry.rays import unit_vectors
 from tisfm.reconstruction.mapping.database import PIXEL_CENTRE
 from tisfm.reconstruction.mapping.incremental import first_pair_tolerance
+from tisfm.reconstruction.mapping.parallax import epipolar_angles
 from tisfm.reconstruction.tracks.views import View
 
 # Values without a stated source were set by hand.
@@ -27,6 +28,8 @@ GRID_CELLS = 32
 EPIPOLAR_TOLERANCE = 2.0
 
 Pairs = Mapping[tuple[int, int], np.ndarray]
+"""(N, 2) int arrays by pairs of indices of views: indices of matching points, tracks first, then
+detected points."""
 
 
 class MatchScore:
@@ -40,58 +43,50 @@ class MatchScore:
     def __init__(
         self,
         views: Sequence[View],
-        # mapping of (int, int) to (N, 2) int array: for pairs of indices of views, indices of
-        # matching points: tracks first, then detected ones
-        pairs: Mapping[tuple[int, int], np.ndarray],
+        pairs: Pairs,
         shape: tuple[int, int],  # height and width of the frames, px
     ) -> None:
         self._pairs, self._scale = pairs, first_pair_tolerance(max(shape)) / 2
         self._points = [np.vstack([view.observations.points, view.detected]) for view in views]
 
-    def matches(
+    def match_count(
         self,
         views: Collection[int] | None = None,  # pycolmap's numbers of views, which begin with 1
     ) -> int:
         """Return the number of matches between views; by default of all."""
         if views is None:
             return sum(map(len, self._pairs.values()))
-        inside = set(views)
+        selected = set(views)
         return sum(
-            len(both)
-            for (first, second), both in self._pairs.items()
-            if first + 1 in inside and second + 1 in inside
+            len(indices)
+            for (first, second), indices in self._pairs.items()
+            if first + 1 in selected and second + 1 in selected
         )
 
     def score(self, model: Any) -> float:
         """Return the sum of the scores of the matches between the views of a pycolmap model."""
-        return sum(score for score, _ in self._of_pairs(model).values())
+        return sum(score for score, _ in self._pair_scores(model).values())
 
-    def least_view(self, model: Any) -> float:
+    def worst_view_share(self, model: Any) -> float:
         """Return the mean match score of the worst view, divided by the median over all views.
 
         It is near 1 in a right model. It is small if one view has a wrong pose, though the model
         explains most matches.
         """
         sums: dict[int, np.ndarray] = {}
-        for pair, score in self._of_pairs(model).items():
+        for pair, score in self._pair_scores(model).items():
             for view in pair:
                 sums[view] = sums.get(view, np.zeros(2)) + score
         means = [score / count for score, count in sums.values() if count]
         return float(min(means) / np.median(means)) if means and max(means) > 0 else 0.0
 
-    def _of_pairs(self, model: Any) -> dict[tuple[int, int], tuple[float, int]]:
+    def _pair_scores(self, model: Any) -> dict[tuple[int, int], tuple[float, int]]:
         """Return the sum of the scores, and the number, of the matches of every pair of views."""
-        camera = next(iter(model.cameras.values()))
-        poses = {k - 1: model.images[k].cam_from_world().matrix() for k in model.reg_image_ids()}
-        rays = {view: camera_rays(self._points[view], camera) for view in poses}
-        found = {}
-        for (first, second), both in self._pairs.items():
-            if first in poses and second in poses:
-                before, after = rays[first][both[:, 0]], rays[second][both[:, 1]]
-                away = half_line_distances(poses[first], poses[second], before, after)
-                distance = camera.focal_length_x * away / self._scale
-                found[first, second] = float((1 / (1 + distance**2)).sum()), len(both)
-        return found
+        scores = {}
+        for pair, geometry in _pairs_of_model(model, self._points, self._pairs):
+            distance = _focal(model) * half_line_distances(*geometry) / self._scale
+            scores[pair] = float((1 / (1 + distance**2)).sum()), len(distance)
+        return scores
 
 
 def half_line_distances(
@@ -114,25 +109,25 @@ def half_line_distances(
     rotation = pose1[:, :3] @ pose0[:, :3].T
     infinite = before @ rotation.T
     translation = pose1[:, 3] - rotation @ pose0[:, 3]
-    seen = after / after[:, 2:]
+    image_points = after / after[:, 2:]
     normal = np.cross(infinite, translation)
     slope = np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-12)
-    of_line = np.abs((seen * normal).sum(axis=1)) / slope
+    to_line = np.abs((image_points * normal).sum(axis=1)) / slope
     # Beyond infinity a point would lie behind the cameras; beyond the epipole, behind the first.
     beyond_infinity = (np.cross(infinite, after) * normal).sum(axis=1) < 0
     beyond_epipole = (np.cross(after, translation) * normal).sum(axis=1) < 0
     is_open = np.linalg.norm(normal, axis=1) < 1e-12  # no translation, or along the direction
-    at_infinity = _distance_to(infinite, seen)
-    at_epipole = _distance_to(np.broadcast_to(translation, seen.shape), seen)
-    found = np.where(beyond_epipole, at_epipole, of_line)
-    return np.where(beyond_infinity | is_open, at_infinity, found)
+    to_infinity = _distance_to(infinite, image_points)
+    to_epipole = _distance_to(np.broadcast_to(translation, image_points.shape), image_points)
+    distances = np.where(beyond_epipole, to_epipole, to_line)
+    return np.where(beyond_infinity | is_open, to_infinity, distances)
 
 
-def _distance_to(direction: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def _distance_to(direction: np.ndarray, image_points: np.ndarray) -> np.ndarray:
     """Return the distances of points with z = 1 from directions; infinite for z ≤ 0."""
     z = np.where(direction[:, 2] > 1e-9, direction[:, 2], np.nan)
-    away = np.hypot(*(seen - direction / z[:, None])[:, :2].T)
-    return np.nan_to_num(away, nan=np.inf)
+    distances = np.hypot(*(image_points - direction / z[:, None])[:, :2].T)
+    return np.nan_to_num(distances, nan=np.inf)
 
 
 class Coverage:
@@ -146,66 +141,57 @@ class Coverage:
     def __init__(
         self,
         views: Sequence[View],
-        # mapping of (int, int) to (N, 2) int array: for pairs of indices of views, indices of
-        # matching points: tracks first, then detected points
         pairs: Pairs,
         shape: tuple[int, int],  # height and width of the frames, px
     ) -> None:
-        self._pairs, self._limit = pairs, EPIPOLAR_TOLERANCE * max(shape) / 640
+        self._pairs, self._max_distance = pairs, EPIPOLAR_TOLERANCE * max(shape) / 640
         self._points = [np.vstack([view.observations.points, view.detected]) for view in views]
-        areas = self._areas(places_in(shape))
-        self._worth = {
-            (first, second): areas[first][both[:, 0]] + areas[second][both[:, 1]]
-            for (first, second), both in pairs.items()
+        areas = self._areas(grid_points(shape))
+        self._weights = {
+            (first, second): areas[first][indices[:, 0]] + areas[second][indices[:, 1]]
+            for (first, second), indices in pairs.items()
         }
 
-    def explained(self, models: Sequence[Any]) -> dict[tuple[int, int], np.ndarray]:
+    def explained_matches(self, models: Sequence[Any]) -> dict[tuple[int, int], np.ndarray]:
         """Return, for each pair of views, the matches that any pycolmap reconstruction explains."""
-        piece = {view - 1: k for k, one in enumerate(models) for view in one.reg_image_ids()}
-        found = {
-            (first, second): np.zeros(len(both), bool)
-            for (first, second), both in self._pairs.items()
-            if piece.get(first, -1) == piece.get(second, -1) or not {first, second} <= set(piece)
+        model_of = {view - 1: k for k, one in enumerate(models) for view in one.reg_image_ids()}
+        is_explained = {
+            (first, second): np.zeros(len(indices), bool)
+            for (first, second), indices in self._pairs.items()
+            if model_of.get(first) == model_of.get(second) or not {first, second} <= set(model_of)
         }
         for model in models:
-            camera = next(iter(model.cameras.values()))
-            poses = {
-                k - 1: model.images[k].cam_from_world().matrix() for k in model.reg_image_ids()
-            }
-            rays = {view: camera_rays(self._points[view], camera) for view in poses}
-            for (first, second), both in self._pairs.items():
-                if first in poses and second in poses:
-                    before, after = rays[first][both[:, 0]], rays[second][both[:, 1]]
-                    off = camera.focal_length_x * _off(poses[first], poses[second], before, after)
-                    found[first, second] |= off < self._limit
-        return found
+            for pair, geometry in _pairs_of_model(model, self._points, self._pairs):
+                distance = _focal(model) * epipolar_angles(*geometry)
+                is_explained[pair] |= distance < self._max_distance
+        return is_explained
 
-    def share(self, explained: Mapping[tuple[int, int], np.ndarray]) -> float:
+    def explained_area(self, explained_matches: Mapping[tuple[int, int], np.ndarray]) -> float:
         """Return the explained share of the area that all matches stand for."""
         parts = [
-            (self._worth[pair][fits].sum(), self._worth[pair].sum())
-            for pair, fits in explained.items()
+            (self._weights[pair][is_explained].sum(), self._weights[pair].sum())
+            for pair, is_explained in explained_matches.items()
         ]
-        part, whole = np.sum(parts, axis=0) if parts else (0.0, 0.0)
-        return float(part / whole) if whole else 0.0
+        explained_sum, total = np.sum(parts, axis=0) if parts else (0.0, 0.0)
+        return float(explained_sum / total) if total else 0.0
 
-    def _areas(self, places: np.ndarray) -> list[np.ndarray]:
+    def _areas(self, grid: np.ndarray) -> list[np.ndarray]:
         """Return, by view, the share of grid points nearest to each matched point; else 0."""
         matched = [np.zeros(len(points), bool) for points in self._points]
-        for (first, second), both in self._pairs.items():
-            matched[first][both[:, 0]] = True
-            matched[second][both[:, 1]] = True
-        found = []
-        for points, used in zip(self._points, matched, strict=True):
+        for (first, second), indices in self._pairs.items():
+            matched[first][indices[:, 0]] = True
+            matched[second][indices[:, 1]] = True
+        areas = []
+        for points, is_matched in zip(self._points, matched, strict=True):
             area = np.zeros(len(points))
-            if used.any():
-                _, nearest = cKDTree(points[used]).query(places)
-                area[used] = np.bincount(nearest, minlength=used.sum()) / len(places)
-            found.append(area)
-        return found
+            if is_matched.any():
+                _, nearest = cKDTree(points[is_matched]).query(grid)
+                area[is_matched] = np.bincount(nearest, minlength=is_matched.sum()) / len(grid)
+            areas.append(area)
+        return areas
 
 
-def places_in(shape: tuple[int, int]) -> np.ndarray:
+def grid_points(shape: tuple[int, int]) -> np.ndarray:
     """Return (x, y) of grid points over a frame, (N, 2), px."""
     side = max(shape) / GRID_CELLS
     rows, columns = (
@@ -220,9 +206,19 @@ def camera_rays(points: np.ndarray, camera: Any) -> np.ndarray:
     return unit_vectors(rays)
 
 
-def _off(pose0: np.ndarray, pose1: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return the angles of directions to their epipolar planes, (N,), rad; poses are (3, 4)."""
-    turn = pose1[:, :3] @ pose0[:, :3].T
-    normal = np.cross(pose1[:, 3] - turn @ pose0[:, 3], before @ turn.T)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    return np.abs((after * normal).sum(axis=1))
+def _focal(model: Any) -> float:
+    """Return the focal length of a pycolmap model, px."""
+    return float(next(iter(model.cameras.values())).focal_length_x)
+
+
+def _pairs_of_model(
+    model: Any, points: Sequence[np.ndarray], pairs: Pairs
+) -> Iterator[tuple[tuple[int, int], tuple[np.ndarray, ...]]]:
+    """Yield each pair of views of a pycolmap model, with two poses and the rays of the matches."""
+    camera = next(iter(model.cameras.values()))
+    poses = {k - 1: model.images[k].cam_from_world().matrix() for k in model.reg_image_ids()}
+    rays = {view: camera_rays(points[view], camera) for view in poses}
+    for (first, second), indices in pairs.items():
+        if first in poses and second in poses:
+            before, after = rays[first][indices[:, 0]], rays[second][indices[:, 1]]
+            yield (first, second), (poses[first], poses[second], before, after)

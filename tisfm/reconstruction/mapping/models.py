@@ -11,12 +11,12 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.mapping.database import (
-    MIN_SHARED,
+    MIN_OBSERVATIONS,
     PIXEL_CENTRE,
-    Directions,
+    MatchDirections,
     colmap_camera,
-    database_of,
-    pairs_of,
+    match_pairs,
+    open_database,
     pycolmap,
 )
 from tisfm.reconstruction.mapping.incremental import (
@@ -73,17 +73,18 @@ class ViewGraph:
         focal_known: bool = True,
     ) -> "ViewGraph":
         """Return the graph of views; arguments are those of `find_models`."""
-        kept = choose_long_tracks([view.observations for view in views], max(shape))
-        few = [replace(view, observations=seen) for view, seen in zip(views, kept, strict=True)]
-        return cls(views=few, pairs=pairs_of(few, matches), shape=shape, focal_known=focal_known)
+        tracks = choose_long_tracks([view.observations for view in views], max(shape))
+        views = [replace(view, observations=own) for view, own in zip(views, tracks, strict=True)]
+        pairs = match_pairs(views, matches)
+        return cls(views=views, pairs=pairs, shape=shape, focal_known=focal_known)
 
-    def part(self, first: int, last: int) -> "ViewGraph":
+    def subgraph(self, first: int, last: int) -> "ViewGraph":
         """Return the graph of the views from `first` to before `last`."""
         inside = range(first, last)
         pairs = {
-            (one - first, other - first): both
-            for (one, other), both in self.pairs.items()
-            if one in inside and other in inside
+            (earlier - first, later - first): indices
+            for (earlier, later), indices in self.pairs.items()
+            if earlier in inside and later in inside
         }
         return replace(self, views=self.views[first:last], pairs=pairs)
 
@@ -95,25 +96,25 @@ class ViewGraph:
         So if much of the area of the frames is unexplained, other models are built from the
         unexplained matches. They replace the first models if they explain more area.
         """
-        found = self._grown(self.pairs, camera, calibrate)
-        cover = Coverage(self.views, self.pairs, self.shape)
-        explained = cover.explained(found)
-        while found and cover.share(explained) < MIN_COVERAGE:
+        models = self._build_models(self.pairs, camera, calibrate)
+        coverage = Coverage(self.views, self.pairs, self.shape)
+        explained = coverage.explained_matches(models)
+        while models and coverage.explained_area(explained) < MIN_COVERAGE:
             rest = {**self.pairs, **{pair: self.pairs[pair][~e] for pair, e in explained.items()}}
-            rest = {pair: both for pair, both in rest.items() if len(both) >= MIN_SHARED}
-            others = self._grown(rest, camera, calibrate)
-            by_others = cover.explained(others)
-            if cover.share(by_others) <= cover.share(explained):
+            rest = {pair: left for pair, left in rest.items() if len(left) >= MIN_OBSERVATIONS}
+            others = self._build_models(rest, camera, calibrate)
+            others_explained = coverage.explained_matches(others)
+            if coverage.explained_area(others_explained) <= coverage.explained_area(explained):
                 break
-            found, explained = others, by_others
-        return found
+            models, explained = others, others_explained
+        return models
 
-    def _grown(
+    def _build_models(
         self, pairs: Mapping[tuple[int, int], np.ndarray], camera: Camera, calibrate: Calibrate
     ) -> list[Any]:
-        known = colmap_camera(camera, self.shape, calibrate)
-        directions = Directions(self.views, pairs, camera, self.shape)
-        with database_of(self.views, pairs, known) as database:
+        directions = MatchDirections(self.views, pairs, camera, self.shape)
+        camera_of_views = colmap_camera(camera, self.shape, calibrate)
+        with open_database(self.views, pairs, camera_of_views) as database:
             return grow_models(
                 database,
                 directions,
@@ -125,41 +126,41 @@ class ViewGraph:
 
     def shows_parallax(self, camera: Camera) -> bool:
         """Return whether enough pairs of views show parallax with the focal length of a camera."""
-        directions = Directions(self.views, self.pairs, camera, self.shape)
-        with database_of(self.views, self.pairs, colmap_camera(camera, self.shape)) as database:
+        directions = MatchDirections(self.views, self.pairs, camera, self.shape)
+        with open_database(self.views, self.pairs, colmap_camera(camera, self.shape)) as database:
             return shows_parallax(database, directions)
 
     def score(self, reconstructions: Sequence[Any]) -> float:
         """Return how well pycolmap's reconstructions explain the matches: their mean score."""
         score = MatchScore(self.views, self.pairs, self.shape)
-        return sum(map(score.score, reconstructions)) / max(score.matches(), 1)
+        return sum(map(score.score, reconstructions)) / max(score.match_count(), 1)
 
-    def matches(self) -> int:
+    def match_count(self) -> int:
         """Return the number of matches."""
         return sum(map(len, self.pairs.values()))
 
-    def continue_model(self, camera: Camera, known: Mapping[int, np.ndarray]) -> Any:
+    def continue_model(self, camera: Camera, known_poses: Mapping[int, np.ndarray]) -> Any:
         """Return pycolmap's reconstruction, continued from fixed known poses, by frame."""
         matrices = {
-            number: np.linalg.inv(known[view.frame])[:3]
+            number: np.linalg.inv(known_poses[view.frame])[:3]
             for number, view in enumerate(self.views, start=1)
-            if view.frame in known
+            if view.frame in known_poses
         }
         known_camera = colmap_camera(camera, self.shape)
-        with database_of(self.views, self.pairs, known_camera) as database:
+        with open_database(self.views, self.pairs, known_camera) as database:
             return grow_from_poses(database, matrices)
 
     def models(
         self, reconstructions: Sequence[Any], views: Sequence[View], camera: Camera
     ) -> list[Model]:
         """Return models of pycolmap's reconstructions, with points of all tracks of the views."""
-        models = [self.model(one) for one in reconstructions]
-        return [_with_others(model, views, camera, self.shape) for model in models]
+        models = [self.model(reconstruction) for reconstruction in reconstructions]
+        return [_add_track_points(model, views, camera, self.shape) for model in models]
 
     def model(self, reconstruction: Any) -> Model:
         """Return the model of a reconstruction, with the points of its adjusted tracks."""
         score = MatchScore(self.views, self.pairs, self.shape).score(reconstruction)
-        return replace(_model(reconstruction, self.views), score=score)
+        return replace(_model_of_reconstruction(reconstruction, self.views), score=score)
 
 
 def find_models(
@@ -181,8 +182,8 @@ def find_models(
     Schönberger and Frahm, "Structure-from-motion revisited", CVPR 2016, doi 10.1109/CVPR.2016.445:
     incremental mapping, with pycolmap's steps.
     """
-    shared = ViewGraph.of(views, matches, shape, focal_known=focal_known)
-    return shared.models(shared.grow_models(camera), views, camera)
+    graph = ViewGraph.of(views, matches, shape, focal_known=focal_known)
+    return graph.models(graph.grow_models(camera), views, camera)
 
 
 def continue_model(
@@ -192,13 +193,13 @@ def continue_model(
     camera: Camera,
     shape: tuple[int, int],
     # mapping of int to (4, 4) array: camera to world, by frame, for at least two views
-    known: Mapping[int, np.ndarray],
+    known_poses: Mapping[int, np.ndarray],
 ) -> Model:  # in the axes and the unit of the known poses, with the known poses unchanged
     """Find poses of more views, and points; the known poses of some views are fixed."""
-    shared = ViewGraph.of(views, matches, shape)
-    model = _model(shared.continue_model(camera, known), shared.views)
-    poses = {**model.poses, **{f: known[f] for f in known if f in model.poses}}
-    return _with_others(Model(poses=poses, points=model.points), views, camera, shape)
+    graph = ViewGraph.of(views, matches, shape)
+    model = _model_of_reconstruction(graph.continue_model(camera, known_poses), graph.views)
+    poses = {**model.poses, **{f: known_poses[f] for f in known_poses if f in model.poses}}
+    return _add_track_points(Model(poses=poses, points=model.points), views, camera, shape)
 
 
 def readjust_models(
@@ -208,35 +209,38 @@ def readjust_models(
     camera: Camera,
     shape: tuple[int, int],
     # sequence of mapping of int to (4, 4) array: camera to world, by frame, for each model
-    known: Sequence[Mapping[int, np.ndarray]],
+    known_poses: Sequence[Mapping[int, np.ndarray]],
 ) -> list[Model]:
     """Find poses of views and points of tracks, starting from approximate poses.
 
     Returns one model for each set of poses. A view without a pose joins the first model that it
     fits.
     """
-    shared = ViewGraph.of(views, matches, shape)
-    number = {view.frame: k for k, view in enumerate(views, start=1)}
-    left = set(number.values()) - {number[frame] for poses in known for frame in poses}
-    found = []
-    with database_of(shared.views, shared.pairs, colmap_camera(camera, shape)) as database:
-        for poses in known:
-            matrices = {number[frame]: np.linalg.inv(pose)[:3] for frame, pose in poses.items()}
-            model = grow_from_poses(database, matrices, fixed=False, left=left)
-            left -= set(model.reg_image_ids())
-            found.append(model)
-    return [model for model in shared.models(found, views, camera) if model.poses]
+    graph = ViewGraph.of(views, matches, shape)
+    numbers = {view.frame: k for k, view in enumerate(views, start=1)}
+    remaining = set(numbers.values()) - {numbers[frame] for poses in known_poses for frame in poses}
+    reconstructions = []
+    with open_database(graph.views, graph.pairs, colmap_camera(camera, shape)) as database:
+        for poses in known_poses:
+            matrices = {numbers[frame]: np.linalg.inv(pose)[:3] for frame, pose in poses.items()}
+            model = grow_from_poses(database, matrices, fixed=False, allowed=remaining)
+            remaining -= set(model.reg_image_ids())
+            reconstructions.append(model)
+    return [model for model in graph.models(reconstructions, views, camera) if model.poses]
 
 
 def pose_from_points(
-    seen: Observations, points: Mapping[int, np.ndarray], camera: Camera, shape: tuple[int, int]
+    observations: Observations,
+    points: Mapping[int, np.ndarray],
+    camera: Camera,
+    shape: tuple[int, int],
 ) -> np.ndarray | None:
     """Return the pose of a frame, (4, 4) camera to world, from tracks whose points are known.
 
     None is returned if too few tracks agree.
     """
-    known, world = points_of_tracks(seen, points)
-    if len(known) < MIN_SHARED:
+    has_point, world = points_of_tracks(observations, points)
+    if len(has_point) < MIN_OBSERVATIONS:
         return None
     estimation = pycolmap().AbsolutePoseEstimationOptions()
     estimation.ransac.max_error = MAX_POSE_ERROR
@@ -244,25 +248,26 @@ def pose_from_points(
     refinement = pycolmap().AbsolutePoseRefinementOptions()
     refinement.loss_function_scale = OUTLIER_PIXELS
     refinement.gradient_tolerance = 1e-4
-    found = pycolmap().estimate_and_refine_absolute_pose(
-        seen.points[known] + PIXEL_CENTRE,
+    estimate = pycolmap().estimate_and_refine_absolute_pose(
+        observations.points[has_point] + PIXEL_CENTRE,
         world,
         colmap_camera(camera, shape),
         estimation,
         refinement,
     )
-    if found is None or found["num_inliers"] < max(MIN_SHARED, MIN_INLIER_SHARE * len(known)):
+    min_inliers = max(MIN_OBSERVATIONS, MIN_INLIER_SHARE * len(has_point))
+    if estimate is None or estimate["num_inliers"] < min_inliers:
         return None
-    return _matrix(found["cam_from_world"])
+    return _pose_matrix(estimate["cam_from_world"])
 
 
-def _model(reconstruction: Any, views: Sequence[View]) -> Model:
+def _model_of_reconstruction(reconstruction: Any, views: Sequence[View]) -> Model:
     poses: dict[int, np.ndarray] = {}
     points: dict[int, np.ndarray] = {}
     for number, image in reconstruction.images.items():
         if not image.has_pose:
             continue
-        poses[views[number - 1].frame] = _matrix(image.cam_from_world())
+        poses[views[number - 1].frame] = _pose_matrix(image.cam_from_world())
     # A track may be split into several points: the point with most observations counts.
     for point in sorted(reconstruction.points3D.values(), key=lambda point: point.track.length()):
         for element in point.track.elements:
@@ -272,15 +277,15 @@ def _model(reconstruction: Any, views: Sequence[View]) -> Model:
     return Model(poses=dict(sorted(poses.items())), points=TrackPoints.of(points))
 
 
-def _with_others(
+def _add_track_points(
     model: Model, views: Sequence[View], camera: Camera, shape: tuple[int, int]
 ) -> Model:
     """Add the points of the tracks that the adjustment did not use."""
-    seen = [view.observations for view in views if view.frame in model.poses]
+    tracks = [view.observations for view in views if view.frame in model.poses]
     poses = {k: model.poses[frame] for k, frame in enumerate(sorted(model.poses))}
-    return replace(model, points=triangulate_tracks(seen, poses, camera, shape) | model.points)
+    return replace(model, points=triangulate_tracks(tracks, poses, camera, shape) | model.points)
 
 
-def _matrix(cam_from_world: Any) -> np.ndarray:
+def _pose_matrix(cam_from_world: Any) -> np.ndarray:
     """Return the (4, 4) matrix camera to world."""
     return np.vstack([cam_from_world.inverse().matrix(), [0, 0, 0, 1]])

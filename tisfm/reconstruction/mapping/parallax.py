@@ -29,6 +29,21 @@ MIN_Z = 1e-3
 MIN_BASELINE = 0.02
 
 
+def epipolar_angles(
+    # pose0, pose1: (3, 4) array, world to camera, of two views
+    pose0: np.ndarray,
+    pose1: np.ndarray,
+    # before, after: (N, 3) array, unit directions to matching points in these views
+    before: np.ndarray,
+    after: np.ndarray,
+) -> np.ndarray:
+    """Return the angles of directions in the second view to their epipolar planes, (N,), rad."""
+    rotation = pose1[:, :3] @ pose0[:, :3].T
+    normal = np.cross(pose1[:, 3] - rotation @ pose0[:, 3], before @ rotation.T)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    return np.abs((after * normal).sum(axis=1))
+
+
 def beyond_homography(
     # before, after: (N, 3) float64, unit directions to matching points in two views
     before: np.ndarray,
@@ -47,9 +62,9 @@ def beyond_homography(
     weights = np.ones(len(before))
     for _ in range(HOMOGRAPHY_ROUNDS):
         weighted = (equations * weights[:, None]).reshape(-1, 9)
-        moved = before @ np.linalg.eigh(weighted.T @ weighted)[1][:, 0].reshape(3, 3).T
-        moved /= np.maximum(np.linalg.norm(moved, axis=1, keepdims=True), 1e-12)
-        angles = np.linalg.norm(np.cross(after, moved), axis=1)
+        mapped = before @ np.linalg.eigh(weighted.T @ weighted)[1][:, 0].reshape(3, 3).T
+        mapped /= np.maximum(np.linalg.norm(mapped, axis=1, keepdims=True), 1e-12)
+        angles = np.linalg.norm(np.cross(after, mapped), axis=1)
         weights = 1 / np.sqrt(angles + MATCH_NOISE)
     return np.asarray(angles)
 
@@ -64,54 +79,54 @@ def beyond_rotation(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     Parameters and result are those of `beyond_homography`. The angles are computed with the stated
     focal length.
     """
-    seen = (before[:, 2] > MIN_Z) & (after[:, 2] > MIN_Z)
-    start, end = (rays[seen, :2] / rays[seen, 2:] for rays in (before, after))
+    is_visible = (before[:, 2] > MIN_Z) & (after[:, 2] > MIN_Z)
+    start, end = (rays[is_visible, :2] / rays[is_visible, 2:] for rays in (before, after))
     angles = np.full(len(before), np.pi)
     if len(start):
-        moved = np.column_stack([_moved_by_rotation(start, end), np.ones(len(start))])
-        moved /= np.linalg.norm(moved, axis=1, keepdims=True)
-        angles[seen] = np.linalg.norm(np.cross(after[seen], moved), axis=1)
+        rotated = np.column_stack([_rotate_and_zoom(start, end), np.ones(len(start))])
+        rotated /= np.linalg.norm(rotated, axis=1, keepdims=True)
+        angles[is_visible] = np.linalg.norm(np.cross(after[is_visible], rotated), axis=1)
     return angles
 
 
-def _moved_by_rotation(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+def _rotate_and_zoom(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Return points moved by the best rotation and focal length; all (N, 2), in focal lengths."""
     rotation, log_focal, weights = np.eye(3), 0.0, np.ones(len(start))
-    for number in range(ROTATION_STEPS):
+    for round_number in range(ROTATION_STEPS):
         focal = np.exp(log_focal)
         x, y, z = (np.column_stack([start / focal, np.ones(len(start))]) @ rotation.T).T
         z = np.maximum(z, MIN_Z)
         u, v = x / z, y / z
-        moved = focal * np.column_stack([u, v])
-        left = end - moved
-        distance = np.hypot(*left.T)
-        if number:
+        rotated = focal * np.column_stack([u, v])
+        residual = end - rotated
+        distance = np.hypot(*residual.T)
+        if round_number:
             weights = 1 / (distance + MATCH_NOISE)
         # Derivatives of the projection by a rotation (ω × ray) from the left, and by log f.
         by_rotation = focal * np.stack(
             [np.column_stack([-u * v, -1 - v * v]), np.column_stack([1 + u * u, u * v]),
              np.column_stack([-v, u])], axis=2,
         )  # fmt: skip
-        back = -start / focal @ rotation[:, :2].T  # d(ray)/d(log f)
+        slope = -start / focal @ rotation[:, :2].T  # d(ray)/d(log f)
         by_focal = focal * np.column_stack(
-            [u + (back[:, 0] - u * back[:, 2]) / z, v + (back[:, 1] - v * back[:, 2]) / z]
+            [u + (slope[:, 0] - u * slope[:, 2]) / z, v + (slope[:, 1] - v * slope[:, 2]) / z]
         )
-        slope = np.concatenate([by_rotation, by_focal[:, :, None]], axis=2)
-        weighted = slope * weights[:, None, None]
-        matrix = np.einsum("nik,nil->kl", weighted, slope)
-        vector = np.einsum("nik,ni->k", weighted, left)
+        jacobian = np.concatenate([by_rotation, by_focal[:, :, None]], axis=2)
+        weighted = jacobian * weights[:, None, None]
+        matrix = np.einsum("nik,nil->kl", weighted, jacobian)
+        vector = np.einsum("nik,ni->k", weighted, residual)
         matrix += 1e-9 * np.trace(matrix) * np.eye(4) + 1e-30 * np.eye(4)
         step = np.linalg.solve(matrix, vector)
-        wanted = log_focal + step[3]
-        limited = float(np.clip(wanted, np.log(MIN_FOCAL_RATIO), np.log(MAX_FOCAL_RATIO)))
-        if limited != wanted:  # the best rotation at the limit
-            vector = vector - matrix[:, 3] * (limited - log_focal)
-            step = np.r_[np.linalg.solve(matrix[:3, :3], vector[:3]), limited - log_focal]
+        target = log_focal + step[3]
+        next_log_focal = float(np.clip(target, np.log(MIN_FOCAL_RATIO), np.log(MAX_FOCAL_RATIO)))
+        if next_log_focal != target:  # the best rotation at the limit
+            vector = vector - matrix[:, 3] * (next_log_focal - log_focal)
+            step = np.r_[np.linalg.solve(matrix[:3, :3], vector[:3]), next_log_focal - log_focal]
         rotation = _rotation(step[:3]) @ rotation
-        log_focal = limited
-        if number and np.abs(step).max() < MIN_ROTATION_STEP:
+        log_focal = next_log_focal
+        if round_number and np.abs(step).max() < MIN_ROTATION_STEP:
             break
-    return moved
+    return rotated
 
 
 def _rotation(vector: np.ndarray) -> np.ndarray:
@@ -133,9 +148,9 @@ class LowParallaxFilter:
         reconstruction: Any,  # the reconstruction that the mapper works on
     ) -> None:
         self._mapper, self._reconstruction = mapper, reconstruction
-        self._known: set[int] = set()  # points that are seen from several positions
+        self._valid_points: set[int] = set()  # points that are seen from several positions
 
-    def delete(self, number: int) -> None:
+    def delete_points(self, number: int) -> None:
         """Delete such points of the view with this number.
 
         A deleted point may be triangulated again with a view from another position.
@@ -143,22 +158,23 @@ class LowParallaxFilter:
         images, points = self._reconstruction.images, self._reconstruction.points3D
         image = images[number]
         # Without repetition: the track of a point may contain two observations of one view.
-        seen = list(dict.fromkeys(one.point3D_id for one in image.points2D if one.has_point3D()))
-        if not seen:
+        ids = list(dict.fromkeys(one.point3D_id for one in image.points2D if one.has_point3D()))
+        if not ids:
             return
         pose = image.cam_from_world().matrix()
-        depth = np.array([points[one].xyz for one in seen]) @ pose[2, :3] + pose[2, 3]
-        least = MIN_BASELINE * float(np.median(depth))
-        here = image.projection_center()
-        away: dict[int, float] = {}
-        for one in seen:
-            if one in self._known:
+        depth = np.array([points[one].xyz for one in ids]) @ pose[2, :3] + pose[2, 3]
+        min_distance = MIN_BASELINE * float(np.median(depth))
+        position = image.projection_center()
+        distances: dict[int, float] = {}
+        for point_id in ids:
+            if point_id in self._valid_points:
                 continue
-            numbers = [element.image_id for element in points[one].track.elements]
-            for other in numbers:
-                if other not in away:
-                    away[other] = float(np.linalg.norm(images[other].projection_center() - here))
-            if max(away[other] for other in numbers) >= least:
-                self._known.add(one)
+            views = [element.image_id for element in points[point_id].track.elements]
+            for view in views:
+                if view not in distances:
+                    baseline = images[view].projection_center() - position
+                    distances[view] = float(np.linalg.norm(baseline))
+            if max(distances[view] for view in views) >= min_distance:
+                self._valid_points.add(point_id)
             else:
-                self._mapper.observation_manager.delete_point3D(one)
+                self._mapper.observation_manager.delete_point3D(point_id)

@@ -14,7 +14,7 @@ from tisfm.reconstruction.calibration.self_calibration import (
     undistort_points,
 )
 from tisfm.reconstruction.frames.disk_cache import DiskCache
-from tisfm.reconstruction.mapping.database import MIN_SHARED
+from tisfm.reconstruction.mapping.database import MIN_OBSERVATIONS
 from tisfm.reconstruction.mapping.incremental import MIN_VIEWS
 from tisfm.reconstruction.mapping.models import (
     Model,
@@ -350,7 +350,7 @@ def status_without_pose(
 ) -> Status:
     """Return the status of a frame without a pose."""
     count = len(seen.tracks)
-    if count < MIN_SHARED:
+    if count < MIN_OBSERVATIONS:
         return Status(
             "no_texture",
             f"it shows only {count} points that can be tracked: it is dark, bare or blurred",

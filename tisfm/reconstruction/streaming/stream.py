@@ -116,14 +116,14 @@ class Stream:
             for name in (CACHE, PICTURES):
                 (self._folder / name).mkdir()
             self._frames = PreparedFrames(
-                camera.used, self._folder / CACHE, self._folder / PICTURES
+                camera.used_camera, self._folder / CACHE, self._folder / PICTURES
             )
             self._path = SlidingPath(
                 self._frames.camera,
                 focal_known=self._calibrate == "nothing",
                 readout=self._frames.camera.readout,
                 limit=camera.max_focal_deviation,
-                is_guess=not camera.is_focal_stated,
+                is_guess=not camera.is_focal_known,
             )
         self._path.add(*self._frames.add(frame), index_and_time=(frame.index, frame.time))
         self._check_time(number, frame)
@@ -188,8 +188,8 @@ class Stream:
         found = camera.calibration(
             path.focal,
             path.camera,
-            sought=self._calibrate != "nothing",
-            focal=camera.full.focal / camera.used.focal * path.camera.focal,
+            is_estimated=self._calibrate != "nothing",
+            focal=camera.full_camera.focal / camera.used_camera.focal * path.camera.focal,
             readout=(path.readout or 0.0, path.readout_deviation) if is_found else None,
         )
         if not found.seen and found != self._calibration:
