@@ -139,6 +139,13 @@ def is_rotation(matrix: NDArray[np.float64]) -> bool:
     return bool(np.abs(square - np.eye(3)).max() <= _ORTHONORMAL and np.linalg.det(matrix) > 0)
 
 
+def nearest_rotation(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotation R with the greatest trace of Rᵀ M, (3, 3): Umeyama, eq. 40–43."""
+    left, _, right = np.linalg.svd(matrix)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
+    return np.asarray(left * signs @ right)
+
+
 @dataclass(frozen=True, kw_only=True)
 class KnownPose:
     """The known part of the motion P₁ = R P₀ + t."""
@@ -189,9 +196,7 @@ def check_pose(
             f"pose holds {rotation.tolist()}, which is no rotation: expected an orthonormal matrix "
             "without mirroring"
         )
-    # Measured poses are rounded: take the nearest rotation.
-    left, _, right = np.linalg.svd(rotation)
-    rotation = left @ right
+    rotation = nearest_rotation(rotation)  # measured poses are rounded
     from scipy.spatial.transform import Rotation  # slow to import
 
     turn = math.degrees(Rotation.from_matrix(rotation).magnitude())

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.trajectory.paths import PATIENT, random_path, similar
 from tisfm.metrics import object_path_errors, path_length
-from tisfm.metrics.object_path import nearest_rotation
-from tisfm.rigid import pose_matrix, rigid_motion
+from tisfm.rigid import nearest_rotation, pose_matrix, rigid_motion
 from tisfm.scenes import bodies_film, bodies_path
 
 TURN = rigid_motion([0, 0, 0, 0.4, -1.0, 2.0])[0]

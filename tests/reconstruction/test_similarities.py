@@ -46,7 +46,7 @@ def edge(first, second, similarity, certain=True):
         points=points,
         distances=np.linalg.norm(points, axis=1),
         deviation=0.01,
-        worth=60.0,
+        weight=60.0,
         certain=certain,
     )
 
@@ -91,12 +91,14 @@ def test_what_most_points_agree_on_is_found():
     others, points = cloud(), transform_points(TRUE, cloud())
     points[::3] += 3
     distances = np.linalg.norm(points, axis=1)
-    similarity, agree = fit_sim3_ransac(points, others, distances, fewest=20, share=0.5)
+    similarity, agree = fit_sim3_ransac(points, others, distances, min_inliers=20, min_share=0.5)
     np.testing.assert_allclose(similarity, TRUE, atol=1e-9)
     np.testing.assert_array_equal(agree, np.arange(60) % 3 > 0)
-    assert fit_sim3_ransac(points, others, distances, fewest=41, share=0.5) is None
-    assert fit_sim3_ransac(points, others, distances, fewest=20, share=0.7) is None
-    assert fit_sim3_ransac(points[:2], others[:2], distances[:2], fewest=0, share=0.0) is None
+    assert fit_sim3_ransac(points, others, distances, min_inliers=41, min_share=0.5) is None
+    assert fit_sim3_ransac(points, others, distances, min_inliers=20, min_share=0.7) is None
+    assert (
+        fit_sim3_ransac(points[:2], others[:2], distances[:2], min_inliers=0, min_share=0.0) is None
+    )
 
 
 def near_and_far():
@@ -115,7 +117,7 @@ def near_and_far():
 
 def test_points_count_less_by_the_square_of_their_distance():
     points, others, distances = near_and_far()
-    found, agree = fit_sim3_ransac(points, others, distances, fewest=20, share=0.5)
+    found, agree = fit_sim3_ransac(points, others, distances, min_inliers=20, min_share=0.5)
     assert agree.all()
     # Measured: 0.0007; without weights by distance 0.15, with weights 1/distance 0.004.
     assert (
@@ -140,7 +142,7 @@ def test_poses_say_more_than_points_that_are_rough():
     random = np.random.default_rng(2)
     points = transform_points(TRUE, cloud()) + 0.1 * random.normal(size=(60, 3))
     distances = np.linalg.norm(points, axis=1)
-    rough, _ = fit_sim3_ransac(points, cloud(), distances, fewest=20, share=0.5)
+    rough, _ = fit_sim3_ransac(points, cloud(), distances, min_inliers=20, min_share=0.5)
     poses = np.array([transform_pose(TRUE, pose) for pose in path()])
     found = refine_sim3(rough, (points, cloud()), distances, (poses, path()))
     assert abs(sim3_scale(rough) / 1.7 - 1) > 1e-4 > abs(sim3_scale(found) / 1.7 - 1)
@@ -173,7 +175,7 @@ def test_surer_edges_count_more():
     edges = []
     for scale, worth, deviation in zip(scales, worths, deviations, strict=True):
         about = sim3_from_vector(scale, np.zeros(3), centre - np.exp(scale) * centre)
-        edges.append(replace(edge(0, 1, about), worth=worth, deviation=deviation))
+        edges.append(replace(edge(0, 1, about), weight=worth, deviation=deviation))
     (place,) = optimise_sim3_graph(2, edges)
     weights = np.array(worths) / np.array(deviations) ** 2
     expected = weights @ scales / weights.sum()

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.errors import InputError
 from tisfm.metrics.alignment import Similarity
 from tisfm.metrics.trajectory_errors import check_poses, path_length, rotation_angles
+from tisfm.rigid import nearest_rotation
 
 MIN_FRAMES = 3
 """Frames that a comparison needs: 9 equations for the 4 unknowns, a scale and an offset."""
@@ -145,13 +146,6 @@ def object_path_errors(
         scale=scale,
         offset=(x, y, z),
     )
-
-
-def nearest_rotation(matrix: NDArray) -> NDArray[np.float64]:
-    """Return the rotation R with the greatest trace of Rᵀ M, (3, 3)."""
-    left, _, right = np.linalg.svd(matrix)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
-    return np.asarray(left * signs @ right)
 
 
 def _align_world(cameras: NDArray, true_cameras: NDArray) -> Similarity:

@@ -9,12 +9,11 @@ import tisfm
 from tests.reconstruction.films import along
 from tisfm.reconstruction.chunks import overlaps
 from tisfm.reconstruction.chunks.overlaps import (
-    mean_rotation,
     overlap_sim3,
     scale_from_depth,
     scale_from_positions,
 )
-from tisfm.reconstruction.geometry.sim3 import sim3_scale, transform_pose
+from tisfm.reconstruction.geometry.sim3 import mean_rotation, sim3_scale, transform_pose
 from tisfm.reconstruction.result.folder import write_depth
 from tisfm.rigid import pose_matrix
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tisfm.reconstruction.geometry.sim3 import mean_pose, transform_points
+from tisfm.reconstruction.geometry.sim3 import mean_rotation, transform_points
 from tisfm.reconstruction.result.folder import depth_path
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
@@ -77,13 +77,6 @@ def overlap_sim3(
     similarity[:3, :3] = scale * turn
     similarity[:3, 3] = np.mean(poses[:, :3, 3] - others[:, :3, 3] @ (scale * turn).T, axis=0)
     return similarity
-
-
-def mean_rotation(poses: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return the mean rotation from `others`, (N, 4, 4), to `poses`."""
-    turns = np.tile(np.eye(4), (len(poses), 1, 1))
-    turns[:, :3, :3] = poses[:, :3, :3] @ others[:, :3, :3].mT
-    return mean_pose(turns, np.ones(len(turns)))[:3, :3]
 
 
 def scale_from_positions(

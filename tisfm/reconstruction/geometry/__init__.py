@@ -1,4 +1,4 @@
 """Geometry that several stages share: similarity transforms, their robust fits and their graph.
 
-May import: `camera`.
+May import: `camera` and `rigid`.
 """

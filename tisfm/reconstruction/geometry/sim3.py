@@ -3,12 +3,18 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tisfm.rigid import nearest_rotation
+
 # Values without a stated source were set by hand.
 
 # Number of RANSAC trials, each with three points.
 RANSAC_TRIALS = 200
 # Largest error of an inlier, as a share of its distance from the camera.
 INLIER_ERROR = 0.05
+# The fewest inliers of a similarity.
+MIN_INLIERS = 20
+# Their smallest share of all points.
+MIN_INLIER_SHARE = 0.5
 # Rounds of the reweighted fit to inliers.
 FIT_ROUNDS = 5
 
@@ -25,29 +31,40 @@ def transform_points(similarity: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def transform_pose(similarity: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """Return a transformed pose, (4, 4) camera to world."""
-    there = similarity @ pose
-    there[:3, :3] /= sim3_scale(similarity)
-    return np.asarray(there)
+    transformed = similarity @ pose
+    transformed[:3, :3] /= sim3_scale(similarity)
+    return np.asarray(transformed)
 
 
 def mean_pose(poses: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return the weighted mean of similar poses, (N, 4, 4), with weights, (N,)."""
     mean = np.asarray(np.average(poses, axis=0, weights=weights))
-    u, _, vt = np.linalg.svd(mean[:3, :3])
-    mean[:3, :3] = u @ vt
+    mean[:3, :3] = nearest_rotation(mean[:3, :3])
     return mean
 
 
-def sim3_from_vector(scale: float, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
+def mean_rotation(poses: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return the mean rotation, (3, 3), from `others`, (N, 4, 4), to `poses`."""
+    rotations = np.tile(np.eye(4), (len(poses), 1, 1))
+    rotations[:, :3, :3] = poses[:, :3, :3] @ others[:, :3, :3].mT
+    return mean_pose(rotations, np.ones(len(rotations)))[:3, :3]
+
+
+def sim3_from_vector(log_scale: float, rotation: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """Return the similarity for the logarithm of a scale, a rotation vector and a translation."""
     similarity = np.eye(4)
-    similarity[:3, :3] = np.exp(scale) * Rotation.from_rotvec(turn).as_matrix()
+    similarity[:3, :3] = np.exp(log_scale) * Rotation.from_rotvec(rotation).as_matrix()
     similarity[:3, 3] = shift
     return similarity
 
 
-def fit_sim3(points: np.ndarray, others: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the similarity that moves `others`, (N, 3), nearest to `points`.
+def fit_sim3(
+    points: np.ndarray,  # (N, 3) float64
+    others: np.ndarray,  # (N, 3) float64: the same points in the other system
+    weights: np.ndarray,  # (N,) float64
+    rotation: np.ndarray | None = None,  # (3, 3) float64; by default it is fitted too
+) -> np.ndarray:
+    """Return the similarity, (4, 4), that moves `others` nearest to `points`.
 
     Both sets count as equally exact: the scale is the ratio of their spreads, as in Horn's paper.
 
@@ -58,14 +75,14 @@ def fit_sim3(points: np.ndarray, others: np.ndarray, weights: np.ndarray) -> np.
     doi 10.1109/34.88573.
     """
     share = (weights / weights.sum())[:, None]
-    centre, other = (share * points).sum(axis=0), (share * others).sum(axis=0)
-    left, right = points - centre, others - other
-    u, _, vt = np.linalg.svd((share * left).T @ right)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
-    spread = np.array([(share * one**2).sum() for one in (left, right)])
+    centre, other_centre = (share * points).sum(axis=0), (share * others).sum(axis=0)
+    left, right = points - centre, others - other_centre
+    spread = [(share * offsets**2).sum() for offsets in (left, right)]
+    if rotation is None:
+        rotation = nearest_rotation((share * left).T @ right)
     similarity = np.eye(4)
-    similarity[:3, :3] = np.sqrt(spread[0] / max(spread[1], 1e-300)) * (u * signs @ vt)
-    similarity[:3, 3] = centre - similarity[:3, :3] @ other
+    similarity[:3, :3] = np.sqrt(spread[0] / max(spread[1], 1e-300)) * rotation
+    similarity[:3, 3] = centre - similarity[:3, :3] @ other_centre
     return similarity
 
 
@@ -76,30 +93,32 @@ def fit_sim3_ransac(
     # (N,) float64: distances of the points from the camera: far points are less exact
     distances: np.ndarray,
     *,
-    fewest: int,
-    share: float,  # the fewest inliers and their smallest share; with less, None is returned
+    # the fewest inliers and their smallest share; with less, None is returned
+    min_inliers: int = MIN_INLIERS,
+    min_share: float = MIN_INLIER_SHARE,
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the similarity from `others` to `points` with most inliers, and the inliers.
 
-    Returns similarity, (4, 4) float64; agree, (N,) bool.
+    Returns similarity, (4, 4) float64; is_inlier, (N,) bool.
     """
-    least = max(fewest, share * len(points))
-    if len(points) < max(3, least):
+    required = max(min_inliers, min_share * len(points))
+    if len(points) < max(3, required):
         return None
-    random, best, most = np.random.default_rng(0), np.eye(4), 0
+    random, best, best_count = np.random.default_rng(0), np.eye(4), 0
     for _ in range(RANSAC_TRIALS):
-        three = random.choice(len(points), 3, replace=False)
-        found = fit_sim3(points[three], others[three], np.ones(3))
-        count = int((relative_errors(found, points, others, distances) < INLIER_ERROR).sum())
-        if count > most:
-            best, most = found, count
+        sample = random.choice(len(points), 3, replace=False)
+        candidate = fit_sim3(points[sample], others[sample], np.ones(3))
+        errors = relative_errors(candidate, points, others, distances)
+        count = int((errors < INLIER_ERROR).sum())
+        if count > best_count:
+            best, best_count = candidate, count
     for _ in range(FIT_ROUNDS):
-        off = relative_errors(best, points, others, distances)
-        agree = off < INLIER_ERROR
-        if agree.sum() < max(3, least):
+        errors = relative_errors(best, points, others, distances)
+        is_inlier = errors < INLIER_ERROR
+        if is_inlier.sum() < max(3, required):
             return None
-        weights = _weights(off[agree]) / distances[agree] ** 2
-        best = fit_sim3(points[agree], others[agree], weights)
+        weights = _robust_weights(errors[is_inlier]) / distances[is_inlier] ** 2
+        best = fit_sim3(points[is_inlier], others[is_inlier], weights)
     return best, relative_errors(best, points, others, distances) < INLIER_ERROR
 
 
@@ -116,28 +135,21 @@ def refine_sim3(
 
     The rotation comes from the poses alone, where it is exact.
     """
-    turns = np.tile(np.eye(4), (len(poses[0]), 1, 1))
-    turns[:, :3, :3] = poses[0][:, :3, :3] @ poses[1][:, :3, :3].mT
-    turn = mean_pose(turns, np.ones(len(turns)))[:3, :3]
-    here, there = (np.vstack([k, one[:, :3, 3]]) for k, one in zip(points, poses, strict=True))
-    away = np.concatenate([distances, np.full(len(poses[0]), np.median(distances))])
+    rotation = mean_rotation(*poses)
+    target, other = (np.vstack([k, one[:, :3, 3]]) for k, one in zip(points, poses, strict=True))
+    depth = np.concatenate([distances, np.full(len(poses[0]), np.median(distances))])
     count = len(distances)
     for _ in range(FIT_ROUNDS):
-        off = relative_errors(similarity, here, there, away)
-        weights = np.concatenate([_weights(off[:count]), _weights(off[count:])]) / away**2
-        share = (weights / weights.sum())[:, None]
-        middle, other = (share * here).sum(axis=0), (share * there).sum(axis=0)
-        spread = [(share * one**2).sum() for one in (here - middle, there - other)]
-        similarity = np.eye(4)
-        similarity[:3, :3] = np.sqrt(spread[0] / max(spread[1], 1e-300)) * turn
-        similarity[:3, 3] = middle - similarity[:3, :3] @ other
+        errors = relative_errors(similarity, target, other, depth)
+        weights = [_robust_weights(errors[:count]), _robust_weights(errors[count:])]
+        similarity = fit_sim3(target, other, np.concatenate(weights) / depth**2, rotation)
     return similarity
 
 
-def _weights(off: np.ndarray) -> np.ndarray:
+def _robust_weights(errors: np.ndarray) -> np.ndarray:
     """Return robust weights of residuals, (N,): outliers get small weights."""
-    usual = max(float(np.median(off)), 1e-9)
-    return np.asarray(1 / (usual**2 + (off / 2) ** 2))
+    median = max(float(np.median(errors)), 1e-9)
+    return np.asarray(1 / (median**2 + (errors / 2) ** 2))
 
 
 def relative_errors(

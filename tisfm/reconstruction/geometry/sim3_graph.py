@@ -44,7 +44,7 @@ class Edge:
     points: np.ndarray
     distances: np.ndarray  # (N,) float64: distances of these points from the camera
     deviation: float  # error of a point, as a share of its distance
-    worth: float  # weight of the edge: the number of points that `points` is a sample of
+    weight: float  # weight of the edge: the number of points that `points` is a sample of
     # Whether the edge is surely right. Other edges get less weight if they do not fit.
     certain: bool
 
@@ -87,8 +87,8 @@ def optimise_sim3_graph(
     doi 10.15607/RSS.2010.VI.010.
     """
     return [
-        _adjusted(begun, [edge for edge in edges if edge.first in begun])
-        for begun in chain_sim3(count, edges)
+        _optimise(start, [edge for edge in edges if edge.first in start])
+        for start in chain_sim3(count, edges)
     ]
 
 
@@ -98,57 +98,59 @@ def chain_sim3(count: int, edges: Sequence[Link]) -> list[dict[int, np.ndarray]]
     Arguments and result are as for `optimise_sim3_graph`.
     """
     group = {node: [node] for node in range(count)}
-    place = {node: np.eye(4) for node in range(count)}
+    similarities = {node: np.eye(4) for node in range(count)}
     for edge in edges:
         if group[edge.first] is group[edge.second]:
             continue
         # All nodes of the second node's group move together.
-        shift = place[edge.first] @ edge.similarity @ np.linalg.inv(place[edge.second])
-        joined = group[edge.first] + group[edge.second]
+        motion = (
+            similarities[edge.first] @ edge.similarity @ np.linalg.inv(similarities[edge.second])
+        )
+        merged = group[edge.first] + group[edge.second]
         for node in group[edge.second]:
-            place[node] = shift @ place[node]
-        for node in joined:
-            group[node] = joined
+            similarities[node] = motion @ similarities[node]
+        for node in merged:
+            group[node] = merged
     groups = []
     for node in range(count):
         nodes = sorted(group[node])
         if nodes[0] == node:
-            back = np.linalg.inv(place[node])
-            groups.append({one: back @ place[one] for one in nodes})
+            back = np.linalg.inv(similarities[node])
+            groups.append({member: back @ similarities[member] for member in nodes})
     return groups
 
 
-def _adjusted(begun: dict[int, np.ndarray], edges: Sequence[Edge]) -> dict[int, np.ndarray]:
+def _optimise(start: dict[int, np.ndarray], edges: Sequence[Edge]) -> dict[int, np.ndarray]:
     """Return the similarities that fit the edges best; the first node stays fixed."""
-    nodes, place = list(begun), dict(begun)
-    number = {node: k for k, node in enumerate(nodes)}
-    doubted = FIRST_OUTLIER_ERROR
+    nodes, similarities = list(start), dict(start)
+    index_of = {node: k for k, node in enumerate(nodes)}
+    outlier_error = FIRST_OUTLIER_ERROR
     for _ in range(MAX_ROUNDS if len(nodes) > 1 else 0):
         matrix, vector = np.zeros((7 * len(nodes),) * 2), np.zeros(7 * len(nodes))
         for edge in edges:
-            off, slope, weight = _misfit(edge, place)
+            residual, jacobian, weight = _residual(edge, similarities)
             if not edge.certain:
-                weight = weight / (1 + float(off @ weight @ off) / doubted**2) ** 2
-            weight *= edge.worth / edge.deviation**2
-            first, second = (slice(7 * number[k], 7 * number[k] + 7) for k in edge.ends)
-            block, pull = slope.T @ weight @ slope, slope.T @ weight @ off
+                weight = weight / (1 + float(residual @ weight @ residual) / outlier_error**2) ** 2
+            weight *= edge.weight / edge.deviation**2
+            first, second = (slice(7 * index_of[k], 7 * index_of[k] + 7) for k in edge.ends)
+            block, gradient = jacobian.T @ weight @ jacobian, jacobian.T @ weight @ residual
             matrix[first, first] += block
             matrix[second, second] += block
             matrix[first, second] -= block
             matrix[second, first] -= block
-            vector[first] += pull
-            vector[second] -= pull
+            vector[first] += gradient
+            vector[second] -= gradient
         change = np.zeros(7 * len(nodes))
         change[7:] = -solve_sparse(matrix[7:, 7:], vector[7:])
         for node in nodes[1:]:
-            scale, *rest = change[7 * number[node] : 7 * number[node] + 7]
-            place[node] = (
-                sim3_from_vector(scale, np.array(rest[:3]), np.array(rest[3:])) @ place[node]
+            scale, *rest = change[7 * index_of[node] : 7 * index_of[node] + 7]
+            similarities[node] = (
+                sim3_from_vector(scale, np.array(rest[:3]), np.array(rest[3:])) @ similarities[node]
             )
-        if doubted == LAST_OUTLIER_ERROR and np.abs(change).max() < MIN_STEP:
+        if outlier_error == LAST_OUTLIER_ERROR and np.abs(change).max() < MIN_STEP:
             break
-        doubted = max(OUTLIER_ERROR_FACTOR * doubted, LAST_OUTLIER_ERROR)
-    return place
+        outlier_error = max(OUTLIER_ERROR_FACTOR * outlier_error, LAST_OUTLIER_ERROR)
+    return similarities
 
 
 def solve_sparse(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
@@ -161,42 +163,45 @@ def solve_sparse(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     for begin in begins:
         end = min(begin + BLOCK_ROWS, count)
         inverse = np.linalg.inv(system[begin:end, begin:end])
-        above = np.einsum("ik,kj->ij", inverse, system[begin:end, end:])
-        below = end + np.flatnonzero(system[end:, begin:end].any(axis=1))
-        columns = np.append(below, count)
-        change = np.einsum("ik,kj->ij", system[below, begin:end], above[:, columns - end])
-        system[np.ix_(below, columns)] -= change
-        system[begin:end, end:] = above
+        upper = np.einsum("ik,kj->ij", inverse, system[begin:end, end:])
+        rows = end + np.flatnonzero(system[end:, begin:end].any(axis=1))
+        columns = np.append(rows, count)
+        change = np.einsum("ik,kj->ij", system[rows, begin:end], upper[:, columns - end])
+        system[np.ix_(rows, columns)] -= change
+        system[begin:end, end:] = upper
     for begin in reversed(begins):
         end = min(begin + BLOCK_ROWS, count)
         system[begin:end, -1] -= (system[begin:end, end:-1] * system[end:, -1]).sum(axis=1)
     return np.array(system[:, -1])
 
 
-def _misfit(edge: Edge, place: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _residual(
+    edge: Edge, similarities: dict[int, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return an edge's residual at the centre of its points, (7,), its Jacobian, and its weight.
 
     The residual is the similarity between the positions of the points in the two nodes: the
     logarithm of its scale, its rotation vector and its translation. With the weight, its square is
     the mean square error of the points, as a share of their distances.
     """
-    first, second = place[edge.first], place[edge.second]
-    points, unit = transform_points(first, edge.points), sim3_scale(first)
+    first, second = similarities[edge.first], similarities[edge.second]
+    points, scale_of_first = transform_points(first, edge.points), sim3_scale(first)
     centre = points.mean(axis=0)
-    left = first @ edge.similarity @ np.linalg.inv(second)
-    scale = sim3_scale(left)
-    off = np.concatenate(
+    difference = first @ edge.similarity @ np.linalg.inv(second)
+    scale = sim3_scale(difference)
+    residual = np.concatenate(
         [
             [np.log(scale)],
-            Rotation.from_matrix(left[:3, :3] / scale).as_rotvec(),
-            transform_points(left, centre[None])[0] - centre,
+            Rotation.from_matrix(difference[:3, :3] / scale).as_rotvec(),
+            transform_points(difference, centre[None])[0] - centre,
         ]
     )
-    slope = np.eye(7)
-    slope[4:, 0], slope[4:, 1:4] = centre, -cross_matrices(centre[None])[0]
-    jacobian = np.zeros((len(points), 3, 7))
-    jacobian[:, :, 0], jacobian[:, :, 1:4] = points - centre, -cross_matrices(points - centre)
-    jacobian[:, :, 4:] = np.eye(3)
-    jacobian /= (unit * edge.distances)[:, None, None]
-    weight = np.einsum("nij,nik->jk", jacobian, jacobian) / len(points)
-    return off, slope, weight
+    jacobian = np.eye(7)
+    jacobian[4:, 0], jacobian[4:, 1:4] = centre, -cross_matrices(centre[None])[0]
+    point_jacobian = np.zeros((len(points), 3, 7))
+    offsets = points - centre
+    point_jacobian[:, :, 0], point_jacobian[:, :, 1:4] = offsets, -cross_matrices(offsets)
+    point_jacobian[:, :, 4:] = np.eye(3)
+    point_jacobian /= (scale_of_first * edge.distances)[:, None, None]
+    weight = np.einsum("nij,nik->jk", point_jacobian, point_jacobian) / len(points)
+    return residual, jacobian, weight

@@ -41,10 +41,6 @@ GROUP_COUNT = 120
 MIN_GROUP_VIEWS = 8
 # The fewest points that two groups of one submap share.
 MIN_SHARED_POINTS = 15
-# The fewest inliers of a similarity, between submaps and at loops,
-MIN_INLIERS = 20
-# and their smallest share of all points.
-MIN_INLIER_SHARE = 0.5
 # Largest number of points that an edge of the graph keeps.
 EDGE_POINTS = 60
 # Smallest assumed error of a point, as a share of its distance.
@@ -75,19 +71,19 @@ def focal_from_submaps(
     """
     best = None
     for begin, end in submap_spans(len(views)):
-        inside = {
+        own_matches = {
             (earlier - begin, later - begin): both
             for (earlier, later), both in matches.items()
             if begin <= earlier and later < end
         }
-        own = [views[k] for k in range(begin, end)]
-        _, found = find_models_and_focal(
-            own, inside, camera, shape, calibrate, max_deviation=max_deviation
+        own_views = [views[k] for k in range(begin, end)]
+        _, estimate = find_models_and_focal(
+            own_views, own_matches, camera, shape, calibrate, max_deviation=max_deviation
         )
-        if found is None:
+        if estimate is None:
             continue
-        if best is None or found.deviation * best.focal < best.deviation * found.focal:
-            best = found
+        if best is None or estimate.deviation * best.focal < best.deviation * estimate.focal:
+            best = estimate
         if best.is_certain:
             break
     return best
@@ -100,186 +96,184 @@ def models_from_submaps(
     matches: Matches,
     camera: Camera,
     shape: tuple[int, int],
-    seen: Sequence[Observations],  # tracks in every frame
+    observations: Sequence[Observations],  # tracks in every frame
     *,
     focal_known: bool = True,
 ) -> list[Model]:  # The largest model first. Each view is in at most one model.
     """Find poses of views and points of tracks, as `find_models` does, in bounded memory."""
     size = max(MIN_GROUP_VIEWS, len(views) // GROUP_COUNT)
     spans = submap_spans(len(views))
-    grower = SubmapBuilder(views, matches, camera, shape, spans, size, focal_known=focal_known)
-    parts = grower.parts()
-    begins = np.cumsum([0, *(len(part.groups) for part in parts)]).tolist()
-    edges = [*_inside(parts, begins), *_joints(parts, begins, views)]
-    edges += sorted(_loops(parts, begins, matches), key=lambda edge: -edge.worth)
-    whole = []
-    for place in optimise_sim3_graph(begins[-1], edges):
-        inside = [number for number, begin in enumerate(begins[:-1]) if begin in place]
-        poses = _merged(
-            [parts[k] for k in inside],
-            [[place[node] for node in range(*begins[k : k + 2])] for k in inside],
+    builder = SubmapBuilder(views, matches, camera, shape, spans, size, focal_known=focal_known)
+    submaps = builder.build_submaps()
+    begins = np.cumsum([0, *(len(submap.groups) for submap in submaps)]).tolist()
+    edges = [*_edges_within_submaps(submaps, begins), *_edges_of_overlaps(submaps, begins, views)]
+    edges += sorted(_edges_of_loops(submaps, begins, matches), key=lambda edge: -edge.weight)
+    paths = []
+    for similarities in optimise_sim3_graph(begins[-1], edges):
+        members = [number for number, begin in enumerate(begins[:-1]) if begin in similarities]
+        poses = _merge_poses(
+            [submaps[k] for k in members],
+            [[similarities[node] for node in range(*begins[k : k + 2])] for k in members],
         )
-        whole.append({views[view].frame: pose for view, pose in sorted(poses.items())})
-    models, taken = [], set[int]()
+        paths.append({views[view].frame: pose for view, pose in sorted(poses.items())})
+    models, used_frames = [], set[int]()
     # Submaps that cannot be joined both have the views of their overlap: the larger model keeps
     # them.
-    for poses in sorted(whole, key=lambda one: (-len(one), min(one))):
-        own = {frame: pose for frame, pose in poses.items() if frame not in taken}
-        if len(own) >= MIN_VIEWS:
-            taken.update(own)
-            models.append(Model(poses=own, points=triangulate_tracks(seen, own, camera, shape)))
-    return sorted(models, key=lambda one: (-len(one.poses), min(one.poses)))
+    for path in sorted(paths, key=lambda path: (-len(path), min(path))):
+        poses = {frame: pose for frame, pose in path.items() if frame not in used_frames}
+        if len(poses) >= MIN_VIEWS:
+            used_frames.update(poses)
+            points = triangulate_tracks(observations, poses, camera, shape)
+            models.append(Model(poses=poses, points=points))
+    return sorted(models, key=lambda model: (-len(model.poses), min(model.poses)))
 
 
-def _inside(parts: Sequence[Submap], begins: Sequence[int]) -> Iterator[Edge]:
+def _edges_within_submaps(submaps: Sequence[Submap], begins: Sequence[int]) -> Iterator[Edge]:
     """Yield edges between groups of one submap: their coordinates already agree."""
-    for part, begin in zip(parts, begins[:-1], strict=True):
-        for first in range(len(part.groups)):
-            for second in range(first + 1, len(part.groups)):
-                both = part.shows[first] & part.shows[second]
-                if both.sum() < MIN_SHARED_POINTS:
+    for submap, begin in zip(submaps, begins[:-1], strict=True):
+        visibility = submap.visibility
+        for first in range(len(submap.groups)):
+            for second in range(first + 1, len(submap.groups)):
+                is_shared = visibility[first] & visibility[second]
+                if is_shared.sum() < MIN_SHARED_POINTS:
                     if second > first + 1:
                         continue
-                    both = part.shows[first] | part.shows[second]  # the submap stays connected
-                points = part.points[both]
-                distances = part.distances(first, points)
-                yield _edge(
-                    begin + first, begin + second, np.eye(4), points, distances, MIN_POINT_ERROR
-                )
+                    is_shared = visibility[first] | visibility[second]  # the submap stays connected
+                points = submap.points[is_shared]
+                distances = submap.distances(first, points)
+                yield _make_edge(begin + first, begin + second, np.eye(4), points, distances)
 
 
-def _joints(
-    parts: Sequence[Submap], begins: Sequence[int], views: Sequence[View]
+def _edges_of_overlaps(
+    submaps: Sequence[Submap], begins: Sequence[int], views: Sequence[View]
 ) -> Iterator[Edge]:
     """Yield edges between groups of submaps with common views, from the tracks of these views."""
-    for k, part in enumerate(parts):
-        for n, other in enumerate(parts[k + 1 :], start=k + 1):
-            shared = sorted(set(part.poses) & set(other.poses))
+    for k, submap in enumerate(submaps):
+        for n, other in enumerate(submaps[k + 1 :], start=k + 1):
+            shared = sorted(set(submap.poses) & set(other.poses))
             if len(shared) < 2:
                 continue
-            tracks, at, there = np.intersect1d(
-                part.tracks.tracks, other.tracks.tracks, assume_unique=True, return_indices=True
+            tracks, own_index, other_index = np.intersect1d(
+                submap.tracks.tracks, other.tracks.tracks, assume_unique=True, return_indices=True
             )
-            points, others = part.tracks.positions[at], other.tracks.positions[there]
-            middle = part.posed(shared)[:, :3, 3].mean(axis=0)
-            distances = np.linalg.norm(points - middle, axis=1)
-            found = fit_sim3_ransac(
-                points, others, distances, fewest=MIN_INLIERS, share=MIN_INLIER_SHARE
-            )
-            if found is None:
+            points = submap.tracks.positions[own_index]
+            others = other.tracks.positions[other_index]
+            centre = submap.view_poses(shared)[:, :3, 3].mean(axis=0)
+            distances = np.linalg.norm(points - centre, axis=1)
+            fit = fit_sim3_ransac(points, others, distances)
+            if fit is None:
                 continue
-            similarity, agree = found
+            similarity, is_inlier = fit
             similarity = refine_sim3(
                 similarity,
-                (points[agree], others[agree]),
-                distances[agree],
-                (part.posed(shared), other.posed(shared)),
+                (points[is_inlier], others[is_inlier]),
+                distances[is_inlier],
+                (submap.view_poses(shared), other.view_poses(shared)),
             )
-            for first, second, common in _common(part, other, shared):
-                here = np.unique(
-                    np.concatenate([views[view].observations.tracks for view in common])
-                )
-                both = agree & np.isin(tracks, here)
-                if both.sum() >= MIN_SHARED_POINTS:
-                    yield _edge(
+            for first, second, common in _group_pairs(submap, other, shared):
+                visible = [views[view].observations.tracks for view in common]
+                is_shared = is_inlier & np.isin(tracks, np.unique(np.concatenate(visible)))
+                if is_shared.sum() >= MIN_SHARED_POINTS:
+                    yield _make_edge(
                         begins[k] + first, begins[n] + second, similarity,
-                        points[both], distances[both], MIN_POINT_ERROR,
+                        points[is_shared], distances[is_shared],
                     )  # fmt: skip
 
 
-def _common(
-    part: Submap, other: Submap, shared: Sequence[int]
+def _group_pairs(
+    submap: Submap, other: Submap, shared: Sequence[int]
 ) -> Iterator[tuple[int, int, list[int]]]:
     """Yield pairs of groups of two submaps, with their common views."""
-    for first, views in enumerate(part.groups):
+    for first, views in enumerate(submap.groups):
         for second, others in enumerate(other.groups):
             common = sorted(set(shared).intersection(views, others))
             if common:
                 yield first, second, common
 
 
-def _loops(parts: Sequence[Submap], begins: Sequence[int], matches: Matches) -> Iterator[Edge]:
+def _edges_of_loops(
+    submaps: Sequence[Submap], begins: Sequence[int], matches: Matches
+) -> Iterator[Edge]:
     """Yield edges between groups of different submaps that show the same scene (loops)."""
-    found: dict[tuple[int, int], list[tuple[np.ndarray, ...]]] = {}
-    holding: dict[int, list[int]] = {}
-    for number, part in enumerate(parts):
-        for view in part.detected:
-            holding.setdefault(view, []).append(number)
-    for (earlier, later), both in sorted(matches.items()):
-        for k in holding.get(earlier, ()):
-            for n in holding.get(later, ()):
-                part, other = parts[k], parts[n]
-                if part.span == other.span:
+    parts_of_edges: dict[tuple[int, int], list[tuple[np.ndarray, ...]]] = {}
+    submaps_of_view: dict[int, list[int]] = {}
+    for number, submap in enumerate(submaps):
+        for view in submap.detected:
+            submaps_of_view.setdefault(view, []).append(number)
+    for (earlier, later), indices in sorted(matches.items()):
+        for k in submaps_of_view.get(earlier, ()):
+            for n in submaps_of_view.get(later, ()):
+                submap, other = submaps[k], submaps[n]
+                if submap.span == other.span:
                     continue
-                points = part.detected_at(earlier, both[:, 0])
-                others = other.detected_at(later, both[:, 1])
-                known = np.isfinite(points[:, 0]) & np.isfinite(others[:, 0])
-                if not known.any():
+                points = submap.detected_at(earlier, indices[:, 0])
+                others = other.detected_at(later, indices[:, 1])
+                is_known = np.isfinite(points[:, 0]) & np.isfinite(others[:, 0])
+                if not is_known.any():
                     continue
-                first, second = part.group_of(earlier), other.group_of(later)
-                distances = part.distances(first, points[known])
-                found.setdefault((begins[k] + first, begins[n] + second), []).append(
-                    (points[known], others[known], distances)
+                first, second = submap.group_of(earlier), other.group_of(later)
+                distances = submap.distances(first, points[is_known])
+                parts_of_edges.setdefault((begins[k] + first, begins[n] + second), []).append(
+                    (points[is_known], others[is_known], distances)
                 )
-    for (first, second), lots in sorted(found.items()):
-        points, others, distances = map(np.concatenate, zip(*lots, strict=True))
-        _, once = np.unique(np.hstack([points, others]), axis=0, return_index=True)
-        points, others, distances = points[once], others[once], distances[once]
-        fit = fit_sim3_ransac(points, others, distances, fewest=MIN_INLIERS, share=MIN_INLIER_SHARE)
+    for (first, second), parts in sorted(parts_of_edges.items()):
+        points, others, distances = map(np.concatenate, zip(*parts, strict=True))
+        _, unique = np.unique(np.hstack([points, others]), axis=0, return_index=True)
+        points, others, distances = points[unique], others[unique], distances[unique]
+        fit = fit_sim3_ransac(points, others, distances)
         if fit is not None:
-            similarity, agree = fit
-            off = relative_errors(similarity, points[agree], others[agree], distances[agree])
-            deviation = float(np.median(off))
-            yield _edge(
-                first, second, similarity, points[agree], distances[agree], deviation, certain=False
-            )
+            similarity, is_inlier = fit
+            points, others, distances = (one[is_inlier] for one in (points, others, distances))
+            deviation = float(np.median(relative_errors(similarity, points, others, distances)))
+            yield _make_edge(first, second, similarity, points, distances, deviation, certain=False)
 
 
-def _edge(
+def _make_edge(
     first: int,
     second: int,
     similarity: np.ndarray,
     points: np.ndarray,
     distances: np.ndarray,
-    deviation: float,
+    deviation: float = MIN_POINT_ERROR,
+    *,
     certain: bool = True,
 ) -> Edge:
-    some = np.linspace(0, len(points) - 1, min(len(points), EDGE_POINTS)).astype(int)
+    sample = np.linspace(0, len(points) - 1, min(len(points), EDGE_POINTS)).astype(int)
     return Edge(
         first=first,
         second=second,
         similarity=similarity,
-        points=points[some],
-        distances=distances[some],
+        points=points[sample],
+        distances=distances[sample],
         deviation=max(deviation, MIN_POINT_ERROR),
-        worth=float(len(points)),
+        weight=float(len(points)),
         certain=certain,
     )
 
 
-def _merged(
-    parts: Sequence[Submap], places: Sequence[Sequence[np.ndarray]]
+def _merge_poses(
+    submaps: Sequence[Submap], similarities: Sequence[Sequence[np.ndarray]]
 ) -> dict[int, np.ndarray]:
     """Return the poses of views in common coordinates.
 
     The pose of a view is a weighted mean. Weights change linearly from the middle of a group to the
     middle of the next group, and decrease towards both ends of a submap.
     """
-    found: dict[int, list[tuple[np.ndarray, float]]] = {}
-    for part, place in zip(parts, places, strict=True):
-        middles = [float(np.mean(views)) for views in part.groups]
-        begin, end = part.span
-        for view, pose in part.poses.items():
-            inside = min(view - begin + 1, end - view)  # weight, small near both ends
-            at = float(np.interp(view, middles, np.arange(len(middles))))
-            low = min(int(at), len(middles) - 1)
+    weighted_poses: dict[int, list[tuple[np.ndarray, float]]] = {}
+    for submap, of_groups in zip(submaps, similarities, strict=True):
+        middles = [float(np.mean(views)) for views in submap.groups]
+        begin, end = submap.span
+        for view, pose in submap.poses.items():
+            end_weight = min(view - begin + 1, end - view)  # small near both ends
+            position = float(np.interp(view, middles, np.arange(len(middles))))
+            low = min(int(position), len(middles) - 1)
             high = min(low + 1, len(middles) - 1)
-            for group, share in ((low, 1 - at + low), (high, at - low)):
-                if share > 0:
-                    found.setdefault(view, []).append(
-                        (transform_pose(place[group], pose), share * inside)
+            for group, weight in ((low, 1 - position + low), (high, position - low)):
+                if weight > 0:
+                    weighted_poses.setdefault(view, []).append(
+                        (transform_pose(of_groups[group], pose), weight * end_weight)
                     )
     return {
-        view: mean_pose(np.array([pose for pose, _ in several]), np.array([w for _, w in several]))
-        for view, several in found.items()
+        view: mean_pose(*map(np.array, zip(*poses, strict=True)))
+        for view, poses in weighted_poses.items()
     }

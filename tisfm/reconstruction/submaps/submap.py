@@ -24,7 +24,7 @@ class Submap:
     poses: dict[int, np.ndarray]
     groups: list[list[int]]  # the views, divided into consecutive groups
     points: np.ndarray  # (P, 3) float64: the points that were adjusted together with the poses
-    shows: np.ndarray  # (G, P) bool: the points that the views of each group show
+    visibility: np.ndarray  # (G, P) bool: the points that the views of each group show
     tracks: TrackPoints  # points of the tracks in views that are also in other spans
     # dict of int to ((N,) int64, (N, 3) float64): by view: numbers and positions of detected points
     # that match views of other spans
@@ -34,24 +34,24 @@ class Submap:
         """Return the number of the group that contains a view."""
         return next(k for k, views in enumerate(self.groups) if views[0] <= view <= views[-1])
 
-    def posed(self, views: Sequence[int]) -> np.ndarray:
+    def view_poses(self, views: Sequence[int]) -> np.ndarray:
         """Return the poses of views, (N, 4, 4)."""
         return np.array([self.poses[view] for view in views])
 
     def distances(self, group: int, points: np.ndarray) -> np.ndarray:
         """Return the distances of points, (N, 3), from the mean position of a group, (N,)."""
-        middle = self.posed(self.groups[group])[:, :3, 3].mean(axis=0)
+        middle = self.view_poses(self.groups[group])[:, :3, 3].mean(axis=0)
         return np.asarray(np.linalg.norm(points - middle, axis=1))
 
     def detected_at(self, view: int, numbers: np.ndarray) -> np.ndarray:
         """Return the positions of detected points of a view, (N, 3); NaN for unknown ones."""
         known, positions = self.detected[view]
-        there = np.full((len(numbers), 3), np.nan)
+        result = np.full((len(numbers), 3), np.nan)
         if len(known):
-            place = np.searchsorted(known, numbers).clip(0, len(known) - 1)
-            same = known[place] == numbers
-            there[same] = positions[place[same]]
-        return there
+            indices = np.searchsorted(known, numbers).clip(0, len(known) - 1)
+            is_known = known[indices] == numbers
+            result[is_known] = positions[indices[is_known]]
+        return result
 
 
 class SubmapBuilder:
@@ -67,140 +67,138 @@ class SubmapBuilder:
         shape: tuple[int, int],
         # sequence of (int, int): the first view of each submap, and the view after its last
         spans: Sequence[tuple[int, int]],
-        size: int,  # approximate number of views of a group
+        group_size: int,  # approximate number of views of a group
         *,
         focal_known: bool = True,
     ) -> None:
         self._views, self._matches, self._spans = views, matches, spans
-        self._camera, self._shape, self._size = camera, shape, size
+        self._camera, self._shape, self._group_size = camera, shape, group_size
         self._focal_known = focal_known
-        self._elsewhere = _matched_elsewhere(matches, spans)
+        self._cross_span = _cross_span_points(matches, spans)
 
-    def parts(self) -> list[Submap]:
+    def build_submaps(self) -> list[Submap]:
         """Return all submaps. One span may have several submaps."""
-        found = [self._grown(list(range(*span))) for span in self._spans]
+        submaps = [self._map_views(list(range(*span))) for span in self._spans]
         # Remaining views of a span are added to a submap of the previous or the next span.
-        count = len(found)
+        count = len(submaps)
         for k in range(1, count):
-            found[k] += self._continued(self._spans[k], found[k], found[k - 1])
+            submaps[k] += self._continue_submap(self._spans[k], submaps[k], submaps[k - 1])
         for k in reversed(range(count - 1)):
-            found[k] += self._continued(self._spans[k], found[k], found[k + 1])
-        return [part for several in found for part in several]
+            submaps[k] += self._continue_submap(self._spans[k], submaps[k], submaps[k + 1])
+        return [submap for of_span in submaps for submap in of_span]
 
-    def _continued(
+    def _continue_submap(
         self, span: tuple[int, int], own: Sequence[Submap], others: Sequence[Submap]
     ) -> list[Submap]:
         """Return submaps of the remaining views of a span, continued from a neighbour submap."""
-        left = set(range(*span)).difference(*(part.poses for part in own))
-        if len(left) < MIN_VIEWS:
+        remaining = set(range(*span)).difference(*(submap.poses for submap in own))
+        if len(remaining) < MIN_VIEWS:
             return []
-        for other in sorted(others, key=lambda part: -len(part.poses)):
-            known = {view: pose for view, pose in other.poses.items() if span[0] <= view < span[1]}
-            if len(known) < 2:
+        for other in sorted(others, key=lambda submap: -len(submap.poses)):
+            poses = {view: pose for view, pose in other.poses.items() if span[0] <= view < span[1]}
+            if len(poses) < 2:
                 continue
-            grown = self._grown(sorted(left.union(known)), known)
-            if any(not left.isdisjoint(part.poses) for part in grown):
-                return grown
+            submaps = self._map_views(sorted(remaining.union(poses)), poses)
+            if any(not remaining.isdisjoint(submap.poses) for submap in submaps):
+                return submaps
         return []
 
-    def _grown(
-        self, numbers: Sequence[int], known: Mapping[int, np.ndarray] | None = None
+    def _map_views(
+        self, numbers: Sequence[int], poses: Mapping[int, np.ndarray] | None = None
     ) -> list[Submap]:
         """Return submaps of some views, mapped by themselves or continued from known poses."""
-        views, place = (
-            [self._views[k] for k in numbers],
-            {view: k for k, view in enumerate(numbers)},
-        )
-        inside = {
-            (place[earlier], place[later]): both
+        views = [self._views[k] for k in numbers]
+        index_of = {view: k for k, view in enumerate(numbers)}
+        matches = {
+            (index_of[earlier], index_of[later]): both
             for (earlier, later), both in self._matches.items()
-            if earlier in place and later in place
+            if earlier in index_of and later in index_of
         }
-        shared = ViewGraph.of(views, inside, self._shape, focal_known=self._focal_known)
-        if known is None:
-            grown = shared.grow_models(self._camera)
+        graph = ViewGraph.of(views, matches, self._shape, focal_known=self._focal_known)
+        if poses is None:
+            reconstructions = graph.grow_models(self._camera)
         else:
-            by_frame = {views[place[view]].frame: pose for view, pose in known.items()}
-            grown = [shared.continue_model(self._camera, by_frame)]
+            by_frame = {views[index_of[view]].frame: pose for view, pose in poses.items()}
+            reconstructions = [graph.continue_model(self._camera, by_frame)]
         return [
-            self._part(shared, whole, views, numbers)
-            for whole in grown
-            if whole.num_reg_images() >= MIN_VIEWS
+            self._make_submap(graph, reconstruction, views, numbers)
+            for reconstruction in reconstructions
+            if reconstruction.num_reg_images() >= MIN_VIEWS
         ]
 
-    def _part(
+    def _make_submap(
         self,
-        shared: ViewGraph,
-        whole: Any,
+        graph: ViewGraph,
+        reconstruction: Any,
         views: Sequence[View],
         numbers: Sequence[int],
     ) -> Submap:
-        model = shared.model(whole)
-        inside = [k for k, view in enumerate(views) if view.frame in model.poses]
-        groups = np.array_split(np.array(inside), max(1, round(len(inside) / self._size)))
-        points, shown = _shown(whole)
-        twice = [
+        model = graph.model(reconstruction)
+        mapped = [k for k, view in enumerate(views) if view.frame in model.poses]
+        groups = np.array_split(np.array(mapped), max(1, round(len(mapped) / self._group_size)))
+        points, observations = _observed_points(reconstruction)
+        shared_tracks = [
             views[k].observations.tracks
-            for k in inside
+            for k in mapped
             if sum(begin <= numbers[k] < end for begin, end in self._spans) > 1
         ]
         return Submap(
             span=(numbers[0], numbers[-1] + 1),
-            poses={numbers[k]: model.poses[views[k].frame] for k in inside},
-            groups=[[numbers[k] for k in some] for some in groups],
+            poses={numbers[k]: model.poses[views[k].frame] for k in mapped},
+            groups=[[numbers[k] for k in group] for group in groups],
             points=points,
-            shows=_by_group(shown, [int(some[-1]) for some in groups], len(points)),
-            tracks=model.points.select(np.concatenate([np.empty(0, np.int64), *twice])),
-            detected=_detected(shared, points, shown, numbers, self._elsewhere),
+            visibility=_group_visibility(observations, [k[-1] for k in groups], len(points)),
+            tracks=model.points.select(np.concatenate([np.empty(0, np.int64), *shared_tracks])),
+            detected=_detected_points(graph, points, observations, numbers, self._cross_span),
         )
 
 
-def _matched_elsewhere(matches: Matches, spans: Sequence[tuple[int, int]]) -> dict[int, np.ndarray]:
+def _cross_span_points(matches: Matches, spans: Sequence[tuple[int, int]]) -> dict[int, np.ndarray]:
     """Return, by view, the detected points that match views outside every common span."""
-    found: dict[int, list[np.ndarray]] = {}
+    points: dict[int, list[np.ndarray]] = {}
     for (earlier, later), both in matches.items():
         if not any(begin <= earlier and later < end for begin, end in spans):
             for view, side in ((earlier, 0), (later, 1)):
-                found.setdefault(view, []).append(both[:, side])
-    return {view: np.unique(np.concatenate(lots)) for view, lots in found.items()}
+                points.setdefault(view, []).append(both[:, side])
+    return {view: np.unique(np.concatenate(parts)) for view, parts in points.items()}
 
 
-def _shown(whole: Any) -> tuple[np.ndarray, np.ndarray]:
+def _observed_points(reconstruction: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return the points of pycolmap's reconstruction, (P, 3), and their observations, (N, 3) int64.
 
     Each observation has the number of the point, of the view, and of the point within the view; all
     from 0.
     """
-    points, shown = [], []
-    for number, (_, point) in enumerate(sorted(whole.points3D.items())):
+    points, observations = [], []
+    for number, (_, point) in enumerate(sorted(reconstruction.points3D.items())):
         points.append(np.array(point.xyz))
-        shown += [(number, one.image_id - 1, one.point2D_idx) for one in point.track.elements]
-    return np.array(points).reshape(-1, 3), np.array(shown, np.int64).reshape(-1, 3)
+        observations += [(number, e.image_id - 1, e.point2D_idx) for e in point.track.elements]
+    return np.array(points).reshape(-1, 3), np.array(observations, np.int64).reshape(-1, 3)
 
 
-def _by_group(shown: np.ndarray, ends: Sequence[int], count: int) -> np.ndarray:
+def _group_visibility(observations: np.ndarray, ends: Sequence[int], count: int) -> np.ndarray:
     """Return whether groups show points, (G, P) bool; `ends` has the last view of each group."""
-    shows = np.zeros((len(ends), count), bool)
-    shows[np.searchsorted(ends, shown[:, 1]), shown[:, 0]] = True
-    return shows
+    visibility = np.zeros((len(ends), count), bool)
+    visibility[np.searchsorted(ends, observations[:, 1]), observations[:, 0]] = True
+    return visibility
 
 
-def _detected(
-    shared: ViewGraph,
+def _detected_points(
+    graph: ViewGraph,
     points: np.ndarray,
-    shown: np.ndarray,
+    observations: np.ndarray,
     numbers: Sequence[int],
-    wanted: Mapping[int, np.ndarray],
+    points_of_views: Mapping[int, np.ndarray],
 ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Return, by view, the numbers and positions of the wanted points with known positions."""
-    found = {}
-    for k in np.unique(shown[:, 1]).tolist():
+    """Return numbers and positions of the given detected points, by view, if they are mapped."""
+    mapped = {}
+    for k in np.unique(observations[:, 1]).tolist():
         view = numbers[k]
-        if view not in wanted:
+        if view not in points_of_views:
             continue
-        own = shown[shown[:, 1] == k]
-        detected = own[:, 2] - len(shared.views[k].observations.tracks)
-        kept = np.isin(detected, wanted[view])
-        order = np.argsort(detected[kept])
-        found[view] = detected[kept][order], points[own[kept, 0][order]]
-    return found
+        own = observations[observations[:, 1] == k]
+        detected = own[:, 2] - len(graph.views[k].observations.tracks)
+        is_given = np.isin(detected, points_of_views[view])
+        order = np.argsort(detected[is_given])
+        mapped[view] = detected[is_given][order], points[own[is_given, 0][order]]
+    return mapped
