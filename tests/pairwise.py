@@ -14,20 +14,22 @@ def pairwise(*, ways=2, short=False, **choices):
     case of the short command; the other cases are nightly.
     """
     values = list(choices.values())
-    rows = covering([len(each) for each in values], ways)
-    cases = [tuple(each[i] for each, i in zip(values, row, strict=True)) for row in rows]
+    sizes = [len(each) for each in values]
+    first = covering(sizes, ways - 1) if short else []
+    cases = [
+        tuple(each[i] for each, i in zip(values, row, strict=True))
+        for row in [*first, *covering(sizes, ways, first)]
+    ]
     if short:
-        seen = set()
-        for k, row in enumerate(rows):
-            fewer = set(combinations(enumerate(row), ways - 1))
-            if fewer <= seen:
-                cases[k] = pytest.param(*cases[k], marks=pytest.mark.nightly)
-            seen |= fewer
+        later = cases[len(first) :]
+        cases[len(first) :] = [pytest.param(*case, marks=pytest.mark.nightly) for case in later]
     return pytest.mark.parametrize(list(choices), cases)
 
 
-def covering(sizes, ways):
+def covering(sizes, ways, first=()):
     """Return rows of indices below `sizes` in which all combinations of `ways` columns occur.
+
+    Combinations that occur in the rows `first` are left out.
 
     Greedily: a row starts from a combination that is missing, and takes in every other column the
     index that adds most of the others.
@@ -37,6 +39,9 @@ def covering(sizes, ways):
         for columns in combinations(range(len(sizes)), ways)
         for indices in product(*(range(sizes[column]) for column in columns))
     }
+    for row in first:
+        for combination in combinations(enumerate(row), ways):
+            missing.pop(combination, None)
     rows = []
     while missing:
         row = dict(next(iter(missing)))

@@ -19,10 +19,17 @@ from tests.pairwise import covering
     ],
 )
 def test_every_combination_occurs(sizes, ways, most):
+    first = covering(sizes, ways - 1) if ways > 1 else []
     rows = covering(sizes, ways)
-    for columns in combinations(range(len(sizes)), ways):
-        found = {tuple(row[column] for column in columns) for row in rows}
-        assert found == set(product(*(range(sizes[column]) for column in columns)))
+    assert len(first) <= len(rows)
+    check_combinations(rows, sizes, ways)
+    check_combinations([*first, *covering(sizes, ways, first)], sizes, ways)
     assert len(rows) <= most
     assert len({tuple(row) for row in rows}) == len(rows)
     assert rows == covering(sizes, ways)
+
+
+def check_combinations(rows, sizes, ways):
+    for columns in combinations(range(len(sizes)), ways):
+        found = {tuple(row[column] for column in columns) for row in rows}
+        assert found == set(product(*(range(sizes[column]) for column in columns)))

@@ -88,9 +88,9 @@ def test_the_background_comes_first(result, blocks):
 @pytest.mark.parametrize(
     ("seed", "settings"),
     [
-        (7, OBJECTS),
+        pytest.param(7, OBJECTS, marks=pytest.mark.nightly),
         pytest.param(8, OBJECTS, marks=pytest.mark.nightly),
-        pytest.param(9, FAST, marks=pytest.mark.nightly),
+        (9, FAST),
     ],
 )
 def test_three_moving_blocks(seed, settings):

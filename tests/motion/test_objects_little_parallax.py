@@ -9,13 +9,13 @@ from tests.rendered import two_blocks
 from tisfm.motion.first_motion import first_motion
 from tisfm.motion.problems import pyramid_of
 
-SIZE = (240, 320)
+SIZE = (150, 200)
 
 
-def moving(sideways, turn):
+def moving(sideways, turn, size=SIZE):
     """Return two moving blocks; the camera moves sideways and turns by `turn` degrees."""
     camera_motion = (sideways, 0, 0, 0, np.deg2rad(turn), 0)
-    return two_blocks(*SIZE, camera_motion=camera_motion)
+    return two_blocks(*size, camera_motion=camera_motion)
 
 
 def check_depth_is_of_objects_alone(result, scene):
@@ -40,7 +40,7 @@ def test_without_parallax(turn):
 
 def test_with_little_parallax():
     """Without the objects, the background gets rough depth and the status "uncertain"."""
-    scene = moving(0.003, 0.3)
+    scene = moving(0.003, 0.3, size=(240, 320))
     frames = (np.asarray(frame, np.float32) for frame in (scene.frame0, scene.frame1))
     start = first_motion(pyramid_of(*frames, scene.camera, OBJECTS), OBJECTS)
     assert start.status is None and start.doubt == "uncertain"

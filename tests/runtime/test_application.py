@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.runtime.programs import INTERPRET, answer, interpretation, run
+from tests.runtime.programs import INTERPRET, UNDISTORT, answer, interpretation, run
 
 STARTED = """
 import os
@@ -31,7 +31,9 @@ assert digest(interpret()) == digest(result)  # kernels outlive their runtime
     ("options", "same_bits"),
     [
         ("real_matrix_scalarize=False, cpu_max_num_threads=1", True),
-        ("debug=True", False),  # checks every index; the compiler takes vectors apart, rounds other
+        # The compiler takes vectors apart, and rounds otherwise.
+        pytest.param("", False, marks=pytest.mark.nightly),
+        pytest.param("debug=True", False, marks=pytest.mark.nightly),
     ],
 )
 def test_an_application_that_started_taichi_gets_the_same_answer(options, same_bits, tmp_path):
@@ -43,6 +45,12 @@ def test_an_application_that_started_taichi_gets_the_same_answer(options, same_b
     assert np.abs(result.rho).max() > 0.1
     # A few units in the last place per iteration; seen: 2.5e-6 of values of about 1.
     np.testing.assert_allclose(np.load(tmp_path / "rho.npy"), result.rho, atol=1e-4)
+
+
+def test_an_application_may_let_taichi_check_every_index():
+    program = STARTED.format(options="debug=True") + UNDISTORT
+    found = answer(program, PYTHONWARNINGS="ignore").splitlines()[-1]  # of slow compiling
+    assert found == answer(UNDISTORT)
 
 
 def test_an_application_whose_kernels_compile_slowly_is_warned_at_once():

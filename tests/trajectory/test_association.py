@@ -31,6 +31,12 @@ def test_matches_are_mutually_nearest(first, second):
         assert not alone or (i in mine and j in theirs)
 
 
+def test_only_the_nearer_of_two_times_is_paired():
+    """Both are within the limit of the one time of the other list."""
+    assert [pair.tolist() for pair in associate([0.0, 0.012], [0.01])] == [[1], [0]]
+    assert [pair.tolist() for pair in associate([0.01], [0.0, 0.012])] == [[0], [1]]
+
+
 def test_a_limit_and_times_that_do_not_increase():
     mine, theirs = associate([0.0, 1.0, 2.0], [0.5, 1.05], farthest=0.1)
     assert mine.tolist() == [1] and theirs.tolist() == [1]
