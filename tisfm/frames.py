@@ -34,9 +34,9 @@ def grey_pair(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Validate a pair of frames and convert it to grey levels.
 
-    Returns grey0, grey1, (H, W) float32: on the 8-bit scale, with one factor for both frames: uint8
+    Returns both frames, (H, W) float32, on the 8-bit scale with one factor for both: uint8
     unchanged, uint16 / 257, float × 255 if both frames are in [0, 1] (`in_unit_range`), other float
-    unchanged. Always copies of the input.
+    unchanged. The arrays are copies.
 
     Raises TypeError if a frame is not an array of one of these types, or the two differ in type.
 

@@ -29,8 +29,8 @@ class Resampling:
     ) -> np.ndarray:
         """Return the new image, sampled from the old one by its cubic spline.
 
-        Returns array of the image's shape and type: all values lie between the image's own least
-        and greatest value. Pixels without data repeat the border.
+        The result has the type of the image and the shape of the map. Its values lie between the
+        least and the greatest value of the image. Pixels without data repeat the border.
         """
         if image.ndim == 3:
             return np.stack([self.apply(channel) for channel in np.moveaxis(image, -1, 0)], axis=-1)

@@ -33,8 +33,9 @@ def bind_newest(
 ) -> bool:
     """Bind each of the newest threads to its own core, if threads and cores are equally many.
 
-    Returns whether the threads are bound now. False if there are fewer threads than cores of this
-    process, since other processes would bind to the same cores; and on systems without such a call.
+    Returns whether the threads are bound now. They are not if there are fewer threads than cores of
+    this process, since other processes would bind to the same cores; and on systems without such a
+    call.
     """
     if not hasattr(os, "sched_setaffinity"):
         return False

@@ -77,7 +77,7 @@ class FlowSearch:
         *,
         reach: int,  # px, odd, so that the neighbours of red pixels are black
         draws: int,
-        # (float, float): largest and smallest range of the draws in u and in v, px/frame
+        # largest and smallest range of the draws in u and in v, px/frame
         spans: tuple[float, float],
         seed: int,  # seed of the random numbers
     ) -> None:

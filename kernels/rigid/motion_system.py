@@ -40,7 +40,7 @@ def motion_system(
     neighbours. Elimination of D gives the Schur complement BᵀJB − BᵀJa (aᵀJa + α b̄)⁻¹ aᵀJB, with b̄
     the sum of the edge weights of the pixel.
 
-    Returns matrix, vector, (6, 6) and (6,) float64: the energy changes by xᵀ matrix x + 2 xᵀ
+    Returns a matrix and a vector, (6, 6) and (6,) float64: the energy changes by xᵀ matrix x + 2 xᵀ
     vector, with x = (δt, δω).
     """
     grid = system.grid

@@ -58,7 +58,7 @@ class PlaneSearch:
         levels1: np.ndarray,
         motion: np.ndarray,  # (3, 4) array: R and t
         *,
-        center: tuple[float, float],  # (float, float): principal point, px
+        center: tuple[float, float],  # principal point, px
         focal: float,  # px
         noise: float,  # standard deviation of the noise of a frame, levels; above 0
         seen: float,  # least variance of a window that is compared, over the variance of the noise
@@ -132,7 +132,7 @@ def disagreement(
     # where the pixel leaves the image, or one of the planes has no cost
     out: np.ndarray,
     *,
-    center: tuple[float, float],  # (float, float): principal point, px
+    center: tuple[float, float],  # principal point, px
     focal: float,  # px
 ) -> None:
     """Compute the difference of inverse depth between the planes of both frames."""

@@ -28,7 +28,7 @@ def matching_cost(
     # n // lanes, lane n % lanes.
     out: np.ndarray,
     *,
-    center: tuple[float, float],  # (float, float): principal point, px
+    center: tuple[float, float],  # principal point, px
     focal: float,  # px
     # first, step: px/frame
     first: float,

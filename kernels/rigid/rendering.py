@@ -31,7 +31,7 @@ def rendered(
     out: np.ndarray,
     out_deviation: np.ndarray,
     *,
-    center: tuple[float, float],  # (float, float): principal point of both views, px
+    center: tuple[float, float],  # principal point of both views, px
     focal: float,  # focal length of both views, px
 ) -> None:
     """Render the inverse depth of a view, and its deviation, in another view.

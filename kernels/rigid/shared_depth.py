@@ -96,8 +96,8 @@ def answered(
 
     The caller subtracts them from the equations of the motions.
 
-    Returns matrix, vector, (6 M, 6 M) and (6 M,) float64: Σ s sᵀ / (c + held) and Σ s g / (c +
-    held) over the pixels.
+    Returns a matrix and a vector, (6 M, 6 M) and (6 M,) float64: Σ s sᵀ / (c + held) and Σ s g / (c
+    + held) over the pixels.
     """
     count = _frames_of(slopes, 0)
     grid.check(slopes, 6 * count, "slopes")

@@ -59,7 +59,7 @@ class ViewSearch:
         *,
         best: int,  # number of frames in the mean of a cost; 1 to `MOST_BEST`, and at most M
         stride: int,  # side of a cell, px; cells that extend beyond the border are left out
-        center: tuple[float, float],  # (float, float): principal point, px
+        center: tuple[float, float],  # principal point, px
         focal: float,  # px
         noise: float,  # standard deviation of the noise of a frame, levels; above 0
         seen: float,  # least variance of a window that is compared, over the variance of the noise

@@ -51,8 +51,9 @@ def plane(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the quadratic energy of before + p correction + q step, as a function of p and q.
 
-    Returns matrix, vector, (2, 2) and (2,) float64: the energy changes by zᵀ matrix z + 2 zᵀ
-    vector, with z = (p, q). An entry of the vector that is only rounding error is set to 0.
+    The function returns a matrix and a vector, (2, 2) and (2,) float64: the energy changes by zᵀ
+    matrix z + 2 zᵀ vector, with z = (p, q). An entry of the vector that is only rounding error is
+    set to 0.
     """
     partial = block_sums(grid, 7)
     sets = arrays[1].shape[0] // 2

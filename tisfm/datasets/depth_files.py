@@ -24,7 +24,7 @@ _NO_DEPTH = (0, 65535)  # file values without a depth
 
 def read_depth(
     path: str | os.PathLike[str],  # a 16-bit grey image, 0 or 65535 where there is no depth
-    # float, default 1000: file values per unit of depth. By default the file is in millimetres, the
+    # file values per unit of depth. By default the file is in millimetres, the
     # depth in metres.
     scale: float = MILLIMETRES,
 ) -> NDArray[np.float32]:  # (H, W) float32 ndarray: depth Z; NaN where there is no depth
@@ -57,8 +57,8 @@ def reproject_depth(
 ) -> NDArray[np.float32]:
     """Project a depth map into the image of a camera beside the camera that took it.
 
-    Returns (H, W) float32 ndarray: depth at the pixels of the target: of the nearest surface that
-    falls on the pixel. NaN where no surface does.
+    Returns (H, W) float32, the depth of the nearest surface that falls on each pixel of the target;
+    NaN for pixels without a surface.
     """
     height, width = depth.shape
     rows, columns = np.nonzero(np.isfinite(depth) & (depth > 0))
@@ -88,8 +88,8 @@ def read_disparity(
 ) -> NDArray[np.float32]:
     """Read the disparity of the left view of a stereo pair.
 
-    Returns (H, W) float32 ndarray: disparity, x_left - x_right, px; NaN where unknown (0 of
-    integers, floats not finite).
+    Returns (H, W) float32, the disparity x_left − x_right, px; NaN where the file has 0 (integers)
+    or a value that is not finite (floats).
 
     Raises FormatError if the file is damaged, or does not hold one (H, W) map of these types.
 

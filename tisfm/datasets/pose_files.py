@@ -72,8 +72,8 @@ def motion_between(
 ) -> NDArray[np.float64]:
     """Return the motion of a scene at rest relative to a camera that moves between two poses.
 
-    Returns (4, 4) float64 ndarray: transforms points from the axes of the first camera to the axes
-    of the second.
+    Returns (4, 4) float64, which takes points from the axes of the first camera to the axes of the
+    second.
     """
     motion: NDArray[np.float64] = np.linalg.inv(second) @ first
     motion[3] = 0, 0, 0, 1  # exactly, without rounding errors

@@ -173,7 +173,7 @@ def compare_object_paths(
     truth: Path,
     labels: Mapping[int, int],  # ids of the objects of the reconstruction, by true ids
     *,
-    step: int = 1,  # int, default 1: step of the reconstructed frames in the truth
+    step: int = 1,  # step of the reconstructed frames in the truth
 ) -> dict[int, ObjectPathErrors]:  # by true id, for objects with a path of three frames or more
     """Compare the paths of the moving objects of a reconstruction with the true paths.
 

@@ -56,10 +56,9 @@ class _Line:
 def evaluation_tables(evaluation: Evaluation) -> list[Table]:
     """Return tables of flow, depth and pose, for the pairs with a known truth.
 
-    Returns each table has a row for each pair, and rows for the mean (for depth and pose also the
-    median) of each dataset with several pairs. If there are several datasets, rows for all pairs
-    follow. There is a table of poses if a pose was compared, or if only the pose of a pair is
-    known.
+    Each table has a row for each pair, and rows for the mean (for depth and pose also the median)
+    of each dataset with several pairs. With several datasets, rows for all pairs follow. A table of
+    poses is returned if a pose was compared, or if only the pose of a pair is known.
     """
     flows = [pair for pair in evaluation.pairs if pair.pair.knows_flow]
     depths = [pair for pair in evaluation.pairs if pair.pair.knows_depth]

@@ -13,8 +13,8 @@ _NOTHING = "–"
 def sequence_tables(evaluations: Sequence[SequenceEvaluation]) -> list[Table]:
     """Return tables of paths and of depth, for the evaluations with a known truth.
 
-    Returns the table of paths has a row for every piece, the largest first; the table of depth has
-    one for every sequence.
+    The table of paths has a row for every piece, the largest first. The table of depth has a row
+    for every sequence.
     """
     tables = []
     paths = [e for e in evaluations if e.fault or (e.path is not None and not e.poses_given)]

@@ -140,8 +140,8 @@ def consistent_points(
 ) -> tuple[np.ndarray, np.ndarray, Triangulated]:
     """Drop observations that do not fit their point, and points with too few observations.
 
-    Returns kept, (N,) bool: which points are kept; image_points, (K, M, 2) float64: their
-    observations; NaN for dropped ones; points, the same K points.
+    Returns which points are kept, (N,) bool; the observations of the K kept points, (K, M, 2)
+    float64, NaN for dropped observations; and the kept points.
     """
     batch = max(1, BATCH // len(poses))
     parts = [

@@ -125,8 +125,8 @@ def increasing_times(
 ) -> tuple[float, ...] | None:
     """Return the times in the names of images, s, if they increase in this order.
 
-    Returns none if `parse_times` finds no times, or they do not increase: then they may be numbers
-    of frames.
+    Returns None if `parse_times` finds no times, or if they do not increase: then they may be
+    numbers of frames.
     """
     found = parse_times(stems)
     if found is None or not all(later > sooner for sooner, later in pairwise(found.seconds)):

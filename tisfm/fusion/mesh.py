@@ -112,12 +112,12 @@ def fused_mesh(
     # Any object with a length and items. Views are read one by one, four times each.
     views: Sequence[DepthView],
     *,
-    # int, default 3: number of views that must show the surface near a voxel; all views if there
+    # number of views that must show the surface near a voxel; all views if there
     # are fewer
     agreeing: int = 3,
-    # float, default 0.05: depth with a larger relative standard deviation is not used
+    # depth with a larger relative standard deviation is not used
     max_relative_std: float = 0.05,
-    # float, default 5: depth beyond this multiple of the median depth of its view is not used; None
+    # depth beyond this multiple of the median depth of its view is not used; None
     # for no bound
     max_depth: float | None = 5.0,
     # Edge of a voxel, in the unit of the poses. By default the largest of 2 px at the median depth,
@@ -134,8 +134,8 @@ def fused_mesh(
     precision. Space in front of a surface counts as empty, so that errors of single views vanish.
     The mesh lies where the mean distance is zero, and is open where too few views show the surface.
 
-    Returns in the world's axes and unit; without faces if no surface is found. Colours are means
-    over the views, weighted by 1/Z².
+    The mesh has the axes and the unit of the world, and no faces if no surface is found. Colours
+    are means over the views, weighted by 1/Z².
 
     Raises ModuleNotFoundError if scikit-image is not installed.
 

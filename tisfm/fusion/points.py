@@ -70,12 +70,12 @@ def fused_points(
     # time are in memory.
     views: Sequence[DepthView],
     *,
-    # int, default 3: number of views that must show a point, its own view included; all views if
+    # number of views that must show a point, its own view included; all views if
     # there are fewer
     agreeing: int = 3,
-    # float, default 0.05: depth with a larger relative standard deviation is not used
+    # depth with a larger relative standard deviation is not used
     max_relative_std: float = 0.05,
-    # float, default 10: depth beyond this multiple of the median depth of its view is not used;
+    # depth beyond this multiple of the median depth of its view is not used;
     # None for no bound
     max_depth: float | None = FARTHEST_MEDIANS,
     # Edge of cubes, in the unit of the poses: the points of a cube are replaced by their mean,
@@ -91,9 +91,8 @@ def fused_points(
     through it. It lies on its ray at the mean of the inverse depths, weighted by precision. Pixels
     that show a point found before are skipped.
 
-    Returns in the world's axes and unit. Colours are means over the views that agree. The
-    confidence is a / (a + s + 1), with a other views that agree and s views that see through the
-    point.
+    The points have the axes and the unit of the world. Colours are means over the views that agree.
+    The confidence is a / (a + s + 1), where a other views agree and s views see through the point.
 
     Raises TypeError, ValueError if an option or a view is not valid.
     """

@@ -170,8 +170,8 @@ def _depths(
 ) -> tuple[NDArray, NDArray, NDArray, NDArray, float]:
     """Check and align two depths.
 
-    Returns depth, truth, (H, W) float64: the depth is multiplied by `scale`; valid, known, (H, W)
-    bool: where depth and truth are known, and where the truth is known; scale, .
+    Returns depth, multiplied by the scale, and truth, both (H, W) float64; masks of pixels where
+    both are known and where the truth is known, (H, W) bool; and the scale.
     """
     if align not in ("median", None):
         raise InputError(f"align is {align!r}: expected 'median' or None")

@@ -69,8 +69,8 @@ class PlaneSweep:
         much parallax, it is the result of a sweep that uses the flow field as a guess. Unless the
         motion is known, no sweep is finer than the last level of the pyramid.
 
-        Returns level, level of the flow, or a finer level; inverse_depth, (H, W) float32: D,
-        px/frame of the level.
+        Returns the level of the flow, or a finer level; and the inverse depth D, (H, W) float32,
+        px/frame of that level.
         """
         if not self.is_needed:
             return self._level, self._guess

@@ -62,8 +62,8 @@ class PreviousPair:
     def backward_flow(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the flow from the second frame back to the first, and where it is known.
 
-        Returns flow, (2, h, w) float32: px/frame; 0 where unknown; seen, (h, w) bool: pixels of the
-        second frame that are visible in the first.
+        Returns the flow, (2, h, w) float32, px/frame, 0 where it is unknown; and the pixels of the
+        second frame that are visible in the first, (h, w) bool.
         """
         flow = np.where(self.hidden, np.float32(FAR), self.flow)
         sums = aligned_empty((*self.hidden.shape, 4))

@@ -142,8 +142,8 @@ def motion_residual(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the residual of one motion and its depth in the images, and their flow.
 
-    Returns residual, (H, W) float32: squared, px²; 0 where the flow leaves the image; flow, (2, H,
-    W) float32.
+    Returns the squared residual, (H, W) float32, px², 0 where the flow leaves the image; and the
+    flow, (2, H, W) float32.
     """
     labels = np.zeros(inverse_depth.shape, np.int32)
     state = RigidLevel(pyramid, 0, settings, labels, count=1)

@@ -67,8 +67,8 @@ def sparse_motions(
     random sampling, and decompositions of homographies. If the matches lie on one plane, they
     determine no essential matrix, and the homography gives the motion. Two motions may then remain.
 
-    Returns motions, empty if too few matches agree on a motion; judge, the cost of other motions on
-    the same scale; None if no motion was found.
+    Returns the motions, none if too few matches agree on one; and the cost of other motions on the
+    same scale, None without a motion.
 
     References
     ----------

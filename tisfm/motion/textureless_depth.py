@@ -71,7 +71,7 @@ def textureless_depth(
 ) -> TexturelessSolution | None:
     """Estimate the inverse depth of every pixel under a known motion.
 
-    Returns none if too few pixels could be matched, or if no level is small enough.
+    Returns None if too few pixels could be matched, or if no level is small enough.
     """
     if pyramid.frames0[-1].size > DEPTH.max_plane_pixels:
         return None

@@ -103,8 +103,7 @@ class ResultFrame:
     ) -> Floats:
         """Return the image motion of a motion of the scene relative to the camera.
 
-        Returns (N, 2) float32: px, for each of the pixels; NaN for points that come to lie behind
-        the camera.
+        Returns (N, 2) float32, px; NaN for points behind the camera.
         """
         rows, columns = np.nonzero(pixels)
         return self._displacement(rows, columns, pose)[0]

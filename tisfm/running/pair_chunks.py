@@ -141,7 +141,7 @@ def interpret_with_workers(
 ) -> Iterator[Interpretation | str]:
     """Interpret pairs in several processes of this machine; yield the results in order.
 
-    Yields each the results. Before a result, the reason for each skipped frame.
+    The reason for each skipped frame comes before the result that follows it.
 
     Raises Exception: as `tisfm.interpret_sequence`, after the results of the pairs before the
     error.

@@ -135,7 +135,7 @@ class PairFiles:
         ranges: Ranges | None,  # none before the first pair with depth
         number: int = 0,  # number of the pair in the run; it decides whether the pair has a figure
         digest: str | None = None,  # hash of the pair's frames and pose
-        times: tuple[float, float] | None = None,  # (float, float): times of its frames, s
+        times: tuple[float, float] | None = None,  # times of its frames, s
         # (4, 4): the motion that was given to the interpretation. Depth then has the unit of the
         # poses, the same in all pairs.
         pose: np.ndarray | None = None,
@@ -296,9 +296,9 @@ def motion_rows(
 ) -> np.ndarray | None:
     """Return the rigid motions of a result as rows of numbers.
 
-    Returns (K, 12) float64 or None: each row holds the three rows of (R | t): P₁ = R P₀ + t, with t
-    in the unit of `Interpretation.depth`; NaN where the interpretation diverged. None for
-    ``motion="field"``.
+    Returns (K, 12) float64, or None for ``motion="field"``. Each row holds the three rows of (R |
+    t): P₁ = R P₀ + t, with t in the unit of `Interpretation.depth`; NaN where the interpretation
+    diverged.
     """
     if result.motions is None:
         return None

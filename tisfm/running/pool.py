@@ -56,7 +56,7 @@ class WorkerPool:
 
         Items are submitted in order, and only as many at a time as keep all processes busy.
 
-        Yields number, number of the item, from 0; result: .
+        Yields the number of each item, from 0, and its result.
 
         Raises RunError if processes were killed repeatedly and no item finished in between.
 

@@ -158,8 +158,8 @@ def arrow_scale(
 ) -> tuple[int, float]:
     """Choose the grid and the length of the arrows over a picture.
 
-    Returns step, distance between arrows, px; magnification, drawn length of an arrow, px, per
-    length of motion, px/frame.
+    Returns the distance between arrows, px, and the drawn length of an arrow, px, per length of
+    motion, px/frame.
     """
     pixels_per_inch = shape[1] / panel_size(*shape)[0]
     spacing = _ARROW_SPACING * pixels_per_inch

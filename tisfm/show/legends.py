@@ -66,7 +66,7 @@ def flow_legend(
 
 
 def error_legend(
-    # (float, float): errors at the bottom and at the top, whose colours smaller and larger errors
+    # errors at the bottom and at the top, whose colours smaller and larger errors
     # share
     limits: tuple[float, float],
     unit: str,  # unit of the errors

@@ -50,7 +50,7 @@ class Panel:
 class Legend:
     """A legend of a mosaic."""
 
-    size: tuple[float, float]  # (float, float): width and height, inches
+    size: tuple[float, float]  # width and height, inches
     draw: Callable[[Figure, Box], object]  # draws the legend into a box of a figure
 
 
@@ -163,7 +163,7 @@ def arrange(
     rows: Sequence[Sequence[tuple[str, tuple[float, float]]]],
     *,
     heading: str | None = None,  # heading above all panels
-    # (float, float): width and height, inches, of a legend. It goes to the empty end of the lowest
+    # width and height, inches, of a legend. It goes to the empty end of the lowest
     # row with enough space, else into a narrow column of its own.
     legend: tuple[float, float] | None = None,
 ) -> Layout:  # positions as shares of the figure, the panels of all rows in one list

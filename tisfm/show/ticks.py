@@ -18,8 +18,8 @@ def depth_ticks(
 ) -> list[tuple[float, str]]:
     """Return ticks of a scale that is linear in inverse depth: both ends, and round depths.
 
-    Returns list of (float, str): positions on the scale, from 0, infinitely far, to 1, and depths:
-    1, 2 and 5 times powers of ten, apart from the near end.
+    Returns positions on the scale, from 0, infinitely far, to 1, and depths: 1, 2 and 5 times
+    powers of ten, with room between them at the near end.
     """
     far = (0.0, "∞")
     if limit == 0:
@@ -36,14 +36,14 @@ def depth_ticks(
 
 
 def doublings(
-    # (float, float): values at both ends, which values beyond them share
+    # values at both ends, which values beyond them share
     limits: tuple[float, float],
     unit: str,  # written after each value
 ) -> list[tuple[float, str]]:
     """Return ticks of a logarithmic scale: both ends, and doublings between them.
 
-    Returns list of (float, str): positions on the scale, from 0 to 1, and labels. With more than a
-    dozen doublings only every second one is a tick, and so on.
+    Returns positions on the scale, from 0 to 1, and labels. With more than a dozen doublings only
+    every second one is a tick, and so on.
     """
     # Denormal numbers count as 0 in a process in which Taichi runs.
     low, high = max(limits[0], sys.float_info.min), min(limits[1], sys.float_info.max)

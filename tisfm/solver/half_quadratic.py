@@ -113,8 +113,8 @@ class HalfQuadratic:
     def minimise(self) -> tuple[list[Iteration], bool]:
         """Iterate at least twice, until ρ̂ hardly changes or the iterations run out.
 
-        Returns iterations, ; converged, whether the last relative change was within the tolerance;
-        if thorough, whether the estimated error was.
+        Returns the iterations, and whether the last relative change was within the
+        tolerance; if thorough, whether the estimated error was.
         """
         if self._effort.thorough:
             return self._minimise_thoroughly()

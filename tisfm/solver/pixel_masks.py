@@ -24,7 +24,7 @@ class PixelMasks:
         # counted0, counted1: (H, W) bool, used pixels of each frame
         counted0: np.ndarray,
         counted1: np.ndarray,
-        # list of (int, int): height and width of every level, the finest first, px
+        # height and width of every level, the finest first, px
         shapes: list[tuple[int, int]],
     ) -> None:
         self.whole = counted0, counted1

@@ -36,10 +36,10 @@ def spline_taps(
 ) -> np.ndarray:
     """Return the coefficients of an image's spline in the layout of the kernels, rows of four.
 
-    Returns ((H + 3)·W, 4) float32: row r·W + x holds the coefficients of columns x − 1 to x + 2 in
-    image row r − 1. A sample between rows y and y + 1 and columns x and x + 1 needs r = y to y + 3.
-    Beyond the border, coefficients are mirrored at the centres of the border pixels. The memory is
-    aligned.
+    Returns ((H + 3)·W, 4) float32 in aligned memory. Row r·W + x holds the coefficients of columns
+    x − 1 to x + 2 in image row r − 1. A sample between rows y and y + 1 and columns x and x + 1
+    needs r = y to y + 3. Beyond the border, coefficients are mirrored at the centres of the border
+    pixels.
     """
     return _taps(spline_coefficients(image))
 

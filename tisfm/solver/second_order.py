@@ -136,7 +136,8 @@ class SecondOrderMinimiser:
     ) -> tuple[list[Iteration], bool]:
         """Iterate until D hardly changes or the iterations run out.
 
-        Returns iterations, ; converged, whether the last relative change was within the tolerance.
+        Returns the number of iterations, and whether the last relative change was within the
+        tolerance.
         """
         done: list[Iteration] = []
         self._multigrid.restart()
@@ -176,8 +177,8 @@ def fill(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Extend inverse depth from pixels with a measurement to the whole frame.
 
-    Returns depth, (H, W) float32: D, px/frame; 0 everywhere if there is no measurement; slopes, (2,
-    H, W) float32: v₁ and v₂, px/frame per px.
+    Returns D, (H, W) float32, px/frame, 0 everywhere without a measurement; and the slopes v₁ and
+    v₂, (2, H, W) float32, px/frame per px.
 
     Raises TypeError, ValueError if the arrays are not float32 of one size, if a weight is negative
     or not finite, if a target of weight above 0 is not finite, or if `iterations` is below 1.

@@ -29,10 +29,10 @@ class FramePair:
     # Whether the values of float frames may be from 0 to 1, to be stretched to 0 to 255. False once
     # a frame of the source had larger values: then all of its frames are on the 8-bit scale.
     stretch: bool = True
-    # (int, int) or None: height and width before cropping and shrinking, px; None if the frames are
+    # height and width before cropping and shrinking, px; None if the frames are
     # unchanged
     full: tuple[int, int] | None = None
-    # (float, float) or None: times of the frames, s; None if unknown
+    # times of the frames, s; None if unknown
     times: tuple[float, float] | None = None
     # ignored0, ignored1: (H, W) bool array or None: true where pixels are ignored; None if a frame
     # has no such pixels

@@ -17,7 +17,7 @@ def read_ahead(
 ) -> Generator[T, None, None]:
     """Yield the items of a generator, which runs in a thread.
 
-    Yields each the items in order. An error of the generator is raised after the items before it.
+    Items come in order. An error of the generator is raised after the items before it.
     """
     # The thread ends with the interpreter: while idle it only waits for work.
     executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="tisfm-frames")

@@ -267,7 +267,7 @@ class FrameSource:
     def camera_after(
         self,
         camera: Camera,  # camera of the frames before cropping and shrinking
-        # (int, int) or None: height and width of the frames before that, px: the attribute `full`
+        # height and width of the frames before that, px: the attribute `full`
         # of a frame or pair
         full: tuple[int, int] | None,
     ) -> Camera:

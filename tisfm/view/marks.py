@@ -20,7 +20,7 @@ class Marks:
     def __init__(self, controls: Controls, scene: ViewerScene, result: ResultFrames) -> None:
         self._controls, self._scene, self._result = controls, scene, result
         self.frame: ResultFrame | None = None  # the current frame
-        # (int, int) or None: row and column of the marked pixel
+        # row and column of the marked pixel
         self.pixel: tuple[int, int] | None = None
         # list of (3,) float64: up to two points of the world
         self.measured: list[NDArray[np.float64]] = []

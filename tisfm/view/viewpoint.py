@@ -31,8 +31,8 @@ def overview(
 ) -> tuple[NDArray[np.float64], float]:
     """Return a viewpoint that shows a camera and its points, and the distance of the points.
 
-    Returns pose, (4, 4) float64: in the axes of the points; X right, Y down, Z forward; distance,
-    from the viewpoint to the median of the points.
+    Returns the pose, (4, 4) float64, in the axes of the points (X right, Y down, Z forward); and
+    the distance from the viewpoint to the median of the points.
     """
     forward = np.array(_DIRECTION) / np.linalg.norm(_DIRECTION)
     across = np.cross(forward, np.asarray(up, float))

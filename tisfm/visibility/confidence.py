@@ -35,7 +35,7 @@ def confidence(
     median over the pixels with a gradient, but at least QUIET². Where the data constraints are
     violated, mostly at occlusions, texture alone does not make the motion reliable.
 
-    Returns (H, W) float32: in [0, 1]; 0 for occluded pixels, and where the motion diverged to NaN.
+    Returns (H, W) float32 in [0, 1]; 0 for occluded pixels, and where the motion diverged to NaN.
     """
     runtime.start()  # before kernels are imported
     from tisfm.kernels.solve.data_precision import share_of_data

@@ -92,8 +92,8 @@ def _coarsen_system(
 def offset_columns(grid: LaneGrid) -> tuple[np.ndarray, np.ndarray]:
     """Return the offsets of children from the centres of their parents, in fine columns.
 
-    Returns offsets, −½ and ½; 0 for a parent's only child, and for padding; outer, the same offset
-    if the parent's neighbour on that side lies outside the image, else 0.
+    Returns the offset of each child, −½ or ½, 0 for a parent's only child and for padding; and the
+    same offset if the parent's neighbour on that side lies outside the image, else 0.
     """
     column = grid.column_index()
     offset = np.where(column % 2 == 0, -0.5, 0.5)

@@ -39,7 +39,7 @@ def bind_plane(
 ) -> Callable[[], tuple[np.ndarray, np.ndarray]]:
     """Return a function that computes the quadratic energy of before + p correction + q step.
 
-    Returns it returns a matrix and a vector, (2, 2) and (2,) float64: the energy changes by zᵀ
+    The function returns a matrix and a vector, (2, 2) and (2,) float64: the energy changes by zᵀ
     matrix z + 2 zᵀ vector, with z = (p, q). An entry of the vector that is only rounding error is
     set to 0.
     """

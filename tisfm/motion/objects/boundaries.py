@@ -75,8 +75,8 @@ def _label_costs(
     image takes the least cost of the others. An occluded pixel costs less the more uniform its
     neighbourhood is.
 
-    Returns seen, (K, N) float32: cost of every label at the free pixels; own, (H, W) float32: cost
-    of each pixel's own label; hidden, (H, W) float32: cost of an occluded pixel.
+    Returns three costs, float32: of every label at the free pixels, (K, N); of the own label of
+    each pixel, (H, W); and of an occluded pixel, (H, W).
     """
     taps = spline_taps(frame1)
     flow = _flow_of_labels(flows, labels)

@@ -33,7 +33,7 @@ def motion_candidates(
     at depths in front of the camera. A further label stands for pixels that no motion explains; its
     largest connected part gives the next motion.
 
-    Returns motions, list of (3, 4) array: the background first; labels, (H, W) int32.
+    Returns the motions, (3, 4) each, the background first; and labels, (H, W) int32.
     """
     height, width = trust.shape
     scale = min(1.0, (OBJECTS.candidate_pixels / (height * width)) ** 0.5)

@@ -141,8 +141,8 @@ def carry_background_depth(
     Pixels of other labels keep their motion and depth. They are neither matched nor constrained
     under the background's motion.
 
-    Returns none if little of the frame is textureless, if the background's parallax differs too
-    little between near and far, or if too little of the background could be matched.
+    Returns None if little of the frame is textureless, if the parallax of the background differs
+    too little between near and far, or if too little of the background could be matched.
     """
     if (
         textureless_share(pyramid.frames0[pyramid.last], pyramid.counted0(pyramid.last))
@@ -209,8 +209,8 @@ def align_scales(
     median ratio over the columns. Objects without contact keep their own scale, and so do all
     objects if the background has no depth.
 
-    Returns inverse depth, its deviation and T of objects are in the background's unit, so the
-    length of an object's T is no longer 1.
+    Inverse depth, its deviation and T of the objects get the unit of the background, so the length
+    of the T of an object is no longer 1.
     """
     motions, labels = estimate.motions, estimate.labels
     if motions is None or labels is None or estimate.inverse_depth_std is None:

@@ -66,9 +66,8 @@ def find_models_and_focal(
 ) -> tuple[list[Model], FocalEstimate | None]:
     """Find poses of views, points of tracks, and the focal length that fits them best.
 
-    Returns models, models with the estimated focal length, or with the guess if the guess is as
-    good; found, none if no focal length leads to a path, or if few views show parallax with the
-    estimate.
+    Returns models with the estimated focal length, or with the guess if the guess is as good; and
+    the estimate, None if no focal length leads to a path, or if few views show parallax with it.
     """
     graph = ViewGraph.of(views, matches, shape, focal_known=False)
     start_focal = _find_start_focal(graph, camera, calibrate)

@@ -92,7 +92,7 @@ class SourceCamera:
         *,
         is_estimated: bool,
         focal: float,
-        # (float, float): estimated readout time of used frames, and its standard deviation, in
+        # estimated readout time of used frames, and its standard deviation, in
         # intervals between frames
         readout: tuple[float, float] | None = None,
     ) -> Calibration:

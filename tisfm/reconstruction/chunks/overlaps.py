@@ -54,11 +54,12 @@ class ChunkOverlap:
 def overlap_sim3(
     first: Reconstruction,
     second: Reconstruction,
-    shared: Shared,  # sequence of (int, int): shared frames with a pose in both results
+    shared: Shared,  # shared frames with a pose in both results
 ) -> np.ndarray | None:
     """Return the similarity between two pieces; None if it is unknown.
 
-    Returns (4, 4) float64, or None: from the coordinates of the second to those of the first.
+    Returns (4, 4) float64, from the coordinates of the second result to those of the first; or
+    None.
     """
     poses, others = (
         one.poses[[pair[k] for pair in shared]] for k, one in enumerate((first, second))

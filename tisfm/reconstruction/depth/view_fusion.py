@@ -55,8 +55,9 @@ def fuse_views(
 ) -> View:
     """Return the mean of the keyframes that agree most, at every pixel.
 
-    Returns inverse_depth, deviation, (H, W) float32: naN where there is none. The keyframes are
-    found from overlapping sets of images, so the mean has no smaller deviation than they have.
+    Returns inverse depth and deviation, (H, W) float32, NaN where there is none. The depths of the
+    keyframes come from overlapping sets of images, so the mean has no smaller deviation than they
+    have.
     """
     depths, deviations = map(np.stack, zip(*views, strict=True))
     valid = np.isfinite(depths) & np.isfinite(deviations)

@@ -39,7 +39,7 @@ def find_flow(
 ) -> np.ndarray:
     """Return the image motion between two frames of `shrink_for_flow`.
 
-    Returns (h, w, 2) float32: motion, px of the shrunk frames; limited to the sum of their sides.
+    Returns (h, w, 2) float32, px of the shrunk frames; limited to the sum of their sides.
     """
     small_camera = Camera(focal=camera.focal * scale)
     pyramid = ImagePyramid(

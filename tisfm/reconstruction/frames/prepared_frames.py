@@ -66,7 +66,7 @@ class PreparedFrames:
     def add(self, frame: SourceFrame) -> tuple[np.ndarray, np.ndarray | None]:
         """Prepare and store a frame; return it in the form for the tracker.
 
-        Returns grey, (H, W) uint8; ignored, (H, W) bool, or None.
+        Returns grey levels, (H, W) uint8; and ignored pixels, (H, W) bool, or None.
 
         Raises TypeError, ValueError if `tisfm.frames.check_frame` refuses the frame.
         """

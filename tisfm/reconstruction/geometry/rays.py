@@ -30,8 +30,8 @@ def nearest_point_equations(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the normal equations of the points nearest to their rays.
 
-    Returns matrix, (P, 3, 3) float64: where the rays of a point are parallel, its smallest
-    eigenvalue is 0; vector, (P, 3) float64.
+    Returns a matrix, (P, 3, 3) float64, and a vector, (P, 3) float64. If the rays of a point are
+    parallel, the smallest eigenvalue of its matrix is 0.
     """
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     matrix, vector = np.zeros((count, 3, 3)), np.zeros((count, 3))

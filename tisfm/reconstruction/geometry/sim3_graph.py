@@ -77,9 +77,8 @@ def optimise_sim3_graph(
 ) -> list[dict[int, np.ndarray]]:
     """Find the similarity of each node to common coordinates.
 
-    Returns list of dict of int to (4, 4) float64: for each connected group of nodes, in the order
-    of first nodes: the similarity of each node, in order, to the coordinates of the first node of
-    the group.
+    Returns a dict for each connected group of nodes, in the order of first nodes: the similarity of
+    each node, (4, 4) float64, to the coordinates of the first node of the group.
 
     References
     ----------

@@ -103,8 +103,8 @@ def half_line_distances(
     A half line goes from the point at infinite depth towards the epipole, the image of the first
     camera. It ends at the epipole if the first camera is in front of the second.
 
-    Returns (N,) float64: distances in the second image, in focal lengths; infinite if the nearest
-    position on the half line is not in front of the second camera.
+    Returns (N,) float64, in focal lengths; infinite if the nearest position on the half line is not
+    in front of the second camera.
     """
     rotation = pose1[:, :3] @ pose0[:, :3].T
     infinite = before @ rotation.T

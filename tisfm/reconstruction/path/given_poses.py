@@ -23,8 +23,7 @@ def poses_of_frames(
     If poses and all frames have times, each frame gets the pose nearest in time. If not, poses
     belong to the frames in their order.
 
-    Returns poses, (N, 4, 4) float64: camera to world; missing, reason for each frame without a
-    pose.
+    Returns poses, (N, 4, 4) float64, camera to world; and the reason for each frame without a pose.
 
     Raises ValueError if poses are assigned by order, and their number differs from the number of
     frames; or if no pose is near a frame in time.

@@ -31,7 +31,7 @@ class Calibration:
     # its standard deviation, px of the frames of the source: 0 if it was given, infinite if it was
     # guessed
     focal_std: float = 0.0
-    # (int, int) or None: height and width of the frames of the source, px
+    # height and width of the frames of the source, px
     shape: tuple[int, int] | None = None
     # whether the focal length is reliable: False if it was guessed, or if the motion hardly
     # determines it

@@ -65,7 +65,7 @@ class SubmapBuilder:
         matches: Matches,
         camera: Camera,
         shape: tuple[int, int],
-        # sequence of (int, int): the first view of each submap, and the view after its last
+        # the first view of each submap, and the view after its last
         spans: Sequence[tuple[int, int]],
         group_size: int,  # approximate number of views of a group
         *,

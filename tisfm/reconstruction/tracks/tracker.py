@@ -130,7 +130,7 @@ def track_points(
     A point counts as found if tracking back to frame 0 ends at its start, and the patches in both
     frames are similar. Few points pass these checks, but these points drift little.
 
-    Returns moved, (N, 2) float64; found, (N,) bool.
+    Returns the new positions, (N, 2) float64, and which points were found, (N,) bool.
 
     References
     ----------
