@@ -21,7 +21,7 @@ def test_names_are_printed_as_they_are(tisfm_run, work_folder):  # noqa: F811
 @pytest.mark.parametrize(
     ("scale", "why"), [("0 99 1", "the sequence has 6 frames"), ("0 0 1", "two frames")], ids=str
 )
-def test_a_scale_of_missing_frames_is_refused(tisfm_run, work_folder, scale, why):  # noqa: F811
+def test_scale_of_missing_frames_is_refused(tisfm_run, work_folder, scale, why):  # noqa: F811
     write_folder(work_folder / "a", FRAMES)
     code, out, err = tisfm_run("reconstruct", "a", "-o", "out", "--scale", *scale.split())
     assert (code, out) == (1, "") and why in err and err.count("\n") == 1
@@ -37,7 +37,7 @@ def test_a_scale_of_missing_frames_is_refused(tisfm_run, work_folder, scale, why
         ("above", "give above/rgb"),
     ],
 )
-def test_errors_say_what_to_write_instead(tisfm_run, work_folder, command, source, advice):  # noqa: F811
+def test_errors_name_the_correct_arguments(tisfm_run, work_folder, command, source, advice):  # noqa: F811
     write_folder(work_folder / "a", FRAMES)
     write_folder(work_folder / "above" / "rgb", FRAMES)
     code, out, err = tisfm_run(command, source, "-o", "out")

@@ -6,7 +6,6 @@ import pytest
 import tisfm
 
 pytestmark = [
-    pytest.mark.slow,
     pytest.mark.filterwarnings("ignore::tisfm.focal_guess.GuessedFocalWarning"),
 ]
 
@@ -48,12 +47,12 @@ def folder(shared_data, request):
         pytest.param(800, None, marks=pytest.mark.nightly),
     ],
 )
-def test_a_street_with_cars(folder, size, focal):
+def test_street_with_cars(folder, size, focal):
     camera = None if focal is None else tisfm.Camera(focal=focal)
     assert_forward(path_of(folder, size=size, camera=camera))
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("folder", ["clips/carnd_solidWhiteRight.mp4"], indirect=True)
-def test_a_motorway(folder):
+def test_motorway(folder):
     assert_forward(path_of(folder, start=120, stop=161, step=2))

@@ -31,14 +31,14 @@ def interpreted(frame0, frame1, motion):
 
 @pytest.mark.parametrize("motion", ["camera", "objects"])
 @pytest.mark.parametrize("margin", [50, 60, 70])
-def test_a_cut_between_pictures_of_one_layout(motion, margin):
+def test_cut_between_pictures_of_one_layout(motion, margin):
     status = interpreted(layout(0, margin), layout(1, margin), motion).status
     assert status == "unrelated" and "differs in the second frame" in status.message
 
 
 @pytest.mark.parametrize("motion", ["camera", "objects"])
 @pytest.mark.parametrize("noise", [0, 3, 8])
-def test_a_camera_at_rest_is_not_a_cut(motion, noise):
+def test_camera_at_rest_is_not_a_cut(motion, noise):
     rng = np.random.default_rng(0)
     frames = [room(1)[0] + rng.normal(0, noise, (HEIGHT, WIDTH)) for _ in range(2)]
     assert interpreted(*frames, motion).status == "no_motion"
@@ -57,13 +57,13 @@ def with_thing(height, width, move):
 
 @pytest.mark.parametrize("motion", ["camera", "objects"])
 @pytest.mark.parametrize(("height", "width", "move"), [(60, 140, 8), (120, 160, 60)])
-def test_an_object_that_moves_before_a_camera_at_rest_is_not_a_cut(height, width, move, motion):
+def test_object_that_moves_before_a_camera_at_rest_is_not_a_cut(height, width, move, motion):
     assert interpreted(*with_thing(height, width, move), motion).status != "unrelated"
 
 
 @pytest.mark.parametrize("move", [20, 30, 45, 90])
 @pytest.mark.parametrize(("height", "width"), [(90, 130), (120, 160), (150, 200)])
-def test_a_large_fast_object_is_not_a_cut_even_if_flow_misses_it(height, width, move):
+def test_large_fast_object_is_not_a_cut_even_if_flow_misses_it(height, width, move):
     from tisfm.motion.frame_agreement import replaced_status
 
     frames = (frame.astype(np.float32) for frame in with_thing(height, width, move))

@@ -75,12 +75,12 @@ def check_order(folder, times, reading):
     assert opened.times == tuple(found)
 
 
-def test_names_that_are_floats(tmp_path):
+def test_names_with_seconds_as_floats(tmp_path):
     folder = with_names(tmp_path / "float_names", floats(6))
     check_order(folder, [BEGIN + 0.05 * (k + 1) for k in range(6)], "seconds with decimals")
 
 
-def test_names_that_are_seconds_and_nanoseconds(tmp_path):
+def test_names_with_seconds_and_nanoseconds(tmp_path):
     names = seconds_nanoseconds(6)
     folder = with_names(tmp_path / "seconds_nanoseconds", names)
     times = [BEGIN + 0.05 * k for k in range(6)]
@@ -124,7 +124,7 @@ def test_masks_are_in_the_same_order(tmp_path):
     ],
     ids=lambda value: value if isinstance(value, str) else value and str(value[:3]),
 )  # fmt: skip
-def test_the_reading_of_names(names, reading):
+def test_reading_of_names(names, reading):
     found = parse_times(names)
     assert (None if found is None else found.reading) == reading
     assert (increasing_times(names) is None) == (reading is None)
@@ -132,7 +132,7 @@ def test_the_reading_of_names(names, reading):
     assert reading is None or sort_by_name(files) == files[::-1]
 
 
-def test_a_note_says_that_numbers_are_not_read_as_times(tmp_path):
+def test_note_says_that_numbers_are_not_read_as_times(tmp_path):
     (note,) = read(with_names(tmp_path / "a", [f"take2.{k}" for k in range(8, 14)]))[-1].notes
     assert "not read as times" in note and "take2.8 comes first, take2.13 last" in note
 
@@ -142,7 +142,7 @@ def test_a_note_says_that_numbers_are_not_read_as_times(tmp_path):
     st.integers(20_000_000, 150_000_000),
     st.lists(st.integers(80, 120), min_size=40, max_size=60),
 )
-def test_any_clock_of_ros_is_read(second, usual, percent):
+def test_ros_clocks_are_read(second, usual, percent):
     """Nanoseconds have more even steps than decimals, if the steps vary by up to 20 %."""
     instants = np.cumsum(np.array(percent) * usual // 100)
     names = [f"{second + at // 10**9}.{at % 10**9}" for at in instants.tolist()]
@@ -151,7 +151,7 @@ def test_any_clock_of_ros_is_read(second, usual, percent):
     np.testing.assert_allclose(np.array(times) - second, instants / 1e9, rtol=0, atol=1e-5)
 
 
-def test_a_list_that_is_not_in_the_order_of_its_names(tmp_path):
+def test_list_in_another_order_than_its_names(tmp_path):
     """A shell gives such a list for a pattern that is not quoted."""
     folder = with_names(tmp_path / "a", seconds_nanoseconds(6))
     files = sorted(map(str, folder.iterdir()))
@@ -174,7 +174,7 @@ def test_pictures_that_cannot_be_read_are_named(tmp_path):
     assert "IMG_1.HEIC, IMG_2.HEIC, IMG_10.HEIC and 1 more" in note
 
 
-def test_a_folder_of_unreadable_pictures_alone(tmp_path):
+def test_folder_of_unreadable_pictures_alone(tmp_path):
     (tmp_path / "IMG_1.HEIC").write_bytes(b"no matter")
     text = refused(tmp_path, FileNotFoundError)
     assert "has no images" in text and "IMG_1.HEIC" in text and "convert" in text
@@ -213,7 +213,7 @@ def test_brackets_in_a_path(tmp_path):
         assert opened.notes == ()
 
 
-def test_brackets_that_can_be_read_both_ways(tmp_path):
+def test_ambiguous_brackets(tmp_path):
     write_folder(tmp_path / "set [1]", FRAMES[:3])
     write_folder(tmp_path / "set 1", FRAMES[3:])
     frames, *_, opened = read(f"{tmp_path}/set [1]/*.png")
@@ -223,12 +223,12 @@ def test_brackets_that_can_be_read_both_ways(tmp_path):
     np.testing.assert_array_equal(read(other)[0], FRAMES[:3])
 
 
-def test_a_pattern_with_brackets_that_matches_nothing(tmp_path):
+def test_pattern_with_brackets_that_matches_nothing(tmp_path):
     assert "[[]" in refused(f"{tmp_path}/set [1]*.png", FileNotFoundError)
     assert "there is no folder" in refused(f"{tmp_path}/nowhere/*.png", FileNotFoundError)
 
 
-def test_a_folder_of_folders(tmp_path):
+def test_folder_of_folders(tmp_path):
     write_folder(tmp_path / "parent" / "rgb", FRAMES[:3])
     text = refused(tmp_path / "parent", FileNotFoundError)
     assert str(tmp_path / "parent" / "rgb") in text
@@ -237,7 +237,7 @@ def test_a_folder_of_folders(tmp_path):
     assert "parent/rgb" in text and "parent/deep/er" in text
 
 
-def test_a_folder_of_videos(tmp_path):
+def test_folder_of_videos(tmp_path):
     (tmp_path / "walk.mp4").write_bytes(b"no matter")
     assert "walk.mp4" in refused(tmp_path, FileNotFoundError)
     (tmp_path / "walk.mp4").unlink()
@@ -253,18 +253,18 @@ def test_patterns_of_other_programs(tmp_path, name):
     assert "no file matches it" in refused(tmp_path / name, FileNotFoundError)
 
 
-def test_a_folder_that_looks_like_an_address(tmp_path, monkeypatch):
+def test_folder_named_like_an_address(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_folder(tmp_path / "www.site.org", FRAMES[:3])
     assert len(list(FrameSource("www.site.org/*.png").frames())) == 3
 
 
-def test_an_encoded_space_is_no_number(tmp_path):
+def test_encoded_space_is_not_a_frame_number(tmp_path):
     assert "check the path" in refused(f"{tmp_path}/my%20dir/x.png", FileNotFoundError)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes")
-def test_a_pipe_in_a_folder_is_not_waited_for(tmp_path):
+def test_pipe_in_a_folder_does_not_block(tmp_path):
     write_folder(tmp_path / "a", FRAMES[:3])
     os.mkfifo(tmp_path / "a" / "pipe.png")
     assert FrameSource(tmp_path / "a").names is not None
@@ -286,17 +286,17 @@ def test_numbered_patterns_of_folders(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["take#1.mp4", "take#.mp4", "take#1.png"])
-def test_a_single_number_sign_is_a_part_of_a_name(tmp_path, name):
+def test_single_number_sign_is_part_of_a_name(tmp_path, name):
     assert "check the path" in refused(tmp_path / name, FileNotFoundError)
 
 
-def test_a_folder_of_gifs(tmp_path):
+def test_folder_of_gifs(tmp_path):
     (tmp_path / "a.gif").write_bytes(b"no matter")
     text = refused(tmp_path, FileNotFoundError)
     assert "give the path of one GIF" in text and "cannot read" not in text
 
 
-def test_a_note_says_that_only_the_first_frame_of_animations_is_read(tmp_path):
+def test_note_says_that_only_the_first_frame_of_animations_is_read(tmp_path):
     pictures = [Image.fromarray(frame) for frame in FRAMES]
     for name in ("a", "b"):
         path = tmp_path / f"{name}.webp"
@@ -305,14 +305,14 @@ def test_a_note_says_that_only_the_first_frame_of_animations_is_read(tmp_path):
     assert "such as a.webp (6), only the first frame is read" in note
 
 
-def test_a_pattern_of_one_animated_gif(tmp_path):
+def test_pattern_of_one_animated_gif(tmp_path):
     pictures = [Image.fromarray(frame) for frame in FRAMES]
     pictures[0].save(tmp_path / "a.gif", save_all=True, append_images=pictures[1:])
     assert "a GIF of 6 frames, which is read as a video" in refused(f"{tmp_path}/*.gif")
     assert len(read(tmp_path / "a.gif")[0]) == 6
 
 
-def test_a_file_with_the_name_of_a_pattern_is_read(tmp_path):
+def test_file_with_the_name_of_a_pattern_is_read(tmp_path):
     folder = write_folder(tmp_path / "a", FRAMES[:3], [f"{k}%03d.png" for k in range(3)])
     assert read(f"{folder}/*%03d.png")[1] == ["0%03d", "1%03d", "2%03d"]
 
@@ -362,7 +362,7 @@ def test_pictures_of_several_frames(tmp_path, kind):
     [((48, 32), "2/1", (48, 64)), ((24, 64), "1/2", (48, 64)), ((48, 64), "1/1", (48, 64)),
      ((48, 64), "1000/1", (48, 64)), ((48, 64), "200/201", (48, 64))],
 )  # fmt: skip
-def test_pixels_that_are_not_square(tmp_path, decoder, size, aspect, expected):
+def test_non_square_pixels(tmp_path, decoder, size, aspect, expected):
     squeezed = [cv2.resize(f, size[::-1], interpolation=cv2.INTER_AREA) for f in FRAMES]
     path = write_film(tmp_path / "a.mp4", squeezed, aspect=aspect)
     frames, *_, opened = read(path)
@@ -400,7 +400,7 @@ def test_both_decoders_say_the_same_of_a_rotated_video(tmp_path, monkeypatch, ro
     assert f"to {width} × {height} px" in ours.notes[0]
 
 
-def test_the_focal_length_is_that_of_the_square_pixels(tmp_path):
+def test_focal_length_is_that_of_the_square_pixels(tmp_path):
     """Given and guessed cameras belong to frames as players show them."""
     pytest.importorskip("av")
     path = write_film(tmp_path / "a.mp4", [frame[:, ::2] for frame in FRAMES], aspect="2/1")
@@ -445,7 +445,7 @@ def test_opencv_says_that_it_reads_the_first(tmp_path, monkeypatch, kind):
 
 
 @pytest.mark.parametrize("share", [0.5, 0.97])
-def test_a_recording_that_was_not_finished(tmp_path, decoder, share):
+def test_unfinished_recording(tmp_path, decoder, share):
     path = write_film(tmp_path / "cut_short.mp4", FRAMES)
     whole = path.read_bytes()
     path.write_bytes(whole[: int(share * len(whole))])
@@ -457,7 +457,7 @@ def test_a_recording_that_was_not_finished(tmp_path, decoder, share):
 
 
 @pytest.mark.parametrize("brand", [b"heic", b"avif"])
-def test_a_picture_in_such_a_container_is_no_unfinished_recording(tmp_path, brand):
+def test_picture_in_a_video_container_is_not_an_unfinished_recording(tmp_path, brand):
     boxes = [(b"ftyp", brand + bytes(4)), (b"meta", bytes(20)), (b"mdat", bytes(90))]
     path = tmp_path / "picture.heic"
     path.write_bytes(b"".join((8 + len(b)).to_bytes(4, "big") + kind + b for kind, b in boxes))

@@ -42,7 +42,7 @@ def noted(err):
 
 
 @pytest.mark.parametrize("film", ["repeated_times.mkv", "doubled.ts"])
-def test_a_result_is_complete(tisfm_run, tmp_path, film):  # noqa: F811
+def test_result_is_complete(tisfm_run, tmp_path, film):  # noqa: F811
     path = (repeated if film.endswith("mkv") else doubled)(tmp_path / film)
     code, out, err = tisfm_run("reconstruct", str(path), "-o", "out", "--preset", "fast",
                                "--depth-of", "none", "--focal", str(FOCAL), "--report")  # fmt: skip
@@ -100,7 +100,7 @@ def test_frames_without_times(tmp_path, monkeypatch, missing):
     assert len(notes) == (len(missing) == 1) and all("frame 4 has no time" in one for one in notes)
 
 
-def test_a_stream_warns_once(tmp_path):
+def test_stream_warns_once(tmp_path):
     path = repeated(tmp_path / "a.mkv", sliding(COUNT))
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
@@ -112,7 +112,7 @@ def test_a_stream_warns_once(tmp_path):
     assert "frame a_000000 and frame a_000001 are both at 0 s" in str(note.message)
 
 
-def test_a_run_and_a_batch_print_the_note(tisfm_run, tmp_path):  # noqa: F811
+def test_run_and_a_batch_print_the_note(tisfm_run, tmp_path):  # noqa: F811
     path = repeated(tmp_path / "a.mkv", sliding(COUNT))
     options = ("--preset", "fast", "--outputs", "npz")
     code, _, err = tisfm_run("run", str(path), "-o", "out", *options)
@@ -145,7 +145,7 @@ def test_a_run_and_a_batch_print_the_note(tisfm_run, tmp_path):  # noqa: F811
     ],
     ids=str,
 )  # fmt: skip
-def test_times_that_can_serve_a_path(times, fault):
+def test_usable_times(times, fault):
     assert fault in times_note(times) and bool(times_note(times)) == bool(fault)
     numbers = [float(k) for k in range(len(times))]
     expected = times if are_increasing(times) else numbers
@@ -167,7 +167,7 @@ def test_poses_with_other_times_are_refused_before_all_work(tmp_path):
         tisfm.reconstruct(folder, poses=given, settings=SETTINGS, progress=progress)
 
 
-def test_poses_go_by_their_order_where_times_do_not_rise():
+def test_poses_are_assigned_by_order_if_times_do_not_increase():
     given = Trajectory(poses=np.tile(np.eye(4), (3, 1, 1)), times=[0.0, 0.1, 0.2])
     poses, missing = poses_of_frames(given, [0.0, 0.1, 0.1])
     assert len(poses) == 3 and not missing

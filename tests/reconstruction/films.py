@@ -16,13 +16,25 @@ def along(count, step=STEP):
     return np.array([pose_matrix(k * np.asarray(step)) for k in range(count)])
 
 
-def walk(count=9, height=180, width=240):
+def walk(count=9, height=180, width=240, *, seed=0):
     """Return a film of `count` frames."""
-    return room_film(along(count), height, width, samples=2)
+    return room_film(along(count), height, width, samples=2, seed=seed)
+
+
+def there_and_back(film):
+    """Return the frames of a film, then the same views in reverse with more noise."""
+    noise = np.random.default_rng(1).normal(0, 0.5, film.frames.shape)
+    back = np.clip(np.rint(film.frames + noise), 0, 255).astype(np.uint8)[::-1]
+    return [*film.frames, *back]
+
+
+def mirrored(film):
+    """Return the frames of a film as in a mirror: they look like another scene."""
+    return list(np.ascontiguousarray(film.frames[:, :, ::-1]))
 
 
 @shared
-def board_film(count=20, height=240, width=320, *, with_board=True):
+def board_film(count=10, height=120, width=160, *, with_board=True):
     """Return a film of a papered room, and the mask of a board, (N, H, W) bool.
 
     The board fills a third of the frames, has more contrast than the room, and moves on its own.

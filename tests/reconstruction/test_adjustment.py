@@ -52,7 +52,7 @@ def test_shaken_poses_come_nearer_to_the_truth():
     np.testing.assert_array_equal(found[0], start[0])
 
 
-def test_frames_that_are_held_stay_and_draw_others_to_them():
+def test_fixed_frames_stay_and_correct_the_others():
     film = walk()
     start = shaken(film.poses, 0.003)
     held = {k: film.poses[k] for k in (0, 1, 2, 3)}
@@ -71,7 +71,7 @@ def test_frames_that_are_held_stay_and_draw_others_to_them():
     assert away[0] < away[1] / 2
 
 
-def test_the_true_path_stays():
+def test_true_path_stays():
     film = walk()
     start = dict(enumerate(film.poses))
     found = adjusted_path(film, start, stars_of(film, (0, 4, 8)))
@@ -94,14 +94,14 @@ def test_depth_of_a_star_is_found_with_its_motions():
     assert off() < before / 1.5
 
 
-def test_without_stars_nothing_moves():
+def test_poses_stay_without_keyframe_windows():
     film = walk()
     start = dict(enumerate(film.poses))
     found = adjust_poses(start, [], lambda k: film.frames[k], film.camera, SETTINGS)
     assert all((found[k] == start[k]).all() for k in start)
 
 
-def test_stars_whose_frames_have_no_poses_are_left_out():
+def test_windows_of_frames_without_poses_are_ignored():
     film = walk()
     start = {0: film.poses[0], 8: film.poses[8]}
     found = adjust_poses(

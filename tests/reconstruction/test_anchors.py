@@ -41,7 +41,7 @@ def test_sureness_is_that_of_slopes_along_epipolar_lines():
     assert np.median(across[inside]) > 10 * np.median(along[inside])
 
 
-def test_directions_are_derivatives_of_places():
+def test_directions_are_derivatives_of_positions():
     from tisfm.reconstruction.depth.match_deviation import _position_slopes
 
     key, others, motions, camera = views("room").first(3)

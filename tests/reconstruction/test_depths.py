@@ -30,27 +30,27 @@ def flat(value=0.5):
     return np.full(SHAPE, value, np.float32)
 
 
-def test_what_agrees_is_not_apart():
+def test_equal_views_have_no_difference():
     np.testing.assert_array_equal(relative_difference(flat(), [flat(), flat()]), 0)
 
 
 @pytest.mark.parametrize("others", [[], [flat(np.nan)]])
-def test_what_is_not_compared_is_not_apart(others):
+def test_views_without_comparison_have_no_difference(others):
     np.testing.assert_array_equal(relative_difference(flat(), others), 0)
 
 
-def test_the_mean_of_all_that_are_compared_counts():
+def test_difference_is_the_mean_over_views():
     apart = relative_difference(flat(), [flat(0.55), flat(0.6)])
     np.testing.assert_allclose(apart, 0.15, rtol=1e-5)
 
 
-def test_surfaces_of_others_are_limited():
+def test_difference_is_limited():
     np.testing.assert_allclose(
         relative_difference(flat(), [flat(5.0)]), DEPTH.difference_limit, rtol=1e-6
     )
 
 
-def test_it_counts_where_it_is_and_else_as_usual():
+def test_difference_is_local_or_the_median():
     other = flat()
     other[:, :30] = 0.6
     other[:, 50:] = np.nan
@@ -61,7 +61,7 @@ def test_it_counts_where_it_is_and_else_as_usual():
     assert apart.dtype == np.float32
 
 
-def test_what_shows_nothing_is_not_compared():
+def test_pixels_without_depth_are_not_compared():
     mine = flat()
     mine[:, :40] = np.nan
     apart = relative_difference(mine, [flat(0.55)])
@@ -69,7 +69,7 @@ def test_what_shows_nothing_is_not_compared():
     assert np.isfinite(apart).all()
 
 
-def test_views_are_unsure_by_what_others_say():
+def test_deviation_grows_with_the_difference_from_other_views():
     views = [(flat(0.5), flat(0.01)), (flat(0.5), flat(0.02)), (flat(0.4), flat(0.01))]
     first, second, third = add_difference_to_deviation(views, 2.0)
     np.testing.assert_array_equal(first[0], 0.5)
@@ -78,7 +78,7 @@ def test_views_are_unsure_by_what_others_say():
     np.testing.assert_allclose(third[1], np.hypot(0.01, 2 * 0.25 * 0.4), rtol=1e-5)
 
 
-def test_together_they_say_what_most_say():
+def test_fused_depth_is_that_of_the_majority():
     one, other = flat(0.5), flat(0.52)
     wrong = flat(0.9)
     one[:, :20] = other[:, :20] = wrong[:, :10] = np.nan
@@ -97,7 +97,7 @@ def slanted():
 
 
 @pytest.mark.parametrize("hole", [np.s_[:, :15], np.s_[20:40, 30:50], np.s_[41:, :]])
-def test_planes_go_on_where_nothing_is_shown(hole):
+def test_holes_are_filled_with_planes(hole):
     plane = slanted()
     shown = plane.copy()
     shown[hole] = np.nan
@@ -141,14 +141,14 @@ def test_planes_have_no_edges():
     np.testing.assert_array_equal(found, plane)
 
 
-def test_nothing_is_made_of_nothing():
+def test_frames_without_depth_stay_without_depth():
     inverse_depth, deviation = fill_holes(flat(np.nan), flat(np.nan), flat(100))
     assert np.isnan(inverse_depth).all() and np.isposinf(deviation).all()
     assert np.isnan(align_edges(inverse_depth, deviation, flat(100))[0]).all()
 
 
 @pytest.mark.parametrize("stride", [1, 2, 4])
-def test_planes_lie_where_they_were_between_the_pixels_that_show_them(stride):
+def test_upsampled_planes_stay(stride):
     plane = slanted()
     found = upsample(plane[::stride, ::stride], stride, SHAPE)
     assert found.shape == SHAPE and found.flags.c_contiguous
@@ -156,7 +156,7 @@ def test_planes_lie_where_they_were_between_the_pixels_that_show_them(stride):
     np.testing.assert_allclose(found[inside], plane[inside], rtol=1e-6)
 
 
-def test_nothing_lies_between_two_surfaces():
+def test_upsampling_does_not_mix_two_surfaces():
     depth = flat(0.5)
     depth[:, 41:], depth[:20, :10] = 1.0, np.nan
     found = upsample(depth[::2, ::2], 2, SHAPE)
@@ -168,10 +168,11 @@ def test_nothing_lies_between_two_surfaces():
 
 
 def within_one(film, poses):
-    found = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, poses=poses)
+    found = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, poses=poses,
+                             depth_of="keyframes")  # fmt: skip
     shares = []
-    for k, true in enumerate(film.depth):
-        off = np.abs(found.inverse_depth(k) - 1 / true)
+    for k in found.keyframes:
+        off = np.abs(found.inverse_depth(k) - 1 / film.depth[k])
         shares.append((off <= found.inverse_depth_std(k)).mean())
     return np.mean(shares)
 
@@ -195,22 +196,23 @@ def test_errors_of_poses_are_in_the_deviation(monkeypatch, draws):
 
 
 @pytest.mark.parametrize("preset", ["fast", "balanced", "accurate"])
-def test_presets_make_the_effort_of_their_name(preset):
+def test_presets_have_the_effort_of_their_name(preset):
     assert depth_effort(Settings.preset(preset, motion="camera")) == preset
 
 
-def test_effort_follows_what_a_pair_takes():
+def test_effort_follows_the_settings_of_pairs():
     balanced = Settings.preset("balanced", motion="camera")
     assert depth_effort(replace(balanced, warps=3)) == "accurate"
     assert depth_effort(replace(balanced, warps=1, tolerance=0.01)) == "balanced"
     assert depth_effort(replace(balanced, finest_level=1, tolerance=0.01)) == "fast"
 
 
-def test_keyframes_are_righter_together(monkeypatch):
+def test_fusion_of_keyframes_reduces_the_error(monkeypatch):
     film = walk()
 
     def error():
-        found = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, poses=film.poses)
+        found = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, poses=film.poses,
+                                 depth_of="keyframes")  # fmt: skip
         return np.mean([depth_error(found.depth(k), film.depth[k]) for k in found.keyframes])
 
     both = error()

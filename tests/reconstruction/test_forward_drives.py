@@ -104,7 +104,7 @@ def test_most_drives_go_forward():
     assert sum(bool(found) and is_forward(found[0].poses) for found in models) >= 3
 
 
-def test_a_forward_path_scores_more_than_one_that_goes_sideways(monkeypatch):
+def test_forward_path_scores_more_than_one_that_goes_sideways(monkeypatch):
     """The number of triangulated observations would prefer the wrong path."""
     shared = ViewGraph.of(*drive(2), SHAPE)
     right = shared.grow_models(CAMERA)[0]
@@ -117,7 +117,7 @@ def test_a_forward_path_scores_more_than_one_that_goes_sideways(monkeypatch):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_camera_that_hardly_moves_shows_no_parallax(seed):
+def test_camera_that_hardly_moves_shows_no_parallax(seed):
     """In some pairs noise looks like parallax; a focal length from these pairs is wrong."""
     turning = drive(seed, step=0.01, turn=0.02, gain=0.0)
     assert not ViewGraph.of(*turning, SHAPE).shows_parallax(CAMERA)

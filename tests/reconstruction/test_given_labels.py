@@ -20,7 +20,7 @@ OBJECTS = tisfm.Settings.preset("fast", motion="objects")
 FEW, SMALL = 6, (120, 160)
 COUNT = 16
 WHOLE = COUNT, (240, 320)
-CARRIED = 12, (120, 160)
+CARRIED = 8, (120, 160)
 IDS = np.array([0, 5, 3, 254], np.uint8)  # ids of the bodies in the given labels
 
 
@@ -55,7 +55,7 @@ def short(tmp_path_factory):
     return reconstructed(labels=labels(), folder=tmp_path_factory.mktemp("short") / "result")
 
 
-def test_labels_are_those_that_are_given(given):
+def test_given_labels_are_kept(given):
     np.testing.assert_array_equal(labels_of(given), labels(*WHOLE))
     assert [thing.id for thing in given.objects] == [3, 5, 254]
     for thing in given.objects:
@@ -65,7 +65,7 @@ def test_labels_are_those_that_are_given(given):
             assert tuple(box) == cv2.boundingRect(np.uint8(labels(*WHOLE)[frame] == thing.id))
 
 
-def test_nothing_is_searched_for(monkeypatch):
+def test_given_labels_turn_off_the_search(monkeypatch):
     def never(*arguments):
         raise AssertionError
 
@@ -74,7 +74,7 @@ def test_nothing_is_searched_for(monkeypatch):
     assert len(reconstructed(labels=labels()).objects) == 3
 
 
-def test_the_path_is_without_them(given):
+def test_path_ignores_moving_objects(given):
     assert path_error(given.poses, film(*WHOLE).poses) < 0.003
     depth, at_rest = given.depth(given.keyframes[0]), labels(*WHOLE)[given.keyframes[0]] == 0
     true = film(*WHOLE).depth[given.keyframes[0]]
@@ -87,9 +87,10 @@ def angle(first, last):
     return np.arccos((np.trace(turn[:3, :3]) - 1) / 2)
 
 
-def test_a_thing_has_a_path(given):
+def test_object_has_a_path(given):
     thing, true = given.objects[1], film(*WHOLE).body_poses[0]
     assert thing.id == 5 and np.isfinite(thing.poses).all()
+    assert thing.scale_from in ("contact", "around")  # no size is given
     assert angle(thing.poses[0], thing.poses[-1]) == pytest.approx(
         angle(true[0], true[-1]), rel=0.4
     )
@@ -114,7 +115,7 @@ def test_masks_of_every_second_frame_go_by_names(tmp_path):
     np.testing.assert_array_equal(labels_of(again), labels()[::2])
 
 
-def test_numbers_that_are_ignored_are_no_thing():
+def test_void_label_is_not_an_object():
     void = labels()
     void[:, :10] = 255
     result = reconstructed(labels=void, poses=film().poses, depth_of="keyframes")
@@ -154,7 +155,7 @@ def iou(one, two):
 
 
 @pytest.mark.parametrize(("known", "least"), [((0, CARRIED[0] - 1), 0.85), ((2,), 0.65)])
-def test_labels_are_carried_to_frames_without(known, least):
+def test_labels_are_propagated_to_other_frames(known, least):
     """From a single labelled frame, an occluder may also take the pixels that it uncovers."""
     result = reconstructed(*CARRIED, labels={k: labels(*CARRIED)[k] for k in known})
     found = labels_of(result)
@@ -169,7 +170,7 @@ def test_labels_are_carried_to_frames_without(known, least):
         assert np.mean(scores[:6]) > 0.85
 
 
-def test_a_thing_at_rest_is_followed_as_well():
+def test_labelled_object_at_rest_is_followed():
     """Objects are not searched: the given labels define them, also at rest."""
     box = np.zeros_like(labels()[0])
     box[20:60, 50:90] = 9
@@ -193,7 +194,7 @@ def test_labels_come_from_the_nearest_frame():
 # Errors
 
 
-def test_what_cannot_be():
+def test_wrong_arguments_are_refused():
     with pytest.raises(ValueError, match=r'motion is "camera": expected motion="objects"'):
         reconstructed(labels=labels(), settings=None)
     with pytest.raises(ValueError, match=r"labels has no labels for a selected frame of frames"):
@@ -204,14 +205,14 @@ def test_what_cannot_be():
         reconstructed(labels=np.where(labels() > 0, 255, 0))
 
 
-def test_a_result_does_not_replace_its_labels(short):
+def test_result_does_not_replace_its_labels(short):
     before = labels_of(short)
     with pytest.raises(ValueError, match="which is written to: give another folder"):
         reconstructed(labels=short.folder, folder=short.folder)
     np.testing.assert_array_equal(labels_of(short), before)
 
 
-def test_pictures_of_one_thing_with_a_palette(tmp_path):
+def test_palette_pictures_of_one_object(tmp_path):
     """Indexed pictures of a single object, as in DAVIS."""
     for k, one in enumerate(labels()):
         write_label_png(tmp_path / f"{k:05d}.png", np.uint8(one == 5))
@@ -220,7 +221,7 @@ def test_pictures_of_one_thing_with_a_palette(tmp_path):
     assert [thing.id for thing in result.objects] == [1]
 
 
-def test_labels_of_a_result_stay_where_its_lens_put_them(tmp_path):
+def test_labels_of_a_result_are_not_undistorted_twice(tmp_path):
     camera = tisfm.Camera(focal=film().camera.focal, distortion=(-0.15, 0, 0, 0))
     first = reconstructed(labels=labels(), camera=camera, folder=tmp_path / "one")
     again = reconstructed(labels=first.folder, camera=camera)
@@ -240,7 +241,7 @@ def test_labels_of_a_result_stay_where_its_lens_put_them(tmp_path):
             reconstructed(labels=first.folder, **options)
 
 
-def test_a_thing_that_only_another_piece_shows_has_no_path():
+def test_object_visible_only_in_another_piece_has_no_path():
     frames = [*film(10).frames, *(255 - film().frames[:, :, ::-1])]
     last = np.where(labels()[:, :, ::-1] > 0, 7, 0)
     result = tisfm.reconstruct(
@@ -281,7 +282,7 @@ def test_paths_against_true_ones(given, tmp_path):
         compare_object_paths(given.folder, tmp_path, {1: 5}, step=2)
 
 
-def test_masks_as_they_come_hold_no_labels():
+def test_mask_iterators_cannot_hold_labels():
     with pytest.raises(ValueError, match="numbers other than 0 and 255: give them as labels="):
         reconstructed(mask=iter(labels()))
     result = reconstructed(mask=[one.tolist() for one in labels()])

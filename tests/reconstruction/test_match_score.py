@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.reconstruction.test_cover import (
+from tests.reconstruction.test_coverage import (
     CAMERA,
     MOTION,
     OTHER,
@@ -26,28 +26,28 @@ def unit(*direction):
 
 
 @pytest.mark.parametrize("depth", [0.5, 1.0, 10.0, 1e9])
-def test_a_point_at_any_depth_lies_on_its_half_line(depth):
+def test_point_at_any_depth_lies_on_its_half_line(depth):
     after = unit(-0.5, 0, depth)
     found = half_line_distances(REST, SIDEWAYS, STRAIGHT_ON, after)
     assert found[0] == pytest.approx(0, abs=1e-12)
 
 
 @pytest.mark.parametrize(("x", "away"), [(0.01, 0.01), (-0.01, 0.0)])
-def test_a_point_beyond_infinity_is_as_far_as_infinity(x, away):
+def test_point_beyond_infinity_is_as_far_as_infinity(x, away):
     """The camera moves right, so points move left; a point at the right is behind the camera."""
     found = half_line_distances(REST, SIDEWAYS, STRAIGHT_ON, unit(x, 0, 1))
     assert found[0] == pytest.approx(away, abs=1e-12)
 
 
 @pytest.mark.parametrize(("x", "away"), [(0.05, 0.0), (-0.1, 0.1), (0.12, 0.02)])
-def test_a_half_line_ends_at_the_epipole(x, away):
+def test_half_line_ends_at_the_epipole(x, away):
     """The camera moves back, so a point moves towards the centre, and not past it."""
     back = np.column_stack([np.eye(3), [0, 0, 0.5]])
     found = half_line_distances(REST, back, unit(0.1, 0, 1), unit(x, 0, 1))
     assert found[0] == pytest.approx(away, abs=1e-12)
 
 
-def test_a_point_beside_the_line_is_as_far_as_the_line():
+def test_point_beside_the_line_is_as_far_as_the_line():
     found = half_line_distances(REST, SIDEWAYS, STRAIGHT_ON, unit(-0.2, 0.03, 1))
     assert found[0] == pytest.approx(0.03, rel=1e-9)
 
@@ -57,13 +57,13 @@ def test_without_translation_a_point_stays_at_infinity():
     assert found[0] == pytest.approx(0.02, rel=1e-9)
 
 
-def test_a_point_that_a_turn_brings_behind_the_camera_is_infinitely_far():
+def test_point_behind_the_camera_is_infinitely_far():
     turned = np.diag([1.0, -1.0, -1.0]) @ REST  # by half a turn
     found = half_line_distances(REST, turned, STRAIGHT_ON, unit(0.02, 0, 1))
     assert found[0] == np.inf
 
 
-def test_a_right_model_scores_each_match_with_one_and_a_wrong_one_less():
+def test_right_model_scores_each_match_with_one_and_a_wrong_one_less():
     random = np.random.default_rng(0)
     points = points_seen(random, 10, 150, 80)
     views = [view_of(0, projected(points, REST)), view_of(1, projected(points, MOTION))]
@@ -77,7 +77,7 @@ def test_a_right_model_scores_each_match_with_one_and_a_wrong_one_less():
     assert score.score(model_of(turned_back)) < 40
 
 
-def test_a_view_at_a_wrong_place_explains_less_than_the_others():
+def test_view_with_a_wrong_position_explains_less():
     """The last of five views has a wrong position."""
     random = np.random.default_rng(0)
     points = points_seen(random, 10, 150, 80)
@@ -99,6 +99,6 @@ def test_half_the_tolerance_halves_the_score():
     assert score.score(model_of(SIDEWAYS)) == pytest.approx(1.0, rel=1e-2)
 
 
-def test_the_tolerance_of_first_pairs_grows_with_large_frames():
+def test_tolerance_of_first_pairs_grows_with_large_frames():
     assert first_pair_tolerance(640) == first_pair_tolerance(1000) == 1.0
     assert first_pair_tolerance(3000) == 3.0

@@ -9,7 +9,7 @@ import tisfm
 from tests.reconstruction.cars import CARS, FRAMES, NEAR
 from tisfm.datasets import find_sequences
 
-pytestmark = pytest.mark.nightly  # test_below_ground.py tests a rendered street
+pytestmark = pytest.mark.nightly  # test_car_ahead.py tests a rendered street
 
 MEASURED = (0, 8, 16)  # frames in which moving cars must be labelled
 # Moving cars count if they are near and at least half visible; parked cars at any distance.
@@ -54,7 +54,7 @@ def shares(car, labels, frames, label):
     return np.array([(labels[k][car.box(k)] == label).mean() for k in frames])
 
 
-def test_the_tanker_has_one_label(labels):
+def test_tanker_has_one_label(labels):
     (tanker,) = (car for car in MOVING if car.name == "tanker")
     own = identity(tanker, labels)
     assert own > 0

@@ -26,7 +26,7 @@ def test_frames_of_enough_parallax_are_chosen_and_from_both_sides():
     assert (np.abs(3 * apart) <= 0.2 * SHAPE[1]).all()
 
 
-def test_what_is_farther_takes_frames_that_are_farther_apart():
+def test_far_points_take_frames_with_a_larger_baseline():
     poses = line(0.01 * np.arange(-40, 41))
     near, far = (
         np.abs(np.array(choose_neighbours(poses, 40, d, CAMERA, SHAPE)) - 40).mean()

@@ -15,7 +15,6 @@ OBJECTS = tisfm.Settings.preset("fast", motion="objects")
 COUNT, LENGTH = 16, 0.6  # m, of the first body
 
 
-@cache
 def film():
     return bodies_film(bodies_path(COUNT), 240, 320)
 
@@ -40,17 +39,18 @@ def own_depth(result):
     return np.nanmedian((film().depth[key] / result.depth(key))[film().labels[key] == 1])
 
 
-def test_a_known_size_is_the_scale(tmp_path):
+def test_known_size_gives_the_scale(tmp_path):
     result = sized(LENGTH)
     thing = result.objects[0]
     assert thing.id == 1 and thing.scale_from == "size"
+    assert all(other.scale_from != "size" for other in result.objects[1:])
     assert np.linalg.norm(thing.extent) == pytest.approx(np.linalg.norm((0.6, 0.5, 0.4)), rel=0.15)
     assert own_depth(result) == pytest.approx(1, rel=0.12)
     result.save(tmp_path / "saved")
     assert tisfm.Reconstruction.load(tmp_path / "saved").objects[0].scale_from == "size"
 
 
-def test_twice_the_size_is_twice_as_far():
+def test_doubled_size_doubles_the_distance():
     once, twice = sized(LENGTH), sized(2 * LENGTH)
     one, two = once.objects[0], twice.objects[0]
     np.testing.assert_allclose(two.extent, 2 * one.extent)
@@ -65,14 +65,10 @@ def test_twice_the_size_is_twice_as_far():
     np.testing.assert_allclose(once.depth(key)[others], twice.depth(key)[others], rtol=rounded)
 
 
-def test_without_it_the_scale_is_from_elsewhere():
-    assert sized(None).objects[0].scale_from in ("contact", "around")
-    assert all(thing.scale_from != "size" for thing in sized(LENGTH).objects[1:])
-
-
-@pytest.mark.parametrize("turn", [(0, 0, 0), (0.3, 0.5, -0.2), (1.0, 0.2, 0.7)])
-@pytest.mark.parametrize("faces", [3, 1])
-def test_the_longest_side_is_that_of_a_box_however_it_is_turned(turn, faces):
+@pytest.mark.parametrize(
+    ("turn", "faces"), [((0, 0, 0), 1), ((0.3, 0.5, -0.2), 3), ((1.0, 0.2, 0.7), 1)]
+)
+def test_longest_side_is_that_of_a_turned_box(turn, faces):
     """Three faces or one face of a box of 4.5 × 1.8 × 1.5 are visible."""
     sides, random = np.array([4.5, 1.8, 1.5]), np.random.default_rng(2)
     points = []
@@ -85,7 +81,7 @@ def test_the_longest_side_is_that_of_a_box_however_it_is_turned(turn, faces):
     assert longest_side(10 * turned) == pytest.approx(10 * longest_side(turned))
 
 
-def test_what_lies_outside_is_left_out():
+def test_outliers_do_not_change_the_extent():
     points = np.random.default_rng(0).uniform(0, 1, (1000, 3))
     points[:10] = 100
     np.testing.assert_allclose(trimmed_extent(points), 1, atol=0.1)
@@ -109,7 +105,7 @@ def test_what_lies_outside_is_left_out():
         ),
     ],
 )
-def test_what_are_no_sizes(sizes, error, words):
+def test_invalid_sizes_are_refused(sizes, error, words):
     with pytest.raises(error, match=words):
         tisfm.reconstruct(
             list(film().frames[:3]),
@@ -120,7 +116,7 @@ def test_what_are_no_sizes(sizes, error, words):
         )
 
 
-def test_sizes_of_things_that_are_not_found():
+def test_sizes_of_missing_objects_are_refused():
     still = [film().frames[0][:48, :64]] * 3
     with pytest.raises(
         ValueError, match="without an object: 1; the ids of moving objects are: none"

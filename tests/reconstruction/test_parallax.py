@@ -40,14 +40,14 @@ def tilted(points):
 
 @pytest.mark.parametrize("focal", [0.55, 0.8, 1.0, 1.3, 1.9])
 @pytest.mark.parametrize("rotation", [(0, 0.05, 0), (0.1, 0.2, 0.1), (0, 0, 0.5), (0, 0, 0)])
-def test_a_rotation_leaves_noise_alone_whatever_the_focal_length(focal, rotation):
+def test_rotation_explains_turning_cameras_for_any_focal_length(focal, rotation):
     pair = matches(far_and_near, np.zeros(3), rotation, focal=focal, outliers=30)
     for left in (beyond_rotation(*pair), beyond_homography(*pair)):
         assert np.median(left) < 3 * NOISE
         assert np.median(left[:30]) > 50 * NOISE  # outliers do not affect the fit
 
 
-def test_a_focal_length_beyond_the_limits_leaves_parallax():
+def test_focal_length_beyond_the_limits_leaves_parallax():
     """Three times the stated focal length is beyond the search: the rest counts as parallax."""
     pair = matches(far_and_near, np.zeros(3), (0.1, 0.3, 0), focal=3.0, noise=0)
     assert np.median(beyond_rotation(*pair)) > 10 * NOISE
@@ -55,7 +55,7 @@ def test_a_focal_length_beyond_the_limits_leaves_parallax():
 
 @pytest.mark.parametrize("depth", [tilted, lambda points: np.full(len(points), 3.0)])
 @pytest.mark.parametrize("translation", [(0.4, 0, 0), (0, -0.4, 0.05), (0.05, 0.05, -0.2)])
-def test_a_plane_has_parallax_beyond_a_rotation_but_not_beyond_a_homography(depth, translation):
+def test_plane_has_parallax_beyond_a_rotation_but_not_beyond_a_homography(depth, translation):
     if translation[2] < 0 and depth is not tilted:
         translation = (
             0.4,

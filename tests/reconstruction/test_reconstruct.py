@@ -52,7 +52,7 @@ def test_every_frame_has_a_pose_and_depth_in_one_scale(film, found):
     assert found.names == tuple(f"frame_{k:06d}" for k in range(len(found)))
 
 
-def test_a_preset_alone_means_the_motion_of_the_camera(film):
+def test_preset_alone_means_the_motion_of_the_camera(film):
     """`Settings.preset("fast")` instead has the motion model of pairs."""
     frames, preset = film.frames[:3], Settings.preset("fast")
     options = {"camera": film.camera, "depth_of": "none"}
@@ -72,16 +72,13 @@ def test_depth_is_in_the_unit_of_the_poses(found):
 
 
 def test_given_poses_are_kept_and_depth_is_in_their_unit(film):
-    found = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, poses=film.poses)
-    np.testing.assert_allclose(found.poses, film.poses, atol=1e-12)
-    errors = [depth_error(found.depth(k), true) for k, true in enumerate(film.depth)]
-    assert np.median(errors) < 0.08 and max(errors) < 0.2
-
-
-def test_frames_without_a_given_pose_have_no_depth(film):
+    """A frame without a pose has no depth."""
     poses = film.poses.copy()
     poses[4] = np.nan
     found = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, poses=poses)
+    np.testing.assert_allclose(found.poses, poses, atol=1e-12)
+    errors = [depth_error(found.depth(k), true) for k, true in enumerate(film.depth) if k != 4]
+    assert np.median(errors) < 0.08 and max(errors) < 0.2
     assert found.piece[4] == -1 and np.isnan(found.poses[4]).all()
     assert np.isnan(found.depth(4)).all() and np.isinf(found.inverse_depth_std(4)).all()
     assert found.status[4] == "unrelated" and found.status[4].message
@@ -98,7 +95,7 @@ def test_as_many_poses_as_frames_are_needed(film, found, tmp_path):
         tisfm.reconstruct(iter(film.frames[:3]), **options)
 
 
-def test_nothing_is_left_of_a_reconstruction_that_failed(film, tmp_path, monkeypatch):
+def test_failed_reconstruction_leaves_no_temporary_file(film, tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     there = []
 
@@ -113,7 +110,7 @@ def test_nothing_is_left_of_a_reconstruction_that_failed(film, tmp_path, monkeyp
     assert held.value.__traceback__ is not None  # it refers to all objects of the run
 
 
-def test_a_result_in_no_folder_ends_without_a_warning(tmp_path, monkeypatch):
+def test_result_without_a_folder_is_deleted_without_a_warning(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     flat = [np.full((8, 9), 90, np.uint8)] * 2
     with warnings.catch_warnings(record=True) as said:
@@ -136,7 +133,7 @@ def test_depth_of_keyframes_alone(film, found):
             assert np.isnan(sparse.depth(frame)).all()
 
 
-def test_the_path_alone(path, found):
+def test_path_without_depth(path, found):
     assert path.keyframes == () and np.isnan(path.depth(0)).all()
     assert all(status == "converged" for status in path.status)
     np.testing.assert_allclose(path.poses[:, :3, :3], found.poses[:, :3, :3], atol=1e-12)
@@ -144,14 +141,15 @@ def test_the_path_alone(path, found):
     assert moved == pytest.approx(moved_before, rel=0.5)  # units: one of tracks, one of all pixels
 
 
-def test_a_path_without_depth_in_any_frame_has_the_unit_of_its_tracks(film, path, monkeypatch):
+def test_unit_without_any_depth_is_that_of_tracks(film, path, monkeypatch):
     monkeypatch.setattr(PieceDepths, "__iter__", lambda self: iter(()))
     blind = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST)
     assert {str(status) for status in blind.status} == {"little_parallax"}
     np.testing.assert_array_equal(blind.poses, path.poses)
 
 
-def test_it_is_the_same_every_time(film, found):
+@pytest.mark.nightly  # test_depth_of_keyframes_alone compares the keyframes of two runs
+def test_result_is_the_same_every_time(film, found):
     again = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST)
     np.testing.assert_array_equal(again.poses, found.poses)
     for frame in (0, 4, 8):
@@ -180,7 +178,7 @@ def test_other_files_are_not_overwritten(found, tmp_path):
     assert (tmp_path / "letter.txt").read_text() == "dear"
 
 
-def test_a_folder_of_frames_that_is_not_ours_stays(found, tmp_path):
+def test_foreign_folder_named_frames_stays(found, tmp_path):
     (tmp_path / "frames").mkdir()
     (tmp_path / "frames" / "0.png").write_bytes(b"dear")
     with pytest.raises(FileExistsError, match="frames"):
@@ -188,14 +186,14 @@ def test_a_folder_of_frames_that_is_not_ours_stays(found, tmp_path):
     assert (tmp_path / "frames" / "0.png").read_bytes() == b"dear"
 
 
-def test_what_is_read_is_not_written_to(found, film, tmp_path):
+def test_result_is_not_written_over_its_source(found, film, tmp_path):
     found.save(tmp_path)
     with pytest.raises(ValueError, match="lies in"):
         tisfm.reconstruct(tmp_path / "frames", camera=film.camera, settings=FAST, folder=tmp_path)
     assert len(Reconstruction.load(tmp_path)) == len(found)
 
 
-def test_folders_that_are_not_complete_are_refused(found, tmp_path):
+def test_incomplete_folders_are_refused(found, tmp_path):
     with pytest.raises(FileNotFoundError, match="not that of a reconstruction"):
         Reconstruction.load(tmp_path)
     found.save(tmp_path)
@@ -204,7 +202,7 @@ def test_folders_that_are_not_complete_are_refused(found, tmp_path):
         Reconstruction.load(tmp_path)
 
 
-def test_the_working_folder_may_change(found, film, tmp_path, monkeypatch):
+def test_working_folder_may_change(found, film, tmp_path, monkeypatch):
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path)
     made = tisfm.reconstruct(
@@ -217,7 +215,7 @@ def test_the_working_folder_may_change(found, film, tmp_path, monkeypatch):
     assert made.picture(0).shape == made.shape
 
 
-def test_what_was_deleted_is_told(found, tmp_path):
+def test_deleted_files_are_reported(found, tmp_path):
     """Missing depth files are not taken for frames without depth."""
     found.save(tmp_path)
     loaded = Reconstruction.load(tmp_path)
@@ -230,7 +228,7 @@ def test_what_was_deleted_is_told(found, tmp_path):
 
 
 @pytest.mark.parametrize("part", [{"keyframes": [0, 99]}, {"status": []}])
-def test_records_that_do_not_fit_are_refused(found, tmp_path, part):
+def test_inconsistent_records_are_refused(found, tmp_path, part):
     found.save(tmp_path)
     record = tmp_path / "reconstruction.json"
     record.write_text(json.dumps(json.loads(record.read_text()) | part))
@@ -246,7 +244,7 @@ def test_damaged_records_are_refused(found, tmp_path, text):
         Reconstruction.load(tmp_path)
 
 
-def test_the_scale_from_a_known_distance(found, film, tmp_path):
+def test_scale_from_a_known_distance(found, film, tmp_path):
     moved = np.linalg.norm(film.poses[8, :3, 3] - film.poses[0, :3, 3])
     metric = found.rescaled(0, 8, moved)
     factor = moved / np.linalg.norm(found.poses[8, :3, 3] - found.poses[0, :3, 3])
@@ -262,7 +260,7 @@ def test_the_scale_from_a_known_distance(found, film, tmp_path):
 @pytest.mark.parametrize(
     ("frame", "error"), [(9, IndexError), (-1, IndexError), (0.5, TypeError), ("0", TypeError)]
 )
-def test_frames_that_are_none_are_refused(found, frame, error):
+def test_invalid_frame_numbers_are_refused(found, frame, error):
     with pytest.raises(error):
         found.depth(frame)
 
@@ -271,7 +269,7 @@ def test_frames_that_are_none_are_refused(found, frame, error):
     ("frames", "text"),
     [((0, 0, 1.0), "one place"), ((0, 1, -1.0), "positive"), ((0, 99, 1.0), "expected 0 to 8")],
 )
-def test_scales_that_say_nothing_are_refused(found, frames, text):
+def test_invalid_scales_are_refused(found, frames, text):
     with pytest.raises((ValueError, IndexError), match=text):
         found.rescaled(*frames)
 
@@ -285,7 +283,7 @@ def test_points_lie_in_the_world(found, film):
     assert len(found.points([0], max_relative_std=0.01)) < len(one)
 
 
-def test_a_mesh_of_all_frames(found, tmp_path):
+def test_mesh_of_all_frames(found, tmp_path):
     pytest.importorskip("skimage")
     mesh = found.mesh(range(len(found)))
     assert len(mesh.faces) > 500
@@ -305,29 +303,32 @@ def test_masked_pixels_are_left_out(film):
     mask = np.uint8(255) * seen
     cover = np.random.default_rng(0).integers(0, 255, seen.shape, np.uint8)
     frames = np.where(seen, film.frames, cover)
-    found = tisfm.reconstruct(frames, camera=film.camera, settings=FAST, mask=mask)
+    options = {"camera": film.camera, "settings": FAST, "mask": mask, "depth_of": "keyframes"}
+    found = tisfm.reconstruct(frames, **options)
     assert (found.piece == 0).all()
     assert path_error(found.poses, film.poses) < 0.03
-    scale = scale_of(found, film)
-    errors = [
-        depth_error(found.depth(k)[seen], true[seen], scale) for k, true in enumerate(film.depth)
-    ]
+    true = {k: film.depth[k][seen] for k in found.keyframes}
+    scale = np.median([np.nanmedian(true[k] / found.depth(k)[seen]) for k in true])
+    errors = [depth_error(found.depth(k)[seen], true[k], scale) for k in true]
     assert np.median(errors) < 0.15
     # The result does not depend on the pixels of the cover.
-    other = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST, mask=mask)
+    other = tisfm.reconstruct(film.frames, **options)
     np.testing.assert_array_equal(other.poses, found.poses)
-    np.testing.assert_array_equal(other.depth(4), found.depth(4))
+    for key in found.keyframes:
+        np.testing.assert_array_equal(other.depth(key), found.depth(key))
 
 
-def test_what_covers_the_scene_is_in_no_cloud(film):
+def test_cover_is_in_no_point_cloud(film):
     seen = np.ones(film.frames[0].shape, bool)
     seen[:, 100:140] = False
     frames = np.where(seen[..., None], film.frames[..., None], np.uint8([255, 0, 0]))
-    found = tisfm.reconstruct(frames, camera=film.camera, settings=FAST, mask=seen)
-    for frame in range(len(found)):
+    found = tisfm.reconstruct(
+        frames, camera=film.camera, settings=FAST, mask=seen, depth_of="keyframes"
+    )
+    for frame in found.keyframes:
         assert np.isfinite(found.depth(frame)).all()
         np.testing.assert_array_equal(np.isinf(found.inverse_depth_std(frame)), ~seen)
-    colors = found.points(range(len(found)), agreeing=1).colors.astype(int)
+    colors = found.points(found.keyframes, agreeing=1).colors.astype(int)
     covering = colors[:, 0] > colors[:, 1] + 128
     # JPEG spreads some of it to neighbouring pixels.
     assert len(colors) > 1000 and covering.mean() < 0.005
@@ -335,13 +336,13 @@ def test_what_covers_the_scene_is_in_no_cloud(film):
 
 def test_distortion_is_removed(film):
     camera = Camera(focal=film.camera.focal, distortion=(-0.05, 0.01, 0.0, 0.0))
-    found = tisfm.reconstruct(film.frames, camera=camera, settings=FAST, depth_of="none")
+    found = tisfm.reconstruct(film.frames[:5], camera=camera, settings=FAST, depth_of="none")
     assert found.camera == camera.pinhole()
     assert (found.piece == 0).all()
 
 
-def test_a_folder_of_images_and_of_results(film, tmp_path):
-    for k, frame in enumerate(film.frames):
+def test_folder_of_images_and_folder_of_results(film, tmp_path):
+    for k, frame in enumerate(film.frames[:4]):
         cv2.imwrite(str(tmp_path / f"f{k}.png"), frame)
     told = []
     found = tisfm.reconstruct(
@@ -351,15 +352,15 @@ def test_a_folder_of_images_and_of_results(film, tmp_path):
         folder=tmp_path / "out",
         progress=lambda *step: told.append(step),
     )
-    assert found.names == tuple(f"f{k}" for k in range(9))
+    assert found.names == tuple(f"f{k}" for k in range(4))
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
         "camera.json", "depth", "frames", "path.npz", "reconstruction.json",
     ]  # fmt: skip
-    assert told[0] == ("reading", 1, 9) and told[-1] == ("depth", 9, 9)
-    assert [stage for stage, done, total in told if done == 9].count("reading") == 1
+    assert told[0] == ("reading", 1, 4) and told[-1] == ("depth", 4, 4)
+    assert [stage for stage, done, total in told if done == 4].count("reading") == 1
 
 
-def test_a_failure_leaves_no_complete_folder(film, tmp_path):
+def test_failure_leaves_no_complete_folder(film, tmp_path):
     def broken():
         yield from film.frames[:3]
         raise OSError("the camera is gone")
@@ -369,11 +370,11 @@ def test_a_failure_leaves_no_complete_folder(film, tmp_path):
         tisfm.reconstruct(broken(), **options)
     assert not (tmp_path / "reconstruction.json").exists()
     assert not (tmp_path / "cache").exists()
-    tisfm.reconstruct(film.frames, **options)
-    assert len(Reconstruction.load(tmp_path)) == len(film.frames)
+    tisfm.reconstruct(film.frames[:4], **options)
+    assert len(Reconstruction.load(tmp_path)) == 4
 
 
-def test_a_camera_at_rest_is_told(film):
+def test_camera_at_rest_has_status_no_motion(film):
     found = tisfm.reconstruct(np.stack([film.frames[0]] * 4), camera=film.camera, settings=FAST)
     assert (found.piece == -1).all() and not found.keyframes
     assert all(status == "no_motion" and status.message for status in found.status)

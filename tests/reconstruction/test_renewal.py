@@ -37,7 +37,7 @@ def earlier(tmp_path):
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, MemoryError])
-def test_an_earlier_result_comes_back(earlier, error):
+def test_earlier_result_comes_back(earlier, error):
     before = contents(earlier)
     with pytest.raises(error), renewed_folder(earlier) as path:
         assert not (path / "reconstruction.json").exists()
@@ -80,14 +80,14 @@ def test_links_are_not_followed_and_the_earlier_result_comes_back(earlier, tmp_p
         assert not [path for path in earlier.rglob("*") if path.is_symlink()]
 
 
-def test_a_new_result_replaces_it(earlier):
+def test_new_result_replaces_it(earlier):
     with renewed_folder(earlier) as path:
         (path / "path.npz").write_text("new")
     assert not (earlier / EARLIER).exists() and not (earlier / "points.ply").exists()
     assert (earlier / "path.npz").read_text() == "new"
 
 
-def test_what_a_killed_run_put_aside_comes_back_after_the_next_failure(earlier):
+def test_result_moved_aside_by_a_killed_run_comes_back(earlier):
     before = contents(earlier)
     (earlier / EARLIER).mkdir()
     for name in ("reconstruction.json", "path.npz", "points.ply", "depth"):
@@ -108,7 +108,7 @@ class Killed(BaseException):
 
 @pytest.mark.parametrize("phase", ["aside", "back"])
 @pytest.mark.parametrize("step", range(1, 7))
-def test_nothing_is_lost_wherever_a_run_is_killed(earlier, monkeypatch, phase, step):
+def test_no_file_is_lost_at_any_kill(earlier, monkeypatch, phase, step):
     """The n-th move of a file kills the run, and the next run fails."""
     before, moved = contents(earlier), []
 
@@ -147,7 +147,7 @@ def test_nothing_is_lost_wherever_a_run_is_killed(earlier, monkeypatch, phase, s
 
 
 @pytest.mark.parametrize("step", range(1, 6))
-def test_an_interrupt_before_the_run_begins_leaves_the_earlier_result(earlier, monkeypatch, step):
+def test_interrupt_before_the_run_begins_leaves_the_earlier_result(earlier, monkeypatch, step):
     before, moved = contents(earlier), []
     original = Path.replace
 
@@ -194,7 +194,7 @@ def test_bad_input_leaves_the_earlier_result(tmp_path):
     assert contents(folder) == before
 
 
-def test_a_page_of_somebody_else_is_not_lost(earlier):
+def test_foreign_page_is_kept(earlier):
     (earlier / "report.html").write_text("mine")
     before = contents(earlier)
     refused = pytest.raises(FileExistsError, match=r"has other files, such as report\.html")

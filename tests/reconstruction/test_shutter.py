@@ -57,7 +57,7 @@ def test_points_that_would_be_behind_stay():
     assert np.isfinite(moved).all() and moved[0, 1] > 0
 
 
-def test_a_frame_alone_has_no_rate():
+def test_frame_alone_has_no_rate():
     assert motion_rates({4: np.eye(4)}, np.arange(5)) == {}
 
 
@@ -79,7 +79,7 @@ def test_points_go_to_where_the_middle_row_would_have_them(readout):
     np.testing.assert_allclose(found, middle, atol=1e-8)
 
 
-def test_a_frame_is_made_as_its_middle_row_saw_it():
+def test_corrected_frame_is_the_view_of_its_middle_row():
     """The scene is a plane with a smooth pattern, in front of the camera."""
     depth, readout = 4.0, 0.8
     rolling = Rolling(
@@ -104,7 +104,7 @@ def test_a_frame_is_made_as_its_middle_row_saw_it():
     assert 0.8 < made.valid.mean() < 1
 
 
-def test_a_frame_whose_rows_are_read_at_once_stays():
+def test_frame_with_a_global_shutter_stays():
     rolling = Rolling(camera=CAMERA, readout=0.0, rates={0: TWIST}, inverse_depth={0: 0.3})
     made = UnrolledFrame(rolling, 0, SHAPE)
     frame = cv2.randu(np.zeros(SHAPE, np.uint8), 0, 255)

@@ -63,7 +63,7 @@ def matched(views):
 
 
 @pytest.mark.parametrize("readout", [0.7, -0.4])
-def test_it_is_found_beside_noise_and_wrong_points(readout):
+def test_readout_is_found_despite_noise_and_outliers(readout):
     poses = shaken(14)
     views = seen_by(poses, readout, 0.3, outliers=0.1)
     rates = motion_rates(poses, np.arange(14))
@@ -72,7 +72,7 @@ def test_it_is_found_beside_noise_and_wrong_points(readout):
     assert 0 < found.deviation < 0.1 * abs(readout)
 
 
-def test_rows_that_are_read_at_once_are_told():
+def test_global_shutter_is_recognised():
     poses = shaken(14)
     views = seen_by(poses, 0.0, 0.3)
     rates = motion_rates(poses, np.arange(14))
@@ -80,7 +80,7 @@ def test_rows_that_are_read_at_once_are_told():
     assert abs(found.readout) < found.deviation < 0.05
 
 
-def test_a_steady_way_shows_little_of_it():
+def test_steady_motion_shows_little_of_the_readout():
     """Every frame is distorted alike, and slightly bent poses and points explain it as well."""
     poses = {k: pose_matrix((0.05 * k, 0, 0, 0, 0, 0)) for k in range(14)}
     shaking = shaken(14)
@@ -103,7 +103,7 @@ def test_a_steady_way_shows_little_of_it():
     ids=["sideways", "up", "forward", "pan"],
 )
 @pytest.mark.parametrize("readout", [0.0, 0.5])
-def test_a_readout_that_poses_and_focal_length_explain_is_not_seen(twist, readout):
+def test_readout_that_poses_and_focal_length_explain_is_not_seen(twist, readout):
     """In a steady motion, other poses or another focal length move rows in the same way."""
     poses = {k: pose_matrix(np.multiply(k, twist)) for k in range(10)}
     views = seen_by(poses, readout, 0.3)
@@ -112,7 +112,7 @@ def test_a_readout_that_poses_and_focal_length_explain_is_not_seen(twist, readou
     assert not _is_seen(found)
 
 
-def test_it_depends_on_no_choice_of_axes():
+def test_estimate_does_not_depend_on_the_axes():
     """Images do not depend on the origin and the axes of the world."""
     poses = shaken(8)
     views = seen_by(poses, 0.5, 0.3)
@@ -126,7 +126,7 @@ def test_it_depends_on_no_choice_of_axes():
     assert here.deviation == pytest.approx(there.deviation, rel=1e-2)
 
 
-def test_nothing_is_said_of_views_that_share_nothing():
+def test_views_without_common_points_give_no_readout():
     poses = shaken(4)
     nothing = Observations(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
     views = [View(frame=k, observations=nothing, detected=np.empty((0, 2))) for k in range(4)]

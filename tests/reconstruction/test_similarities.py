@@ -51,7 +51,7 @@ def edge(first, second, similarity, certain=True):
     )
 
 
-def test_an_exact_similarity_is_found():
+def test_exact_similarity_is_found():
     found = fit_sim3(transform_points(TRUE, cloud()), cloud(), np.ones(60))
     np.testing.assert_allclose(found, TRUE, atol=1e-12)
     assert sim3_scale(found) == pytest.approx(1.7)
@@ -66,12 +66,12 @@ def test_three_points_are_turned_and_never_mirrored():
         np.testing.assert_allclose(found, TRUE, atol=1e-6)
 
 
-def test_a_mirrored_cloud_gets_a_rotation():
+def test_mirrored_cloud_gets_a_rotation():
     found = fit_sim3(cloud() * (-1, 1, 1), cloud(), np.ones(60))
     assert np.linalg.det(found[:3, :3]) > 0
 
 
-def test_a_weight_of_two_counts_as_a_point_twice():
+def test_weight_of_two_counts_as_a_point_twice():
     random = np.random.default_rng(4)
     others, points = cloud(), transform_points(TRUE, cloud()) + 0.3 * random.normal(size=(60, 3))
     counts = random.integers(0, 5, 60)
@@ -87,7 +87,7 @@ def test_noise_on_both_sides_leaves_the_scale():
     assert sim3_scale(fit_sim3(points, others, np.ones(20000))) == pytest.approx(1, abs=0.01)
 
 
-def test_what_most_points_agree_on_is_found():
+def test_ransac_finds_the_similarity_of_most_points():
     others, points = cloud(), transform_points(TRUE, cloud())
     points[::3] += 3
     distances = np.linalg.norm(points, axis=1)
@@ -138,7 +138,7 @@ def test_points_count_less_by_their_distance_also_beside_poses():
     )
 
 
-def test_poses_say_more_than_points_that_are_rough():
+def test_poses_outweigh_inaccurate_points():
     random = np.random.default_rng(2)
     points = transform_points(TRUE, cloud()) + 0.1 * random.normal(size=(60, 3))
     distances = np.linalg.norm(points, axis=1)
@@ -148,14 +148,14 @@ def test_poses_say_more_than_points_that_are_rough():
     assert abs(sim3_scale(rough) / 1.7 - 1) > 1e-4 > abs(sim3_scale(found) / 1.7 - 1)
 
 
-def test_a_pose_stays_rigid_and_the_mean_lies_between():
+def test_pose_stays_rigid_and_the_mean_lies_between():
     pose = transform_pose(TRUE, path()[5])
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
     mean = mean_pose(path()[[2, 4]], np.array([1.0, 1.0]))
     np.testing.assert_allclose(mean, path()[3], atol=1e-12)
 
 
-def test_the_mean_of_poses_is_weighted():
+def test_mean_of_poses_is_weighted():
     """For rotations about one axis, the mean angle is that of the mean sine and cosine."""
     few, weights = path()[[2, 4, 9]], np.array([1.0, 3.0, 0.5])
     mean = mean_pose(few, weights)
@@ -190,14 +190,14 @@ def chain(count=6, drift=0.02):
     return [edge(k, k + 1, off @ move) for k in range(count - 1)], true, move
 
 
-def test_a_chain_is_placed_along_its_edges():
+def test_chain_follows_its_edges():
     edges, true, _ = chain(drift=0.0)
     (place,) = optimise_sim3_graph(6, edges)
     for node, similarity in place.items():
         np.testing.assert_allclose(similarity, true[node], atol=1e-9)
 
 
-def test_a_closed_loop_spreads_the_drift():
+def test_closed_loop_spreads_the_drift():
     edges, _, move = chain(24, drift=0.005)
     (apart,) = optimise_sim3_graph(24, edges)
     (closed,) = optimise_sim3_graph(24, [*edges, edge(23, 0, move, certain=False)])
@@ -207,7 +207,7 @@ def test_a_closed_loop_spreads_the_drift():
     assert growth[0] == pytest.approx(0.115) and abs(growth[1]) < 0.01
 
 
-def test_a_loop_that_is_false_is_not_believed():
+def test_false_loop_closure_is_rejected():
     edges, true, move = chain(drift=0.0)
     false = edge(
         0, 4, sim3_from_vector(0.7, np.array([1.0, 0, 0]), np.array([3.0, 0, 1])), certain=False
@@ -217,14 +217,14 @@ def test_a_loop_that_is_false_is_not_believed():
         np.testing.assert_allclose(similarity, true[node], atol=0.02)
 
 
-def test_nodes_that_nothing_connects_are_apart():
+def test_unconnected_nodes_are_separate():
     edges, _, _ = chain()
     found = optimise_sim3_graph(8, [*edges[:2], edge(6, 7, np.eye(4))])
     assert [list(place) for place in found] == [[0, 1, 2], [3], [4], [5], [6, 7]]
 
 
 @pytest.mark.parametrize("count", [1, BLOCK_ROWS, BLOCK_ROWS + 1, 3 * BLOCK_ROWS - 5])
-def test_a_system_is_solved_as_linalg_does(count):
+def test_system_is_solved_as_linalg_does(count):
     random = np.random.default_rng(count)
     matrix, vector = random.normal(size=(count, count)), random.normal(size=count)
     matrix = matrix @ matrix.T + np.eye(count)

@@ -48,7 +48,7 @@ def test_noise_moves_them_little():
     assert len(found) > 30 and np.median(np.abs(depth - 1)) < 0.05
 
 
-def test_what_no_ray_shows_is_left_out():
+def test_points_without_a_ray_are_left_out():
     poses, points = along(5), points_ahead()
     seen = seen_by(poses, points)
     far = [0]  # a track that jumps

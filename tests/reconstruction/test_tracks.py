@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from tests.noise import moving_noise
-from tests.reconstruction.walks import CAMERA
 from tisfm import Camera
 from tisfm.reconstruction.frames.image_motion import (
     TRACKING_SETTINGS,
@@ -15,6 +14,8 @@ from tisfm.reconstruction.frames.image_motion import (
     shrink_for_flow,
 )
 from tisfm.reconstruction.tracks.tracker import Tracker, choose_new_points, thin_out
+
+CAMERA = Camera(focal=192.0)
 
 
 def picture(shift):
@@ -38,7 +39,7 @@ def test_tracks_follow_a_shift():
     assert np.median(np.hypot(*away.T)) < 0.1  # px
 
 
-def test_tracks_are_the_same_along_image_motion_that_is_found_before():
+def test_tracks_are_the_same_with_precomputed_flow():
     frames = [picture(shift) for shift in ((0, 0), (3.25, -1.5), (6.5, -3.0))]
     asked = []
 
@@ -62,12 +63,12 @@ def test_tracks_are_the_same_along_image_motion_that_is_found_before():
     assert len(here) < 0.1 * len(first.tracks)
 
 
-def test_of_tracks_that_meet_the_first_goes_on():
+def test_first_of_meeting_tracks_continues():
     points = np.array([[10.2, 5.0], [12.9, 5.1], [10.5, 5.3], [40.0, 5.0]])
     assert thin_out(points, 6.0).tolist() == [0, 1, 3]
 
 
-def test_no_point_is_begun_on_ignored_pixels():
+def test_no_track_begins_on_ignored_pixels():
     ignored = np.zeros((240, 320), bool)
     ignored[:, :160] = True
     begun = choose_new_points(picture((0, 0)), np.empty((0, 2)), ignored)
@@ -76,13 +77,13 @@ def test_no_point_is_begun_on_ignored_pixels():
 
 
 @pytest.mark.parametrize("width", [1241, 1240])
-def test_odd_sides_are_filled_up_before_they_are_halved(width):
+def test_odd_sides_are_padded_before_halving(width):
     grey = np.zeros((376, width), np.uint8)
     assert flow_scale(shrink_for_flow(grey), grey) == 0.5
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
-def test_image_motion_that_diverges_leaves_the_frame_but_no_further():
+def test_diverging_flow_is_limited():
     motion = ImageMotion(Camera(focal=0.01), TRACKING_SETTINGS)
     for frame in moving_noise(48, 64, (3, 1)):
         motion.add(np.rint(frame.clip(0, 255)).astype(np.uint8))

@@ -2,12 +2,15 @@
 
 import numpy as np
 
-from tests.reconstruction.walks import CAMERA, frames
+from tests.reconstruction.films import walk
+from tisfm.camera import Camera
 from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS
 from tisfm.reconstruction.tracks import retrieval as loops
 from tisfm.reconstruction.tracks.retrieval import ImageDescriptors, find_similar_views
 from tisfm.reconstruction.tracks.tracker import Observations, Tracker
 from tisfm.reconstruction.tracks.views import View, ViewSelection
+
+CAMERA = Camera(focal=144.0)
 
 
 def views_with(pairs, count=10):
@@ -32,7 +35,7 @@ def test_views_that_match_nothing_may_be_in_order():
     assert not views_with([]).is_out_of_order()
 
 
-def test_a_frame_becomes_a_view_where_tracks_have_moved():
+def test_frame_becomes_a_view_after_tracks_moved():
     views = views_with([], count=0)
     points, tracks = np.random.default_rng(0).uniform(0, 300, (50, 2)), np.arange(50)
     seen = Observations(points=points, tracks=tracks)
@@ -44,7 +47,7 @@ def test_a_frame_becomes_a_view_where_tracks_have_moved():
 
 
 def test_views_on_disk_are_those_in_memory():
-    images = frames([(0.02 * k, 0.04 * k, 0.01 * k) for k in range(6)])
+    images = walk().frames[:6]
     found = []
     for on_disk in (False, True):
         views, tracker = ViewSelection(CAMERA, on_disk=on_disk), Tracker(CAMERA, TRACKING_SETTINGS)
@@ -58,14 +61,14 @@ def test_views_on_disk_are_those_in_memory():
     assert list(found[0][1]) == list(found[1][1])
 
 
-def test_places_are_found_in_blocks_as_at_once(monkeypatch):
+def test_similar_views_are_the_same_in_blocks(monkeypatch):
     random = np.random.default_rng(0)
     places = random.integers(0, 120, (30, 60, 128)).astype(np.uint8)
     noisy = [np.clip(places[k % 15] + random.integers(0, 9, (60, 128)), 0, 255) for k in range(30)]
     looks = [
         ImageDescriptors(points=np.zeros((60, 2)), levels=one.astype(np.uint8)) for one in noisy
     ]
-    whole = find_similar_views(looks, apart=4)
+    whole = find_similar_views(looks, min_distance=4)
     monkeypatch.setattr(loops, "BLOCK_VIEWS", 7)
-    assert find_similar_views(looks, apart=4) == whole
+    assert find_similar_views(looks, min_distance=4) == whole
     assert {(k, k + 15) for k in range(15)} <= set(whole)

@@ -16,7 +16,13 @@ COUNT, CHUNK = 24, 12  # frames of the film, and of a chunk: there are three chu
 @cache
 def film():
     """Return a film of a slow steady camera."""
-    return room_film(along(COUNT, np.array((0.06, 0, 0.025, 0, 0.006, 0))), 180, 240, samples=2)
+    return room_film(along(COUNT, np.array((0.06, 0, 0.025, 0, 0.006, 0))), 120, 160, samples=1)
+
+
+@cache
+def smaller_film():
+    """Return a film of the same camera with tiny frames, for tests with given poses."""
+    return room_film(film().poses, 60, 80, samples=1)
 
 
 def write_frames(folder, frames):

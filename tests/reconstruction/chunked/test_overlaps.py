@@ -68,12 +68,12 @@ def _plane(pose, away=4.0):
 SHARED = [(k, k) for k in range(COUNT)]
 
 
-def test_the_similarity_is_found(both):
+def test_similarity_is_found(both):
     found = overlap_sim3(*both, SHARED)
     np.testing.assert_allclose(found, SIMILARITY, atol=1e-5)
 
 
-def test_the_surer_scale_counts_more(both, monkeypatch):
+def test_surer_scale_counts_more(both, monkeypatch):
     """The scale from depth and the scale from camera positions count by their precision."""
     monkeypatch.setattr(overlaps, "scale_from_depth", lambda *_: (0.01, 0.01))
     monkeypatch.setattr(overlaps, "scale_from_positions", lambda *_: (0.06, 0.02))
@@ -81,7 +81,7 @@ def test_the_surer_scale_counts_more(both, monkeypatch):
     assert found == pytest.approx((0.01 / 0.01**2 + 0.06 / 0.02**2) / (0.01**-2 + 0.02**-2))
 
 
-def test_depth_of_other_frames_will_do(both, tmp_path):
+def test_depth_of_other_frames_is_enough(both, tmp_path):
     """For example, only keyframes have depth, and both chunks have different keyframes."""
     first, second = both
     one = chunk(tmp_path / "a", first.poses, 1 / first.inverse, with_depth=(1, 5))
@@ -90,14 +90,14 @@ def test_depth_of_other_frames_will_do(both, tmp_path):
     assert scale == pytest.approx(np.log(sim3_scale(SIMILARITY)), abs=2e-3)
 
 
-def test_a_camera_at_rest_is_placed_by_depth_alone(both):
+def test_chunks_of_a_camera_at_rest_are_aligned_by_depth(both):
     first, second = both
     shared = [(3, 3)]
     found = overlap_sim3(first, second, shared)
     np.testing.assert_allclose(found, SIMILARITY, atol=1e-5)
 
 
-def test_places_alone_will_do(both, tmp_path):
+def test_positions_are_enough(both, tmp_path):
     first, second = both
     one = chunk(tmp_path / "a", first.poses, 1 / first.inverse, with_depth=())
     two = chunk(tmp_path / "b", second.poses, 1 / second.inverse, with_depth=())
@@ -106,27 +106,27 @@ def test_places_alone_will_do(both, tmp_path):
     assert overlap_sim3(one, two, SHARED[:3]) is None  # too few frames
 
 
-def test_a_third_of_wrong_depth_changes_little(both):
+def test_third_of_wrong_depth_changes_little(both):
     first, second = both
     second.inverse[:, : SHAPE[0] // 3] *= 2
     found = overlap_sim3(first, second, SHARED)
     np.testing.assert_allclose(found, SIMILARITY, rtol=0.01, atol=0.02)
 
 
-def test_nothing_is_told_by_depth_that_agrees_on_nothing(both):
+def test_contradictory_depth_gives_no_scale(both):
     first, second = both
     random = np.random.default_rng(0)
     second.inverse *= np.exp(random.normal(0, 1, second.inverse.shape))
     assert scale_from_depth(first, second, SHARED) is None
 
 
-def test_depth_that_is_not_sure_counts_nothing(both):
+def test_uncertain_depth_is_ignored(both):
     first, second = both
     second.deviation = 0.5 * second.inverse
     assert scale_from_depth(first, second, SHARED) is None
 
 
-def test_places_of_two_ways_tell_nothing():
+def test_positions_of_different_paths_give_no_scale():
     random = np.random.default_rng(0)
     poses, others = along(COUNT), along(COUNT)
     others[:, :3, 3] = random.normal(0, 1, (COUNT, 3))
@@ -135,7 +135,7 @@ def test_places_of_two_ways_tell_nothing():
     assert scale_from_positions(poses, others, np.eye(3)) is None
 
 
-def test_the_rotation_is_the_mean_of_all():
+def test_rotation_is_the_mean_of_all_frames():
     turn = pose_matrix((0, 0, 0, 0.2, -0.1, 0.4))[:3, :3]
     poses = along(COUNT)
     others = poses.copy()

@@ -31,7 +31,7 @@ def test_chunks_overlap_and_have_all_frames(count, chunk, start, step):
     assert spans[-1].stop is None  # a video may have more frames than it states
 
 
-def test_the_last_chunk_ends_where_it_was_told():
+def test_last_chunk_ends_at_the_given_stop():
     assert spans_of(range(0, 30), 30, 12)[-1].stop == 30
 
 
@@ -45,6 +45,6 @@ def test_overlaps_are_short_where_chunks_are():
 
 
 @pytest.mark.parametrize("chunk", [0, -1, MIN_CHUNK - 1, 20.0, True, "30"])
-def test_chunks_that_are_too_short_are_refused(chunk):
+def test_short_chunks_are_refused(chunk):
     with pytest.raises(ValueError, match="chunk is"):
         check_chunk(chunk)

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 import tisfm
-from tests.draws import nightly_except
 from tisfm.reconstruction.objects.sequence_labels import SequenceLabels
 from tisfm.scenes import Box, Plane, Scene, Texture
 
-HEIGHT, WIDTH, FRAMES = 160, 400, 16
+HEIGHT, WIDTH, FRAMES = 160, 400, 10
 CAMERA = tisfm.Camera(focal=300.0)
-OURS = 0.4  # m a frame, the camera moves straight ahead; the road is 1.6 m below
+OURS = 0.64  # m a frame, the camera moves straight ahead; the road is 1.6 m below
 CAR, PARKED = 4, 5  # indices of the objects
 
 
@@ -40,7 +39,7 @@ def labelled(speed):
     for number in range(FRAMES):
         pose = np.eye(4)
         pose[2, 3] = OURS * number
-        frame, _, labels = street(number, speed).seen_with_labels(pose, samples=2)
+        frame, _, labels = street(number, speed).seen_with_labels(pose, samples=1)
         finder.add(np.rint(frame).astype(np.uint8))
         poses.append(pose)
         true.append(labels)
@@ -48,19 +47,20 @@ def labelled(speed):
     return np.stack(list(finder.labels(poses, CAMERA))), np.stack(true)
 
 
-@pytest.mark.parametrize("speed", nightly_except(0.25, of=[0.25, 0.35]))
-def test_a_car_that_goes_ahead_is_labelled(speed):
+@pytest.mark.parametrize("speed", [0.4, pytest.param(0.56, marks=pytest.mark.nightly)])
+def test_moving_car_ahead_is_labelled_and_a_parked_one_is_not(speed):
     found, true = labelled(speed)
     car = found[true == CAR]
     own = np.bincount(car[car > 0]).argmax()
     assert own > 0
     shares = [(f[t == CAR] == own).mean() for f, t in zip(found, true, strict=True)]
-    assert np.mean(shares) > 0.4
+    assert np.mean(shares) > 0.4  # measured: 0.48
     assert (found[true == PARKED] > 0).mean() < 0.05
     assert (found[true < CAR] > 0).mean() < 0.05
 
 
-def test_a_car_that_stands_is_not():
+@pytest.mark.nightly  # the parked car of the test above stands as well
+def test_standing_car_ahead_is_not_labelled():
     found, true = labelled(0.0)
     assert (found[true >= CAR] > 0).mean() < 0.1
     assert (found > 0).mean() < 0.02

@@ -34,14 +34,14 @@ def test_items_come_back_as_they_were_in_any_order():
         assert_same(found, one)
 
 
-def test_what_is_read_may_be_changed_and_the_shelf_stays():
+def test_changing_an_array_from_the_cache_leaves_the_cache():
     shelf = DiskCache(Observations.arrays, Observations.of_arrays)
     shelf.append(seen_of(4))
     shelf[0].points[:] = 0
     assert_same(shelf[0], seen_of(4))
 
 
-def test_the_error_of_a_full_disk_has_advice(monkeypatch):
+def test_error_of_a_full_disk_has_advice(monkeypatch):
     class Full(io.BytesIO):
         def write(self, data):
             raise OSError(errno.ENOSPC, "No space left on device")

@@ -27,7 +27,7 @@ COUNT = 8
 @cache
 def film():
     """Return a film of a room at rest."""
-    return bodies_film(bodies_path(16), *SIZE, bodies=0)
+    return bodies_film(bodies_path(COUNT), *SIZE, bodies=0)
 
 
 class Part:
@@ -53,7 +53,7 @@ def part(where):
 
 
 @pytest.mark.parametrize("where", ["midst", "corner"])
-def test_depth_is_as_of_whole_frames(where):
+def test_depth_of_an_object_equals_that_of_whole_frames(where):
     counted = part(where)
     frames = Part(counted)
     tracker = Tracker(frames.camera, TRACKING_SETTINGS, cells=48)
@@ -79,7 +79,7 @@ def test_depth_is_as_of_whole_frames(where):
     assert rows.stop <= SIZE[0] and columns.stop <= SIZE[1]
 
 
-def test_image_motion_is_found_anew_with_frames_that_are_made_anew(tmp_path):
+def test_flow_is_computed_again_for_corrected_frames(tmp_path):
     for name in ("cache", "frames"):
         (tmp_path / name).mkdir()
     frames = PreparedFrames(Camera(focal=90.0), tmp_path / "cache", tmp_path / "frames")

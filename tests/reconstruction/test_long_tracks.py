@@ -70,7 +70,7 @@ def test_one_track_of_a_cell_is_enough(any_number):
     assert [one.tracks.tolist() for one in choose_long_tracks(seen, SIDE)] == [[1, 2], [1, 2]]
 
 
-def test_a_part_of_the_frames_gives_enough_tracks():
+def test_enough_tracks_from_a_part_of_the_frames():
     points = np.stack(np.meshgrid(np.arange(5, SIDE, 10.0), np.arange(5, 100, 10.0)), -1)
     tracks = np.arange(points.size // 2)
     seen = [Observations(points=points.reshape(-1, 2), tracks=tracks)] * 3

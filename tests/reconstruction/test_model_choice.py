@@ -75,7 +75,7 @@ EVEN, BENT = 0.9, 0.5  # scores of the worst view, over the median
         ([], None, 0),
     ],
 )
-def test_the_best_score_counts(chosen, models, best, count):
+def test_best_score_counts(chosen, models, best, count):
     assert chosen([(10, score, 100, least) for score, least in models]) == (best, count)
 
 
@@ -88,6 +88,6 @@ def test_triangulated_observations_do_not_count(chosen):
     assert chosen(models) == (1, 3)
 
 
-def test_a_model_of_two_views_does_not_count(chosen):
+def test_model_of_two_views_does_not_count(chosen):
     assert chosen([(2, 0.99, 100, EVEN), (3, 0.3, 100, EVEN)]) == (1, 2)
     assert chosen([(2, 0.99, 100, EVEN)]) == (None, 1)
