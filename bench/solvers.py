@@ -58,7 +58,7 @@ CONSTANCY = Constancy(brightness=1.0, gradient=0.0, normalization=None, derivati
 
 
 @dataclass(frozen=True)
-class Course:
+class EnergyCurve:
     pair: str
     method: str
     size: tuple[int, int]
@@ -146,8 +146,8 @@ def methods() -> dict[str, Callable[[System], Iterator[tuple[float, float]]]]:
     return result
 
 
-def courses(pair: FlowPair, size: tuple[int, int]) -> list[Course]:
-    """Return the course of every method on one system."""
+def energy_curves(pair: FlowPair, size: tuple[int, int]) -> list[EnergyCurve]:
+    """Return the energy of every method over its work, on one system."""
     system = System(pair, size)
     first = system.energy()
     multigrid = system.multigrid()
@@ -160,7 +160,7 @@ def courses(pair: FlowPair, size: tuple[int, int]) -> list[Course]:
         points_of[name] = list(method(system))
         lowest = min(lowest, *(energy for _, energy in points_of[name]))
     return [
-        Course(
+        EnergyCurve(
             pair=pair.name,
             method=name,
             size=size,
@@ -194,19 +194,19 @@ def wall_times(pair: FlowPair, size: tuple[int, int]) -> dict[str, float]:
     return ratios | {"sweep, ns/px": 1e9 * median(seconds["sweep"]) / math.prod(size)}
 
 
-def gap_table(courses: Sequence[Course]) -> Table:
+def gap_table(curves: Sequence[EnergyCurve]) -> Table:
     """Return the remaining gap after `BUDGET` sweeps, and the work to reach each gap."""
-    sizes = list(dict.fromkeys(course.size for course in courses))
-    names = list(dict.fromkeys(course.method for course in courses))
+    sizes = list(dict.fromkeys(curve.size for curve in curves))
+    names = list(dict.fromkeys(curve.method for curve in curves))
     head = ["", "", f"gap after {BUDGET:g}", *(f"to {gap:g}" for gap in GAPS)]
     rows = []
     for size, name in itertools.product(sizes, names):
-        group = [c for c in courses if (c.size, c.method) == (size, name)]
+        group = [c for c in curves if (c.size, c.method) == (size, name)]
         remaining = median(
             min((g for w, g in zip(c.work, c.gap, strict=True) if w <= BUDGET), default=1.0)
             for c in group
         )
-        works = [median(course.work_to(gap) for course in group) for gap in GAPS]
+        works = [median(curve.work_to(gap) for curve in group) for gap in GAPS]
         limit = f"> {group[0].work[-1]:.0f}"
         cells = [f"{remaining:.1e}", *(f"{w:.1f}" if w < math.inf else limit for w in works)]
         rows.append([f"{size[0]}×{size[1]}", name, *cells])
@@ -222,17 +222,15 @@ def time_table(times: dict[tuple[int, int], dict[str, float]]) -> Table:
     return Table(["", *names], rows)
 
 
-def draw(courses: Sequence[Mapping[str, Any]], path: Path) -> None:
+def draw(curves: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write the picture of the gap over the work, medians over pairs."""
-    sizes = list(dict.fromkeys(course["size"] for course in courses))
-    names = list(dict.fromkeys(course["method"] for course in courses))
+    sizes = list(dict.fromkeys(curve["size"] for curve in curves))
+    names = list(dict.fromkeys(curve["method"] for curve in curves))
     figure = Figure(figsize=(3.4 * len(sizes) + 0.4, 4.2), dpi=130, layout="constrained")
     grid = figure.subplots(1, len(sizes), sharex=True, sharey=True, squeeze=False)[0]
     for axes, size in zip(grid, sizes, strict=True):
         for name, colour in zip(names, CURVES, strict=False):
-            group = [
-                course for course in courses if (course["size"], course["method"]) == (size, name)
-            ]
+            group = [curve for curve in curves if (curve["size"], curve["method"]) == (size, name)]
             points = [
                 (work, max(median(gaps), MIN_GAP))
                 for work, *gaps in zip(group[0]["work"], *(c["gap"] for c in group), strict=True)
@@ -267,7 +265,7 @@ def main(arguments: list[str] | None = None) -> int:
     pairs = [pair for pair in find_pairs(folder)[0] if pair.group == "middlebury"] if folder else []
     pairs = pairs or scene_pairs(240, 320)
     sizes = SIZES[:1] if options.smoke else SIZES
-    measured = [course for size in sizes for pair in pairs for course in courses(pair, size)]
+    measured = [curve for size in sizes for pair in pairs for curve in energy_curves(pair, size)]
     times = {size: wall_times(pairs[0], size) for size in sizes}
     conditions = {
         "pairs": ", ".join(pair.name for pair in pairs) + ", resized; medians over them",
@@ -288,7 +286,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     print(markdown_page(*tables))
     picture = f"![Energy over work]({path.stem}.png)"
-    records = [asdict(course) for course in measured]
+    records = [asdict(curve) for curve in measured]
     text = markdown_page("# Solvers of the linear system", conditions, *tables, picture)
     write_results(path, text, {**conditions, "courses": records})
     draw(records, path.with_suffix(".png"))

@@ -24,7 +24,7 @@ import tisfm
 from bench.sequences.rendered_films import (
     COUNTS,
     SIZE,
-    Take,
+    FilmParameters,
     depth_in_one_scale,
     depth_of_pair,
     depth_of_window,
@@ -91,7 +91,7 @@ class Checks:
         self, name: str, poses: np.ndarray, room: str, seed: int, readout: float = 0.0
     ) -> Film:
         height, width = SMOKE_SIZE if self._smoke else SIZE
-        return Take(
+        return FilmParameters(
             name=name,
             poses=poses,
             textured=ROOMS[room],

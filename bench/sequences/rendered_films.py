@@ -26,7 +26,7 @@ Poses = np.ndarray  # (N, 4, 4), camera to world
 
 
 @dataclass(frozen=True, kw_only=True)
-class Take:
+class FilmParameters:
     name: str
     poses: np.ndarray  # (N, 4, 4), camera to world, m
     textured: bool  # whether the room's walls have a pattern

@@ -57,7 +57,7 @@ def survey(python: Path) -> Survey:
 
 def run_survey(python: Path, worker: Path) -> dict[str, Any]:
     """Return what a worker reports of its libraries; raise RuntimeError if it fails."""
-    command = [python, worker, "survey"]
+    command: list[str | Path] = [python, worker, "survey"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
         answer: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])

@@ -10,7 +10,7 @@ from bench.sequences import rendered_films
 from bench.sequences.rendered import draw, write
 from bench.sequences.rendered_films import (
     COUNTS,
-    Take,
+    FilmParameters,
     _distance,
     circle_path,
     depth_in_one_scale,
@@ -102,7 +102,7 @@ def test_frames_around_one():
 
 def test_films_are_kept_and_points_on_them_are_right(tmp_path, monkeypatch):
     monkeypatch.setattr(rendered_films, "CACHE", tmp_path / "films")
-    take = Take(name="x", poses=walk_path(2), textured=True, height=24, width=32)
+    take = FilmParameters(name="x", poses=walk_path(2), textured=True, height=24, width=32)
     film = take.film()
     monkeypatch.setattr(rendered_films, "room_film", None)
     again = take.film()
