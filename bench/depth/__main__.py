@@ -33,7 +33,7 @@ from tisfm.settings import Motion
 FLOWS = ("OpenCV DeepFlow", "OpenCV DIS medium")
 SCENE_SIZE = (240, 320)  # px, height and width of rendered scenes
 # Options that appear in the results.
-WORDS = ("preset", "rounds", "threads", "pairs", "only", "smoke", "data", "peer-python")
+RECORDED_OPTIONS = ("preset", "rounds", "threads", "pairs", "only", "smoke", "data", "peer-python")
 MOTIONS: tuple[Motion, ...] = ("camera",)
 REMARKS = (
     "Flows of other libraries run with their defaults, each in a process of its own, on 8-bit grey "
@@ -68,7 +68,7 @@ def compare(options: argparse.Namespace) -> DepthContest:
         methods += map(FlowThenDepth, peers.methods)
         methods = choose(methods, options.only, kind="method", name=lambda method: method.name)
         conditions = {
-            "command": command_text("depth", options, WORDS),
+            "command": command_text("depth", options, RECORDED_OPTIONS),
             "pairs": f"{len(entries)}; scenes are of {height}×{width} px",
             "rounds": rounds,
             "threads": options.threads,
@@ -93,7 +93,7 @@ def _scene_size(options: argparse.Namespace) -> tuple[int, int]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Return 0, 1 if a method failed on a pair, or 2 if nothing could be run."""
-    parser = options_parser("depth", __doc__, *WORDS, "output", preset=["balanced"])
+    parser = options_parser("depth", __doc__, *RECORDED_OPTIONS, "output", preset=["balanced"])
     parser.add_argument("--remark", metavar="TEXT", help="added to the notes of the tables")
     options = parser.parse_args(arguments)
     try:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bench.depth.methods import Method
-from bench.depth.pairs import HARDLY_MOVED, DepthPair, Entry
+from bench.depth.pairs import LITTLE_MOTION, DepthPair, Entry
 from bench.depth.scores import Score, score
 from bench.shared.contest import MethodFailure
 from tisfm.rigid import pose_matrix
@@ -55,7 +55,7 @@ class DepthContest:
         Two groups of pairs do not count: pairs with a given pose have no essential matrix, and the
         direction is uncertain if the camera moved very little.
         """
-        known = [s for s in self._at(method, threshold) if s.group != HARDLY_MOVED]
+        known = [s for s in self._at(method, threshold) if s.group != LITTLE_MOTION]
         posed = {s.pair for s in self.scores if s.direction is not None}
         deep = {s.pair for s in self.scores if s.abs_rel_limited is not None} & posed
         return (

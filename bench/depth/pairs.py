@@ -28,7 +28,7 @@ STATIC_LABELS = 2  # labels below this belong to the background and the floor
 # Groups of pairs.
 TWO_BLOCKS = "two blocks"
 HAND_HELD = "7-Scenes"
-HARDLY_MOVED = "7-Scenes, hardly moved"
+LITTLE_MOTION = "7-Scenes, hardly moved"
 RENDERED_STUDIO = "New Tsukuba"
 ROOM = "TartanAir"
 OFFICE = "HoloLens"
@@ -97,7 +97,7 @@ SELECTIONS: dict[Layout, list[Selection]] = {
     ],
     "sevenscenes": [
         Selection(group=HAND_HELD, folder="sevenscenes", first=range(41, 57), step=3),
-        Selection(group=HARDLY_MOVED, folder="sevenscenes", first=range(0, 20, 3), step=3),
+        Selection(group=LITTLE_MOTION, folder="sevenscenes", first=range(0, 20, 3), step=3),
         *(
             Selection(
                 group=SPACED + suffix,

@@ -10,7 +10,7 @@ from bench.depth.contest import DepthContest, Group, mean_median_worst
 from bench.depth.pairs import (
     BLOCK_MATCHER,
     HAND_HELD,
-    HARDLY_MOVED,
+    LITTLE_MOTION,
     RENDERED_STUDIO,
     ROOMS,
     STEREO,
@@ -237,7 +237,7 @@ def _trusted(scores: list[Score]) -> tuple[str, str]:
 
 
 def _time_ratio(contest: DepthContest, method: str, group: Group, scores: list[Score]) -> str:
-    """Return the median of the time over that of the preset's field on the same pair."""
+    """Return the median time over the time of the preset's field on the same pair."""
     fields: dict[str, float] = {}
     preset = method.partition(",")[0]
     for other in contest.methods:
@@ -255,12 +255,12 @@ def _title(contest: DepthContest, method: str) -> str:
 def _heading(group: Group) -> str:
     count = f"{len(group.pairs)} pairs" if len(group.pairs) > 1 else "1 pair"
     kind = {
-        HAND_HELD: "a hand-held depth camera: approximate truth, of its map registered to the "
-        "picture and of the raw map",
-        HARDLY_MOVED: "the same camera, which moved very little",
-        RENDERED_STUDIO: "poses only",
+        HAND_HELD: "a hand-held depth camera; the truth is approximate: its map registered to "
+        "the picture, or its raw map",
+        LITTLE_MOTION: "the same camera, which moved very little",
+        RENDERED_STUDIO: "only poses are known",
         TWO_BLOCKS: "moving objects, and a moving camera",
-        BLOCK_MATCHER: "the truth is a block matcher's",
+        BLOCK_MATCHER: "the true depth is that of a block matcher",
         **dict.fromkeys(
             WIDE_BASELINES, "a wide baseline; true depth: matched points and the true poses"
         ),

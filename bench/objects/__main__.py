@@ -51,7 +51,7 @@ from tisfm.scenes import SyntheticPair, three_blocks, two_blocks
 from tisfm.settings import Preset, Settings
 
 # Options that appear in the results.
-WORDS = ("preset", "threads", "pairs", "only", "smoke", "data", "peer-python")
+RECORDED_OPTIONS = ("preset", "threads", "pairs", "only", "smoke", "data", "peer-python")
 SIZE = (240, 320)  # px, height and width of rendered scenes
 SEEDS: dict[str, tuple[Callable[..., SyntheticPair], range]] = {
     "two blocks": (two_blocks, range(6)),
@@ -172,7 +172,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
                         statue.append(interpret_pair(preset, first, frame0, frame1, focal, origin))
     height, width = SMOKE_SIZE if options.smoke else SIZE
     conditions = {
-        "command": command_text("objects", options, [*WORDS, "statue"]),
+        "command": command_text("objects", options, [*RECORDED_OPTIONS, "statue"]),
         "scenes": f"{len(rendered)} of {height}×{width} px",
         "threads": options.threads,
         **machine(),
@@ -202,7 +202,7 @@ def report(measured: dict[str, Any]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Return 0, or 2 if nothing could be run."""
-    parser = options_parser("objects", __doc__, *WORDS, "output", preset=["balanced"])
+    parser = options_parser("objects", __doc__, *RECORDED_OPTIONS, "output", preset=["balanced"])
     parser.add_argument("--statue", action="store_true", help="only the statue")
     options = parser.parse_args(arguments)
     try:

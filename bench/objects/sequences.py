@@ -14,7 +14,7 @@ from typing import Any
 
 from rich.console import Console
 
-from bench.objects.__main__ import FLOWS, WORDS, groups
+from bench.objects.__main__ import FLOWS, RECORDED_OPTIONS, groups
 from bench.objects.clips import BODIES, DAVIS, Clip, davis_clip, davis_folders, render_clip
 from bench.objects.sequence_methods import (
     Differences,
@@ -94,7 +94,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             "a smoke run has only the film" if options.smoke else "not in the folder of sequences"
         )
     conditions = {
-        "command": command_text("objects.sequences", options, WORDS),
+        "command": command_text("objects.sequences", options, RECORDED_OPTIONS),
         "clips": ", ".join(sizes),
         "threads": options.threads,
         **machine(),
@@ -137,7 +137,9 @@ def report(measured: dict[str, Any]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Return 0, 1 if a method failed on a clip, or 2 if nothing could be run."""
-    parser = options_parser("objects.sequences", __doc__, *WORDS, "output", preset=["fast"])
+    parser = options_parser(
+        "objects.sequences", __doc__, *RECORDED_OPTIONS, "output", preset=["fast"]
+    )
     options = parser.parse_args(arguments)
     try:
         measured = measure(options)

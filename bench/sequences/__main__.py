@@ -27,7 +27,7 @@ from bench.shared.results import RESULTS, machine, wide_console
 from bench.shared.sequences import data_folder
 
 # Options that appear in the results.
-WORDS = (
+RECORDED_OPTIONS = (
     "preset", "rounds", "threads", "sequences", "methods", "folder", "poses-given",
     "camera-unknown", "peer-python",
 )  # fmt: skip
@@ -101,7 +101,7 @@ def main(arguments: list[str] | None = None) -> int:
         methods, absent, version = find_methods(options)
         conditions = {
             "command": command_text(
-                "sequences", options, [*WORDS, *["step"] * bool(options.folder)]
+                "sequences", options, [*RECORDED_OPTIONS, *["step"] * bool(options.folder)]
             ),
             "rounds": options.rounds,
             "threads": options.threads,

@@ -194,7 +194,14 @@ class Checks:
 
 
 KINDS = ("trip", "blanked", "turn", "walk", "frames", "shutter")
-WORDS = ("preset", "kinds", "rooms", "seeds", "threads", "smoke")  # options named in the results
+RECORDED_OPTIONS = (
+    "preset",
+    "kinds",
+    "rooms",
+    "seeds",
+    "threads",
+    "smoke",
+)  # options named in the results
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -254,7 +261,7 @@ def main(arguments: list[str] | None = None) -> int:
     checks = Checks(settings, smoke=options.smoke, seeds=options.seeds)
     size = SMOKE_SIZE if options.smoke else SIZE
     conditions = {
-        "command": command_text("sequences.rendered", options, WORDS),
+        "command": command_text("sequences.rendered", options, RECORDED_OPTIONS),
         "size": f"{size[0]}×{size[1]} px",
         "threads": options.threads,
         **machine(),

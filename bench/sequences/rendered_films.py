@@ -27,6 +27,8 @@ Poses = np.ndarray  # (N, 4, 4), camera to world
 
 @dataclass(frozen=True, kw_only=True)
 class FilmParameters:
+    """Parameters of a rendered film."""
+
     name: str
     poses: np.ndarray  # (N, 4, 4), camera to world, m
     textured: bool  # whether the room's walls have a pattern

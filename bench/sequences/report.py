@@ -18,24 +18,26 @@ from bench.shared.results import (
 from tisfm.evaluation.sequences import SequenceEvaluation
 
 NOTES = (
-    "ATE: root mean square distance of the centres of the largest piece after the best similarity, "
-    "in % of the true path of the whole sequence. Frames with a pose: in all pieces; pieces: each "
-    "has a world and a scale of its own; largest: its share of the frames.",
-    "Depth error: |ΔZ|/Z over all pixels of known depth, in one scale for the whole sequence, the "
-    "median of true over estimated depth (1 where the poses were given), limited to [0.1 min Z, "
-    "10 max Z]; a pixel without depth counts as 10 max Z, a frame without depth as an error of 1; "
-    "truth beyond 40 m is left out. Surest 40 %: of the pixels with the least relative deviation, "
-    "each limited to 3. Medians over frames. Pixels: share of those of known depth that have one.",
+    "ATE: root mean square distance of the camera centres of the largest piece from the true ones, "
+    "after the best similarity, in % of the true path of the whole sequence. Frames with a pose: "
+    "in all pieces. Each piece has its own world and scale. Largest: its share of the frames.",
+    "Depth error: |ΔZ|/Z over all pixels of known depth. The whole sequence has one scale, the "
+    "median of true over estimated depth (1 if the poses were given). Estimates are limited to "
+    "[0.1 min Z, 10 max Z]; a pixel without depth counts as 10 max Z, a frame without depth as an "
+    "error of 1. True depth beyond 40 m does not count. Surest 40 %: the pixels with the smallest "
+    "relative deviation, each error limited to 3. Medians over frames. Pixels: share of the pixels "
+    "of known depth for which the method has a depth.",
     "Spread: standard deviation of the logarithm of the best scale of a frame. Flicker: mean "
     "change of relative inverse depth (estimated times true depth) from a frame to the next, along "
     "the true flow.",
-    "Chained pairs: pairs of consecutive frames, each scaled to the depth carried over from the "
-    "pairs before; pairs: the same without a common scale. pycolmap: SIFT, sequential matching, "
+    "Chained pairs: pairs of consecutive frames; the depth of earlier pairs gives the scale of "
+    "each. Pairs: the same without a common scale. pycolmap: SIFT, sequential matching, "
     "incremental mapping, intrinsics given.",
-    "Camera unknown: principal point in the centre, no distortion, and an estimated focal length; "
-    "its difference from the stated one, and its own deviation; doubted if the result says so.",
+    "Camera unknown: principal point in the centre, no distortion, and an estimated focal length. "
+    "Its column has the difference from the true focal length and the estimated deviation; "
+    "doubted: the result itself calls the estimate unreliable.",
     "Seconds per frame: from files to path and depth, without output; median over the rounds. "
-    "Memory: peak resident memory of the process, libraries included.",
+    "Memory: peak resident memory of the process, including libraries.",
 )
 
 Column = tuple[str, Callable[[Score], str]]

@@ -16,7 +16,7 @@ from bench.depth.contest import run_contest
 from bench.depth.methods import Estimate, FlowThenDepth, NoMotion, triangulate, two_stage
 from bench.depth.pairs import (
     HAND_HELD,
-    HARDLY_MOVED,
+    LITTLE_MOTION,
     OFFICE,
     POSE_GIVEN,
     RENDERED_ROOM,
@@ -388,7 +388,7 @@ def test_the_pairs_are_those_of_every_group(shared_data):
     }
     assert count == {HAND_HELD: 16, TWO_BLOCKS: 0}
     assert sum(entry.group == RENDERED_STUDIO for entry in entries) == 25
-    first = next(entry for entry in entries if entry.group == HARDLY_MOVED).load()
+    first = next(entry for entry in entries if entry.group == LITTLE_MOTION).load()
     assert first.depth.shape == first.raw_depth.shape == first.frame0.shape[:2]
     assert not first.pose_given and first.pose.shape == (4, 4)
     stereo = next(entry for entry in entries if entry.name == "cones").load()
