@@ -11,31 +11,24 @@ class DepthSettings:
     """Depth of frames with known poses."""
 
     # neighbour_frames
-    # rows and columns of image points whose parallax is computed
-    parallax_grid: tuple[int, int] = (9, 12)
+    parallax_grid: tuple[int, int] = (9, 12)  # rows and columns of image points
     full_parallax: float = 0.03  # image widths: beyond it, a frame gets no better
     max_parallax: float = 0.12  # image widths: beyond it, windows look less and less alike
-    # mean over grid points that a further frame adds; a new point adds 1 at most
-    min_gain: float = 0.03
+    min_gain: float = 0.03  # mean over grid points of a further frame; a new point adds up to 1
     # window_planes
-    # px: standard deviation of the Gaussian that smooths images first
-    window_smoothing: float = 0.6
+    window_smoothing: float = 0.6  # px: standard deviation of the Gaussian on images
     coarser_levels: int = 2  # that are searched before the level of the cells
-    # on the coarsest level, the next one, and each finer one
-    search_rounds: tuple[int, ...] = (3, 2, 1)
-    # px of the finest level: larger cells are searched on their own level first
-    max_cell_side: int = 2
+    search_rounds: tuple[int, ...] = (3, 2, 1)  # on the coarsest level, the next, and finer ones
+    max_cell_side: int = 2  # px of the finest level: larger ones have their own search first
     min_coarse_side: int = 8  # px: shorter side of the coarsest level
     random_draws: int = 2  # planes near a cell's own plane in each round
     draw_spread: tuple[float, float] = (4.0, 1.0)  # px of D, on the coarsest grid and on finer ones
     draw_tilt: float = 0.05  # px per px: spread of their slopes
     draw_shrinkage: float = 0.6  # factor of both spreads from round to round
     max_cost: float = 0.25  # of a reliable match
-    # px: region of reliable matches; its neighbours differ by at most 1 px in D
-    min_region: int = 200
+    min_region: int = 200  # px of reliable matches, whose neighbours differ by at most 1 px in D
     # match_deviation
-    # cells: square in which a cell's certainty is measured; matched windows have 11
-    inner_side: int = 5
+    inner_side: int = 5  # cells: square that gives a cell's certainty; matched windows have 11
     # Cells: standard deviation of D at which a match has half the weight. Chosen on rendered
     # scenes: such matches are off by 0.3 cells, a tenth of them by 1 cell; more certain matches by
     # 0.1 cells, a fiftieth of them by 1 cell.
@@ -43,18 +36,14 @@ class DepthSettings:
     # window_depth
     # largest number of cells of a keyframe; frames of 4:3 get 160×120, 320×240 and 640×480
     cells: tuple[int, int, int] = (2**15, 2**17, 2**19)
-    # of the cells: with fewer reliable matches, no depth is propagated
-    min_matched_share: float = 0.01
-    # of a frame's data term at full strength, in weights of a matched cell
-    data_weight: float = 8.0
-    # of a matched cell's weight, left under a full data term, since both use the same images
-    match_share_left: float = 0.1
+    min_matched_share: float = 0.01  # of the cells: with fewer reliable matches, there is no depth
+    data_weight: float = 8.0  # of a full data term of a frame, in weights of a matched cell
+    match_share_left: float = 0.1  # of a match's weight under a full data term: the same images
     # px per px: difference of slopes at which smoothness yields; less than for pairs, since matches
     # are more certain: otherwise the slope of a floor is smoothed into that of the walls
     slope_scale: float = 0.0009
     image_edges: float = 10.0  # weight of image edges in the smoothness
-    # grey variance, in noise variances, at which data terms have half the weight
-    data_texture: float = 1000.0
+    data_texture: float = 1000.0  # grey variance, in noise variances, for half the weight of data
     warps: int = 3
     iterations: int = 1  # of each warp
     max_depth_factor: float = 2.0  # largest propagated depth over the largest matched depth
@@ -65,25 +54,19 @@ class DepthSettings:
     min_deviation: float = 0.005  # cells
     residual_share: float = 0.07  # of the residuals of nearby data terms
     max_residual: float = 2.5  # cells: limit of such a residual
-    # of D for every px of propagation: slopes scale with D and with px of the frame
-    deviation_per_pixel: float = 0.002
+    deviation_per_pixel: float = 0.002  # of D for every px of propagation
     difference_share: float = 0.8  # of the difference between nearby matches and D
     scatter: float = 0.2  # cells: a difference near it counts less, as matches scatter
     averaging_window: tuple[int, int] = (15, 15)  # cells
     # segment_depth
-    # longer sides: tracks that have moved so far since the last keyframe make a keyframe
-    min_keyframe_motion: float = 0.1
-    # of the last keyframe's tracks: with fewer, a frame becomes a keyframe
-    min_kept_tracks: float = 0.25
+    min_keyframe_motion: float = 0.1  # longer sides that tracks move between keyframes
+    min_kept_tracks: float = 0.25  # of a keyframe's tracks; with fewer, a new keyframe begins
     compare_stride: int = 2  # px between the pixels on which keyframes are compared
-    # px, into frames between keyframes
-    render_stride: tuple[int, int, int] = (2, 1, 1)
-    # of a keyframe window: a resting camera would give windows without end
-    max_window_frames: int = 24
+    render_stride: tuple[int, int, int] = (2, 1, 1)  # px, in frames between keyframes
+    max_window_frames: int = 24  # of a keyframe window: a resting camera would have no end
     max_frame_distance: int = 40  # frames between a keyframe and a frame that it is compared with
     max_neighbours: tuple[int, int, int] = (3, 4, 6)  # frames that give depth
-    # relative deviation of a keyframe per relative difference from its neighbour keyframes
-    difference_to_deviation: float = 1.75
+    difference_to_deviation: float = 1.75  # deviation per difference from neighbour keyframes
     # view_fusion; differences are shares of the inverse depth
     max_difference: float = 0.1  # of two rendered surfaces that are one surface
     max_smooth_step: float = 0.05  # of neighbours on one surface
@@ -94,14 +77,11 @@ class DepthSettings:
     max_fill_cells: int = 2**13  # of the grid on which holes are filled
     fill_median: float = 20.0  # cell sides: median of the inverse depth on this grid
     min_jump: float = 0.1  # of neighbours on two surfaces, for the alignment of edges
-    # grey levels: difference at which a vote for a surface has the weight 1/e
-    grey_scale: float = 10.0
+    grey_scale: float = 10.0  # grey levels that reduce a vote for a surface to 1/e
     # pose_adjustment
     max_adjust_pixels: int = 2**17  # of the pyramid level on which images are compared
-    # px: standard deviation of the Gaussian that smooths images first
-    adjust_smoothing: float = 0.6
-    # grey variance, in noise variances, at which a pixel has half the weight
-    adjust_texture: float = 50.0
+    adjust_smoothing: float = 0.6  # px: standard deviation of the Gaussian on images
+    adjust_texture: float = 50.0  # grey variance, in noise variances, for a pixel's half weight
     texture_window: int = 11  # px: side of the window of this variance
     outlier_scale: float = 3.0  # root-median-squares: a residual with a quarter of the weight
     half_weight_deviation: float = 0.05  # of depth, relative: such a pixel has half the weight
