@@ -15,8 +15,7 @@ from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.lens import Undistortion
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import FocalEstimate
-from tisfm.reconstruction.objects.sequence_labels import SequenceLabels
-from tisfm.reconstruction.objects.static_path import find_static_path
+from tisfm.reconstruction.objects.sequence_labels import SequenceLabels, find_static_path
 from tisfm.reconstruction.path.path_solver import CameraPath
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import bodies_path

@@ -21,8 +21,11 @@ from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.reconstruction.calibration.source_camera import SourceCamera
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
-from tisfm.reconstruction.objects.sequence_labels import SequenceLabels
-from tisfm.reconstruction.objects.static_path import find_static_path, label_remaining_frames
+from tisfm.reconstruction.objects.sequence_labels import (
+    SequenceLabels,
+    find_static_path,
+    label_remaining_frames,
+)
 from tisfm.reconstruction.path.given_path import given_path
 from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
 from tisfm.reconstruction.progress import DepthOf, Enough, Progress

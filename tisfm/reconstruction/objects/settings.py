@@ -29,7 +29,6 @@ class ObjectSettings:
     max_path_error: float = 1.5e-3  # longer sides: usual error of a path that fits static points
     # sequence_labels
     min_static_frames: float = 0.3  # frames with evidence that a static depth needs
-    # below_ground
     min_ground_share: float = 0.03  # of the frame that shows the ground
     max_sideways_slope: float = 0.15  # of an upright camera's ground, in slopes downwards
     max_central_depth: float = 0.4  # inverse depth of the ground at the centre, in slopes downwards
