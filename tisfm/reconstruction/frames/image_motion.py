@@ -10,16 +10,11 @@ from tisfm.camera import Camera
 from tisfm.motion.flow_proposals import flow_proposals
 from tisfm.motion.problems import flow_problem
 from tisfm.reconstruction.frames.disk_cache import DiskCache
+from tisfm.reconstruction.frames.settings import FRAME_FLOW
 from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import coarse_to_fine
 from tisfm.solver.image_pyramid import ImagePyramid
 
-# Smallest number of pixels of the shrunk frames for image motion. Set by hand.
-MIN_FLOW_PIXELS = 2**16
-# px: largest distance from the start after forward and backward motion. Set by hand.
-MAX_RETURN_ERROR = 0.5
-# This share of the length of the motion is added to that distance. Set by hand.
-MAX_RELATIVE_RETURN_ERROR = 0.05
 # Flow pairs in memory: more than the longest chain has steps.
 CACHED_PAIRS = 20
 # Settings of the image motion that tracks follow.
@@ -59,9 +54,9 @@ def find_flow(
 
 
 def shrink_for_flow(grey: np.ndarray) -> np.ndarray:
-    """Return a frame as float32, halved while it keeps `MIN_FLOW_PIXELS`."""
+    """Return a frame as float32, halved while it keeps `FRAME_FLOW.min_pixels`."""
     small: np.ndarray = grey.astype(np.float32)
-    while small.size >= 4 * MIN_FLOW_PIXELS:
+    while small.size >= 4 * FRAME_FLOW.min_pixels:
         height, width = small.shape
         size = (width + 1) // 2, (height + 1) // 2
         padded = cv2.copyMakeBorder(small, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)
@@ -227,7 +222,8 @@ def consistency_mask(flow: np.ndarray, reverse_flow: np.ndarray) -> np.ndarray:
     height, width = flow.shape[:2]
     positions = pixel_grid((height, width)) + flow
     error = vector_lengths(flow + sample_image(reverse_flow, positions))
-    consistent = error < MAX_RETURN_ERROR + MAX_RELATIVE_RETURN_ERROR * vector_lengths(flow)
+    allowed = FRAME_FLOW.max_relative_return_error * vector_lengths(flow)
+    consistent = error < FRAME_FLOW.max_return_error + allowed
     x, y = cv2.split(positions)
     inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
     return np.float32(consistent & inside)
