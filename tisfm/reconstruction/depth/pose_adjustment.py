@@ -264,8 +264,8 @@ def _solve(
     back by its twist in `displacements` from the pose before the adjustment.
     """
     steps: dict[int, np.ndarray] = {}
-    for begin in range(0, len(frames), DEPTH.max_adjust_frames):
-        batch = frames[begin : begin + DEPTH.max_adjust_frames]
+    for start in range(0, len(frames), DEPTH.max_adjust_frames):
+        batch = frames[start : start + DEPTH.max_adjust_frames]
         batch_index = {frame: k for k, frame in enumerate(batch)}
         matrix, vector = np.zeros((6 * len(batch),) * 2), np.zeros(6 * len(batch))
         for system in systems:

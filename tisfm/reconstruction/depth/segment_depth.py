@@ -33,7 +33,7 @@ class FrameDepth:
     """Depth of a frame, as it is written."""
 
     frame: int
-    # inverse_depth, deviation: (H, W) float32, naN and infinity where there is no depth. The
+    # inverse_depth, deviation: (H, W) float32, NaN and infinity where there is no depth. The
     # deviation is infinite at masked pixels as well.
     inverse_depth: np.ndarray
     deviation: np.ndarray
@@ -77,8 +77,8 @@ class PieceDepths:
         self._uncropped_shape = uncropped_shape or frames.shape
         self._written_until = written_until
         # depth of each keyframe in use from its own window, except for `start_keyframe`
-        known = [] if start_keyframe is None else [start_keyframe]
-        self._window_depths: dict[int, WindowDepth] = dict(known)
+        start_depths = [] if start_keyframe is None else [start_keyframe]
+        self._window_depths: dict[int, WindowDepth] = dict(start_depths)
         self._start_key = next(iter(self._window_depths), None)
         # final depth of the last keyframe and of the one before it: fused with the depth of their
         # neighbour keyframes

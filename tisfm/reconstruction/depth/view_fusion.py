@@ -51,7 +51,7 @@ def add_difference_to_deviation(views: Sequence[View], factor: float) -> list[Vi
 
 
 def fuse_views(
-    views: Sequence[View],  # naN where a keyframe has no depth
+    views: Sequence[View],  # NaN where a keyframe has no depth
 ) -> View:
     """Return the mean of the keyframes that agree most, at every pixel.
 

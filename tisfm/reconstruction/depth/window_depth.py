@@ -76,7 +76,7 @@ def window_depth(
     masks: Sequence[np.ndarray | None] | None = None,
     # H and W of the uncropped frames, as for `Window`
     uncropped_shape: tuple[int, int] | None = None,
-) -> WindowDepth | None:  # none if there are too few reliable matches
+) -> WindowDepth | None:  # None if there are too few reliable matches
     """Estimate the inverse depth of every pixel of a keyframe.
 
     Raises ValueError if there is no other frame, a size differs, a motion is not finite or has no

@@ -170,9 +170,9 @@ class ObjectTracker:
             if obj.id not in visible_ids and size > OBJECTS.min_reappeared * obj.mask.sum()
         ]
         histogram = self._histogram(frame, region)
-        found = most_similar_object(candidates, frame, mask_position(region), histogram)
-        if found:
-            return found
+        reappeared = most_similar_object(candidates, frame, mask_position(region), histogram)
+        if reappeared:
+            return reappeared
         number = 1 + max(self._objects, default=0)
         self._objects[number] = TrackedObject(
             id=number,

@@ -102,11 +102,11 @@ def find_object_path(
     if not path.pieces:
         return "its motion gives no depth: it hardly turns or changes its distance, or is not rigid"
     piece = max(path.pieces, key=lambda piece: len(piece.poses))
-    found = ObjectPath(frames=numbers, piece=piece, depths=[])
+    without_depth = ObjectPath(frames=numbers, piece=piece, depths=[])
     if not with_depth:
-        return found
+        return without_depth
     depths = find_object_depths(object_frames, piece, path.observations, settings)
-    return replace(found, depths=depths)
+    return replace(without_depth, depths=depths)
 
 
 def find_object_depths(

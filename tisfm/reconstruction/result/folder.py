@@ -56,7 +56,7 @@ OPTIONAL_FILES = (
 def write_depth(
     folder: Path,
     number: int,  # number of the frame
-    # inverse_depth, deviation: (H, W) float32, naN and infinity where there is no depth
+    # inverse_depth, deviation: (H, W) float32, NaN and infinity where there is no depth
     inverse_depth: np.ndarray,
     deviation: np.ndarray,
 ) -> None:
