@@ -10,7 +10,7 @@ from tests.noise import moving_noise
 from tests.rendered import static_scene, two_blocks
 from tisfm.horn_schunck import horn_schunck
 from tisfm.metrics import depth_errors, endpoint_error
-from tisfm.solver.half_quadratic import CONFIRMED, error_left
+from tisfm.solver.half_quadratic import MIN_CONFIRMATIONS, remaining_error
 
 
 @pytest.fixture(scope="module")
@@ -190,9 +190,9 @@ def test_a_single_scale_stops_when_little_error_is_left(blocks):
     settings = tisfm.Settings.preset("paper", tolerance=1e-2)
     history = tisfm.interpret(blocks.frame0, blocks.frame1, settings=settings).history
     changes = list(history.change)
-    left = [error_left(changes[:count]) for count in range(1, len(changes) + 1)]
+    left = [remaining_error(changes[:count]) for count in range(1, len(changes) + 1)]
     assert len(changes) < settings.outer_iterations
-    assert max(left[-CONFIRMED:]) <= 1e-2 < left[-CONFIRMED - 1]
+    assert max(left[-MIN_CONFIRMATIONS:]) <= 1e-2 < left[-MIN_CONFIRMATIONS - 1]
 
 
 def test_coarse_to_fine_stops_when_the_variables_cease_to_evolve(blocks):

@@ -77,12 +77,12 @@ def horn_schunck(
 
     runtime.start()
     from tisfm.motion.problems import flow_problem, pyramid_of
-    from tisfm.solver.coarse_to_fine import at_finest, coarse_to_fine
+    from tisfm.solver.coarse_to_fine import coarse_to_fine, resize_to_finest
 
     pyramid = pyramid_of(grey0, grey1, Camera(), settings)
     problem = flow_problem(settings, Camera().focal, stiffness=(1.0, 1.0))
     quadratic = replace(problem.smoothness, contrast=math.inf)
     problem = replace(problem, smoothness=quadratic)
     solution = coarse_to_fine(pyramid, problem, last=pyramid.last, release=True)
-    flow = at_finest(pyramid, solution.unknowns, pyramid.last)
+    flow = resize_to_finest(pyramid, solution.unknowns, pyramid.last)
     return np.ascontiguousarray(np.moveaxis(flow, 0, -1))

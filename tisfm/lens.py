@@ -8,7 +8,7 @@ from tisfm.camera import Camera, check_camera
 from tisfm.errors import InputError
 from tisfm.frames import check_frame
 from tisfm.resampling import Resampling
-from tisfm.solver.sampling import FAR
+from tisfm.solver.sampling import FAR_FLOW
 
 __all__ = ["undistort"]
 
@@ -57,7 +57,7 @@ class Undistortion(Resampling):
         x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
         flow = np.stack([sources[..., 0] - x, sources[..., 1] - y])
         # Before the kernel: with fast math, its comparisons with NaN may be true.
-        flow = np.nan_to_num(flow, nan=FAR)
+        flow = np.nan_to_num(flow, nan=FAR_FLOW)
         radius = np.hypot((x - cx) / camera.focal, (y - cy) / camera.focal)
         folded = radius > _fold(coefficients, float(radius.max()))
         super().__init__(flow, ~folded)

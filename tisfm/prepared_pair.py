@@ -16,7 +16,7 @@ from tisfm.frames import eight_bit, grey_pair
 from tisfm.lens import Undistortion
 from tisfm.rigid import KnownPose
 from tisfm.settings import Settings
-from tisfm.solver.pixel_masks import filled
+from tisfm.solver.pixel_masks import fill_ignored
 from tisfm.status import Status
 
 if TYPE_CHECKING:
@@ -51,9 +51,9 @@ def prepare_pair(
     """Return a pair ready for interpretation; the arguments are those of `interpret_pair`."""
     grey0, grey1 = grey_pair(frame0, frame1, stretch=stretch)
     frame = eight_bit(frame0, frame1, stretch=stretch)
-    counted = _counting_pixels(ignored, grey0.shape)
-    if counted is not None:
-        grey0, grey1 = filled(grey0, ~counted[0]), filled(grey1, ~counted[1])
+    valid = _counting_pixels(ignored, grey0.shape)
+    if valid is not None:
+        grey0, grey1 = fill_ignored(grey0, ~valid[0]), fill_ignored(grey1, ~valid[1])
     if camera is None and settings.motion != "field":
         camera = guess_camera(grey0.shape)
     camera = check_camera(camera)
@@ -66,23 +66,23 @@ def prepare_pair(
     lens = None if camera.is_pinhole else Undistortion(camera, *grey0.shape)
     if lens is not None:
         grey0, grey1, frame = map(lens.apply, (grey0, grey1, frame))
-        if counted is not None:
-            first, second = (lens.nearest((~c).astype(np.float32)) > 0 for c in counted)
-            counted = ~first, ~second
+        if valid is not None:
+            first, second = (lens.nearest((~c).astype(np.float32)) > 0 for c in valid)
+            valid = ~first, ~second
         camera = camera.pinhole()
     overflow = overflow_status(grey0, grey1)
     if settings.motion == "camera" and camera.readout and overflow is None:
-        seen = counted
+        seen = valid
         if lens is not None:
-            both = (np.ones_like(lens.valid),) * 2 if counted is None else counted
+            both = (np.ones_like(lens.valid),) * 2 if valid is None else valid
             seen = both[0] & lens.valid, both[1] & lens.valid
         unrolled = global_shutter_pair(grey0, grey1, frame, seen, camera, settings, known)
         if unrolled is not None:
             grey0, grey1, frame = unrolled.grey0, unrolled.grey1, unrolled.frame
-            counted, lens = unrolled.counted, None
+            valid, lens = unrolled.valid, None
             camera = replace(camera, readout=0.0)
     return PreparedPair(
-        pyramid=pyramid_of(grey0, grey1, camera, settings, counted),
+        pyramid=pyramid_of(grey0, grey1, camera, settings, valid),
         camera=camera,
         lens=lens,
         frame=frame,
@@ -98,12 +98,12 @@ def ignored_pixels(mask: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[np.ndar
             f"mask is the path {os.fspath(mask)!r}: expected an array; read the file, for "
             "instance by tisfm.formats.read_image"
         )
-    counted = unmasked_mask(mask, "mask")
-    both = np.stack([counted, counted]) if counted.ndim == 2 else counted
+    valid = unmasked_mask(mask, "mask")
+    both = np.stack([valid, valid]) if valid.ndim == 2 else valid
     if both.shape != (2, *shape):
         height, width = shape
         raise InputError(
-            f"mask is {counted.shape}: expected ({height}, {width}), the size of the frames, or "
+            f"mask is {valid.shape}: expected ({height}, {width}), the size of the frames, or "
             f"(2, {height}, {width}) with one for each of them"
         )
     return ~both[0], ~both[1]
@@ -115,14 +115,14 @@ def _counting_pixels(
     """Return the pixels of both frames that are used, (H, W) bool; None if all are used."""
     if ignored is None or not any(part is not None and part.any() for part in ignored):
         return None
-    counted0, counted1 = (np.ones(shape, bool) if part is None else ~part for part in ignored)
-    for name, counted in (("frame0", counted0), ("frame1", counted1)):
-        if not counted.any():
+    valid0, valid1 = (np.ones(shape, bool) if part is None else ~part for part in ignored)
+    for name, valid in (("frame0", valid0), ("frame1", valid1)):
+        if not valid.any():
             raise InputError(
                 f"mask is black at all pixels of {name}, so no pixel is left: black pixels "
                 "are ignored, white ones count"
             )
-    return counted0, counted1
+    return valid0, valid1
 
 
 def overflow_status(grey0: np.ndarray, grey1: np.ndarray) -> Status | None:

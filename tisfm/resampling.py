@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tisfm.solver.sampling import FAR, goes_to, sample
+from tisfm.solver.sampling import FAR_FLOW, sample, target_pixels
 from tisfm.visibility.occlusion import leaves_image
 
 
@@ -17,7 +17,7 @@ class Resampling:
         # (H, W) bool: where the displacement is reliable; by default everywhere
         known: np.ndarray | None = None,
     ) -> None:
-        self._flow = np.clip(flow, -FAR, FAR)
+        self._flow = np.clip(flow, -FAR_FLOW, FAR_FLOW)
         # (H, W) bool: where the new image has data: the source is reliable and inside the old image
         self.valid: np.ndarray = ~leaves_image(self._flow)
         if known is not None:
@@ -54,4 +54,4 @@ class Resampling:
         flow: np.ndarray,  # (2, H, W) float32: image motion between two new images, px/frame
     ) -> np.ndarray:  # (H, W) bool
         """Return the pixels that have no data in frame 0, or move to where frame 1 has no data."""
-        return ~(self.valid & self.valid[goes_to(flow)])
+        return ~(self.valid & self.valid[target_pixels(flow)])

@@ -196,15 +196,15 @@ def software_vulkan_message(device: str) -> str:
 
 
 def _arch_of_environment() -> str:
-    from tisfm.kernels.layout.archs import HOSTS
+    from tisfm.kernels.layout import CPU_ARCHS
 
     arch = os.environ.get("TI_ARCH", "cpu")
-    if arch not in (*ARCHS, *HOSTS):
+    if arch not in (*ARCHS, *CPU_ARCHS):
         raise InputError(
             f"the environment variable TI_ARCH is {arch!r}: expected one of "
             f"{', '.join(map(repr, ARCHS))}"
         )
-    return "cpu" if arch in HOSTS else arch
+    return "cpu" if arch in CPU_ARCHS else arch
 
 
 def on_gpu() -> bool:

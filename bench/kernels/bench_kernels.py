@@ -29,7 +29,7 @@ LEXICOGRAPHIC_SIZE = (48, 64)  # px: a plain loop in Python is slow
 
 # Relative to the largest value of a component: a few roundings. It is larger for matrices with
 # condition numbers of some hundreds, and for residuals, which are differences of much larger
-# numbers. The mask of `defeated` has thresholds: rounding decides a few of thousands of pixels.
+# numbers. `hidden_pixels` has thresholds: rounding decides a few of thousands of pixels.
 TOLERANCE = 1e-6
 TOLERANCES = {
     "restrict_residual": 1e-5,
@@ -39,9 +39,9 @@ TOLERANCES = {
     "share_of_data": 1e-5,  # determinants are differences of larger numbers
     "update": 1e-4,
     "squared_residual": 1e-4,
-    "answered": 1e-5,
+    "eliminate_depth": 1e-5,
     "motion_system": 1e-5,  # constraints at a target position in float32
-    "defeated": 1e-2,
+    "hidden_pixels": 1e-2,
     "improve": 1e-4,  # quantiles of costs
 }
 
@@ -115,14 +115,14 @@ AT_PLACES = {
 # Kernels on plain images, or with vectors of their own.
 WITHOUT_LANES = (
     "splat",
-    "defeated",
+    "hidden_pixels",
     "share_of_data",
     "motion_fields",
-    "cheapest",
+    "best_hypothesis",
     "rigid_fields",
     "score",
     "improve",
-    "disagreement",
+    "plane_disagreement",
     "costs",
 )
 # Module → kernels without variants.
@@ -132,33 +132,41 @@ PLAIN = {
     "data.constraints": ("constancy_constraints",),
     "data.three_frames": ("backward_flow", "join"),
     "data.image_edges": ("image_edges",),
-    "data.forward_splatting": ("splat", "defeated"),
+    "data.forward_splatting": ("splat", "hidden_pixels"),
     "solve.data_precision": ("share_of_data",),
     "solve.second_order.relaxation": ("sweep",),
     "solve.second_order.weight_update": ("update",),
-    "solve.second_order.coarsening": ("coarsen_system", "restrict_residual", "correct"),
-    "solve.second_order.line_search": ("plane",),
-    "rigid.epipolar": ("displacement", "along"),
-    "rigid.several_frames": ("add_along", "as_constraint"),
+    "solve.second_order.coarsening": ("coarsen_system", "restrict_residual", "add_correction"),
+    "solve.second_order.line_search": ("plane_energy",),
+    "rigid.epipolar": ("displacement", "restrict_to_line"),
     "rigid.motion_system": ("motion_system",),
-    "rigid.shared_depth": ("squared_residual", "add_frame", "answered"),
+    "rigid.shared_depth": (
+        "add_depth_terms",
+        "depth_constraint",
+        "squared_residual",
+        "add_frame",
+        "eliminate_depth",
+    ),
     "rigid.plane_sweep": ("matching_cost",),
-    "rigid.patch_match": ("score", "improve", "disagreement"),
+    "rigid.patch_match": ("score", "improve", "plane_disagreement"),
     "rigid.view_search": ("score", "improve", "costs"),
-    "rigid.semi_global": ("aggregate", "cheapest"),
+    "rigid.semi_global": ("aggregate", "best_hypothesis"),
     "model.readout": ("rigid_fields",),
 }
 PER_MODEL = {
     "layout.images": "lanes_to_images",
     "model.readout": "motion_fields",
-    "model.flow": "flow",
-    "solve.prolongation": "prolong",
+    "model.rigid_motion": "flow",
+    "solve.coarsening": "prolong",
     "solve.data_precision": "data_precision",
 }
-MULTIGRID = {"solve.coarsening": ("relayout", "correct"), "solve.line_search": ("descend",)}
+MULTIGRID = {
+    "solve.coarsening": ("relayout", "add_correction"),
+    "solve.line_search": ("move_to_minimum",),
+}
 MULTIGRID_PER_EDGES = {
     "solve.coarsening": ("coarsen_system", "restrict_residual"),
-    "solve.line_search": ("plane",),
+    "solve.line_search": ("plane_energy",),
 }
 CASES = [
     *(Case(module, kernel) for module, kernels in PLAIN.items() for kernel in kernels),

@@ -29,24 +29,24 @@ class MultigridOperations(TaichiSide):
         array, out = self.lay_halved(self.problem.parents[: self.n]), coarse.allocate(self.n)
         return partial(coarsening.relayout, coarse, array, out), lambda _: self.read_halved(out)
 
-    def correct(self) -> Timed:
+    def add_correction(self) -> Timed:
         grid, rho = self.grid, self.unknowns.rho
         coarse = self.lay_halved(self.problem.parents[: self.n])
         across = tuple(map(grid.place, coarsening.interpolation_columns(grid)))
-        return partial(coarsening.correct, grid, coarse, across, rho), self.reader(rho)
+        return partial(coarsening.add_correction, grid, coarse, across, rho), self.reader(rho)
 
-    def plane(self) -> Timed:
+    def plane_energy(self) -> Timed:
         arrays, directions = self.system().arrays, self._directions()
         return (
-            lambda: line_search.plane(self.grid, arrays, *directions),
+            lambda: line_search.plane_energy(self.grid, arrays, *directions),
             lambda sums: np.concatenate([sums[0][np.triu_indices(2)], sums[1]])[:, None],
         )
 
-    def descend(self) -> Timed:
+    def move_to_minimum(self) -> Timed:
         directions = self._directions()
-        return partial(line_search.descend, self.grid, *LINE_STEPS, *directions), self.reader(
-            *directions
-        )
+        return partial(
+            line_search.move_to_minimum, self.grid, *LINE_STEPS, *directions
+        ), self.reader(*directions)
 
     def _directions(self) -> tuple[LaneData, LaneData, LaneData]:
         p = self.problem
@@ -94,7 +94,7 @@ class MultigridReferences(NumpySide):
     def relayout(self) -> Run:
         return lambda: self.problem.parents[: self.n].copy()
 
-    def correct(self) -> Run:
+    def add_correction(self) -> Run:
         coarse, rho = self.problem.parents[: self.n], self.rho.copy()
         height, width = rho.shape[1:]
 
@@ -105,7 +105,7 @@ class MultigridReferences(NumpySide):
 
         return run
 
-    def plane(self) -> Run:
+    def plane_energy(self) -> Run:
         p, n, motion, weights = self.problem, self.n, self.motion, ALPHA * self.weights()
         before, last = p.previous[:n], p.step[:n]
         j11, j12, j22, *_ = p.tensor
@@ -127,7 +127,7 @@ class MultigridReferences(NumpySide):
 
         return run
 
-    def descend(self) -> Run:
+    def move_to_minimum(self) -> Run:
         p, (first, second) = self.problem, LINE_STEPS
         before, step = p.previous[: self.n].copy(), p.step[: self.n].copy()
         rho = self.rho - before  # the correction, then the new solution

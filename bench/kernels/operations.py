@@ -18,8 +18,8 @@ from tisfm.kernels.data import (
 )
 from tisfm.kernels.layout import images
 from tisfm.kernels.layout.lanes import aligned_zeros
-from tisfm.kernels.model import flow, readout
-from tisfm.kernels.solve import data_precision, prolongation, weight_update
+from tisfm.kernels.model import readout, rigid_motion
+from tisfm.kernels.solve import coarsening, data_precision, weight_update
 from tisfm.solver.sampling import spline_taps
 
 
@@ -50,7 +50,7 @@ class FieldOperations(TaichiSide):
     def flow(self) -> Timed:
         unknowns, out = self.unknowns, self.grid.allocate(2)
         return partial(
-            flow.flow, self.grid, unknowns.rho, unknowns.x_hat, unknowns.y_hat, out
+            rigid_motion.flow, self.grid, unknowns.rho, unknowns.x_hat, unknowns.y_hat, out
         ), self.reader(out)
 
     def warp(self) -> Timed:
@@ -146,7 +146,7 @@ class FieldOperations(TaichiSide):
         rho = self.unknowns.rho
         coarse = self.problem.coarse[: self.n].astype(np.float32)
         return partial(
-            prolongation.prolong, self.grid, coarse, rho, ratio=problems.DENSITY_RATIO
+            coarsening.prolong, self.grid, coarse, rho, ratio=problems.DENSITY_RATIO
         ), self.reader(rho)
 
     def data_precision(self) -> Timed:
@@ -156,7 +156,7 @@ class FieldOperations(TaichiSide):
     def share_of_data(self) -> Timed:
         p = self.problem
         precision, out = p.precision.astype(np.float32), np.empty((p.height, p.width), np.float32)
-        options = {"tolerated": problems.TOLERATED_SQUARE, "freedom": 2}
+        options = {"half_share_residual": problems.TOLERATED_SQUARE, "freedom": 2}
         return partial(data_precision.share_of_data, precision, out, **options), lambda _: out[None]
 
     def motion_fields(self) -> Timed:
@@ -177,12 +177,12 @@ class FieldOperations(TaichiSide):
             lambda _: np.moveaxis(arguments[-1], -1, 0),
         )
 
-    def defeated(self) -> Timed:
+    def hidden_pixels(self) -> Timed:
         arguments = self._arrivals()
         forward_splatting.splat(*arguments)
         out = np.empty((self.problem.height, self.problem.width), np.int32)
         return (
-            partial(forward_splatting.defeated, *arguments, out, **problems.UNIQUENESS),
+            partial(forward_splatting.hidden_pixels, *arguments, out, **problems.UNIQUENESS),
             lambda _: mask_moments(out),
         )
 

@@ -8,9 +8,9 @@ from bench import reference
 from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
 from bench.kernels.traffic import VIEWS
 from bench.shared.problems import UNCERTAIN_BORDER, Problem, in_single_precision
-from tisfm.kernels.rigid.patch_match import STEEPEST, PlaneSearch, disagreement
-from tisfm.kernels.rigid.view_search import ABSENT, ViewSearch
-from tisfm.kernels.rigid.windows import LEVELS, UNSEEN
+from tisfm.kernels.rigid.patch_match import MAX_SLOPE, PlaneSearch, plane_disagreement
+from tisfm.kernels.rigid.view_search import MISSING_FRAME_COST, ViewSearch
+from tisfm.kernels.rigid.windows import MAX_GREY, UNTEXTURED
 
 NOISE = 1.5  # grey levels, deviation of the noise
 SEEN = 1.8  # minimum variance of a textured window, in variances of the noise
@@ -31,7 +31,7 @@ class Planes:
 
     def __init__(self, problem: Problem, motion: np.ndarray) -> None:
         rng, size = np.random.default_rng(6), (problem.height, problem.width)
-        self.levels = [np.rint(np.clip(frame, 0, LEVELS)) for frame in problem.frames]
+        self.levels = [np.rint(np.clip(frame, 0, MAX_GREY)) for frame in problem.frames]
         slopes = 0.02 * rng.normal(size=(2, *size))
         self.own = in_single_precision(np.concatenate([problem.inverse_depth, slopes]))
         rows, columns = np.indices(size)
@@ -46,17 +46,17 @@ class Planes:
         self.certain = (np.abs(np.abs(away) - 0.5) > UNCERTAIN_BORDER).all(axis=0)
 
     def cost(self, planes: np.ndarray) -> np.ndarray:
-        """Return the cost of planes, (3, H, W), `UNSEEN` for windows without texture."""
+        """Return the cost of planes, (3, H, W), `UNTEXTURED` for windows without texture."""
         cost, variance = reference.plane_cost(
             *self.levels, planes, self.camera, *self.pose, noise=NOISE**2
         )
-        return np.where(variance > SEEN * NOISE**2, cost, UNSEEN)
+        return np.where(variance > SEEN * NOISE**2, cost, UNTEXTURED)
 
 
 def search_options(p: Problem) -> dict:
     """Return the common options of searches in one frame and in several frames."""
     center = p.camera.center_for(p.height, p.width)
-    options = {"noise": NOISE, "seen": SEEN, "least": BOUNDS[0], "largest": BOUNDS[1]}
+    options = {"noise": NOISE, "min_variance": SEEN, "min_depth": BOUNDS[0], "max_depth": BOUNDS[1]}
     return {"center": center, "focal": p.camera.focal, **options}
 
 
@@ -90,7 +90,7 @@ class Views:
         self.own = self.planes.own
         self.certain = np.logical_and.reduce([planes.certain for planes in self._each])
         # The kernel also computes costs of bare windows, which the reference skips.
-        self.seen = self.certain & (self.costs(self.own)[0] < UNSEEN)
+        self.seen = self.certain & (self.costs(self.own)[0] < UNTEXTURED)
 
     def costs(self, planes: np.ndarray) -> np.ndarray:
         """Return the costs of planes, (3, H, W), under each motion, as `Planes.cost`."""
@@ -98,7 +98,7 @@ class Views:
 
     def cost(self, planes: np.ndarray) -> np.ndarray:
         """Return the cost of planes in the best frames."""
-        return reference.best_mean(self.costs(planes), BEST, absent=ABSENT)
+        return reference.best_mean(self.costs(planes), BEST, absent=MISSING_FRAME_COST)
 
 
 Surface = Planes | Views
@@ -122,7 +122,7 @@ def reference_score(surface: Surface) -> Run:
 
 def reference_improve(surface: Surface, focal: float) -> Run:
     state = np.concatenate([surface.own, surface.cost(surface.own)[None]])
-    options = {"spread": SPREAD, "tilt": TILT, "steepest": STEEPEST / focal, "bounds": BOUNDS}
+    options = {"spread": SPREAD, "tilt": TILT, "steepest": MAX_SLOPE / focal, "bounds": BOUNDS}
 
     def run() -> np.ndarray:
         nonlocal state
@@ -150,13 +150,13 @@ class PlaneOperations(TaichiSide):
     def improve(self) -> Timed:
         return time_improve(self._search(), self.planes)
 
-    def disagreement(self) -> Timed:
+    def plane_disagreement(self) -> Timed:
         p, planes = self.problem, self.planes
         arrays = [interleaved(array) for array in (planes.own, planes.there)]
         out = np.empty((p.height, p.width), np.float32)
         options = {"center": p.camera.center_for(p.height, p.width), "focal": p.camera.focal}
         return (
-            partial(disagreement, *arrays, p.motions[0], out, **options),
+            partial(plane_disagreement, *arrays, p.motions[0], out, **options),
             lambda _: _known(out, planes.certain),
         )
 
@@ -178,7 +178,7 @@ class PlaneOperations(TaichiSide):
     def _views_search(self) -> ViewSearch:
         p, levels = self.problem, [part.astype(np.float32) for part in self.views.planes.levels]
         others = [levels[1]] * VIEWS
-        options = {"best": BEST, "stride": 1, **search_options(p)}
+        options = {"frame_count": BEST, "stride": 1, **search_options(p)}
         return ViewSearch(levels[0], others, self.views.motions, **options)
 
 
@@ -197,7 +197,7 @@ class PlaneReferences(NumpySide):
     def improve(self) -> Run:
         return reference_improve(self.planes, self.problem.camera.focal)
 
-    def disagreement(self) -> Run:
+    def plane_disagreement(self) -> Run:
         planes = self.planes
         arguments = planes.own, planes.there, planes.camera, *planes.pose
         return lambda: _known(reference.plane_disagreement(*arguments), planes.certain)

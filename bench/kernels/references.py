@@ -173,7 +173,7 @@ class FieldReferences(NumpySide):
         # bench.reference.splat is a plain loop.
         return lambda: _splatted(self.problem.flow, self.problem.residual)
 
-    def defeated(self) -> Run:
+    def hidden_pixels(self) -> Run:
         flow, residual = self.problem.flow, self.problem.residual
         splatted = _splatted(flow, residual)
 
@@ -183,7 +183,7 @@ class FieldReferences(NumpySide):
             total, badness, u, v = np.split(sums, [1, 2, 3])
             difference = np.hypot(u - flow[0, inside] * total, v - flow[1, inside] * total)
             loses = total > problems.UNIQUENESS["density"]
-            loses &= difference > problems.UNIQUENESS["apart"] * total
+            loses &= difference > problems.UNIQUENESS["flow_difference"] * total
             loses &= residual[inside] * total > badness
             out = np.zeros(residual.shape, bool)
             out[inside] = loses[0]

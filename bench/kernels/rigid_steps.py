@@ -9,14 +9,12 @@ from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
 from bench.shared import problems
 from bench.shared.problems import Problem, in_single_precision
 from tisfm.kernels.layout.lanes import LaneData, aligned_zeros
-from tisfm.kernels.model import readout
-from tisfm.kernels.model.constants import LEAST_DIVISOR
+from tisfm.kernels.model import MIN_DIVISOR, readout
 from tisfm.kernels.rigid import (
     epipolar,
     motion_system,
     plane_sweep,
     semi_global,
-    several_frames,
     shared_depth,
 )
 from tisfm.reconstruction.depth.settings import DEPTH
@@ -33,23 +31,23 @@ class DepthOperations(TaichiSide):
             *out
         )
 
-    def along(self) -> Timed:
+    def restrict_to_line(self) -> Timed:
         p = self.problem
         flow, direction = np.split(displacement_of(p), 2)
         inputs = [self.lay(array) for array in (p.constraints, flow, direction, p.inverse_depth)]
         out = self.grid.allocate(len(p.constraints))
-        return partial(epipolar.along, self.grid, *inputs, out), self.reader(out)
+        return partial(epipolar.restrict_to_line, self.grid, *inputs, out), self.reader(out)
 
-    def add_along(self) -> Timed:
+    def add_depth_terms(self) -> Timed:
         p = self.problem
         flow, direction = np.split(displacement_of(p), 2)
         arrays = p.tensor, flow, direction, p.inverse_depth, p.trust[None]
         inputs, out = [self.lay(array) for array in arrays], self.grid.allocate(3)
-        return partial(several_frames.add_along, self.grid, *inputs, out), self.reader(out)
+        return partial(shared_depth.add_depth_terms, self.grid, *inputs, out), self.reader(out)
 
-    def as_constraint(self) -> Timed:
+    def depth_constraint(self) -> Timed:
         sums, out = self.lay(restricted_sums(self.problem)), self.grid.allocate(3)
-        return partial(several_frames.as_constraint, self.grid, sums, out), self.reader(out)
+        return partial(shared_depth.depth_constraint, self.grid, sums, out), self.reader(out)
 
     def squared_residual(self) -> Timed:
         p, out = self.problem, self.grid.allocate(1)
@@ -63,15 +61,15 @@ class DepthOperations(TaichiSide):
         slopes, sums = self.grid.allocate(6), self.grid.allocate(2)
         motion = np.ascontiguousarray(p.motions[0], np.float32)
         options = {"number": 0, "motion": motion, "focal": p.camera.focal}
-        options["tolerated"] = tolerated_square(p)
+        options["quarter_weight_residual"] = tolerated_square(p)
         return partial(
             shared_depth.add_frame, self.grid, *arguments, slopes, sums, **options
         ), np.column_stack
 
-    def answered(self) -> Timed:
+    def eliminate_depth(self) -> Timed:
         slopes, sums = (self.lay(array) for array in shared_sums(self.problem))
         return partial(
-            shared_depth.answered, self.grid, slopes, sums, held=DEPTH_WEIGHT
+            shared_depth.eliminate_depth, self.grid, slopes, sums, depth_stiffness=DEPTH_WEIGHT
         ), np.column_stack
 
     def motion_system(self) -> Timed:
@@ -86,8 +84,8 @@ class DepthOperations(TaichiSide):
         options = {
             "label": 0,
             "scales": problems.DATA_SCALES,
-            "held": DEPTH_WEIGHT,
-            "tolerated": problems.TOLERATED_SQUARE,
+            "depth_stiffness": DEPTH_WEIGHT,
+            "quarter_weight_residual": problems.TOLERATED_SQUARE,
         }
         options |= self._motions()
         return partial(motion_system.motion_system, *arguments, **options), np.column_stack
@@ -105,7 +103,7 @@ class DepthOperations(TaichiSide):
             "focal": p.camera.focal,
             "first": problems.HYPOTHESES[0],
             "step": problems.HYPOTHESES[1] - problems.HYPOTHESES[0],
-            "near": problems.GUESS_TRUNCATION,
+            "guess_distance": problems.GUESS_TRUNCATION,
         }
         return (
             partial(plane_sweep.matching_cost, *arrays, *arguments, out, **options),
@@ -122,12 +120,12 @@ class DepthOperations(TaichiSide):
             lambda _: np.moveaxis(out.reshape(p.cost.shape), -1, 0),
         )
 
-    def cheapest(self) -> Timed:
+    def best_hypothesis(self) -> Timed:
         p = self.problem
         cost, out = aligned_zeros(p.cost.shape), np.empty((p.height, p.width), np.float32)
         cost[...] = p.cost
         return (
-            partial(semi_global.cheapest, cost, out, count=len(problems.HYPOTHESES)),
+            partial(semi_global.best_hypothesis, cost, out, count=len(problems.HYPOTHESES)),
             lambda _: out[None],
         )
 
@@ -163,7 +161,7 @@ class DepthReferences(NumpySide):
     def displacement(self) -> Run:
         return lambda: displacement_of(self.problem)
 
-    def along(self) -> Run:
+    def restrict_to_line(self) -> Run:
         p = self.problem
         displacement = displacement_of(p)
         terms = p.constraints.reshape(-1, 3, p.height, p.width)
@@ -178,7 +176,7 @@ class DepthReferences(NumpySide):
 
         return run
 
-    def add_along(self) -> Run:
+    def add_depth_terms(self) -> Run:
         p = self.problem
         flow, direction = np.split(displacement_of(p), 2)
         sums = np.zeros((3, p.height, p.width))
@@ -193,11 +191,11 @@ class DepthReferences(NumpySide):
 
         return run
 
-    def as_constraint(self) -> Run:
+    def depth_constraint(self) -> Run:
         square, product, _ = restricted_sums(self.problem)
 
         def run() -> np.ndarray:
-            root = np.sqrt(np.maximum(square, LEAST_DIVISOR))
+            root = np.sqrt(np.maximum(square, MIN_DIVISOR))
             return np.stack([np.sqrt(np.maximum(square, 0)), 0 * square, product / root])
 
         return run
@@ -218,7 +216,7 @@ class DepthReferences(NumpySide):
 
         return run
 
-    def answered(self) -> Run:
+    def eliminate_depth(self) -> Run:
         slopes, sums = shared_sums(self.problem)
         rows, (curvature, gradient) = slopes.reshape(len(slopes), -1), sums.reshape(2, -1)
 
@@ -263,7 +261,7 @@ class DepthReferences(NumpySide):
         cost, guide = self.problem.cost, self.problem.features[0, 0]
         return lambda: np.moveaxis(reference.aggregate(cost, guide, **problems.AGGREGATION), -1, 0)
 
-    def cheapest(self) -> Run:
+    def best_hypothesis(self) -> Run:
         cost = self.problem.cost
 
         def run() -> np.ndarray:

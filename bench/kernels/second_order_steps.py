@@ -96,22 +96,22 @@ class SecondOrderOperations(TaichiSide):
         run = self._slope_system().bind_restrict(offsets, rho, out)
         return run, lambda _: self.read_halved(out)
 
-    def second_order_correct(self) -> Timed:
+    def second_order_add_correction(self) -> Timed:
         grid, rho = self.grid, self.lay(self.surface.rho)
         coarse = self.lay_halved(self.problem.parents[:3])
         tables = (*interpolation_columns(grid), coarsening.offset_columns(grid)[1])
         near, far, outer = map(grid.place, tables)
         return partial(
-            coarsening.correct, grid, coarse, (near, far, outer), rho, spacing=SPACING
+            coarsening.add_correction, grid, coarse, (near, far, outer), rho, spacing=SPACING
         ), self.reader(rho)
 
-    def second_order_plane(self) -> Timed:
+    def second_order_plane_energy(self) -> Timed:
         surface = self.surface
         correction = surface.rho - surface.previous
         directions = map(self.lay, (correction, surface.previous, surface.step))
         arrays = self._slope_system().arrays
         return (
-            line_search.bind_plane(self.grid, arrays, SPACING / 2, *directions),
+            line_search.bind_plane_energy(self.grid, arrays, SPACING / 2, *directions),
             lambda sums: np.concatenate([sums[0][np.triu_indices(2)], sums[1]])[:, None],
         )
 
@@ -185,7 +185,7 @@ class SecondOrderReferences(NumpySide):
 
         return run
 
-    def second_order_correct(self) -> Run:
+    def second_order_add_correction(self) -> Run:
         coarse, rho = self.problem.parents[:3], self.surface.rho.copy()
 
         def run() -> np.ndarray:
@@ -195,7 +195,7 @@ class SecondOrderReferences(NumpySide):
 
         return run
 
-    def second_order_plane(self) -> Run:
+    def second_order_plane_energy(self) -> Run:
         surface = self.surface
 
         def run() -> np.ndarray:

@@ -66,7 +66,7 @@ TRAFFIC = {
     # Constraints of both frames, trust, masks, u, v | constraints, tensor.
     "join": Traffic(read=(24, 0), written=(15, 0)),
     "splat": Traffic(read=(3, 0), written=(4, 0)),  # u, v, residual | sums
-    "defeated": Traffic(read=(7, 0), written=(1, 0)),  # u, v, residual, sums | out
+    "hidden_pixels": Traffic(read=(7, 0), written=(1, 0)),  # u, v, residual, sums | out
     # Arrays of half the density have a quarter of the pixels: tensor, b | tensor, b
     "coarsen_system separate": Traffic(read=(6, 2), written=(1.5, 0.5)),
     "coarsen_system joint": Traffic(read=(8, 0), written=(2, 0)),
@@ -74,10 +74,10 @@ TRAFFIC = {
     "restrict_residual separate": Traffic(read=(5, 3), written=(0, 0.25)),
     "restrict_residual joint": Traffic(read=(7, 1), written=(0, 0.25)),
     "relayout": Traffic(read=(0, 0.25), written=(0, 0.25)),
-    "correct": Traffic(read=(0, 1.25), written=(0, 1)),  # correction, ρ̂ | ρ̂
-    "plane separate": Traffic(read=(5, 5), written=(0, 0)),  # tensor, b, ρ̂, before, step
-    "plane joint": Traffic(read=(7, 3), written=(0, 0)),
-    "descend": Traffic(read=(0, 3), written=(0, 3)),  # ρ̂, before, step | the same
+    "add_correction": Traffic(read=(0, 1.25), written=(0, 1)),  # correction, ρ̂ | ρ̂
+    "plane_energy separate": Traffic(read=(5, 5), written=(0, 0)),  # tensor, b, ρ̂, before, step
+    "plane_energy joint": Traffic(read=(7, 3), written=(0, 0)),
+    "move_to_minimum": Traffic(read=(0, 3), written=(0, 3)),  # ρ̂, before, step | the same
     # Second order, D and two slopes: tensor without C, six weights, ρ | ρ
     "second_order_sweep": Traffic(read=(11, 0), written=(3, 0)),
     # p and c of 3 constraints, anchors, g, tensor, weights, ρ, previous | tensor, weights, previous
@@ -85,17 +85,18 @@ TRAFFIC = {
     "second_order_coarsen_system": Traffic(read=(9, 0), written=(2.25, 0)),  # tensor, weights
     # Words of a sweep | residual.
     "second_order_restrict_residual": Traffic(read=(11, 0), written=(0.75, 0)),
-    "second_order_correct": Traffic(read=(3.75, 0), written=(3, 0)),  # correction, ρ | ρ
+    "second_order_add_correction": Traffic(read=(3.75, 0), written=(3, 0)),  # correction, ρ | ρ
     # Tensor without C, weights, ρ, before, step
-    "second_order_plane": Traffic(read=(17, 0), written=(0, 0)),
+    "second_order_plane_energy": Traffic(read=(17, 0), written=(0, 0)),
     "displacement": Traffic(read=(2, 0), written=(4, 0)),  # D, labels | flow, direction
-    "along": Traffic(read=(14, 0), written=(9, 0)),  # constraints, flow, direction, D | constraints
+    # constraints, flow, direction, D | constraints
+    "restrict_to_line": Traffic(read=(14, 0), written=(9, 0)),
     # tensor, flow, direction, D, weight, sums | sums
-    "add_along": Traffic(read=(15, 0), written=(3, 0)),
-    "as_constraint": Traffic(read=(2, 0), written=(2, 0)),  # A, B | p, c
+    "add_depth_terms": Traffic(read=(15, 0), written=(3, 0)),
+    "depth_constraint": Traffic(read=(2, 0), written=(2, 0)),  # A, B | p, c
     "squared_residual": Traffic(read=(8, 0), written=(1, 0)),  # tensor, flow | out
     "add_frame": Traffic(read=(10, 0), written=(8, 0)),  # tensor, D, weight, sums | slopes, sums
-    "answered": Traffic(read=(14, 0), written=(0, 0)),  # slopes of two frames, sums
+    "eliminate_depth": Traffic(read=(14, 0), written=(0, 0)),  # slopes of two frames, sums
     "motion_system": Traffic(read=(13, 0), written=(0, 0)),  # constraints, D, labels, b
     # features, guess, weight | costs
     "matching_cost": Traffic(read=(10, 0), written=(len(HYPOTHESES), 0)),
@@ -104,8 +105,8 @@ TRAFFIC = {
     "views_score": Traffic(read=(5 + VIEWS, 0), written=(4, 0)),  # levels of each other frame
     "views_improve": Traffic(read=(5 + VIEWS, 0), written=(4, 0)),
     "views_costs": Traffic(read=(5 + VIEWS, 0), written=(VIEWS, 0)),
-    "disagreement": Traffic(read=(8, 0), written=(1, 0)),  # planes of both frames | out
-    "cheapest": Traffic(read=(len(HYPOTHESES), 0), written=(1, 0)),
+    "plane_disagreement": Traffic(read=(8, 0), written=(1, 0)),  # planes of both frames | out
+    "best_hypothesis": Traffic(read=(len(HYPOTHESES), 0), written=(1, 0)),
     "rigid_fields": Traffic(read=(2, 0), written=(8, 0)),  # D, labels | flow, ρ̂
     "aggregate": Traffic(read=(1 + len(HYPOTHESES), 0), written=(len(HYPOTHESES), 0)),
 }

@@ -9,7 +9,7 @@ import taichi as ti
 from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import (
     CHUNK,
-    SMALL,
+    INDEX_MASK,
     LaneArray,
     LaneData,
     first_row,
@@ -60,7 +60,7 @@ def _sweep_unfused(
         for task in range(CHUNK * bands):
             if task % CHUNK == 0:
                 alphas = ti.static([bind(alpha[k]) for k in range(n)])
-                stride = rho.shape[2] & SMALL
+                stride = rho.shape[2] & INDEX_MASK
                 planes = ti.static(planes_of(rho, max(6, 2 * sets)))
                 band = task // CHUNK
                 for row in range(

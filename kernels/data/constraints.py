@@ -15,7 +15,7 @@ from tisfm.kernels.data.derivatives import DERIVATIVE_HALO
 from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import LaneArray, LaneData, LaneGrid, lane_kernel
 from tisfm.kernels.layout.launch import Launch, operation
-from tisfm.kernels.model.constants import LEAST_DIVISOR
+from tisfm.kernels.model import MIN_DIVISOR
 from tisfm.kernels.model.robust import finite_scales, robust_data, terms_of
 
 
@@ -68,20 +68,11 @@ def constancy_constraints(
     if tensor is not None:
         grid.check(tensor, 6, "tensor")
     return _constancy_constraints[grid.lanes].bind(
-        derivatives,
-        flow,
-        mask,
-        brightness,
-        gradient,
-        1.0 if normalization is None else normalization**2 + LEAST_DIVISOR,
-        0.0 if normalization is None else 1.0,
-        *finite_scales(scales),
-        count,
-        tensor is not None,
-        grid.serial,
-        out,
-        out if tensor is None else tensor,
-    )
+        derivatives, flow, mask, brightness, gradient,
+        1.0 if normalization is None else normalization**2 + MIN_DIVISOR,
+        0.0 if normalization is None else 1.0, *finite_scales(scales), count, tensor is not None,
+        grid.serial, out, out if tensor is None else tensor,
+    )  # fmt: skip
 
 
 def constraint_count(brightness: float, gradient: float) -> int:
@@ -121,9 +112,13 @@ def _constancy_constraints(
         # Differentiation is linear: the temporal change of I_x is the x derivative of I_t.
         itx = _along_row(derivatives, 2, y + 1, s + 1)
         ity = _along_column(derivatives, 2, y + 1, s + 1)
-        brightly, steeply = brightness * mask[0, y, s], gradient * mask[0, y, s]
-        found = ((brightly, ix, iy, it), (steeply, ixx, ixy, itx), (steeply, ixy, iyy, ity))
-        lines = ti.static(_lines(found, count, noise, normalized, u, v))
+        brightness_weight, gradient_weight = brightness * mask[0, y, s], gradient * mask[0, y, s]
+        weighted = (
+            (brightness_weight, ix, iy, it),
+            (gradient_weight, ixx, ixy, itx),
+            (gradient_weight, ixy, iyy, ity),
+        )
+        lines = ti.static(_lines(weighted, count, noise, normalized, u, v))
         for i in ti.static(range(count)):
             for k in ti.static(range(3)):
                 out[3 * i + k, y, s] = lines[i][k]
@@ -134,10 +129,10 @@ def _constancy_constraints(
                 tensor[k, y, s] = sums[k]
 
 
-def _lines(found: tuple, count: int, noise: Any, normalized: Any, u: Any, v: Any) -> list:
+def _lines(weighted: tuple, count: int, noise: Any, normalized: Any, u: Any, v: Any) -> list:
     """Return (p, q, c) of the constraints in use, times the root of the weight."""
     lines = []
-    for weight, ix, iy, it in {1: found[:1], 2: found[1:], 3: found}[count]:
+    for weight, ix, iy, it in {1: weighted[:1], 2: weighted[1:], 3: weighted}[count]:
         root = bind(ti.sqrt(weight / (noise + normalized * (ix * ix + iy * iy))))
         lines.append((bind(root * ix), bind(root * iy), bind(root * (it - ix * u - iy * v))))
     return lines

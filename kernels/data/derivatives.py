@@ -56,13 +56,13 @@ def _cube(
         out[1, row, position] = 0.25 * ((c - a) + (d - b) + (g - e) + (h - f))
         # Fast math may reorder sums and leave a rounding error where both frames agree, so I_t is
         # set to 0 there.
-        none, one = 0.0 * a, 0.0 * a + 1.0
-        same = ti.select(e == a, one, none)
-        same = ti.select(f == b, same, none)
-        same = ti.select(g == c, same, none)
-        same = ti.select(h == d, same, none)
+        zero, one = 0.0 * a, 0.0 * a + 1.0
+        is_equal = ti.select(e == a, one, zero)
+        is_equal = ti.select(f == b, is_equal, zero)
+        is_equal = ti.select(g == c, is_equal, zero)
+        is_equal = ti.select(h == d, is_equal, zero)
         change = 0.25 * ((e - a) + (f - b) + (g - c) + (h - d))
-        out[2, row, position] = ti.select(same > 0.0, none, change)
+        out[2, row, position] = ti.select(is_equal > 0.0, zero, change)
 
 
 @lane_kernel
@@ -72,7 +72,8 @@ def _five_tap(
     serial: ti.template(),
     out: LaneArray(3),  # (3, H+4, S+4)
 ):
-    near, far = ti.static(8.0 / 24.0, 1.0 / 24.0)  # for the sum of both frames, twice their mean
+    # for the sum of both frames, twice their mean
+    inner_weight, outer_weight = ti.static(8.0 / 24.0, 1.0 / 24.0)
     ti.loop_config(serialize=serial)
     for row, position in ti.ndrange(out.shape[1], out.shape[2]):
         y, s = row + 2, position + 2
@@ -80,10 +81,10 @@ def _five_tap(
         outer_x = frame0[0, y, s + 2] + frame1[0, y, s + 2] - frame0[0, y, s - 2]
         inner_y = frame0[0, y + 1, s] + frame1[0, y + 1, s] - frame0[0, y - 1, s]
         outer_y = frame0[0, y + 2, s] + frame1[0, y + 2, s] - frame0[0, y - 2, s]
-        out[0, row, position] = near * (inner_x - frame1[0, y, s - 1]) - far * (
+        out[0, row, position] = inner_weight * (inner_x - frame1[0, y, s - 1]) - outer_weight * (
             outer_x - frame1[0, y, s - 2]
         )
-        out[1, row, position] = near * (inner_y - frame1[0, y - 1, s]) - far * (
+        out[1, row, position] = inner_weight * (inner_y - frame1[0, y - 1, s]) - outer_weight * (
             outer_y - frame1[0, y - 2, s]
         )
         out[2, row, position] = frame1[0, y, s] - frame0[0, y, s]

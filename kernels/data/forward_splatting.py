@@ -33,32 +33,32 @@ def splat(
         _splat_in_any_order(flow, residual, sums)
         return
     height = residual.shape[0]
-    farthest = max(flow[1].max(), -flow[1].min())
-    reach = min(int(farthest) + 1, height)  # most rows that a pixel moves up or down
+    max_shift = max(flow[1].max(), -flow[1].min())
+    reach = min(int(max_shift) + 1, height)  # most rows that a pixel moves up or down
     # An even number of bands, so that two threads have the same number of bands.
-    pairs = height // (2 * max(SPLATTING_BAND, 2 * reach))
-    bands = max(1, 2 * pairs)
+    band_pairs = height // (2 * max(SPLATTING_BAND, 2 * reach))
+    bands = max(1, 2 * band_pairs)
     _splat(flow, residual, bands, reach, sums)
 
 
-def defeated(
+def hidden_pixels(
     flow: np.ndarray,  # (2, H, W) float32: (u, v), px/frame
     residual: np.ndarray,  # (H, W) float32
     sums: np.ndarray,  # (H, W, 4) float32: the sums of `splat`
     # (H, W) int32: 1 if more than `density` pixels move to the pixel's target position, their mean
-    # flow differs from the pixel's by more than `apart`, and their mean residual is less than the
-    # pixel's; else 0. The means include the pixel itself.
+    # flow differs from the pixel's by more than `flow_difference`, and their mean residual is less
+    # than the pixel's; else 0. The means include the pixel itself.
     out: np.ndarray,
     *,
     density: float,  # pixels of frame 0 per pixel of frame 1
     # Least difference from the mean flow, px/frame. The mean includes the pixel itself: for two
     # pixels with equal weights, their relative motion is 2·apart.
-    apart: float,
+    flow_difference: float,
 ) -> None:
     """Mark the pixels that share their position in frame 1 with other pixels of lower residual."""
     _check(flow, residual, sums)
     check_array(out, residual.shape, "out", dtype=np.int32, aligned=False)
-    _defeated(flow, residual, sums, density, apart, out)
+    _hidden_pixels(flow, residual, sums, density, flow_difference, out)
 
 
 def _check(flow: np.ndarray, residual: np.ndarray, sums: np.ndarray) -> None:
@@ -106,15 +106,9 @@ def _splat_in_any_order(
 
 @ti.func
 def _splat_at(
-    flow: ti.template(),
-    residual: ti.template(),
-    sums: ti.template(),
-    y,
-    x,
-    first,
-    last,
+    flow: ti.template(), residual: ti.template(), sums: ti.template(), y, x, first, last,
     atomic: ti.template(),
-):
+):  # fmt: skip
     """Add a pixel to the pixels around its target position, in rows `first` to `last` − 1 only."""
     u, v = flow[0, y, x], flow[1, y, x]
     target_x, target_y = x + u, y + v
@@ -144,12 +138,12 @@ def _add(sums: ti.template(), row, column, value, atomic: ti.template()):
 
 
 @Kernel
-def _defeated(
+def _hidden_pixels(
     flow: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (2, H, W)
     residual: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     sums: ti.types.ndarray(dtype=_Sums, ndim=2),  # (H, W)
     density: ti.f32,
-    apart: ti.f32,
+    flow_difference: ti.f32,
     out: ti.types.ndarray(dtype=ti.i32, ndim=2),  # (H, W)
 ):
     width = residual.shape[1]
@@ -157,7 +151,7 @@ def _defeated(
         for x in range(block * BLOCK, ti.min((block + 1) * BLOCK, width)):
             u, v = flow[0, y, x], flow[1, y, x]
             target_x, target_y = x + u, y + v
-            loses = 0
+            is_hidden = 0
             if _is_inside(target_x, target_y, residual):
                 column, row = ti.cast(target_x, ti.i32), ti.cast(target_y, ti.i32)
                 across, down = target_x - column, target_y - row
@@ -170,10 +164,13 @@ def _defeated(
                     second = (1.0 - across) * sums[below, column] + across * sums[below, right]
                     total = (1.0 - down) * first + down * second
                     du, dv = total[2] / total[0] - u, total[3] / total[0] - v
-                    worse = residual[y, x] * total[0] > total[1]
-                    if du * du + dv * dv > apart * apart and worse:
-                        loses = 1
-            out[y, x] = loses
+                    has_larger_residual = residual[y, x] * total[0] > total[1]
+                    if (
+                        du * du + dv * dv > flow_difference * flow_difference
+                        and has_larger_residual
+                    ):
+                        is_hidden = 1
+            out[y, x] = is_hidden
 
 
 @ti.func

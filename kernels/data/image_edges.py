@@ -12,7 +12,7 @@ from tisfm.kernels.layout.lanes import (
     lane_kernel,
 )
 from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
-from tisfm.kernels.model.constants import LEAST_DIVISOR
+from tisfm.kernels.model import MIN_DIVISOR
 
 
 def image_edges(
@@ -33,7 +33,7 @@ def image_edges(
     _image_edges[grid.lanes](image, rate, grid.serial, out, partial)
     count = grid.height * (grid.width - 1) + (grid.height - 1) * grid.width
     mean = float(add_blocks(partial)[0]) / max(count, 1)
-    _scale[grid.lanes](1.0 / max(mean, LEAST_DIVISOR), grid.serial, out)
+    _scale[grid.lanes](1.0 / max(mean, MIN_DIVISOR), grid.serial, out)
 
 
 @lane_kernel
@@ -52,24 +52,24 @@ def _image_edges(
         zero = 0.0 * out[0, row + 1, 1]
         below = ti.min(row + 1, height - 1)
         is_open = ti.cast(row < height - 1, ti.f32)
-        here = _columns(image, row, block * BLOCK, strip, zero, lanes)
+        center = _lane_values(image, row, block * BLOCK, strip, zero, lanes)
         total = zero
         for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
-            right = _columns(image, row, position + 1, strip, zero, lanes)
-            down = _columns(image, below, position, strip, zero, lanes)
-            east = _before(width - 1, position, strip, zero, lanes)
-            east /= 1.0 + rate * ti.max(right - here, here - right)
-            south = is_open * _before(width, position, strip, zero, lanes)
-            south /= 1.0 + rate * ti.max(down - here, here - down)
+            right = _lane_values(image, row, position + 1, strip, zero, lanes)
+            down = _lane_values(image, below, position, strip, zero, lanes)
+            east = _is_before(width - 1, position, strip, zero, lanes)
+            east /= 1.0 + rate * ti.max(right - center, center - right)
+            south = is_open * _is_before(width, position, strip, zero, lanes)
+            south /= 1.0 + rate * ti.max(down - center, center - down)
             out[0, row + 1, position + 1] = east
             out[1, row + 1, position + 1] = south
             total += east + south
-            here = right
+            center = right
         store_sum(partial, row, block, 0, total, lanes)
 
 
 @ti.func
-def _columns(image: ti.template(), y, position, strip, zero, lanes: ti.template()):
+def _lane_values(image: ti.template(), y, position, strip, zero, lanes: ti.template()):
     """Return the image values at a strip position of all lanes; the image border is repeated."""
     values = zero
     last = image.shape[1] - 1
@@ -82,7 +82,7 @@ def _columns(image: ti.template(), y, position, strip, zero, lanes: ti.template(
 
 
 @ti.func
-def _before(end, position, strip, zero, lanes: ti.template()):
+def _is_before(end, position, strip, zero, lanes: ti.template()):
     """Return, for each lane, 1 if the column at a strip position is less than `end`, else 0."""
     values = zero
     if ti.static(lanes > 1):

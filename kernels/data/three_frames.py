@@ -44,14 +44,14 @@ def join_constraints(
     grid: LaneGrid,
     # lane array, 3 components for each constraint: (p, q, c) of the previous frame, as constraints
     # on the flow to the next frame
-    before: LaneData,
+    previous: LaneData,
     # lane array, 2 components: in [0, 1]: visibility of a pixel in the next frame, and in the
     # previous frame
     trust: LaneData,
-    # mask, mask_before: lane arrays, 1 component: masks of the constraints of the next and of the
+    # mask, previous_mask: lane arrays, 1 component: masks of the constraints of the next and of the
     # previous frame
     mask: LaneData,
-    mask_before: LaneData,
+    previous_mask: LaneData,
     # lane array, 2 components: flow at which the robust weights of the tensor are computed,
     # px/frame
     flow: LaneData,
@@ -69,35 +69,27 @@ def join_constraints(
     is the constraint of the frame that shows the pixel.
     """
     count = check_constraints(grid, out, scales)
-    grid.check(before, 3 * count, "before")
+    grid.check(previous, 3 * count, "previous")
     for array, n, name in (
         (trust, 2, "trust"),
         (mask, 1, "mask"),
-        (mask_before, 1, "mask_before"),
+        (previous_mask, 1, "previous_mask"),
         (flow, 2, "flow"),
         (tensor, 6, "tensor"),
     ):
         grid.check(array, n, name)
     return _join[grid.lanes].bind(
-        before,
-        trust,
-        mask,
-        mask_before,
-        flow,
-        *finite_scales(scales),
-        count,
-        grid.serial,
-        out,
+        previous, trust, mask, previous_mask, flow, *finite_scales(scales), count, grid.serial, out,
         tensor,
-    )
+    )  # fmt: skip
 
 
 @lane_kernel
 def _join(
-    before: LaneArray(3),  # (3 count, H+2, S+2)
+    previous: LaneArray(3),  # (3 count, H+2, S+2)
     trust: LaneArray(3),  # (2, H+2, S+2)
     mask: LaneArray(3),  # (1, H+2, S+2)
-    mask_before: LaneArray(3),  # (1, H+2, S+2)
+    previous_mask: LaneArray(3),  # (1, H+2, S+2)
     flow: LaneArray(3),  # (2, H+2, S+2)
     inverse0: ti.f32,
     scale0: ti.f32,
@@ -111,11 +103,14 @@ def _join(
     ti.loop_config(serialize=serial)
     for row, position in ti.ndrange(out.shape[1] - 2, out.shape[2] - 2):
         y, s = row + 1, position + 1
-        after, earlier = trust[0, y, s] * mask[0, y, s], trust[1, y, s] * mask_before[0, y, s]
-        inverse = 1.0 / ti.max(1.0, after + earlier)
-        a, b = inverse * after, inverse * earlier
+        next_weight, previous_weight = (
+            trust[0, y, s] * mask[0, y, s],
+            trust[1, y, s] * previous_mask[0, y, s],
+        )
+        inverse = 1.0 / ti.max(1.0, next_weight + previous_weight)
+        a, b = inverse * next_weight, inverse * previous_weight
         entries = ti.static(
-            [bind(a * out[k, y, s] + b * before[k, y, s]) for k in range(3 * count)]
+            [bind(a * out[k, y, s] + b * previous[k, y, s]) for k in range(3 * count)]
         )
         for k in ti.static(range(3 * count)):
             out[k, y, s] = entries[k]

@@ -123,15 +123,15 @@ def _sample(image: ti.template(), taps: ti.template(), column, row, u, v, lanes:
     target_x, target_y = column + u, row + v
     x = ti.max(0.0, ti.min(target_x, width - 1.0))
     y = ti.max(0.0, ti.min(target_y, height - 1.0))
-    none, one = 0.0 * x, 0.0 * x + 1.0
-    inside = ti.select(column < width, one, none)
-    inside = ti.select(x == target_x, inside, none)
-    inside = ti.select(y == target_y, inside, none)
+    zero, one = 0.0 * x, 0.0 * x + 1.0
+    inside = ti.select(column < width, one, zero)
+    inside = ti.select(x == target_x, inside, zero)
+    inside = ti.select(y == target_y, inside, zero)
     left, top = ti.floor(x), ti.floor(y)
     across, down = x - left, y - top
     weights_x, weights_y = ti.static(_weights(across)), ti.static(_weights(down))
     # Weighted sums over four rows, for each of four columns of coefficients.
-    columns = ti.static([bind(none) for _ in range(4)])
+    columns = ti.static([bind(zero) for _ in range(4)])
     for lane in range(lanes):
         at = _index(top, lane, lanes) * width + _index(left, lane, lanes)
         total = lane_of(weights_y[0], lane, lanes) * taps[at]

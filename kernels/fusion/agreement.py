@@ -1,12 +1,12 @@
-"""Comparison of a depth map with other views: they agree with a point, or see through it."""
+"""Points compared with the depth maps of other views: agreement, visibility, colours."""
 
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.fusion.lookup import check_map, inverse_depth_at, is_inside, nearest
+from tisfm.kernels.fusion.lookup import check_map, inverse_depth_at, is_inside, nearest_pixel
 from tisfm.kernels.layout.lanes import check_array
 from tisfm.kernels.layout.launch import Kernel
-from tisfm.kernels.model.constants import NEAREST
+from tisfm.kernels.model import MIN_DEPTH_RATIO
 
 
 def compare(
@@ -40,19 +40,12 @@ def compare(
     check_array(colors, (*inverse_depth.shape, 3), "colors", aligned=False)
     check_array(projection, (3, 4), "projection", aligned=False)
     _compare(
-        inverse_depth,
-        deviation,
-        other_inverse_depth,
-        other_deviation,
-        other_colors,
-        projection,
-        tolerance,
-        sums,
-        colors,
-    )
+        inverse_depth, deviation, other_inverse_depth, other_deviation, other_colors, projection,
+        tolerance, sums, colors,
+    )  # fmt: skip
 
 
-def mark_shown(
+def mark_pixels_of_points(
     points: np.ndarray,  # (N, 3) float32: in the world's axes
     # (N,) float32: relative deviation of the inverse depth of each point
     relative_deviation: np.ndarray,
@@ -62,7 +55,7 @@ def mark_shown(
     deviation: np.ndarray,
     # (H, W) int32: set to 1 where the inverse depth differs from that of a point by at most
     # `tolerance` combined deviations; unchanged elsewhere
-    shown: np.ndarray,
+    mask: np.ndarray,
     *,
     # (3, 4) float32: (u z, v z, z) of a point is the matrix times (X, Y, Z, 1)
     projection: np.ndarray,
@@ -72,9 +65,11 @@ def mark_shown(
     check_map(inverse_depth, deviation)
     check_array(points, (len(points), 3), "points", aligned=False)
     check_array(relative_deviation, (len(points),), "relative_deviation", aligned=False)
-    check_array(shown, inverse_depth.shape, "shown", dtype=np.int32, aligned=False)
+    check_array(mask, inverse_depth.shape, "mask", dtype=np.int32, aligned=False)
     check_array(projection, (3, 4), "projection", aligned=False)
-    _mark_shown(points, relative_deviation, inverse_depth, deviation, projection, tolerance, shown)
+    _mark_pixels_of_points(
+        points, relative_deviation, inverse_depth, deviation, projection, tolerance, mask
+    )
 
 
 @Kernel
@@ -91,71 +86,125 @@ def _compare(
 ):
     for y, x in ti.ndrange(inverse_depth.shape[0], inverse_depth.shape[1]):
         d = inverse_depth[y, x]
-        turned = projection[2, 0] * x + projection[2, 1] * y + projection[2, 2]
-        g = turned + d * projection[2, 3]
-        if d > 0 and g > NEAREST and turned > NEAREST:
-            u = _coordinate(projection, 0, x, y, d) / g
-            v = _coordinate(projection, 1, x, y, d) / g
+        rotated_z = projection[2, 0] * x + projection[2, 1] * y + projection[2, 2]
+        g = rotated_z + d * projection[2, 3]
+        if d > 0 and g > MIN_DEPTH_RATIO and rotated_z > MIN_DEPTH_RATIO:
+            u = _project_pixel(projection, 0, x, y, d) / g
+            v = _project_pixel(projection, 1, x, y, d) / g
             if is_inside(u, v, other_inverse_depth):
-                seen = inverse_depth_at(other_inverse_depth, u, v)
-                if seen > 0:
-                    column, row = nearest(u, v)
-                    theirs = other_deviation[row, column]
-                    slope = turned / (g * g)  # ∂d'/∂d
-                    mine = slope * deviation[y, x]
-                    apart = seen - d / g
-                    limit = tolerance * ti.sqrt(mine * mine + theirs * theirs)
-                    if apart < 0.0 - limit:
+                other_depth = inverse_depth_at(other_inverse_depth, u, v)
+                if other_depth > 0:
+                    column, row = nearest_pixel(u, v)
+                    other_sigma = other_deviation[row, column]
+                    slope = rotated_z / (g * g)  # ∂d'/∂d
+                    sigma = slope * deviation[y, x]
+                    difference = other_depth - d / g
+                    limit = tolerance * ti.sqrt(sigma * sigma + other_sigma * other_sigma)
+                    if difference < 0.0 - limit:
                         sums[y, x, 3] += 1.0
-                    elif apart <= limit:
-                        weight = slope / (theirs * theirs)
+                    elif difference <= limit:
+                        weight = slope / (other_sigma * other_sigma)
                         sums[y, x, 0] += slope * weight
-                        sums[y, x, 1] += weight * apart
+                        sums[y, x, 1] += weight * difference
                         sums[y, x, 2] += 1.0
                         for k in ti.static(range(3)):
                             colors[y, x, k] += other_colors[row, column, k]
 
 
 @ti.func
-def _coordinate(projection: ti.template(), k: ti.template(), x, y, d):
+def _project_pixel(projection: ti.template(), k: ti.template(), x, y, d):
     return projection[k, 0] * x + projection[k, 1] * y + projection[k, 2] + d * projection[k, 3]
 
 
 @Kernel
-def _mark_shown(
+def _mark_pixels_of_points(
     points: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (N, 3)
     relative_deviation: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (N,)
     inverse_depth: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     deviation: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     projection: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3, 4)
     tolerance: ti.f32,
-    shown: ti.types.ndarray(dtype=ti.i32, ndim=2),  # (H, W)
+    mask: ti.types.ndarray(dtype=ti.i32, ndim=2),  # (H, W)
 ):
     height, width = inverse_depth.shape[0], inverse_depth.shape[1]
     for n in range(points.shape[0]):
-        z = _of_point(projection, 2, points, n)
+        z = _project(projection, 2, points, n)
         if z > 0:
-            u = _of_point(projection, 0, points, n) / z
-            v = _of_point(projection, 1, points, n) / z
+            u = _project(projection, 0, points, n) / z
+            v = _project(projection, 1, points, n) / z
             if is_inside(u, v, inverse_depth):
-                mine = relative_deviation[n] / z
+                point_sigma = relative_deviation[n] / z
                 left, top = ti.cast(ti.floor(u), ti.i32), ti.cast(ti.floor(v), ti.i32)
                 for j, i in ti.static(ti.ndrange(2, 2)):
                     row, column = top + j, left + i
                     if row >= 0 and row < height and column >= 0 and column < width:
-                        theirs = deviation[row, column]
-                        apart = inverse_depth[row, column] - 1.0 / z
-                        limit = tolerance * ti.sqrt(mine * mine + theirs * theirs)
+                        sigma = deviation[row, column]
+                        difference = inverse_depth[row, column] - 1.0 / z
+                        limit = tolerance * ti.sqrt(point_sigma * point_sigma + sigma * sigma)
                         # Several threads may write here, but all write 1.
-                        if inverse_depth[row, column] > 0 and ti.max(apart, 0.0 - apart) <= limit:
-                            shown[row, column] = 1
+                        if (
+                            inverse_depth[row, column] > 0
+                            and ti.max(difference, 0.0 - difference) <= limit
+                        ):
+                            mask[row, column] = 1
 
 
 @ti.func
-def _of_point(projection: ti.template(), k: ti.template(), points: ti.template(), n):
+def _project(projection: ti.template(), k: ti.template(), points: ti.template(), n):
     return (
         projection[k, 0] * points[n, 0]
         + projection[k, 1] * points[n, 1]
         + projection[k, 2] * points[n, 2]
         + projection[k, 3]
     )
+
+
+def add_colors(
+    points: np.ndarray,  # (N, 3) float32: in the world's axes
+    # (H, W) float32: 0 where there is no depth. No value may be NaN or infinite.
+    inverse_depth: np.ndarray,
+    colors: np.ndarray,  # (H, W, 3) float32
+    sums: np.ndarray,  # (N, 4) float32: Σ w·colour and Σ w; modified
+    *,
+    # (3, 4) float32: (u z, v z, z) of a point is the matrix times (X, Y, Z, 1)
+    projection: np.ndarray,
+    # largest distance of a point from the view's surface, in front or behind, in the unit of depth
+    max_distance: float,
+) -> None:
+    """Add the colours of a view to the points that the view shows, weighted by 1/Z²."""
+    check_array(points, (len(points), 3), "points", aligned=False)
+    check_array(inverse_depth, inverse_depth.shape[:2], "inverse_depth", aligned=False)
+    check_array(colors, (*inverse_depth.shape, 3), "colors", aligned=False)
+    check_array(sums, (len(points), 4), "sums", aligned=False)
+    check_array(projection, (3, 4), "projection", aligned=False)
+    _add_colors(points, inverse_depth, colors, projection, max_distance, sums)
+
+
+@Kernel
+def _add_colors(
+    points: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (N, 3)
+    inverse_depth: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
+    colors: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (H, W, 3)
+    projection: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3, 4)
+    max_distance: ti.f32,
+    sums: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (N, 4)
+):
+    for n in range(points.shape[0]):
+        projected = ti.Vector([0.0, 0.0, 0.0])
+        for k in ti.static(range(3)):
+            projected[k] = projection[k, 3]
+            for i in ti.static(range(3)):
+                projected[k] += projection[k, i] * points[n, i]
+        z = projected[2]
+        if z > 0:
+            u, v = projected[0] / z, projected[1] / z
+            if is_inside(u, v, inverse_depth):
+                d = inverse_depth_at(inverse_depth, u, v)
+                if d > 0:
+                    distance = 1.0 / d - z
+                    if ti.max(distance, 0.0 - distance) <= max_distance:
+                        column, row = nearest_pixel(u, v)
+                        weight = 1.0 / (z * z)
+                        for k in ti.static(range(3)):
+                            sums[n, k] += weight * colors[row, column, k]
+                        sums[n, 3] += weight

@@ -9,19 +9,27 @@ Curless and Levoy, "A volumetric method for building complex models from range i
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.fusion.lookup import STEP, check_map, inverse_depth_at, is_inside, nearest
-from tisfm.kernels.layout.lanes import LARGEST_INDEX, check_array
+from tisfm.kernels.fusion.lookup import (
+    MAX_SURFACE_STEP,
+    check_map,
+    inverse_depth_at,
+    is_inside,
+    nearest_pixel,
+)
+from tisfm.kernels.layout.lanes import MAX_INDEX, check_array
 from tisfm.kernels.layout.launch import Kernel
 
 EDGE = 8  # voxels along the edge of a block
 VOXELS = EDGE**3
 CORNERS = 8  # corners of the cube around each sample of a ray
-BESIDE = 2.0  # truncations: a voxel farther from the pixel's own depth needs no interpolated depth
-SUPPORT = 3  # least similar neighbours, of eight; the depth of a pixel with fewer is wrong
-_ALIKE = 3.0  # deviations: pixels that differ by less are similar, even if by more than `STEP`
+# truncations: a voxel farther from the pixel's own depth needs no interpolated depth
+MAX_OFFSET = 2.0
+MIN_SIMILAR = 3  # similar neighbours, of eight; the depth of a pixel with fewer is wrong
+# deviations: pixels that differ by less are similar, even by more than `MAX_SURFACE_STEP`
+SIMILAR_DEVIATIONS = 3.0
 
 
-def blocks_near(
+def find_blocks(
     # inverse_depth, deviation: (H, W) float32, d and σ; 0 where there is no depth. No value may be
     # NaN or infinite. Pixels with fewer than three similar neighbours, of eight, are skipped.
     inverse_depth: np.ndarray,
@@ -60,9 +68,9 @@ def blocks_near(
     if out.shape[2] < 2:
         raise ValueError(f"out has {out.shape[2]} places for a ray: expected at least 2")
     check_array(rays, (3, 4), "rays", aligned=False)
-    if min(extent) < 1 or np.prod(np.asarray(extent, float)) > LARGEST_INDEX:
-        raise ValueError(f"extent is {extent}: expected 1 to {LARGEST_INDEX} blocks")
-    _blocks_near(inverse_depth, deviation, top, stride, rays, *extent, truncation, out)
+    if min(extent) < 1 or np.prod(np.asarray(extent, float)) > MAX_INDEX:
+        raise ValueError(f"extent is {extent}: expected 1 to {MAX_INDEX} blocks")
+    _find_blocks(inverse_depth, deviation, top, stride, rays, *extent, truncation, out)
 
 
 def integrate(
@@ -103,21 +111,12 @@ def integrate(
             f"index is {index.min()} to {index.max()}: expected 0 to {len(distance) - 1}"
         )
     _integrate(
-        inverse_depth,
-        deviation,
-        corners,
-        index,
-        steps,
-        truncation,
-        spread,
-        distance,
-        weight,
-        views,
+        inverse_depth, deviation, corners, index, steps, truncation, spread, distance, weight, views
     )
 
 
 @Kernel
-def _blocks_near(
+def _find_blocks(
     inverse_depth: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     deviation: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     top: ti.i32,
@@ -132,10 +131,10 @@ def _blocks_near(
     for row, column in ti.ndrange(out.shape[0], out.shape[1]):
         y, x = top + row * stride, column * stride
         d = inverse_depth[y, x]
-        if _support(inverse_depth, deviation, y, x) < SUPPORT:
+        if _similar_neighbours(inverse_depth, deviation, y, x) < MIN_SIMILAR:
             d = 0.0
-        for place in range(out.shape[2]):
-            depth = (2.0 * place / (out.shape[2] - 1) - 1.0) * truncation
+        for sample in range(out.shape[2]):
+            depth = (2.0 * sample / (out.shape[2] - 1) - 1.0) * truncation
             if d > 0:
                 depth += 1.0 / d
             px = _along_ray(rays, 0, x, y, depth)
@@ -148,7 +147,7 @@ def _blocks_near(
                 bx = high_x if ti.static(i == 1) else low_x
                 by = high_y if ti.static(j == 1) else low_y
                 bz = high_z if ti.static(k == 1) else low_z
-                again = (
+                is_repeated = (
                     (ti.static(i == 1) and low_x == high_x)
                     or (ti.static(j == 1) and low_y == high_y)
                     or (ti.static(k == 1) and low_z == high_z)
@@ -156,23 +155,23 @@ def _blocks_near(
                 inside = bx >= 0 and bx < blocks_x and by >= 0 and by < blocks_y
                 inside = inside and bz >= 0 and bz < blocks_z
                 number = -1
-                if d > 0 and depth > 0 and inside and not again:
+                if d > 0 and depth > 0 and inside and not is_repeated:
                     number = (bx * blocks_y + by) * blocks_z + bz
-                out[row, column, place, i * 4 + j * 2 + k] = number
+                out[row, column, sample, i * 4 + j * 2 + k] = number
 
 
 @ti.func
-def _support(inverse_depth: ti.template(), deviation: ti.template(), y, x):
+def _similar_neighbours(inverse_depth: ti.template(), deviation: ti.template(), y, x):
     """Return the number of neighbours, of eight, that show the same surface as a pixel."""
     d = inverse_depth[y, x]
-    alike = ti.max(STEP * d, _ALIKE * deviation[y, x])
+    max_difference = ti.max(MAX_SURFACE_STEP * d, SIMILAR_DEVIATIONS * deviation[y, x])
     count = 0
     for j, i in ti.static(ti.ndrange((-1, 2), (-1, 2))):
         row, column = y + j, x + i
         inside = row >= 0 and row < inverse_depth.shape[0]
         if inside and column >= 0 and column < inverse_depth.shape[1]:
-            apart = inverse_depth[row, column] - d
-            if ti.max(apart, 0.0 - apart) < alike:
+            difference = inverse_depth[row, column] - d
+            if ti.max(difference, 0.0 - difference) < max_difference:
                 count += 1
     return count - 1  # without the pixel itself
 
@@ -183,8 +182,8 @@ def _along_ray(rays: ti.template(), k: ti.template(), x, y, depth):
 
 
 @ti.func
-def _block(place):
-    return ti.cast(ti.floor(place / EDGE), ti.i32)
+def _block(position):
+    return ti.cast(ti.floor(position / EDGE), ti.i32)
 
 
 @Kernel
@@ -209,19 +208,21 @@ def _integrate(
             u = (corners[b, 0] + i * steps[0, 0] + j * steps[1, 0] + k * steps[2, 0]) / z
             v = (corners[b, 1] + i * steps[0, 1] + j * steps[1, 1] + k * steps[2, 1]) / z
             if is_inside(u, v, inverse_depth):
-                column, row = nearest(u, v)
+                column, row = nearest_pixel(u, v)
                 d = inverse_depth[row, column]
-                if d > 0 and d * (z - BESIDE * truncation) <= 1.0:
-                    if d * (z + BESIDE * truncation) >= 1.0:
+                if d > 0 and d * (z - MAX_OFFSET * truncation) <= 1.0:
+                    if d * (z + MAX_OFFSET * truncation) >= 1.0:
                         d = inverse_depth_at(inverse_depth, u, v)
-                    before = (1.0 / d - z) / truncation
-                    if before >= -1.0:
-                        deep = deviation[row, column] / (d * d)
-                        new = spread * spread / (deep * deep + spread * spread)
+                    signed_distance = (1.0 / d - z) / truncation
+                    if signed_distance >= -1.0:
+                        depth_deviation = deviation[row, column] / (d * d)
+                        new = (
+                            spread * spread / (depth_deviation * depth_deviation + spread * spread)
+                        )
                         n = index[b]
                         total = weight[n, voxel] + new
-                        apart = ti.min(before, 1.0) - distance[n, voxel]
-                        distance[n, voxel] += new / total * apart
+                        change = ti.min(signed_distance, 1.0) - distance[n, voxel]
+                        distance[n, voxel] += new / total * change
                         weight[n, voxel] = total
-                        if before <= 1.0:
+                        if signed_distance <= 1.0:
                             views[n, voxel] += 1

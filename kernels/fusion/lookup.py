@@ -5,7 +5,8 @@ import taichi as ti
 
 from tisfm.kernels.layout.lanes import check_array
 
-STEP = 0.05  # relative step of inverse depth between neighbours that show different surfaces
+# relative step of inverse depth between neighbours that show different surfaces
+MAX_SURFACE_STEP = 0.05
 
 
 def check_map(inverse_depth: np.ndarray, deviation: np.ndarray, name: str = "") -> None:
@@ -24,7 +25,7 @@ def is_inside(x, y, image: ti.template()):
 
 
 @ti.func
-def nearest(x, y):
+def nearest_pixel(x, y):
     """Return column and row of the pixel nearest to a position."""
     return ti.cast(ti.floor(x + 0.5), ti.i32), ti.cast(ti.floor(y + 0.5), ti.i32)
 
@@ -37,7 +38,7 @@ def inverse_depth_at(image: ti.template(), x, y):
     depth is linear on a plane. Otherwise it is that of the nearest pixel, so that no depth lies
     between two surfaces.
     """
-    column, row = nearest(x, y)
+    column, row = nearest_pixel(x, y)
     value = image[row, column]
     if value > 0:
         left, top = ti.cast(ti.floor(x), ti.i32), ti.cast(ti.floor(y), ti.i32)
@@ -46,8 +47,8 @@ def inverse_depth_at(image: ti.template(), x, y):
         left, top = ti.max(left, 0), ti.max(top, 0)
         a, b = image[top, left], image[top, right]
         c, d = image[below, left], image[below, right]
-        least, most = ti.min(a, b, c, d), ti.max(a, b, c, d)
-        if least > 0 and most - least < STEP * most:
+        min_depth, max_depth = ti.min(a, b, c, d), ti.max(a, b, c, d)
+        if min_depth > 0 and max_depth - min_depth < MAX_SURFACE_STEP * max_depth:
             upper = a + across * (b - a)
             value = upper + down * (c + across * (d - c) - upper)
     return value

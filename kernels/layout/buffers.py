@@ -13,8 +13,8 @@ from collections import OrderedDict
 import numpy as np
 
 ALIGNMENT = 64  # bytes: a cache line, and the widest vector
-SMALLEST_KEPT, LARGEST_KEPT = 1 << 16, 1 << 24  # bytes: sizes of blocks that are reused
-MOST_KEPT = 1 << 25  # bytes of unused blocks that are kept for reuse
+MIN_REUSED_BYTES, MAX_REUSED_BYTES = 1 << 16, 1 << 24  # bytes: sizes of blocks that are reused
+MAX_UNUSED_BYTES = 1 << 25  # bytes of unused blocks that are kept for reuse
 
 
 class Buffers:
@@ -22,18 +22,18 @@ class Buffers:
 
     def __init__(
         self,
-        most: int = MOST_KEPT,  # most bytes of unused memory to keep
+        max_unused: int = MAX_UNUSED_BYTES,  # most bytes of unused memory to keep
     ) -> None:
-        self.most = most
+        self.max_unused = max_unused
         self._free: OrderedDict[int, list[np.ndarray]] = OrderedDict()
         self._lock = threading.Lock()
         self._users: dict[int, weakref.ref] = {}
-        self._kept = 0
+        self._unused = 0
 
     @property
-    def kept(self) -> int:
+    def unused(self) -> int:
         """Bytes of unused memory kept at present."""
-        return self._kept
+        return self._unused
 
     def floats(self, count: int) -> np.ndarray:
         """Return an aligned float32 array of `count` elements with arbitrary values."""
@@ -42,28 +42,28 @@ class Buffers:
         start = -block.ctypes.data % ALIGNMENT
         # From a memoryview: this array is then the base of all its views, so they keep it alive.
         array = np.frombuffer(block.data, np.float32, count, start)
-        if SMALLEST_KEPT <= size <= LARGEST_KEPT:
+        if MIN_REUSED_BYTES <= size <= MAX_REUSED_BYTES:
             key = id(array)
 
             def give_back(_: weakref.ref) -> None:
                 del self._users[key]
-                self._keep(block)
+                self._return_block(block)
 
             self._users[key] = weakref.ref(array, give_back)
         return array
 
     def _block(self, size: int) -> np.ndarray:
         """Return an unused block of this size, or else a new block, as uint8."""
-        if SMALLEST_KEPT <= size <= LARGEST_KEPT:
+        if MIN_REUSED_BYTES <= size <= MAX_REUSED_BYTES:
             with self._lock, contextlib.suppress(LookupError):
                 block = self._free[size].pop()
-                self._kept -= size
+                self._unused -= size
                 return block
-        if size > LARGEST_KEPT:
+        if size > MAX_REUSED_BYTES:
             self.release()
         return np.empty(size, np.uint8)
 
-    def _keep(self, block: np.ndarray) -> None:
+    def _return_block(self, block: np.ndarray) -> None:
         """Keep a block for reuse; if too much is kept, drop the sizes returned least recently."""
         # Python may call this at any time, even inside this class: never wait for the lock.
         if not self._lock.acquire(blocking=False):
@@ -71,12 +71,12 @@ class Buffers:
         try:
             self._free.setdefault(block.nbytes, []).append(block)
             self._free.move_to_end(block.nbytes)
-            self._kept += block.nbytes
-            while self._kept > self.most:
+            self._unused += block.nbytes
+            while self._unused > self.max_unused:
                 oldest = next(iter(self._free))
                 if self._free[oldest]:
                     self._free[oldest].pop()
-                    self._kept -= oldest
+                    self._unused -= oldest
                 else:
                     del self._free[oldest]
         finally:
@@ -86,7 +86,7 @@ class Buffers:
         """Free all unused memory."""
         with self._lock:
             self._free.clear()
-            self._kept = 0
+            self._unused = 0
 
 
 buffers = Buffers()

@@ -76,14 +76,14 @@ def _lanes_to_images(
     strip = array.shape[2] - 2
     lanes = ti.static(lane_count(array))
     # Every lane has its own columns; the last lane may have fewer columns than the others.
-    whole = ti.max(0, out.shape[2] - (lanes - 1) * strip)
+    full_columns = ti.max(0, out.shape[2] - (lanes - 1) * strip)
     for k, y in ti.ndrange(out.shape[0], out.shape[1]):
-        for s in range(whole):
+        for s in range(full_columns):
             values = array[component + k, y + 1, s + 1]
             for lane in range(lanes):
                 out[k, y, lane * strip + s] = lane_of(values, lane, lanes)
         for lane in ti.static(range(lanes)):
-            for s in range(whole, ti.min(strip, out.shape[2] - lane * strip)):
+            for s in range(full_columns, ti.min(strip, out.shape[2] - lane * strip)):
                 out[k, y, lane * strip + s] = lane_of(
                     array[component + k, y + 1, s + 1], lane, lanes
                 )
@@ -109,5 +109,5 @@ def _multiply(
     out: LaneArray(3),  # (k, H+2, S+2), in place
 ):
     for k, y, s in ti.ndrange(out.shape[0], out.shape[1], out.shape[2]):
-        own = ti.min(k, factor.shape[0] - 1)
-        out[k, y, s] = out[k, y, s] * factor[own, y, s]
+        factor_index = ti.min(k, factor.shape[0] - 1)
+        out[k, y, s] = out[k, y, s] * factor[factor_index, y, s]

@@ -12,7 +12,7 @@ from taichi.lang import impl
 from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 from taichi.lang.impl import expr_init
 
-from tisfm.kernels.layout.archs import HOSTS
+from tisfm.kernels.layout import CPU_ARCHS
 
 bind = expr_init  # stores a value in a variable of the kernel, so that it is computed once
 
@@ -24,24 +24,24 @@ _NUMPY: dict[str, Any] = {
 }
 
 
-_describe_place = ASTTransformerContext.get_pos_info
-_places: dict[tuple, str] = {}
+_describe_node = ASTTransformerContext.get_pos_info
+_descriptions: dict[tuple, str] = {}
 
 
-def _place_described_once(context: Any, node: Any) -> str:
+def _describe_node_once(context: Any, node: Any) -> str:
     """Return the source lines of a node, as Taichi shows them in its errors.
 
     Taichi formats these lines for every node that it compiles, many times for nodes in unrolled
     loops. That took half of the time of its front end, so here each node is formatted once.
     """
-    place = node.lineno, node.col_offset, node.end_lineno, node.end_col_offset, type(node)
-    key = context.file, context.lineno_offset, context.indent, context.func.func.__name__, *place
-    if key not in _places:
-        _places[key] = _describe_place(context, node)
-    return _places[key]
+    position = node.lineno, node.col_offset, node.end_lineno, node.end_col_offset, type(node)
+    key = context.file, context.lineno_offset, context.indent, context.func.func.__name__, *position
+    if key not in _descriptions:
+        _descriptions[key] = _describe_node(context, node)
+    return _descriptions[key]
 
 
-ASTTransformerContext.get_pos_info = _place_described_once
+ASTTransformerContext.get_pos_info = _describe_node_once
 
 
 def is_running() -> bool:
@@ -62,7 +62,7 @@ def configuration() -> Any:
 def arch() -> str:
     """Return the arch of the running program: "cpu", or Taichi's name of the arch."""
     name: str = impl.current_cfg().arch.name
-    return "cpu" if name in HOSTS else name
+    return "cpu" if name in CPU_ARCHS else name
 
 
 def materialize() -> None:
@@ -88,27 +88,16 @@ def element_shape(array: Any) -> tuple[int, ...]:
 
 
 class Arguments:
-    """The arguments of a kernel by kind: their index, and their slot in a launch context.
-
-    Attributes
-    ----------
-    count : int
-    names : list of str
-    annotations : list
-    constants : list of int
-        Indices of arguments that are known while compiling (``ti.template()``).
-    arrays : list of (index, slot, axes, dtype, ndim)
-        ``shape[:axes]`` is the shape without the axes of vector elements. `dtype` is the type of a
-        scalar, `ndim` the number of all axes.
-    floats, integers : list of (index, slot)
-    """
+    """The arguments of a kernel by kind: their index, and their slot in a launch context."""
 
     def __init__(self, kernel: Any) -> None:
         self.names: list[str] = []
         self.annotations: list[Any] = []
-        self.constants: list[int] = []
+        self.constants: list[int] = []  # indices of ``ti.template()`` arguments
+        # (index, slot, axes, dtype, ndim): ``shape[:axes]`` is the shape without the axes of vector
+        # elements, `dtype` the type of a scalar, `ndim` the number of all axes
         self.arrays: list[tuple[int, int, int | None, Any, int]] = []
-        self.floats: list[tuple[int, int]] = []
+        self.floats: list[tuple[int, int]] = []  # (index, slot)
         self.integers: list[tuple[int, int]] = []
         slot = 0
         for index, argument in enumerate(kernel._primal.arguments):
@@ -118,9 +107,9 @@ class Arguments:
             if isinstance(kind, ti.template):
                 self.constants.append(index)
                 continue
-            if any(kind is real for real in _FLOATS):
+            if any(kind is float_ for float_ in _FLOATS):
                 self.floats.append((index, slot))
-            elif any(kind is whole for whole in _INTEGERS):
+            elif any(kind is integer for integer in _INTEGERS):
                 self.integers.append((index, slot))
             else:
                 element = getattr(kind.dtype, "ndim", 0)  # axes of a vector
@@ -131,64 +120,67 @@ class Arguments:
         self.count = len(self.names)
 
 
-def check(kinds: Arguments, arguments: tuple) -> None:
+def check(parameters: Arguments, arguments: tuple) -> None:
     """Raise unless the number of arguments and the types of arrays are those of a kernel.
 
     Raises TypeError if they are not: a kernel would overwrite memory beyond an array of another
     type.
     """
-    if len(arguments) != kinds.count:
+    if len(arguments) != parameters.count:
         raise TypeError(
-            f"{len(arguments)} arguments came: expected {kinds.count}, {', '.join(kinds.names)}"
+            f"a kernel got {len(arguments)} arguments: expected {parameters.count}, "
+            f"{', '.join(parameters.names)}"
         )
-    for index, _, _, dtype, ndim in kinds.arrays:
+    for index, _, _, dtype, ndim in parameters.arrays:
         array = arguments[index]
         if isinstance(array, np.ndarray):
             if array.dtype == dtype and array.ndim == ndim and array.flags.c_contiguous:
                 continue
-            came = f"{array.dtype} of {array.ndim} axes"
-            came += "" if array.flags.c_contiguous else ", not C-contiguous"
+            received = f"{array.dtype} of {array.ndim} axes"
+            received += "" if array.flags.c_contiguous else ", not C-contiguous"
         elif isinstance(array, ti.Ndarray):
             continue
         else:
-            came = type(array).__name__
+            received = type(array).__name__
         raise TypeError(
-            f"{kinds.names[index]} is {came}: expected a C-contiguous array of {dtype} of "
+            f"{parameters.names[index]} is {received}: expected a C-contiguous array of {dtype} of "
             f"{ndim} axes"
         )
 
 
-def compiled(kernel: Any, arguments: tuple) -> tuple[Any, Any]:
+def compile_kernel(kernel: Any, arguments: tuple) -> tuple[Any, Any]:
     """Compile a kernel for arguments; return the objects for `context` and for `launcher`."""
     primal = kernel._primal
-    found = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
-    running = impl.get_runtime().prog
-    return found, running.compile_kernel(running.config(), running.get_device_caps(), found)
+    compiled = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
+    program_ = impl.get_runtime().prog
+    return compiled, program_.compile_kernel(
+        program_.config(), program_.get_device_caps(), compiled
+    )
 
 
-def launcher(running: Any) -> Any:
+def launcher(program_: Any) -> Any:
     """Return the function of a program that runs a compiled kernel with a context."""
-    return running.launch_kernel
+    return program_.launch_kernel
 
 
-def context(found: Any, kinds: Arguments, arguments: tuple) -> tuple[Any, bool]:
+def context(compiled: Any, parameters: Arguments, arguments: tuple) -> tuple[Any, bool]:
     """Return the context of a launch, with arrays by address, and whether all arrays are NumPy's.
 
     A context holds the arguments of a kernel.
     """
-    made, on_host = found.make_launch_context(), True
-    for index, slot, axes, _, _ in kinds.arrays:
+    launch_context, on_host = compiled.make_launch_context(), True
+    for index, slot, axes, _, _ in parameters.arrays:
         array = arguments[index]
         if isinstance(array, np.ndarray):
             address = array.__array_interface__["data"][0]
-            made.set_arg_external_array_with_shape(
+            launch_context.set_arg_external_array_with_shape(
                 (slot,), address, array.nbytes, array.shape[:axes], 0
             )
         else:
-            made.set_arg_ndarray((slot,), array.arr)
+            launch_context.set_arg_ndarray((slot,), array.arr)
             on_host = False
-    for index, slot in kinds.floats:
-        made.set_arg_float((slot,), float(arguments[index]))
-    for index, slot in kinds.integers:
-        made.set_arg_int((slot,), int(arguments[index]))
-    return made, on_host
+    for index, slot in parameters.floats:
+        launch_context.set_arg_float((slot,), float(arguments[index]))
+    for index, slot in parameters.integers:
+        launch_context.set_arg_int((slot,), int(arguments[index]))
+    return launch_context, on_host

@@ -31,11 +31,12 @@ from tisfm.kernels.layout.launch import Kernel
 
 LANES = (1, 8, 16)
 CHUNK = 512  # iterations: Taichi's smallest share of a parallel loop for a thread
-SERIAL = 8192  # pixels: up to this size, one thread finishes before other threads have started
-SMALL = 2**29 - 1  # most elements of a lane array
-MOST_COMPONENTS = 12  # of lane arrays: edge weights of 6 unknowns; plain images have at most 7
-WIDEST_HALO = 4  # px: the halo of frames
-LARGEST_INDEX = 2**31 - 1  # of plain arrays: kernels have 32-bit indices
+# pixels: up to this size, one thread finishes before other threads have started
+MAX_SERIAL_PIXELS = 8192
+INDEX_MASK = 2**29 - 1  # most elements of a lane array
+MAX_COMPONENTS = 12  # of lane arrays: edge weights of 6 unknowns; plain images have at most 7
+MAX_HALO = 4  # px: the halo of frames
+MAX_INDEX = 2**31 - 1  # of plain arrays: kernels have 32-bit indices
 
 LaneData = Any  # a lane array: NumPy's, or ti.ndarray for arrays on a device
 
@@ -125,14 +126,14 @@ def planes_of(array: Any, count: int) -> list:
     Call it before loops, so that they are computed once.
     """
     plane = bind(array.shape[1] * array.shape[2])
-    return [bind((k * plane) & SMALL) for k in range(count)]
+    return [bind((k * plane) & INDEX_MASK) for k in range(count)]
 
 
 def element(array: Any, index: Any) -> Any:
     """Return an element of a lane array by one index, while compiling.
 
     The address from three indices takes seven instructions at each access, because 32-bit indices
-    might overflow. If one index is a sum of few parts masked with `SMALL`, such as
+    might overflow. If one index is a sum of few parts masked with `INDEX_MASK`, such as
     ``(y * row + s) & SMALL`` with ``row = array.shape[2] & SMALL``, and a start of `planes_of`, the
     compiler knows that no overflow is possible, and most of the sum becomes part of the load.
     """
@@ -142,15 +143,15 @@ def element(array: Any, index: Any) -> Any:
 @ti.func
 def load(array: ti.template(), index):
     """Return an element by one index, as `element` does."""
-    found = ti.static([bind(element(array, index))])
-    return found[0]
+    loaded = ti.static([bind(element(array, index))])
+    return loaded[0]
 
 
 @ti.func
 def store(array: ti.template(), index, value):
     """Write an element by one index of the kind that `element` takes."""
-    place = ti.static(_indices(array, index))
-    array[place[0], place[1], place[2]] = value
+    indices = ti.static(_indices(array, index))
+    array[indices[0], indices[1], indices[2]] = value
 
 
 def _indices(array: Any, index: Any) -> list:
@@ -198,15 +199,15 @@ class LaneGrid:
             raise ValueError(f"lanes is {self.lanes}: expected 1, 8 or 16")
         if self.on_device and self.lanes != 1:
             raise ValueError(f"lanes is {self.lanes} and on_device is True: expected 1 lane there")
-        padded = (self.height + 2 * WIDEST_HALO) * (self.strip + 2 * WIDEST_HALO)
+        padded = (self.height + 2 * MAX_HALO) * (self.strip + 2 * MAX_HALO)
         if (
-            MOST_COMPONENTS * padded > SMALL
-            or MOST_COMPONENTS * self.height * self.width > LARGEST_INDEX
-            or CHUNK * max(self.height, self.width) > LARGEST_INDEX
+            MAX_COMPONENTS * padded > INDEX_MASK
+            or MAX_COMPONENTS * self.height * self.width > MAX_INDEX
+            or CHUNK * max(self.height, self.width) > MAX_INDEX
         ):
             raise ValueError(
                 f"frames of {self.height} × {self.width} px are larger than kernels can index "
-                f"(about {LARGEST_INDEX // MOST_COMPONENTS // 1_000_000} million pixels, fewer "
+                f"(about {MAX_INDEX // MAX_COMPONENTS // 1_000_000} million pixels, fewer "
                 "where they are very narrow): scale them down, or cut them into tiles"
             )
 
@@ -219,7 +220,7 @@ class LaneGrid:
     @property
     def serial(self) -> bool:
         """Whether the image is so small that kernels are faster in one thread."""
-        return self.lanes > 1 and self.height * self.width <= SERIAL
+        return self.lanes > 1 and self.height * self.width <= MAX_SERIAL_PIXELS
 
     def shape(self, components: int, halo: int = 1) -> tuple[int, ...]:
         """Return the shape of a lane array of this grid."""
@@ -338,13 +339,13 @@ def check_array(
     aligned.
     """
     if isinstance(array, ti.Ndarray) and array.dtype is ti.f32 and dtype is np.float32:
-        whole = array.shape + array.element_shape
-        if whole != tuple(shape):
-            raise ValueError(f"{name} is {whole}: expected {tuple(shape)}")
+        shape_ = array.shape + array.element_shape
+        if shape_ != tuple(shape):
+            raise ValueError(f"{name} is {shape_}: expected {tuple(shape)}")
         return
     if not isinstance(array, np.ndarray) or array.dtype != dtype:
-        kind = getattr(array, "dtype", type(array).__name__)
-        raise TypeError(f"{name} is {kind}: expected a NumPy array of {np.dtype(dtype).name}")
+        dtype_ = getattr(array, "dtype", type(array).__name__)
+        raise TypeError(f"{name} is {dtype_}: expected a NumPy array of {np.dtype(dtype).name}")
     if array.shape != tuple(shape):
         raise ValueError(f"{name} is {array.shape}: expected {tuple(shape)}")
     if not (array.flags.c_contiguous and array.flags.writeable):

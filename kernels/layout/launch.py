@@ -30,7 +30,7 @@ class Launch:
     arguments keep their values from the time of binding. The launch keeps its arrays alive.
     """
 
-    __slots__ = ("_arguments", "_context", "_kernel", "_lasting", "_program", "_ready", "_run")
+    __slots__ = ("_arguments", "_context", "_is_reusable", "_kernel", "_program", "_ready", "_run")
 
     def __init__(self, kernel: "Kernel", ready: tuple[Any, Any], arguments: tuple) -> None:
         self._kernel, self._ready, self._arguments = kernel, ready, arguments
@@ -38,7 +38,7 @@ class Launch:
         self._run = internals.launcher(self._program)
         # On a GPU, or with arrays on a device, a context is valid for one launch only.
         self._context, on_host = internals.context(ready[0], kernel.arguments, arguments)
-        self._lasting = on_host and kernel.on_cpu
+        self._is_reusable = on_host and kernel.on_cpu
 
     def __call__(self) -> None:
         """Run the kernel.
@@ -51,7 +51,7 @@ class Launch:
                 "gone: bind it again"
             )
         context = self._context
-        if not self._lasting:
+        if not self._is_reusable:
             if context is None:
                 context, _ = internals.context(
                     self._ready[0], self._kernel.arguments, self._arguments
@@ -95,7 +95,7 @@ class Kernel:
         constants = tuple([arguments[index] for index in self.arguments.constants])
         if program is not self._program or constants not in self._compiled:
             with _compiling:
-                ready = internals.compiled(self._call, arguments)
+                ready = internals.compile_kernel(self._call, arguments)
                 if program is not self._program:
                     self._program, self._compiled = program, {}
                     self.on_cpu = internals.arch() == "cpu"
@@ -124,7 +124,7 @@ def operation(function: Callable[P, Callable[[], R]]) -> Operation[P, R]:
     return Operation(function)
 
 
-def in_turn(*launches: Callable[[], Any]) -> Callable[[], None]:
+def join_launches(*launches: Callable[[], Any]) -> Callable[[], None]:
     """Return a function that runs the launches one after another."""
 
     def run() -> None:

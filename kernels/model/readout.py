@@ -6,7 +6,7 @@ import taichi as ti
 from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import CHUNK, check_array, first_row
 from tisfm.kernels.layout.launch import Kernel
-from tisfm.kernels.model.constants import NEAREST
+from tisfm.kernels.model import MIN_DEPTH_RATIO
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 
 READOUT_BAND = 16  # least rows of a band
@@ -76,22 +76,15 @@ def _motion_fields_by_pixel(
 
 @ti.func
 def _motion_at(
-    rho: ti.template(),
-    x_hat: ti.template(),
-    y_hat: ti.template(),
-    inverse_focal,
-    n: ti.template(),
-    flow: ti.template(),
-    inverse_depth: ti.template(),
-    y,
-    x,
-):
-    here = ti.static([bind(rho[k, y, x]) for k in range(n)])
+    rho: ti.template(), x_hat: ti.template(), y_hat: ti.template(), inverse_focal, n: ti.template(),
+    flow: ti.template(), inverse_depth: ti.template(), y, x,
+):  # fmt: skip
+    unknowns = ti.static([bind(rho[k, y, x]) for k in range(n)])
     columns = ti.static(motion_columns(n, x_hat[x], y_hat[y]))
-    u, v = ti.static(flow_of(columns, here))
+    u, v = ti.static(flow_of(columns, unknowns))
     flow[0, y, x] = u
     flow[1, y, x] = v
-    square = here[0] * here[0] + here[1] * here[1] + here[2] * here[2]
+    square = unknowns[0] * unknowns[0] + unknowns[1] * unknowns[1] + unknowns[2] * unknowns[2]
     inverse_depth[y, x] = ti.sqrt(square) * inverse_focal
 
 
@@ -133,11 +126,11 @@ def rigid_fields(
         raise ValueError(f"labels go from {labels.min()} to {labels.max()}: {count} motions")
     # R − 1 instead of R, so that zero motion gives exactly zero flow.
     change = (np.array(motions, np.float64) - np.eye(3, 4)).astype(np.float32)
-    where = inverse_depth, labels, x_hat, y_hat, change, twists.astype(np.float32), focal
+    arguments = inverse_depth, labels, x_hat, y_hat, change, twists.astype(np.float32), focal
     if by_pixel:
-        _rigid_fields_by_pixel(*where, flow, rho)
+        _rigid_fields_by_pixel(*arguments, flow, rho)
         return
-    _rigid_fields(*where, max(1, height // READOUT_BAND), flow, rho)
+    _rigid_fields(*arguments, max(1, height // READOUT_BAND), flow, rho)
 
 
 @Kernel
@@ -182,39 +175,34 @@ def _rigid_fields_by_pixel(
 
 @ti.func
 def _rigid_at(
-    inverse_depth: ti.template(),
-    labels: ti.template(),
-    x_hat: ti.template(),
-    y_hat: ti.template(),
-    change: ti.template(),
-    twists: ti.template(),
-    focal,
-    flow: ti.template(),
-    rho: ti.template(),
-    y,
+    inverse_depth: ti.template(), labels: ti.template(), x_hat: ti.template(), y_hat: ti.template(),
+    change: ti.template(), twists: ti.template(), focal, flow: ti.template(), rho: ti.template(), y,
     x,
-):
+):  # fmt: skip
     k = labels[y, x]
-    x_here, y_here, depth = x_hat[x], y_hat[y], inverse_depth[y, x]
+    x0, y0, depth = x_hat[x], y_hat[y], inverse_depth[y, x]
     d = depth / focal
-    right, down = _moved(change, k, 0, x_here, y_here, d), _moved(change, k, 1, x_here, y_here, d)
-    away = ti.max(_moved(change, k, 2, x_here, y_here, d), NEAREST - 1.0)
-    nearness = focal / (1.0 + away)
-    u, v = nearness * (right - x_here * away), nearness * (down - y_here * away)
+    right, down = (
+        _coordinate_change(change, k, 0, x0, y0, d),
+        _coordinate_change(change, k, 1, x0, y0, d),
+    )
+    depth_change = ti.max(_coordinate_change(change, k, 2, x0, y0, d), MIN_DEPTH_RATIO - 1.0)
+    nearness = focal / (1.0 + depth_change)
+    u, v = nearness * (right - x0 * depth_change), nearness * (down - y0 * depth_change)
     flow[0, y, x], flow[1, y, x] = u, v
     forward = depth * twists[k, 2]
-    turn = ti.static([bind(twists[k, i]) for i in range(3, 6)])
-    first, second = ti.static(
-        flow_of(motion_columns(6, x_here, y_here)[2:], [forward, turn[0], turn[1], turn[2]])
+    rotation = ti.static([bind(twists[k, i]) for i in range(3, 6)])
+    model_u, model_v = ti.static(
+        flow_of(motion_columns(6, x0, y0)[2:], [forward, rotation[0], rotation[1], rotation[2]])
     )
-    rho[0, y, x], rho[1, y, x] = u - first, v - second
+    rho[0, y, x], rho[1, y, x] = u - model_u, v - model_v
     rho[2, y, x] = forward
     for i in ti.static(range(3)):
-        rho[3 + i, y, x] = turn[i]
+        rho[3 + i, y, x] = rotation[i]
 
 
 @ti.func
-def _moved(change: ti.template(), k, row: ti.template(), x, y, d):
+def _coordinate_change(change: ti.template(), k, row: ti.template(), x, y, d):
     """Return the change of one coordinate of x̂ by a motion, at inverse depth d."""
-    still = change[k, row, 0] * x + change[k, row, 1] * y + change[k, row, 2]
-    return still + d * change[k, row, 3]
+    rotation_part = change[k, row, 0] * x + change[k, row, 1] * y + change[k, row, 2]
+    return rotation_part + d * change[k, row, 3]

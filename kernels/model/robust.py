@@ -1,9 +1,15 @@
-"""The robust data term: a constraint has less weight if its residual is large.
+"""Robust terms: a constraint or an edge has less weight if its residual is large.
 
-A term with weight m_i and q_i, the sum of its squared constraints
+A data term with weight m_i and q_i, the sum of its squared constraints
 (`tisfm.kernels.data.constraints`), contributes m_i ψ(q_i/m_i) to the energy, where
 ψ(q) = 2ε²(√(1 + q/ε²) − 1) (Charbonnier), computed as 2q/(1 + √(1 + q/ε²)). Its half-quadratic form
 is w q + m ε²(w + 1/w − 2), with its minimum at w = 1/√(1 + q/(m ε²)).
+
+An edge joins two neighbouring pixels. The auxiliary field b (eq. 10, 14) has one value per edge and
+component, b = 1/√(1 + s_k(Δρ̂_k/δ)²), or, if joint, one value per edge for all components,
+1/√(1 + Σ_k s_k(Δρ̂_k/δ)²). Weights are g·b. They are stored in a lane array of 2n components, n for
+eastern edges and then n for southern edges, or, if joint, of 2 components, eastern and southern.
+The kernels multiply them by α_k = α s_k.
 
 Python functions here that take Taichi expressions are called inside ``ti.static(...)``: they
 generate their arithmetic while a kernel is compiled.
@@ -75,11 +81,28 @@ def robust_data(terms: list, scales: list, u: Any, v: Any) -> tuple[Any, list]:
     for lines, (inverse, scale) in zip(terms, scales, strict=False):
         q = squares(lines, u, v)
         root = bind(ti.sqrt(1.0 + inverse * q))
-        both = bind(1.0 / (root * (1.0 + root)))  # one division in place of two
-        weight = bind((1.0 + root) * both)
-        energy = energy + 2.0 * q * (root * both)
+        factor = bind(1.0 / (root * (1.0 + root)))  # one division in place of two
+        weight = bind((1.0 + root) * factor)
+        energy = energy + 2.0 * q * (root * factor)
         tensor = [
             total + weight * entry for total, entry in zip(tensor, products(lines), strict=True)
         ]
         tensor[5] = tensor[5] + scale * (1.0 - weight) * (root - 1.0)  # m ε²(w + 1/w − 2)
     return bind(energy), [bind(entry) for entry in tensor]
+
+
+def component_table(
+    values: Sequence[float] | np.ndarray,  # above 0 and finite
+    components: int,
+    name: str,  # name of the values in the error
+) -> np.ndarray:
+    """Return one value for each component as an array for a kernel, (n,) float32."""
+    table = np.asarray(values)
+    if table.shape != (components,) or not (np.isfinite(table).all() and (table > 0).all()):
+        raise ValueError(f"{name} is {values}: expected {components} positive numbers")
+    return np.ascontiguousarray(table, np.float32)
+
+
+def repeat_shared(values: list, components: int) -> list:
+    """Return a list of n values of an edge, from a list of n or of 1, while compiling."""
+    return values if len(values) == components else values * components

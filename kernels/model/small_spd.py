@@ -10,7 +10,7 @@ from typing import Any
 import taichi as ti
 
 from tisfm.kernels.layout.internals import bind
-from tisfm.kernels.model.constants import LEAST_PIVOT
+from tisfm.kernels.model import MIN_PIVOT
 
 PIVOT_FLOOR = 1e-6  # share of the diagonal entry, about ten float32 roundings
 DATA_FLOOR = 1e-6  # share of J: with a smaller D, rounding dominates the closed form
@@ -31,7 +31,7 @@ def cholesky_solve(
             scaled[k] = lower[j][k]
             lower[j][k] = bind(scaled[k] * inverse_pivot[k])
             pivot = pivot - scaled[k] * lower[j][k]
-        floor = matrix[j][j] * PIVOT_FLOOR + LEAST_PIVOT
+        floor = matrix[j][j] * PIVOT_FLOOR + MIN_PIVOT
         inverse_pivot[j] = bind(1.0 / ti.max(pivot, floor))
         for i in range(j + 1, n):
             entry = matrix[i][j]

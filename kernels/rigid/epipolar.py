@@ -11,7 +11,7 @@ import taichi as ti
 
 from tisfm.kernels.layout.lanes import LaneArray, LaneData, LaneGrid, check_array, lane_kernel
 from tisfm.kernels.layout.launch import Launch, operation
-from tisfm.kernels.model.constants import NEAREST
+from tisfm.kernels.model import MIN_DEPTH_RATIO
 
 
 @operation
@@ -38,7 +38,7 @@ def displacement(
 
 
 @operation
-def along(
+def restrict_to_line(
     grid: LaneGrid,
     # lane array, 3 components for each constraint: (p, q, c) (`tisfm.kernels.data.constraints`)
     terms: LaneData,
@@ -57,7 +57,7 @@ def along(
     grid.check(direction, 2, "direction")
     grid.check(inverse_depth, 1, "inverse_depth")
     grid.check(out, 3 * count, "out")
-    return _along[grid.lanes].bind(terms, flow, direction, inverse_depth, count, out)
+    return _restrict_to_line[grid.lanes].bind(terms, flow, direction, inverse_depth, count, out)
 
 
 def check_geometry(
@@ -92,26 +92,27 @@ def _displacement(
 ):
     for row, position in ti.ndrange(flow.shape[1] - 2, flow.shape[2] - 2):
         y, s = row + 1, position + 1
-        x_here, y_here = x_hat[s], y_hat[y]
+        x0, y0 = x_hat[s], y_hat[y]
         d = inverse_depth[0, y, s] / focal
         p1, p2, p3 = 0.0 * d, 0.0 * d, 0.0 * d
         t1, t2, t3 = 0.0 * d, 0.0 * d, 0.0 * d
         for k in range(motions.shape[0]):
-            apart = labels[0, y, s] - ti.cast(k, ti.f32)
-            mine = ti.max(1.0 - ti.max(apart, 0.0 - apart), 0.0)  # 1 for label k, else 0
-            p1 += mine * _coordinate(motions, k, 0, x_here, y_here)
-            p2 += mine * _coordinate(motions, k, 1, x_here, y_here)
-            p3 += mine * _coordinate(motions, k, 2, x_here, y_here)
-            t1 += mine * motions[k, 0, 3]
-            t2 += mine * motions[k, 1, 3]
-            t3 += mine * motions[k, 2, 3]
-        nearness = 1.0 / ti.max(p3 + d * t3, NEAREST)
-        x_there = nearness * (p1 + d * t1)
-        y_there = nearness * (p2 + d * t2)
-        flow[0, y, s] = focal * (x_there - x_here)
-        flow[1, y, s] = focal * (y_there - y_here)
-        direction[0, y, s] = nearness * (t1 - x_there * t3)
-        direction[1, y, s] = nearness * (t2 - y_there * t3)
+            difference = labels[0, y, s] - ti.cast(k, ti.f32)
+            # 1 for label k, else 0
+            is_label = ti.max(1.0 - ti.max(difference, 0.0 - difference), 0.0)
+            p1 += is_label * _coordinate(motions, k, 0, x0, y0)
+            p2 += is_label * _coordinate(motions, k, 1, x0, y0)
+            p3 += is_label * _coordinate(motions, k, 2, x0, y0)
+            t1 += is_label * motions[k, 0, 3]
+            t2 += is_label * motions[k, 1, 3]
+            t3 += is_label * motions[k, 2, 3]
+        nearness = 1.0 / ti.max(p3 + d * t3, MIN_DEPTH_RATIO)
+        x1 = nearness * (p1 + d * t1)
+        y1 = nearness * (p2 + d * t2)
+        flow[0, y, s] = focal * (x1 - x0)
+        flow[1, y, s] = focal * (y1 - y0)
+        direction[0, y, s] = nearness * (t1 - x1 * t3)
+        direction[1, y, s] = nearness * (t2 - y1 * t3)
 
 
 @ti.func
@@ -121,7 +122,7 @@ def _coordinate(motions: ti.template(), k, row: ti.template(), x, y):
 
 
 @lane_kernel
-def _along(
+def _restrict_to_line(
     terms: LaneArray(3),  # (3 count, H+2, S+2)
     flow: LaneArray(3),  # (2, H+2, S+2)
     direction: LaneArray(3),  # (2, H+2, S+2)

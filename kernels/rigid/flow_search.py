@@ -4,8 +4,8 @@ A hypothesis is a displacement (u, v) of the whole window. Its cost is 1 − c, 
 of `tisfm.kernels.rigid.windows`. Good hypotheses propagate from pixel to pixel, and random ones are
 drawn around them.
 
-The state is an (H, W, 4) array: u and v in px/frame, the cost, `UNSEEN` where the window shows only
-noise, and 1 or 0, whether the pixel is searched.
+The state is an (H, W, 4) array: u and v in px/frame, the cost, `UNTEXTURED` where the window shows
+only noise, and 1 or 0, whether the pixel is searched.
 
 References
 ----------
@@ -21,19 +21,19 @@ from tisfm.kernels.layout.launch import Kernel
 from tisfm.kernels.rigid.windows import (
     ACROSS,
     DOWN,
-    MOST_PIXELS,
-    NOWHERE,
-    UNSEEN,
+    MAX_PIXELS,
+    OUTSIDE_COST,
+    UNTEXTURED,
     correlation_cost,
-    mixed,
-    packed,
-    sampled,
-    unit,
-    window,
-    with_margin,
+    hash_of,
+    load_window,
+    pack_pixels,
+    pad_border,
+    random_unit,
+    sample,
 )
 
-ALIKE = 0.05  # px: displacements that differ by less count as equal; set by hand
+MIN_DIFFERENCE = 0.05  # px: displacements that differ by less count as equal; set by hand
 
 _State = ti.types.vector(4, ti.f32)
 
@@ -43,33 +43,33 @@ class FlowSearch:
 
     def __init__(
         self,
-        # levels0, levels1: (H, W) float32, grey levels of both frames, in [0, 255]
-        levels0: np.ndarray,
-        levels1: np.ndarray,
+        # grey0, grey1: (H, W) float32, grey levels of both frames, in [0, 255]
+        grey0: np.ndarray,
+        grey1: np.ndarray,
         *,
         noise: float,  # standard deviation of the noise of a frame, levels; above 0
     ) -> None:
-        self._shape = levels0.shape
-        for name, levels in (("levels0", levels0), ("levels1", levels1)):
-            check_array(levels, self._shape, name, aligned=False)
-        if levels0.size > MOST_PIXELS:
-            raise ValueError(f"levels0 has {levels0.size} pixels: expected {MOST_PIXELS} at most")
+        self._shape = grey0.shape
+        for name, grey in (("grey0", grey0), ("grey1", grey1)):
+            check_array(grey, self._shape, name, aligned=False)
+        if grey0.size > MAX_PIXELS:
+            raise ValueError(f"grey0 has {grey0.size} pixels: expected {MAX_PIXELS} at most")
         if not noise > 0:
             raise ValueError(f"noise is {noise}: expected a positive value, in grey levels")
-        self._images = with_margin(levels0), packed(levels1)
+        self._images = pad_border(grey0), pack_pixels(grey1)
         self._noise = float(noise) ** 2
 
     def score(
         self,
         state: np.ndarray,  # (H, W, 4) float32
         *,
-        seen: float,  # least variance of a window that is compared, over the variance of the noise
+        min_variance: float,  # of a window that is compared, over the variance of the noise
     ) -> None:
         """Compute the costs of the displacements of a state, in place."""
         self._check(state)
-        sought = _sought(state)
-        if sought.size:
-            _score(*self._images, self._noise, seen, sought, state)
+        pixels = _searched_pixels(state)
+        if pixels.size:
+            _score(*self._images, self._noise, min_variance, pixels, state)
 
     def improve(
         self,
@@ -91,18 +91,18 @@ class FlowSearch:
         self._check(state)
         if reach % 2 != 1:
             raise ValueError(f"reach is {reach}: expected an odd number of pixels")
-        sought, width = _sought(state), self._shape[1]
-        black = (sought // width + sought) % 2 if width % 2 == 0 else sought % 2
+        searched, width = _searched_pixels(state), self._shape[1]
+        black = (searched // width + searched) % 2 if width % 2 == 0 else searched % 2
         for color in range(2):
-            pixels, turn = sought[black == color], 2 * seed + color
+            pixels, draw_seed = searched[black == color], 2 * seed + color
             if pixels.size:
-                _improve(*self._images, self._noise, reach, draws, *spans, turn, pixels, state)
+                _improve(*self._images, self._noise, reach, draws, *spans, draw_seed, pixels, state)
 
     def _check(self, state: np.ndarray) -> None:
         check_array(state, (*self._shape, 4), "state", aligned=False)
 
 
-def carry(
+def propagate_flow(
     guide: np.ndarray,  # (H, W) float32: grey levels I
     # (H, W) float32: length of the path from the origin of a pixel's displacement; in place
     distance: np.ndarray,
@@ -121,20 +121,20 @@ def carry(
     if not edge > 0:
         raise ValueError(f"edge is {edge}: expected a positive value, in grey levels")
     for across in (True, False):
-        _carry(guide, 1 / edge, across, distance, state)
+        _propagate(guide, 1 / edge, across, distance, state)
 
 
-def _sought(state: np.ndarray) -> np.ndarray:
+def _searched_pixels(state: np.ndarray) -> np.ndarray:
     """Return the indices of searched pixels, (N,) int32, counted along rows."""
     return np.flatnonzero(state[..., 3] > 0).astype(np.int32)
 
 
 @Kernel
 def _score(
-    levels0: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H + 2·RADIUS, W + 2·RADIUS)
+    grey0: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H + 2·RADIUS, W + 2·RADIUS)
     packed1: ti.types.ndarray(dtype=ti.i32, ndim=1),  # (H·W,)
     noise: ti.f32,
-    seen: ti.f32,
+    min_variance: ti.f32,
     pixels: ti.types.ndarray(dtype=ti.i32, ndim=1),  # (N,)
     state: ti.types.ndarray(dtype=_State, ndim=2),  # (H, W), in place
 ):
@@ -142,9 +142,9 @@ def _score(
     for n in range(pixels.shape[0]):
         y, x = pixels[n] // width, pixels[n] % width
         best = state[y, x]
-        weight0, weight1, weighted0, weighted1, variance, centre = window(levels0, y, x)
-        best[2] = UNSEEN
-        if variance > seen * noise:
+        weight0, weight1, weighted0, weighted1, variance, centre = load_window(grey0, y, x)
+        best[2] = UNTEXTURED
+        if variance > min_variance * noise:
             best[2] = _cost(
                 packed1, height, width, noise,
                 weight0, weight1, weighted0, weighted1, variance, centre, y, x, best,
@@ -154,13 +154,13 @@ def _score(
 
 @Kernel
 def _improve(
-    levels0: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H + 2·RADIUS, W + 2·RADIUS)
+    grey0: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H + 2·RADIUS, W + 2·RADIUS)
     packed1: ti.types.ndarray(dtype=ti.i32, ndim=1),  # (H·W,)
     noise: ti.f32,
     reach: ti.i32,
     draws: ti.i32,
-    span: ti.f32,
-    least: ti.f32,
+    max_span: ti.f32,
+    min_span: ti.f32,
     seed: ti.i32,
     pixels: ti.types.ndarray(dtype=ti.i32, ndim=1),  # (N,), all red or all black
     state: ti.types.ndarray(dtype=_State, ndim=2),  # (H, W), in place
@@ -169,21 +169,21 @@ def _improve(
     for k in range(pixels.shape[0]):
         y, x = pixels[k] // width, pixels[k] % width
         best = state[y, x]
-        if best[2] < UNSEEN:
-            weight0, weight1, weighted0, weighted1, variance, centre = window(levels0, y, x)
+        if best[2] < UNTEXTURED:
+            weight0, weight1, weighted0, weighted1, variance, centre = load_window(grey0, y, x)
             random = ti.cast(2 * (y * width + x), ti.u32) * ti.cast(draws + 1, ti.u32)
-            random = mixed(random + mixed(ti.cast(seed, ti.u32)))
-            away = span
+            random = hash_of(random + hash_of(ti.cast(seed, ti.u32)))
+            span = max_span
             for n in range(8 + draws):  # 8 neighbours, then random draws
                 other = best
                 if n < 8:
                     other = _neighbour(state, y, x, n, reach, best)
                 else:
-                    other[0] += away * (2.0 * unit(random) - 1.0)
-                    other[1] += away * (2.0 * unit(random + ti.u32(1)) - 1.0)
+                    other[0] += span * (2.0 * random_unit(random) - 1.0)
+                    other[1] += span * (2.0 * random_unit(random + ti.u32(1)) - 1.0)
                     random += ti.u32(2)
-                    away = ti.select(away > least, 0.5 * away, span)
-                if ti.abs(other[0] - best[0]) + ti.abs(other[1] - best[1]) > ALIKE:
+                    span = ti.select(span > min_span, 0.5 * span, max_span)
+                if ti.abs(other[0] - best[0]) + ti.abs(other[1] - best[1]) > MIN_DIFFERENCE:
                     other[2] = _cost(
                         packed1, height, width, noise,
                         weight0, weight1, weighted0, weighted1, variance, centre, y, x, other,
@@ -196,40 +196,29 @@ def _improve(
 @ti.func
 def _neighbour(state: ti.template(), y, x, n, reach, best):
     """Return `best` with the displacement of one of eight neighbours, if inside the image."""
-    away = ti.select(n < 4, 1, reach)
-    way = n % 4
-    row = y + ti.select(way == 0, away, ti.select(way == 1, -away, 0))
-    column = x + ti.select(way == 2, away, ti.select(way == 3, -away, 0))
-    found = best
+    distance = ti.select(n < 4, 1, reach)
+    direction = n % 4
+    row = y + ti.select(direction == 0, distance, ti.select(direction == 1, -distance, 0))
+    column = x + ti.select(direction == 2, distance, ti.select(direction == 3, -distance, 0))
+    result = best
     if row >= 0 and row < state.shape[0] and column >= 0 and column < state.shape[1]:
-        found[0], found[1] = state[row, column][0], state[row, column][1]
-    return found
+        result[0], result[1] = state[row, column][0], state[row, column][1]
+    return result
 
 
 @ti.func
 def _cost(
-    packed1: ti.template(),
-    height,
-    width,
-    noise,
-    weight0,
-    weight1,
-    weighted0,
-    weighted1,
-    variance,
-    centre,
-    y,
-    x,
-    hypothesis,
-):
+    packed1: ti.template(), height, width, noise, weight0, weight1, weighted0, weighted1, variance,
+    centre, y, x, hypothesis,
+):  # fmt: skip
     """Return 1 − c of a hypothesis."""
     u, v = x + hypothesis[0], y + hypothesis[1]
-    cost = NOWHERE
+    cost = OUTSIDE_COST
     if u > -0.5 and v > -0.5 and u < width - 0.5 and v < height - 0.5:
         across0, down0 = ti.Vector(ACROSS[0]), ti.Vector(DOWN[0])
         across1, down1 = ti.Vector(ACROSS[1]), ti.Vector(DOWN[1])
-        grey0 = sampled(packed1, 0, height, width, u + across0, v + down0)
-        grey1 = sampled(packed1, 0, height, width, u + across1, v + down1)
+        grey0 = sample(packed1, 0, height, width, u + across0, v + down0)
+        grey1 = sample(packed1, 0, height, width, u + across1, v + down1)
         cost = correlation_cost(
             weight0, weight1, weighted0, weighted1, variance, centre, noise, grey0, grey1
         )
@@ -237,7 +226,7 @@ def _cost(
 
 
 @Kernel
-def _carry(
+def _propagate(
     guide: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     inverse_edge: ti.f32,
     across: ti.template(),
@@ -250,18 +239,20 @@ def _carry(
         if task % CHUNK == 0:  # a line for each thread
             line = task // CHUNK
             for n in range(2 * length):
-                way = n // length  # 0 forward along the line, 1 backward
-                at = n if way == 0 else 2 * length - 1 - n
-                before = at - 1 if way == 0 else at + 1
-                if before >= 0 and before < length:
-                    y = line if ti.static(across) else at
-                    x = at if ti.static(across) else line
-                    y_before = line if ti.static(across) else before
-                    x_before = before if ti.static(across) else line
-                    apart = ti.abs(guide[y, x] - guide[y_before, x_before])
-                    longer = distance[y_before, x_before] + 1.0 + inverse_edge * apart
-                    if longer < distance[y, x]:
-                        distance[y, x] = longer
-                        other, here = state[y_before, x_before], state[y, x]
-                        here[0], here[1] = other[0], other[1]
-                        state[y, x] = here
+                direction = n // length  # 0 forward along the line, 1 backward
+                position = n if direction == 0 else 2 * length - 1 - n
+                previous = position - 1 if direction == 0 else position + 1
+                if previous >= 0 and previous < length:
+                    y = line if ti.static(across) else position
+                    x = position if ti.static(across) else line
+                    previous_y = line if ti.static(across) else previous
+                    previous_x = previous if ti.static(across) else line
+                    difference = ti.abs(guide[y, x] - guide[previous_y, previous_x])
+                    new_distance = (
+                        distance[previous_y, previous_x] + 1.0 + inverse_edge * difference
+                    )
+                    if new_distance < distance[y, x]:
+                        distance[y, x] = new_distance
+                        other, own = state[previous_y, previous_x], state[y, x]
+                        own[0], own[1] = other[0], other[1]
+                        state[y, x] = own

@@ -9,7 +9,7 @@ import taichi as ti
 from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import LaneArray, LaneData, SumArray, lane_count, lane_kernel
 from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
-from tisfm.kernels.model.constants import LEAST_DIVISOR, NEAREST
+from tisfm.kernels.model import MIN_DEPTH_RATIO, MIN_DIVISOR
 from tisfm.kernels.model.robust import check_constraints, finite_scales, products, squares, terms_of
 from tisfm.kernels.rigid.epipolar import check_geometry
 from tisfm.kernels.solve.linear_system import LinearSystem
@@ -28,10 +28,10 @@ def motion_system(
     label: int,  # the motion whose pixels are summed
     focal: float,  # px
     scales: Sequence[float],  # m_i ε² of each term (`tisfm.kernels.model.robust`)
-    held: float,  # α, weight of D's regularisation here; with infinity, D is fixed
+    depth_stiffness: float,  # α, weight of D's regularisation here; with infinity, D is fixed
     # Squared residual at which the weight of the data is a quarter (Geman–McClure). Independently
     # moving objects have larger residuals, and so hardly any weight. Infinity for equal weights.
-    tolerated: float,
+    quarter_weight_residual: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Sum the normal equations of a small change of one motion, with inverse depth eliminated.
 
@@ -50,21 +50,10 @@ def motion_system(
     check_geometry(grid, inverse_depth, labels, system.x_hat, system.y_hat, motions)
     partial = block_sums(grid, 27)
     _motion_system[grid.lanes](
-        constraints,
-        inverse_depth,
-        labels,
-        system.weights,
-        system.x_hat,
-        system.y_hat,
-        np.ascontiguousarray(motions[label]),
-        label,
-        focal,
-        *finite_scales(scales)[::2],
-        min(held, 1e12),
-        1 / tolerated,
-        count,
-        partial,
-    )
+        constraints, inverse_depth, labels, system.weights, system.x_hat, system.y_hat,
+        np.ascontiguousarray(motions[label]), label, focal, *finite_scales(scales)[::2],
+        min(depth_stiffness, 1e12), 1 / quarter_weight_residual, count, partial,
+    )  # fmt: skip
     sums = add_blocks(partial)
     matrix = np.zeros((6, 6))
     matrix[np.triu_indices(6)] = sums[:21]
@@ -85,7 +74,7 @@ def _motion_system(
     inverse0: ti.f32,
     inverse1: ti.f32,
     alpha: ti.f32,
-    inverse_tolerated: ti.f32,
+    residual_scale: ti.f32,
     count: ti.template(),
     partial: SumArray(3),  # (H, blocks, 27)
 ):
@@ -97,11 +86,11 @@ def _motion_system(
         sums = ti.static([bind(0.0 * x_hat[1]) for _ in range(27)])
         for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
             s = position + 1
-            apart = labels[0, y, s] - label
-            mine = ti.max(1.0 - ti.max(apart, 0.0 - apart), 0.0)
+            difference = labels[0, y, s] - label
+            is_label = ti.max(1.0 - ti.max(difference, 0.0 - difference), 0.0)
             d = inverse_depth[0, y, s] / focal
             # (x, yy): normalised coordinates of the point after the motion.
-            nearness = 1.0 / ti.max(coordinate(motion, 2, x_hat[s], y_hat[y], d), NEAREST)
+            nearness = 1.0 / ti.max(coordinate(motion, 2, x_hat[s], y_hat[y], d), MIN_DEPTH_RATIO)
             x = nearness * coordinate(motion, 0, x_hat[s], y_hat[y], d)
             yy = nearness * coordinate(motion, 1, x_hat[s], y_hat[y], d)
             u, v = focal * (x - x_hat[s]), focal * (yy - y_hat[y])
@@ -112,34 +101,34 @@ def _motion_system(
             )
             parts = ti.static(terms_of(lines))
             square = ti.static([bind(squares(part, u, v)) for part in parts])
-            off = 0.0 * u
+            residual = 0.0 * u
             for part in ti.static(range(len(parts))):
-                off += square[part]
-            trusted = 1.0 / (1.0 + inverse_tolerated * off)
-            trusted = mine * trusted * trusted
+                residual += square[part]
+            weight = 1.0 / (1.0 + residual_scale * residual)
+            weight = is_label * weight * weight
             j11, j12, j22, j1, j2 = ti.static(
-                _trusted(parts, square, (inverse0, inverse1), trusted)
+                _weighted_tensor(parts, square, (inverse0, inverse1), weight)
             )
             g1, g2 = j11 * u + j12 * v + j1, j12 * u + j22 * v + j2
             neighbours = weights[0, y, s] + weights[0, y, s - 1]
             neighbours += weights[1, y, s] + weights[1, y - 1, s]
-            lever = focal * d * nearness
-            columns = ti.static(motion_columns(x, yy, lever, focal))
+            translation_factor = focal * d * nearness
+            columns = ti.static(motion_columns(x, yy, translation_factor, focal))
             curvature = a * (j11 * a + 2.0 * j12 * b) + j22 * b * b
-            inverse = 1.0 / (curvature + alpha * neighbours + LEAST_DIVISOR)
+            inverse = 1.0 / (curvature + alpha * neighbours + MIN_DIVISOR)
             slope = a * g1 + b * g2
-            pulled = ti.static(pulled_by(columns, j11, j12, j22))
-            answers = ti.static(answers_of(pulled, a, b))
+            weighted_columns = ti.static(tensor_columns(columns, j11, j12, j22))
+            couplings = ti.static(depth_couplings(weighted_columns, a, b))
             for i in ti.static(range(6)):
                 for j in ti.static(range(i, 6)):
                     k = ti.static(6 * i - i * (i - 1) // 2 + j - i)
                     sums[k] += (
-                        columns[i][0] * pulled[j][0]
-                        + columns[i][1] * pulled[j][1]
-                        - inverse * answers[i] * answers[j]
+                        columns[i][0] * weighted_columns[j][0]
+                        + columns[i][1] * weighted_columns[j][1]
+                        - inverse * couplings[i] * couplings[j]
                     )
                 sums[21 + i] += (
-                    columns[i][0] * g1 + columns[i][1] * g2 - inverse * answers[i] * slope
+                    columns[i][0] * g1 + columns[i][1] * g2 - inverse * couplings[i] * slope
                 )
         for k in ti.static(range(27)):
             store_sum(partial, row, block, k, sums[k], ti.static(lane_count(labels)))
@@ -152,35 +141,37 @@ def coordinate(motion: ti.template(), row: ti.template(), x, y, d):
     return turned + d * motion[row, 3]
 
 
-def _trusted(parts: list, square: list, inverses: tuple, trusted: Any) -> list:
+def _weighted_tensor(parts: list, square: list, inverses: tuple, pixel_weight: Any) -> list:
     """Return the weighted sums of J11, J12, J22, j1 and j2 over all terms."""
     total: list[Any] = [0.0] * 5
     for lines, q, inverse in zip(parts, square, inverses, strict=False):
-        weight = bind(trusted / ti.sqrt(1.0 + inverse * q))
+        weight = bind(pixel_weight / ti.sqrt(1.0 + inverse * q))
         entries = products(lines)[:5]
-        total = [before + weight * entry for before, entry in zip(total, entries, strict=True)]
+        total = [
+            entry_sum + weight * entry for entry_sum, entry in zip(total, entries, strict=True)
+        ]
     return [bind(entry) for entry in total]
 
 
-def motion_columns(x: Any, y: Any, lever: Any, focal: Any) -> list[tuple[Any, Any]]:
+def motion_columns(x: Any, y: Any, translation_factor: Any, focal: Any) -> list[tuple[Any, Any]]:
     """Return the columns of B at a point (x, y, 1) after the motion, with lever = f·d/depth."""
     zero = bind(0.0 * x)
     xy = bind(focal * x * y)
     return [
-        (lever, zero),
-        (zero, lever),
-        (bind(0.0 - lever * x), bind(0.0 - lever * y)),
+        (translation_factor, zero),
+        (zero, translation_factor),
+        (bind(0.0 - translation_factor * x), bind(0.0 - translation_factor * y)),
         (bind(0.0 - xy), bind(0.0 - focal * (1.0 + y * y))),
         (bind(focal * (1.0 + x * x)), xy),
         (bind(0.0 - focal * y), bind(focal * x)),
     ]
 
 
-def pulled_by(columns: list, j11: Any, j12: Any, j22: Any) -> list[tuple[Any, Any]]:
+def tensor_columns(columns: list, j11: Any, j12: Any, j22: Any) -> list[tuple[Any, Any]]:
     """Return the columns of J B."""
     return [(bind(j11 * a + j12 * b), bind(j12 * a + j22 * b)) for a, b in columns]
 
 
-def answers_of(pulled: list, a: Any, b: Any) -> list:
+def depth_couplings(weighted_columns: list, a: Any, b: Any) -> list:
     """Return aᵀ J B."""
-    return [bind(a * p + b * q) for p, q in pulled]
+    return [bind(a * p + b * q) for p, q in weighted_columns]

@@ -11,7 +11,7 @@ from tisfm.kernels.layout.lanes import (
     lane_of,
     set_lane,
 )
-from tisfm.kernels.model.constants import NEAREST
+from tisfm.kernels.model import MIN_DEPTH_RATIO
 
 
 def matching_cost(
@@ -33,7 +33,7 @@ def matching_cost(
     # first, step: px/frame
     first: float,
     step: float,
-    near: float,  # difference from `guess` at which its cost is full, px/frame
+    guess_distance: float,  # difference from `guess` at which its cost is full, px/frame
 ) -> None:
     """Compute the matching cost of every pixel of frame 0 for several inverse depths.
 
@@ -49,18 +49,9 @@ def matching_cost(
     check_array(weight, (height, width), "weight", aligned=False)
     check_array(motion, (3, 4), "motion", aligned=False)
     _matching_cost[lanes](
-        features0.reshape(-1, 4),
-        features1.reshape(-1, 4),
-        guess,
-        weight,
-        motion,
-        *map(float, center),
-        focal,
-        first,
-        step,
-        1 / near,
-        out,
-    )
+        features0.reshape(-1, 4), features1.reshape(-1, 4), guess, weight, motion,
+        *map(float, center), focal, first, step, 1 / guess_distance, out,
+    )  # fmt: skip
 
 
 @lane_kernel
@@ -75,7 +66,7 @@ def _matching_cost(
     focal: ti.f32,
     first: ti.f32,
     step: ti.f32,
-    inverse_near: ti.f32,
+    guess_scale: ti.f32,
     out: LaneArray(3),  # (H, W, M)
 ):
     """Compute the costs of a vector of hypotheses at a time; each lane samples its own position."""
@@ -91,34 +82,37 @@ def _matching_cost(
         right_border, lower_border = width - 1.0, height - 1.0
         last_column, last_row = ti.max(width - 2.0, 0.0), ti.max(height - 2.0, 0.0)
         across, down = ti.min(1, width - 1), ti.min(1, height - 1) * width
-        here, likely, likeliness = features0[y * width + x], guess[y, x], weight[y, x]
+        feature, guess_depth, guess_weight = features0[y * width + x], guess[y, x], weight[y, x]
         hypothesis = 0.0 * out[y, x, 0] + first
         for lane in ti.static(range(1, lanes)):
             hypothesis[lane] = first + lane * step
         for m in range(out.shape[2]):
-            nearness = 1.0 / ti.max(p3 + hypothesis * t3, NEAREST)
-            x_there = cx + nearness * (p1 + hypothesis * t1)
-            y_there = cy + nearness * (p2 + hypothesis * t2)
-            beyond = ti.max(
-                ti.max(0.0 - x_there, x_there - right_border),
-                ti.max(0.0 - y_there, y_there - lower_border),
+            nearness = 1.0 / ti.max(p3 + hypothesis * t3, MIN_DEPTH_RATIO)
+            x1 = cx + nearness * (p1 + hypothesis * t1)
+            y1 = cy + nearness * (p2 + hypothesis * t2)
+            excess = ti.max(
+                ti.max(0.0 - x1, x1 - right_border), ti.max(0.0 - y1, y1 - lower_border)
             )
-            column = ti.floor(ti.max(0.0, ti.min(x_there, last_column)))
-            row = ti.floor(ti.max(0.0, ti.min(y_there, last_row)))
-            a, b = x_there - column, y_there - row
+            column = ti.floor(ti.max(0.0, ti.min(x1, last_column)))
+            row = ti.floor(ti.max(0.0, ti.min(y1, last_row)))
+            a, b = x1 - column, y1 - row
             value = 0.0 * hypothesis + 1.0
             for lane in ti.static(range(lanes)):
-                if lane_of(beyond, lane, lanes) <= 0.0:
+                if lane_of(excess, lane, lanes) <= 0.0:
                     corner = ti.cast(lane_of(row, lane, lanes), ti.i32) * width
                     corner += ti.cast(lane_of(column, lane, lanes), ti.i32)
                     right = lane_of(a, lane, lanes)
                     above, below = features1[corner], features1[corner + down]
                     above = above + right * (features1[corner + across] - above)
                     below = below + right * (features1[corner + down + across] - below)
-                    apart = above + lane_of(b, lane, lanes) * (below - above) - here
-                    apart = ti.max(apart, 0.0 - apart)
-                    unlike = ti.min(1.0, apart[0]) + ti.min(1.0, apart[1] + apart[2])
-                    set_lane(value, lane, lanes, unlike)
-            away = inverse_near * (hypothesis - likely)
-            out[y, x, m] = value + likeliness * ti.min(1.0, ti.max(away, 0.0 - away))
+                    difference = above + lane_of(b, lane, lanes) * (below - above) - feature
+                    difference = ti.max(difference, 0.0 - difference)
+                    data_cost = ti.min(1.0, difference[0]) + ti.min(
+                        1.0, difference[1] + difference[2]
+                    )
+                    set_lane(value, lane, lanes, data_cost)
+            guess_difference = guess_scale * (hypothesis - guess_depth)
+            out[y, x, m] = value + guess_weight * ti.min(
+                1.0, ti.max(guess_difference, 0.0 - guess_difference)
+            )
             hypothesis = hypothesis + lanes * step

@@ -17,13 +17,13 @@ from tisfm.kernels.layout.lanes import (
 )
 from tisfm.kernels.layout.launch import Kernel
 
-FORBIDDEN = 1e6  # cost of unused places in vectors; more than any sum along a path
+UNUSED_COST = 1e6  # cost of unused places in vectors; more than any sum along a path
 COLUMNS = 32  # columns that a thread processes together, because rows are contiguous in memory
-LEAST_BEND = 1e-6  # least curvature of the parabola, for hypotheses of equal cost
+MIN_CURVATURE = 1e-6  # least curvature of the parabola, for hypotheses of equal cost
 
 
 def aggregate(
-    # (H, W, M[, lanes]) float32: C of every pixel and hypothesis; `FORBIDDEN` in unused places of
+    # (H, W, M[, lanes]) float32: C of every pixel and hypothesis; `UNUSED_COST` in unused places of
     # the last vector
     cost: np.ndarray,
     guide: np.ndarray,  # (H, W) float32: grey levels I of frame 0
@@ -50,11 +50,11 @@ def aggregate(
     check_array(guide, cost.shape[:2], "guide", aligned=False)
     for across in (True, False):
         lines = cost.shape[0] if across else cost.shape[1]
-        path, least = aligned_empty((lines, *cost.shape[2:])), np.empty(lines, np.float32)
-        _aggregate[lanes](cost, guide, path, least, step, jump, 1 / edge, across, out)
+        path, minima = aligned_empty((lines, *cost.shape[2:])), np.empty(lines, np.float32)
+        _aggregate[lanes](cost, guide, path, minima, step, jump, 1 / edge, across, out)
 
 
-def cheapest(
+def best_hypothesis(
     cost: np.ndarray,  # (H, W, N) float32
     # (H, W) float32: number of the hypothesis with its fraction, from 0 to count − 1; the first of
     # equals
@@ -67,26 +67,26 @@ def cheapest(
     check_array(out, cost.shape[:2], "out", aligned=False)
     if not 2 <= count <= cost.shape[2]:
         raise ValueError(f"count is {count}: expected 2 to {cost.shape[2]}")
-    _cheapest(cost, count, out)
+    _best_hypothesis(cost, count, out)
 
 
 @Kernel
-def _cheapest(
+def _best_hypothesis(
     cost: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (H, W, N)
     count: ti.i32,
     out: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
 ):
     for y, x in ti.ndrange(out.shape[0], out.shape[1]):
-        best, least = 0, cost[y, x, 0]
+        best, min_cost = 0, cost[y, x, 0]
         for n in range(1, count):
-            here = cost[y, x, n]
-            if here < least:
-                best, least = n, here
+            value = cost[y, x, n]
+            if value < min_cost:
+                best, min_cost = n, value
         offset = 0.0
         if best > 0 and best < count - 1:
             below, above = cost[y, x, best - 1], cost[y, x, best + 1]
-            bend = ti.max(below + above - 2.0 * least, LEAST_BEND)
-            offset = ti.max(-0.5, ti.min(0.5 * (below - above) / bend, 0.5))
+            curvature = ti.max(below + above - 2.0 * min_cost, MIN_CURVATURE)
+            offset = ti.max(-0.5, ti.min(0.5 * (below - above) / curvature, 0.5))
         out[y, x] = best + offset
 
 
@@ -95,7 +95,7 @@ def _aggregate(
     cost: LaneArray(3),  # (H, W, M)
     guide: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     path: LaneArray(2),  # (lines, M): L of the previous pixel
-    least: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (lines,): its minimum
+    minima: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (lines,): its minimum
     step: ti.f32,
     jump: ti.f32,
     inverse_edge: ti.f32,
@@ -106,100 +106,97 @@ def _aggregate(
     lines = path.shape[0]
     if ti.static(lane_count(cost) == 1):  # on a GPU: one thread for each line
         for line in range(lines):
-            _follow(cost, guide, path, least, step, jump, inverse_edge, across, out, line, line + 1)
+            _sum_lines(
+                cost, guide, path, minima, step, jump, inverse_edge, across, out, line, line + 1
+            )
     else:
-        together = ti.static(1 if across else COLUMNS)
-        for task in range(CHUNK * ((lines + together - 1) // together)):
+        lines_per_task = ti.static(1 if across else COLUMNS)
+        for task in range(CHUNK * ((lines + lines_per_task - 1) // lines_per_task)):
             if task % CHUNK == 0:
-                first = task // CHUNK * together
-                end = ti.min(first + together, lines)
-                _follow(cost, guide, path, least, step, jump, inverse_edge, across, out, first, end)
+                first = task // CHUNK * lines_per_task
+                end = ti.min(first + lines_per_task, lines)
+                _sum_lines(
+                    cost, guide, path, minima, step, jump, inverse_edge, across, out, first, end
+                )
 
 
 @ti.func
-def _follow(
-    cost: ti.template(),
-    guide: ti.template(),
-    path: ti.template(),
-    least: ti.template(),
-    step,
-    jump,
-    inverse_edge,
-    across: ti.template(),
-    out: ti.template(),
-    first,
-    end,
-):
+def _sum_lines(
+    cost: ti.template(), guide: ti.template(), path: ti.template(), minima: ti.template(), step,
+    jump, inverse_edge, across: ti.template(), out: ti.template(), first, end,
+):  # fmt: skip
     """Sum along lines `first` to `end` − 1 of the image, forward and then backward."""
     count = cost.shape[2]
     lanes = ti.static(lane_count(cost))
     length = cost.shape[1] if ti.static(across) else cost.shape[0]
-    for way in range(2):
-        adds = way == 1 or ti.static(not across)
+    for direction in range(2):
+        is_sum = direction == 1 or ti.static(not across)
         for line in range(first, end):
-            least[line] = 0.0
+            minima[line] = 0.0
             for m in range(count):
                 path[line, m] = 0.0 * cost[0, 0, m]
         for i in range(length):
-            at = i if way == 0 else length - 1 - i
-            before_at = ti.max(0, ti.min(at - 1 + 2 * way, length - 1))
+            at = i if direction == 0 else length - 1 - i
+            previous_at = ti.max(0, ti.min(at - 1 + 2 * direction, length - 1))
             for line in range(first, end):
                 y = line if ti.static(across) else at
                 x = at if ti.static(across) else line
-                apart = guide[y, x] - (
-                    guide[y, before_at] if ti.static(across) else guide[before_at, x]
+                difference = guide[y, x] - (
+                    guide[y, previous_at] if ti.static(across) else guide[previous_at, x]
                 )
-                apart = ti.max(apart, 0.0 - apart)
-                lowest = least[line]
-                leap = lowest + ti.max(step, jump / (1.0 + inverse_edge * apart))
-                before = 0.0 * cost[y, x, 0] + FORBIDDEN
-                here = path[line, 0]
-                smallest = 0.0 * here + 2.0 * FORBIDDEN
+                difference = ti.max(difference, 0.0 - difference)
+                previous_minimum = minima[line]
+                jump_cost = previous_minimum + ti.max(
+                    step, jump / (1.0 + inverse_edge * difference)
+                )
+                previous = 0.0 * cost[y, x, 0] + UNUSED_COST
+                current = path[line, 0]
+                minimum = 0.0 * current + 2.0 * UNUSED_COST
                 for m in range(count):
-                    after = 0.0 * here + FORBIDDEN
+                    next_ = 0.0 * current + UNUSED_COST
                     if m + 1 < count:
-                        after = path[line, m + 1]
-                    near = ti.min(
-                        _shifted_up(before, here, lanes), _shifted_down(here, after, lanes)
+                        next_ = path[line, m + 1]
+                    neighbour = ti.min(
+                        _shifted_up(previous, current, lanes), _shifted_down(current, next_, lanes)
                     )
-                    best = ti.min(ti.min(here, near + step), leap)
-                    value = cost[y, x, m] + best - lowest
+                    best = ti.min(ti.min(current, neighbour + step), jump_cost)
+                    value = cost[y, x, m] + best - previous_minimum
                     path[line, m] = value
-                    if adds:
+                    if is_sum:
                         out[y, x, m] = out[y, x, m] + value  # not +=, which would be atomic
                     else:
                         out[y, x, m] = value
-                    smallest = ti.min(smallest, value)
-                    before, here = here, after
-                least[line] = _least(smallest, lanes)
+                    minimum = ti.min(minimum, value)
+                    previous, current = current, next_
+                minima[line] = _min_of_lanes(minimum, lanes)
 
 
 @ti.func
-def _shifted_up(before, here, lanes: ti.template()):
-    """Return the values of the previous hypothesis for each lane of `here`."""
-    result = before
+def _shifted_up(previous, current, lanes: ti.template()):
+    """Return the values of the previous hypothesis for each lane of `current`."""
+    result = previous
     if ti.static(lanes > 1):
-        result = here
+        result = current
         for lane in ti.static(range(1, lanes)):
-            result[lane] = here[lane - 1]
-        result[0] = before[lanes - 1]
+            result[lane] = current[lane - 1]
+        result[0] = previous[lanes - 1]
     return result
 
 
 @ti.func
-def _shifted_down(here, after, lanes: ti.template()):
-    """Return the values of the next hypothesis for each lane of `here`."""
-    result = after
+def _shifted_down(current, next_, lanes: ti.template()):
+    """Return the values of the next hypothesis for each lane of `current`."""
+    result = next_
     if ti.static(lanes > 1):
-        result = here
+        result = current
         for lane in ti.static(range(lanes - 1)):
-            result[lane] = here[lane + 1]
-        result[lanes - 1] = after[0]
+            result[lane] = current[lane + 1]
+        result[lanes - 1] = next_[0]
     return result
 
 
 @ti.func
-def _least(value, lanes: ti.template()):
+def _min_of_lanes(value, lanes: ti.template()):
     """Return the smallest value of all lanes."""
     result = 0.0
     if ti.static(lanes > 1):

@@ -1,10 +1,12 @@
-"""Normal equations of the motions of several frames and of the inverse depth that they share.
+"""Equations of several frames compared with one keyframe, whose pixels have one inverse depth.
 
-Several frames are compared with one keyframe, whose pixels have one inverse depth for all frames. A
-small change (δt, δω) of a frame's motion adds d δt + δω × (R x̂ + d t) to R x̂ + d t, and B (δt, δω)
-to the flow; a change δD adds a δD to the flow. With e = J u + j, a frame adds BᵀJB and Bᵀe to the
-equations of its own motion, and aᵀJa and aᵀe to those of every pixel's depth; aᵀJB couples the two.
-Depth can be eliminated only after all frames are added.
+A small change (δt, δω) of a frame's motion adds d δt + δω × (R x̂ + d t) to R x̂ + d t, and
+B (δt, δω) to the flow; a change δD adds a δD to the flow. With e = J u + j, a frame adds BᵀJB and
+Bᵀe to the equations of its own motion, and aᵀJa and aᵀe to those of every pixel's depth; aᵀJB
+couples the two. Depth can be eliminated only after all frames are added.
+
+With fixed motions, the data term of a frame along its epipolar line is A D² + 2 B D + C. These
+three numbers of each pixel are added up over the frames.
 """
 
 import numpy as np
@@ -22,8 +24,13 @@ from tisfm.kernels.layout.lanes import (
 )
 from tisfm.kernels.layout.launch import Launch, operation
 from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
-from tisfm.kernels.model.constants import NEAREST
-from tisfm.kernels.rigid.motion_system import answers_of, coordinate, motion_columns, pulled_by
+from tisfm.kernels.model import MIN_DEPTH_RATIO, MIN_DIVISOR
+from tisfm.kernels.rigid.motion_system import (
+    coordinate,
+    depth_couplings,
+    motion_columns,
+    tensor_columns,
+)
 
 SUMS = 27  # the upper triangle of BᵀJB, row by row, then Bᵀe
 PAIR = 42  # sums of a pair of frames: a 6 × 6 block, and a vector of 6 for a frame with itself
@@ -63,7 +70,7 @@ def add_frame(
     motion: np.ndarray,  # (3, 4) float32: R and t
     focal: float,  # px
     # squared residual at which the weight of the data is a quarter (Geman–McClure)
-    tolerated: float,
+    quarter_weight_residual: float,
 ) -> tuple[np.ndarray, np.ndarray]:  # matrix, vector, (6, 6) and (6,) float64: bᵀJB and Bᵀe
     """Sum the equations of a frame's motion, and add its part to the equations of depth."""
     grid.check(tensor, 6, "tensor")
@@ -76,8 +83,8 @@ def add_frame(
     check_array(motion, (3, 4), "motion", aligned=False)
     partial = block_sums(grid, SUMS)
     _add_frame[grid.lanes](
-        tensor, inverse_depth, weight, x_hat, y_hat, motion, focal, 1 / tolerated, 6 * number,
-        slopes, sums, partial,
+        tensor, inverse_depth, weight, x_hat, y_hat, motion, focal, 1 / quarter_weight_residual,
+        6 * number, slopes, sums, partial,
     )  # fmt: skip
     total = add_blocks(partial)
     matrix = np.zeros((6, 6))
@@ -85,12 +92,12 @@ def add_frame(
     return matrix + np.triu(matrix, 1).T, total[21:]
 
 
-def answered(
+def eliminate_depth(
     grid: LaneGrid,
     slopes: LaneData,  # lane array, 6 components for each of M frames: s = aᵀJB
     sums: LaneData,  # lane array, 2 components: c = aᵀJa and g = aᵀe of all frames
     *,
-    held: float,  # weight that keeps depth near its present value, in the unit of c; positive
+    depth_stiffness: float,  # keeps depth near its value, in the unit of c; positive
 ) -> tuple[np.ndarray, np.ndarray]:
     """Sum the Schur complement terms that eliminate depth from the equations of all motions.
 
@@ -102,19 +109,19 @@ def answered(
     count = _frames_of(slopes, 0)
     grid.check(slopes, 6 * count, "slopes")
     grid.check(sums, 2, "sums")
-    if not held > 0:
-        raise ValueError(f"held is {held}: expected a positive number")
+    if not depth_stiffness > 0:
+        raise ValueError(f"depth_stiffness is {depth_stiffness}: expected a positive number")
     pairs = np.stack(np.triu_indices(count), axis=1).astype(np.int32)
     bands = -(-grid.height // ROWS)
     partial = np.zeros((bands, len(pairs), PAIR), np.float32 if grid.lanes == 1 else np.float64)
-    _answered[grid.lanes](slopes, sums, held, pairs, partial)
+    _eliminate_depth[grid.lanes](slopes, sums, depth_stiffness, pairs, partial)
     total = partial.sum(axis=0, dtype=np.float64)
     matrix, vector = np.zeros((count, 6, count, 6)), np.zeros((count, 6))
-    for (first, second), both in zip(pairs, total, strict=True):
-        block = both[:36].reshape(6, 6)
+    for (first, second), pair_sums in zip(pairs, total, strict=True):
+        block = pair_sums[:36].reshape(6, 6)
         matrix[first, :, second], matrix[second, :, first] = block, block.T
         if first == second:
-            vector[first] = both[36:]
+            vector[first] = pair_sums[36:]
     return matrix.reshape(6 * count, 6 * count), vector.ravel()
 
 
@@ -149,10 +156,10 @@ def _add_frame(
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
     motion: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3, 4)
     focal: ti.f32,
-    inverse_tolerated: ti.f32,
+    residual_scale: ti.f32,
     first: ti.i32,
     slopes: LaneArray(3),  # (6 frames, H+2, S+2)
-    along: LaneArray(3),  # (2, H+2, S+2), in place
+    depth_sums: LaneArray(3),  # (2, H+2, S+2), in place
     partial: SumArray(3),  # (H, blocks, 27)
 ):
     height, strip = weight.shape[1] - 2, weight.shape[2] - 2
@@ -165,7 +172,7 @@ def _add_frame(
             s = position + 1
             d = inverse_depth[0, y, s] / focal
             # (x, yy): normalised coordinates of the point after the motion.
-            nearness = 1.0 / ti.max(coordinate(motion, 2, x_hat[s], y_hat[y], d), NEAREST)
+            nearness = 1.0 / ti.max(coordinate(motion, 2, x_hat[s], y_hat[y], d), MIN_DEPTH_RATIO)
             x = nearness * coordinate(motion, 0, x_hat[s], y_hat[y], d)
             yy = nearness * coordinate(motion, 1, x_hat[s], y_hat[y], d)
             u, v = focal * (x - x_hat[s]), focal * (yy - y_hat[y])
@@ -173,30 +180,33 @@ def _add_frame(
             b = nearness * (motion[1, 3] - yy * motion[2, 3])
             j11, j12, j22 = tensor[0, y, s], tensor[1, y, s], tensor[2, y, s]
             g1, g2 = j11 * u + j12 * v + tensor[3, y, s], j12 * u + j22 * v + tensor[4, y, s]
-            rest = (g1 + tensor[3, y, s]) * u + (g2 + tensor[4, y, s]) * v + tensor[5, y, s]
-            trust = 1.0 / (1.0 + inverse_tolerated * ti.max(rest, 0.0))
+            residual = (g1 + tensor[3, y, s]) * u + (g2 + tensor[4, y, s]) * v + tensor[5, y, s]
+            trust = 1.0 / (1.0 + residual_scale * ti.max(residual, 0.0))
             trust = weight[0, y, s] * trust * trust
             j11, j12, j22, g1, g2 = trust * j11, trust * j12, trust * j22, trust * g1, trust * g2
             columns = ti.static(motion_columns(x, yy, focal * d * nearness, focal))
-            pulled = ti.static(pulled_by(columns, j11, j12, j22))
-            answers = ti.static(answers_of(pulled, a, b))
-            along[0, y, s] = along[0, y, s] + a * (j11 * a + 2.0 * j12 * b) + j22 * b * b
-            along[1, y, s] = along[1, y, s] + a * g1 + b * g2
+            weighted_columns = ti.static(tensor_columns(columns, j11, j12, j22))
+            couplings = ti.static(depth_couplings(weighted_columns, a, b))
+            depth_sums[0, y, s] = depth_sums[0, y, s] + a * (j11 * a + 2.0 * j12 * b) + j22 * b * b
+            depth_sums[1, y, s] = depth_sums[1, y, s] + a * g1 + b * g2
             for i in ti.static(range(6)):
-                slopes[first + i, y, s] = answers[i]
+                slopes[first + i, y, s] = couplings[i]
                 for j in ti.static(range(i, 6)):
                     k = ti.static(6 * i - i * (i - 1) // 2 + j - i)
-                    sums[k] += columns[i][0] * pulled[j][0] + columns[i][1] * pulled[j][1]
+                    sums[k] += (
+                        columns[i][0] * weighted_columns[j][0]
+                        + columns[i][1] * weighted_columns[j][1]
+                    )
                 sums[21 + i] += columns[i][0] * g1 + columns[i][1] * g2
         for k in ti.static(range(SUMS)):
             store_sum(partial, row, block, k, sums[k], ti.static(lane_count(weight)))
 
 
 @lane_kernel
-def _answered(
+def _eliminate_depth(
     slopes: LaneArray(3),  # (6 frames, H+2, S+2)
-    along: LaneArray(3),  # (2, H+2, S+2)
-    held: ti.f32,
+    depth_sums: LaneArray(3),  # (2, H+2, S+2)
+    depth_stiffness: ti.f32,
     pairs: ti.types.ndarray(dtype=ti.i32, ndim=2),  # (pairs, 2)
     partial: SumArray(3),  # (bands, pairs, 42)
 ):
@@ -205,19 +215,91 @@ def _answered(
     for index in range(partial.shape[0] * count):
         band, pair = index // count, index % count
         first, second = 6 * pairs[pair, 0], 6 * pairs[pair, 1]
-        sums = ti.static([bind(0.0 * along[0, 1, 1]) for _ in range(PAIR)])
+        sums = ti.static([bind(0.0 * depth_sums[0, 1, 1]) for _ in range(PAIR)])
         for y in range(band * ROWS + 1, ti.min((band + 1) * ROWS, height) + 1):
             for s in range(1, strip + 1):
-                inverse = 1.0 / (along[0, y, s] + held)
+                inverse = 1.0 / (depth_sums[0, y, s] + depth_stiffness)
                 others = ti.static([bind(slopes[second + k, y, s]) for k in range(6)])
-                pull = inverse * along[1, y, s]
+                step = inverse * depth_sums[1, y, s]
                 for i in ti.static(range(6)):
-                    mine = slopes[first + i, y, s]
-                    sums[36 + i] += mine * pull
-                    share = inverse * mine
+                    own = slopes[first + i, y, s]
+                    sums[36 + i] += own * step
+                    scaled = inverse * own
                     for j in ti.static(range(6)):
-                        sums[6 * i + j] += share * others[j]
+                        sums[6 * i + j] += scaled * others[j]
         for i in ti.static(range(7)):  # two loops, as Taichi warns about long unrolled loops
             for j in ti.static(range(6)):
                 k = ti.static(6 * i + j)
                 store_sum(partial, band, pair, k, sums[k], ti.static(lane_count(slopes)))
+
+
+@operation
+def add_depth_terms(
+    grid: LaneGrid,
+    tensor: LaneData,  # lane array, 6 components: J11, J12, J22, j1, j2 and J_tt, at `flow`
+    # flow, direction: lane arrays, 2 components: (u₀, v₀) and a = ∂(u, v)/∂D, at `inverse_depth`
+    flow: LaneData,
+    direction: LaneData,
+    inverse_depth: LaneData,  # lane array, 1 component: D₀
+    weight: LaneData,  # lane array, 1 component: weight of this frame at each pixel
+    # lane array, 3 components: A, B and C. The values aᵀJa, aᵀ(J u + j) and uᵀJu + 2 jᵀu + J_tt,
+    # times the weight, are added, with u = (u₀, v₀) − D₀ a.
+    out: LaneData,
+) -> Launch:
+    """Restrict the motion tensor of a frame to its epipolar line, and add it to A, B and C."""
+    grid.check(tensor, 6, "tensor")
+    grid.check(flow, 2, "flow")
+    grid.check(direction, 2, "direction")
+    grid.check(inverse_depth, 1, "inverse_depth")
+    grid.check(weight, 1, "weight")
+    grid.check(out, 3, "out")
+    return _add_depth_terms[grid.lanes].bind(tensor, flow, direction, inverse_depth, weight, out)
+
+
+@operation
+def depth_constraint(
+    grid: LaneGrid,
+    sums: LaneData,  # lane array, 3 components: A, B and C of `add_depth_terms`
+    out: LaneData,  # lane array, 3 components: (p, 0, c) = (√A, 0, B/√A). The zero is not written.
+) -> Launch:
+    """Write the constraint p D + c = 0 whose square is A D² + 2 B D up to a constant."""
+    grid.check(sums, 3, "sums")
+    grid.check(out, 3, "out")
+    return _depth_constraint[grid.lanes].bind(sums, out)
+
+
+@lane_kernel
+def _add_depth_terms(
+    tensor: LaneArray(3),  # (6, H+2, S+2)
+    flow: LaneArray(3),  # (2, H+2, S+2)
+    direction: LaneArray(3),  # (2, H+2, S+2)
+    inverse_depth: LaneArray(3),  # (1, H+2, S+2)
+    weight: LaneArray(3),  # (1, H+2, S+2)
+    out: LaneArray(3),  # (3, H+2, S+2), in place
+):
+    for row, position in ti.ndrange(out.shape[1] - 2, out.shape[2] - 2):
+        y, s = row + 1, position + 1
+        a, b = direction[0, y, s], direction[1, y, s]
+        d, frame_weight = inverse_depth[0, y, s], weight[0, y, s]
+        u, v = flow[0, y, s] - d * a, flow[1, y, s] - d * b
+        j11, j12, j22 = tensor[0, y, s], tensor[1, y, s], tensor[2, y, s]
+        j1, j2 = tensor[3, y, s], tensor[4, y, s]
+        along_u, along_v = j11 * u + j12 * v, j12 * u + j22 * v
+        square = (j11 * a + 2.0 * j12 * b) * a + j22 * b * b
+        product = (along_u + j1) * a + (along_v + j2) * b
+        constant = (along_u + 2.0 * j1) * u + (along_v + 2.0 * j2) * v + tensor[5, y, s]
+        out[0, y, s] = out[0, y, s] + frame_weight * square
+        out[1, y, s] = out[1, y, s] + frame_weight * product
+        out[2, y, s] = out[2, y, s] + frame_weight * constant
+
+
+@lane_kernel
+def _depth_constraint(
+    sums: LaneArray(3),  # (3, H+2, S+2)
+    out: LaneArray(3),  # (3, H+2, S+2)
+):
+    for row, position in ti.ndrange(out.shape[1] - 2, out.shape[2] - 2):
+        y, s = row + 1, position + 1
+        square = ti.max(sums[0, y, s], 0.0)
+        out[0, y, s] = ti.sqrt(square)
+        out[2, y, s] = sums[1, y, s] / ti.sqrt(ti.max(square, MIN_DIVISOR))

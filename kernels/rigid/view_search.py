@@ -22,27 +22,27 @@ import taichi as ti
 from tisfm.kernels.layout.lanes import check_array
 from tisfm.kernels.layout.launch import Kernel
 from tisfm.kernels.rigid.patch_match import (
-    STEEPEST,
-    apart_from,
-    cost_in,
-    drawn,
-    drawn_near,
-    neighbour,
+    MAX_SLOPE,
+    cheapest_neighbour,
+    draw_plane,
+    is_different,
+    perturb_plane,
+    plane_cost,
 )
 from tisfm.kernels.rigid.windows import (
-    MOST_PIXELS,
-    NOWHERE,
-    UNSEEN,
-    mixed,
-    packed,
-    window,
-    with_margin,
+    MAX_PIXELS,
+    OUTSIDE_COST,
+    UNTEXTURED,
+    hash_of,
+    load_window,
+    pack_pixels,
+    pad_border,
 )
 
-MOST_BEST = 4  # most frames in the mean of a cost
+MAX_FRAMES = 4  # most frames in the mean of a cost
 # Cost of a frame that does not show a hypothesis, if other frames do: about that of a just reliable
 # match. So pixels near the border are matched in the frames that show them.
-ABSENT = 0.25
+MISSING_FRAME_COST = 0.25
 
 _Plane = ti.types.vector(4, ti.f32)
 
@@ -57,48 +57,52 @@ class ViewSearch:
         others: Sequence[np.ndarray],
         motions: np.ndarray,  # (M, 3, 4) array: R and t from the keyframe to each other frame
         *,
-        best: int,  # number of frames in the mean of a cost; 1 to `MOST_BEST`, and at most M
+        frame_count: int,  # frames in the mean of a cost; 1 to `MAX_FRAMES`, at most M
         stride: int,  # side of a cell, px; cells that extend beyond the border are left out
         center: tuple[float, float],  # principal point, px
         focal: float,  # px
         noise: float,  # standard deviation of the noise of a frame, levels; above 0
-        seen: float,  # least variance of a window that is compared, over the variance of the noise
-        # least, largest: bounds of D, px
-        least: float,
-        largest: float,
+        min_variance: float,  # of a window that is compared, over the variance of the noise
+        # min_depth, max_depth: bounds of D, px
+        min_depth: float,
+        max_depth: float,
     ) -> None:
         check_array(key, key.shape, "key", aligned=False)
-        for number, levels in enumerate(others):
-            check_array(levels, key.shape, f"others[{number}]", aligned=False)
+        for number, grey in enumerate(others):
+            check_array(grey, key.shape, f"others[{number}]", aligned=False)
         self.count = len(others)  # M
-        if key.size > MOST_PIXELS:
-            raise ValueError(f"key has {key.size} pixels: expected {MOST_PIXELS} at most")
+        if key.size > MAX_PIXELS:
+            raise ValueError(f"key has {key.size} pixels: expected {MAX_PIXELS} at most")
         if np.shape(motions) != (self.count, 3, 4):
             raise ValueError(f"motions is {np.shape(motions)}: expected ({self.count}, 3, 4)")
-        if not 1 <= best <= min(MOST_BEST, self.count):
-            raise ValueError(f"best is {best}: expected 1 to {min(MOST_BEST, self.count)}")
+        if not 1 <= frame_count <= min(MAX_FRAMES, self.count):
+            raise ValueError(
+                f"frame_count is {frame_count}: expected 1 to {min(MAX_FRAMES, self.count)}"
+            )
         if not 1 <= stride <= min(key.shape):
             raise ValueError(f"stride is {stride}: expected 1 to {min(key.shape)} px")
         if not noise > 0:
             raise ValueError(f"noise is {noise}: expected a positive value, in grey levels")
-        if not least < largest:
-            raise ValueError(f"D is sought from {least} to {largest}: expected from < to")
+        if not min_depth < max_depth:
+            raise ValueError(f"D is searched from {min_depth} to {max_depth}: expected from < to")
         # h and w, the numbers of rows and columns of cells
         self.shape = (key.shape[0] // stride, key.shape[1] // stride)
         height, width = key.shape
         self._images = (
-            with_margin(key),
-            np.concatenate([packed(levels) for levels in others]),
+            pad_border(key),
+            np.concatenate([pack_pixels(grey) for grey in others]),
             np.ascontiguousarray(np.concatenate(list(motions)), np.float32),
         )
         self._view = (height, width, stride, *map(float, center), float(focal), float(noise) ** 2)
-        self._best, self._seen = best, float(seen)
-        self._bounds = float(least), float(largest)
+        self._frame_count, self._min_variance = frame_count, float(min_variance)
+        self._bounds = float(min_depth), float(max_depth)
 
     def score(self, planes: np.ndarray) -> None:
         """Compute the cost of the planes (h, w, 4) float32, in place."""
         self._check(planes)
-        _score(*self._images, *self._view, self.count, self._best, self._seen, planes)
+        _score(
+            *self._images, *self._view, self.count, self._frame_count, self._min_variance, planes
+        )
 
     def improve(
         self,
@@ -115,18 +119,9 @@ class ViewSearch:
         self._check(planes)
         for color in range(2):
             _improve(
-                *self._images,
-                *self._view,
-                self.count,
-                self._best,
-                *self._bounds,
-                color,
-                draws,
-                spread,
-                tilt,
-                2 * seed + color,
-                planes,
-            )
+                *self._images, *self._view, self.count, self._frame_count, *self._bounds, color,
+                draws, spread, tilt, 2 * seed + color, planes,
+            )  # fmt: skip
 
     def costs(self, planes: np.ndarray, out: np.ndarray) -> None:
         """Write the costs of planes (h, w, 4) float32 in every frame, (M, h, w) float32."""
@@ -151,20 +146,20 @@ def _score(
     focal: ti.f32,
     noise: ti.f32,
     count: ti.i32,
-    best: ti.i32,
-    seen: ti.f32,
+    frame_count: ti.i32,
+    min_variance: ti.f32,
     planes: ti.types.ndarray(dtype=_Plane, ndim=2),  # (h, w), in place
 ):
     for row, column in ti.ndrange(planes.shape[0], planes.shape[1]):
         plane = planes[row, column]
         y, x = stride * row, stride * column
-        weight0, weight1, weighted0, weighted1, variance, centre = window(key, y, x)
-        plane[3] = UNSEEN
-        if variance > seen * noise:
-            plane[3] = _cost_of_best(
-                others, count, best, height, width, motions, cx, cy, focal, noise,
+        weight0, weight1, weighted0, weighted1, variance, centre = load_window(key, y, x)
+        plane[3] = UNTEXTURED
+        if variance > min_variance * noise:
+            plane[3] = _mean_of_least_costs(
+                others, count, frame_count, height, width, motions, cx, cy, focal, noise,
                 weight0, weight1, weighted0, weighted1, variance, centre, y, x,
-                _at_first(plane, stride),
+                _at_upper_left(plane, stride),
             )  # fmt: skip
         planes[row, column] = plane
 
@@ -185,11 +180,11 @@ def _costs(
     out: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (M, h, w)
 ):
     for row, column in ti.ndrange(planes.shape[0], planes.shape[1]):
-        plane = _at_first(planes[row, column], stride)
+        plane = _at_upper_left(planes[row, column], stride)
         y, x = stride * row, stride * column
-        weight0, weight1, weighted0, weighted1, variance, centre = window(key, y, x)
+        weight0, weight1, weighted0, weighted1, variance, centre = load_window(key, y, x)
         for j in range(out.shape[0]):
-            out[j, row, column] = cost_in(
+            out[j, row, column] = plane_cost(
                 others, j, height, width, motions, cx, cy, focal, noise,
                 weight0, weight1, weighted0, weighted1, variance, centre, y, x, plane,
             )  # fmt: skip
@@ -208,9 +203,9 @@ def _improve(
     focal: ti.f32,
     noise: ti.f32,
     count: ti.i32,
-    best_frames: ti.i32,
-    least: ti.f32,
-    largest: ti.f32,
+    frame_count: ti.i32,
+    min_depth: ti.f32,
+    max_depth: ti.f32,
     color: ti.i32,
     draws: ti.i32,
     spread: ti.f32,
@@ -223,28 +218,30 @@ def _improve(
         column = 2 * pair + (row + color) % 2
         if column < columns:
             best = planes[row, column]
-            if best[3] < UNSEEN:
+            if best[3] < UNTEXTURED:
                 y, x = stride * row, stride * column
-                weight0, weight1, weighted0, weighted1, variance, centre = window(key, y, x)
+                weight0, weight1, weighted0, weighted1, variance, centre = load_window(key, y, x)
                 random = ti.cast(4 * (row * columns + column), ti.u32) * ti.cast(draws + 1, ti.u32)
-                random = mixed(random + mixed(ti.cast(seed, ti.u32)))
+                random = hash_of(random + hash_of(ti.cast(seed, ti.u32)))
                 span = 1.0
                 for n in range(5 + draws):  # 4 neighbours, 1 draw from the whole range, near draws
                     plane = best
                     if n < 4:
-                        plane = neighbour(planes, row, column, n, best)
+                        plane = cheapest_neighbour(planes, row, column, n, best)
                     elif n == 4:
-                        plane = drawn(random, least, largest, stride * (STEEPEST / focal))
+                        plane = draw_plane(
+                            random, min_depth, max_depth, stride * (MAX_SLOPE / focal)
+                        )
                     else:
-                        plane = drawn_near(best, random, span * spread, span * tilt)
+                        plane = perturb_plane(best, random, span * spread, span * tilt)
                         span *= 0.5
                     if n >= 4:
                         random += ti.u32(4)
-                    if plane[0] > least and plane[0] < largest and apart_from(plane, best):
-                        plane[3] = _cost_of_best(
-                            others, count, best_frames, height, width, motions, cx, cy, focal,
+                    if plane[0] > min_depth and plane[0] < max_depth and is_different(plane, best):
+                        plane[3] = _mean_of_least_costs(
+                            others, count, frame_count, height, width, motions, cx, cy, focal,
                             noise, weight0, weight1, weighted0, weighted1, variance, centre, y, x,
-                            _at_first(plane, stride),
+                            _at_upper_left(plane, stride),
                         )  # fmt: skip
                         if plane[3] < best[3]:
                             best = plane
@@ -252,56 +249,43 @@ def _improve(
 
 
 @ti.func
-def _at_first(plane, stride):
+def _at_upper_left(plane, stride):
     """Return the plane of a cell at its upper left pixel, with slopes per px."""
-    first, side = plane, ti.cast(stride, ti.f32)
-    first[1] = plane[1] / side
-    first[2] = plane[2] / side
-    first[0] = plane[0] - 0.5 * (side - 1.0) * (first[1] + first[2])
-    return first
+    result, side = plane, ti.cast(stride, ti.f32)
+    result[1] = plane[1] / side
+    result[2] = plane[2] / side
+    result[0] = plane[0] - 0.5 * (side - 1.0) * (result[1] + result[2])
+    return result
 
 
 @ti.func
-def _cost_of_best(
-    others: ti.template(),
-    count,
-    best,
-    height,
-    width,
-    motions: ti.template(),
-    cx,
-    cy,
-    focal,
-    noise,
-    weight0,
-    weight1,
-    weighted0,
-    weighted1,
-    variance,
-    centre,
-    y,
-    x,
-    plane,
-):
+def _mean_of_least_costs(
+    others: ti.template(), count, frame_count, height, width, motions: ti.template(), cx, cy, focal,
+    noise, weight0, weight1, weighted0, weighted1, variance, centre, y, x, plane,
+):  # fmt: skip
     """Return the mean of 1 − c over the frames where it is least."""
-    lowest = ti.Vector([UNSEEN] * MOST_BEST)  # in increasing order
-    showing = 0
+    least_costs = ti.Vector([UNTEXTURED] * MAX_FRAMES)  # in increasing order
+    visible_frames = 0
     for j in range(count):
-        cost = cost_in(
+        cost = plane_cost(
             others, j, height, width, motions, cx, cy, focal, noise,
             weight0, weight1, weighted0, weighted1, variance, centre, y, x, plane,
         )  # fmt: skip
-        if cost == NOWHERE:
-            cost = UNSEEN
+        if cost == OUTSIDE_COST:
+            cost = UNTEXTURED
         else:
-            showing += 1
-        for n in ti.static(range(MOST_BEST)):
-            lower = ti.min(lowest[n], cost)
-            cost = ti.max(lowest[n], cost)
-            lowest[n] = lower
-    # If fewer than `best` frames show the hypothesis, ABSENT replaces the missing costs.
+            visible_frames += 1
+        for n in ti.static(range(MAX_FRAMES)):
+            smaller = ti.min(least_costs[n], cost)
+            cost = ti.max(least_costs[n], cost)
+            least_costs[n] = smaller
+    # If fewer frames show the hypothesis, MISSING_FRAME_COST replaces the missing costs.
     total = 0.0
-    for n in ti.static(range(MOST_BEST)):
-        cost = ti.select(n < showing, lowest[n], ti.select(showing > 0, ABSENT, NOWHERE))
-        total += ti.select(n < best, cost, 0.0)
-    return total / ti.cast(best, ti.f32)
+    for n in ti.static(range(MAX_FRAMES)):
+        cost = ti.select(
+            n < visible_frames,
+            least_costs[n],
+            ti.select(visible_frames > 0, MISSING_FRAME_COST, OUTSIDE_COST),
+        )
+        total += ti.select(n < frame_count, cost, 0.0)
+    return total / ti.cast(frame_count, ti.f32)

@@ -4,6 +4,8 @@ A coarse pixel, the parent, covers 2×2 fine pixels, its children, and has the s
 lanes are halved with the image, so that children lie in the lane of their parent. The coarse arrays
 that result have the *halved* layout of the fine grid; its strips are half as long, and may be odd.
 If the strips of the coarse grid differ, `relayout` converts between the two layouts.
+
+`prolong` interpolates the unknowns between levels of a pyramid with any ratio of densities.
 """
 
 from dataclasses import replace
@@ -13,7 +15,7 @@ import taichi as ti
 
 from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import (
-    SMALL,
+    INDEX_MASK,
     LaneArray,
     LaneData,
     LaneGrid,
@@ -103,15 +105,9 @@ def restrict_residual(
     components = rho.shape[0]
     check_halved(grid, out, components, "out")
     _restrict_residual[grid.lanes](
-        *arrays,
-        rho if source is None else source,
-        rho,
-        grid.height,
-        components,
-        arrays[1].shape[0] // 2,
-        source is not None,
-        out,
-    )
+        *arrays, rho if source is None else source, rho, grid.height, components,
+        arrays[1].shape[0] // 2, source is not None, out,
+    )  # fmt: skip
 
 
 @lane_kernel
@@ -121,30 +117,30 @@ def _restrict_residual(
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
     alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
-    source: LaneArray(3),  # (n, H+2, S+2), read if `sourced`
+    source: LaneArray(3),  # (n, H+2, S+2), read if `has_source`
     rho: LaneArray(3),  # (n, H+2, S+2)
     height: ti.i32,
     n: ti.template(),
     sets: ti.template(),
-    sourced: ti.template(),
+    has_source: ti.template(),
     out: LaneArray(3),  # (n, h+2, S/2+2)
 ):
     rows, strip = out.shape[1] - 2, out.shape[2] - 2
     for row, position in ti.ndrange(rows, strip):
         alphas = ti.static([bind(alpha[k]) for k in range(n)])
-        stride = rho.shape[2] & SMALL
+        stride = rho.shape[2] & INDEX_MASK
         planes = ti.static(planes_of(rho, max(6, 2 * sets)))
         total = ti.static([bind(0.0 * x_hat[1]) for _ in range(n)])
         for y in range(2 * row + 1, ti.min(2 * row + 2, height) + 1):
             for side in ti.static(range(2)):
                 s = 2 * position + 1 + side
-                i = (y * stride + s) & SMALL
+                i = (y * stride + s) & INDEX_MASK
                 columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
                 center = ti.static([bind(element(rho, i + planes[k])) for k in range(n)])
                 edges = ti.static(edges_at(weights, planes, stride, sets, i))
                 residual = ti.static(
                     residual_at(
-                        tensor, edges, columns, source if sourced else None, alphas, planes,
+                        tensor, edges, columns, source if has_source else None, alphas, planes,
                         stride, rho, center, i,
                     )
                 )  # fmt: skip
@@ -161,10 +157,10 @@ def relayout(
     out: LaneData,  # lane array, k components: the padding becomes 0; the halo rows are not written
 ) -> Launch:
     """Copy a lane array of a grid into strips of another length, halo columns included."""
-    for name, given in (("array", array), ("out", out)):
-        shape = (array.shape[0], coarse.height + 2, given.shape[2])
-        check_array(given, shape if coarse.lanes == 1 else (*shape, coarse.lanes), name)
-        if coarse.lanes * (given.shape[2] - 2) < coarse.width:
+    for name, layout in (("array", array), ("out", out)):
+        shape = (array.shape[0], coarse.height + 2, layout.shape[2])
+        check_array(layout, shape if coarse.lanes == 1 else (*shape, coarse.lanes), name)
+        if coarse.lanes * (layout.shape[2] - 2) < coarse.width:
             raise ValueError(f"{name} has too few columns for a grid {coarse.width} px wide")
     return _relayout[coarse.lanes].bind(array, coarse.width, coarse.serial, out)
 
@@ -176,35 +172,37 @@ def _relayout(
     serial: ti.template(),
     out: LaneArray(3),  # (k, h+2, S+2)
 ):
-    old, new = array.shape[2] - 2, out.shape[2] - 2
+    old_strip, new_strip = array.shape[2] - 2, out.shape[2] - 2
     lanes = ti.static(lane_count(out))
     ti.loop_config(serialize=serial)
-    for row, position in ti.ndrange(out.shape[1] - 2, new + 2):
+    for row, position in ti.ndrange(out.shape[1] - 2, new_strip + 2):
         for lane in ti.static(range(lanes)):
-            column = lane * new + position - 1
+            column = lane * new_strip + position - 1
             inside = column >= 0 and column < width
-            origin = ti.select(inside, column // old, 0)
-            place = ti.select(inside, column - origin * old + 1, 0)
+            origin = ti.select(inside, column // old_strip, 0)
+            position_in_strip = ti.select(inside, column - origin * old_strip + 1, 0)
             for k in range(out.shape[0]):
-                value = lane_of(array[k, row + 1, place], origin, lanes)
+                value = lane_of(array[k, row + 1, position_in_strip], origin, lanes)
                 store_lane(out, k, row + 1, position, lane, ti.select(inside, value, 0.0))
 
 
-def correct(
+def add_correction(
     grid: LaneGrid,  # the fine grid
     # halved array, n components: its halo columns must be valid; it is not read beyond the border
     # of the image
     coarse: LaneData,
-    across: tuple[LaneData, LaneData],  # column tables of 2: results of `interpolation_columns`
+    column_weights: tuple[
+        LaneData, LaneData
+    ],  # column tables of 2: results of `interpolation_columns`
     rho: LaneData,  # lane array, n components
 ) -> None:
     """Add a coarse correction, interpolated bilinearly, to `rho`, in place, halo included."""
     components = rho.shape[0]
     grid.check(rho, components, "rho")
     check_halved(grid, coarse, components, "coarse")
-    for table in across:
-        grid.check_columns(table, "across")
-    _correct[grid.lanes](coarse, *across, grid.height, components, rho)
+    for table in column_weights:
+        grid.check_columns(table, "column_weights")
+    _add_correction[grid.lanes](coarse, *column_weights, grid.height, components, rho)
 
 
 def interpolation_columns(grid: LaneGrid) -> tuple[np.ndarray, np.ndarray]:
@@ -217,15 +215,15 @@ def interpolation_columns(grid: LaneGrid) -> tuple[np.ndarray, np.ndarray]:
     parent = column // 2
     neighbour = np.where(column % 2 == 0, parent - 1, parent + 1)
     inside = column < grid.width
-    far = np.where(inside & (neighbour >= 0) & (neighbour <= last), 0.25, 0.0)
-    return grid.columns(inside - far), grid.columns(far)
+    neighbour_weight = np.where(inside & (neighbour >= 0) & (neighbour <= last), 0.25, 0.0)
+    return grid.columns(inside - neighbour_weight), grid.columns(neighbour_weight)
 
 
 @lane_kernel
-def _correct(
+def _add_correction(
     coarse: LaneArray(3),  # (n, h+2, S/2+2)
-    near: LaneArray(1),  # (S+2,)
-    far: LaneArray(1),  # (S+2,)
+    parent_weight: LaneArray(1),  # (S+2,)
+    neighbour_weight: LaneArray(1),  # (S+2,)
     height: ti.i32,
     n: ti.template(),
     rho: LaneArray(3),  # (n, H+2, S+2), in place
@@ -233,14 +231,20 @@ def _correct(
     rows, strip = coarse.shape[1] - 2, coarse.shape[2] - 2
     for row, position in ti.ndrange(height, strip):
         y = row // 2 + 1
-        beyond = ti.max(1, ti.min(y - 1 + 2 * (row % 2), rows))  # y itself at the border
+        next_row = ti.max(1, ti.min(y - 1 + 2 * (row % 2), rows))  # y itself at the border
         for side in ti.static(range(2)):  # both children of a row
             s, parent = 2 * position + 1 + side, position + 1
             neighbour = parent - 1 + 2 * side
             for k in ti.static(range(n)):
-                own = near[s] * coarse[k, y, parent] + far[s] * coarse[k, y, neighbour]
-                other = near[s] * coarse[k, beyond, parent] + far[s] * coarse[k, beyond, neighbour]
-                rho[k, row + 1, s] = rho[k, row + 1, s] + 0.75 * own + 0.25 * other
+                own_row = (
+                    parent_weight[s] * coarse[k, y, parent]
+                    + neighbour_weight[s] * coarse[k, y, neighbour]
+                )
+                other_row = (
+                    parent_weight[s] * coarse[k, next_row, parent]
+                    + neighbour_weight[s] * coarse[k, next_row, neighbour]
+                )
+                rho[k, row + 1, s] = rho[k, row + 1, s] + 0.75 * own_row + 0.25 * other_row
     for k, row in ti.ndrange(n, height):
         refresh_halo(rho, k, row + 1)
 
@@ -248,3 +252,54 @@ def _correct(
 def check_halved(grid: LaneGrid, array: LaneData, components: int, name: str) -> None:
     """Raise unless `array` is a halved array of a fine grid."""
     check_array(array, halved_shape(grid, components), name)
+
+
+def prolong(
+    grid: LaneGrid,  # the fine grid
+    coarse: np.ndarray,  # (n, h, w) float32
+    out: LaneData,  # lane array, n components
+    *,
+    ratio: float,  # coarse sampling density divided by fine sampling density, at most 1
+) -> None:
+    """Sample a coarse field bilinearly on a finer grid, halo included.
+
+    Pixel x of the fine grid lies at (x + ½)·ratio − ½ on the coarse grid. Values are divided by
+    `ratio`, because the unit of ρ̂ is the pixel of its level.
+    """
+    check_array(coarse, coarse.shape, "coarse", aligned=False)
+    grid.check(out, coarse.shape[0], "out")
+    if not 0 < ratio <= 1:
+        raise ValueError(f"ratio is {ratio}: expected a value in (0, 1]")
+    _prolong[grid.lanes](coarse, ratio, grid.width, out)
+
+
+@lane_kernel
+def _prolong(
+    coarse: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (n, h, w)
+    ratio: ti.f32,
+    width: ti.i32,
+    out: LaneArray(3),  # (n, H+2, S+2)
+):
+    strip = out.shape[2] - 2
+    lanes = ti.static(lane_count(out))
+    last_row, last_column = coarse.shape[1] - 1, coarse.shape[2] - 1
+    for row, position in ti.ndrange(out.shape[1] - 2, strip + 2):
+        y = ti.max(0.0, ti.min((row + 0.5) * ratio - 0.5, last_row))
+        top = ti.min(ti.cast(y, ti.i32), ti.max(last_row - 1, 0))
+        bottom = ti.min(top + 1, last_row)
+        down = y - top
+        for lane in range(lanes):
+            column = lane * strip + position - 1
+            x = ti.max(0.0, ti.min((column + 0.5) * ratio - 0.5, last_column))
+            left = ti.min(ti.cast(x, ti.i32), ti.max(last_column - 1, 0))
+            right = ti.min(left + 1, last_column)
+            across = x - left
+            for k in range(out.shape[0]):
+                value = 0.0
+                if column >= 0 and column < width:
+                    upper = coarse[k, top, left] * (1.0 - across) + coarse[k, top, right] * across
+                    lower = (
+                        coarse[k, bottom, left] * (1.0 - across) + coarse[k, bottom, right] * across
+                    )
+                    value = (upper * (1.0 - down) + lower * down) / ratio
+                store_lane(out, k, row + 1, position, lane, value)

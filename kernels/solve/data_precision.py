@@ -5,7 +5,7 @@ import taichi as ti
 
 from tisfm.kernels.layout.lanes import LaneArray, LaneData, LaneGrid, check_array, lane_kernel
 from tisfm.kernels.layout.launch import Kernel
-from tisfm.kernels.model.constants import LEAST_DIVISOR
+from tisfm.kernels.model import MIN_DIVISOR
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 
 
@@ -48,7 +48,7 @@ def _data_precision(
             east, south = ti.static(k % sets, sets + k % sets)
             neighbours = weights[east, y, s] + weights[east, y, s - 1]
             neighbours += weights[south, y, s] + weights[south, y - 1, s]
-            variance = 1.0 / (alpha[k] * neighbours + LEAST_DIVISOR)
+            variance = 1.0 / (alpha[k] * neighbours + MIN_DIVISOR)
             m11 += a * a * variance
             m12 += a * b * variance
             m22 += b * b * variance
@@ -64,7 +64,7 @@ def share_of_data(
     precision: np.ndarray,  # (7, H, W) float32: J11, J12, J22, squared residual, M11, M12, M22
     out: np.ndarray,  # (H, W) float32: the share of the data in the precision of a pixel's flow
     *,
-    tolerated: float,  # the squared residual that halves the share; above 0
+    half_share_residual: float,  # the squared residual that halves the share; above 0
     freedom: int,  # {2, 1}: degrees of freedom of a pixel's flow; if 1, M is of rank 1
 ) -> None:
     """Compute tr[J M (I + J M)⁻¹]/freedom, divided by 1 + residual/tolerated."""
@@ -72,17 +72,17 @@ def share_of_data(
     check_array(precision, (7, *out.shape), "precision", aligned=False)
     if freedom not in (1, 2):
         raise ValueError(f"freedom is {freedom}: expected 1 or 2")
-    if not tolerated > 0:
-        raise ValueError(f"tolerated is {tolerated}: expected a positive value")
+    if not half_share_residual > 0:
+        raise ValueError(f"half_share_residual is {half_share_residual}: expected a positive value")
     flat = precision.reshape(7, -1), out.reshape(-1)  # one index: no address from row and column
-    _share_of_data(flat[0], 1.0 / tolerated, 1.0 - 1.0 / freedom, flat[1])
+    _share_of_data(flat[0], 1.0 / half_share_residual, 1.0 - 1.0 / freedom, flat[1])
 
 
 @Kernel
 def _share_of_data(
     precision: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (7, H·W)
-    inverse_tolerated: ti.f32,
-    known: ti.f32,
+    residual_scale: ti.f32,
+    fixed_share: ti.f32,
     out: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H·W,)
 ):
     for i in range(out.shape[0]):
@@ -92,5 +92,5 @@ def _share_of_data(
         # det(I + J M) = 1 + tr(J M) + det J · det M
         determinant = ti.max(j11 * j22 - j12 * j12, 0.0) * ti.max(m11 * m22 - m12 * m12, 0.0)
         determinant += 1.0 + trace
-        share = 1.0 - (1.0 + known * trace) / determinant
-        out[i] = share / (1.0 + inverse_tolerated * precision[3, i])
+        share = 1.0 - (1.0 + fixed_share * trace) / determinant
+        out[i] = share / (1.0 + residual_scale * precision[3, i])

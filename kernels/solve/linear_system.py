@@ -7,8 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from tisfm.kernels.layout.lanes import LaneData, LaneGrid
-from tisfm.kernels.model.edges import component_table
-from tisfm.kernels.model.robust import check_constraints
+from tisfm.kernels.model.robust import check_constraints, component_table
 from tisfm.kernels.solve.coarsening import coarsen_system, restrict_residual
 from tisfm.kernels.solve.data_precision import data_precision
 from tisfm.kernels.solve.line_search import line_search
@@ -29,7 +28,7 @@ class LinearSystem:
     grid: LaneGrid
     tensor: LaneData  # lane array, 6 components: motion tensor (J11, J12, J22, j1, j2, J_tt)
     # lane array, 2n components, or 2 if all unknowns share them: g·b of every edge: eastern edges,
-    # then southern edges (`tisfm.kernels.model.edges`)
+    # then southern edges (`tisfm.kernels.model.robust`)
     weights: LaneData
     x_hat: LaneData  # normalised column coordinate x/f
     y_hat: LaneData  # (H + 2,) float32: normalised row coordinate y/f; row 0 is the halo
@@ -97,13 +96,7 @@ class LinearSystem:
         """Return a function that runs sweeps as `sweep` does."""
         self._check(rho=rho, source=rho if source is None else source)
         return bind_sweeps(
-            self.grid,
-            self.arrays,
-            rho,
-            source,
-            relaxation=relaxation,
-            solver=solver,
-            sweeps=sweeps,
+            self.grid, self.arrays, rho, source, relaxation=relaxation, solver=solver, sweeps=sweeps
         )
 
     def bind_weight_update(
@@ -125,18 +118,10 @@ class LinearSystem:
         self.grid.check(edges, 2, "edges")
         check_constraints(self.grid, constraints, scales)
         return bind_update(
-            self.grid,
-            self.arrays,
-            rho,
-            previous,
-            constraints,
-            edges,
-            alpha=self.alpha,
+            self.grid, self.arrays, rho, previous, constraints, edges, alpha=self.alpha,
             stiffness=component_table(self.stiffness, self.components, "stiffness"),
-            contrast=contrast,
-            scales=scales,
-            along_line=along_line,
-        )
+            contrast=contrast, scales=scales, along_line=along_line,
+        )  # fmt: skip
 
     def precision(self, rho: LaneData, out: LaneData) -> None:
         """Write precision and residual of the data, and the covariance given the neighbours.
@@ -170,16 +155,16 @@ class LinearSystem:
 
     def line_search(
         self,
-        # rho, before, step: lane arrays, n components: the corrected ρ̂, ρ̂ before the correction,
-        # and the last step. Modified in place: `rho` and `before` become the minimum, `step`
+        # rho, previous, step: lane arrays, n components: the corrected ρ̂, ρ̂ before the correction,
+        # and the last step. Modified in place: `rho` and `previous` become the minimum, `step`
         # becomes the move to it.
         rho: LaneData,
-        before: LaneData,
+        previous: LaneData,
         step: LaneData,
     ) -> None:
         """Move to the minimum of the energy in the plane of the correction and the last step."""
-        self._check(rho=rho, before=before, step=step)
-        line_search(self.grid, self.arrays, rho, before, step)
+        self._check(rho=rho, previous=previous, step=step)
+        line_search(self.grid, self.arrays, rho, previous, step)
 
     def _check(self, **unknowns: LaneData) -> None:
         for name, array in unknowns.items():

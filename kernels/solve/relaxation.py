@@ -13,7 +13,7 @@ import taichi as ti
 from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import (
     CHUNK,
-    SMALL,
+    INDEX_MASK,
     LaneArray,
     LaneData,
     LaneGrid,
@@ -24,18 +24,15 @@ from tisfm.kernels.layout.lanes import (
     refresh_halo,
     store,
 )
-from tisfm.kernels.model.constants import LEAST_DIVISOR
-from tisfm.kernels.model.edges import spread
+from tisfm.kernels.layout.launch import Kernel
+from tisfm.kernels.model import MIN_DIVISOR
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
-from tisfm.kernels.model.small_spd import (
-    DATA_FLOOR,
-    cholesky_solve,
-    woodbury_solve,
-)
+from tisfm.kernels.model.robust import repeat_shared
+from tisfm.kernels.model.small_spd import DATA_FLOOR, cholesky_solve, woodbury_solve
 
 SOLVERS = ("cholesky", "closed_form")
 RELAXATION_BAND = 32  # least rows of a band: a few rows fit in the cache, and borders are few
-AT_ONCE = 64  # most sweeps in one launch, for a grid with a single band
+MAX_SWEEPS = 64  # most sweeps in one launch, for a grid with a single band
 
 
 def bind_sweeps(
@@ -57,28 +54,38 @@ def bind_sweeps(
         raise ValueError(f"solver is {solver!r}: expected one of {SOLVERS}")
     weights = arrays[1]
     components, sets = rho.shape[0], weights.shape[0] // 2
-    closed_form, sourced = solver == "closed_form", source is not None
+    closed_form, has_source = solver == "closed_form", source is not None
     system = (*arrays, rho if source is None else source, relaxation)
-    options = (components, sets, closed_form, sourced)
+    options = (components, sets, closed_form, has_source)
     if grid.lanes == 1:
-        return repeated((_sweep_sites[1].bind(*system, *options, rho), sweeps))
+        return repeat_launches((_sweep_sites[1].bind(*system, *options, rho), sweeps))
+    return sweeps_in_bands(_sweep[grid.lanes], (*system, *options), rho, grid.height, sweeps)
+
+
+def sweeps_in_bands(
+    kernel: Kernel,  # its last arguments are is_single, bands, repeats and rho
+    arguments: tuple,
+    rho: LaneData,
+    height: int,  # rows of the grid
+    sweeps: int,
+) -> Callable[[], None]:
+    """Return a function that runs sweeps, a band of rows in each thread."""
     # The bands must not depend on the number of threads: rows beside borders between bands are
     # computed in a separate loop, which may round differently.
-    bands = max(1, 2 * (grid.height // (2 * RELAXATION_BAND)))
-    alone = bands == 1
+    bands = max(1, 2 * (height // (2 * RELAXATION_BAND)))
 
     def launch(repeats: int) -> Callable[[], None]:
-        return _sweep[grid.lanes].bind(*system, *options, alone, bands, repeats, rho)
+        return kernel.bind(*arguments, bands == 1, bands, repeats, rho)
 
-    if not alone:
-        return repeated((launch(1), sweeps))
+    if bands > 1:
+        return repeat_launches((launch(1), sweeps))
     # One thread computes a single band, so it can run several sweeps per launch. Their number is
     # limited, because a launch cannot be interrupted.
-    whole, rest = divmod(sweeps, AT_ONCE)
-    return repeated((launch(AT_ONCE), whole), (launch(rest), min(rest, 1)))
+    full_launches, rest = divmod(sweeps, MAX_SWEEPS)
+    return repeat_launches((launch(MAX_SWEEPS), full_launches), (launch(rest), min(rest, 1)))
 
 
-def repeated(*parts: tuple[Callable[[], None], int]) -> Callable[[], None]:
+def repeat_launches(*parts: tuple[Callable[[], None], int]) -> Callable[[], None]:
     """Return a function that runs each launch the given number of times."""
 
     def run() -> None:
@@ -96,13 +103,13 @@ def _sweep(
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
     alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
-    source: LaneArray(3),  # (n, H+2, S+2), read if `sourced`
+    source: LaneArray(3),  # (n, H+2, S+2), read if `has_source`
     relaxation: ti.f32,
     n: ti.template(),
     sets: ti.template(),
     closed_form: ti.template(),
-    sourced: ti.template(),
-    alone: ti.template(),
+    has_source: ti.template(),
+    is_single: ti.template(),
     bands: ti.i32,
     repeats: ti.i32,
     rho: LaneArray(3),  # (n, H+2, S+2), in place
@@ -111,43 +118,43 @@ def _sweep(
 
     A thread processes a band of rows at a time. Black rows that touch another band wait until all
     red sites are done. So the result equals, up to rounding, a sweep of all red and then of all
-    black sites. `repeats` is the number of sweeps; it is 1 unless there is a single band (`alone`),
-    which needs no other thread.
+    black sites. `repeats` is the number of sweeps; it is 1 unless there is a single band
+    (`is_single`), which needs no other thread.
     """
     height = rho.shape[1] - 2
     pairs = (rho.shape[2] - 2) // 2
-    chunk = ti.static(1 if alone else CHUNK)
-    ti.loop_config(serialize=alone)
+    chunk = ti.static(1 if is_single else CHUNK)
+    ti.loop_config(serialize=is_single)
     for task in range(chunk * bands):
         if task % chunk == 0:
             alphas = ti.static([bind(alpha[k]) for k in range(n)])
-            stride = rho.shape[2] & SMALL
+            stride = rho.shape[2] & INDEX_MASK
             planes = ti.static(planes_of(rho, max(6, 2 * sets)))
             band = task // chunk
             first, last = first_row(band, height, bands), first_row(band + 1, height, bands)
             first_black = ti.select(band > 0, first + 1, first)
             last_black = ti.select(band < bands - 1, last - 1, last)
-            for turn in range(repeats * (2 * (last - first) + 2)):
-                step = turn % (2 * (last - first) + 2)
+            for tick in range(repeats * (2 * (last - first) + 2)):
+                step = tick % (2 * (last - first) + 2)
                 color = step % 2
                 row = first + step // 2 - color
-                red = color == 0 and row < last
-                black = color == 1 and row >= first_black and row < last_black
-                if red or black:
+                is_red = color == 0 and row < last
+                is_black = color == 1 and row >= first_black and row < last_black
+                if is_red or is_black:
                     for pair in range(pairs):
                         s = 2 * pair + (row + color) % 2 + 1
                         relax_at(
                             tensor, weights, x_hat, y_hat, source, alphas, stride, planes,
-                            relaxation, n, sets, closed_form, sourced, rho, row + 1, s,
+                            relaxation, n, sets, closed_form, has_source, rho, row + 1, s,
                         )  # fmt: skip
                     for k in range(n):
                         refresh_halo(rho, k, row + 1)
     # Now the black rows on both sides of every border between bands.
-    if ti.static(not alone):
+    if ti.static(not is_single):
         for task in range(CHUNK * 2 * (bands - 1)):
             if task % CHUNK == 0:
                 alphas = ti.static([bind(alpha[k]) for k in range(n)])
-                stride = rho.shape[2] & SMALL
+                stride = rho.shape[2] & INDEX_MASK
                 planes = ti.static(planes_of(rho, max(6, 2 * sets)))
                 border = task // CHUNK
                 row = first_row(border // 2 + 1, height, bands) - 1 + border % 2
@@ -155,7 +162,7 @@ def _sweep(
                     s = 2 * pair + (row + 1) % 2 + 1
                     relax_at(
                         tensor, weights, x_hat, y_hat, source, alphas, stride, planes,
-                        relaxation, n, sets, closed_form, sourced, rho, row + 1, s,
+                        relaxation, n, sets, closed_form, has_source, rho, row + 1, s,
                     )  # fmt: skip
                 for k in range(n):
                     refresh_halo(rho, k, row + 1)
@@ -168,12 +175,12 @@ def _sweep_sites(
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
     alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
-    source: LaneArray(3),  # (n, H+2, S+2), read if `sourced`
+    source: LaneArray(3),  # (n, H+2, S+2), read if `has_source`
     relaxation: ti.f32,
     n: ti.template(),
     sets: ti.template(),
     closed_form: ti.template(),
-    sourced: ti.template(),
+    has_source: ti.template(),
     rho: LaneArray(3),  # (n, H+2, S+2), in place
 ):
     """Sweep all red and then all black sites, each site in its own thread; for one lane only."""
@@ -183,42 +190,30 @@ def _sweep_sites(
         for row, pair in ti.ndrange(height, pairs):
             s = 2 * pair + (row + color) % 2 + 1
             alphas = ti.static([bind(alpha[k]) for k in range(n)])
-            stride = rho.shape[2] & SMALL
+            stride = rho.shape[2] & INDEX_MASK
             planes = ti.static(planes_of(rho, max(6, 2 * sets)))
             relax_at(
                 tensor, weights, x_hat, y_hat, source, alphas, stride, planes,
-                relaxation, n, sets, closed_form, sourced, rho, row + 1, s,
+                relaxation, n, sets, closed_form, has_source, rho, row + 1, s,
             )  # fmt: skip
 
 
 @ti.func
 def relax_at(
-    tensor: ti.template(),
-    weights: ti.template(),
-    x_hat: ti.template(),
-    y_hat: ti.template(),
-    source: ti.template(),
-    alphas: ti.template(),
-    stride,
-    planes: ti.template(),
-    relaxation,
-    n: ti.template(),
-    sets: ti.template(),
-    closed_form: ti.template(),
-    sourced: ti.template(),
-    rho: ti.template(),
-    y,
-    s,
-):
+    tensor: ti.template(), weights: ti.template(), x_hat: ti.template(), y_hat: ti.template(),
+    source: ti.template(), alphas: ti.template(), stride, planes: ti.template(), relaxation,
+    n: ti.template(), sets: ti.template(), closed_form: ti.template(), has_source: ti.template(),
+    rho: ti.template(), y, s,
+):  # fmt: skip
     """Solve one pixel (one vector of lanes) with over-relaxation."""
-    i = (y * stride + s) & SMALL
+    i = (y * stride + s) & INDEX_MASK
     columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
     center = ti.static([bind(element(rho, i + planes[k])) for k in range(n)])
     edges = ti.static(edges_at(weights, planes, stride, sets, i))
     j = ti.static([bind(element(tensor, i + planes[k])) for k in range(3)])
     residual = ti.static(
         residual_at(
-            tensor, edges, columns, source if sourced else None, alphas, planes, stride, rho,
+            tensor, edges, columns, source if has_source else None, alphas, planes, stride, rho,
             center, i,
         )
     )  # fmt: skip
@@ -265,7 +260,7 @@ def residual_at(
         smooth: Any = 0.0
         for side, place in zip(edges, neighbours, strict=True):
             difference = element(rho, place + planes[k]) - center[k]
-            smooth = smooth + spread(side, n)[k] * difference
+            smooth = smooth + repeat_shared(side, n)[k] * difference
         total = alphas[k] * smooth - a * g1 - b * g2
         if source is not None:
             total = total + element(source, i + planes[k])
@@ -278,11 +273,11 @@ def _solve(
 ) -> list:
     """Return B⁻¹ residual, generated by the chosen solver."""
     sets = [bind(sum(sides[1:], sides[0])) for sides in zip(*edges, strict=True)]
-    totals = spread(sets, len(alphas))
+    totals = repeat_shared(sets, len(alphas))
     j11, j12, j22 = tensor
     # A pixel without an open edge has only its data. The floor shortens its steps, but the limit,
     # where the residual is zero, stays the same.
-    floor = bind(DATA_FLOOR * (j11 + j22) + LEAST_DIVISOR)
+    floor = bind(DATA_FLOOR * (j11 + j22) + MIN_DIVISOR)
     if closed_form and len(alphas) > 1:  # a single unknown needs no closed form
         if len(sets) == 1:  # one division of vectors is enough
             softest = alphas[0]

@@ -10,7 +10,7 @@ import taichi as ti
 from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import (
     CHUNK,
-    SMALL,
+    INDEX_MASK,
     LaneArray,
     LaneData,
     LaneGrid,
@@ -25,7 +25,7 @@ from tisfm.kernels.layout.lanes import (
     store,
 )
 from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
-from tisfm.kernels.model.constants import LEAST_PIVOT
+from tisfm.kernels.model import MIN_PIVOT
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 from tisfm.kernels.model.robust import finite_scales, robust_data, terms_of
 
@@ -40,8 +40,8 @@ class Sums:
     energy: float  # Energy (eq. 6, 20): robust data term and α Σ g Φ_δ.
     # Half-quadratic energy (eq. 8, 21) with the weights and the tensor before the update.
     half_quadratic: float
-    # moved, size: ‖ρ̂ − previous‖ and ‖ρ̂‖, Euclidean norms over the image, px/frame
-    moved: float
+    # change, size: ‖ρ̂ − previous‖ and ‖ρ̂‖, Euclidean norms over the image, px/frame
+    change: float
     size: float
 
 
@@ -102,11 +102,11 @@ def bind_update(
 
     def run() -> Sums:
         launch()
-        data, half_data, smooth, half_smooth, moved, size = add_blocks(partial)
+        data, half_data, smooth, half_smooth, change, size = add_blocks(partial)
         return Sums(
             energy=float(data + alpha * smooth),
             half_quadratic=float(half_data + alpha * half_smooth),
-            moved=float(np.sqrt(moved)),
+            change=float(np.sqrt(change)),
             size=float(np.sqrt(size)),
         )
 
@@ -142,7 +142,7 @@ def _update(
     blocks = partial.shape[1]
     if ti.static(lane_count(rho) == 1):
         for index in range(height * blocks):
-            stride = rho.shape[2] & SMALL
+            stride = rho.shape[2] & INDEX_MASK
             planes = ti.static(planes_of(rho, max(6, 3 * count, 2 * sets)))
             _update_block(
                 terms, edges, x_hat, y_hat, rho, stiffness, inverse_squared_contrast,
@@ -156,7 +156,7 @@ def _update(
         for task in range(chunk * bands):
             if task % chunk == 0:
                 band = task // chunk
-                stride = rho.shape[2] & SMALL
+                stride = rho.shape[2] & INDEX_MASK
                 planes = ti.static(planes_of(rho, max(6, 3 * count, 2 * sets)))
                 for row in range(
                     first_row(band, height, bands), first_row(band + 1, height, bands)
@@ -176,41 +176,22 @@ def _update(
 
 @ti.func
 def _update_block(
-    terms: ti.template(),
-    edges: ti.template(),
-    x_hat: ti.template(),
-    y_hat: ti.template(),
-    rho: ti.template(),
-    stiffness: ti.template(),
-    inverse_squared_contrast,
-    squared_contrast,
-    inverse0,
-    scale0,
-    inverse1,
-    scale1,
-    n: ti.template(),
-    sets: ti.template(),
-    count: ti.template(),
-    along_line: ti.template(),
-    weights: ti.template(),
-    tensor: ti.template(),
-    previous: ti.template(),
-    partial: ti.template(),
-    stride,
-    planes: ti.template(),
-    row,
-    block,
-):
+    terms: ti.template(), edges: ti.template(), x_hat: ti.template(), y_hat: ti.template(),
+    rho: ti.template(), stiffness: ti.template(), inverse_squared_contrast, squared_contrast,
+    inverse0, scale0, inverse1, scale1, n: ti.template(), sets: ti.template(), count: ti.template(),
+    along_line: ti.template(), weights: ti.template(), tensor: ti.template(),
+    previous: ti.template(), partial: ti.template(), stride, planes: ti.template(), row, block,
+):  # fmt: skip
     """Update one block of a row."""
     y, strip = row + 1, rho.shape[2] - 2
     zero = 0.0 * x_hat[1]
-    data, half_data, smooth, half_smooth, moved, size = zero, zero, zero, zero, zero, zero
+    data, half_data, smooth, half_smooth, change, size = zero, zero, zero, zero, zero, zero
     for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
         s = position + 1
-        i = (y * stride + s) & SMALL
-        here = ti.static([bind(element(rho, i + planes[k])) for k in range(n)])
+        i = (y * stride + s) & INDEX_MASK
+        center = ti.static([bind(element(rho, i + planes[k])) for k in range(n)])
         columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
-        u, v = ti.static(flow_of(columns, here))
+        u, v = ti.static(flow_of(columns, center))
         j = ti.static([bind(element(tensor, i + planes[k])) for k in range(6)])
         half_data += u * (j[0] * u + 2.0 * (j[1] * v + j[3])) + v * (j[2] * v + 2.0 * j[4]) + j[5]
         entries = ti.static([bind(element(terms, i + planes[k])) for k in range(3 * count)])
@@ -222,28 +203,32 @@ def _update_block(
             store(tensor, i + planes[k], sums[k])
         for side in ti.static(range(2)):  # east, south
             g = load(edges, i + planes[side])
-            beyond = i + 1 + side * (stride - 1)
-            steps = ti.static([bind(element(rho, beyond + planes[k]) - here[k]) for k in range(n)])
+            neighbour = i + 1 + side * (stride - 1)
+            steps = ti.static(
+                [bind(element(rho, neighbour + planes[k]) - center[k]) for k in range(n)]
+            )
             squares = ti.static([bind(stiffness[k] * steps[k] * steps[k]) for k in range(n)])
             lengths = ti.static(squares if sets == n else [_sum(squares)])
             for k in ti.static(range(sets)):
-                place = i + planes[sets * side + k]
-                square, before = lengths[k], load(weights, place)
+                index = i + planes[sets * side + k]
+                square, old_weight = lengths[k], load(weights, index)
                 root = ti.sqrt(1.0 + inverse_squared_contrast * square)
-                both = g / (root * (1.0 + root))  # one division, as slow as many products
-                smooth += 2.0 * square * (root * both)  # g Φ_δ
+                factor = g / (root * (1.0 + root))  # one division, as slow as many products
+                smooth += 2.0 * square * (root * factor)  # g Φ_δ
                 # g [bΔ² + δ²(b + 1/b − 2)], b + 1/b − 2 = (1 − b)²/b, for b = before/g.
-                gap = g - before
-                half_smooth += before * square
-                half_smooth += squared_contrast * gap * gap / ti.max(before, LEAST_PIVOT)
-                store(weights, place, both * (1.0 + root))  # g b
+                difference = g - old_weight
+                half_smooth += old_weight * square
+                half_smooth += (
+                    squared_contrast * difference * difference / ti.max(old_weight, MIN_PIVOT)
+                )
+                store(weights, index, factor * (1.0 + root))  # g b
         for k in ti.static(range(n)):
-            place = i + planes[k]
-            step = here[k] - load(previous, place)
-            moved += step * step
-            size += here[k] * here[k]
-            store(previous, place, here[k])
-    for term, value in ti.static(enumerate((data, half_data, smooth, half_smooth, moved, size))):
+            index = i + planes[k]
+            step = center[k] - load(previous, index)
+            change += step * step
+            size += center[k] * center[k]
+            store(previous, index, center[k])
+    for term, value in ti.static(enumerate((data, half_data, smooth, half_smooth, change, size))):
         store_sum(partial, row, block, term, value, ti.static(lane_count(rho)))
 
 

@@ -57,13 +57,13 @@ def some_points(size, number=400):
 @each_size
 def test_depth_between_pixels_is_of_one_surface(size):
     """By the mean colour's depth test: `add_colors` says where a point is near the surface."""
-    from tisfm.kernels.fusion.colors import add_colors
+    from tisfm.kernels.fusion.agreement import add_colors
 
     inverse_depth, _ = depth_map(size)
     colors = np.random.default_rng(1).uniform(0, 255, (*size, 3)).astype(np.float32)
     points, projection = some_points(size), to_pixels(size)
     sums = np.zeros((len(points), 4), np.float32)
-    add_colors(points, inverse_depth, colors, sums, projection=projection, near=0.03)
+    add_colors(points, inverse_depth, colors, sums, projection=projection, max_distance=0.03)
     expected = reference.add_colors(
         points.astype(float),
         inverse_depth.astype(float),
@@ -108,13 +108,13 @@ def test_compare(size):
 
 @each_size
 def test_mark_shown(size):
-    from tisfm.kernels.fusion.agreement import mark_shown
+    from tisfm.kernels.fusion.agreement import mark_pixels_of_points
 
     inverse_depth, deviation = depth_map(size)
     points, projection = some_points(size, 60), to_pixels(size)
     relative = np.random.default_rng(5).uniform(0, 0.02, len(points)).astype(np.float32)
     shown = np.zeros(size, np.int32)
-    mark_shown(
+    mark_pixels_of_points(
         points, relative, inverse_depth, deviation, shown, projection=projection, tolerance=3
     )
     expected = reference.mark_shown(
@@ -129,7 +129,7 @@ def test_mark_shown(size):
 @each_size
 @pytest.mark.parametrize(("stride", "places"), [(1, 3), (2, 5), (3, 2)])
 def test_blocks_near(size, stride, places):
-    from tisfm.kernels.fusion.distance_field import CORNERS, blocks_near
+    from tisfm.kernels.fusion.distance_field import CORNERS, find_blocks
 
     inverse_depth, deviation = depth_map(size)
     extent = (9, 7, 23)
@@ -142,7 +142,7 @@ def test_blocks_near(size, stride, places):
     for first in range(0, rows, 2):  # some rows at a time
         count = min(2, rows - first)
         out = np.full((count, -(-size[1] // stride), places, CORNERS), -7, np.int32)
-        blocks_near(
+        find_blocks(
             inverse_depth, deviation, out, top=first * stride, extent=extent, **options
         )  # fmt: skip
         found |= set(np.unique(out[out >= 0]).tolist())
@@ -207,12 +207,12 @@ def test_integrate(size):
     ],
 )
 def test_impossible_blocks_are_refused(change, message):
-    from tisfm.kernels.fusion.distance_field import CORNERS, blocks_near
+    from tisfm.kernels.fusion.distance_field import CORNERS, find_blocks
 
     options = {"top": 0, "stride": 1, "extent": (2, 2, 2), "truncation": 0.1, **change}
     image = np.ones((4, 5), np.float32)
     with pytest.raises(ValueError, match=message):
-        blocks_near(
+        find_blocks(
             image, image, np.empty((4, 5, 3, CORNERS), np.int32),
             rays=np.zeros((3, 4), np.float32), **options,
         )  # fmt: skip

@@ -6,9 +6,9 @@ import threading
 import numpy as np
 import pytest
 
-from tisfm.kernels.layout.buffers import ALIGNMENT, LARGEST_KEPT, SMALLEST_KEPT, Buffers
+from tisfm.kernels.layout.buffers import ALIGNMENT, MAX_REUSED_BYTES, MIN_REUSED_BYTES, Buffers
 
-COUNT = SMALLEST_KEPT  # floats: four times what is kept at least
+COUNT = MIN_REUSED_BYTES  # floats: four times what is kept at least
 
 
 def address(array):
@@ -24,11 +24,11 @@ def test_memory_is_used_again(buffers):
     array = buffers.floats(COUNT)
     assert array.dtype == np.float32 and array.shape == (COUNT,) and array.flags.writeable
     first = address(array)
-    assert first % ALIGNMENT == 0 and buffers.kept == 0
+    assert first % ALIGNMENT == 0 and buffers.unused == 0
     del array
-    assert buffers.kept >= 4 * COUNT
+    assert buffers.unused >= 4 * COUNT
     again = buffers.floats(COUNT)
-    assert address(again) == first and buffers.kept == 0
+    assert address(again) == first and buffers.unused == 0
 
 
 def test_buffers_of_another_size_are_not_reused(buffers):
@@ -45,7 +45,7 @@ def test_a_view_keeps_its_memory(buffers):
     view = array.reshape(4, -1)[1:, ::2].T.view()
     del array
     gc.collect()
-    assert buffers.kept == 0
+    assert buffers.unused == 0
     other = buffers.floats(COUNT)
     assert address(other) != first
     view[...] = 7
@@ -60,35 +60,35 @@ def test_two_users_share_nothing(buffers):
             array[:] = value
         assert [set(array) for array in arrays] == [{0.0}, {1.0}, {2.0}]
         del array, arrays
-    assert 12 * COUNT <= buffers.kept < 16 * COUNT
+    assert 12 * COUNT <= buffers.unused < 16 * COUNT
 
 
 def test_no_more_is_kept_than_allowed():
-    buffers = Buffers(most=9 * COUNT)
+    buffers = Buffers(max_unused=9 * COUNT)
     arrays = [buffers.floats(COUNT) for _ in range(4)]
     del arrays
-    assert 8 * COUNT <= buffers.kept <= 9 * COUNT
+    assert 8 * COUNT <= buffers.unused <= 9 * COUNT
     array = buffers.floats(COUNT // 2)
     del array  # the last to be given back is the last to be let go
-    assert 6 * COUNT <= buffers.kept < 7 * COUNT
+    assert 6 * COUNT <= buffers.unused < 7 * COUNT
     buffers.release()
-    assert buffers.kept == 0
+    assert buffers.unused == 0
 
 
 def test_a_large_array_releases_the_kept_memory(buffers):
     """For large frames, memory counts more than the time to get it again."""
     array = buffers.floats(COUNT)
     del array
-    assert buffers.kept
-    buffers.floats(LARGEST_KEPT // 4)
-    assert buffers.kept == 0
+    assert buffers.unused
+    buffers.floats(MAX_REUSED_BYTES // 4)
+    assert buffers.unused == 0
 
 
 def test_small_arrays_are_not_kept(buffers):
     array = buffers.floats(8)
     assert address(array) % ALIGNMENT == 0
     del array
-    assert buffers.kept == 0
+    assert buffers.unused == 0
 
 
 def test_threads_take_different_memory(buffers):
@@ -134,7 +134,7 @@ def test_pairs_of_a_sequence_share_memory():
     kept = []
     for _ in range(4):
         tisfm.interpret(*frames)
-        kept.append(buffers.kept)
+        kept.append(buffers.unused)
     assert kept[-1] == kept[-2] and 0 < max(kept) < 4 * 150 * frames[0].size
     np.testing.assert_array_equal(first.rho, second.rho)
     np.testing.assert_array_equal(first.confidence, second.confidence)

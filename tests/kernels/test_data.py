@@ -70,11 +70,11 @@ def test_warp(size, lanes, make_problem):
 def test_warp_in_parallel_and_to_any_halo(lanes, halo, make_problem):
     from tisfm.kernels.data.warp import WARP_BAND, warp
     from tisfm.kernels.layout.images import image_to_lanes
-    from tisfm.kernels.layout.lanes import SERIAL
+    from tisfm.kernels.layout.lanes import MAX_SERIAL_PIXELS
     from tisfm.solver.sampling import spline_taps
 
     size = (6 * WARP_BAND + 5, 131)
-    assert size[0] * size[1] > SERIAL
+    assert size[0] * size[1] > MAX_SERIAL_PIXELS
     problem = make_problem(*size, 2, lanes)
     grid, rng = problem.grid, np.random.default_rng(3)
     image = rng.uniform(0, 255, size=size).astype(np.float32)
@@ -219,7 +219,7 @@ def test_image_edges_check_their_arguments():
 @each_size
 @pytest.mark.parametrize("any_order", [False, True])
 def test_splatting_and_who_loses_them(size, any_order):
-    from tisfm.kernels.data.forward_splatting import defeated, splat
+    from tisfm.kernels.data.forward_splatting import hidden_pixels, splat
     from tisfm.kernels.layout.lanes import aligned_zeros
 
     rng = np.random.default_rng(3)
@@ -236,7 +236,7 @@ def test_splatting_and_who_loses_them(size, any_order):
     close(np.moveaxis(sums, -1, 0), reference.splat(flow, residual))
 
     out = np.full(size, 9, np.int32)
-    defeated(flow, residual, sums, out, density=1.2, apart=0.1)
+    hidden_pixels(flow, residual, sums, out, density=1.2, flow_difference=0.1)
     expected = reference.hidden_pixels(flow, residual, density=1.2, flow_difference=0.1)
     np.testing.assert_array_equal(out, expected)
     if min(size) > 4:
@@ -244,7 +244,7 @@ def test_splatting_and_who_loses_them(size, any_order):
 
 
 def test_splatting_check_their_arrays():
-    from tisfm.kernels.data.forward_splatting import defeated, splat
+    from tisfm.kernels.data.forward_splatting import hidden_pixels, splat
     from tisfm.kernels.layout.lanes import aligned_zeros
 
     flow, residual = np.zeros((2, 5, 6), np.float32), np.zeros((5, 6), np.float32)
@@ -258,12 +258,12 @@ def test_splatting_check_their_arrays():
     offset = aligned_zeros((5 * 6 * 4 + 1,))[1:].reshape(5, 6, 4)
     for call in (
         lambda: splat(flow, residual, offset),
-        lambda: defeated(flow, residual, offset, out, density=1.2, apart=0.1),
+        lambda: hidden_pixels(flow, residual, offset, out, density=1.2, flow_difference=0.1),
     ):
         with pytest.raises(ValueError, match="sums must be aligned to 64 bytes"):
             call()
     with pytest.raises(TypeError, match="out is bool: expected a NumPy array of int32"):
-        defeated(flow, residual, sums, out > 0, density=1.2, apart=0.1)
+        hidden_pixels(flow, residual, sums, out > 0, density=1.2, flow_difference=0.1)
 
 
 @each_size
@@ -312,7 +312,7 @@ def test_constraints_of_both_neighbours_are_refused(make_problem):
     one, two, three, six = (grid.allocate(n) for n in (1, 2, 3, 6))
     with pytest.raises(ValueError, match="bend"):
         backward_flow(grid, two, one, two)
-    with pytest.raises(ValueError, match="before"):
+    with pytest.raises(ValueError, match="previous"):
         join_constraints(grid, two, two, one, one, two, (1.0,), three, six)
     with pytest.raises(ValueError, match="trust"):
         join_constraints(grid, three, one, one, one, two, (1.0,), three, six)

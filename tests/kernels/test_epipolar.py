@@ -107,8 +107,8 @@ def test_motion_system(size, lanes, count, held, label, make_problem):
         label=label,
         focal=problem.camera.focal,
         scales=scales,
-        held=alpha,
-        tolerated=tolerated,
+        depth_stiffness=alpha,
+        quarter_weight_residual=tolerated,
     )
     identity = reference.motion_matrix(problem.camera, *size, 2)
     moved = reference.displacement(inverse_depth[0], problem.camera, *poses[label])
@@ -134,14 +134,14 @@ def test_motion_system(size, lanes, count, held, label, make_problem):
 
 @pairwise(size=SIZES, lanes=LANES, count=[1, 2, 3])
 def test_along(size, lanes, count, make_problem):
-    from tisfm.kernels.rigid.epipolar import along
+    from tisfm.kernels.rigid.epipolar import restrict_to_line
 
     problem = make_problem(*size, 1, lanes, channels=count)
     constraints = problem.constraints
     rng = np.random.default_rng(3)
     flow, direction = rng.normal(size=(2, 2, *size)).astype(np.float32).astype(np.float64)
     out = problem.grid.allocate(3 * count)
-    along(
+    restrict_to_line(
         problem.grid, problem.to_lanes(constraints.reshape(-1, *size)), problem.to_lanes(flow),
         problem.to_lanes(direction), problem.unknowns.rho, out,
     )  # fmt: skip

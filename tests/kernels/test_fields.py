@@ -95,17 +95,17 @@ def test_motion_fields(size, components, by_pixel, make_problem):
 @pytest.mark.parametrize("size", [*SIZES, (24, 64), (25, 63), (27, 66)], ids=str)
 @pytest.mark.parametrize("factor", [2, 4])
 def test_enlarged_is_prolonged(size, factor):
-    from tisfm.solver.sampling import enlarged, reduced
+    from tisfm.solver.sampling import enlarge, shrink
 
     for up in (0, 1):  # sizes of levels are rounded, either way
         shape = tuple(max(1, side // factor + up) for side in size)
         coarse = np.random.default_rng(6).normal(size=(3, *shape)).astype(np.float32)
         expected = reference.prolong(coarse.astype(np.float64), size, 1 / factor)
-        close(enlarged(factor * coarse, factor, *size), expected, scale=10)
+        close(enlarge(factor * coarse, factor, *size), expected, scale=10)
         # A ramp is where it was.
         ramp = np.arange(size[1], dtype=np.float32)[None].repeat(size[0], axis=0)
         within = np.arange(min(shape[1], size[1] // factor))
-        means = reduced(ramp[None], factor, *shape)[0, 0, : len(within)]
+        means = shrink(ramp[None], factor, *shape)[0, 0, : len(within)]
         close(means, factor * (within + 0.5) - 0.5)
 
 

@@ -31,7 +31,7 @@ def drawn(shape, seed=0, largest=6.0):
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (12, 1), (13, 17), (24, 31)])
 def test_score_is_that_of_the_reference(size):
-    from tisfm.kernels.rigid.windows import NOWHERE, UNSEEN
+    from tisfm.kernels.rigid.windows import OUTSIDE_COST, UNTEXTURED
 
     levels0, levels1 = texture(*size), texture(*size, seed=1)
     state = drawn(size)
@@ -47,9 +47,9 @@ def test_score_is_that_of_the_reference(size):
         levels0, levels1, shifted, east, south, noise=NOISE**2
     )
     cost = state[..., 2]
-    seen = cost < UNSEEN
+    seen = cost < UNTEXTURED
     np.testing.assert_array_equal(seen, variance > 1.8 * NOISE**2)
-    assert (cost[seen & outside] == NOWHERE).all()
+    assert (cost[seen & outside] == OUTSIDE_COST).all()
     compared = seen & surely
     # float32, and a reciprocal
     np.testing.assert_allclose(cost[compared], expected[compared], rtol=0, atol=1e-3)
@@ -60,13 +60,13 @@ def test_a_shift_is_found_and_no_cost_rises():
     frame = texture(60, 90)
     search = search_in(frame[:, 12:].copy(), frame[:, :-12].copy())
     state = drawn((60, 78), largest=16.0)
-    search.score(state, seen=1.8)
+    search.score(state, min_variance=1.8)
     for turn in range(6):
         before = state[..., 2].copy()
         search.improve(state, reach=5, draws=7, spans=(16.0, 0.5), seed=turn)
         assert (state[..., 2] <= before).all()
     costs = state.copy()
-    search.score(costs, seen=1.8)
+    search.score(costs, min_variance=1.8)
     np.testing.assert_allclose(costs[..., 2], state[..., 2], atol=1e-6)
     off = np.hypot(state[6:-6, 6:60, 0] - 12, state[6:-6, 6:60, 1])  # beyond, the border repeats
     assert (off < 0.5).mean() > 0.98
@@ -77,7 +77,7 @@ def test_the_same_answer_twice_and_another_for_another_seed():
     found = []
     for seed in (0, 0, 1):
         search, state = search_in(frame0, frame1), drawn((31, 45))
-        search.score(state, seen=1.8)
+        search.score(state, min_variance=1.8)
         search.improve(state, reach=5, draws=3, spans=(8.0, 1.0), seed=seed)
         found.append(state)
     np.testing.assert_array_equal(found[0], found[1])
@@ -91,21 +91,21 @@ def test_other_pixels_keep_their_flow():
     state[..., 2] = 9
     before = state.copy()
     search = search_in(frame0, frame1)
-    search.score(state, seen=1.8)
+    search.score(state, min_variance=1.8)
     search.improve(state, reach=5, draws=3, spans=(8.0, 1.0), seed=0)
     np.testing.assert_array_equal(state[:, 20:], before[:, 20:])
     assert (state[:, :20, 2] < 9).all()
 
 
 def test_bare_windows_are_not_compared():
-    from tisfm.kernels.rigid.windows import RADIUS, UNSEEN
+    from tisfm.kernels.rigid.windows import RADIUS, UNTEXTURED
 
     frame = texture(40, 60)
     frame[:, 30:] = 77
     state = drawn(frame.shape)
     search_in(frame, frame).score(state, seen=1.8)
-    assert (state[:, 30 + RADIUS :, 2] == UNSEEN).all()
-    assert (state[:, :25, 2] < UNSEEN).all()
+    assert (state[:, 30 + RADIUS :, 2] == UNTEXTURED).all()
+    assert (state[:, :25, 2] < UNTEXTURED).all()
 
 
 def nearest_by_steps(guide, known, edge):
@@ -131,7 +131,7 @@ def nearest_by_steps(guide, known, edge):
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (8, 1), (9, 13)])
 def test_displacements_are_propagated_along_the_shortest_path(size):
-    from tisfm.kernels.rigid.flow_search import carry
+    from tisfm.kernels.rigid.flow_search import propagate_flow
 
     guide = texture(*size)
     known = np.zeros(size, bool)
@@ -141,7 +141,7 @@ def test_displacements_are_propagated_along_the_shortest_path(size):
     given = state.copy()
     distance = np.where(known, 0, 1e6).astype(np.float32)
     for _ in range(8):
-        carry(guide, distance, state, edge=10.0)
+        propagate_flow(guide, distance, state, edge=10.0)
     np.testing.assert_allclose(distance, nearest_by_steps(guide, known, 10.0), rtol=1e-5)
     first, last = given.reshape(-1, 4)[[0, -1], :2]
     there = (state[..., :2] == first).all(axis=-1) | (state[..., :2] == last).all(axis=-1)
@@ -150,7 +150,7 @@ def test_displacements_are_propagated_along_the_shortest_path(size):
 
 
 def test_errors_name_the_argument():
-    from tisfm.kernels.rigid.flow_search import FlowSearch, carry
+    from tisfm.kernels.rigid.flow_search import FlowSearch, propagate_flow
 
     frame = texture(9, 11)
     with pytest.raises(ValueError, match="noise is 0"):
@@ -159,8 +159,8 @@ def test_errors_name_the_argument():
         FlowSearch(frame, frame[:-1].copy(), noise=1)
     search = search_in(frame, frame)
     with pytest.raises(ValueError, match="state"):
-        search.score(np.zeros((9, 11, 3), np.float32), seen=1.8)
+        search.score(np.zeros((9, 11, 3), np.float32), min_variance=1.8)
     with pytest.raises(ValueError, match="reach is 4"):
         search.improve(drawn((9, 11)), reach=4, draws=1, spans=(1.0, 1.0), seed=0)
     with pytest.raises(ValueError, match="edge is 0"):
-        carry(frame, frame.copy(), drawn((9, 11)), edge=0)
+        propagate_flow(frame, frame.copy(), drawn((9, 11)), edge=0)

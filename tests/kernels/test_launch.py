@@ -55,7 +55,7 @@ def test_numbers_are_those_of_the_time_of_binding(grid):
 def test_launches_bound_within_others_all_run(grid):
     """What is bound while something else is bound or run is not lost, nor does it disturb."""
     from tisfm.kernels.layout.images import multiply
-    from tisfm.kernels.layout.launch import in_turn
+    from tisfm.kernels.layout.launch import join_launches
 
     factor, first, second = filled(grid, 1, 2), filled(grid, 1, 1), filled(grid, 1, 1)
     inner = multiply.bind(grid, factor, first)
@@ -64,7 +64,7 @@ def test_launches_bound_within_others_all_run(grid):
         inner()
         multiply.bind(grid, factor, second)()
 
-    run = in_turn(both, inner, in_turn(inner, multiply.bind(grid, factor, second)))
+    run = join_launches(both, inner, join_launches(inner, multiply.bind(grid, factor, second)))
     for turn in (1, 2, 3):
         run()
         assert (first == 2 ** (3 * turn)).all()
@@ -73,7 +73,7 @@ def test_launches_bound_within_others_all_run(grid):
 
 def test_after_an_error_launches_run_as_before(grid):
     from tisfm.kernels.layout.images import multiply
-    from tisfm.kernels.layout.launch import in_turn
+    from tisfm.kernels.layout.launch import join_launches
 
     factor, array = filled(grid, 1, 2), filled(grid, 2, 1)
     launch = multiply.bind(grid, factor, array)
@@ -83,7 +83,7 @@ def test_after_an_error_launches_run_as_before(grid):
 
     for power in (1, 2):
         with pytest.raises(RuntimeError, match="after one launch"):
-            in_turn(launch, fail)()
+            join_launches(launch, fail)()
         assert (array == 2**power).all()
 
 
@@ -118,7 +118,7 @@ def test_too_many_or_too_few_arguments_are_refused(grid, arguments):
 
     with pytest.raises(
         TypeError,
-        match=f"{len(arguments)} arguments came: expected 2, factor, out"
+        match=f"a kernel got {len(arguments)} arguments: expected 2, factor, out"
         if len(arguments) != 2
         else "factor is NoneType: expected a C-contiguous array of float32",
     ):

@@ -10,11 +10,11 @@ def merge(inverse_depths, deviations, alike=0.1):
     from tisfm import runtime
 
     runtime.start()
-    from tisfm.kernels.rigid.merging import merged
+    from tisfm.kernels.rigid.depth_maps import merge_depths
 
     shape = inverse_depths.shape[1:]
     out, spread = (np.full(shape, 7, np.float32) for _ in range(2))
-    merged(inverse_depths, deviations, out, spread, alike=alike)
+    merge_depths(inverse_depths, deviations, out, spread, max_difference=alike)
     return out, spread
 
 

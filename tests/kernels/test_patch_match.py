@@ -24,7 +24,7 @@ def search_in(levels0, levels1, camera, motion, largest=30.0):
 
     return PlaneSearch(
         levels0, levels1, motion, center=camera.center_for(*levels0.shape), focal=camera.focal,
-        noise=NOISE, seen=1.8, least=1e-3, largest=largest,
+        noise=NOISE, min_variance=1.8, min_depth=1e-3, max_depth=largest,
     )  # fmt: skip
 
 
@@ -76,7 +76,7 @@ def test_score_is_that_of_the_reference(size):
     planes = drawn(size, largest=6.0)
     search = search_in(levels0, levels1, camera, np.column_stack([rotation, translation]))
     search.score(planes)
-    from tisfm.kernels.rigid.windows import NOWHERE, UNSEEN
+    from tisfm.kernels.rigid.windows import OUTSIDE_COST, UNTEXTURED
 
     flow = reference.displacement(planes[..., 0].astype(float), camera, rotation, translation)
     rows, columns = np.mgrid[: size[0], : size[1]]
@@ -88,12 +88,12 @@ def test_score_is_that_of_the_reference(size):
         translation, noise=NOISE**2,
     )  # fmt: skip
     cost = planes[..., 3]
-    seen = cost < UNSEEN
+    seen = cost < UNTEXTURED
     np.testing.assert_array_equal(seen, variance > 1.8 * NOISE**2)
     compared = seen & decided
     # The kernel's homography is linear within the window.
     np.testing.assert_allclose(cost[compared], expected[compared], rtol=0, atol=0.02)
-    assert (compared & (cost != NOWHERE)).mean() > 0.3 or min(size) == 1
+    assert (compared & (cost != OUTSIDE_COST)).mean() > 0.3 or min(size) == 1
 
 
 @pytest.mark.parametrize(("size", "draws"), [((1, 9), 0), ((13, 17), 2), ((24, 31), 0)])
@@ -124,7 +124,7 @@ def test_improved_planes_are_those_of_the_reference(size, draws):
 
 
 def test_windows_without_contrast_are_not_compared():
-    from tisfm.kernels.rigid.windows import RADIUS, UNSEEN
+    from tisfm.kernels.rigid.windows import RADIUS, UNTEXTURED
 
     frame = texture(40, 60)
     frame[:, 30:] = 77  # bare
@@ -132,8 +132,8 @@ def test_windows_without_contrast_are_not_compared():
     search = search_in(frame, frame, Camera(focal=60.0), np.eye(3, 4))
     search.score(planes)
     bare = planes[:, 30 + RADIUS :, 3]
-    assert (bare == UNSEEN).all()
-    assert (planes[:, :25, 3] < UNSEEN).all()
+    assert (bare == UNTEXTURED).all()
+    assert (planes[:, :25, 3] < UNTEXTURED).all()
     before = planes[:, 30 + RADIUS :].copy()
     search.improve(planes, draws=2, spread=2.0, tilt=0.05, seed=0)
     np.testing.assert_array_equal(planes[:, 30 + RADIUS :], before)
@@ -182,16 +182,16 @@ def test_noise_is_uncorrelated():
 
 
 def test_packed_has_each_pixel_with_three_neighbours():
-    from tisfm.kernels.rigid.windows import packed
+    from tisfm.kernels.rigid.windows import pack_pixels
 
     levels = np.array([[1, 2, 3], [4, 5, 255]], np.float32)
-    quads = packed(levels).view(np.uint8).reshape(2, 3, 4)
+    quads = pack_pixels(levels).view(np.uint8).reshape(2, 3, 4)
     assert quads[0].tolist() == [[1, 2, 4, 5], [2, 3, 5, 255], [3, 3, 255, 255]]
     assert quads[1].tolist() == [[4, 5, 4, 5], [5, 255, 5, 255], [255, 255, 255, 255]]
 
 
 def test_disagreement():
-    from tisfm.kernels.rigid.patch_match import UNSEEN, disagreement
+    from tisfm.kernels.rigid.patch_match import UNTEXTURED, plane_disagreement
 
     scene = Slanted()
     height, width = shape = scene.frame0.shape
@@ -208,15 +208,15 @@ def test_disagreement():
     here[..., 0] = turned[0] * (columns - cx) + turned[1] * (rows - cy) + turned[2] * focal
     here[..., 1:3] = turned[:2]
     here[:, : width // 2, 0] += 0.7
-    here[0] = UNSEEN
+    here[0] = UNTEXTURED
     apart = np.empty(shape, np.float32)
-    disagreement(there, here, scene.motion, apart, center=center, focal=focal)
+    plane_disagreement(there, here, scene.motion, apart, center=center, focal=focal)
     known = np.isfinite(apart)
     assert known[scene.seen].all() and not known.all()
     values = apart[known]
     assert ((values < 1e-4) | (np.abs(values - 0.7) < 1e-4)).all()
     assert 0.2 < (values > 0.5).mean() < 0.8
-    seen = np.where(here[..., 3] < UNSEEN, here[..., 0], np.inf)
+    seen = np.where(here[..., 3] < UNTEXTURED, here[..., 0], np.inf)
     expected = reference.plane_disagreement(
         np.moveaxis(there[..., :3], -1, 0), np.stack([seen, here[..., 1], here[..., 2]]),
         scene.camera, rotation, translation,
@@ -229,9 +229,9 @@ def test_disagreement():
     ("change", "problem"),
     [
         ({"noise": 0.0}, "noise is 0"),
-        ({"largest": 0.0}, "from 0.001 to 0"),
+        ({"max_depth": 0.0}, "from 0.001 to 0"),
         ({"motion": np.eye(3)}, r"motion is \(3, 3\)"),
-        ({"levels1": np.zeros((9, 8), np.float32)}, "levels1 is"),
+        ({"grey1": np.zeros((9, 8), np.float32)}, "grey1 is"),
     ],
 )
 def test_bad_arguments(change, problem):
@@ -239,8 +239,8 @@ def test_bad_arguments(change, problem):
 
     frame = np.zeros((8, 9), np.float32)
     arguments = {
-        "levels0": frame, "levels1": frame, "motion": np.eye(3, 4), "center": (4.0, 3.5),
-        "focal": 9.0, "noise": 1.0, "seen": 1.8, "least": 1e-3, "largest": 9.0,
+        "grey0": frame, "grey1": frame, "motion": np.eye(3, 4), "center": (4.0, 3.5),
+        "focal": 9.0, "noise": 1.0, "min_variance": 1.8, "min_depth": 1e-3, "max_depth": 9.0,
     }  # fmt: skip
     with pytest.raises(ValueError, match=problem):
         PlaneSearch(**{**arguments, **change})

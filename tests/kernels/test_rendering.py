@@ -13,10 +13,10 @@ SIZES = [(5, 1), (1, 7), (13, 37), (30, 41)]
 
 
 def show(inverse_depth, deviation, motion, camera):
-    from tisfm.kernels.rigid.rendering import rendered
+    from tisfm.kernels.rigid.depth_maps import render_depth
 
     out, spread = (np.full(inverse_depth.shape, 7, np.float32) for _ in range(2))
-    rendered(
+    render_depth(
         inverse_depth, deviation, np.column_stack(motion).astype(np.float32), out, spread,
         center=camera.center_for(*inverse_depth.shape), focal=camera.focal,
     )  # fmt: skip

@@ -204,7 +204,7 @@ def test_weight_update(size, lanes, spacing, contrasts, scale, count, make):
     half = half.sum() + reference.second_order_half_quadratic(field.rho, field.weights, smoothness)
     assert sums.energy == pytest.approx(energy, rel=5e-6)
     assert sums.half_quadratic == pytest.approx(half, rel=5e-6)
-    assert sums.moved == pytest.approx(np.linalg.norm(depth - field.before[0]), rel=1e-6)
+    assert sums.change == pytest.approx(np.linalg.norm(depth - field.before[0]), rel=1e-6)
     assert sums.size == pytest.approx(np.linalg.norm(depth), rel=1e-6)
     np.testing.assert_array_equal(field.from_lanes(previous)[0], depth)
 
@@ -369,12 +369,12 @@ def offsets(side):
 def add(field, coarse):
     """Return ρ with a coarse correction, (3, h, w), added to it."""
     from tisfm.kernels.solve.coarsening import interpolation_columns
-    from tisfm.kernels.solve.second_order.coarsening import correct, offset_columns
+    from tisfm.kernels.solve.second_order.coarsening import add_correction, offset_columns
 
     rho = field.to_lanes(field.rho)
     across = (*interpolation_columns(field.grid), offset_columns(field.grid)[1])
     halved = images_to_halved(field, coarse)
-    correct(field.grid, halved, across, rho, spacing=field.smoothness.spacing)
+    add_correction(field.grid, halved, across, rho, spacing=field.smoothness.spacing)
     # Halo and padding as well.
     np.testing.assert_array_equal(rho, field.to_lanes(field.from_lanes(rho)))
     return field.from_lanes(rho)
@@ -428,13 +428,13 @@ def plane(x, y):
 
 @pairwise(size=SIZES, lanes=LANES, spacing=SPACINGS, short=True)
 def test_the_energy_in_a_plane(size, lanes, spacing, make):
-    from tisfm.kernels.solve.second_order.line_search import bind_plane
+    from tisfm.kernels.solve.second_order.line_search import bind_plane_energy
 
     field = make(*size, lanes, spacing=spacing)
     rng = np.random.default_rng(3)
     before, step = rng.normal(size=(2, *field.rho.shape)).astype(np.float32).astype(np.float64)
     in_lanes = [field.to_lanes(array) for array in (field.rho, before, step)]
-    matrix, vector = bind_plane(field.grid, field.system().arrays, spacing / 2, *in_lanes)()
+    matrix, vector = bind_plane_energy(field.grid, field.system().arrays, spacing / 2, *in_lanes)()
     scale = abs(field.energy(before)) + abs(field.energy(step))
     for p, q in ((1.0, 0.0), (0.3, -0.7), (0.0, 2.0)):
         z = np.array([p, q])

@@ -11,7 +11,7 @@ from tests.pairwise import pairwise
 
 @pairwise(size=SIZES, lanes=LANES, count=[1, 3])
 def test_constraints_of_frames_are_added(size, lanes, count, make_problem):
-    from tisfm.kernels.rigid.several_frames import add_along, as_constraint
+    from tisfm.kernels.rigid.shared_depth import add_depth_terms, depth_constraint
 
     problem = make_problem(*size, 1, lanes)
     grid, depth = problem.grid, problem.rho[0]
@@ -23,7 +23,7 @@ def test_constraints_of_frames_are_added(size, lanes, count, make_problem):
         lines = rng.normal(size=(2, 3, *size))
         tensor = reference.tensors_of([lines])[0].astype(np.float32)
         weight = rng.random(size).astype(np.float32)
-        add_along(
+        add_depth_terms(
             grid, problem.to_lanes(tensor), problem.to_lanes(flow), problem.to_lanes(direction),
             problem.unknowns.rho, problem.to_lanes(weight[None]), sums,
         )  # fmt: skip
@@ -32,7 +32,7 @@ def test_constraints_of_frames_are_added(size, lanes, count, make_problem):
     scale = np.abs(expected).max()
     np.testing.assert_allclose(problem.from_lanes(sums), expected, atol=1e-5 * scale)
     constraint = grid.allocate(3)
-    as_constraint(grid, sums, constraint)
+    depth_constraint(grid, sums, constraint)
     p, zero, c = problem.from_lanes(constraint).astype(float)
     assert not zero.any()
     np.testing.assert_allclose(p * p, expected[0], atol=1e-5 * scale)
@@ -41,9 +41,9 @@ def test_constraints_of_frames_are_added(size, lanes, count, make_problem):
 
 @pytest.mark.parametrize("lanes", LANES)
 def test_pixels_without_data_have_no_constraint(lanes, make_problem):
-    from tisfm.kernels.rigid.several_frames import as_constraint
+    from tisfm.kernels.rigid.shared_depth import depth_constraint
 
     problem = make_problem(5, 7, 1, lanes)
     constraint = problem.grid.allocate(3)
-    as_constraint(problem.grid, problem.grid.allocate(3), constraint)
+    depth_constraint(problem.grid, problem.grid.allocate(3), constraint)
     assert not problem.from_lanes(constraint).any()

@@ -56,7 +56,7 @@ def test_add_frame(size, lanes, tolerated, make_problem):
         number=1,
         motion=np.column_stack(pose).astype(np.float32),
         focal=problem.camera.focal,
-        tolerated=tolerated,
+        quarter_weight_residual=tolerated,
     )
     moved = reference.displacement(inverse_depth[0], problem.camera, *pose)
     identity = reference.motion_matrix(problem.camera, *size, 2)
@@ -70,14 +70,14 @@ def test_add_frame(size, lanes, tolerated, make_problem):
 
 @pairwise(size=SIZES, lanes=LANES, frames=[1, 3])
 def test_answered(size, lanes, frames, make_problem):
-    from tisfm.kernels.rigid.shared_depth import answered
+    from tisfm.kernels.rigid.shared_depth import eliminate_depth
 
     problem = make_problem(*size, 1, lanes)
     rng = np.random.default_rng(3)
     slopes = rng.normal(size=(6 * frames, *size)).astype(np.float32)
     sums = rng.uniform(0.1, 2, (2, *size)).astype(np.float32)
-    matrix, vector = answered(
-        problem.grid, problem.to_lanes(slopes), problem.to_lanes(sums), held=0.5
+    matrix, vector = eliminate_depth(
+        problem.grid, problem.to_lanes(slopes), problem.to_lanes(sums), depth_stiffness=0.5
     )
     rows = slopes.reshape(6 * frames, -1).astype(float)
     curvature, gradient = sums.reshape(2, -1).astype(float)

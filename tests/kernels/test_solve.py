@@ -198,7 +198,7 @@ def test_weight_update(size, components, contrast, data, lanes, kind, make_probl
         0.5 * problem.tensor, *where, old_weights, 40.0, smoothness
     )
     assert sums.half_quadratic == pytest.approx(half, rel=5e-6)
-    assert sums.moved == pytest.approx(np.linalg.norm(problem.rho - before), rel=1e-6)
+    assert sums.change == pytest.approx(np.linalg.norm(problem.rho - before), rel=1e-6)
     assert sums.size == pytest.approx(np.linalg.norm(problem.rho), rel=1e-6)
 
 
@@ -272,7 +272,7 @@ def test_share_of_data(size, freedom):
     entries = [matrix[..., i, k] for matrix in (j, m) for i, k in ((0, 0), (0, 1), (1, 1))]
     precision = np.array([*entries[:3], residual, *entries[3:]], np.float32)
     out = np.empty(size, np.float32)
-    share_of_data(precision, out, tolerated=0.3, freedom=freedom)
+    share_of_data(precision, out, half_share_residual=0.3, freedom=freedom)
     product = j @ m
     share = np.trace(product @ np.linalg.inv(np.eye(2) + product), axis1=-2, axis2=-1) / freedom
     close(out, share / (1 + residual / 0.3))
@@ -283,12 +283,12 @@ def test_share_of_data_checks_its_arguments():
 
     precision, out = np.ones((7, 5, 6), np.float32), np.empty((5, 6), np.float32)
     with pytest.raises(ValueError, match=r"precision is \(7, 5, 6\): expected \(7, 6, 5\)"):
-        share_of_data(precision, np.empty((6, 5), np.float32), tolerated=1.0, freedom=2)
+        share_of_data(precision, np.empty((6, 5), np.float32), half_share_residual=1.0, freedom=2)
     with pytest.raises(TypeError, match="out is float64: expected a NumPy array of float32"):
-        share_of_data(precision, out.astype(float), tolerated=1.0, freedom=2)
+        share_of_data(precision, out.astype(float), half_share_residual=1.0, freedom=2)
     for values, match in (
         ({"freedom": 3}, "freedom is 3: expected 1 or 2"),
-        ({"tolerated": 0.0}, "tolerated is 0.0: expected a positive value"),
+        ({"half_share_residual": 0.0}, "half_share_residual is 0.0: expected a positive value"),
     ):
         with pytest.raises(ValueError, match=match):
-            share_of_data(precision, out, **{"tolerated": 1.0, "freedom": 2} | values)
+            share_of_data(precision, out, **{"half_share_residual": 1.0, "freedom": 2} | values)

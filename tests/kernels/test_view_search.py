@@ -21,8 +21,8 @@ def search_in(key, others, motions, *, best=2, stride=1, largest=6.0):
     from tisfm.kernels.rigid.view_search import ViewSearch
 
     return ViewSearch(
-        key, others, motions, best=best, stride=stride, center=CAMERA.center_for(*key.shape),
-        focal=CAMERA.focal, noise=NOISE, seen=1.8, least=1e-3, largest=largest,
+        key, others, motions, frame_count=best, stride=stride, center=CAMERA.center_for(*key.shape),
+        focal=CAMERA.focal, noise=NOISE, min_variance=1.8, min_depth=1e-3, max_depth=largest,
     )  # fmt: skip
 
 
@@ -38,18 +38,20 @@ def costs_of_reference(key, others, planes):
 @pytest.mark.parametrize("best", [1, 2, 3])
 @pytest.mark.parametrize("size", [(1, 9), (13, 17), (24, 31)])
 def test_score_is_the_mean_of_the_best_frames(size, best):
-    from tisfm.kernels.rigid.view_search import ABSENT
-    from tisfm.kernels.rigid.windows import UNSEEN
+    from tisfm.kernels.rigid.view_search import MISSING_FRAME_COST
+    from tisfm.kernels.rigid.windows import UNTEXTURED
 
     key, *others = frames(size)
     planes = drawn(size, largest=6.0)
     search = search_in(key, others, MOTIONS, best=best)
     search.score(planes)
     expected, variance = costs_of_reference(key, others, np.moveaxis(planes, -1, 0)[:3])
-    seen = planes[..., 3] < UNSEEN
+    seen = planes[..., 3] < UNTEXTURED
     np.testing.assert_array_equal(seen, variance > 1.8 * NOISE**2)
     # Where a pixel goes to the border of a frame, rounding decides whether it is seen.
-    off = np.abs(planes[..., 3] - reference.best_mean(expected, best, absent=ABSENT))[seen]
+    off = np.abs(planes[..., 3] - reference.best_mean(expected, best, absent=MISSING_FRAME_COST))[
+        seen
+    ]
     assert (off < 1e-3).mean() > 0.98
     each = np.empty((len(others), *size), np.float32)
     search.costs(planes, each)
@@ -77,7 +79,7 @@ def test_the_cost_of_a_cell_is_that_of_its_first_pixel(stride):
 
 @pytest.mark.parametrize(("size", "draws"), [((1, 9), 0), ((13, 17), 2)])
 def test_improved_planes_are_those_of_the_reference(size, draws):
-    from tisfm.kernels.rigid.view_search import ABSENT
+    from tisfm.kernels.rigid.view_search import MISSING_FRAME_COST
 
     key, *others = frames(size)
     search = search_in(key, others, MOTIONS)
@@ -87,7 +89,9 @@ def test_improved_planes_are_those_of_the_reference(size, draws):
     search.improve(planes, draws=draws, spread=2.0, tilt=0.05, seed=3)
 
     def cost(found):
-        return reference.best_mean(costs_of_reference(key, others, found)[0], 2, absent=ABSENT)
+        return reference.best_mean(
+            costs_of_reference(key, others, found)[0], 2, absent=MISSING_FRAME_COST
+        )
 
     options = {"spread": 2.0, "tilt": 0.05, "steepest": 3 / CAMERA.focal, "bounds": (1e-3, 6.0)}
     for color in range(2):
@@ -113,10 +117,10 @@ def test_no_cost_rises():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"best": 0}, "best is 0: expected 1 to 3"),
-        ({"best": 4}, "best is 4: expected 1 to 3"),
+        ({"best": 0}, "frame_count is 0: expected 1 to 3"),
+        ({"best": 4}, "frame_count is 4: expected 1 to 3"),
         ({"stride": 0}, "stride is 0"),
-        ({"largest": 0.0}, "D is sought from"),
+        ({"largest": 0.0}, "D is searched from"),
         ({"motions": MOTIONS[:2]}, r"motions is \(2, 3, 4\): expected \(3, 3, 4\)"),
         ({"others": [texture(13, 16)] * 3}, r"others\[0\] is .*expected"),
     ],

@@ -323,12 +323,12 @@ def test_a_surface_of_nearly_the_same_pixels_is_fitted_once():
     layering = Layering(pyramid, settings, frames[0])
     motion = np.column_stack([np.eye(3), [1.0, 0, 0]])
     support = np.ones((60, 80), bool)
-    first = layering._surface(motion, support)
+    first = layering._fit_surface(motion, support)
     nearly, other = support.copy(), support.copy()
     nearly[:1], other[:30] = False, False
-    assert layering._surface(motion, nearly) is first
-    assert layering._surface(motion, other) is not first
-    assert layering._surface(np.column_stack([np.eye(3), [0, 1.0, 0]]), support) is not first
+    assert layering._fit_surface(motion, nearly) is first
+    assert layering._fit_surface(motion, other) is not first
+    assert layering._fit_surface(np.column_stack([np.eye(3), [0, 1.0, 0]]), support) is not first
 
 
 def test_specks_are_given_to_their_surroundings():

@@ -38,11 +38,11 @@ def in_vectors(cost, lanes, filler):
 @pytest.mark.parametrize("lanes", [16, 8, 1])
 @pytest.mark.parametrize("count", [2, 8, 13])
 def test_aggregate(size, lanes, count):
-    from tisfm.kernels.rigid.semi_global import FORBIDDEN, aggregate
+    from tisfm.kernels.rigid.semi_global import UNUSED_COST, aggregate
 
     rng = np.random.default_rng(0)
     cost, guide = rng.uniform(0, 2, (*size, count)), rng.uniform(0, 5, size)
-    laid, _ = in_vectors(cost, lanes, FORBIDDEN)
+    laid, _ = in_vectors(cost, lanes, UNUSED_COST)
     out, plain = in_vectors(np.ones_like(cost), lanes, 1.0)  # the kernel overwrites it
     options = {"step": 0.3, "jump": 2.0, "edge": 1.5}
     aggregate(laid, guide.astype(np.float32), out, **options)
@@ -55,21 +55,21 @@ def test_aggregate(size, lanes, count):
 @pytest.mark.parametrize("count", [2, 5])
 def test_cheapest(size, count):
     from tisfm.kernels.layout.lanes import aligned_zeros
-    from tisfm.kernels.rigid.semi_global import cheapest
+    from tisfm.kernels.rigid.semi_global import best_hypothesis
 
     rng = np.random.default_rng(2)
     cost = aligned_zeros((*size, 7))  # padding would have the lowest cost
     place = rng.uniform(-0.5, count - 0.5, size)
     cost[..., :count] = 3 + 2 * (np.arange(count) - place[..., None]) ** 2
     out = np.empty(size, np.float32)
-    cheapest(cost, out, count=count)
+    best_hypothesis(cost, out, count=count)
     inner = (np.rint(place) > 0) & (np.rint(place) < count - 1)
     np.testing.assert_allclose(out, np.where(inner, place, np.rint(place)), atol=1e-5)
     cost[...] = 1
-    cheapest(cost, out, count=count)
+    best_hypothesis(cost, out, count=count)
     assert not out.any()
     with pytest.raises(ValueError, match="count is 8: expected 2 to 7"):
-        cheapest(cost, out, count=8)
+        best_hypothesis(cost, out, count=8)
 
 
 @each_size

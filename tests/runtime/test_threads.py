@@ -82,7 +82,7 @@ import os
 from tisfm import runtime
 from tisfm.threads import thread_ids
 runtime.start({options})
-import tisfm.kernels.model.flow
+import tisfm.kernels.model.rigid_motion
 cores = [sorted(os.sched_getaffinity(thread)) for thread in thread_ids()]
 alone = sorted(core[0] for core in cores if len(core) == 1)
 """

@@ -159,11 +159,13 @@ def test_the_fewest_iterations_that_can_converge(cycles, limit, status):
 
 
 def test_error_left_of_changes_that_shrink():
-    from tisfm.solver.half_quadratic import error_left
+    from tisfm.solver.half_quadratic import remaining_error
 
     changes = [0.9**k for k in range(5)]
-    assert error_left(changes) == pytest.approx(sum(0.9**k for k in range(5, 500)))
-    assert error_left([1.0, 1e-3]) == pytest.approx(2e-3)  # one fall is no reason to expect another
-    assert error_left([1.0, 0.8, 0.08]) == pytest.approx(4 * 0.08)
-    assert error_left([1e-3, 1e-3]) == error_left([0.1]) == error_left([]) == np.inf
-    assert error_left([0.1, 0.0]) == 0
+    assert remaining_error(changes) == pytest.approx(sum(0.9**k for k in range(5, 500)))
+    assert remaining_error([1.0, 1e-3]) == pytest.approx(
+        2e-3
+    )  # one fall is no reason to expect another
+    assert remaining_error([1.0, 0.8, 0.08]) == pytest.approx(4 * 0.08)
+    assert remaining_error([1e-3, 1e-3]) == remaining_error([0.1]) == remaining_error([]) == np.inf
+    assert remaining_error([0.1, 0.0]) == 0

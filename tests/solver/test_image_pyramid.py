@@ -48,10 +48,10 @@ def test_smoothing_keeps_constants_and_reduces_noise():
 def test_the_coarser_levels_are_a_pyramid_of_their_own(masked):
     rng = np.random.default_rng(3)
     frames = rng.uniform(0, 255, (2, 61, 83)).astype(np.float32)
-    counted = rng.random((2, 61, 83)) > 0.1
+    valid = rng.random((2, 61, 83)) > 0.1
     camera = tisfm.Camera(focal=50.0)
     pyramid = ImagePyramid(
-        *frames, camera, factor=0.5, last=1, counted=tuple(counted) if masked else None
+        *frames, camera, factor=0.5, last=1, valid=tuple(valid) if masked else None
     )
     assert pyramid.coarser(0) is pyramid
     coarse = pyramid.coarser(2)
@@ -62,11 +62,11 @@ def test_the_coarser_levels_are_a_pyramid_of_their_own(masked):
     assert coarse.frames1[0] is pyramid.frames1[2]
     np.testing.assert_array_equal(coarse.taps1(0), pyramid.taps1(2))
     if masked:
-        for own, of_all in zip(coarse.counted_on(0), pyramid.counted_on(2), strict=True):
+        for own, of_all in zip(coarse.valid_on(0), pyramid.valid_on(2), strict=True):
             np.testing.assert_array_equal(own, of_all)
         flow = np.zeros((2, *coarse.shape), np.float32)
-        missing = pyramid.counted.missing(flow, 2)
-        np.testing.assert_array_equal(coarse.counted.missing(flow), missing)
+        missing = pyramid.masks.ignored_pixels(flow, 2)
+        np.testing.assert_array_equal(coarse.masks.ignored_pixels(flow), missing)
     else:
-        assert coarse.counted is None
+        assert coarse.masks is None
     assert pyramid.levels == len(pyramid.frames0)  # as it was

@@ -116,7 +116,7 @@ def residual_of(problem, weights, source, sourced):
 
 @of_each
 def test_corrections_are_bilinear(size, components, lanes, make):
-    from tisfm.kernels.solve.coarsening import correct, interpolation_columns
+    from tisfm.kernels.solve.coarsening import add_correction, interpolation_columns
 
     problem = make(*size, components, lanes)
     height, width = (-(-side // 2) for side in size)
@@ -131,7 +131,9 @@ def test_corrections_are_bilinear(size, components, lanes, make):
             + 0.0625 * coarse[:, far_y, far_x]
         )
     rho = problem.unknowns.rho
-    correct(problem.grid, to_halved(problem, coarse), interpolation_columns(problem.grid), rho)
+    add_correction(
+        problem.grid, to_halved(problem, coarse), interpolation_columns(problem.grid), rho
+    )
     close(problem.from_lanes(rho), expected)
     # Halo and padding as well.
     np.testing.assert_array_equal(rho, problem.to_lanes(problem.from_lanes(rho)))
@@ -156,7 +158,7 @@ def test_strips_of_another_length_and_back(size, lanes, make):
 
 @of_each
 def test_descent_in_a_plane(size, components, lanes, make):
-    from tisfm.kernels.solve.line_search import descend, plane
+    from tisfm.kernels.solve.line_search import move_to_minimum, plane_energy
 
     problem = make(*size, components, lanes)
     weights = weights_of(problem)
@@ -164,7 +166,7 @@ def test_descent_in_a_plane(size, components, lanes, make):
     before, step = rng.normal(size=(2, *problem.rho.shape)).astype(np.float32).astype(np.float64)
     system = problem.system(weights, alpha=ALPHA)
     in_lanes = [problem.to_lanes(array) for array in (problem.rho - before, before, step)]
-    matrix, vector = plane(problem.grid, system.arrays, *in_lanes)
+    matrix, vector = plane_energy(problem.grid, system.arrays, *in_lanes)
 
     def energy(rho):
         return quadratic_energy(problem, weights, rho)
@@ -174,7 +176,7 @@ def test_descent_in_a_plane(size, components, lanes, make):
         change = energy(before + p * (problem.rho - before) + q * step) - energy(before)
         assert z @ matrix @ z + 2 * z @ vector == pytest.approx(change, rel=1e-4, abs=1e-2)
 
-    descend(problem.grid, 0.3, -0.7, *in_lanes)
+    move_to_minimum(problem.grid, 0.3, -0.7, *in_lanes)
     move = 0.3 * (problem.rho - before) - 0.7 * step
     rho = in_lanes[0]
     close(problem.from_lanes(rho), before + move)

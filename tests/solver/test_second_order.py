@@ -51,7 +51,7 @@ def minimiser_of(solver, anchors, frame, lanes, settings, *, lines=None, **optio
     places = solver.anchors_in_lanes(grid, anchors)
     minimiser = solver.SecondOrderMinimiser(grid, places, edges, settings, **options)
     spacing = options.get("spacing", 1.0)
-    contrasts = (settings.bend, settings.turn, settings.step)
+    contrasts = (settings.slope_contrast, settings.crease_contrast, settings.jump_contrast)
     smoothness = reference.SecondOrder(
         alpha=settings.alpha,
         beta=settings.beta,
@@ -65,7 +65,9 @@ def minimiser_of(solver, anchors, frame, lanes, settings, *, lines=None, **optio
 
 @pairwise(size=[(7, 9), (8, 6), (1, 11), (10, 1)], lanes=LANES, spacing=[1.0, 2.0], short=True)
 def test_the_minimum_is_that_of_exact_solutions(size, lanes, spacing, solver):
-    settings = solver.SecondOrderSettings(alpha=3.0, beta=100.0, turn=0.05, bend=0.3)
+    settings = solver.SecondOrderSettings(
+        alpha=3.0, beta=100.0, crease_contrast=0.05, slope_contrast=0.3
+    )
     anchors, frame = problem(*size)
     minimiser, smoothness = minimiser_of(
         solver, anchors, frame, lanes, settings, spacing=spacing, cycles=5
@@ -87,7 +89,11 @@ def test_the_minimum_is_that_of_exact_solutions(size, lanes, spacing, solver):
     lines=[0, 1, 3],
     image=[False, True],
     anchored=[False, True],
-    settings=[{}, {"gamma": 0.0}, {"bend": 1e-3, "turn": 1e-5, "anchor_scale": 0.01}],
+    settings=[
+        {},
+        {"gamma": 0.0},
+        {"slope_contrast": 1e-3, "crease_contrast": 1e-5, "anchor_scale": 0.01},
+    ],
     spacing=[1.0, 4.0],
     short=True,
 )
@@ -125,7 +131,7 @@ def test_every_setting_counts(solver):
     weight, target = anchors
 
     def depth(settings):
-        return solver.fill(target, weight, frame, settings)[0]
+        return solver.extend_depth(target, weight, frame, settings)[0]
 
     default = solver.SecondOrderSettings()
     expected = depth(default)
@@ -133,14 +139,16 @@ def test_every_setting_counts(solver):
         ("alpha", 60.0),
         ("beta", 300.0),
         ("gamma", 1.0),
-        ("bend", 0.01),
-        ("turn", 0.1),
-        ("step", 0.001),
+        ("slope_contrast", 0.01),
+        ("crease_contrast", 0.1),
+        ("jump_contrast", 0.001),
         ("anchor_scale", 5.0),
         ("image_edges", 0.0),
     ):
         assert np.abs(depth(replace(default, **{name: value})) - expected).max() > 1e-3, name
-    assert np.abs(solver.fill(target, weight, frame, iterations=30)[0] - expected).max() > 1e-3
+    assert (
+        np.abs(solver.extend_depth(target, weight, frame, iterations=30)[0] - expected).max() > 1e-3
+    )
 
 
 def test_bad_settings_and_arrays_are_refused(solver):
@@ -148,9 +156,9 @@ def test_bad_settings_and_arrays_are_refused(solver):
         ("alpha", 0.0),
         ("beta", np.inf),
         ("gamma", -1.0),
-        ("bend", 0.0),
-        ("turn", -1.0),
-        ("step", np.nan),
+        ("slope_contrast", 0.0),
+        ("crease_contrast", -1.0),
+        ("jump_contrast", np.nan),
         ("anchor_scale", 0.0),
         ("image_edges", np.inf),
     ):
@@ -161,16 +169,16 @@ def test_bad_settings_and_arrays_are_refused(solver):
         wrong = list(good)
         wrong[index] = wrong[index].astype(np.float64)
         with pytest.raises(TypeError, match=f"{name} is float64: expected .* float32"):
-            solver.fill(*wrong)
+            solver.extend_depth(*wrong)
     with pytest.raises(ValueError, match=r"weight is \(7, 5\) but frame is \(5, 7\)"):
-        solver.fill(good[0], good[1].T, good[2])
+        solver.extend_depth(good[0], good[1].T, good[2])
     for value in (-1, np.nan, np.inf):
         with pytest.raises(ValueError, match="weight has values below 0 or not finite"):
-            solver.fill(good[0], np.full((5, 7), value, np.float32), good[2])
+            solver.extend_depth(good[0], np.full((5, 7), value, np.float32), good[2])
     with pytest.raises(ValueError, match="target is not finite where weight is above 0"):
-        solver.fill(np.full((5, 7), np.nan, np.float32), good[1], good[2])
+        solver.extend_depth(np.full((5, 7), np.nan, np.float32), good[1], good[2])
     with pytest.raises(ValueError, match="iterations is 0"):
-        solver.fill(*good, iterations=0)
+        solver.extend_depth(*good, iterations=0)
     anchors, frame = problem(5, 7)
     with pytest.raises(ValueError, match="cycles is 0"):
         minimiser_of(solver, anchors, frame, 1, solver.SecondOrderSettings(), cycles=0)
@@ -274,7 +282,7 @@ def filled(solver, target, known, frame=NOISY, **options):
     """Return D where anchors of weight 1 are `known`; inputs stay as they are."""
     inputs = [np.ascontiguousarray(a, np.float32) for a in (target, known, frame)]
     copies = [array.copy() for array in inputs]
-    depth, slopes = solver.fill(*inputs, **options)
+    depth, slopes = solver.extend_depth(*inputs, **options)
     for array, copy in zip(inputs, copies, strict=True):
         np.testing.assert_array_equal(array, copy)
     assert depth.dtype == slopes.dtype == np.float32
@@ -384,8 +392,8 @@ def test_images_of_any_size(size, solver):
 
 def bits():
     """Return D and slopes of a filled frame as text, for `tests/test_one_thread.py`."""
-    from tisfm.solver.second_order import fill
+    from tisfm.solver.second_order import extend_depth
 
     anchors, frame = problem(203, 317)
-    depth, slopes = fill(anchors[1], anchors[0], frame)
+    depth, slopes = extend_depth(anchors[1], anchors[0], frame)
     return hashlib.sha256(depth.tobytes() + slopes.tobytes()).hexdigest()

@@ -11,7 +11,7 @@ from tisfm.metrics import endpoint_error_map
 from tisfm.scenes import Scene
 from tisfm.scenes.geometry import Box, Plane
 from tisfm.scenes.texture import Texture
-from tisfm.visibility.occlusion import MARGIN, leaves_image, occlusion
+from tisfm.visibility.occlusion import BORDER_MARGIN, leaves_image, occlusion
 
 H, W = 120, 160
 
@@ -105,7 +105,7 @@ def test_the_image_ends_a_margin_beyond_its_last_pixels(axis, side):
     place = np.indices((height, width), np.float32)[::-1]  # x, y
     last = (width - 1, height - 1)[axis]
     for beyond in (-0.01, 0.01):
-        end = last + MARGIN + beyond if side > 0 else -MARGIN - beyond
+        end = last + BORDER_MARGIN + beyond if side > 0 else -BORDER_MARGIN - beyond
         flow = np.zeros((2, height, width), np.float32)
         flow[axis] = end - place[axis]
         assert (leaves_image(flow) == (beyond > 0)).all()

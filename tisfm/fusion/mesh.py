@@ -204,7 +204,7 @@ def _field(
 
 def _colors(views: PosedViews, vertices: NDArray[np.float64], near: float) -> NDArray[np.uint8]:
     """Return the mean colour of each vertex, (V, 3)."""
-    from tisfm.kernels.fusion.colors import add_colors
+    from tisfm.kernels.fusion.agreement import add_colors
 
     points = vertices.astype(np.float32)
     sums = np.zeros((len(points), 4), np.float32)
@@ -215,7 +215,7 @@ def _colors(views: PosedViews, vertices: NDArray[np.float64], near: float) -> ND
             view.colors,
             sums,
             projection=view.to_pixels.astype(np.float32),
-            near=near,
+            max_distance=near,
         )
     shown = sums[:, 3:] > 0
     mean = np.where(shown, sums[:, :3] / np.where(shown, sums[:, 3:], 1), UNSEEN_GREY)

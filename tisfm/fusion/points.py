@@ -141,11 +141,11 @@ class _PointList:
 
     def shown_by(self, view: PosedDepth) -> NDArray[np.bool_]:
         """Return the pixels of a view, (H, W) bool, that show one of the points."""
-        from tisfm.kernels.fusion.agreement import mark_shown
+        from tisfm.kernels.fusion.agreement import mark_pixels_of_points
 
         shown = np.zeros(view.inverse_depth.shape, np.int32)
         if len(self.positions):
-            mark_shown(
+            mark_pixels_of_points(
                 self.positions,
                 self.relative_deviation,
                 view.inverse_depth,

@@ -112,7 +112,7 @@ def _blocks_near(view: PosedDepth, farthest: float, voxel: float, truncation: fl
 
     Pixels are sampled densely enough for the smallest block in the image.
     """
-    from tisfm.kernels.fusion.distance_field import CORNERS, EDGE, blocks_near
+    from tisfm.kernels.fusion.distance_field import CORNERS, EDGE, find_blocks
 
     edge = EDGE * voxel
     low, high = _bounds(view, farthest + truncation, 2 * voxel)
@@ -135,7 +135,7 @@ def _blocks_near(view: PosedDepth, farthest: float, voxel: float, truncation: fl
     for top in range(0, height, _BAND_ROWS * step):
         rows = -(-min(height - top, _BAND_ROWS * step) // step)
         near = np.empty((rows, -(-width // step), samples, CORNERS), np.int32)
-        blocks_near(
+        find_blocks(
             view.inverse_depth,
             view.deviation,
             near,

@@ -75,7 +75,7 @@ def camera_estimate(
     low, high = sweep.range
     has_parallax = high - low >= DEPTH.min_carried_range * max(pyramid.shape)
     textureless = (
-        textureless_share(pyramid.frames0[level], pyramid.counted0(level)) if has_parallax else 0.0
+        textureless_share(pyramid.frames0[level], pyramid.valid0(level)) if has_parallax else 0.0
     )
     joint_solution: RigidSolution | None = None
     if textureless >= DEPTH.min_textureless_share:
@@ -86,9 +86,8 @@ def camera_estimate(
                 precise_motions = joint_solution.motions
             else:
                 precise_motions, doubt = _refit_on_finer_flow(pyramid, settings, start, pose)
-                first_doubt = (
-                    None if start.doubt == "uncertain" else start.doubt
-                )  # the finer decides
+                # the finer decides
+                first_doubt = None if start.doubt == "uncertain" else start.doubt
                 start = replace(start, doubt=first_doubt or doubt)
         solution = textureless_depth(pyramid, settings, precise_motions[0])
     misfit = 0.0  # the deviation of carried depth includes the misfit

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from tisfm.kernels.model.constants import NEAREST
+from tisfm.kernels.model import MIN_DEPTH_RATIO
 from tisfm.motion.settings import EGOMOTION
 from tisfm.visibility.confidence import median
 
@@ -207,7 +207,7 @@ def nearest_points(rays: Rays, rotation: np.ndarray, translation: np.ndarray) ->
     """Return the points of the epipolar lines of a pose that are nearest to the rays."""
     rotated = rotation @ rays.before
     inverse_depth = triangulate_rays(rotated, rays.after, translation)
-    nearness = 1 / np.maximum(rotated[2] + inverse_depth * translation[2], NEAREST)
+    nearness = 1 / np.maximum(rotated[2] + inverse_depth * translation[2], MIN_DEPTH_RATIO)
     x = (rotated[0] + inverse_depth * translation[0]) * nearness
     y = (rotated[1] + inverse_depth * translation[1]) * nearness
     normal_x, normal_y = y * translation[2] - translation[1], translation[0] - x * translation[2]

@@ -15,12 +15,12 @@ import numpy as np
 
 from tisfm.kernels.data.image_edges import image_edges
 from tisfm.kernels.layout.images import image_to_lanes
-from tisfm.kernels.rigid.flow_search import carry
+from tisfm.kernels.rigid.flow_search import propagate_flow
 from tisfm.kernels.rigid.windows import RADIUS
 from tisfm.motion.matched_windows import ResidualComparison, Windows
 from tisfm.motion.settings import PROPOSALS
 from tisfm.solver.coarse_to_fine import Problem
-from tisfm.solver.smoothness import FAINTEST_EDGE, mean_step
+from tisfm.solver.smoothness import MIN_GREY_STEP, mean_step
 from tisfm.solver.unknowns import Unknowns
 
 # Mean steps of the frame that are added to grey levels of objects: no smoothness crosses the edge.
@@ -51,7 +51,7 @@ class FastObjects:
         """Find the outlines on a level, and cut the smoothness along them."""
         self._mask = _resize_mask(self._mask, windows.shape)
         self._update_outlines(windows, unknowns)
-        step = max(mean_step(windows.grey0, windows.counted0), FAINTEST_EDGE)
+        step = max(mean_step(windows.grey0, windows.valid0), MIN_GREY_STEP)
         grey = windows.grey0.copy()
         grey[self._mask] += np.float32(EDGE_HEIGHT * step)
         rate = self._problem.smoothness.image_edges / step
@@ -139,7 +139,7 @@ def _fill_nearest(flow: np.ndarray, mask: np.ndarray) -> np.ndarray:
     state[..., :2] = flow
     zeros = np.zeros(mask.shape, np.float32)
     for _ in range(PROPOSALS.outline_fill_passes):
-        carry(zeros, distance, state, edge=1.0)
+        propagate_flow(zeros, distance, state, edge=1.0)
     return state[..., :2].copy()
 
 
@@ -197,6 +197,17 @@ def supported_areas(is_new: np.ndarray, is_supported: np.ndarray) -> np.ndarray:
     return has_support[labels]
 
 
+def _areas(mask: np.ndarray) -> Iterator[tuple[Part, np.ndarray, int]]:
+    """Yield the box of each connected area of a mask, the area within it, and its pixel count."""
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(
+        mask.astype(np.uint8), connectivity=4
+    )
+    for label in range(1, count):
+        left, top, width, height, size = boxes[label]
+        part = slice(top, top + height), slice(left, left + width)
+        yield part, labels[part] == label, size
+
+
 def consistent_pixels(
     is_new: np.ndarray,  # (h, w) bool
     forward: np.ndarray,  # (h, w, 4) float32
@@ -206,14 +217,8 @@ def consistent_pixels(
 
     Areas without enough such pixels are dropped.
     """
-    count, labels, boxes, _ = cv2.connectedComponentsWithStats(
-        is_new.astype(np.uint8), connectivity=4
-    )
     result = np.zeros_like(is_new)
-    for label in range(1, count):
-        left, top, width, height, size = boxes[label]
-        part = np.s_[top : top + height, left : left + width]
-        area = labels[part] == label
+    for part, area, size in _areas(is_new):
         is_confirmed = area & is_consistent[part]
         if np.count_nonzero(is_confirmed) > PROPOSALS.min_consistent_share * size:
             motion = forward[part][..., :2]
@@ -230,18 +235,12 @@ def distinctive_areas(
     An area has to vary along both directions, since a stripe matches anywhere along itself. It may
     not move too far, since a large search area contains chance matches.
     """
-    count, labels, boxes, _ = cv2.connectedComponentsWithStats(
-        is_new.astype(np.uint8), connectivity=4
-    )
     result = np.zeros_like(is_new)
-    if count == 1:
+    if not is_new.any():
         return result
     slope = np.array([[-0.5, 0, 0.5]], np.float32)
     across, down = (cv2.filter2D(windows.grey0, cv2.CV_32F, k) for k in (slope, slope.T))
-    for label in range(1, count):
-        left, top, width, height, size = boxes[label]
-        part = np.s_[top : top + height, left : left + width]
-        area = labels[part] == label
+    for part, area, size in _areas(is_new):
         slopes = np.stack([across[part][area], down[part][area]]).astype(np.float64)
         weakest_slope = np.linalg.eigvalsh(slopes @ slopes.T / size)[0]
         motion, previous_motion = (

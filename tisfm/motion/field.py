@@ -11,7 +11,7 @@ from tisfm.motion.flow_proposals import flow_proposals
 from tisfm.motion.previous_frame import PreviousFrame
 from tisfm.motion.problems import flow_problem
 from tisfm.settings import Settings
-from tisfm.solver.coarse_to_fine import at_finest, coarse_to_fine
+from tisfm.solver.coarse_to_fine import coarse_to_fine, resize_to_finest
 from tisfm.solver.image_pyramid import ImagePyramid
 
 
@@ -28,8 +28,8 @@ def field_estimate(
         problem,
         last=pyramid.last,
         release=True,
-        amendment=flow_proposals(pyramid, problem),
-        more=before,
+        level_change=flow_proposals(pyramid, problem),
+        additional_data=before,
     )
     unknowns, history = solution.unknowns, solution.history
     precision = unknowns.precision(solution.system)
@@ -37,7 +37,7 @@ def field_estimate(
         history, solution.converged, settings
     )
     del solution  # the larger part of the memory
-    rho = at_finest(pyramid, unknowns, pyramid.last)
+    rho = resize_to_finest(pyramid, unknowns, pyramid.last)
     if status == "no_texture":  # gradients of frame 1 alone may give a uniform frame 0 motion
         rho[...] = 0
     flow, inverse_depth = _read_out(rho, camera)

@@ -223,8 +223,8 @@ def _flow_field(
     flow = solution.unknowns.flow()
     with np.errstate(over="ignore", invalid="ignore"):  # where the field diverged
         hidden = leaves_image(flow)
-        if pyramid.counted is not None:
-            hidden |= pyramid.counted.missing(flow, level)
+        if pyramid.masks is not None:
+            hidden |= pyramid.masks.ignored_pixels(flow, level)
         trust = confidence(
             solution.unknowns.precision(solution.system),
             hidden,

@@ -10,8 +10,8 @@ and back, and the images decide pixel by pixel. The minimisation continues from 
 import cv2
 import numpy as np
 
-from tisfm.kernels.rigid.flow_search import carry
-from tisfm.kernels.rigid.windows import RADIUS, UNSEEN
+from tisfm.kernels.rigid.flow_search import propagate_flow
+from tisfm.kernels.rigid.windows import RADIUS, UNTEXTURED
 from tisfm.motion.fast_objects import (
     MAX_SIDE,
     FastObjects,
@@ -98,10 +98,10 @@ class FlowProposals:
         rho = unknowns.images()
         rho[:2] += cv2.split(corrected - flow)
         unknowns.set_images(rho)
-        self.go_on(unknowns, self.level)
+        self.change_finer_level(unknowns, self.level)
         return True
 
-    def go_on(self, unknowns: Unknowns, level: int) -> None:
+    def change_finer_level(self, unknowns: Unknowns, level: int) -> None:
         """Separate fast objects from their surroundings on the next finer level."""
         if self._objects is not None:
             self._objects.cut_smoothness(self._search.windows(level), unknowns)
@@ -111,7 +111,7 @@ class FlowProposals:
         windows = self._search.windows(self._judged_level)
         coarse = resize_flow(flow, windows.shape, windows.scale / self._scale)
         state = windows.score_flow(coarse, min_variance=PROPOSALS.min_judged_variance)
-        return state, (state[..., 2] > PROPOSALS.min_poor_cost) & (state[..., 2] < UNSEEN)
+        return state, (state[..., 2] > PROPOSALS.min_poor_cost) & (state[..., 2] < UNTEXTURED)
 
     def _search_frame(self, flow: np.ndarray) -> np.ndarray | None:
         """Return a better flow of frames whose motion was missed in large parts.
@@ -126,7 +126,7 @@ class FlowProposals:
             forward, _is_consistent(forward, search.match_backward(search.levels))
         )
         if np.count_nonzero(is_consistent) < PROPOSALS.min_accepted_share * np.count_nonzero(
-            previous[..., 2] < UNSEEN
+            previous[..., 2] < UNTEXTURED
         ):
             return None
         comparison = ResidualComparison(windows, self._problem.constancy)
@@ -245,7 +245,7 @@ def _is_better(forward: np.ndarray, previous: np.ndarray) -> np.ndarray:
     is_cheaper = forward[..., 2] < np.minimum(
         previous[..., 2] - PROPOSALS.min_cost_gain, PROPOSALS.max_cost
     )
-    return is_cheaper & (previous[..., 2] < UNSEEN) & _is_different(forward, previous[..., :2])
+    return is_cheaper & (previous[..., 2] < UNTEXTURED) & _is_different(forward, previous[..., :2])
 
 
 def _reverse_flow(forward: np.ndarray, is_new: np.ndarray) -> np.ndarray:
@@ -286,7 +286,9 @@ def _is_consistent(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
     reverse = backward[row, column]
     disagreement = np.hypot(*cv2.split(forward[..., :2] + reverse[..., :2]))
     is_match = (
-        (forward[..., 2] < PROPOSALS.max_cost) & (reverse[..., 2] < UNSEEN) & (reverse[..., 3] > 0)
+        (forward[..., 2] < PROPOSALS.max_cost)
+        & (reverse[..., 2] < UNTEXTURED)
+        & (reverse[..., 3] > 0)
     )
     return np.asarray(inside & is_match & (disagreement < PROPOSALS.max_disagreement))
 
@@ -316,12 +318,14 @@ def _fill_flow(
     distance = np.where(is_known, 0, np.float32(flow.size)).astype(np.float32)
     nearest = np.zeros((*windows.shape, 4), np.float32)
     nearest[..., :2], nearest[..., 3] = flow, 1
-    mean_grey_step = mean_step(windows.grey0, windows.counted0)
+    mean_grey_step = mean_step(windows.grey0, windows.valid0)
     for _ in range(PROPOSALS.fill_passes):
-        carry(windows.grey0, distance, nearest, edge=PROPOSALS.edge_distance * mean_grey_step)
-    windows.search.score(nearest, seen=PROPOSALS.min_window_variance)
+        propagate_flow(
+            windows.grey0, distance, nearest, edge=PROPOSALS.edge_distance * mean_grey_step
+        )
+    windows.search.score(nearest, min_variance=PROPOSALS.min_window_variance)
     windows.mark_invalid(nearest)
-    cost = np.where(previous[..., 2] < UNSEEN, previous[..., 2], 0)
+    cost = np.where(previous[..., 2] < UNTEXTURED, previous[..., 2], 0)
     is_cheaper = (nearest[..., 2] < cost - PROPOSALS.min_cost_gain) & (
         cost > PROPOSALS.min_filled_cost
     )

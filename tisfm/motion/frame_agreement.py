@@ -4,12 +4,7 @@ import cv2
 import numpy as np
 
 from tisfm.motion.settings import CHECKS
-from tisfm.motion.window_statistics import (
-    correlation,
-    mean_in_windows,
-    variance_in_windows,
-    warped,
-)
+from tisfm.motion.window_statistics import correlation, mean_in_windows, variance_in_windows, warped
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.status import Status
 from tisfm.visibility.confidence import CONFIDENCE_WINDOW, median

@@ -79,9 +79,10 @@ def _fit_homography(rays: Rays) -> tuple[np.ndarray, float]:
     before = rays.before
     x, y = rays.after
     zeros = np.zeros_like(before)
+    # two equations for each ray, (9, 2N)
     system = np.hstack(
         [np.vstack([before, zeros, -x * before]), np.vstack([zeros, before, -y * before])]
-    )  # two equations for each ray, (9, 2N)
+    )
     weight = rays.trust
     for _ in range(SPARSE.plane_rounds):
         normal = (system * np.tile(weight, 2)) @ system.T

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.kernels.rigid.patch_match import STEEPEST, PlaneSearch, disagreement
-from tisfm.kernels.rigid.windows import LEVELS, UNSEEN
+from tisfm.kernels.rigid.patch_match import MAX_SLOPE, PlaneSearch, plane_disagreement
+from tisfm.kernels.rigid.windows import MAX_GREY, UNTEXTURED
 from tisfm.motion.epipolar_fit import MAD_TO_DEVIATION
 from tisfm.motion.settings import DEPTH
 from tisfm.solver.image_pyramid import ImagePyramid
@@ -40,13 +40,13 @@ def matched_planes(
         [frames[level] for level in levels] for frames in (pyramid.frames0, pyramid.frames1)
     )
     lowest, gain = grey_scale(frames0[-1], frames1[-1])
-    counted = pyramid.counted_on(finest)
+    valid = pyramid.valid_on(finest)
     noise = gain * max(
-        noise_deviation(frames[-1], counted=None if counted is None else counted[k])
+        noise_deviation(frames[-1], valid=None if valid is None else valid[k])
         for k, frames in enumerate((frames0, frames1))
     )
     frames0, frames1 = (
-        [np.clip(gain * (frame - lowest), 0, LEVELS) for frame in frames]
+        [np.clip(gain * (frame - lowest), 0, MAX_GREY) for frame in frames]
         for frames in (frames0, frames1)
     )
     scales = [pyramid.scales[level] / pyramid.scales[finest] for level in levels]
@@ -55,13 +55,13 @@ def matched_planes(
     )
     forward = search.run(frames0, frames1, motion, seed=0)
     backward = search.run(frames1, frames0, inverse_motion, seed=1)
-    if counted is not None:
-        for planes, valid in zip((forward, backward), counted, strict=True):
-            planes[~valid, 3] = UNSEEN
+    if valid is not None:
+        for planes, mask in zip((forward, backward), valid, strict=True):
+            planes[~mask, 3] = UNTEXTURED
     disagreements = np.empty(forward.shape[:2], np.float32)
     camera = pyramid.cameras[finest]
     center = camera.center_for(*pyramid.frames0[finest].shape)
-    disagreement(forward, backward, motion, disagreements, center=center, focal=camera.focal)
+    plane_disagreement(forward, backward, motion, disagreements, center=center, focal=camera.focal)
     depth, cost = np.ascontiguousarray(forward[..., 0]), np.ascontiguousarray(forward[..., 3])
     is_reliable = large_regions(
         depth,
@@ -102,9 +102,9 @@ class _Search:
                 center=camera.center_for(height, width),
                 focal=camera.focal,
                 noise=max(self.noise * scale, DEPTH.min_coarse_noise),
-                seen=DEPTH.min_window_variance,
-                least=scale * DEPTH.min_plane_depth,
-                largest=scale * max_depth,
+                min_variance=DEPTH.min_window_variance,
+                min_depth=scale * DEPTH.min_plane_depth,
+                max_depth=scale * max_depth,
             )
             search.score(planes)
             rounds = DEPTH.plane_rounds[min(k, len(DEPTH.plane_rounds) - 1)]
@@ -143,7 +143,7 @@ def _random_planes(
     """Return random planes (h, w, 4) float32."""
     random = np.random.default_rng(seed).random((*shape, 4), np.float32)
     random[..., 0] *= max_depth
-    random[..., 1:3] = (2 * random[..., 1:3] - 1) * random[..., :1] * (STEEPEST / camera.focal)
+    random[..., 1:3] = (2 * random[..., 1:3] - 1) * random[..., :1] * (MAX_SLOPE / camera.focal)
     return random
 
 
@@ -169,17 +169,15 @@ def grey_scale(
     )
     margin = DEPTH.grey_margin * (high - low)
     low, high = low - margin, high + margin
-    return np.float32(low), np.float32(LEVELS / max(high - low, DEPTH.min_noise))
+    return np.float32(low), np.float32(MAX_GREY / max(high - low, DEPTH.min_noise))
 
 
-def noise_deviation(
-    frame: np.ndarray, *, every: int = 1, counted: np.ndarray | None = None
-) -> float:
+def noise_deviation(frame: np.ndarray, *, every: int = 1, valid: np.ndarray | None = None) -> float:
     """Return the standard deviation of the noise of a frame, (H, W) float32, in its grey levels.
 
     A mask removes smooth image content; the deviation of the rest in the quietest blocks is taken,
     within bounds. Only every `every`-th block across and down takes part. If there are blocks all
-    of whose pixels count (`counted`, (H, W) bool), only these take part.
+    of whose pixels count (`valid`, (H, W) bool), only these take part.
 
     References
     ----------
@@ -192,8 +190,8 @@ def noise_deviation(
         block_residuals = np.median(
             _blocks(residual, height, width)[::every, :, ::every], axis=(1, 3)
         )
-        if counted is not None:
-            is_valid = _blocks(counted, height, width)[::every, :, ::every].all(axis=(1, 3))
+        if valid is not None:
+            is_valid = _blocks(valid, height, width)[::every, :, ::every].all(axis=(1, 3))
             block_residuals = block_residuals[is_valid] if is_valid.any() else block_residuals
         quiet_residual = float(np.quantile(block_residuals, DEPTH.quiet_share))
     else:

@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 
 from tisfm.kernels.rigid.flow_search import FlowSearch
-from tisfm.kernels.rigid.windows import LEVELS, UNSEEN
+from tisfm.kernels.rigid.windows import MAX_GREY, UNTEXTURED
 from tisfm.motion.matched_planes import MAX_UNSAMPLED_PIXELS, grey_scale, noise_deviation
 from tisfm.motion.settings import DEPTH, PROPOSALS
 from tisfm.solver.data_term import Constancy
 from tisfm.solver.image_pyramid import ImagePyramid
-from tisfm.solver.sampling import goes_to
+from tisfm.solver.sampling import target_pixels
 
 InitialFlow = tuple[np.ndarray, float]  # a flow, and the scale of its level
 
@@ -27,10 +27,10 @@ class Windows:
     grey1: np.ndarray
     noise: float  # standard deviation of the noise of the noisier frame, levels
     scale: float  # sampling density relative to the finest level of the pyramid
-    # counted0, counted1: (h, w) bool or None, pixels of both frames that count; None for all. Other
+    # valid0, valid1: (h, w) bool or None, pixels of both frames that count; None for all. Other
     # pixels are not compared.
-    counted0: np.ndarray | None = None
-    counted1: np.ndarray | None = None
+    valid0: np.ndarray | None = None
+    valid1: np.ndarray | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -41,24 +41,16 @@ class Windows:
     def swap_frames(self) -> "Windows":
         """Return these windows with the frames exchanged."""
         return replace(
-            self,
-            grey0=self.grey1,
-            grey1=self.grey0,
-            counted0=self.counted1,
-            counted1=self.counted0,
+            self, grey0=self.grey1, grey1=self.grey0, valid0=self.valid1, valid1=self.valid0
         )
 
     def crop(self, crop: tuple[slice, slice]) -> "Windows":
         """Return these windows of some rows and columns."""
-        counted0, counted1 = (
-            None if counted is None else counted[crop] for counted in (self.counted0, self.counted1)
+        valid0, valid1 = (
+            None if valid is None else valid[crop] for valid in (self.valid0, self.valid1)
         )
         return replace(
-            self,
-            grey0=self.grey0[crop],
-            grey1=self.grey1[crop],
-            counted0=counted0,
-            counted1=counted1,
+            self, grey0=self.grey0[crop], grey1=self.grey1[crop], valid0=valid0, valid1=valid1
         )
 
     @cached_property
@@ -78,15 +70,15 @@ class Windows:
         state = np.zeros((*self.shape, 4), np.float32)
         state[..., :2] = flow
         state[..., 3] = True if mask is None else mask
-        self.search.score(state, seen=min_variance)
+        self.search.score(state, min_variance=min_variance)
         self.mark_invalid(state)
         return state
 
     def mark_invalid(self, state: np.ndarray) -> None:
-        """Set the cost to `UNSEEN` where a pixel or its target does not count; state (h, w, 4)."""
-        if self.counted0 is not None and self.counted1 is not None:
-            target = goes_to(np.moveaxis(state[..., :2], -1, 0))
-            state[~(self.counted0 & self.counted1[target]), 2] = UNSEEN
+        """Set the cost of a state to `UNTEXTURED` where a pixel or its target does not count."""
+        if self.valid0 is not None and self.valid1 is not None:
+            target = target_pixels(np.moveaxis(state[..., :2], -1, 0))
+            state[~(self.valid0 & self.valid1[target]), 2] = UNTEXTURED
 
 
 class WindowSearch:
@@ -110,10 +102,10 @@ class WindowSearch:
         frames = pyramid.frames0[finest], pyramid.frames1[finest]
         gain = grey_scale(*frames)[1]
         every = 2 if frames[0].size > MAX_UNSAMPLED_PIXELS else 1
-        counted = pyramid.counted_on(finest) or (None, None)
+        valid = pyramid.valid_on(finest) or (None, None)
         noise = max(
-            noise_deviation(gain * frame, every=every, counted=counts)
-            for frame, counts in zip(frames, counted, strict=True)
+            noise_deviation(gain * frame, every=every, valid=counts)
+            for frame, counts in zip(frames, valid, strict=True)
         )
         self._noise = noise / (gain * pyramid.scales[finest])
 
@@ -124,16 +116,11 @@ class WindowSearch:
         frames = self._pyramid.frames0[level], self._pyramid.frames1[level]
         scale = self._pyramid.scales[level]
         low, gain = grey_scale(*frames)
-        grey0, grey1 = (np.clip(gain * (frame - low), 0, LEVELS) for frame in frames)
+        grey0, grey1 = (np.clip(gain * (frame - low), 0, MAX_GREY) for frame in frames)
         noise = max(gain * scale * self._noise, DEPTH.min_coarse_noise)
-        counted0, counted1 = self._pyramid.counted_on(level) or (None, None)
+        valid0, valid1 = self._pyramid.valid_on(level) or (None, None)
         windows = Windows(
-            grey0=grey0,
-            grey1=grey1,
-            noise=noise,
-            scale=scale,
-            counted0=counted0,
-            counted1=counted1,
+            grey0=grey0, grey1=grey1, noise=noise, scale=scale, valid0=valid0, valid1=valid1
         )
         if level >= self.levels[-1]:
             self._windows[level] = windows

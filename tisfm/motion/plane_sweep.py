@@ -7,9 +7,9 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.kernels.layout.lanes import aligned_empty, aligned_zeros
-from tisfm.kernels.model.constants import NEAREST
+from tisfm.kernels.model import MIN_DEPTH_RATIO
 from tisfm.kernels.rigid.plane_sweep import matching_cost
-from tisfm.kernels.rigid.semi_global import FORBIDDEN, aggregate, cheapest
+from tisfm.kernels.rigid.semi_global import UNUSED_COST, aggregate, best_hypothesis
 from tisfm.motion.settings import DEPTH
 from tisfm.runtime import lanes
 from tisfm.solver.image_pyramid import ImagePyramid
@@ -118,7 +118,7 @@ class PlaneSweep:
             hypotheses,
             guess,
             cv2.resize(self._trust, width_height),
-            counted=pyramid.counted_on(level),
+            valid=pyramid.valid_on(level),
         )
 
 
@@ -163,7 +163,7 @@ def sweep_depth(
     *,
     # tuple of two (H, W) bool: pixels of each frame that count, by default all. Others weigh as
     # little as hidden pixels.
-    counted: tuple[np.ndarray, np.ndarray] | None = None,
+    valid: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:  # (H, W) float32: D, interpolated between the hypotheses
     """Return the best inverse depth of every pixel among hypotheses, by semi-global matching.
 
@@ -174,7 +174,7 @@ def sweep_depth(
     doi 10.1109/TPAMI.2007.1166.
     """
     height, width = frame0.shape
-    unit = max(mean_step(frame0, None if counted is None else counted[0]), MIN_MEAN_STEP)
+    unit = max(mean_step(frame0, None if valid is None else valid[0]), MIN_MEAN_STEP)
     lane_count = lanes()
     vectors = -(-len(hypotheses) // lane_count)
     padded = (height, width, vectors * lane_count)
@@ -190,15 +190,15 @@ def sweep_depth(
         focal=camera.focal,
         first=float(hypotheses[0]),
         step=float(hypotheses[1] - hypotheses[0]),
-        near=DEPTH.guess_distance,
+        guess_distance=DEPTH.guess_distance,
     )
-    cost.reshape(padded)[..., len(hypotheses) :] = FORBIDDEN
-    if counted is not None:
-        cost[~counted[0]] *= DEPTH.hidden_cost_weight
+    cost.reshape(padded)[..., len(hypotheses) :] = UNUSED_COST
+    if valid is not None:
+        cost[~valid[0]] *= DEPTH.hidden_cost_weight
     depth = _best_depth(cost, frame0 / np.float32(unit), hypotheses)
-    hidden = _is_hidden(depth, motion, camera, None if counted is None else counted[1])
-    if counted is not None:
-        hidden &= counted[0]  # the others have been weighted already
+    hidden = _is_hidden(depth, motion, camera, None if valid is None else valid[1])
+    if valid is not None:
+        hidden &= valid[0]  # the others have been weighted already
     cost[hidden] *= DEPTH.hidden_cost_weight
     depth = _best_depth(cost, frame0 / np.float32(unit), hypotheses)
     return cv2.medianBlur(depth, DEPTH.sweep_median_window)
@@ -209,17 +209,17 @@ def _best_depth(cost: np.ndarray, guide: np.ndarray, hypotheses: np.ndarray) -> 
     total = aligned_empty(cost.shape)
     aggregate(cost, guide, total, step=DEPTH.step_cost, jump=DEPTH.jump_cost, edge=DEPTH.edge_steps)
     best = np.empty((height, width), np.float32)
-    cheapest(total.reshape(height, width, -1), best, count=len(hypotheses))
+    best_hypothesis(total.reshape(height, width, -1), best, count=len(hypotheses))
     spacing = hypotheses[1] - hypotheses[0]
     return np.float32(hypotheses[0]) + np.float32(spacing) * best
 
 
 def _is_hidden(
-    depth: np.ndarray, motion: np.ndarray, camera: Camera, counted1: np.ndarray | None
+    depth: np.ndarray, motion: np.ndarray, camera: Camera, valid1: np.ndarray | None
 ) -> np.ndarray:
     """Return the pixels that leave the image or lie behind others in frame 1, (H, W) bool.
 
-    Pixels that move to a pixel outside `counted1`, (H, W) bool, are included.
+    Pixels that move to a pixel outside `valid1`, (H, W) bool, are included.
     """
     height, width = depth.shape
     x, y = _rays(height, width, camera)
@@ -227,7 +227,7 @@ def _is_hidden(
     points = np.einsum("ij,jhw->ihw", motion[:, :3].astype(np.float32), points)
     points += depth * (motion[:, 3] / camera.focal).astype(np.float32)[:, None, None]
     cx, cy = camera.center_for(height, width)
-    nearness = 1 / np.maximum(points[2], np.float32(NEAREST))
+    nearness = 1 / np.maximum(points[2], np.float32(MIN_DEPTH_RATIO))
     columns = np.rint(cx + camera.focal * points[0] * nearness)
     rows = np.rint(cy + camera.focal * points[1] * nearness)
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
@@ -239,8 +239,8 @@ def _is_hidden(
     dilated = cv2.dilate(nearest, np.ones((3, 3), np.uint8))
     hidden: np.ndarray = ~inside
     hidden[inside] = dilated[rows, columns] > depth1[inside] + DEPTH.hidden_distance
-    if counted1 is not None:
-        hidden[inside] |= ~counted1[rows, columns]
+    if valid1 is not None:
+        hidden[inside] |= ~valid1[rows, columns]
     return hidden
 
 

@@ -18,8 +18,8 @@ from tisfm.kernels.layout.lanes import aligned_empty
 from tisfm.motion.settings import PREVIOUS
 from tisfm.settings import Settings
 from tisfm.solver.data_term import DataTerm
-from tisfm.solver.image_pyramid import BESIDE, ImagePyramid
-from tisfm.solver.sampling import FAR, spline_taps
+from tisfm.solver.image_pyramid import MIN_PARALLEL_PIXELS, ImagePyramid
+from tisfm.solver.sampling import FAR_FLOW, spline_taps
 from tisfm.solver.three_frames import ThreeFrameData
 from tisfm.solver.unknowns import Unknowns
 from tisfm.threads import start_beside
@@ -65,21 +65,19 @@ class PreviousPair:
         Returns the flow, (2, h, w) float32, px/frame, 0 where it is unknown; and the pixels of the
         second frame that are visible in the first, (h, w) bool.
         """
-        flow = np.where(self.hidden, np.float32(FAR), self.flow)
+        flow = np.where(self.hidden, np.float32(FAR_FLOW), self.flow)
         sums = aligned_empty((*self.hidden.shape, 4))
         splat(flow, np.zeros(self.hidden.shape, np.float32), sums, any_order=runtime.on_gpu())
         count, _, *displacements = cv2.split(sums)
         is_visible = count > PREVIOUS.min_arrivals
         scale = np.where(
-            is_visible,
-            -1 / np.maximum(count, np.float32(PREVIOUS.min_arrivals)),
-            np.float32(0),
+            is_visible, -1 / np.maximum(count, np.float32(PREVIOUS.min_arrivals)), np.float32(0)
         )
         return np.stack([part * scale for part in displacements]), is_visible
 
 
 class PreviousFrame:
-    """Data of the previous frame for a pair (`tisfm.solver.coarse_to_fine.MoreData`)."""
+    """Data of the previous frame for a pair (`tisfm.solver.coarse_to_fine.AdditionalData`)."""
 
     def __init__(
         self,
@@ -93,17 +91,16 @@ class PreviousFrame:
         # the frame is not used
         self.residual: np.ndarray | None = None
         frame = previous.frame0
-        is_parallel = (
-            runtime.threads() > 1 and frame.size >= BESIDE
-        )  # coarse levels leave threads free
+        # coarse levels leave threads free
+        is_parallel = runtime.threads() > 1 and frame.size >= MIN_PARALLEL_PIXELS
         self._taps = (
             start_beside(spline_taps, frame) if is_parallel else partial(spline_taps, frame)
         )
 
-    def joined(self, unknowns: Unknowns, data_term: DataTerm) -> ThreeFrameData | None:
+    def joint_data_term(self, unknowns: Unknowns, data_term: DataTerm) -> ThreeFrameData | None:
         """Return the data of all three frames, or None if the motion is not steady."""
         flow = unknowns.flow()
-        if not (flow.min() >= -FAR and flow.max() <= FAR):
+        if not (flow.min() >= -FAR_FLOW and flow.max() <= FAR_FLOW):
             return None
         backward, is_visible = self._previous.backward_flow()
         residual = self._residual(flow)

@@ -18,11 +18,11 @@ def pyramid_of(
     grey1: np.ndarray,
     camera: Camera,
     settings: Settings,
-    counted: tuple[np.ndarray, np.ndarray] | None = None,
+    valid: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> ImagePyramid:
     """Return the pyramid of a pair of grey frames, (H, W) float32 on the 8-bit scale.
 
-    `counted`, (H, W) bool each, are the pixels of each frame that count, by default all.
+    `valid`, (H, W) bool each, are the pixels of each frame that count, by default all.
     """
     return ImagePyramid(
         grey0,
@@ -32,7 +32,7 @@ def pyramid_of(
         levels=settings.pyramid_levels,
         presmoothing=settings.presmoothing,
         last=settings.finest_level,
-        counted=counted,
+        valid=valid,
     )
 
 
@@ -98,7 +98,7 @@ def _problem(
             relaxation=settings.relaxation,
             tolerance=settings.tolerance,
             solver=settings.solver,
-            thorough=settings.pyramid_levels == 1,
+            is_thorough=settings.pyramid_levels == 1,
         ),
         warps=settings.warps_on,
     )

@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.kernels.model.constants import LEAST_DIVISOR
+from tisfm.kernels.model import MIN_DIVISOR
 from tisfm.motion.rigid_level import SAMPLED_PIXELS, RigidLevel
 from tisfm.motion.settings import DEPTH
 from tisfm.settings import Settings
-from tisfm.solver.coarse_to_fine import Records, at_finest
+from tisfm.solver.coarse_to_fine import Records, resize_to_finest
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.unknowns import Unknowns
 from tisfm.visibility.confidence import ROUNDING, median
@@ -44,7 +44,7 @@ class RigidSolution:
         """
         window, fields = (DEPTH.deviation_window, DEPTH.deviation_window), self.precision
         precision = cv2.blur(fields[0], window)
-        precision += LEAST_DIVISOR
+        precision += MIN_DIVISOR
         residual = cv2.blur(fields[3], window)
         # Without texture the residual is small, too, so it is at least the median one.
         is_textured = fields[0] > ROUNDING * fields[0].max()
@@ -125,7 +125,7 @@ def rigid_depth(
     state.minimiser.update()  # depth was despeckled
     return RigidSolution(
         motions=motions,
-        inverse_depth=at_finest(pyramid, state.unknowns, last)[0],
+        inverse_depth=resize_to_finest(pyramid, state.unknowns, last)[0],
         precision=state.unknowns.precision(state.minimiser.system),
         level=last,
         density=pyramid.scales[last],

@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from tisfm.kernels.layout.images import image_to_lanes, multiply
 from tisfm.kernels.layout.lanes import LaneData, on_host
-from tisfm.kernels.layout.launch import in_turn
-from tisfm.kernels.model.constants import LEAST_DIVISOR
-from tisfm.kernels.rigid.epipolar import along, displacement
+from tisfm.kernels.layout.launch import join_launches
+from tisfm.kernels.model import MIN_DIVISOR
+from tisfm.kernels.rigid.epipolar import displacement, restrict_to_line
 from tisfm.kernels.rigid.motion_system import motion_system
 from tisfm.motion.epipolar_fit import fix_scale, rotation_prior
 from tisfm.motion.problems import depth_problem
@@ -49,17 +49,17 @@ class RigidLevel:
             image_to_lanes(grid, label_image, self._labels)
         self._label_image = label_image
         self._rows = slice(1, -1, max(1, grid.height * grid.width // SAMPLED_PIXELS))
-        inside = _valid_pixels(unknowns, pyramid.counted0(level))[0, self._rows, 1:-1]
+        inside = _valid_pixels(unknowns, pyramid.valid0(level))[0, self._rows, 1:-1]
         sampled_labels = np.where(inside > 0, on_host(self._labels)[0, self._rows, 1:-1], -1)
         self._samples = [np.flatnonzero(sampled_labels == label) for label in range(count)]
         if labels.any():
             multiply(grid, _same_label_edges(unknowns, label_image), unknowns.edges)
-        counted: np.ndarray | None = None
+        valid: np.ndarray | None = None
         if support is not None:
-            counted = cv2.resize(support.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+            valid = cv2.resize(support.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         elif labels.any() and pyramid.scales[level] >= DEPTH.min_refined_scale:
             # Stencils across a boundary mix two motions, so their pixels do not count.
-            counted = (~_has_mixed_window(label_image)).astype(np.float32)
+            valid = (~_has_mixed_window(label_image)).astype(np.float32)
         data_term = data_term_on(pyramid, level, problem, unknowns)
         self._constraints, self._scales = data_term.constraints, data_term.scales
         restricted = grid.allocate(self._constraints.shape[0])
@@ -85,13 +85,15 @@ class RigidLevel:
                 focal=self._focal,
             ),
             data_term.bind_linearise(self.flow),
-            along.bind(grid, self._constraints, self.flow, direction, unknowns.rho, restricted),
+            restrict_to_line.bind(
+                grid, self._constraints, self.flow, direction, unknowns.rho, restricted
+            ),
         ]
-        if counted is not None:
+        if valid is not None:
             weight = grid.allocate(1)
-            image_to_lanes(grid, np.sqrt(counted), weight)  # constraints are squared later
+            image_to_lanes(grid, np.sqrt(valid), weight)  # constraints are squared later
             steps.append(multiply.bind(grid, weight, restricted))
-        self._linearise = in_turn(*steps)
+        self._linearise = join_launches(*steps)
 
     def linearise(self, motions: np.ndarray) -> None:
         """Linearise the data at the current depth, and restrict them to epipolar lines."""
@@ -142,9 +144,10 @@ class RigidLevel:
                 label=label,
                 focal=self._focal,
                 scales=self._scales,
-                held=DEPTH.weak_smoothness * system.alpha,
-                tolerated=(DEPTH.outlier_residual * float(median_residuals[label])) ** 2
-                + LEAST_DIVISOR,
+                depth_stiffness=DEPTH.weak_smoothness * system.alpha,
+                quarter_weight_residual=(DEPTH.outlier_residual * float(median_residuals[label]))
+                ** 2
+                + MIN_DIVISOR,
             )
             if label > 0:  # objects hardly rotate relative to the background
                 stiffness, offset = rotation_prior(
@@ -201,13 +204,13 @@ def _apply_step(
     )
 
 
-def _valid_pixels(unknowns: Unknowns, counted: np.ndarray | None) -> np.ndarray:
+def _valid_pixels(unknowns: Unknowns, valid: np.ndarray | None) -> np.ndarray:
     """Return 1 on the pixels of the image that count, else 0, as a lane array on the host."""
     inside = unknowns.grid.inside()
-    if counted is None:
+    if valid is None:
         return inside
     weight = unknowns.grid.allocate(1)
-    image_to_lanes(unknowns.grid, counted.astype(np.float32), weight)
+    image_to_lanes(unknowns.grid, valid.astype(np.float32), weight)
     return inside * on_host(weight)
 
 

@@ -27,15 +27,15 @@ class GlobalShutterPair:
     grey1: np.ndarray
     frame: np.ndarray  # (H, W) or (H, W, 3) uint8: frame 0 as a picture
     # tuple of two (H, W) bool, or None: pixels that count: they are visible and not ignored
-    counted: tuple[np.ndarray, np.ndarray] | None
+    valid: tuple[np.ndarray, np.ndarray] | None
 
 
 def global_shutter_pair(
-    # grey0, grey1, frame, counted: as in `GlobalShutterPair`, but before the correction
+    # grey0, grey1, frame, valid: as in `GlobalShutterPair`, but before the correction
     grey0: np.ndarray,
     grey1: np.ndarray,
     frame: np.ndarray,
-    counted: tuple[np.ndarray, np.ndarray] | None,
+    valid: tuple[np.ndarray, np.ndarray] | None,
     camera: Camera,  # a pinhole; its readout is a share of the time from frame 0 to frame 1
     settings: Settings,
     pose: KnownPose | None,  # the known motion from one middle row to the other
@@ -48,7 +48,7 @@ def global_shutter_pair(
     corrected: GlobalShutterPair | None = None
     for _ in range(EGOMOTION.shutter_rounds):
         frame0, frame1 = (grey0, grey1) if corrected is None else (corrected.grey0, corrected.grey1)
-        seen = counted if corrected is None else corrected.counted
+        seen = valid if corrected is None else corrected.valid
         estimate = camera_estimate(
             pyramid_of(frame0, frame1, camera, settings, seen), settings, pose
         )
@@ -56,14 +56,14 @@ def global_shutter_pair(
         if maps is None:
             break
         ignored = [~map_.valid for map_ in maps]
-        if counted is not None:
-            for mask, map_, valid in zip(ignored, maps, counted, strict=True):
-                mask |= map_.nearest((~valid).astype(np.float32)) > 0
+        if valid is not None:
+            for mask, map_, pixels in zip(ignored, maps, valid, strict=True):
+                mask |= map_.nearest((~pixels).astype(np.float32)) > 0
         corrected = GlobalShutterPair(
             grey0=maps[0].apply(grey0),
             grey1=maps[1].apply(grey1),
             frame=maps[0].apply(frame),
-            counted=(~ignored[0], ~ignored[1]) if any(part.any() for part in ignored) else None,
+            valid=(~ignored[0], ~ignored[1]) if any(part.any() for part in ignored) else None,
         )
     return corrected
 

@@ -33,7 +33,7 @@ def sparse_matches(
     frame0: np.ndarray,
     frame1: np.ndarray,
     # tuple of two (H, W) bool: pixels of each frame whose points are matched, by default all
-    counted: tuple[np.ndarray, np.ndarray] | None = None,
+    valid: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Matches:  # always the same for the same frames; there may be none
     """Find points that look alike in two frames.
 
@@ -55,8 +55,8 @@ def sparse_matches(
     wait_for_second = start_beside(detect_features, scaled[1]) if runtime.threads() > 1 else None
     first = detect_features(scaled[0])
     second = wait_for_second() if wait_for_second is not None else detect_features(scaled[1])
-    if counted is not None:
-        first, second = map(_select_features, (first, second), counted)
+    if valid is not None:
+        first, second = map(_select_features, (first, second), valid)
     index0, index1 = match_features(first, second)
     pairs = np.hstack([first.points[index0], second.points[index1]])
     pairs = np.unique(pairs, axis=0)  # a point with several orientations has several descriptors
@@ -92,11 +92,11 @@ def detect_features(frame: np.ndarray, *, per_cell: int = SPARSE.points_per_cell
     return Features(points=points[strongest], roots=np.sqrt(descriptors / total))
 
 
-def _select_features(features: Features, counted: np.ndarray) -> Features:
+def _select_features(features: Features, valid: np.ndarray) -> Features:
     """Return the points whose pixels count."""
     column, row = np.rint(features.points).astype(np.intp).T
-    height, width = counted.shape
-    is_valid = counted[row.clip(0, height - 1), column.clip(0, width - 1)]
+    height, width = valid.shape
+    is_valid = valid[row.clip(0, height - 1), column.clip(0, width - 1)]
     return Features(points=features.points[is_valid], roots=features.roots[is_valid])
 
 

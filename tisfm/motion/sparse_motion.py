@@ -211,11 +211,7 @@ def _is_inlier(rays: Rays, pose: Pose, max_distance: float) -> np.ndarray:
 
 
 def _sparse_motion(
-    match_cost: MatchCost,
-    motion: _Motion,
-    model: Model,
-    camera: Camera,
-    shape: tuple[int, int],
+    match_cost: MatchCost, motion: _Motion, model: Model, camera: Camera, shape: tuple[int, int]
 ) -> SparseMotion:
     rotation, translation, residual = motion
     rays = match_cost.rays

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.kernels.model.constants import NEAREST
+from tisfm.kernels.model import MIN_DEPTH_RATIO
 from tisfm.motion.depth_checks import pose_status
 from tisfm.motion.epipolar_fit import Pose, nearest_points
 from tisfm.motion.frame_agreement import unrelated_status
@@ -112,7 +112,7 @@ def _matches(pyramid: ImagePyramid) -> tuple[int, Matches]:
         pyramid.levels - 1,
     )
     frames = pyramid.frames0[finest], pyramid.frames1[finest]
-    return finest, sparse_matches(*frames, pyramid.counted_on(finest))
+    return finest, sparse_matches(*frames, pyramid.valid_on(finest))
 
 
 class _SweptMotion:
@@ -128,9 +128,8 @@ class _SweptMotion:
         inverse_depth = nearest_points(
             motion.rays, motion.rotation, motion.translation
         ).inverse_depth
-        match_depths = inverse_depth * (
-            camera.focal / np.linalg.norm(scaled[:, 3])
-        )  # D of the matches
+        # D of the matches
+        match_depths = inverse_depth * (camera.focal / np.linalg.norm(scaled[:, 3]))
         max_depth = min(
             SPARSE.depth_margin * float(np.percentile(match_depths, SPARSE.depth_percentile)),
             max(frame0.shape),
@@ -146,13 +145,13 @@ class _SweptMotion:
             hypotheses,
             guess,
             np.zeros_like(guess),
-            counted=pyramid.counted_on(level),
+            valid=pyramid.valid_on(level),
         )
         self.flow = _flow(depth, scaled, camera)
         correlations = correlation(frame0, frame1, self.flow)
         hidden = leaves_image(np.moveaxis(self.flow, -1, 0))
-        if pyramid.counted is not None:
-            hidden |= pyramid.counted.missing(np.moveaxis(self.flow, -1, 0), level)
+        if pyramid.masks is not None:
+            hidden |= pyramid.masks.ignored_pixels(np.moveaxis(self.flow, -1, 0), level)
         weight = np.where(hidden, 0, texture(frame0))
         total = float(weight.sum())
         self.score = float((weight * correlations).sum() / total) if total > 0 else -1.0
@@ -183,6 +182,6 @@ def _flow(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:
     rays = np.stack(np.broadcast_arrays(x, y, np.ones_like(depth)))
     points = np.einsum("ij,jhw->ihw", motion[:, :3], rays)
     points += depth * (motion[:, 3] / camera.focal)[:, None, None]
-    nearness = 1 / np.maximum(points[2], NEAREST)
+    nearness = 1 / np.maximum(points[2], MIN_DEPTH_RATIO)
     flow = np.stack([points[0] * nearness - x, points[1] * nearness - y], axis=-1)
     return (camera.focal * flow).astype(np.float32)

@@ -12,26 +12,28 @@ import cv2
 import numpy as np
 
 from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images, multiply
-from tisfm.kernels.layout.launch import in_turn
-from tisfm.kernels.rigid.epipolar import along, displacement
+from tisfm.kernels.layout.launch import join_launches
+from tisfm.kernels.rigid.epipolar import displacement, restrict_to_line
 from tisfm.motion.matched_planes import MatchedPlanes, matched_planes, noise_deviation
 from tisfm.motion.problems import depth_problem
 from tisfm.motion.rigid_depth import RigidSolution
 from tisfm.motion.settings import DEPTH
 from tisfm.motion.window_statistics import window_variance
 from tisfm.settings import Settings
-from tisfm.solver.coarse_to_fine import Records, at_finest, data_term_on, unknowns_on
+from tisfm.solver.coarse_to_fine import Records, data_term_on, resize_to_finest, unknowns_on
 from tisfm.solver.half_quadratic import Iteration
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.second_order import (
     SecondOrderMinimiser,
     SecondOrderSettings,
     anchors_in_lanes,
-    fill,
+    extend_depth,
 )
 from tisfm.solver.smoothness import image_edges_in_lanes
 
-SECOND_ORDER = SecondOrderSettings(alpha=48.0, beta=196608.0, bend=0.1, turn=0.003, image_edges=5.0)
+SECOND_ORDER = SecondOrderSettings(
+    alpha=48.0, beta=196608.0, slope_contrast=0.1, crease_contrast=0.003, image_edges=5.0
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,17 +47,17 @@ class TexturelessSolution(RigidSolution):
         return self.carried_deviation.copy()
 
 
-def textureless_share(frame: np.ndarray, counted: np.ndarray | None = None) -> float:
+def textureless_share(frame: np.ndarray, valid: np.ndarray | None = None) -> float:
     """Return the share of a frame's windows, (H, W) float32, that show only noise.
 
-    Only windows around the pixels of `counted`, (H, W) bool, take part, by default all.
+    Only windows around the pixels of `valid`, (H, W) bool, take part, by default all.
     """
-    noise = noise_deviation(frame, counted=counted)
+    noise = noise_deviation(frame, valid=valid)
     is_textureless = (
         window_variance(frame, DEPTH.texture_window) <= DEPTH.min_texture_variance * noise**2
     )
-    if counted is not None:
-        is_textureless = is_textureless[counted]
+    if valid is not None:
+        is_textureless = is_textureless[valid]
     return float(is_textureless.mean()) if is_textureless.size else 0.0
 
 
@@ -76,19 +78,19 @@ def textureless_depth(
     if pyramid.frames0[-1].size > DEPTH.max_plane_pixels:
         return None
     planes = matched_planes(pyramid, motion)
-    valid_pixels = pyramid.counted0(planes.level)
-    counted = np.ones(planes.is_reliable.shape, bool) if valid_pixels is None else valid_pixels
+    valid_pixels = pyramid.valid0(planes.level)
+    valid = np.ones(planes.is_reliable.shape, bool) if valid_pixels is None else valid_pixels
     if support is not None:
-        size = counted.shape[::-1]
+        size = valid.shape[::-1]
         is_supported = (
             cv2.resize(support.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
         )
-        counted = counted & is_supported
-        planes = replace(planes, is_reliable=planes.is_reliable & counted)
-    if planes.is_reliable.sum() < max(1, DEPTH.min_matched_share * counted.sum()):
+        valid = valid & is_supported
+        planes = replace(planes, is_reliable=planes.is_reliable & valid)
+    if planes.is_reliable.sum() < max(1, DEPTH.min_matched_share * valid.sum()):
         return None
     level = planes.level
-    state = _Level(pyramid, settings, motion, planes, counted)
+    state = _Level(pyramid, settings, motion, planes, valid)
     history: Records = []
     converged = False
     for warp in range(DEPTH.carried_warps):
@@ -98,7 +100,7 @@ def textureless_depth(
     unknowns = state.unknowns
     return TexturelessSolution(
         motions=motion[None],
-        inverse_depth=at_finest(pyramid, unknowns, level)[0],
+        inverse_depth=resize_to_finest(pyramid, unknowns, level)[0],
         precision=state.precision(),
         level=level,
         density=pyramid.scales[level],
@@ -118,7 +120,7 @@ class _Level:
         settings: Settings,
         motion: np.ndarray,
         planes: MatchedPlanes,
-        counted: np.ndarray,
+        valid: np.ndarray,
     ) -> None:
         level, matched_depth = planes.level, planes.inverse_depth
         frame, focal = pyramid.frames0[level], pyramid.cameras[level].focal
@@ -126,13 +128,13 @@ class _Level:
         self.unknowns = unknowns = unknowns_on(pyramid, level, problem)
         self._grid = grid = unknowns.grid
         reliable = planes.is_reliable.astype(np.float32)
-        depth, slopes = fill(matched_depth, reliable, frame, SECOND_ORDER)
+        depth, slopes = extend_depth(matched_depth, reliable, frame, SECOND_ORDER)
         data_term = data_term_on(pyramid, level, problem, unknowns)
         restricted = grid.allocate(data_term.constraints.shape[0])
         self._minimiser = minimiser = SecondOrderMinimiser(
             grid,
             anchors_in_lanes(grid, np.stack([reliable, reliable * matched_depth])),
-            image_edges_in_lanes(grid, frame, SECOND_ORDER.image_edges, pyramid.counted0(level)),
+            image_edges_in_lanes(grid, frame, SECOND_ORDER.image_edges, pyramid.valid0(level)),
             SECOND_ORDER,
             constraints=restricted,
             scales=[DEPTH.constraint_weight * scale for scale in data_term.scales],
@@ -141,14 +143,13 @@ class _Level:
             image_to_lanes(grid, np.ascontiguousarray(values), minimiser.rho, component=component)
         labels, weight = grid.allocate(1), grid.allocate(1)
         flow, direction = grid.allocate(2, zeros=False), grid.allocate(2, zeros=False)
-        texture_weights = texture_weight(frame, counted=pyramid.counted0(level))
-        share = (
-            np.float32(DEPTH.constraint_weight**0.5) * texture_weights * counted
-        )  # factor of a constraint before squaring
+        texture_weights = texture_weight(frame, valid=pyramid.valid0(level))
+        # factor of a constraint before squaring
+        share = np.float32(DEPTH.constraint_weight**0.5) * texture_weights * valid
         image_to_lanes(grid, share, weight)
         motions = np.ascontiguousarray(motion[None], np.float32)
         inverse_depth = minimiser.rho[:1]
-        self._linearise = in_turn(
+        self._linearise = join_launches(
             displacement.bind(
                 grid,
                 inverse_depth,
@@ -161,7 +162,9 @@ class _Level:
                 focal=focal,
             ),
             data_term.bind_linearise(flow),
-            along.bind(grid, data_term.constraints, flow, direction, inverse_depth, restricted),
+            restrict_to_line.bind(
+                grid, data_term.constraints, flow, direction, inverse_depth, restricted
+            ),
             multiply.bind(grid, weight, restricted),
         )
 
@@ -216,13 +219,13 @@ def texture_weight(
     frame: np.ndarray,
     *,
     half_variance: float = DEPTH.half_weight_variance,
-    counted: np.ndarray | None = None,
+    valid: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the weight of the texture in each window against noise, (H, W) float32, from 0 to 1.
 
     A window whose variance is `half_variance` variances of the noise has ½. The noise is measured
-    on the pixels of `counted`, (H, W) bool, by default all.
+    on the pixels of `valid`, (H, W) bool, by default all.
     """
-    noise = noise_deviation(frame, counted=counted)
+    noise = noise_deviation(frame, valid=valid)
     variance = window_variance(frame, DEPTH.texture_window)
     return variance / (variance + np.float32(half_variance * noise**2))

@@ -11,7 +11,7 @@ from tisfm.runtime import lane_grid
 from tisfm.solver.data_term import Constancy, DataTerm
 from tisfm.solver.half_quadratic import Effort, HalfQuadratic, Iteration
 from tisfm.solver.image_pyramid import ImagePyramid
-from tisfm.solver.sampling import enlarged
+from tisfm.solver.sampling import enlarge
 from tisfm.solver.smoothness import Smoothness, image_edges_in_lanes
 from tisfm.solver.three_frames import ThreeFrameData
 from tisfm.solver.unknowns import Unknowns
@@ -35,7 +35,7 @@ class Problem:
         return len(self.smoothness.stiffness)
 
 
-class Amendment(Protocol):
+class LevelChange(Protocol):
     """A change of the unknowns between the levels of the pyramid."""
 
     level: int  # the level for `apply`, which is called after half of its linearisations
@@ -43,14 +43,14 @@ class Amendment(Protocol):
     def apply(self, unknowns: Unknowns) -> bool:
         """Change the unknowns; return whether they changed, so that the level needs more warps."""
 
-    def go_on(self, unknowns: Unknowns, level: int) -> None:
+    def change_finer_level(self, unknowns: Unknowns, level: int) -> None:
         """Change the unknowns of a finer level before its first linearisation."""
 
 
-class MoreData(Protocol):
+class AdditionalData(Protocol):
     """Additional data for the last level, used after half of its linearisations."""
 
-    def joined(self, unknowns: Unknowns, data_term: DataTerm) -> ThreeFrameData | None:
+    def joint_data_term(self, unknowns: Unknowns, data_term: DataTerm) -> ThreeFrameData | None:
         """Return a data term that writes the same constraints, or None to keep that of the pair.
 
         The unknowns may be changed.
@@ -75,8 +75,8 @@ def coarse_to_fine(
     *,
     last: int = 0,  # the last level to compute
     release: bool = False,  # whether to free the splines of each level but the last after use
-    amendment: Amendment | None = None,
-    more: MoreData | None = None,
+    level_change: LevelChange | None = None,
+    additional_data: AdditionalData | None = None,
 ) -> Solution:
     """Estimate ρ̂ from the coarsest level to the last, starting at zero."""
     history: Records = []
@@ -85,20 +85,20 @@ def coarse_to_fine(
     for level in reversed(range(last, pyramid.levels)):
         solution = None  # frees the previous level: only its unknowns are needed
         unknowns = unknowns_on(pyramid, level, problem, unknowns)
-        amend = None
-        if amendment is not None and level < amendment.level:
-            amendment.go_on(unknowns, level)
-        elif amendment is not None and level == amendment.level:
-            amend = amendment.apply
-        solution = _on_level(
+        change = None
+        if level_change is not None and level < level_change.level:
+            level_change.change_finer_level(unknowns, level)
+        elif level_change is not None and level == level_change.level:
+            change = level_change.apply
+        solution = _estimate_level(
             pyramid,
             problem,
             unknowns,
             level,
             problem.warps(level - last),
             history,
-            amend,
-            more if level == last else None,
+            change,
+            additional_data if level == last else None,
         )
         if release and level > last:
             pyramid.release_taps1(level)
@@ -117,8 +117,8 @@ def unknowns_on(
         unknowns.start_from(coarse, pyramid.factor)
     if problem.smoothness.image_edges > 0:
         strength = problem.smoothness.image_edges
-        counted = pyramid.counted0(level)
-        unknowns.edges = image_edges_in_lanes(grid, frame0, strength, counted)
+        valid = pyramid.valid0(level)
+        unknowns.edges = image_edges_in_lanes(grid, frame0, strength, valid)
     return unknowns
 
 
@@ -133,7 +133,7 @@ def data_term_on(
         pyramid.taps1(level),
         problem.constancy,
         pyramid.contrast,
-        pyramid.counted_on(level),
+        pyramid.valid_on(level),
     )
 
 
@@ -148,7 +148,7 @@ def minimiser_on(problem: Problem, unknowns: Unknowns, data_term: DataTerm) -> H
     )
 
 
-def at_finest(pyramid: ImagePyramid, unknowns: Unknowns, level: int) -> np.ndarray:
+def resize_to_finest(pyramid: ImagePyramid, unknowns: Unknowns, level: int) -> np.ndarray:
     """Return the unknowns of a level at the finest pixels, (components, H, W) float32."""
     if level == 0:
         return unknowns.images()
@@ -156,44 +156,44 @@ def at_finest(pyramid: ImagePyramid, unknowns: Unknowns, level: int) -> np.ndarr
         fine = Unknowns(lane_grid(*pyramid.shape), pyramid.cameras[0], unknowns.components)
         fine.start_from(unknowns, pyramid.scales[level])
         return fine.images()
-    return enlarged(2**level * unknowns.images(), 2**level, *pyramid.shape)
+    return enlarge(2**level * unknowns.images(), 2**level, *pyramid.shape)
 
 
-def _on_level(
+def _estimate_level(
     pyramid: ImagePyramid,
     problem: Problem,
     unknowns: Unknowns,
     level: int,
     warps: int,
     history: Records,
-    amend: Callable[[Unknowns], bool] | None = None,
-    more: MoreData | None = None,
+    change: Callable[[Unknowns], bool] | None = None,
+    additional_data: AdditionalData | None = None,
 ) -> Solution:
     """Estimate ρ̂ on one level, starting at its present value, and append to the history."""
     data_term = data_term_on(pyramid, level, problem, unknowns)
     minimiser = minimiser_on(problem, unknowns, data_term)
     flow = unknowns.grid.allocate(2, zeros=False)
-    find_flow = unknowns.bind_flow(flow)
+    compute_flow = unknowns.bind_flow(flow)
     linearise = data_term.bind_linearise(flow, minimiser.system.tensor)
-    half, warp, changed, joint = (warps + 1) // 2, 0, True, None
-    joined_after = half
+    half_warps, warp, is_changed, joint_data = (warps + 1) // 2, 0, True, None
+    joint_warp = half_warps
     while warp < warps:
-        find_flow()
+        compute_flow()
         linearise()  # also writes the tensor for this flow
-        if changed:
+        if is_changed:
             minimiser.update()
         iterations, converged = minimiser.minimise()
         history += [(level, warp, iteration) for iteration in iterations]
         warp += 1
-        changed = amend is not None and warp == half and amend(unknowns)
-        if changed:
-            warps, joined_after = warps + half, joined_after + half
-        if more is not None and warp == joined_after:
-            joint = more.joined(unknowns, data_term)
-            if joint is not None:
-                linearise = joint.bind_linearise(flow, minimiser.system.tensor)
-                warps, changed = max(warps, warp + 1), True
-    if joint is not None:  # new data need more iterations, which cost less than linearisations
+        is_changed = change is not None and warp == half_warps and change(unknowns)
+        if is_changed:
+            warps, joint_warp = warps + half_warps, joint_warp + half_warps
+        if additional_data is not None and warp == joint_warp:
+            joint_data = additional_data.joint_data_term(unknowns, data_term)
+            if joint_data is not None:
+                linearise = joint_data.bind_linearise(flow, minimiser.system.tensor)
+                warps, is_changed = max(warps, warp + 1), True
+    if joint_data is not None:  # new data need more iterations, which cost less than linearisations
         iterations, converged = minimiser.minimise()
         history += [(level, warp - 1, iteration) for iteration in iterations]
     return Solution(

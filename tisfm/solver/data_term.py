@@ -11,7 +11,7 @@ from tisfm.kernels.data.derivatives import DERIVATIVE_HALO, derivatives
 from tisfm.kernels.data.warp import warp
 from tisfm.kernels.layout.images import IMAGE_HALO, image_to_lanes, multiply
 from tisfm.kernels.layout.lanes import LaneData, LaneGrid
-from tisfm.kernels.layout.launch import in_turn
+from tisfm.kernels.layout.launch import join_launches
 from tisfm.solver.sampling import weight_taps
 
 
@@ -57,7 +57,7 @@ class DataTerm:
         # tuple of two (H, W) bool: pixels of each frame that are used, by default all. Ignored
         # pixels of frame 0, and pixels that move to an ignored pixel of frame 1, have no
         # constraints.
-        counted: tuple[np.ndarray, np.ndarray] | None = None,
+        valid: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:
         self.grid, self.constancy, self._unit = grid, constancy, unit
         self.scales = constancy.scales  # `constancy.scales`
@@ -74,7 +74,7 @@ class DataTerm:
         # (`tisfm.kernels.data.constraints`); each linearisation overwrites them
         self.constraints = grid.allocate(3 * constancy.count, zeros=False)
         image_to_lanes(grid, frame0, self.lanes0)
-        self._counted = None if counted is None else _BothCount(grid, *counted)
+        self._weights = None if valid is None else _PairWeights(grid, *valid)
 
     @property
     def normalization(self) -> float | None:
@@ -90,20 +90,39 @@ class DataTerm:
         tensor: LaneData | None = None,
     ) -> Callable[[], None]:
         """Return a function that warps frame 1 by a flow and writes `constraints` for it."""
-        grid, constancy = self.grid, self.constancy
-        ignore = [] if self._counted is None else [self._counted.bind(flow, self.mask)]
-        return in_turn(
+        grid = self.grid
+        weighting = [] if self._weights is None else [self._weights.bind(flow, self.mask)]
+        return join_launches(
             warp.bind(grid, self._frame1, self._taps1, flow, self._lanes1, self.mask),
-            *ignore,
-            derivatives.bind(
-                grid, self.lanes0, self._lanes1, self._derivatives, scheme=constancy.derivatives
+            *weighting,
+            self.bind_constraints(
+                self.lanes0, self._lanes1, self._derivatives, flow, self.mask, self.constraints,
+                tensor,
             ),
+        )  # fmt: skip
+
+    def bind_constraints(
+        self,
+        # lanes0, lanes1: lane arrays, 1 component, halo `IMAGE_HALO`: two aligned frames
+        lanes0: LaneData,
+        lanes1: LaneData,
+        # lane array, 3 components, halo `DERIVATIVE_HALO`; overwritten
+        frame_derivatives: LaneData,
+        flow: LaneData,
+        mask: LaneData,  # lane array, 1 component: weight of each pixel
+        constraints: LaneData,  # lane array, overwritten
+        tensor: LaneData | None = None,  # lane array, 6 components: overwritten
+    ) -> Callable[[], None]:
+        """Return a function that writes the constraints of two frames that a flow has aligned."""
+        grid, constancy = self.grid, self.constancy
+        return join_launches(
+            derivatives.bind(grid, lanes0, lanes1, frame_derivatives, scheme=constancy.derivatives),
             constancy_constraints.bind(
                 grid,
-                self._derivatives,
+                frame_derivatives,
                 flow,
-                self.mask,
-                self.constraints,
+                mask,
+                constraints,
                 tensor,
                 brightness=constancy.brightness,
                 gradient=constancy.gradient,
@@ -113,20 +132,20 @@ class DataTerm:
         )
 
 
-class _BothCount:
+class _PairWeights:
     """The weights of pixels that are used in frame 0 and move to used pixels of frame 1."""
 
-    def __init__(self, grid: LaneGrid, counted0: np.ndarray, counted1: np.ndarray) -> None:
+    def __init__(self, grid: LaneGrid, valid0: np.ndarray, valid1: np.ndarray) -> None:
         self._grid = grid
         self._weight0, self._weight1, self._inside = (grid.allocate(1) for _ in range(3))
-        image_to_lanes(grid, counted0.astype(np.float32), self._weight0)
-        image, taps = weight_taps(counted1.astype(np.float32))
+        image_to_lanes(grid, valid0.astype(np.float32), self._weight0)
+        image, taps = weight_taps(valid1.astype(np.float32))
         self._image1, self._taps1 = grid.place(image), grid.place(taps, vectors=True)
 
     def bind(self, flow: LaneData, mask: LaneData) -> Callable[[], None]:
         """Return a function that multiplies a mask by the weights for a flow."""
         grid = self._grid
-        return in_turn(
+        return join_launches(
             warp.bind(grid, self._image1, self._taps1, flow, self._weight1, self._inside),
             multiply.bind(grid, self._weight0, mask),
             multiply.bind(grid, self._weight1, mask),

@@ -18,7 +18,7 @@ import numpy as np
 from tisfm.kernels.solve.linear_system import LinearSystem
 from tisfm.solver.unknowns import Unknowns
 
-LEAST_SHARE = 1e-12  # relative singular value below which fields count as dependent
+MIN_SINGULAR_VALUE = 1e-12  # relative singular value below which fields count as dependent
 BAND = 64  # rows computed at a time, in float64
 
 
@@ -45,7 +45,9 @@ class FlowlessFields:
         if not (np.isfinite(matrix).all() and np.isfinite(vector).all()):
             return  # ρ̂ has diverged; the status of the result will say so
         scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(np.float64).tiny))
-        shares, *_ = np.linalg.lstsq(matrix / np.outer(scale, scale), vector / scale, LEAST_SHARE)
+        shares, *_ = np.linalg.lstsq(
+            matrix / np.outer(scale, scale), vector / scale, MIN_SINGULAR_VALUE
+        )
         unknowns = self._unknowns
         for component, (rows, columns) in enumerate(self._fields(shares / scale)):
             image = unknowns.to_image(unknowns.rho, component)
@@ -95,14 +97,14 @@ class FlowlessFields:
             ([(r, c[:-1]) for r, c in east2], [(r[:-1], c) for r, c in south2]),
         )
 
-    def _fields(self, shares: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    def _fields(self, multiples: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return a weighted sum of the fields, as row and column functions for each component.
 
         A component is the sum over products of a row function and a column function.
         """
         x, y = self._x, self._y
         one_x, one_y = np.ones(x.shape), np.ones(y.shape)
-        a, b, c, d = np.concatenate([shares, np.zeros(4 - len(shares))])
+        a, b, c, d = np.concatenate([multiples, np.zeros(4 - len(multiples))])
         tau1 = np.stack([one_y, y]), np.stack([a * x - c * (1 + x * x), b * x + d])
         tau2 = np.stack([a * y + b * (1 + y * y), -c * y - d]), np.stack([one_x, x])
         constants = [(one_y[None], value * one_x[None]) for value in (a, b, c, d)]

@@ -15,10 +15,10 @@ from tisfm.solver.multigrid import Multigrid
 from tisfm.solver.smoothness import Smoothness
 from tisfm.solver.unknowns import Unknowns
 
-FEWEST_ITERATIONS = 2  # if the limit allows: the first spreads data over short distances only
-TRANSLATION = 3  # unknowns of the smallest model that has motions without image motion
-CONFIRMED = 2  # consecutive iterations whose estimate of the remaining error must be small
-LEAST_CONTRACTION = 2 / 3  # least contraction assumed for errors: early changes may shrink faster
+MIN_ITERATIONS = 2  # if the limit allows: the first spreads data over short distances only
+TRANSLATION_COMPONENTS = 3  # unknowns of the smallest model that has motions without image motion
+MIN_CONFIRMATIONS = 2  # consecutive iterations whose estimate of the remaining error must be small
+MIN_CONTRACTION = 2 / 3  # least contraction assumed for errors: early changes may shrink faster
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,14 +29,14 @@ class Effort:
     outer_iterations: int
     sweeps: int
     relaxation: float  # over-relaxation of the sweeps, in (0, 2)
-    # Iterations stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖. If `thorough`, they stop when the
+    # Iterations stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖. If `is_thorough`, they stop when the
     # estimate of ‖error of ρ̂‖ is at most tolerance · ‖ρ̂‖.
     tolerance: float
     solver: str
     cycles: int = 0  # multigrid cycles in place of sweeps; 0 for sweeps
     # Whether to iterate close to the minimum. This is needed with one pyramid level, since no
     # coarser level gives a good start. It takes at least three iterations, or four with sweeps.
-    thorough: bool = False
+    is_thorough: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,46 +54,31 @@ class HalfQuadratic:
 
     If other code changes ρ̂ or the constraints, call `update` before `minimise`: it computes weights
     and tensor anew. `minimise` itself keeps them up to date.
-
-    Parameters
-    ----------
-    unknowns : Unknowns
-        `minimise` modifies their `rho` in place.
-    constraints : lane array, 3 components for each constraint
-        (p, q, c) (`tisfm.kernels.data.constraints`); used without a copy.
-    scales : sequence of float
-        Scales of the data terms (`tisfm.kernels.model.robust`).
-    smoothness : Smoothness
-    effort : Effort
-
-    Attributes
-    ----------
-    system : LinearSystem
-        Its weights are g·b of every edge; its tensor is the weighted sum of the data terms, or with
-        one unknown the weighted sum of the constraints along a line.
     """
 
     def __init__(
         self,
-        unknowns: Unknowns,
+        unknowns: Unknowns,  # `minimise` modifies their `rho` in place
+        # lane array, 3 components for each constraint: (p, q, c)
+        # (`tisfm.kernels.data.constraints`); used without a copy
         constraints: LaneData,
         *,
-        scales: Sequence[float],
+        scales: Sequence[float],  # of the data terms (`tisfm.kernels.model.robust`)
         smoothness: Smoothness,
         effort: Effort,
     ) -> None:
         self._unknowns, self._constraints, self._scales = unknowns, constraints, scales
         self._contrast, self._effort = smoothness.contrast, effort
         grid, n = unknowns.grid, unknowns.components
-        shared = smoothness.joint or not np.isfinite(smoothness.contrast)  # then b is 1
-        rigid = effort.thorough and n >= TRANSLATION
-        self._flowless = FlowlessFields(unknowns) if rigid else None
+        is_shared = smoothness.joint or not np.isfinite(smoothness.contrast)  # then b is 1
+        has_flowless_fields = effort.is_thorough and n >= TRANSLATION_COMPONENTS
+        self._flowless = FlowlessFields(unknowns) if has_flowless_fields else None
         self._previous = grid.allocate(n, zeros=False)  # ρ̂ at the last update
         self._set_system(
             LinearSystem(
                 grid=grid,
                 tensor=grid.allocate(6),
-                weights=grid.allocate(2 if shared else 2 * n),
+                weights=grid.allocate(2 if is_shared else 2 * n),
                 x_hat=unknowns.x_hat,
                 y_hat=unknowns.y_hat,
                 alpha=smoothness.alpha,
@@ -116,52 +101,54 @@ class HalfQuadratic:
         Returns the iterations, and whether the last relative change was within the
         tolerance; if thorough, whether the estimated error was.
         """
-        if self._effort.thorough:
-            return self._minimise_thoroughly()
+        if self._effort.is_thorough:
+            return self._minimise_to_error_bound()
         iterations: list[Iteration] = []
-        solve = self._solving()
+        solve = self._solver_step()
         for _ in range(self._effort.outer_iterations):
             solve()
             sums = self._update()
-            iterations.append(_recorded(sums))
-            settled = sums.moved <= self._effort.tolerance * sums.size
-            if len(iterations) >= FEWEST_ITERATIONS and settled:
+            iterations.append(_iteration_record(sums))
+            is_settled = sums.change <= self._effort.tolerance * sums.size
+            if len(iterations) >= MIN_ITERATIONS and is_settled:
                 return iterations, True
         return iterations, False
 
-    def _minimise_thoroughly(self) -> tuple[list[Iteration], bool]:
+    def _minimise_to_error_bound(self) -> tuple[list[Iteration], bool]:
         """Iterate until the estimated error is within the tolerance.
 
         Sweeps hardly reduce errors of low frequency. So once sweeps seem to have converged, one
         iteration uses multigrid instead, and its change must be within the tolerance too.
         """
-        tolerance, sweeping = self._effort.tolerance, self._effort.cycles == 0
+        tolerance, uses_sweeps = self._effort.tolerance, self._effort.cycles == 0
         iterations: list[Iteration] = []
         changes: list[float] = []
-        confirmed, fresh = 0, True
+        confirmations, has_new_rho = 0, True
         for _ in range(self._effort.outer_iterations):
-            checking = sweeping and confirmed >= CONFIRMED
-            if checking or not sweeping:
-                self._cycle(fresh=fresh)
+            is_check = uses_sweeps and confirmations >= MIN_CONFIRMATIONS
+            if is_check or not uses_sweeps:
+                self._cycle(has_new_rho=has_new_rho)
             else:
                 self._sweep()
             if self._flowless is not None:
                 self._flowless.minimise(self.system)
-            fresh = sweeping or self._flowless is not None
-            iterations.append(_recorded(self._update()))
+            has_new_rho = uses_sweeps or self._flowless is not None
+            iterations.append(_iteration_record(self._update()))
             changes.append(iterations[-1].change)
-            if checking:
+            if is_check:
                 if changes[-1] <= tolerance:
                     return iterations, True
-                confirmed = 0
+                confirmations = 0
                 continue
-            confirmed = confirmed + 1 if error_left(changes) <= tolerance else 0
-            if confirmed >= CONFIRMED and not sweeping:
+            confirmations = confirmations + 1 if remaining_error(changes) <= tolerance else 0
+            if confirmations >= MIN_CONFIRMATIONS and not uses_sweeps:
                 return iterations, True
         return iterations, False
 
     def _set_system(self, system: LinearSystem) -> None:
         """Store a system and bind the functions that every iteration runs."""
+        # Its weights are g·b of every edge; its tensor is the weighted sum of the data terms, or
+        # with one unknown the weighted sum of the constraints along a line.
         self.system = system
         self._multigrid: Multigrid | None = None
         self._update: Callable[[], Sums] = system.bind_weight_update(
@@ -180,17 +167,17 @@ class HalfQuadratic:
             sweeps=self._effort.sweeps,
         )
 
-    def _solving(self) -> Callable[[], None]:
+    def _solver_step(self) -> Callable[[], None]:
         """Return a function that improves ρ̂ as a solution of the current system."""
         if not self._effort.cycles:
             return self._sweep
         self._with_multigrid().restart()
-        return lambda: self._cycle(fresh=False)
+        return lambda: self._cycle(has_new_rho=False)
 
-    def _cycle(self, *, fresh: bool) -> None:
-        """Run multigrid cycles; `fresh` if other code changed ρ̂ since the last cycle."""
+    def _cycle(self, *, has_new_rho: bool) -> None:
+        """Run multigrid cycles; `has_new_rho` if other code changed ρ̂ since the last cycle."""
         multigrid = self._with_multigrid()
-        if fresh:
+        if has_new_rho:
             multigrid.restart()
         multigrid.coarsen()
         for _ in range(max(self._effort.cycles, 1)):
@@ -202,7 +189,7 @@ class HalfQuadratic:
         return self._multigrid
 
 
-def error_left(changes: Sequence[float]) -> float:
+def remaining_error(changes: Sequence[float]) -> float:
     """Return an estimate of the error of ρ̂ from its last relative changes, one per iteration.
 
     If every change is q times the previous change, all later changes add up to q/(1 − q) times the
@@ -213,15 +200,17 @@ def error_left(changes: Sequence[float]) -> float:
     if len(changes) == 1:
         return math.inf
     last = changes[-3:]
-    ratios = [later / earlier if earlier > 0 else math.inf for earlier, later in pairwise(last)]
-    contraction = max(*ratios, LEAST_CONTRACTION)
+    ratios = [
+        change / previous if previous > 0 else math.inf for previous, change in pairwise(last)
+    ]
+    contraction = max(*ratios, MIN_CONTRACTION)
     return changes[-1] * contraction / (1 - contraction) if contraction < 1 else math.inf
 
 
-def _recorded(sums: Sums) -> Iteration:
+def _iteration_record(sums: Sums) -> Iteration:
     """Return the record of an iteration."""
     return Iteration(
         energy=sums.energy,
         half_quadratic=sums.half_quadratic,
-        change=sums.moved / sums.size if sums.size > 0 else 0.0,
+        change=sums.change / sums.size if sums.size > 0 else 0.0,
     )

@@ -16,99 +16,68 @@ from tisfm.solver.smoothness import mean_step
 from tisfm.threads import start_beside
 
 COARSEST_FRAME_SIDE = 12  # px
-BESIDE = 1 << 16  # least number of pixels for which a second thread saves time
+MIN_PARALLEL_PIXELS = 1 << 16  # least number of pixels for which a second thread saves time
 
 
 class ImagePyramid:
-    """Both frames at every level; level 0 is the finest.
-
-    Parameters
-    ----------
-    grey0, grey1 : (H, W) float32
-        Grey levels on the 8-bit scale.
-    camera : Camera
-        Pinhole camera of the finest level.
-    factor : float
-        Ratio of neighbouring levels' sampling densities, in [0.5, 1).
-    levels : int, optional
-        Most levels; by default as many as `COARSEST_FRAME_SIDE` allows.
-    presmoothing : float
-        Standard deviation of a Gaussian applied first, px.
-    last : int
-        The last level for coarse-to-fine estimation, or the coarsest level if that is finer.
-    counted : tuple of two (H, W) bool, optional
-        Pixels of each frame that are used, by default all. Ignored pixels must already be filled
-        from their surroundings.
-
-    Attributes
-    ----------
-    frames0, frames1 : list of (h, w) float32
-        Smoothed frames, the finest first.
-    cameras : list of Camera
-    scales : list of float
-        Sampling density of every level relative to the finest.
-    levels, last : int
-        Number of levels, and the last level for coarse-to-fine estimation.
-    shape : (int, int)
-        Height and width of the finest level, px.
-    factor : float
-        As given.
-    contrast : float
-        Mean |ΔI| between neighbours of frame 0 at the finest level.
-    counted : PixelMasks or None
-        The used pixels; None if all are used.
-    """
+    """Both frames at every level; level 0 is the finest."""
 
     def __init__(
         self,
+        # grey0, grey1: (H, W) float32, grey levels on the 8-bit scale
         grey0: np.ndarray,
         grey1: np.ndarray,
-        camera: Camera,
+        camera: Camera,  # pinhole camera of the finest level
         *,
-        factor: float,
-        levels: int | None = None,
-        presmoothing: float = 0.0,
+        factor: float,  # ratio of neighbouring levels' sampling densities, in [0.5, 1)
+        levels: int | None = None,  # most levels; by default `COARSEST_FRAME_SIDE` limits them
+        presmoothing: float = 0.0,  # standard deviation of a Gaussian applied first, px
+        # the last level for coarse-to-fine estimation, or the coarsest level if that is finer
         last: int = 0,
-        counted: tuple[np.ndarray, np.ndarray] | None = None,
+        # pixels of each frame that are used, (H, W) bool, by default all; ignored pixels must
+        # already be filled from their surroundings
+        valid: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:
         self.factor = factor
         if grey0.min() == grey0.max() and grey1.min() == grey1.max():
             # Otherwise rounding errors of the uniform frames would be the only data.
             grey0, grey1 = np.zeros_like(grey0), np.zeros_like(grey1)
-        height, width = self.shape = grey0.shape
+        height, width = self.shape = grey0.shape  # of the finest level, px
         count = self.levels = level_count(height, width, factor, levels)
         self.last = min(last, count - 1)
+        # sampling density of every level relative to the finest
         self.scales = [factor**level for level in range(count)]
         self.cameras = [camera] + [camera.scaled(s, height, width) for s in self.scales[1:]]
 
         def frames(grey: np.ndarray) -> list[np.ndarray]:
             return gaussian_pyramid(smooth(grey, presmoothing), factor, count)
 
-        together = runtime.threads() > 1 and grey0.size >= BESIDE
-        if together:
+        is_parallel = runtime.threads() > 1 and grey0.size >= MIN_PARALLEL_PIXELS
+        if is_parallel:
             # OpenCV's filters and kernels on coarse levels use one thread each.
-            others = start_beside(frames, grey1)
-            self.frames0, self.frames1 = frames(grey0), others()
+            wait_for_frames1 = start_beside(frames, grey1)
+            self.frames0, self.frames1 = frames(grey0), wait_for_frames1()
         else:
             self.frames0, self.frames1 = frames(grey0), frames(grey1)
         self._taps1 = [self._spline(level) for level in range(count)]
-        if together:
+        if is_parallel:
             for level in reversed(range(self.last, count)):  # the coarsest is needed first
                 self._taps1[level] = start_beside(spline_taps, self.frames1[level])
-        self.counted: PixelMasks | None = None
-        if counted is not None:
-            self.counted = PixelMasks(
-                *counted, [(len(frame), frame.shape[1]) for frame in self.frames0]
+        self.masks: PixelMasks | None = None  # the used pixels; None if all are used
+        if valid is not None:
+            self.masks = PixelMasks(
+                *valid, [(len(frame), frame.shape[1]) for frame in self.frames0]
             )
-        self.contrast = mean_step(self.frames0[0], self.counted0(0))
+        # mean |ΔI| between neighbours of frame 0 at the finest level
+        self.contrast = mean_step(self.frames0[0], self.valid0(0))
 
-    def counted_on(self, level: int) -> tuple[np.ndarray, np.ndarray] | None:
+    def valid_on(self, level: int) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the used pixels of both frames on a level, (h, w) bool; None for all."""
-        return None if self.counted is None else self.counted.levels[level]
+        return None if self.masks is None else self.masks.levels[level]
 
-    def counted0(self, level: int) -> np.ndarray | None:
+    def valid0(self, level: int) -> np.ndarray | None:
         """Return the used pixels of frame 0 on a level, (h, w) bool; None for all."""
-        return None if self.counted is None else self.counted.levels[level][0]
+        return None if self.masks is None else self.masks.levels[level][0]
 
     def taps1(self, level: int) -> np.ndarray:
         """Return `tisfm.solver.sampling.spline_taps` of frame 1 at a level."""
@@ -123,8 +92,8 @@ class ImagePyramid:
         other = copy(self)
         other.frames0, other.frames1 = self.frames1, self.frames0
         other._taps1 = [other._spline(level) for level in range(self.levels)]
-        other.counted = None if self.counted is None else self.counted.reversed()
-        other.contrast = mean_step(other.frames0[0], other.counted0(0))
+        other.masks = None if self.masks is None else self.masks.reversed()
+        other.contrast = mean_step(other.frames0[0], other.valid0(0))
         return other
 
     def coarser(self, level: int) -> "ImagePyramid":
@@ -140,8 +109,8 @@ class ImagePyramid:
         other.scales = [scale / self.scales[level] for scale in self.scales[level:]]
         other.levels, other.last = self.levels - level, max(0, self.last - level)
         other.shape = other.frames0[0].shape
-        other.counted = None if self.counted is None else self.counted.coarser(level)
-        other.contrast = mean_step(other.frames0[0], other.counted0(0))
+        other.masks = None if self.masks is None else self.masks.coarser(level)
+        other.contrast = mean_step(other.frames0[0], other.valid0(0))
         return other
 
     def _spline(self, level: int) -> Callable[[], np.ndarray]:

@@ -13,8 +13,8 @@ from dataclasses import replace
 
 from tisfm.kernels.layout.lanes import LaneData, LaneGrid, aligned_zeros
 from tisfm.kernels.solve.coarsening import (
+    add_correction,
     coarse_grid,
-    correct,
     halved_shape,
     interpolation_columns,
     relayout,
@@ -45,7 +45,7 @@ class Multigrid:
         while min(self._levels[-1].size) > COARSEST_GRID_SIDE:
             self._levels.append(self._levels[-1].coarser())
         self._solve_coarsest = self._levels[-1].bind_smooth(COARSEST_SWEEPS)
-        self._before = grid.allocate(unknowns.components)
+        self._previous = grid.allocate(unknowns.components)
         self._step = grid.allocate(unknowns.components)
         self.restart()
 
@@ -57,7 +57,7 @@ class Multigrid:
     def restart(self) -> None:
         """Drop the last step and start at the present ρ̂; necessary if other code changed it."""
         finest = self._levels[0].unknowns
-        finest.grid.copy(finest.rho, self._before)
+        finest.grid.copy(finest.rho, self._previous)
         self._step.fill(0)
 
     def descend(self) -> None:
@@ -68,17 +68,17 @@ class Multigrid:
         """
         self.cycle()
         finest = self._levels[0]
-        finest.system.line_search(finest.unknowns.rho, self._before, self._step)
+        finest.system.line_search(finest.unknowns.rho, self._previous, self._step)
 
     def cycle(self) -> None:
         """Run one V-cycle, V(1, 1)."""
-        above = self._levels[:-1]
-        for fine, coarse in zip(above, self._levels[1:], strict=True):
+        finer_levels = self._levels[:-1]
+        for fine, coarse in zip(finer_levels, self._levels[1:], strict=True):
             fine.smooth()
             fine.restrict(coarse)
         self._solve_coarsest()
-        for fine, coarse in zip(reversed(above), reversed(self._levels[1:]), strict=True):
-            fine.correct(coarse)
+        for fine, coarse in zip(reversed(finer_levels), reversed(self._levels[1:]), strict=True):
+            fine.add_correction(coarse)
             fine.smooth()
 
 
@@ -99,7 +99,7 @@ class _Level:
         grid = unknowns.grid
         self.size = grid.height, grid.width
         self.smooth = self.bind_smooth(1)
-        self._across = interpolation_columns(grid)
+        self._column_weights = interpolation_columns(grid)
         # Strips of the coarser grid have an even length; half of a strip here may be odd.
         self._halved: tuple[LaneData, LaneData, LaneData] | None = None
         if grid.strip // 2 != coarse_grid(grid).strip:
@@ -153,13 +153,13 @@ class _Level:
             relayout(coarse.unknowns.grid, halved, coarse._source)
         coarse.unknowns.rho.fill(0)
 
-    def correct(self, coarse: "_Level") -> None:
+    def add_correction(self, coarse: "_Level") -> None:
         """Add the correction of the coarser level."""
         correction = coarse.unknowns.rho
         if self._halved is not None:
             correction = self._halved[2]
             relayout(coarse.unknowns.grid, coarse.unknowns.rho, correction)
-        correct(self.unknowns.grid, correction, self._across, self.unknowns.rho)
+        add_correction(self.unknowns.grid, correction, self._column_weights, self.unknowns.rho)
 
 
 def _halved(grid: LaneGrid, components: int) -> LaneData:

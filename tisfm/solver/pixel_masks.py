@@ -10,10 +10,10 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from tisfm.solver.sampling import goes_to
+from tisfm.solver.sampling import target_pixels
 
 RIM = 3  # px of a level: side of the square around a used pixel that has no ignored pixel
-MOST_IGNORED = 0.5  # share of a coarse pixel's area that may be ignored
+MAX_IGNORED_SHARE = 0.5  # share of a coarse pixel's area that may be ignored
 
 
 class PixelMasks:
@@ -21,45 +21,45 @@ class PixelMasks:
 
     def __init__(
         self,
-        # counted0, counted1: (H, W) bool, used pixels of each frame
-        counted0: np.ndarray,
-        counted1: np.ndarray,
+        # valid0, valid1: (H, W) bool, used pixels of each frame
+        valid0: np.ndarray,
+        valid1: np.ndarray,
         # height and width of every level, the finest first, px
         shapes: list[tuple[int, int]],
     ) -> None:
-        self.whole = counted0, counted1
+        self.original = valid0, valid1
         self._shapes = shapes
 
     @cached_property
     def levels(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """The pixels of both frames, (h, w) bool, whose stencils have used pixels only."""
         first, second = (
-            [_on_level(counted, shape) for shape in self._shapes] for counted in self.whole
+            [_resize_mask(valid, shape) for shape in self._shapes] for valid in self.original
         )
         return list(zip(first, second, strict=True))
 
-    def missing(
+    def ignored_pixels(
         self,
         flow: np.ndarray,  # (2, h, w) float32: px/frame of the level
         level: int | None = None,  # by default the finest, with the masks as given
     ) -> np.ndarray:  # (h, w) bool
         """Return the pixels that are ignored, or move to an ignored pixel of frame 1."""
-        counted0, counted1 = self.whole if level is None else self.levels[level]
-        return ~(counted0 & counted1[goes_to(flow)])
+        valid0, valid1 = self.original if level is None else self.levels[level]
+        return ~(valid0 & valid1[target_pixels(flow)])
 
     def reversed(self) -> "PixelMasks":
         """Return the masks with both frames exchanged."""
-        return PixelMasks(*self.whole[::-1], self._shapes)
+        return PixelMasks(*self.original[::-1], self._shapes)
 
     def coarser(self, level: int) -> "PixelMasks":
         """Return the masks of `level`, as the finest level, and of all coarser levels."""
         other = copy(self)
-        other.whole, other._shapes = self.levels[level], self._shapes[level:]
+        other.original, other._shapes = self.levels[level], self._shapes[level:]
         other.levels = self.levels[level:]
         return other
 
 
-def filled(
+def fill_ignored(
     image: np.ndarray,  # (H, W) float32
     ignored: np.ndarray,  # (H, W) bool
 ) -> np.ndarray:  # (H, W) float32: 0 if all pixels are ignored
@@ -67,12 +67,12 @@ def filled(
     if ignored.all():
         return np.zeros_like(image)
     weight = (~ignored).astype(np.float32)
-    seen = image[~ignored]
+    used = image[~ignored]
     # Without the clipping, rounding would give a uniform image a texture.
-    return _filled(image, weight).clip(seen.min(), seen.max())
+    return _fill(image, weight).clip(used.min(), used.max())
 
 
-def _filled(image: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def _fill(image: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Return an image whose pixels of weight 0 are means of their surroundings."""
     if weight.all():
         return image
@@ -82,14 +82,14 @@ def _filled(image: np.ndarray, weight: np.ndarray) -> np.ndarray:
         cv2.resize(part, size, interpolation=cv2.INTER_AREA) for part in (image * weight, weight)
     )
     np.divide(coarse, total, out=coarse, where=total > 0)
-    coarse = _filled(coarse, (total > 0).astype(np.float32))
-    around = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
-    return np.where(weight > 0, image, around)
+    coarse = _fill(coarse, (total > 0).astype(np.float32))
+    surroundings = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.where(weight > 0, image, surroundings)
 
 
-def _on_level(counted: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def _resize_mask(valid: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Return the pixels of a level that are used and have used pixels only around them."""
     size = shape[::-1]
-    share = cv2.resize(counted.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    within = (share > 1 - MOST_IGNORED).astype(np.uint8)
-    return cv2.erode(within, np.ones((RIM, RIM), np.uint8)) > 0
+    share = cv2.resize(valid.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    is_used = (share > 1 - MAX_IGNORED_SHARE).astype(np.uint8)
+    return cv2.erode(is_used, np.ones((RIM, RIM), np.uint8)) > 0

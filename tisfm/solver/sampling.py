@@ -1,6 +1,6 @@
 """Sampling of images by cubic splines, and resampling between levels of a pyramid.
 
-`enlarged` and `reduced` need an integer ratio of sampling densities. Pixel x of the coarser level
+`enlarge` and `shrink` need an integer ratio of sampling densities. Pixel x of the coarser level
 lies exactly at factor·(x + ½) − ½ on the finer level, however the levels' sizes are rounded.
 """
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from tisfm import runtime
 
-FAR = 1e7  # px/frame: leads outside any image
+FAR_FLOW = 1e7  # px/frame: leads outside any image
 _POLE = math.sqrt(3) - 2
 _REACH = 12  # px: farther taps of the filter are below 1e-7, less than float32 resolves
 # Inverse of the filter (1, 4, 1)/6, which computes values at pixels from coefficients.
@@ -90,19 +90,19 @@ def sample(
     return out
 
 
-def goes_to(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def target_pixels(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return rows and columns, (H, W), of the pixels nearest to the ends of a flow, (2, H, W).
 
     Where the flow leaves the image or is not finite, these are pixels of the border.
     """
     height, width = flow.shape[1:]
-    flow = np.clip(np.nan_to_num(flow, nan=FAR), -FAR, FAR)
+    flow = np.clip(np.nan_to_num(flow, nan=FAR_FLOW), -FAR_FLOW, FAR_FLOW)
     x = np.rint(flow[0] + np.arange(width)).clip(0, width - 1)
     y = np.rint(flow[1] + np.arange(height)[:, None]).clip(0, height - 1)
     return y.astype(np.intp), x.astype(np.intp)
 
 
-def enlarged(images: np.ndarray, factor: int, height: int, width: int) -> np.ndarray:
+def enlarge(images: np.ndarray, factor: int, height: int, width: int) -> np.ndarray:
     """Return images of a coarser level, (n, h, w), interpolated bilinearly to a finer level.
 
     Returns (n, height, width) float32.
@@ -117,21 +117,21 @@ def enlarged(images: np.ndarray, factor: int, height: int, width: int) -> np.nda
             cv2.resize(coarse, size, dst=fine, interpolation=cv2.INTER_LINEAR)
         else:
             larger = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
-            fine[...] = _fitted(larger, height, width)
+            fine[...] = _crop_or_extend(larger, height, width)
     return out
 
 
-def reduced(images: np.ndarray, factor: int, height: int, width: int) -> np.ndarray:
+def shrink(images: np.ndarray, factor: int, height: int, width: int) -> np.ndarray:
     """Return images of a finer level, (n, H, W), averaged over the pixels of a coarser level.
 
     Returns (n, height, width) float32.
     """
-    fitted = (_fitted(fine, factor * height, factor * width) for fine in images)
+    resized = (_crop_or_extend(fine, factor * height, factor * width) for fine in images)
     size = (width, height)
-    return np.stack([cv2.resize(fine, size, interpolation=cv2.INTER_AREA) for fine in fitted])
+    return np.stack([cv2.resize(fine, size, interpolation=cv2.INTER_AREA) for fine in resized])
 
 
-def _fitted(image: np.ndarray, height: int, width: int) -> np.ndarray:
+def _crop_or_extend(image: np.ndarray, height: int, width: int) -> np.ndarray:
     """Return an image cropped to a size, or extended by repeating its last row and column."""
     below, right = max(0, height - image.shape[0]), max(0, width - image.shape[1])
     if below or right:

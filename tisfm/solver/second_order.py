@@ -20,14 +20,14 @@ from tisfm.kernels.solve.second_order.system import SecondOrderSystem
 from tisfm.kernels.solve.weight_update import Sums
 from tisfm.runtime import lane_grid
 from tisfm.solver.half_quadratic import Iteration
-from tisfm.solver.sampling import reduced
+from tisfm.solver.sampling import shrink
 from tisfm.solver.second_order_multigrid import Interpolation, SecondOrderMultigrid
 from tisfm.solver.smoothness import image_edges_in_lanes
 
-COARSEST_SIDE = 40  # px: most for the longer side of the coarsest level
+MAX_COARSEST_SIDE = 40  # px: most for the longer side of the coarsest level
 QUADRATIC_CYCLES = 12  # iterations with quadratic costs on the coarsest level, before robust costs
 ITERATIONS = 3  # half-quadratic iterations on the finest level
-MORE_ITERATIONS = 2  # additional iterations on each coarser level
+COARSE_ITERATIONS = 2  # additional iterations on each coarser level
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,18 +43,24 @@ class SecondOrderSettings:
     alpha: float = 6.0
     beta: float = 3072.0
     gamma: float = 0.02
-    # bend, turn, step: Contrasts of r, px, of Δv, px per px, and of ΔD, px: a larger value counts
-    # as a jump or a crease. Infinite for no jumps and creases.
-    bend: float = 0.15
-    turn: float = 0.0005
-    step: float = 0.1
+    # Contrasts of r, px, of Δv, px per px, and of ΔD, px: a larger value counts as a crease or a
+    # jump. Infinite for no jumps and creases.
+    slope_contrast: float = 0.15
+    crease_contrast: float = 0.0005
+    jump_contrast: float = 0.1
     # σ, px: anchors with a larger residual have less weight. Infinite for full weight.
     anchor_scale: float = 0.5
     image_edges: float = 5.0  # κ of the image-driven factor (`tisfm.solver.smoothness`)
 
     def quadratic(self) -> "SecondOrderSettings":
         """Return these settings with quadratic costs, whose energy has a single minimum."""
-        return replace(self, bend=math.inf, turn=math.inf, step=math.inf, anchor_scale=math.inf)
+        return replace(
+            self,
+            slope_contrast=math.inf,
+            crease_contrast=math.inf,
+            jump_contrast=math.inf,
+            anchor_scale=math.inf,
+        )
 
     def __post_init__(self) -> None:
         for name in ("alpha", "beta"):
@@ -65,7 +71,7 @@ class SecondOrderSettings:
             value = getattr(self, name)
             if not 0 <= value < math.inf:
                 raise InputError(f"{name} is {value}: expected a number of at least 0")
-        for name in ("bend", "turn", "step", "anchor_scale"):
+        for name in ("slope_contrast", "crease_contrast", "jump_contrast", "anchor_scale"):
             value = getattr(self, name)
             if not value > 0:
                 raise InputError(f"{name} is {value}: expected a positive value, in px")
@@ -108,7 +114,7 @@ class SecondOrderMinimiser:
             spacing=spacing,
         )
         self._multigrid = SecondOrderMultigrid(self.system, self.rho)
-        contrasts = (settings.bend, settings.turn, settings.step)
+        contrasts = (settings.slope_contrast, settings.crease_contrast, settings.jump_contrast)
         self._update: Callable[[], Sums] = self.system.bind_weight_update(
             self.rho,
             grid.allocate(1),
@@ -139,23 +145,23 @@ class SecondOrderMinimiser:
         Returns the number of iterations, and whether the last relative change was within the
         tolerance.
         """
-        done: list[Iteration] = []
+        records: list[Iteration] = []
         self._multigrid.restart()
         for _ in range(iterations):
             self._multigrid.coarsen()
             for _ in range(self._cycles):
                 self._multigrid.descend()
             sums = self._update()
-            done.append(
+            records.append(
                 Iteration(
                     energy=sums.energy,
                     half_quadratic=sums.half_quadratic,
-                    change=sums.moved / sums.size if sums.size > 0 else 0.0,
+                    change=sums.change / sums.size if sums.size > 0 else 0.0,
                 )
             )
-            if sums.moved <= tolerance * sums.size:
-                return done, True
-        return done, False
+            if sums.change <= tolerance * sums.size:
+                return records, True
+        return records, False
 
     def images(self) -> np.ndarray:
         """Return D, v₁ and v₂, (3, H, W) float32."""
@@ -164,7 +170,7 @@ class SecondOrderMinimiser:
         return out
 
 
-def fill(
+def extend_depth(
     target: np.ndarray,  # (H, W) float32: measurements D*, px/frame; any value where `weight` is 0
     # (H, W) float32: weights of the measurements: 0 without a measurement, 1 for a single good
     # measurement
@@ -186,12 +192,12 @@ def fill(
     if iterations < 1:
         raise InputError(f"iterations is {iterations}: expected at least 1")
     settings = settings or SecondOrderSettings()
-    anchors = _checked(target, weight, frame)
+    anchors = _check_measurements(target, weight, frame)
     known = anchors[0].sum(dtype=np.float64)
     if not known:
         return np.zeros(frame.shape, np.float32), np.zeros((2, *frame.shape), np.float32)
     levels = [(anchors, np.ascontiguousarray(frame))]
-    while max(levels[-1][1].shape) > COARSEST_SIDE:
+    while max(levels[-1][1].shape) > MAX_COARSEST_SIDE:
         levels.append(_coarser(*levels[-1]))
     coarse: SecondOrderMinimiser | None = None
     for level in reversed(range(len(levels))):
@@ -213,7 +219,7 @@ def fill(
         else:
             minimiser.start_from(coarse)
         minimiser.update()
-        minimiser.minimise(iterations + MORE_ITERATIONS * level)
+        minimiser.minimise(iterations + COARSE_ITERATIONS * level)
         coarse = minimiser
     depth, *slopes = minimiser.images()
     return depth, np.stack(slopes)
@@ -247,10 +253,10 @@ def _coarser(anchors: np.ndarray, frame: np.ndarray) -> tuple[np.ndarray, np.nda
     sums = 4 * cv2.resize(padded, (width, height), interpolation=cv2.INTER_AREA)
     weights = sums[..., 0]
     targets = np.divide(sums[..., 1], weights, out=np.zeros_like(weights), where=weights > 0)
-    return np.stack([weights, targets]), reduced(frame[None], 2, height, width)[0]
+    return np.stack([weights, targets]), shrink(frame[None], 2, height, width)[0]
 
 
-def _checked(target: np.ndarray, weight: np.ndarray, frame: np.ndarray) -> np.ndarray:
+def _check_measurements(target: np.ndarray, weight: np.ndarray, frame: np.ndarray) -> np.ndarray:
     """Return weight and target, (2, H, W), with target 0 where the weight is 0; raise if wrong."""
     for name, array in (("target", target), ("weight", weight), ("frame", frame)):
         if not isinstance(array, np.ndarray) or array.dtype != np.float32:

@@ -11,20 +11,20 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from tisfm.kernels.layout.lanes import LaneData, LaneGrid, aligned_zeros
-from tisfm.kernels.layout.launch import in_turn
+from tisfm.kernels.layout.launch import join_launches
 from tisfm.kernels.solve.coarsening import (
     coarse_grid,
     halved_shape,
     interpolation_columns,
     relayout,
 )
-from tisfm.kernels.solve.second_order.coarsening import correct, offset_columns
+from tisfm.kernels.solve.second_order.coarsening import add_correction, offset_columns
 from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
 from tisfm.kernels.solve.second_order.system import SecondOrderSystem
 
 COARSEST_GRID_SIDE = 4  # px: most for the longer side of the coarsest grid
 COARSEST_SWEEPS = 32
-MOST_SWEEPS = 32  # on a grid, before and again after a correction
+MAX_SWEEPS = 32  # on a grid, before and again after a correction
 RELAXATION = 1.2  # of the smoother
 
 
@@ -45,13 +45,13 @@ class SecondOrderMultigrid:
         levels = [_Level(system, rho, None, relaxation=relaxation, sweeps=1)]
         transfers = []
         while max(levels[-1].size) > COARSEST_GRID_SIDE:
-            sweeps = max(1, min(2 ** (len(levels) - 1), MOST_SWEEPS))
+            sweeps = max(1, min(2 ** (len(levels) - 1), MAX_SWEEPS))
             levels.append(levels[-1].coarser(sweeps))
             transfers.append(_Transfer(levels[-2], levels[-1]))
         self._levels, self._transfers = levels, transfers
         self._solve_coarsest = levels[-1].bind_smooth(COARSEST_SWEEPS)
-        self._before, self._step = grid.allocate(COMPONENTS), grid.allocate(COMPONENTS)
-        self._search = system.bind_line_search(rho, self._before, self._step)
+        self._previous, self._step = grid.allocate(COMPONENTS), grid.allocate(COMPONENTS)
+        self._search = system.bind_line_search(rho, self._previous, self._step)
         self.restart()
 
     def coarsen(self) -> None:
@@ -61,7 +61,7 @@ class SecondOrderMultigrid:
 
     def restart(self) -> None:
         """Drop the last step and start at the present ρ; necessary if other code changed it."""
-        self._system.grid.copy(self._rho, self._before)
+        self._system.grid.copy(self._rho, self._previous)
         self._step.fill(0)
 
     def descend(self) -> None:
@@ -84,28 +84,35 @@ class SecondOrderMultigrid:
 
 
 class Interpolation:
-    """Interpolation of D and its slopes from a grid of half the density.
+    """Interpolation of D and its slopes from a grid of half the density."""
 
-    Parameters
-    ----------
-    grid : LaneGrid
-        The fine grid.
-    coarse, rho : lane arrays, 3 components
-        Arrays of the coarse grid, `coarse_grid(grid)`, and of the fine grid. A call adds the
-        interpolated `coarse` to `rho`.
-    spacing : float
-        h, of the fine grid.
-    """
-
-    def __init__(self, grid: LaneGrid, coarse: LaneData, rho: LaneData, spacing: float) -> None:
+    def __init__(
+        self,
+        grid: LaneGrid,  # the fine grid
+        # coarse, rho: lane arrays, 3 components, of `coarse_grid(grid)` and of `grid`. A call adds
+        # the interpolated `coarse` to `rho`.
+        coarse: LaneData,
+        rho: LaneData,
+        spacing: float,  # h of the fine grid
+    ) -> None:
         # Strips of the coarse grid have an even length; half of a fine strip may be odd.
-        given = coarse if fits(grid) else halved(grid, COMPONENTS)
+        halved_array = coarse if has_halved_layout(grid) else allocate_halved(grid, COMPONENTS)
         _, outer = offset_columns(grid)
         tables = (*interpolation_columns(grid), outer)
-        near, far, beyond = (grid.place(table) for table in tables)
-        add = correct.bind(grid, given, (near, far, beyond), rho, spacing=spacing)
-        moved = given is not coarse
-        self._run = in_turn(relayout.bind(coarse_grid(grid), coarse, given), add) if moved else add
+        parent_weight, neighbour_weight, outer_offset = (grid.place(table) for table in tables)
+        add = add_correction.bind(
+            grid,
+            halved_array,
+            (parent_weight, neighbour_weight, outer_offset),
+            rho,
+            spacing=spacing,
+        )
+        needs_relayout = halved_array is not coarse
+        self._run = (
+            join_launches(relayout.bind(coarse_grid(grid), coarse, halved_array), add)
+            if needs_relayout
+            else add
+        )
 
     def __call__(self) -> None:
         """Add the interpolated coarse values."""
@@ -162,18 +169,19 @@ class _Transfer:
 
     def __init__(self, fine: _Level, coarse: _Level) -> None:
         self._coarse, grid = coarse, fine.system.grid
-        wanted = (coarse.system.tensor, coarse.system.weights, coarse.source)
+        targets = (coarse.system.tensor, coarse.system.weights, coarse.source)
         relayouts: list[Callable[[], None]] = []
-        given = wanted
-        if not fits(grid):
-            given = tuple(halved(grid, array.shape[0]) for array in wanted)
+        arrays = targets
+        if not has_halved_layout(grid):
+            arrays = tuple(allocate_halved(grid, array.shape[0]) for array in targets)
             relayouts = [
-                relayout.bind(coarse.system.grid, *pair) for pair in zip(given, wanted, strict=True)
+                relayout.bind(coarse.system.grid, *pair)
+                for pair in zip(arrays, targets, strict=True)
             ]
-        tensor, weights, source = given
-        self.coarsen = in_turn(fine.system.bind_coarsen(tensor, weights), *relayouts[:2])
+        tensor, weights, source = arrays
+        self.coarsen = join_launches(fine.system.bind_coarsen(tensor, weights), *relayouts[:2])
         offsets, _ = offset_columns(grid)
-        self._restrict = in_turn(
+        self._restrict = join_launches(
             fine.system.bind_restrict(grid.place(offsets), fine.rho, source, source=fine.source),
             *relayouts[2:],
         )
@@ -185,11 +193,11 @@ class _Transfer:
         self._coarse.rho.fill(0)
 
 
-def fits(grid: LaneGrid) -> bool:
+def has_halved_layout(grid: LaneGrid) -> bool:
     """Return whether halved arrays of a grid have the layout of the coarser grid."""
     return grid.strip // 2 == coarse_grid(grid).strip
 
 
-def halved(grid: LaneGrid, components: int) -> LaneData:
+def allocate_halved(grid: LaneGrid, components: int) -> LaneData:
     """Return an array of zeros with the halved layout of a grid."""
     return grid.place(aligned_zeros(halved_shape(grid, components)))

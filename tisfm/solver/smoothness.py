@@ -11,7 +11,7 @@ import numpy as np
 from tisfm.kernels.data.image_edges import image_edges
 from tisfm.kernels.layout.lanes import LaneData, LaneGrid
 
-FAINTEST_EDGE = 1e-5  # grey levels, about the resolution of float32: uniform frames have no edges
+MIN_GREY_STEP = 1e-5  # grey levels, about the resolution of float32: uniform frames have no edges
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,14 +25,14 @@ class Smoothness:
     image_edges: float  # κ of the image-driven factor; 0 for g = 1
 
 
-def mean_step(frame: np.ndarray, counted: np.ndarray | None = None) -> float:
+def mean_step(frame: np.ndarray, valid: np.ndarray | None = None) -> float:
     """Return the mean |ΔI| between neighbours of a frame, (H, W): its contrast.
 
-    With `counted`, (H, W) bool, the mean is over pairs of neighbours that are both used; 0 if there
+    With `valid`, (H, W) bool, the mean is over pairs of neighbours that are both used; 0 if there
     are none.
     """
-    if counted is not None:
-        across, down = counted[:, 1:] & counted[:, :-1], counted[1:] & counted[:-1]
+    if valid is not None:
+        across, down = valid[:, 1:] & valid[:, :-1], valid[1:] & valid[:-1]
         total = float(np.abs(np.diff(frame, axis=1))[across].sum(dtype=np.float64))
         total += float(np.abs(np.diff(frame, axis=0))[down].sum(dtype=np.float64))
         return total / max(int(across.sum()) + int(down.sum()), 1)
@@ -48,7 +48,7 @@ def image_edges_in_lanes(
     frame: np.ndarray,  # (H, W) float32: grey levels
     strength: float,  # κ; 0 for g = 1
     # (H, W) bool: the pixels over which m is a mean, by default all
-    counted: np.ndarray | None = None,
+    valid: np.ndarray | None = None,
 ) -> LaneData:  # lane array, 2 components: eastern and southern edges; 0 across the border
     """Return g = c/(1 + κ|ΔI|/m) of every edge, with m the mean |ΔI| and c such that mean g is 1.
 
@@ -56,6 +56,6 @@ def image_edges_in_lanes(
     strength of the smoothness stays the same.
     """
     out = grid.allocate(2)
-    usual = max(mean_step(frame, counted), FAINTEST_EDGE)
-    image_edges(grid, frame, out, rate=strength / usual)
+    mean_difference = max(mean_step(frame, valid), MIN_GREY_STEP)
+    image_edges(grid, frame, out, rate=strength / mean_difference)
     return out

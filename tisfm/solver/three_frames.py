@@ -4,13 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tisfm.kernels.data.constraints import constancy_constraints
-from tisfm.kernels.data.derivatives import DERIVATIVE_HALO, derivatives
+from tisfm.kernels.data.derivatives import DERIVATIVE_HALO
 from tisfm.kernels.data.three_frames import backward_flow, join_constraints
 from tisfm.kernels.data.warp import warp
 from tisfm.kernels.layout.images import IMAGE_HALO, image_to_lanes
 from tisfm.kernels.layout.lanes import LaneData
-from tisfm.kernels.layout.launch import in_turn
+from tisfm.kernels.layout.launch import join_launches
 from tisfm.solver.data_term import DataTerm
 
 
@@ -26,7 +25,7 @@ class ThreeFrameData:
         # Data term of the pair. Its constraints are overwritten by the joint constraints.
         data_term: DataTerm,
         # (H, W) float32: the previous frame, grey levels, smoothed like the others
-        before: np.ndarray,
+        previous: np.ndarray,
         # ((H + 3)·W, 4) float32: `tisfm.solver.sampling.spline_taps` of the previous frame
         taps: np.ndarray,
         # (2, H, W) float32: sum of the flows to the next and to the previous frame, px/frame
@@ -37,7 +36,7 @@ class ThreeFrameData:
     ) -> None:
         grid = data_term.grid
         self._pair = data_term
-        self._frame, self._taps = grid.place(before), grid.place(taps, vectors=True)
+        self._frame, self._taps = grid.place(previous), grid.place(taps, vectors=True)
         self._lanes = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
         self._derivatives = grid.allocate(3, halo=DERIVATIVE_HALO, zeros=False)
         self._mask = grid.allocate(1, zeros=False)
@@ -57,25 +56,14 @@ class ThreeFrameData:
     ) -> Callable[[], None]:
         """Return a function that warps both frames by a flow and writes the joint constraints."""
         pair = self._pair
-        grid, constancy = pair.grid, pair.constancy
-        return in_turn(
+        grid = pair.grid
+        return join_launches(
             pair.bind_linearise(flow),
             backward_flow.bind(grid, flow, self._bend, self._flow),
             warp.bind(grid, self._frame, self._taps, self._flow, self._lanes, self._mask),
             # From the previous frame to this frame, so that I_t has the sign of a forward flow.
-            derivatives.bind(
-                grid, self._lanes, pair.lanes0, self._derivatives, scheme=constancy.derivatives
-            ),
-            constancy_constraints.bind(
-                grid,
-                self._derivatives,
-                flow,
-                self._mask,
-                self._constraints,
-                brightness=constancy.brightness,
-                gradient=constancy.gradient,
-                normalization=pair.normalization,
-                scales=constancy.scales,
+            pair.bind_constraints(
+                self._lanes, pair.lanes0, self._derivatives, flow, self._mask, self._constraints
             ),
             join_constraints.bind(
                 grid,
@@ -84,7 +72,7 @@ class ThreeFrameData:
                 pair.mask,
                 self._mask,
                 flow,
-                constancy.scales,
+                pair.constancy.scales,
                 pair.constraints,
                 tensor,
             ),

@@ -8,10 +8,9 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images
 from tisfm.kernels.layout.lanes import LaneData, LaneGrid, aligned_empty, aligned_zeros
-from tisfm.kernels.model.flow import flow
-from tisfm.kernels.solve.coarsening import correct, interpolation_columns
+from tisfm.kernels.model.rigid_motion import flow
+from tisfm.kernels.solve.coarsening import add_correction, interpolation_columns, prolong
 from tisfm.kernels.solve.linear_system import LinearSystem
-from tisfm.kernels.solve.prolongation import prolong
 
 
 class Unknowns:
@@ -51,15 +50,15 @@ class Unknowns:
     ) -> None:
         """Interpolate ρ̂, which must be zero, from a coarser level."""
         grid = self.grid
-        even = ratio == 0.5 and grid.height % 2 == grid.width % 2 == 0
-        if not (even and grid.lanes > 1 and grid.strip == 2 * coarse.grid.strip):
+        is_even = ratio == 0.5 and grid.height % 2 == grid.width % 2 == 0
+        if not (is_even and grid.lanes > 1 and grid.strip == 2 * coarse.grid.strip):
             prolong(grid, coarse.images(), self.rho, ratio=ratio)
             return
         # Every lane of this grid lies over one coarse lane, so whole vectors are interpolated.
-        across = interpolation_columns(grid)
-        for table in across:
+        column_weights = interpolation_columns(grid)
+        for table in column_weights:
             table *= 2  # ρ̂ is in pixels of its level
-        correct(grid, coarse.rho, across, self.rho)
+        add_correction(grid, coarse.rho, column_weights, self.rho)
 
     def set_images(self, rho: np.ndarray) -> None:
         """Set ρ̂ from (components, H, W) float32, px/frame of this level."""

@@ -7,10 +7,10 @@ from tisfm import runtime
 
 CONFIDENCE_WINDOW = 15  # px: about the distance over which regularisation spreads data
 ROUNDING = 1e-6  # share of the largest J11 + J22 below which an image counts as uniform
-TOLERATED_RESIDUAL = 4.0  # multiple of the median squared residual that halves the confidence
+HALF_SHARE_FACTOR = 4.0  # multiple of the median squared residual that halves the confidence
 # px, and grey levels if constraints are not normalised: the least value for the median residual.
 # Residuals of this size are harmless, even if those of a background at rest are all smaller.
-QUIET, QUIET_GREY = 0.05, 0.5
+MIN_RESIDUAL, MIN_RESIDUAL_GREY = 0.05, 0.5
 
 
 def confidence(
@@ -42,15 +42,17 @@ def confidence(
 
     # Pixels without a gradient have no residual, so they are left out of the median.
     gradient = precision[0] + precision[2]
-    textured = gradient > ROUNDING * gradient.max()
+    is_textured = gradient > ROUNDING * gradient.max()
     window = (CONFIDENCE_WINDOW, CONFIDENCE_WINDOW)
     for k in range(4):
         cv2.boxFilter(precision[k], -1, window, dst=precision[k], normalize=k == 3)
-    usual = median(precision[3][textured]) if textured.any() else 0.0
+    median_residual = median(precision[3][is_textured]) if is_textured.any() else 0.0
     # `max` in this order: if the motion diverged the median may be NaN, and max then drops it.
-    tolerated = TOLERATED_RESIDUAL * max((QUIET if normalized else QUIET_GREY) ** 2, usual)
+    half_share_residual = HALF_SHARE_FACTOR * max(
+        (MIN_RESIDUAL if normalized else MIN_RESIDUAL_GREY) ** 2, median_residual
+    )
     share = np.empty_like(precision[3])
-    share_of_data(precision, share, tolerated=tolerated, freedom=freedom)
+    share_of_data(precision, share, half_share_residual=half_share_residual, freedom=freedom)
     if share.shape != occlusion.shape:
         share = cv2.resize(share, occlusion.shape[::-1], interpolation=cv2.INTER_LINEAR)
     np.nan_to_num(share, copy=False, nan=0)
@@ -61,6 +63,6 @@ def confidence(
 def median(values: np.ndarray) -> float:
     """Return the median of values, (N,); faster than NumPy's, which also checks for NaN."""
     middle = len(values) // 2
-    parted = np.partition(values, middle)
-    upper = float(parted[middle])
-    return upper if len(values) % 2 else (float(parted[:middle].max()) + upper) / 2
+    partition = np.partition(values, middle)
+    upper = float(partition[middle])
+    return upper if len(values) % 2 else (float(partition[:middle].max()) + upper) / 2

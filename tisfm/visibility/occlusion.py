@@ -7,17 +7,18 @@ import numpy as np
 
 from tisfm import runtime
 from tisfm.settings import Settings
-from tisfm.solver.sampling import FAR, enlarged, reduced, sample
+from tisfm.solver.sampling import FAR_FLOW, enlarge, sample, shrink
 
 if TYPE_CHECKING:
     from tisfm.solver.image_pyramid import ImagePyramid
 
-DENSITY = 1.23  # pixels of frame 0 per pixel of frame 1 above which some of them are hidden
+MAX_DENSITY = 1.23  # pixels of frame 0 per pixel of frame 1 above which some of them are hidden
 # px/frame from the mean flow of all pixels that move to one position, the pixel itself included;
 # for two pixels, a relative motion of 0.14 px/frame. Pixels with the same motion belong to one
 # surface that became smaller, so none of them is hidden.
-APART = 0.07
-MARGIN = 0.05  # px beyond the border: the flow of a background at rest is off by less than this
+MIN_FLOW_DIFFERENCE = 0.07
+# px beyond the border: the flow of a background at rest is off by less than this
+BORDER_MARGIN = 0.05
 RESIDUAL_WINDOW = 3  # px: side of the window over which residuals are averaged
 _FIVE_TAP = np.array([[1, -8, 0, 8, -1]], np.float32) / 12
 
@@ -56,7 +57,7 @@ def occlusion(
     decide which of them are hidden.
     """
     any_order = runtime.on_gpu()  # first: it starts Taichi, which must precede import of kernels
-    from tisfm.kernels.data.forward_splatting import defeated, splat
+    from tisfm.kernels.data.forward_splatting import hidden_pixels, splat
     from tisfm.kernels.layout.lanes import aligned_empty
 
     if leaves is None:
@@ -67,7 +68,9 @@ def occlusion(
     sums = aligned_empty((*residual.shape, 4))
     hidden = np.empty(residual.shape, np.int32)
     splat(flow, residual, sums, any_order=any_order)
-    defeated(flow, residual, sums, hidden, density=DENSITY, apart=APART)
+    hidden_pixels(
+        flow, residual, sums, hidden, density=MAX_DENSITY, flow_difference=MIN_FLOW_DIFFERENCE
+    )
     return hidden.astype(bool) | leaves
 
 
@@ -99,7 +102,7 @@ def occlusion_in(
         leaves=leaves,
         residual=residual,
     )
-    return hidden if pyramid.counted is None else hidden | pyramid.counted.missing(flow)
+    return hidden if pyramid.masks is None else hidden | pyramid.masks.ignored_pixels(flow)
 
 
 def leaves_image(flow: np.ndarray) -> np.ndarray:
@@ -107,11 +110,11 @@ def leaves_image(flow: np.ndarray) -> np.ndarray:
     height, width = flow.shape[1:]
     x = np.arange(width, dtype=np.float32)
     y = np.arange(height, dtype=np.float32)[:, None]
-    stays = flow[0] >= -MARGIN - x
-    stays &= flow[0] <= width - 1 + MARGIN - x
-    stays &= flow[1] >= -MARGIN - y
-    stays &= flow[1] <= height - 1 + MARGIN - y
-    return np.logical_not(stays, out=stays)
+    is_inside = flow[0] >= -BORDER_MARGIN - x
+    is_inside &= flow[0] <= width - 1 + BORDER_MARGIN - x
+    is_inside &= flow[1] >= -BORDER_MARGIN - y
+    is_inside &= flow[1] <= height - 1 + BORDER_MARGIN - y
+    return np.logical_not(is_inside, out=is_inside)
 
 
 def residual_of(
@@ -130,9 +133,9 @@ def residual_of(
     flow = _finite(flow)
     if factor == 1:
         return _residual(frame0, sample(frame1, flow, taps1), settings)
-    coarse = reduced(flow, factor, *frame0.shape) / np.float32(factor)
+    coarse = shrink(flow, factor, *frame0.shape) / np.float32(factor)
     residual = _residual(frame0, sample(frame1, coarse, taps1), settings)
-    return enlarged(residual[None], factor, *flow.shape[1:])[0]
+    return enlarge(residual[None], factor, *flow.shape[1:])[0]
 
 
 def _finite(flow: np.ndarray) -> np.ndarray:
@@ -140,10 +143,10 @@ def _finite(flow: np.ndarray) -> np.ndarray:
 
     Kernels cannot do this: compiled with fast math, their comparisons with NaN may be true.
     """
-    if flow.min() >= -FAR and flow.max() <= FAR:
+    if flow.min() >= -FAR_FLOW and flow.max() <= FAR_FLOW:
         return flow
-    flow = np.clip(flow, -FAR, FAR)
-    flow[np.isnan(flow)] = FAR
+    flow = np.clip(flow, -FAR_FLOW, FAR_FLOW)
+    flow[np.isnan(flow)] = FAR_FLOW
     return flow
 
 

@@ -16,7 +16,7 @@ import taichi as ti
 
 from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import (
-    SMALL,
+    INDEX_MASK,
     LaneArray,
     LaneData,
     LaneGrid,
@@ -98,9 +98,9 @@ def offset_columns(grid: LaneGrid) -> tuple[np.ndarray, np.ndarray]:
     column = grid.column_index()
     offset = np.where(column % 2 == 0, -0.5, 0.5)
     offset[(column >= grid.width) | ((column == grid.width - 1) & (column % 2 == 0))] = 0
-    beyond = np.zeros_like(offset)
-    beyond[[0, grid.width - 1]] = 1
-    return grid.columns(offset), grid.columns(offset * beyond)
+    is_outer = np.zeros_like(offset)
+    is_outer[[0, grid.width - 1]] = 1
+    return grid.columns(offset), grid.columns(offset * is_outer)
 
 
 @operation
@@ -123,39 +123,31 @@ def restrict_residual(
     """
     grid.check_columns(offsets, "offsets")
     check_halved(grid, out, COMPONENTS, "out")
-    half, spread, *_ = numbers
+    half_h, spread, *_ = numbers
     return _restrict_residual[grid.lanes].bind(
-        *arrays,
-        half,
-        spread,
-        offsets,
-        rho if source is None else source,
-        rho,
-        grid.height,
-        source is not None,
-        grid.serial,
-        out,
-    )
+        *arrays, half_h, spread, offsets, rho if source is None else source, rho, grid.height,
+        source is not None, grid.serial, out,
+    )  # fmt: skip
 
 
 @lane_kernel
 def _restrict_residual(
     tensor: LaneArray(3),  # (3, H+2, S+2)
     weights: LaneArray(3),  # (6, H+2, S+2)
-    half: ti.f32,
+    half_h: ti.f32,
     spread: ti.f32,
     offsets: LaneArray(1),  # (S+2,)
-    source: LaneArray(3),  # (3, H+2, S+2), read if `sourced`
+    source: LaneArray(3),  # (3, H+2, S+2), read if `has_source`
     rho: LaneArray(3),  # (3, H+2, S+2)
     height: ti.i32,
-    sourced: ti.template(),
+    has_source: ti.template(),
     serial: ti.template(),
     out: LaneArray(3),  # (3, h+2, S/2+2)
 ):
     rows, strip = out.shape[1] - 2, out.shape[2] - 2
     ti.loop_config(serialize=serial)
     for row, position in ti.ndrange(rows, strip):
-        stride = rho.shape[2] & SMALL
+        stride = rho.shape[2] & INDEX_MASK
         planes = ti.static(planes_of(rho, WEIGHTS))
         depth, east, south = 0.0 * offsets[1], 0.0 * offsets[1], 0.0 * offsets[1]
         pair = ti.cast(2 * row + 1 < height, ti.f32)  # 0: an only child, at its parent's centre
@@ -163,33 +155,33 @@ def _restrict_residual(
             down = pair * (ti.cast(y - 2 * row, ti.f32) - 1.5)
             for side in ti.static(range(2)):
                 s = 2 * position + 1 + side
-                i = (y * stride + s) & SMALL
+                i = (y * stride + s) & INDEX_MASK
                 center = ti.static(center_at(rho, planes, i))
                 edges = ti.static(edges_at(weights, planes, stride, i))
-                held = ti.static(stiffness_at(tensor, edges, planes, i, half, spread))
+                stiffness = ti.static(stiffness_at(tensor, edges, planes, i, half_h, spread))
                 residual = ti.static(
                     residual_at(
-                        tensor, edges, held, source if sourced else None, planes, stride, rho,
-                        center, i, half,
+                        tensor, edges, stiffness, source if has_source else None, planes, stride,
+                        rho, center, i, half_h,
                     )
                 )  # fmt: skip
                 depth += residual[0]
-                east += residual[1] + 2.0 * half * offsets[s] * residual[0]
-                south += residual[2] + 2.0 * half * down * residual[0]
+                east += residual[1] + 2.0 * half_h * offsets[s] * residual[0]
+                south += residual[2] + 2.0 * half_h * down * residual[0]
         out[0, row + 1, position + 1] = depth
         out[1, row + 1, position + 1] = east
         out[2, row + 1, position + 1] = south
 
 
 @operation
-def correct(
+def add_correction(
     grid: LaneGrid,  # the fine grid
     # halved array, 3 components: its halo columns must be valid; it is not read beyond the border
     # of the image
     coarse: LaneData,
     # column tables of 3: results of `tisfm.kernels.solve.coarsening.interpolation_columns`, and
     # `outer` of `offset_columns`
-    across: tuple[LaneData, LaneData, LaneData],
+    column_weights: tuple[LaneData, LaneData, LaneData],
     rho: LaneData,  # lane array, 3 components
     *,
     spacing: float,  # h of the fine grid
@@ -200,16 +192,18 @@ def correct(
     """
     grid.check(rho, COMPONENTS, "rho")
     check_halved(grid, coarse, COMPONENTS, "coarse")
-    for table in across:
-        grid.check_columns(table, "across")
-    return _correct[grid.lanes].bind(coarse, *across, grid.height, spacing, grid.serial, rho)
+    for table in column_weights:
+        grid.check_columns(table, "column_weights")
+    return _add_correction[grid.lanes].bind(
+        coarse, *column_weights, grid.height, spacing, grid.serial, rho
+    )
 
 
 @lane_kernel
-def _correct(
+def _add_correction(
     coarse: LaneArray(3),  # (3, h+2, S/2+2)
-    near: LaneArray(1),  # (S+2,)
-    far: LaneArray(1),  # (S+2,)
+    parent_weight: LaneArray(1),  # (S+2,)
+    neighbour_weight: LaneArray(1),  # (S+2,)
     outer: LaneArray(1),  # (S+2,)
     height: ti.i32,
     spacing: ti.f32,
@@ -219,29 +213,32 @@ def _correct(
     rows, strip = coarse.shape[1] - 2, coarse.shape[2] - 2
     ti.loop_config(serialize=serial)
     for row, position in ti.ndrange(height, strip):
-        stride = coarse.shape[2] & SMALL
+        stride = coarse.shape[2] & INDEX_MASK
         planes = ti.static(planes_of(coarse, COMPONENTS))
         y = row // 2 + 1
-        sense = 2.0 * ti.cast(row % 2, ti.f32) - 1.0
-        beyond = ti.max(1, ti.min(y - 1 + 2 * (row % 2), rows))  # y itself at the border
+        direction = 2.0 * ti.cast(row % 2, ti.f32) - 1.0
+        next_row = ti.max(1, ti.min(y - 1 + 2 * (row % 2), rows))  # y itself at the border
         # An outermost row with a sibling lies half a row beyond its parent.
-        outside = 0.0
-        if beyond == y and (row % 2 == 1 or row + 1 < height):
-            outside = 0.5 * sense
+        extrapolation = 0.0
+        if next_row == y and (row % 2 == 1 or row + 1 < height):
+            extrapolation = 0.5 * direction
         for side in ti.static(range(2)):  # both children of a row
             s, parent = 2 * position + 1 + side, position + 1
             neighbour = parent - 1 + 2 * side
-            tables = ti.static([bind(near[s]), bind(far[s]), bind(outer[s])])
-            first, second = (y * stride + parent) & SMALL, (y * stride + neighbour) & SMALL
-            here = ti.static(_row_at(coarse, planes, first, second, tables, side, spacing))
-            third = (beyond * stride + parent) & SMALL
-            fourth = (beyond * stride + neighbour) & SMALL
-            there = ti.static(_row_at(coarse, planes, third, fourth, tables, side, spacing))
+            tables = ti.static([bind(parent_weight[s]), bind(neighbour_weight[s]), bind(outer[s])])
+            first, second = (
+                (y * stride + parent) & INDEX_MASK,
+                (y * stride + neighbour) & INDEX_MASK,
+            )
+            own_row = ti.static(_row_at(coarse, planes, first, second, tables, side, spacing))
+            third = (next_row * stride + parent) & INDEX_MASK
+            fourth = (next_row * stride + neighbour) & INDEX_MASK
+            other_row = ti.static(_row_at(coarse, planes, third, fourth, tables, side, spacing))
             for k in ti.static(range(COMPONENTS)):
-                change = 0.75 * here[k] + 0.25 * there[k]
+                change = 0.75 * own_row[k] + 0.25 * other_row[k]
                 if ti.static(k == 0):
-                    change += spacing * (outside * here[2])
-                    change += (0.1875 * spacing * sense) * (here[2] - there[2])
+                    change += spacing * (extrapolation * own_row[2])
+                    change += (0.1875 * spacing * direction) * (own_row[2] - other_row[2])
                 rho[k, row + 1, s] = rho[k, row + 1, s] + change
     ti.loop_config(serialize=serial)
     for k, row in ti.ndrange(COMPONENTS, height):
@@ -255,11 +252,15 @@ def _row_at(
 
     `first` and `second` are the indices for `element` of the parent and of its neighbour.
     """
-    near, far, outer = tables
+    parent_weight, neighbour_weight, outer = tables
     own = [bind(element(coarse, first + planes[k])) for k in range(COMPONENTS)]
     other = [bind(element(coarse, second + planes[k])) for k in range(COMPONENTS)]
-    depth, *slopes = (near * a + far * b for a, b in zip(own, other, strict=True))
-    sense = 2.0 * side - 1.0
-    # 3/16 of h Δv if there is a neighbour: its weight `far` is ¼, else 0.
-    depth = depth + spacing * (outer * own[1] + (0.75 * sense) * far * (own[1] - other[1]))
+    depth, *slopes = (
+        parent_weight * a + neighbour_weight * b for a, b in zip(own, other, strict=True)
+    )
+    direction = 2.0 * side - 1.0
+    # 3/16 of h Δv if there is a neighbour: its weight `neighbour_weight` is ¼, else 0.
+    depth = depth + spacing * (
+        outer * own[1] + (0.75 * direction) * neighbour_weight * (own[1] - other[1])
+    )
     return [bind(depth), *(bind(slope) for slope in slopes)]

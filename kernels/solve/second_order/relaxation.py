@@ -6,7 +6,7 @@ import taichi as ti
 
 from tisfm.kernels.layout.lanes import (
     CHUNK,
-    SMALL,
+    INDEX_MASK,
     LaneArray,
     LaneData,
     LaneGrid,
@@ -16,7 +16,7 @@ from tisfm.kernels.layout.lanes import (
     refresh_halo,
     store,
 )
-from tisfm.kernels.solve.relaxation import AT_ONCE, RELAXATION_BAND, repeated
+from tisfm.kernels.solve.relaxation import repeat_launches, sweeps_in_bands
 from tisfm.kernels.solve.second_order.stencil import (
     COMPONENTS,
     WEIGHTS,
@@ -46,32 +46,22 @@ def bind_sweeps(
         raise ValueError(f"relaxation is {relaxation}: expected a value in (0, 2)")
     system = (*arrays, *numbers, rho if source is None else source, relaxation, source is not None)
     if grid.lanes == 1:
-        return repeated((_sweep_sites[1].bind(*system, rho), sweeps))
-    # Independent of the number of threads, as in `tisfm.kernels.solve.relaxation`.
-    bands = max(1, 2 * (grid.height // (2 * RELAXATION_BAND)))
-    alone = bands == 1
-
-    def launch(repeats: int) -> Callable[[], None]:
-        return _sweep[grid.lanes].bind(*system, alone, bands, repeats, rho)
-
-    if not alone:
-        return repeated((launch(1), sweeps))
-    whole, rest = divmod(sweeps, AT_ONCE)
-    return repeated((launch(AT_ONCE), whole), (launch(rest), min(rest, 1)))
+        return repeat_launches((_sweep_sites[1].bind(*system, rho), sweeps))
+    return sweeps_in_bands(_sweep[grid.lanes], system, rho, grid.height, sweeps)
 
 
 @lane_kernel
 def _sweep(
     tensor: LaneArray(3),  # (3, H+2, S+2)
     weights: LaneArray(3),  # (6, H+2, S+2)
-    half: ti.f32,
+    half_h: ti.f32,
     spread: ti.f32,
     depth_floor: ti.f32,
     slope_floor: ti.f32,
-    source: LaneArray(3),  # (3, H+2, S+2), read if `sourced`
+    source: LaneArray(3),  # (3, H+2, S+2), read if `has_source`
     relaxation: ti.f32,
-    sourced: ti.template(),
-    alone: ti.template(),
+    has_source: ti.template(),
+    is_single: ti.template(),
     bands: ti.i32,
     repeats: ti.i32,
     rho: LaneArray(3),  # (3, H+2, S+2), in place
@@ -79,44 +69,44 @@ def _sweep(
     """Sweep in one pass over memory, as `tisfm.kernels.solve.relaxation` does."""
     height = rho.shape[1] - 2
     pairs = (rho.shape[2] - 2) // 2
-    chunk = ti.static(1 if alone else CHUNK)
-    ti.loop_config(serialize=alone)
+    chunk = ti.static(1 if is_single else CHUNK)
+    ti.loop_config(serialize=is_single)
     for task in range(chunk * bands):
         if task % chunk == 0:
-            stride = rho.shape[2] & SMALL
+            stride = rho.shape[2] & INDEX_MASK
             planes = ti.static(planes_of(rho, WEIGHTS))
             band = task // chunk
             first, last = first_row(band, height, bands), first_row(band + 1, height, bands)
             first_black = ti.select(band > 0, first + 1, first)
             last_black = ti.select(band < bands - 1, last - 1, last)
-            for turn in range(repeats * (2 * (last - first) + 2)):
-                step = turn % (2 * (last - first) + 2)
+            for tick in range(repeats * (2 * (last - first) + 2)):
+                step = tick % (2 * (last - first) + 2)
                 color = step % 2
                 row = first + step // 2 - color
-                red = color == 0 and row < last
-                black = color == 1 and row >= first_black and row < last_black
-                if red or black:
+                is_red = color == 0 and row < last
+                is_black = color == 1 and row >= first_black and row < last_black
+                if is_red or is_black:
                     for pair in range(pairs):
                         s = 2 * pair + (row + color) % 2 + 1
                         _relax_at(
-                            tensor, weights, half, spread, depth_floor, slope_floor, source,
-                            stride, planes, relaxation, sourced, rho, row + 1, s,
+                            tensor, weights, half_h, spread, depth_floor, slope_floor, source,
+                            stride, planes, relaxation, has_source, rho, row + 1, s,
                         )  # fmt: skip
                     for k in range(COMPONENTS):
                         refresh_halo(rho, k, row + 1)
     # Now the black rows on both sides of every border between bands.
-    if ti.static(not alone):
+    if ti.static(not is_single):
         for task in range(CHUNK * 2 * (bands - 1)):
             if task % CHUNK == 0:
-                stride = rho.shape[2] & SMALL
+                stride = rho.shape[2] & INDEX_MASK
                 planes = ti.static(planes_of(rho, WEIGHTS))
                 border = task // CHUNK
                 row = first_row(border // 2 + 1, height, bands) - 1 + border % 2
                 for pair in range(pairs):
                     s = 2 * pair + (row + 1) % 2 + 1
                     _relax_at(
-                        tensor, weights, half, spread, depth_floor, slope_floor, source, stride,
-                        planes, relaxation, sourced, rho, row + 1, s,
+                        tensor, weights, half_h, spread, depth_floor, slope_floor, source, stride,
+                        planes, relaxation, has_source, rho, row + 1, s,
                     )  # fmt: skip
                 for k in range(COMPONENTS):
                     refresh_halo(rho, k, row + 1)
@@ -126,13 +116,13 @@ def _sweep(
 def _sweep_sites(
     tensor: LaneArray(3),  # (3, H+2, S+2)
     weights: LaneArray(3),  # (6, H+2, S+2)
-    half: ti.f32,
+    half_h: ti.f32,
     spread: ti.f32,
     depth_floor: ti.f32,
     slope_floor: ti.f32,
-    source: LaneArray(3),  # (3, H+2, S+2), read if `sourced`
+    source: LaneArray(3),  # (3, H+2, S+2), read if `has_source`
     relaxation: ti.f32,
-    sourced: ti.template(),
+    has_source: ti.template(),
     rho: LaneArray(3),  # (3, H+2, S+2), in place
 ):
     """Sweep all red and then all black sites, each site in its own thread; for one lane only."""
@@ -141,42 +131,40 @@ def _sweep_sites(
     for color in ti.static(range(2)):
         for row, pair in ti.ndrange(height, pairs):
             s = 2 * pair + (row + color) % 2 + 1
-            stride = rho.shape[2] & SMALL
+            stride = rho.shape[2] & INDEX_MASK
             planes = ti.static(planes_of(rho, WEIGHTS))
             _relax_at(
-                tensor, weights, half, spread, depth_floor, slope_floor, source, stride, planes,
-                relaxation, sourced, rho, row + 1, s,
+                tensor, weights, half_h, spread, depth_floor, slope_floor, source, stride, planes,
+                relaxation, has_source, rho, row + 1, s,
             )  # fmt: skip
 
 
 @ti.func
 def _relax_at(
-    tensor: ti.template(),
-    weights: ti.template(),
-    half,
-    spread,
-    depth_floor,
-    slope_floor,
-    source: ti.template(),
-    stride,
-    planes: ti.template(),
-    relaxation,
-    sourced: ti.template(),
-    rho: ti.template(),
-    y,
-    s,
-):
+    tensor: ti.template(), weights: ti.template(), half_h, spread, depth_floor, slope_floor,
+    source: ti.template(), stride, planes: ti.template(), relaxation, has_source: ti.template(),
+    rho: ti.template(), y, s,
+):  # fmt: skip
     """Solve one pixel (one vector of lanes) with over-relaxation."""
-    i = (y * stride + s) & SMALL
+    i = (y * stride + s) & INDEX_MASK
     center = ti.static(center_at(rho, planes, i))
     edges = ti.static(edges_at(weights, planes, stride, i))
-    held = ti.static(stiffness_at(tensor, edges, planes, i, half, spread))
+    stiffness = ti.static(stiffness_at(tensor, edges, planes, i, half_h, spread))
     residual = ti.static(
         residual_at(
-            tensor, edges, held, source if sourced else None, planes, stride, rho, center, i, half
+            tensor,
+            edges,
+            stiffness,
+            source if has_source else None,
+            planes,
+            stride,
+            rho,
+            center,
+            i,
+            half_h,
         )
     )
     floors = ti.static((depth_floor, slope_floor))
-    step = ti.static(solve_at(tensor, edges, held, planes, residual, i, half, floors))
+    step = ti.static(solve_at(tensor, edges, stiffness, planes, residual, i, half_h, floors))
     for k in ti.static(range(COMPONENTS)):
         store(rho, i + planes[k], center[k] + relaxation * step[k])

@@ -25,7 +25,7 @@ def edges_at(weights: Any, planes: list, stride: Any, i: Any) -> list:
     ]
 
 
-def stiffness_at(tensor: Any, edges: list, planes: list, i: Any, half: Any, spread: Any) -> list:
+def stiffness_at(tensor: Any, edges: list, planes: list, i: Any, half_h: Any, spread: Any) -> list:
     """Return the stiffness of v₁ and v₂ of a pixel without the part of r: Σ b with a lower bound.
 
     The data of a coarse pixel lie away from its centre, so they determine the slope with the
@@ -35,58 +35,65 @@ def stiffness_at(tensor: Any, edges: list, planes: list, i: Any, half: Any, spre
     total = bind(second[0] + second[1] + second[2] + second[3])
     data = bind(spread * element(tensor, i + planes[0]))
     return [
-        bind(ti.max(total, data - half * half * (first[side] + first[side + 1]))) for side in (0, 2)
+        bind(ti.max(total, data - half_h * half_h * (first[side] + first[side + 1])))
+        for side in (0, 2)
     ]
 
 
 def residual_at(
     tensor: Any,
     edges: list,
-    held: list,
+    stiffness: list,
     source: Any,
     planes: list,
     stride: Any,
     rho: Any,
     center: list,
     i: Any,
-    half: Any,
+    half_h: Any,
 ) -> list:
     """Return the right-hand side minus the left-hand side for D, v₁ and v₂.
 
-    `half` is h/2, `held` is from `stiffness_at`. Without `source`, the right-hand side is
+    `half_h` is h/2, `stiffness` is from `stiffness_at`. Without `source`, the right-hand side is
     (−B, 0, 0), with B from the tensor.
     """
     depth, *slopes = center
     first, second, third = edges
     places = (i + 1, i - 1, i + stride, i - stride)
     steps = [bind(element(rho, place + planes[0]) - depth) for place in places]
-    pull = 0.0 - element(tensor, i + planes[0]) * depth
+    depth_residual = 0.0 - element(tensor, i + planes[0]) * depth
     if source is None:
-        pull = pull - element(tensor, i + planes[1])
+        depth_residual = depth_residual - element(tensor, i + planes[1])
     else:
-        pull = pull + element(source, i + planes[0])
+        depth_residual = depth_residual + element(source, i + planes[0])
     for weight, step in zip(third, steps, strict=True):
-        pull = pull + weight * step
-    others = [[bind(element(rho, place + planes[1 + k])) for place in places] for k in range(2)]
+        depth_residual = depth_residual + weight * step
+    neighbour_slopes = [
+        [bind(element(rho, place + planes[1 + k])) for place in places] for k in range(2)
+    ]
     residual = []
     for k, slope in enumerate(slopes):
         ahead, behind = 2 * k, 2 * k + 1
-        onward = bind(first[ahead] * (steps[ahead] - half * (slope + others[k][ahead])))
-        back = bind(first[behind] * (steps[behind] + half * (slope + others[k][behind])))
-        pull = pull + onward + back
-        turn = half * (onward - back)
-        for weight, other in zip(second, others[k], strict=True):
-            turn = turn + weight * (other - slope)
+        forward = bind(
+            first[ahead] * (steps[ahead] - half_h * (slope + neighbour_slopes[k][ahead]))
+        )
+        backward = bind(
+            first[behind] * (steps[behind] + half_h * (slope + neighbour_slopes[k][behind]))
+        )
+        depth_residual = depth_residual + forward + backward
+        slope_residual = half_h * (forward - backward)
+        for weight, other in zip(second, neighbour_slopes[k], strict=True):
+            slope_residual = slope_residual + weight * (other - slope)
         b = bind(second[0] + second[1] + second[2] + second[3])
-        turn = turn - (held[k] - b) * slope
+        slope_residual = slope_residual - (stiffness[k] - b) * slope
         if source is not None:
-            turn = turn + element(source, i + planes[1 + k])
-        residual.append(bind(turn))
-    return [bind(pull), *residual]
+            slope_residual = slope_residual + element(source, i + planes[1 + k])
+        residual.append(bind(slope_residual))
+    return [bind(depth_residual), *residual]
 
 
 def solve_at(
-    tensor: Any, edges: list, held: list, planes: list, residual: list, i: Any, half: Any,
+    tensor: Any, edges: list, stiffness: list, planes: list, residual: list, i: Any, half_h: Any,
     floors: tuple,
 ) -> list:  # fmt: skip
     """Return the step that makes the residual of a pixel zero, given its neighbours.
@@ -106,11 +113,14 @@ def solve_at(
     inverses, couplings = [], []
     for k in range(2):
         ahead, behind = first[2 * k], first[2 * k + 1]
-        both = bind(ahead + behind)
-        stiffness = bind(held[k] + floors[1])
-        inverse = bind(1.0 / (half * half * both + stiffness))
-        coupling = bind(half * (ahead - behind) * inverse)
-        pivot = pivot + (4.0 * half * half * ahead * behind + both * stiffness) * inverse
+        weight_sum = bind(ahead + behind)
+        slope_stiffness = bind(stiffness[k] + floors[1])
+        inverse = bind(1.0 / (half_h * half_h * weight_sum + slope_stiffness))
+        coupling = bind(half_h * (ahead - behind) * inverse)
+        pivot = (
+            pivot
+            + (4.0 * half_h * half_h * ahead * behind + weight_sum * slope_stiffness) * inverse
+        )
         right = right - coupling * residual[1 + k]
         inverses.append(inverse)
         couplings.append(coupling)

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from tisfm.kernels.layout.lanes import LaneData, LaneGrid
-from tisfm.kernels.model.constants import LEAST_DIVISOR
-from tisfm.kernels.model.edges import component_table
-from tisfm.kernels.model.robust import check_constraints
-from tisfm.kernels.solve.line_search import descend, lowest, subtract
+from tisfm.kernels.model import MIN_DIVISOR
+from tisfm.kernels.model.robust import check_constraints, component_table
+from tisfm.kernels.solve.line_search import minimise_plane, move_to_minimum, subtract
 from tisfm.kernels.solve.second_order.coarsening import coarsen_system, restrict_residual
-from tisfm.kernels.solve.second_order.line_search import bind_plane
+from tisfm.kernels.solve.second_order.line_search import bind_plane_energy
 from tisfm.kernels.solve.second_order.relaxation import bind_sweeps
 from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
 from tisfm.kernels.solve.second_order.weight_update import bind_update
@@ -65,8 +64,8 @@ class SecondOrderSystem:
         return (
             self.spacing / 2,
             self.spread,
-            FLOOR * self.alpha + LEAST_DIVISOR,
-            slope_floor + LEAST_DIVISOR,
+            FLOOR * self.alpha + MIN_DIVISOR,
+            slope_floor + MIN_DIVISOR,
         )
 
     def bind_sweep(
@@ -81,13 +80,7 @@ class SecondOrderSystem:
         """Return a function that runs full red–black sweeps, in place, halo included."""
         self._check(rho=rho, source=rho if source is None else source)
         return bind_sweeps(
-            self.grid,
-            self.arrays,
-            self.numbers,
-            rho,
-            source,
-            relaxation=relaxation,
-            sweeps=sweeps,
+            self.grid, self.arrays, self.numbers, rho, source, relaxation=relaxation, sweeps=sweeps
         )
 
     def bind_weight_update(
@@ -120,19 +113,10 @@ class SecondOrderSystem:
             raise ValueError(f"anchor_scale is {anchor_scale}: expected a positive value, in px")
         first, second, third = contrasts
         return bind_update(
-            self.grid,
-            self.arrays,
-            rho,
-            previous,
-            anchors,
-            edges,
-            constraints,
-            half=self.spacing / 2,
-            stiffness=(self.alpha, self.beta, self.gamma),
-            contrasts=(first, second, third),
-            anchor_scale=anchor_scale,
-            scales=scales,
-        )
+            self.grid, self.arrays, rho, previous, anchors, edges, constraints,
+            half_h=self.spacing / 2, stiffness=(self.alpha, self.beta, self.gamma),
+            contrasts=(first, second, third), anchor_scale=anchor_scale, scales=scales,
+        )  # fmt: skip
 
     def bind_restrict(
         self,
@@ -161,21 +145,21 @@ class SecondOrderSystem:
 
     def bind_line_search(
         self,
-        # rho, before, step: lane arrays, 3 components: the corrected field, the field before the
-        # correction, and the last step. Modified in place: `rho` and `before` become the minimum,
+        # rho, previous, step: lane arrays, 3 components: the corrected field, the field before the
+        # correction, and the last step. Modified in place: `rho` and `previous` become the minimum,
         # `step` becomes the move to it.
         rho: LaneData,
-        before: LaneData,
+        previous: LaneData,
         step: LaneData,
     ) -> Callable[[], None]:
         """Return a function that minimises the energy over a correction and the last step."""
-        self._check(rho=rho, before=before, step=step)
-        difference = subtract.bind(self.grid, before, rho)
-        measure = bind_plane(self.grid, self.arrays, self.spacing / 2, rho, before, step)
+        self._check(rho=rho, previous=previous, step=step)
+        difference = subtract.bind(self.grid, previous, rho)
+        measure = bind_plane_energy(self.grid, self.arrays, self.spacing / 2, rho, previous, step)
 
         def run() -> None:
             difference()
-            descend(self.grid, *lowest(*measure()), rho, before, step)
+            move_to_minimum(self.grid, *minimise_plane(*measure()), rho, previous, step)
 
         return run
 

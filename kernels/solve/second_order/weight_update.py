@@ -9,7 +9,7 @@ import taichi as ti
 from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import (
     CHUNK,
-    SMALL,
+    INDEX_MASK,
     LaneArray,
     LaneData,
     LaneGrid,
@@ -24,7 +24,7 @@ from tisfm.kernels.layout.lanes import (
     store,
 )
 from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
-from tisfm.kernels.model.constants import LEAST_PIVOT
+from tisfm.kernels.model import MIN_PIVOT
 from tisfm.kernels.model.robust import finite_scales, robust_data, terms_of
 from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
 from tisfm.kernels.solve.weight_update import ROWS, Sums
@@ -44,7 +44,7 @@ def bind_update(
     # lane array, 3 components for each of 1 to 3 constraints, or None: (p, 0, c) of p D + c = 0
     constraints: LaneData | None,
     *,
-    half: float,  # h/2
+    half_h: float,  # h/2
     stiffness: tuple[float, float, float],  # (α, β, γ)
     # 3 floats: δ of r, of |Δv| and of ΔD; infinite for a quadratic penalty
     contrasts: tuple[float, float, float],
@@ -62,16 +62,16 @@ def bind_update(
     tensor, weights = arrays
     partial = block_sums(grid, 4)
     count = 0 if constraints is None else constraints.shape[0] // 3
-    squared = [contrast * contrast for contrast in (*contrasts, anchor_scale)]
+    squared_contrasts = [contrast * contrast for contrast in (*contrasts, anchor_scale)]
     launch = _update[grid.lanes].bind(
         rho if constraints is None else constraints,
         anchors,
         edges,
         rho,
-        half,
+        half_h,
         *stiffness,
         # With infinite δ, b is 1 and its penalty is 0.
-        *(value for square in squared for value in (1.0 / square, _finite(square))),
+        *(value for square in squared_contrasts for value in (1.0 / square, _finite(square))),
         *finite_scales(scales or (np.inf,)),
         count,
         grid.serial,
@@ -84,11 +84,11 @@ def bind_update(
 
     def run() -> Sums:
         launch()
-        energy, half_quadratic, moved, size = add_blocks(partial)
+        energy, half_quadratic, change, size = add_blocks(partial)
         return Sums(
             energy=float(energy),
             half_quadratic=float(half_quadratic),
-            moved=float(np.sqrt(moved)),
+            change=float(np.sqrt(change)),
             size=float(np.sqrt(size)),
         )
 
@@ -105,18 +105,18 @@ def _update(
     anchors: LaneArray(3),  # (2, H+2, S+2)
     edges: LaneArray(3),  # (2, H+2, S+2)
     rho: LaneArray(3),  # (3, H+2, S+2)
-    half: ti.f32,
+    half_h: ti.f32,
     alpha: ti.f32,
     beta: ti.f32,
     gamma: ti.f32,
-    inverse_bend: ti.f32,
-    bend: ti.f32,
-    inverse_turn: ti.f32,
-    turn: ti.f32,
-    inverse_step: ti.f32,
-    step: ti.f32,
+    inverse_slope: ti.f32,
+    slope_square: ti.f32,
+    inverse_crease: ti.f32,
+    crease_square: ti.f32,
+    inverse_jump: ti.f32,
+    jump_square: ti.f32,
     inverse_anchor: ti.f32,
-    anchor: ti.f32,
+    anchor_square: ti.f32,
     inverse0: ti.f32,
     scale0: ti.f32,
     inverse1: ti.f32,
@@ -133,15 +133,17 @@ def _update(
     blocks = partial.shape[1]
     if ti.static(lane_count(rho) == 1):
         for index in range(height * blocks):
-            stride = rho.shape[2] & SMALL
+            stride = rho.shape[2] & INDEX_MASK
             planes = ti.static(planes_of(rho, max(WEIGHTS, 3 * count)))
             kinds = ti.static(
-                ((alpha, inverse_bend, bend), (beta, inverse_turn, turn),
-                 (gamma, inverse_step, step))
+                ((alpha, inverse_slope, slope_square), (beta, inverse_crease, crease_square),
+                 (gamma, inverse_jump, jump_square))
             )  # fmt: skip
-            scales = ti.static(((inverse_anchor, anchor), ((inverse0, scale0), (inverse1, scale1))))
+            scales = ti.static(
+                ((inverse_anchor, anchor_square), ((inverse0, scale0), (inverse1, scale1)))
+            )
             _update_block(
-                terms, anchors, edges, rho, half, kinds, scales, count, weights, tensor, previous,
+                terms, anchors, edges, rho, half_h, kinds, scales, count, weights, tensor, previous,
                 partial, stride, planes, index // blocks, index % blocks,
             )  # fmt: skip
     else:
@@ -150,21 +152,21 @@ def _update(
         for task in range(chunk * bands):
             if task % chunk == 0:
                 band = task // chunk
-                stride = rho.shape[2] & SMALL
+                stride = rho.shape[2] & INDEX_MASK
                 planes = ti.static(planes_of(rho, max(WEIGHTS, 3 * count)))
                 kinds = ti.static(
-                    ((alpha, inverse_bend, bend), (beta, inverse_turn, turn),
-                     (gamma, inverse_step, step))
+                    ((alpha, inverse_slope, slope_square), (beta, inverse_crease, crease_square),
+                     (gamma, inverse_jump, jump_square))
                 )  # fmt: skip
                 scales = ti.static(
-                    ((inverse_anchor, anchor), ((inverse0, scale0), (inverse1, scale1)))
+                    ((inverse_anchor, anchor_square), ((inverse0, scale0), (inverse1, scale1)))
                 )
                 for row in range(
                     first_row(band, height, bands), first_row(band + 1, height, bands)
                 ):
                     for block in range(blocks):
                         _update_block(
-                            terms, anchors, edges, rho, half, kinds, scales, count, weights,
+                            terms, anchors, edges, rho, half_h, kinds, scales, count, weights,
                             tensor, previous, partial, stride, planes, row, block,
                         )  # fmt: skip
                     # The first column of a strip reads its western weight from the halo: the
@@ -175,31 +177,19 @@ def _update(
 
 @ti.func
 def _update_block(
-    terms: ti.template(),
-    anchors: ti.template(),
-    edges: ti.template(),
-    rho: ti.template(),
-    half,
-    kinds: ti.template(),
-    scales: ti.template(),
-    count: ti.template(),
-    weights: ti.template(),
-    tensor: ti.template(),
-    previous: ti.template(),
-    partial: ti.template(),
-    stride,
-    planes: ti.template(),
-    row,
-    block,
-):
+    terms: ti.template(), anchors: ti.template(), edges: ti.template(), rho: ti.template(), half_h,
+    kinds: ti.template(), scales: ti.template(), count: ti.template(), weights: ti.template(),
+    tensor: ti.template(), previous: ti.template(), partial: ti.template(), stride,
+    planes: ti.template(), row, block,
+):  # fmt: skip
     """Update one block of a row."""
     y, strip = row + 1, rho.shape[2] - 2
     zero = 0.0 * rho[0, y, 1]
-    energy, half_energy, moved, size = zero, zero, zero, zero
+    energy, half_energy, change, size = zero, zero, zero, zero
     for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
-        i = (y * stride + position + 1) & SMALL
-        here = ti.static([bind(element(rho, i + planes[k])) for k in range(COMPONENTS)])
-        depth = here[0]
+        i = (y * stride + position + 1) & INDEX_MASK
+        center = ti.static([bind(element(rho, i + planes[k])) for k in range(COMPONENTS)])
+        depth = center[0]
         a, b, c = load(tensor, i), load(tensor, i + planes[1]), load(tensor, i + planes[2])
         half_energy += (a * depth + 2.0 * b) * depth + c
         value, sums = ti.static(_data_at(terms, anchors, scales, count, planes, depth, i))
@@ -208,26 +198,28 @@ def _update_block(
             store(tensor, i + planes[k], sums[k])
         for side in ti.static(range(2)):  # east, south
             g = load(edges, i + planes[side])
-            beyond = i + 1 + side * (stride - 1)
-            there = ti.static([bind(element(rho, beyond + planes[k])) for k in range(COMPONENTS)])
-            squares = ti.static(_squares(here, there, side, half))
+            other_index = i + 1 + side * (stride - 1)
+            neighbour = ti.static(
+                [bind(element(rho, other_index + planes[k])) for k in range(COMPONENTS)]
+            )
+            squares = ti.static(_squares(center, neighbour, side, half_h))
             for kind in ti.static(range(3)):
                 stiffness, inverse, squared = ti.static(kinds[kind])
-                place = i + planes[2 * kind + side]
-                square, before = squares[kind], load(weights, place)
-                whole = stiffness * g
+                index = i + planes[2 * kind + side]
+                square, old_weight = squares[kind], load(weights, index)
+                full_weight = stiffness * g
                 root = ti.sqrt(1.0 + inverse * square)
-                both = whole / (root * (1.0 + root))
-                energy += 2.0 * square * (root * both)
-                gap = whole - before
-                half_energy += before * square
-                half_energy += squared * gap * gap / ti.max(before, LEAST_PIVOT)
-                store(weights, place, both * (1.0 + root))
-        change = depth - load(previous, i)
-        moved += change * change
+                factor = full_weight / (root * (1.0 + root))
+                energy += 2.0 * square * (root * factor)
+                difference = full_weight - old_weight
+                half_energy += old_weight * square
+                half_energy += squared * difference * difference / ti.max(old_weight, MIN_PIVOT)
+                store(weights, index, factor * (1.0 + root))
+        depth_change = depth - load(previous, i)
+        change += depth_change * depth_change
         size += depth * depth
         store(previous, i, depth)
-    for term, value in ti.static(enumerate((energy, half_energy, moved, size))):
+    for term, value in ti.static(enumerate((energy, half_energy, change, size))):
         store_sum(partial, row, block, term, value, ti.static(lane_count(rho)))
 
 
@@ -240,23 +232,27 @@ def _data_at(
     distance = bind(depth - target)
     square = bind(distance * distance)
     root = bind(ti.sqrt(1.0 + inverse * square))
-    both = bind(weight / (root * (1.0 + root)))
-    trust = bind(both * (1.0 + root))  # w ω
-    energy = 2.0 * square * (root * both)
+    factor = bind(weight / (root * (1.0 + root)))
+    trust = bind(factor * (1.0 + root))  # w ω
+    energy = 2.0 * square * (root * factor)
     # σ²(ω + 1/ω − 2) = σ²(1 − ω)(1/ω − 1)
     penalty = squared * (weight - trust) * (root - 1.0)
-    form = [trust, 0.0 - trust * target, trust * target * target + penalty]
+    quadratic = [trust, 0.0 - trust * target, trust * target * target + penalty]
     if count:
         entries = [bind(element(terms, i + planes[k])) for k in range(3 * count)]
         lines = [(entries[3 * k], 0.0, entries[3 * k + 2]) for k in range(count)]
         value, sums = robust_data(terms_of(lines), list(robust), depth, 0.0)
         energy = energy + value
-        form = [total + sums[k] for total, k in zip(form, (0, 3, 5), strict=True)]
-    return bind(energy), [bind(entry) for entry in form]
+        quadratic = [total + sums[k] for total, k in zip(quadratic, (0, 3, 5), strict=True)]
+    return bind(energy), [bind(entry) for entry in quadratic]
 
 
-def _squares(here: list, there: list, side: int, half: Any) -> list:
+def _squares(center: list, neighbour: list, side: int, half_h: Any) -> list:
     """Return r², |Δv|² and ΔD² of an edge; `side` is 0 for east, 1 for south."""
-    step, *turns = (bind(far - near) for far, near in zip(there, here, strict=True))
-    bend = bind(step - half * (here[1 + side] + there[1 + side]))
-    return [bind(bend * bend), bind(turns[0] * turns[0] + turns[1] * turns[1]), bind(step * step)]
+    step, *slope_changes = (bind(end - start) for end, start in zip(neighbour, center, strict=True))
+    slope_error = bind(step - half_h * (center[1 + side] + neighbour[1 + side]))
+    return [
+        bind(slope_error * slope_error),
+        bind(slope_changes[0] * slope_changes[0] + slope_changes[1] * slope_changes[1]),
+        bind(step * step),
+    ]

@@ -28,11 +28,8 @@ def test_every_kernel_has_its_traffic():
 # rendering, merging and edges go point by point.
 AS_A_WHOLE = {
     "rigid.flow_search",
-    "rigid.merging",
-    "rigid.rendering",
-    "rigid.surface_edges",
+    "rigid.depth_maps",
     "fusion.agreement",
-    "fusion.colors",
     "fusion.distance_field",
 }
 PARTS = {("data.image_edges", "scale"), ("solve.line_search", "subtract")}

@@ -141,10 +141,7 @@ def _variance(frame: np.ndarray) -> np.ndarray:
 
 
 def _costs_with_occlusion(
-    costs: np.ndarray,
-    hidden: np.ndarray,
-    sums: np.ndarray,
-    targets: list[list[Corner]],
+    costs: np.ndarray, hidden: np.ndarray, sums: np.ndarray, targets: list[list[Corner]]
 ) -> np.ndarray:
     """Return the costs of the free pixels, (K, N) float32, with occlusion of labels by others.
 

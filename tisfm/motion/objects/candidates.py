@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tisfm.camera import Camera
-from tisfm.kernels.model.constants import NEAREST
+from tisfm.kernels.model import MIN_DEPTH_RATIO
 from tisfm.motion.egomotion import TooFewPixelsError, camera_motion, triangulate
 from tisfm.motion.objects.label_optimisation import Potts
 from tisfm.motion.objects.settings import OBJECTS
@@ -176,7 +176,7 @@ class _CandidateSearch:
         if translation.any():
             inverse_depth = np.maximum(triangulate(before, after, rotation, translation), 0)
             points += inverse_depth[:, None] * translation
-        projected = points[:, :2] / np.maximum(points[:, 2:], NEAREST)
+        projected = points[:, :2] / np.maximum(points[:, 2:], MIN_DEPTH_RATIO)
         distance = focal * np.linalg.norm(after[:, :2] - projected, axis=1)
         return distance.reshape(height, width)
 

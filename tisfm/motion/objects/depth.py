@@ -24,11 +24,7 @@ from tisfm.motion.rigid_depth import (
     scaled_translations,
 )
 from tisfm.motion.settings import DEPTH
-from tisfm.motion.textureless_depth import (
-    TexturelessSolution,
-    textureless_depth,
-    textureless_share,
-)
+from tisfm.motion.textureless_depth import TexturelessSolution, textureless_depth, textureless_share
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 
@@ -145,7 +141,7 @@ def carry_background_depth(
     too little between near and far, or if too little of the background could be matched.
     """
     if (
-        textureless_share(pyramid.frames0[pyramid.last], pyramid.counted0(pyramid.last))
+        textureless_share(pyramid.frames0[pyramid.last], pyramid.valid0(pyramid.last))
         < DEPTH.min_textureless_share
     ):
         return None

@@ -261,17 +261,17 @@ def _rotated_valid_pixels(
     pyramid: ImagePyramid, homography: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the pixels of frame 0 and of the turned frame 1 that count; None for all."""
-    if pyramid.counted is None:
+    if pyramid.masks is None:
         return None
-    counted0, counted1 = pyramid.counted.whole
+    valid0, valid1 = pyramid.masks.original
     rotated = cv2.warpPerspective(
-        counted1.astype(np.float32),
+        valid1.astype(np.float32),
         homography,
-        counted0.shape[::-1],
+        valid0.shape[::-1],
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    return counted0, rotated == 1
+    return valid0, rotated == 1
 
 
 def _rotation_homography(

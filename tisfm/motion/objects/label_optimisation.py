@@ -14,7 +14,7 @@ from tisfm.kernels.layout.images import image_to_lanes
 from tisfm.motion.objects.settings import OBJECTS
 from tisfm.runtime import lane_grid
 from tisfm.solver.half_quadratic import Effort, HalfQuadratic
-from tisfm.solver.smoothness import FAINTEST_EDGE, Smoothness, image_edges_in_lanes, mean_step
+from tisfm.solver.smoothness import MIN_GREY_STEP, Smoothness, image_edges_in_lanes, mean_step
 from tisfm.solver.unknowns import Unknowns
 
 POTTS_SMOOTHNESS = Smoothness(
@@ -126,11 +126,10 @@ class MinSum:
         image_edges: float,
     ) -> None:
         rows, columns = np.nonzero(is_free)
-        mean_grey_step = max(mean_step(frame), FAINTEST_EDGE)
+        mean_grey_step = max(mean_step(frame), MIN_GREY_STEP)
         count = len(rows)
-        number = np.full(
-            np.add(is_free.shape, 2), count
-        )  # `count` is a pixel that sends no message
+        # `count` is a pixel that sends no message
+        number = np.full(np.add(is_free.shape, 2), count)
         number[1:-1, 1:-1][is_free] = np.arange(count)
         inside = np.pad(np.ones(is_free.shape, bool), 1)
         padded = np.pad(frame, 1)

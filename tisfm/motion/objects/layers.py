@@ -20,14 +20,10 @@ from tisfm.motion.rigid_depth import (
     scaled_translations,
 )
 from tisfm.motion.settings import DEPTH
-from tisfm.motion.textureless_depth import (
-    texture_weight,
-    textureless_depth,
-    textureless_share,
-)
+from tisfm.motion.textureless_depth import texture_weight, textureless_depth, textureless_share
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
-from tisfm.visibility.confidence import QUIET, QUIET_GREY
+from tisfm.visibility.confidence import MIN_RESIDUAL, MIN_RESIDUAL_GREY
 from tisfm.visibility.occlusion import leaves_image, occlusion_in
 
 
@@ -75,13 +71,15 @@ class Layering:
         # Rough surfaces suffice to tell layers apart.
         self._settings = replace(settings, warps=1, coarse_warps=min(2, settings.coarse_warps))
         self._potts = Potts(grey0, density=density)
-        self._min_residual = QUIET if settings.depth_normalization is not None else QUIET_GREY
+        self._min_residual = (
+            MIN_RESIDUAL if settings.depth_normalization is not None else MIN_RESIDUAL_GREY
+        )
         self.min_size = smallest_object(grey0.size)
-        frame, counted = pyramid.frames0[pyramid.last], pyramid.counted0(pyramid.last)
-        is_textureless = textureless_share(frame, counted) >= DEPTH.min_textureless_share
+        frame, valid = pyramid.frames0[pyramid.last], pyramid.valid0(pyramid.last)
+        is_textureless = textureless_share(frame, valid) >= DEPTH.min_textureless_share
         self._weight = np.ones_like(grey0)
         if is_textureless:
-            self._weight = texture_weight(grey0, counted=pyramid.counted0(0))
+            self._weight = texture_weight(grey0, valid=pyramid.valid0(0))
         self._is_textureless = is_textureless
         self._surfaces: dict[bytes, list[_Surface]] = {}  # for every motion, oldest first
 
@@ -108,9 +106,9 @@ class Layering:
             flows.reverse()
             stacked, stacked_flows = np.stack(residuals[::-1]), np.stack(flows)
             own_residual = np.take_along_axis(stacked, labels[None], axis=0)[0]
-            counted = self._pyramid.counted0(0)
+            valid = self._pyramid.valid0(0)
             median_residual = float(
-                np.median(own_residual if counted is None else own_residual[counted])
+                np.median(own_residual if valid is None else own_residual[valid])
             )
             unit = OBJECTS.cost_unit * max(median_residual, self._min_residual**2)
             costs = np.minimum(stacked / unit, OBJECTS.max_layer_cost)
@@ -307,10 +305,7 @@ class Layering:
     def _residual(self, surface: RigidSolution) -> tuple[np.ndarray, np.ndarray]:
         """Return residual and flow of a surface at all pixels."""
         return motion_residual(
-            self._pyramid,
-            self._settings,
-            surface.motions[0],
-            surface.inverse_depth,
+            self._pyramid, self._settings, surface.motions[0], surface.inverse_depth
         )
 
     def _floating_parts(self, surface: RigidSolution) -> np.ndarray:

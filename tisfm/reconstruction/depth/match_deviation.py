@@ -8,7 +8,7 @@ depends on the texture close to it.
 import cv2
 import numpy as np
 
-from tisfm.kernels.model.constants import NEAREST
+from tisfm.kernels.model import MIN_DEPTH_RATIO
 from tisfm.motion.matched_planes import noise_deviation
 from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.depth.window_planes import Window, WindowPlanes
@@ -66,7 +66,7 @@ def _position_slopes(
     slopes = []
     for motion in window.motions.astype(np.float32):
         p1, p2, p3 = (row[0] * x + row[1] * y + row[2] + row[3] * scaled_depth for row in motion)
-        p3 = np.maximum(p3, np.float32(NEAREST))
+        p3 = np.maximum(p3, np.float32(MIN_DEPTH_RATIO))
         t1, t2, t3 = motion[:, 3]
         slopes.append(((t1 - p1 / p3 * t3) / p3, (t2 - p2 / p3 * t3) / p3))
     return slopes

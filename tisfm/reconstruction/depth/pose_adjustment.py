@@ -16,9 +16,9 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images
 from tisfm.kernels.layout.lanes import LaneData, LaneGrid
-from tisfm.kernels.layout.launch import in_turn
+from tisfm.kernels.layout.launch import join_launches
 from tisfm.kernels.rigid.epipolar import displacement
-from tisfm.kernels.rigid.shared_depth import add_frame, answered, squared_residual
+from tisfm.kernels.rigid.shared_depth import add_frame, eliminate_depth, squared_residual
 from tisfm.motion.matched_planes import noise_deviation
 from tisfm.motion.problems import depth_problem
 from tisfm.motion.window_statistics import window_variance
@@ -192,7 +192,7 @@ def _linearise(
         )  # fmt: skip
         motions = np.ascontiguousarray(relative[None], np.float32)
         image_points = unknowns.x_hat, unknowns.y_hat
-        in_turn(
+        join_launches(
             displacement.bind(
                 grid, unknowns.rho, labels, *image_points, flow, direction, motions=motions,
                 focal=camera.focal,
@@ -207,7 +207,7 @@ def _linearise(
         matrix[block, block], vector[block] = add_frame(
             grid, tensor, unknowns.rho, weight, *image_points, slopes, sums, number=j,
             motion=motions[0], focal=camera.focal,
-            tolerated=max(DEPTH.outlier_scale**2 * median_square, 1e-12),
+            quarter_weight_residual=max(DEPTH.outlier_scale**2 * median_square, 1e-12),
         )  # fmt: skip
         rotation, translation = relative[:, :3], relative[:, 3]
         to_members[block, 6 * (j + 1) : 6 * (j + 2)] = np.eye(6)
@@ -217,7 +217,7 @@ def _linearise(
     for j in range(count + 1):
         to_members[:, 6 * j : 6 * j + 3] /= unit
     depth_damping = DEPTH.depth_damping * max(float(sums[0].sum()) / key.size, 1e-12) + 1e-12
-    depth_matrix, depth_vector = answered(grid, slopes, sums, held=depth_damping)
+    depth_matrix, depth_vector = eliminate_depth(grid, slopes, sums, depth_stiffness=depth_damping)
     matrix -= depth_matrix
     vector -= depth_vector
     if move_depth:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.kernels.rigid.rendering import rendered
+from tisfm.kernels.rigid.depth_maps import render_depth
 from tisfm.reconstruction.depth.neighbour_frames import choose_neighbours
 from tisfm.reconstruction.depth.pose_adjustment import KeyframeWindow, make_keyframe_window
 from tisfm.reconstruction.depth.settings import DEPTH
@@ -219,7 +219,7 @@ class PieceDepths:
         inverse_depth, deviation = (np.empty(depth.shape, np.float32) for _ in range(2))
         cx, cy = self._camera.center_for(*self._frames.shape)
         center, focal = (cx / stride, cy / stride), self._camera.focal / stride
-        rendered(depth, std, motion, inverse_depth, deviation, center=center, focal=focal)
+        render_depth(depth, std, motion, inverse_depth, deviation, center=center, focal=focal)
         visible = inverse_depth > 0
         return np.where(visible, inverse_depth, np.nan), np.where(visible, deviation, np.nan)
 

@@ -8,12 +8,11 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from tisfm.kernels.rigid.merging import merged
-from tisfm.kernels.rigid.surface_edges import RADIUS, by_look
+from tisfm.kernels.rigid.depth_maps import VOTING_RADIUS, align_depth_edges, merge_depths
 from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.depth.window_depth import min_inverse_depth, second_order
-from tisfm.solver.sampling import enlarged, reduced
-from tisfm.solver.second_order import fill
+from tisfm.solver.sampling import enlarge, shrink
+from tisfm.solver.second_order import extend_depth
 
 View = tuple[np.ndarray, np.ndarray]  # inverse depth and its deviation, (H, W) float32 each
 
@@ -63,7 +62,7 @@ def fuse_views(
     valid = np.isfinite(depths) & np.isfinite(deviations)
     depths, deviations = (np.where(valid, each, np.float32(0)) for each in (depths, deviations))
     out, out_deviation = np.empty((2, *depths.shape[1:]), np.float32)
-    merged(depths, deviations, out, out_deviation, alike=DEPTH.max_difference)
+    merge_depths(depths, deviations, out, out_deviation, max_difference=DEPTH.max_difference)
     return np.where(out > 0, out, np.nan), np.where(out > 0, out_deviation, np.nan)
 
 
@@ -88,10 +87,10 @@ def fill_holes(
     min_value = min_inverse_depth(inverse_depth[valid])
     scale = np.float32(DEPTH.fill_median / np.median(inverse_depth[valid]))
     images = np.stack([valid, np.where(valid, scale * inverse_depth, 0), frame])
-    coverage, target, small_frame = reduced(images.astype(np.float32), side, height, width)
+    coverage, target, small_frame = shrink(images.astype(np.float32), side, height, width)
     target = np.divide(target, coverage, out=np.zeros_like(target), where=coverage > 0)
-    filled, _ = fill(target, coverage, small_frame, second_order(level), iterations=1)
-    value = np.maximum(enlarged(filled[None] / scale, side, *frame.shape)[0], min_value)
+    filled, _ = extend_depth(target, coverage, small_frame, second_order(level), iterations=1)
+    value = np.maximum(enlarge(filled[None] / scale, side, *frame.shape)[0], min_value)
     return (
         np.where(valid, inverse_depth, value).astype(np.float32),
         np.where(valid, deviation, DEPTH.filled_deviation * value).astype(np.float32),
@@ -136,16 +135,18 @@ def align_edges(
     depth, std = np.ascontiguousarray(inverse_depth), np.ascontiguousarray(deviation)
     out, out_deviation = np.empty((2, *depth.shape), np.float32)
     threshold = _surface_threshold(depth)
-    by_look(depth, std, threshold, frame, out, out_deviation, similar=DEPTH.grey_scale)
+    align_depth_edges(depth, std, threshold, frame, out, out_deviation, grey_decay=DEPTH.grey_scale)
     return out, out_deviation
 
 
 def _surface_threshold(inverse_depth: np.ndarray) -> np.ndarray:
     """Return the geometric mean of the extremes in a window around a depth edge; elsewhere 0."""
-    neighbours, window = (np.ones((side, side), np.uint8) for side in (3, 2 * RADIUS + 1))
+    neighbours, window = (np.ones((side, side), np.uint8) for side in (3, 2 * VOTING_RADIUS + 1))
     nearest = cv2.dilate(inverse_depth, neighbours)
     edge = nearest - cv2.erode(inverse_depth, neighbours) > DEPTH.min_jump * nearest
     # Pixels so near to the edge that the window holds pixels of both surfaces.
-    near_edge = cv2.dilate(edge.astype(np.uint8), np.ones((2 * RADIUS - 1,) * 2, np.uint8)) > 0
+    near_edge = (
+        cv2.dilate(edge.astype(np.uint8), np.ones((2 * VOTING_RADIUS - 1,) * 2, np.uint8)) > 0
+    )
     lowest, highest = cv2.erode(inverse_depth, window), cv2.dilate(inverse_depth, window)
     return np.where(near_edge, np.sqrt(lowest * highest), np.float32(0))

@@ -18,10 +18,10 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.errors import InputError
 from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images
-from tisfm.kernels.layout.launch import in_turn
-from tisfm.kernels.model.constants import LEAST_DIVISOR
+from tisfm.kernels.layout.launch import join_launches
+from tisfm.kernels.model import MIN_DIVISOR
 from tisfm.kernels.rigid.epipolar import displacement
-from tisfm.kernels.rigid.several_frames import add_along, as_constraint
+from tisfm.kernels.rigid.shared_depth import add_depth_terms, depth_constraint
 from tisfm.motion.problems import depth_problem
 from tisfm.motion.textureless_depth import SECOND_ORDER, texture_weight
 from tisfm.reconstruction.depth.match_deviation import match_weights
@@ -34,12 +34,12 @@ from tisfm.reconstruction.depth.window_planes import (
 )
 from tisfm.settings import Settings
 from tisfm.solver.data_term import DataTerm
-from tisfm.solver.sampling import enlarged, spline_taps
+from tisfm.solver.sampling import enlarge, spline_taps
 from tisfm.solver.second_order import (
     SecondOrderMinimiser,
     SecondOrderSettings,
     anchors_in_lanes,
-    fill,
+    extend_depth,
 )
 from tisfm.solver.smoothness import image_edges_in_lanes, mean_step
 from tisfm.solver.unknowns import Unknowns
@@ -110,7 +110,7 @@ def window_depth(
     depth = np.maximum(depth, min_inverse_depth(planes.inverse_depth[planes.reliable]))
     deviation = _deviation(planes, depth, refinement.residual())
     side, scale = 2**window.level, window.unit * window.camera_of(window.level).focal
-    images = enlarged(np.stack([depth, deviation]) / np.float32(scale), side, *key.shape)
+    images = enlarge(np.stack([depth, deviation]) / np.float32(scale), side, *key.shape)
     return WindowDepth(
         inverse_depth=images[0], deviation=images[1], reliable=planes.reliable, level=window.level
     )
@@ -132,7 +132,7 @@ def second_order(level: int) -> SecondOrderSettings:
         SECOND_ORDER,
         alpha=SECOND_ORDER.alpha / side,
         beta=SECOND_ORDER.beta / side**3,
-        turn=DEPTH.slope_scale,
+        crease_contrast=DEPTH.slope_scale,
         image_edges=DEPTH.image_edges,
     )
 
@@ -149,7 +149,7 @@ class _DepthRefinement:
         level = window.level
         frame, camera = window.at_cell_level(0), window.camera_of(level)
         smoothness = second_order(level)
-        depth, slopes = fill(anchors[1], anchors[0], frame, smoothness, iterations=1)
+        depth, slopes = extend_depth(anchors[1], anchors[0], frame, smoothness, iterations=1)
         self._grid = grid = runtime.lane_grid(*frame.shape)
         unknowns = Unknowns(grid, camera, 1)
         textured = texture_weight(frame, half_variance=DEPTH.data_texture) * window.used_cells
@@ -180,16 +180,18 @@ class _DepthRefinement:
             image_to_lanes(grid, np.float32(DEPTH.data_weight) * visibility[j], data_weight)
             motions = np.ascontiguousarray(motion[None], np.float32)
             self._linearise.append(
-                in_turn(
+                join_launches(
                     displacement.bind(
                         grid, inverse_depth, labels, unknowns.x_hat, unknowns.y_hat, flow,
                         direction, motions=motions, focal=camera.focal,
                     ),
                     data.bind_linearise(flow, tensor),
-                    add_along.bind(grid, tensor, flow, direction, inverse_depth, data_weight, sums),
+                    add_depth_terms.bind(
+                        grid, tensor, flow, direction, inverse_depth, data_weight, sums
+                    ),
                 )
             )  # fmt: skip
-        self._bound_constraint = as_constraint.bind(grid, sums, constraint)
+        self._bound_constraint = depth_constraint.bind(grid, sums, constraint)
 
     def step(self) -> None:
         """Linearise every frame once, and minimise."""
@@ -219,7 +221,7 @@ def _deviation(
     distance = cv2.distanceTransform((~planes.reliable).astype(np.uint8), cv2.DIST_L2, 5)
     distance *= 2**planes.level
     precision, square = (cv2.blur(image, DEPTH.averaging_window) for image in residual)
-    square = np.minimum(square / np.maximum(precision, LEAST_DIVISOR), DEPTH.max_residual**2)
+    square = np.minimum(square / np.maximum(precision, MIN_DIVISOR), DEPTH.max_residual**2)
     reliable = planes.reliable.astype(np.float32)
     difference = cv2.blur(reliable * np.abs(depth - planes.inverse_depth), DEPTH.averaging_window)
     min_share = np.float32(1 / math.prod(DEPTH.averaging_window))

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.kernels.rigid.patch_match import STEEPEST
-from tisfm.kernels.rigid.view_search import MOST_BEST, ViewSearch
-from tisfm.kernels.rigid.windows import LEVELS
+from tisfm.kernels.rigid.patch_match import MAX_SLOPE
+from tisfm.kernels.rigid.view_search import MAX_FRAMES, ViewSearch
+from tisfm.kernels.rigid.windows import MAX_GREY
 from tisfm.motion.matched_planes import (
     grey_scale,
     noise_deviation,
@@ -101,8 +101,8 @@ class Window:
 
     @property
     def best(self) -> int:
-        """Number of best frames that a cost is the mean of: half of all, at most `MOST_BEST`."""
-        return min((len(self.motions) + 1) // 2, MOST_BEST)
+        """Number of best frames that a cost is the mean of: half of all, at most `MAX_FRAMES`."""
+        return min((len(self.motions) + 1) // 2, MAX_FRAMES)
 
     def camera_of(self, level: int) -> Camera:
         """Return the camera of a level."""
@@ -137,7 +137,7 @@ class Window:
         low, gain, noise = self._grey_scaling
         density = 0.5 ** (level - self.finest)
         scaled = [gain * (frame[level] - low) for frame in self.frames]
-        frames = [np.clip(frame, 0, LEVELS).astype(np.float32) for frame in scaled]
+        frames = [np.clip(frame, 0, MAX_GREY).astype(np.float32) for frame in scaled]
         for levels, mask in zip(frames[1:], self._masks, strict=True):
             if mask is not None:
                 _replace_masked(levels, mask)
@@ -147,14 +147,14 @@ class Window:
             frames[0],
             frames[1:],
             self.motions,
-            best=self.best,
+            frame_count=self.best,
             stride=stride,
             center=camera.center_for(*frames[0].shape),
             focal=camera.focal,
             noise=max(density * noise, PAIR_DEPTH.min_coarse_noise),
-            seen=PAIR_DEPTH.min_window_variance,
-            least=scale * PAIR_DEPTH.min_plane_depth,
-            largest=scale * self.largest,
+            min_variance=PAIR_DEPTH.min_window_variance,
+            min_depth=scale * PAIR_DEPTH.min_plane_depth,
+            max_depth=scale * self.largest,
         )
 
     @cached_property
@@ -237,7 +237,7 @@ def _random_planes(window: Window, search: ViewSearch, level: int) -> np.ndarray
     random = np.random.default_rng(0).random((*search.shape, 4), np.float32)
     focal = window.camera_of(level).focal
     random[..., 0] *= 0.5**level * window.largest
-    random[..., 1:3] = (2 * random[..., 1:3] - 1) * random[..., :1] * (STEEPEST / focal)
+    random[..., 1:3] = (2 * random[..., 1:3] - 1) * random[..., :1] * (MAX_SLOPE / focal)
     return random
 
 
@@ -265,7 +265,7 @@ def _replace_masked(levels: np.ndarray, mask: np.ndarray) -> None:
     size = levels.shape[::-1]
     used = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     random = np.random.default_rng(MASKED_SEED).random(levels.shape, np.float32)
-    levels[~used] = (LEVELS * random)[~used]
+    levels[~used] = (MAX_GREY * random)[~used]
 
 
 def _cell_coverage(mask: np.ndarray, side: int) -> np.ndarray:

@@ -46,7 +46,7 @@ def find_flow(
     )
     problem = flow_problem(settings, small_camera.focal)
     amendment = flow_proposals(pyramid, problem) if search_fast_objects else None
-    solution = coarse_to_fine(pyramid, problem, amendment=amendment)
+    solution = coarse_to_fine(pyramid, problem, level_change=amendment)
     flow, limit = solution.unknowns.flow(), float(sum(small0.shape))
     if not (flow.min() >= -limit and flow.max() <= limit):  # it diverged, perhaps to NaN
         flow = np.nan_to_num(flow, nan=limit).clip(-limit, limit)

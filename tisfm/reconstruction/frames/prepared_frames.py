@@ -17,7 +17,7 @@ from tisfm.lens import Undistortion
 from tisfm.reconstruction.result.folder import read_labels, read_picture, write_labels
 from tisfm.resampling import Resampling
 from tisfm.shutter import Rolling, UnrolledFrame
-from tisfm.solver.pixel_masks import filled
+from tisfm.solver.pixel_masks import fill_ignored
 from tisfm.sources.frame_reader import SourceFrame
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class PreparedFrames:
         picture = eight_bit(image, image, stretch=frame.stretch)
         ignored, labels = frame.ignored, frame.labels
         if ignored is not None and ignored.any():
-            grey = filled(grey, ignored)
+            grey = fill_ignored(grey, ignored)
         if not self._source_camera.is_pinhole:
             if self._lens is None:
                 self._lens = Undistortion(self._source_camera, *grey.shape)
