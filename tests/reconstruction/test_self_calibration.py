@@ -154,7 +154,7 @@ def test_printed_focal_length_can_be_copied_back(tmp_path, capsys):
         cv2.imwrite(str(tmp_path / "film" / f"{k:02d}.png"), frame)
     assert main([*command, str(tmp_path / "found")]) == 0
     told = re.search(
-        r"focal length: (\S+) ± (\S+) px \(at 240×180\), found", capsys.readouterr().err
+        r"focal length: (\S+) ± (\S+) px \(at 240×180\), estimated", capsys.readouterr().err
     )
     printed, deviation = map(float, told.groups())
     found = Reconstruction.load(tmp_path / "found")
@@ -399,7 +399,7 @@ GUESS = FocalGuess(focal=200.0, origin="size", reason="by its size", shape=(300,
 @pytest.mark.parametrize(
     ("deviation", "origin", "seen", "text"),
     [
-        (2.0, "estimated", True, r"^100 ± 4 px \(at 400×300\), found"),
+        (2.0, "estimated", True, r"^100 ± 4 px \(at 400×300\), estimated"),
         (3.0, "estimated", False, "hardly shows it"),
         (16.0, "guessed", False, r"200 px \(at 400×300\), by its size: the motion does not show"),
     ],

@@ -71,15 +71,15 @@ def test_depths_are_those_before_the_camera():
     np.testing.assert_allclose(places, seen[2].points[:10])
 
 
-def test_points_found_in_lots_are_those_found_at_once(monkeypatch):
+def test_points_in_batches_equal_those_at_once(monkeypatch):
     poses, points = along(9), points_ahead()
     seen = seen_by(poses, points, noise=0.3)
     whole = triangulate_tracks(seen, dict(enumerate(poses)), CAMERA, SHAPE)
     monkeypatch.setattr(sparse_points, "MAX_OBSERVATIONS", 50)
-    lots = triangulate_tracks(seen, dict(enumerate(poses)), CAMERA, SHAPE)
-    assert len(list(sparse_points._lots(seen, dict(enumerate(poses))))) > 5
-    np.testing.assert_array_equal(lots.tracks, whole.tracks)
-    np.testing.assert_allclose(lots.positions, whole.positions, rtol=1e-12)
+    batched = triangulate_tracks(seen, dict(enumerate(poses)), CAMERA, SHAPE)
+    assert len(list(sparse_points._batches(seen, dict(enumerate(poses))))) > 5
+    np.testing.assert_array_equal(batched.tracks, whole.tracks)
+    np.testing.assert_allclose(batched.positions, whole.positions, rtol=1e-12)
 
 
 def test_points_of_tracks_are_a_mapping():

@@ -96,13 +96,13 @@ def shifted(x):
 def test_poses_of_overlapping_submaps_are_blended():
     """Weights depend on the distance of a view to the ends of a submap, and on group centres."""
     first, second = submap((0, 10), [list(range(10))]), submap((6, 16), [list(range(6, 16))])
-    found = joining._merged([first, second], [[shifted(0.0)], [shifted(1.0)]])
+    found = joining._merge_poses([first, second], [[shifted(0.0)], [shifted(1.0)]])
     assert sorted(found) == list(range(16))
     for view in range(16):
         here, there = max(0, min(view + 1, 10 - view)), max(0, min(view - 5, 16 - view))
         assert found[view][0, 3] == pytest.approx(there / (here + there)), view
     alone = submap((0, 10), [list(range(5)), list(range(5, 10))])  # their centres are 2 and 7
-    found = joining._merged([alone], [[shifted(0.0), shifted(1.0)]])
+    found = joining._merge_poses([alone], [[shifted(0.0), shifted(1.0)]])
     expected = np.clip((np.arange(10) - 2) / 5, 0, 1)
     np.testing.assert_allclose([found[view][0, 3] for view in range(10)], expected, atol=1e-12)
 
