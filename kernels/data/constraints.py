@@ -140,13 +140,13 @@ def _lines(weighted: tuple, count: int, noise: Any, normalized: Any, u: Any, v: 
 
 @ti.func
 def _along_row(array: ti.template(), k: ti.template(), y, s):
-    near, far = ti.static(8.0 / 12.0, 1.0 / 12.0)
+    inner_weight, outer_weight = ti.static(8.0 / 12.0, 1.0 / 12.0)
     inner = array[k, y, s + 1] - array[k, y, s - 1]
-    return near * inner - far * (array[k, y, s + 2] - array[k, y, s - 2])
+    return inner_weight * inner - outer_weight * (array[k, y, s + 2] - array[k, y, s - 2])
 
 
 @ti.func
 def _along_column(array: ti.template(), k: ti.template(), y, s):
-    near, far = ti.static(8.0 / 12.0, 1.0 / 12.0)
+    inner_weight, outer_weight = ti.static(8.0 / 12.0, 1.0 / 12.0)
     inner = array[k, y + 1, s] - array[k, y - 1, s]
-    return near * inner - far * (array[k, y + 2, s] - array[k, y - 2, s])
+    return inner_weight * inner - outer_weight * (array[k, y + 2, s] - array[k, y - 2, s])

@@ -100,9 +100,9 @@ def _nearest_surfaces(
 
 
 @ti.func
-def _keep_largest(largest: ti.template(), row, column, value):
-    if row >= 0 and row < largest.shape[0] and column >= 0 and column < largest.shape[1]:
-        ti.atomic_max(largest[row, column], value)
+def _keep_largest(image: ti.template(), row, column, value):
+    if row >= 0 and row < image.shape[0] and column >= 0 and column < image.shape[1]:
+        ti.atomic_max(image[row, column], value)
 
 
 @Kernel
@@ -153,8 +153,8 @@ def _look_along_ray(
                 if point[2] > MIN_Z:
                     new_value = depth / point[2]
                     rotated_z = point[2] - depth * motion[2, 3]
-                    stretch = rotated_z / (point[2] * point[2])
-                    new_spread = sums[2] / sums[0] * ti.max(stretch, 0.0 - stretch)
+                    scale_change = rotated_z / (point[2] * point[2])
+                    new_spread = sums[2] / sums[0] * ti.max(scale_change, 0.0 - scale_change)
         value, spread = new_value, new_spread
     return ti.Vector([value, spread])
 

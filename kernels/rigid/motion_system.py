@@ -137,8 +137,8 @@ def _motion_system(
 @ti.func
 def coordinate(motion: ti.template(), row: ti.template(), x, y, d):
     """Return one coordinate of R x̂ + d t."""
-    turned = motion[row, 0] * x + motion[row, 1] * y + motion[row, 2]
-    return turned + d * motion[row, 3]
+    rotated = motion[row, 0] * x + motion[row, 1] * y + motion[row, 2]
+    return rotated + d * motion[row, 3]
 
 
 def _weighted_tensor(parts: list, square: list, inverses: tuple, pixel_weight: Any) -> list:

@@ -219,14 +219,14 @@ def _eliminate_depth(
         for y in range(band * ROWS + 1, ti.min((band + 1) * ROWS, height) + 1):
             for s in range(1, strip + 1):
                 inverse = 1.0 / (depth_sums[0, y, s] + depth_stiffness)
-                others = ti.static([bind(slopes[second + k, y, s]) for k in range(6)])
+                other_slopes = ti.static([bind(slopes[second + k, y, s]) for k in range(6)])
                 step = inverse * depth_sums[1, y, s]
                 for i in ti.static(range(6)):
                     own = slopes[first + i, y, s]
                     sums[36 + i] += own * step
                     scaled = inverse * own
                     for j in ti.static(range(6)):
-                        sums[6 * i + j] += scaled * others[j]
+                        sums[6 * i + j] += scaled * other_slopes[j]
         for i in ti.static(range(7)):  # two loops, as Taichi warns about long unrolled loops
             for j in ti.static(range(6)):
                 k = ti.static(6 * i + j)

@@ -225,8 +225,8 @@ def relax_at(
 def edges_at(weights: Any, planes: list, stride: Any, sets: int, i: Any) -> list:
     """Return the weights of a pixel's E, W, S and N edges, lists of `sets`, while compiling."""
     return [
-        [bind(element(weights, place + planes[first + k])) for k in range(sets)]
-        for first, place in ((0, i), (0, i - 1), (sets, i), (sets, i - stride))
+        [bind(element(weights, index + planes[first + k])) for k in range(sets)]
+        for first, index in ((0, i), (0, i - 1), (sets, i), (sets, i - stride))
     ]
 
 
@@ -258,8 +258,8 @@ def residual_at(
     residual = []
     for k, (a, b) in enumerate(columns):
         smooth: Any = 0.0
-        for side, place in zip(edges, neighbours, strict=True):
-            difference = element(rho, place + planes[k]) - center[k]
+        for side, index in zip(edges, neighbours, strict=True):
+            difference = element(rho, index + planes[k]) - center[k]
             smooth = smooth + repeat_shared(side, n)[k] * difference
         total = alphas[k] * smooth - a * g1 - b * g2
         if source is not None:

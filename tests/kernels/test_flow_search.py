@@ -35,7 +35,7 @@ def test_score_is_that_of_the_reference(size):
 
     levels0, levels1 = texture(*size), texture(*size, seed=1)
     state = drawn(size)
-    search_in(levels0, levels1).score(state, seen=1.8)
+    search_in(levels0, levels1).score(state, min_variance=1.8)
     rows, columns = np.mgrid[: size[0], : size[1]]
     place = np.stack([rows + state[..., 1], columns + state[..., 0]])
     limits = np.array(size)[:, None, None] - 0.5
@@ -103,7 +103,7 @@ def test_bare_windows_are_not_compared():
     frame = texture(40, 60)
     frame[:, 30:] = 77
     state = drawn(frame.shape)
-    search_in(frame, frame).score(state, seen=1.8)
+    search_in(frame, frame).score(state, min_variance=1.8)
     assert (state[:, 30 + RADIUS :, 2] == UNTEXTURED).all()
     assert (state[:, :25, 2] < UNTEXTURED).all()
 
@@ -155,7 +155,7 @@ def test_errors_name_the_argument():
     frame = texture(9, 11)
     with pytest.raises(ValueError, match="noise is 0"):
         FlowSearch(frame, frame, noise=0)
-    with pytest.raises(ValueError, match="levels1"):
+    with pytest.raises(ValueError, match="grey1"):
         FlowSearch(frame, frame[:-1].copy(), noise=1)
     search = search_in(frame, frame)
     with pytest.raises(ValueError, match="state"):

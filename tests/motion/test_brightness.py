@@ -32,9 +32,9 @@ def test_a_doubt_says_that_one_frame_is_darker():
 @pytest.mark.parametrize(
     ("changes", "advice"),
     [
-        ({"motion": "field"}, "one brightness, or take brightness=0"),
+        ({"motion": "field"}, "one brightness, or set brightness=0"),
         ({"motion": "camera"}, "one brightness, or set brightness=0 and depth_brightness=0"),
-        ({"motion": "camera", "brightness": 0.0}, "one brightness, or take depth_brightness=0"),
+        ({"motion": "camera", "brightness": 0.0}, "one brightness, or set depth_brightness=0"),
         ({"motion": "field", "brightness": 0.0}, "one brightness"),
         ({"motion": "field", "gradient": 0.0}, "one brightness"),
     ],

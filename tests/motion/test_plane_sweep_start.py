@@ -98,7 +98,7 @@ def test_matching_cost(size, lanes):
         focal=camera.focal,
         first=0.5,
         step=1.5,
-        near=2.0,
+        guess_distance=2.0,
     )
     expected = reference.matching_cost(*features, hypotheses, camera, rotation, translation)
     away = np.abs(hypotheses - guess[..., None])
@@ -119,7 +119,7 @@ def test_kernels_refuse_bad_arrays():
     with pytest.raises(TypeError, match="out"):
         aggregate(cost, guide, cost.astype(np.float64), step=1, jump=2, edge=1)
     features, motion = aligned_zeros((4, 5, 4)), np.zeros((3, 4), np.float32)
-    options = {"center": (2, 2), "focal": 5, "first": 0, "step": 1, "near": 1}
+    options = {"center": (2, 2), "focal": 5, "first": 0, "step": 1, "guess_distance": 1}
     with pytest.raises(ValueError, match=r"out is .*: expected \(4, 5, 1, 8\)"):
         matching_cost(
             features, features, guide, guide, motion, aligned_zeros((5, 4, 1, 8)), **options

@@ -48,9 +48,9 @@ def global_shutter_pair(
     corrected: GlobalShutterPair | None = None
     for _ in range(EGOMOTION.shutter_rounds):
         frame0, frame1 = (grey0, grey1) if corrected is None else (corrected.grey0, corrected.grey1)
-        seen = valid if corrected is None else corrected.valid
+        current_valid = valid if corrected is None else corrected.valid
         estimate = camera_estimate(
-            pyramid_of(frame0, frame1, camera, settings, seen), settings, pose
+            pyramid_of(frame0, frame1, camera, settings, current_valid), settings, pose
         )
         maps = _unrolling_maps(estimate, camera, pose)
         if maps is None:

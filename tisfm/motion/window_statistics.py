@@ -71,8 +71,8 @@ def warped(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
     above = values[index] + across * (values[index + 1] - values[index])
     index += width
     below = values[index] + across * (values[index + 1] - values[index])
-    moved: np.ndarray = above + down * (below - above)
-    return moved
+    values_at_flow: np.ndarray = above + down * (below - above)
+    return values_at_flow
 
 
 def mean_in_windows(image: np.ndarray) -> np.ndarray:

@@ -117,13 +117,13 @@ class ImagePyramid:
         return cache(partial(spline_taps, self.frames1[level]))
 
 
-def level_count(height: int, width: int, factor: float, most: int | None = None) -> int:
-    """Return the number of levels that `COARSEST_FRAME_SIDE` allows, at most `most`."""
+def level_count(height: int, width: int, factor: float, max_count: int | None = None) -> int:
+    """Return the number of levels that `COARSEST_FRAME_SIDE` allows, at most `max_count`."""
     side = min(height, width)
     count = 1
     if side > COARSEST_FRAME_SIDE:
         count += int(math.log(COARSEST_FRAME_SIDE / side) / math.log(factor))
-    return count if most is None else min(count, most)
+    return count if max_count is None else min(count, max_count)
 
 
 def gaussian_pyramid(

@@ -193,8 +193,8 @@ def extend_depth(
         raise InputError(f"iterations is {iterations}: expected at least 1")
     settings = settings or SecondOrderSettings()
     anchors = _check_measurements(target, weight, frame)
-    known = anchors[0].sum(dtype=np.float64)
-    if not known:
+    weight_sum = anchors[0].sum(dtype=np.float64)
+    if not weight_sum:
         return np.zeros(frame.shape, np.float32), np.zeros((2, *frame.shape), np.float32)
     levels = [(anchors, np.ascontiguousarray(frame))]
     while max(levels[-1][1].shape) > MAX_COARSEST_SIDE:
@@ -203,15 +203,15 @@ def extend_depth(
     for level in reversed(range(len(levels))):
         anchors, image = levels[level]
         grid = lane_grid(*image.shape)
-        places = (
+        level_arrays = (
             grid,
             anchors_in_lanes(grid, anchors),
             image_edges_in_lanes(grid, image, settings.image_edges),
         )
-        minimiser = SecondOrderMinimiser(*places, settings, spacing=2.0**level)
+        minimiser = SecondOrderMinimiser(*level_arrays, settings, spacing=2.0**level)
         if coarse is None:
-            first = SecondOrderMinimiser(*places, settings.quadratic(), spacing=2.0**level)
-            mean = (anchors[0] * anchors[1]).sum(dtype=np.float64) / known
+            first = SecondOrderMinimiser(*level_arrays, settings.quadratic(), spacing=2.0**level)
+            mean = (anchors[0] * anchors[1]).sum(dtype=np.float64) / weight_sum
             image_to_lanes(grid, np.full(image.shape, mean, np.float32), first.rho)
             first.update()
             first.minimise(QUADRATIC_CYCLES)

@@ -105,11 +105,10 @@ def _plane_energy(
             store_sum(partial, row, block, term, sums[term], ti.static(lane_count(previous)))
 
 
-def _differences(array: Any, planes: list, i: Any, beyond: Any, side: int, half_h: Any) -> list:
+def _differences(array: Any, planes: list, i: Any, other: Any, side: int, half_h: Any) -> list:
     """Return r, Δv₁, Δv₂ and ΔD of an edge, while compiling; `side` is 0 for east, 1 for south."""
     center, neighbour = (
-        [bind(element(array, place + planes[k])) for k in range(COMPONENTS)]
-        for place in (i, beyond)
+        [bind(element(array, index + planes[k])) for k in range(COMPONENTS)] for index in (i, other)
     )
     step, first, second = (bind(end - start) for end, start in zip(neighbour, center, strict=True))
     return [bind(step - half_h * (center[1 + side] + neighbour[1 + side])), first, second, step]

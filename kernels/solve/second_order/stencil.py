@@ -18,9 +18,9 @@ def center_at(rho: Any, planes: list, i: Any) -> list:
 
 def edges_at(weights: Any, planes: list, stride: Any, i: Any) -> list:
     """Return a, b and c of the edges of a pixel, each a list of E, W, S, N."""
-    places = ((0, i), (0, i - 1), (1, i), (1, i - stride))
+    edge_indices = ((0, i), (0, i - 1), (1, i), (1, i - stride))
     return [
-        [bind(element(weights, place + planes[2 * kind + side])) for side, place in places]
+        [bind(element(weights, index + planes[2 * kind + side])) for side, index in edge_indices]
         for kind in range(3)
     ]
 
@@ -59,8 +59,8 @@ def residual_at(
     """
     depth, *slopes = center
     first, second, third = edges
-    places = (i + 1, i - 1, i + stride, i - stride)
-    steps = [bind(element(rho, place + planes[0]) - depth) for place in places]
+    neighbours = (i + 1, i - 1, i + stride, i - stride)
+    steps = [bind(element(rho, index + planes[0]) - depth) for index in neighbours]
     depth_residual = 0.0 - element(tensor, i + planes[0]) * depth
     if source is None:
         depth_residual = depth_residual - element(tensor, i + planes[1])
@@ -69,7 +69,7 @@ def residual_at(
     for weight, step in zip(third, steps, strict=True):
         depth_residual = depth_residual + weight * step
     neighbour_slopes = [
-        [bind(element(rho, place + planes[1 + k])) for place in places] for k in range(2)
+        [bind(element(rho, index + planes[1 + k])) for index in neighbours] for k in range(2)
     ]
     residual = []
     for k, slope in enumerate(slopes):

@@ -170,10 +170,12 @@ def _in_front(counts: np.ndarray, costs: np.ndarray) -> np.ndarray:
 
     Both labels go there, and in the window around, the grey levels of the second match worse.
     """
-    both = ((counts > 0.5).all(axis=0)).astype(np.float32)
-    excess = both * (costs[1] / np.maximum(counts[1], 0.5) - costs[0] / np.maximum(counts[0], 0.5))
+    is_common = ((counts > 0.5).all(axis=0)).astype(np.float32)
+    excess = is_common * (
+        costs[1] / np.maximum(counts[1], 0.5) - costs[0] / np.maximum(counts[0], 0.5)
+    )
     window = (OBJECTS.order_window, OBJECTS.order_window)
-    mean_excess = excess.sum(dtype=np.float64) / max(both.sum(dtype=np.float64), 1)
+    mean_excess = excess.sum(dtype=np.float64) / max(is_common.sum(dtype=np.float64), 1)
     return (
         cv2.boxFilter(excess, -1, window, normalize=False)
         + OBJECTS.global_order_pixels * mean_excess

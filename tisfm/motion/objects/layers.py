@@ -264,13 +264,13 @@ class Layering:
             try:
                 likely_rotation = layers.motions[0][:, :3] if label else None
                 camera = self._pyramid.cameras[0]
-                fitted = camera_motion(
+                motion_fit = camera_motion(
                     flow, np.where(is_core, trust, 0), camera, likely_rotation=likely_rotation
                 )
             except TooFewPixelsError:
                 motions.append(motion)
                 continue
-            motions.append(np.column_stack([fitted.rotation, fitted.translation]))
+            motions.append(np.column_stack([motion_fit.rotation, motion_fit.translation]))
         return motions
 
     def _fit_surface(self, motion: np.ndarray, support: np.ndarray) -> "_Surface":
