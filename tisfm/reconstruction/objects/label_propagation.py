@@ -38,8 +38,8 @@ def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np
             outside = (x < 0) | (y < 0) | (x > labels.shape[1] - 1) | (y > labels.shape[0] - 1)
             difference = np.where(outside, np.inf, cv2.blur(difference, (3, 3)))
             differences[index] = np.minimum(differences[index], difference)
-    index = np.searchsorted(numbers, labels)[None]
-    own = np.take_along_axis(differences, index, axis=0)
+    indices = np.searchsorted(numbers, labels)[None]
+    own = np.take_along_axis(differences, indices, axis=0)
     scale = OBJECTS.difference_offset + 1.5 * float(np.median(own[np.isfinite(own)]))
     costs = np.minimum((differences / scale) ** 2, OBJECTS.max_boundary_cost)
     costs += OBJECTS.boundary_change_cost * (labels != numbers[:, None, None])

@@ -107,7 +107,7 @@ def objects_with_depth(
         if isinstance(path, str):
             result.append(replace(obj, message=path))
             continue
-        has_pose = np.isfinite(world[path.frames]).all(axis=(1, 2))
+        has_pose = np.asarray(np.isfinite(world[path.frames]).all(axis=(1, 2)))
         poses_in_world = {k: pose for k, pose in path.piece.poses.items() if has_pose[k]}
         if not poses_in_world:
             result.append(replace(obj, message=NO_PATH))

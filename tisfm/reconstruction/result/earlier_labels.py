@@ -72,7 +72,12 @@ def find_result_labels(
 
 def _is_same_camera(camera0: Camera, camera1: Camera) -> bool:
     values0, values1 = (
-        (camera.focal, camera.aspect, *(camera.center or ()), *_padded(camera.distortion or ()))
+        (
+            camera.focal,
+            camera.aspect,
+            *(camera.center or ()),
+            *_all_coefficients(camera.distortion or ()),
+        )
         for camera in (camera0, camera1)
     )
     return (
@@ -82,6 +87,6 @@ def _is_same_camera(camera0: Camera, camera1: Camera) -> bool:
     )
 
 
-def _padded(distortion: Sequence[float]) -> tuple[float, ...]:
+def _all_coefficients(distortion: Sequence[float]) -> tuple[float, ...]:
     """Return all distortion coefficients; missing ones are zero."""
     return (*distortion, *(0.0,) * (MAX_COEFFICIENTS - len(distortion)))

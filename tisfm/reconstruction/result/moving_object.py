@@ -12,6 +12,7 @@ from tisfm.errors import InputError, InputTypeError
 from tisfm.sources.frame_reader import is_integer
 
 ScaleFrom = Literal["size", "contact", "around", "none"]
+SCALES = get_args(ScaleFrom)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,8 +65,8 @@ class MovingObject:
         chosen = frame_mask[list(self.frames)]
         poses = self.poses.copy()
         poses[chosen, :3, 3] *= factor
-        known = np.isfinite(poses).all(axis=(1, 2))
-        extent = self.extent * (factor if (chosen & known).any() else 1.0)
+        has_pose = np.isfinite(poses).all(axis=(1, 2))
+        extent = self.extent * (factor if (chosen & has_pose).any() else 1.0)
         return replace(self, poses=poses, extent=extent)
 
     def as_json(self) -> dict[str, Any]:
@@ -90,8 +91,8 @@ class MovingObject:
             If the entry is not of this form.
         """
         count = len(entry["frames"])
-        if entry["scale_from"] not in get_args(ScaleFrom):
-            raise InputError(f"scale_from is {entry['scale_from']!r}")
+        if entry["scale_from"] not in SCALES:
+            raise InputError(f"scale_from is {entry['scale_from']!r}: expected one of {SCALES}")
         no_pose = np.full((4, 4), np.nan)
         poses = [no_pose if pose is None else pose for pose in entry["poses"]]
         extent = [np.nan] * 3 if entry["extent"] is None else entry["extent"]

@@ -47,6 +47,9 @@ def make_request(
 ) -> Request:
     """Return everything that a result depends on, as JSON values."""
     frame_files = frames.frame_files
+    camera_record = camera and (
+        read_camera_record(camera) if isinstance(camera, Path) else asdict(camera)
+    )
     request = {
         "version": __version__,
         "arch": arch or os.environ.get("TI_ARCH", "cpu"),
@@ -55,9 +58,7 @@ def make_request(
         "start": frames.chosen.start,
         "stop": frames.chosen.stop,
         "step": frames.chosen.step,
-        "camera": read_camera_record(camera)
-        if isinstance(camera, Path)
-        else camera and asdict(camera),
+        "camera": camera_record,
         "settings": asdict(settings),
         "poses": None if poses is None else _trajectory_digest(poses),
         **{name: path and files_digest(_files_of(path)) for name, path in (files or {}).items()},
@@ -91,7 +92,7 @@ def files_below(folder: Path) -> dict[str, list[int]]:
     """Return length and CRC-32 of the files in a folder, by their relative paths.
 
     Left out are hidden files, a report (it may be made later), timings (they differ each time), and
-    the files that mark a result as begun and hold its request.
+    the files that mark an incomplete result and hold its request.
     """
     checksums = {}
     for path in sorted(folder.rglob("*")):
