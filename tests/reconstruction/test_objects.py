@@ -114,7 +114,7 @@ def test_loaded_result_equals_the_saved_one(found, tmp_path):
         (lambda folder: shutil.rmtree(folder / "masks"), "has no masks"),
         (lambda folder: altered(folder, format=99), "objects.json is damaged .*format 99"),
         (lambda folder: altered(folder, scale_from="x"), "scale_from is 'x'"),
-        (lambda folder: altered(folder, frames=[10]), "seen in other frames"),
+        (lambda folder: altered(folder, frames=[10]), "labelled in frames that do not exist"),
     ],
 )
 def test_incomplete_or_damaged_folder_is_refused(found, tmp_path, damage, words):
