@@ -208,7 +208,6 @@ def remaining_error(changes: Sequence[float]) -> float:
 
 
 def _iteration_record(sums: Sums) -> Iteration:
-    """Return the record of an iteration."""
     return Iteration(
         energy=sums.energy,
         half_quadratic=sums.half_quadratic,
