@@ -267,7 +267,11 @@ def test_invalid_frame_numbers_are_refused(found, frame, error):
 
 @pytest.mark.parametrize(
     ("frames", "text"),
-    [((0, 0, 1.0), "one place"), ((0, 1, -1.0), "positive"), ((0, 99, 1.0), "expected 0 to 8")],
+    [
+        ((0, 0, 1.0), "one camera position"),
+        ((0, 1, -1.0), "positive"),
+        ((0, 99, 1.0), "expected 0 to 8"),
+    ],
 )
 def test_invalid_scales_are_refused(found, frames, text):
     with pytest.raises((ValueError, IndexError), match=text):

@@ -142,7 +142,7 @@ def _read_objects(folder: Path, settings: Settings, count: int) -> tuple[MovingO
         record = read_json(path)
         if record["format"] != OBJECTS_FORMAT:
             raise InputError(
-                f"it has format {record['format']}, this version reads {OBJECTS_FORMAT}: "
+                f"it is of format {record['format']}, this version reads {OBJECTS_FORMAT}: "
                 "reconstruct the source again"
             )
         objects = tuple(MovingObject.of_json(obj) for obj in record["objects"])
@@ -215,8 +215,8 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
         record = read_json(path / RECORD)
         if record["format"] != FORMAT:
             raise InputError(
-                f"it has format {record['format']}, written by tisfm {record.get('version')}; this "
-                f"version reads format {FORMAT}: reconstruct the source again"
+                f"it is of format {record['format']}, written by tisfm {record.get('version')}; "
+                f"this version reads format {FORMAT}: reconstruct the source again"
             )
         kinds = {"poses": "f", "piece": "i", "times": "f", "unit": "f"}
         with NpzFile(path / PATH) as file:
