@@ -132,7 +132,7 @@ def test_models_survive_text_and_binary_files(found, data, tmp_path_factory):
         image_points=random.uniform(0, 200, (total, 2)),
         residual=np.zeros(total),
     )
-    model = colmap._model(result, frames, tracks)
+    model = colmap._colmap_reconstruction(result, frames, tracks)
     assert sorted(model.images) == [k + 1 for k in frames]
     seen = {
         (number, image.image_id - 1, *(image.points2D[e.point2D_idx].xy - 0.5))

@@ -11,7 +11,7 @@ from tests.exports.made import SHAPE, made, ramp
 from tests.trajectory.paths import PATIENT
 from tisfm.exports import SequenceFrames, write_depths
 from tisfm.exports.float_images import write_exr, write_pfm, write_tiff
-from tisfm.exports.frame_maps import SUFFIXES, depth_of
+from tisfm.exports.frame_maps import SUFFIXES, depth_from_inverse
 from tisfm.formats import read_depth_png, read_dpt
 
 KINDS = sorted(SUFFIXES)
@@ -170,7 +170,7 @@ def test_values_out_of_range_are_unknown_or_refused(tmp_path):
     with pytest.raises(ValueError, match=r"% of it is beyond 13\.11.*--scale.*depth-exr"):
         write_depths(frames, tmp_path, "tum")
     frames = SequenceFrames(result.rescaled(0, 1, 0.005 * length))
-    with pytest.raises(ValueError, match=r"in the median, but a file of 256 values per unit"):
+    with pytest.raises(ValueError, match=r"but a file of 256 values per unit"):
         write_depths(frames, tmp_path, "kitti")
 
 
@@ -191,8 +191,8 @@ def test_frames_of_one_name_have_numbers(tmp_path):
 
 def test_depth_is_there_where_inverse_depth_is_above_zero():
     values = np.float32([[0, -1, np.nan, np.inf, 1e-45, 2]])
-    np.testing.assert_array_equal(depth_of(values), [[np.nan] * 5 + [0.5]])
-    assert np.isnan(depth_of(ramp(0))).sum() == 12
+    np.testing.assert_array_equal(depth_from_inverse(values), [[np.nan] * 5 + [0.5]])
+    assert np.isnan(depth_from_inverse(ramp(0))).sum() == 12
 
 
 def test_exr_needs_its_package(tmp_path, monkeypatch):

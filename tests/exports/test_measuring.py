@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.exports.exported import predicted, true_places
-from tisfm.exports.guided_matching import Pose, is_smooth, measure_points, points_in_world
+from tisfm.exports.guided_matching import PosedCamera, is_smooth, measure_points, points_in_world
 from tisfm.reconstruction.tracks.tracker import choose_new_points
 
 
@@ -16,7 +16,7 @@ def begun(film):
 
 
 def sought(film, points, inverse_depth, other, frame=3):
-    poses = [Pose(camera=film.camera, matrix=film.poses[k]) for k in (frame, other)]
+    poses = [PosedCamera(camera=film.camera, matrix=film.poses[k]) for k in (frame, other)]
     return measure_points(film.frames[frame], film.frames[other], points, inverse_depth, *poses)
 
 
@@ -47,12 +47,12 @@ def test_a_wrong_depth_does_not_move_the_measured_positions(film, begun, factor)
     again = sought(film, begun, right * np.float32(factor), other)
     both = np.isfinite(found[:, 0]) & np.isfinite(again[:, 0])
     assert both.mean() > 0.2
-    pose, shape = Pose(camera=film.camera, matrix=film.poses[3]), film.frames[0].shape
+    pose, shape = PosedCamera(camera=film.camera, matrix=film.poses[3]), film.frames[0].shape
     column, row = begun.astype(int).T
     led = [
         predicted(
             points_in_world(begun, depth[row, column].astype(float), pose, shape),
-            Pose(camera=film.camera, matrix=film.poses[other]),
+            PosedCamera(camera=film.camera, matrix=film.poses[other]),
             shape,
         )
         for depth in (right, right * factor)
@@ -67,7 +67,7 @@ def test_a_wrong_depth_does_not_move_the_measured_positions(film, begun, factor)
 def test_another_exposure_changes_little(film, begun):
     frame = film.frames[5].astype(float)
     brighter = np.clip(0.8 * frame + 30, 0, 255).astype(np.uint8)
-    poses = [Pose(camera=film.camera, matrix=film.poses[k]) for k in (3, 5)]
+    poses = [PosedCamera(camera=film.camera, matrix=film.poses[k]) for k in (3, 5)]
     found, again = (
         measure_points(film.frames[3], other, begun, inverse(film), *poses)
         for other in (film.frames[5], brighter)
@@ -79,14 +79,14 @@ def test_another_exposure_changes_little(film, begun):
 
 def test_unrelated_frames_share_no_points(film, begun):
     noise = np.random.default_rng(0).integers(0, 256, film.frames[0].shape).astype(np.uint8)
-    poses = [Pose(camera=film.camera, matrix=film.poses[k]) for k in (3, 4)]
+    poses = [PosedCamera(camera=film.camera, matrix=film.poses[k]) for k in (3, 4)]
     found = measure_points(film.frames[3], noise, begun, inverse(film), *poses)
     assert np.isfinite(found[:, 0]).sum() <= 1
 
 
 def test_points_behind_the_camera_have_no_position(film, begun):
     turned = film.poses[3] @ np.diag([-1.0, 1, -1, 1])
-    poses = [Pose(camera=film.camera, matrix=matrix) for matrix in (film.poses[3], turned)]
+    poses = [PosedCamera(camera=film.camera, matrix=matrix) for matrix in (film.poses[3], turned)]
     found = measure_points(film.frames[3], film.frames[4], begun, inverse(film), *poses)
     assert np.isnan(found).all()
     nothing = measure_points(film.frames[3], film.frames[4], begun[:0], inverse(film), *poses)

@@ -102,7 +102,7 @@ def test_a_known_point_is_at_its_pixel(found, twist, focal, center, pixel, depth
     camera, pose = Camera(focal, center), pose_matrix(np.array(twist))
     poses = found.poses.copy()
     poses[2] = pose
-    about = nerfstudio._transforms(replace(found, camera=camera, poses=poses), [2])
+    about = nerfstudio._transforms_record(replace(found, camera=camera, poses=poses), [2])
     cx, cy = camera.center_for(*found.shape)
     local = np.array([(pixel[0] - cx) / focal, (pixel[1] - cy) / focal, 1]) * depth
     world = pose[:3, :3] @ local + pose[:3, 3]

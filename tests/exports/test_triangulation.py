@@ -6,7 +6,7 @@ import pytest
 from tests.exports.exported import predicted
 from tisfm.camera import Camera
 from tisfm.exports import observations
-from tisfm.exports.guided_matching import Pose
+from tisfm.exports.guided_matching import PosedCamera
 from tisfm.exports.observations import consistent_points, triangulate
 from tisfm.rigid import pose_matrix
 
@@ -16,7 +16,9 @@ SHAPE, CAMERA = (120, 160), Camera(focal=150.0)
 def setting(count=5, step=(0.1, 0, 0.02, 0, 0.01, 0), seed=0, points=40):
     """Return poses, points, and where the poses see them."""
     random = np.random.default_rng(seed)
-    poses = [Pose(camera=CAMERA, matrix=pose_matrix(k * np.array(step))) for k in range(count)]
+    poses = [
+        PosedCamera(camera=CAMERA, matrix=pose_matrix(k * np.array(step))) for k in range(count)
+    ]
     world = random.uniform((-1, -0.7, 3), (1, 0.7, 6), (points, 3))
     places = np.stack([predicted(world, pose, SHAPE) for pose in poses], axis=1)
     return poses, world, places
@@ -83,7 +85,7 @@ def test_points_are_the_same_in_lots(monkeypatch):
     places[5, 2] += 7
     places[11, 1:] = np.nan
     whole = consistent_points(places, poses, SHAPE, world, np.full(23, 0.1), 3)
-    monkeypatch.setattr(observations, "BATCH", 21)  # four points
+    monkeypatch.setattr(observations, "MAX_BATCH_OBSERVATIONS", 21)  # four points
     lots = consistent_points(places, poses, SHAPE, world, np.full(23, 0.1), 3)
     np.testing.assert_array_equal(lots[0], whole[0])
     np.testing.assert_array_equal(lots[1], whole[1])

@@ -19,8 +19,12 @@ from tisfm.formats import atomic_write
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.version import __version__
 
-_FLOAT = 5126  # code of float32 in glTF
-_KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}  # type of an accessor by its number of columns
+_FLOAT32_CODE = 5126  # code of float32 in glTF
+_ACCESSOR_TYPES = {
+    1: "SCALAR",
+    3: "VEC3",
+    4: "VEC4",
+}  # type of an accessor by its number of columns
 _NEAR_PLANE = 0.01  # in the unit of the poses; set by hand
 
 
@@ -31,7 +35,7 @@ def camera_document(
     *,
     vertical_angle: float,  # vertical field of view, rad
     aspect: float,  # width of the frames over height
-    about: dict[str, Any],  # further properties of the camera, for its ``extras``
+    extras: dict[str, Any],  # further properties of the camera, for its ``extras``
 ) -> bytes:
     """Return a glTF document that contains its binary data.
 
@@ -39,8 +43,8 @@ def camera_document(
     ----------
     The Khronos Group, glTF 2.0 Specification, 2021 (ISO/IEC 12113).
     """
-    turns = _continuous(Rotation.from_matrix(poses[:, :3, :3]).as_quat())
-    arrays = [values.astype("<f4") for values in (times[:, None], poses[:, :3, 3], turns)]
+    quaternions = _align_signs(Rotation.from_matrix(poses[:, :3, :3]).as_quat())
+    arrays = [values.astype("<f4") for values in (times[:, None], poses[:, :3, 3], quaternions)]
     views: list[dict[str, Any]] = []
     accessors: list[dict[str, Any]] = []
     start = 0
@@ -49,9 +53,9 @@ def camera_document(
         accessors.append(
             {
                 "bufferView": len(accessors),
-                "componentType": _FLOAT,
+                "componentType": _FLOAT32_CODE,
                 "count": len(values),
-                "type": _KINDS[values.shape[1]],
+                "type": _ACCESSOR_TYPES[values.shape[1]],
                 "min": values.min(axis=0).tolist(),
                 "max": values.max(axis=0).tolist(),
             }
@@ -75,7 +79,7 @@ def camera_document(
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [node],
-        "cameras": [{"type": "perspective", "perspective": lens, "extras": about}],
+        "cameras": [{"type": "perspective", "perspective": lens, "extras": extras}],
         "animations": [{"name": "path", "samplers": samplers, "channels": channels}],
         "accessors": accessors,
         "bufferViews": views,
@@ -86,7 +90,7 @@ def camera_document(
     return json.dumps(document, allow_nan=False).encode()
 
 
-def _continuous(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+def _align_signs(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the same rotations with signs that make neighbouring quaternions similar.
 
     Both signs mean the same rotation, but programs interpolate the numbers.
@@ -96,9 +100,9 @@ def _continuous(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(quaternions * signs[:, None])
 
 
-FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # changes the sign of Y and Z; it is its own inverse
-SENSOR = 36.0  # mm, width of the sensor that a focal length in mm refers to: full frame
-_MAX_CENTRED = 0.5  # px of the principal point from the middle of the frame; set by hand
+FLIP_Y_Z = np.diag([1.0, -1.0, -1.0, 1.0])  # changes the sign of Y and Z; it is its own inverse
+SENSOR_WIDTH = 36.0  # mm, width of the sensor that a focal length in mm refers to: full frame
+_MAX_CENTER_OFFSET = 0.5  # px of the principal point from the middle of the frame; set by hand
 
 
 def y_up(
@@ -106,7 +110,7 @@ def y_up(
     poses: NDArray[np.float64],
 ) -> NDArray[np.float64]:  # (N, 4, 4) float64
     """Return poses in a world with Y up, of a camera that looks along −Z with Y up."""
-    return np.asarray(FLIP @ poses @ FLIP)
+    return np.asarray(FLIP_Y_Z @ poses @ FLIP_Y_Z)
 
 
 def vertical_angle(camera: Camera, height: int) -> float:
@@ -118,7 +122,7 @@ def is_centered(camera: Camera, shape: tuple[int, int]) -> bool:
     """Return whether the principal point is within half a pixel of the middle of the frame."""
     height, width = shape
     cx, cy = camera.center_for(height, width)
-    return max(abs(cx - (width - 1) / 2), abs(cy - (height - 1) / 2)) <= _MAX_CENTRED
+    return max(abs(cx - (width - 1) / 2), abs(cy - (height - 1) / 2)) <= _MAX_CENTER_OFFSET
 
 
 def lens_record(
@@ -135,7 +139,7 @@ def lens_record(
     """
     height, width = shape
     cx, cy = camera.center_for(height, width)
-    length = SENSOR * camera.focal / width
+    focal_mm = SENSOR_WIDTH * camera.focal / width
     shift = ((width - 1) / 2 - cx) / width, (cy - (height - 1) / 2) / width
     return {
         "width": width,
@@ -146,15 +150,15 @@ def lens_record(
         "horizontal_angle": math.degrees(vertical_angle(camera, width)),
         "blender": {
             "sensor_fit": "HORIZONTAL",
-            "sensor_width": SENSOR,
-            "lens": length,
+            "sensor_width": SENSOR_WIDTH,
+            "lens": focal_mm,
             "shift_x": shift[0],
             "shift_y": shift[1],
         },
         "nuke": {
-            "focal": length,
-            "haperture": SENSOR,
-            "vaperture": SENSOR * height / width,
+            "focal": focal_mm,
+            "haperture": SENSOR_WIDTH,
+            "vaperture": SENSOR_WIDTH * height / width,
             "win_translate": [2 * part for part in shift],
         },
     }
@@ -209,14 +213,14 @@ def write_gltf_cameras(
     rate = frame_rate(result.times, range(len(result)), frames_per_second)
     height, width = result.shape
     files = piece_files(Path(folder), GLTF, pieces)
-    about = {**lens_record(result.camera, result.shape), "frames_per_second": rate}
+    extras = {**lens_record(result.camera, result.shape), "frames_per_second": rate}
     for file, piece in zip(files, pieces, strict=True):
         document = camera_document(
             y_up(result.poses[piece]),
             np.array(piece) / rate,
             vertical_angle=vertical_angle(result.camera, height),
             aspect=width / height,
-            about=about,
+            extras=extras,
         )
         with atomic_write(file) as stream:
             stream.write(document)

@@ -17,8 +17,8 @@ from tisfm.exports.model_folder import (
     Images,
     check_images,
     has_masks,
-    name_of,
-    renewed_export,
+    picture_name,
+    replaced_export,
     write_masks,
     write_pictures,
 )
@@ -130,28 +130,28 @@ def write_colmap(
     check_images(images)
     cells_of(reconstruction.shape, spacing)
     pieces = pieces_of(reconstruction)
-    about: dict[str, Any] = {"kind": "colmap", "version": reconstruction.version}
-    with renewed_export(folder, about) as new:
-        written: list[ExportedModel] = []
+    record: dict[str, Any] = {"kind": "colmap", "version": reconstruction.version}
+    with replaced_export(folder, record) as new:
+        models: list[ExportedModel] = []
         total = sum(map(len, pieces.values()))
         for number, (piece, frames) in enumerate(pieces.items()):
-            before = sum(model.images for model in written)
+            finished_count = sum(model.images for model in models)
             tracks = measured_tracks(
                 reconstruction,
                 piece,
                 spacing=spacing,
-                progress=_shifted(progress, before, total),
+                progress=_offset_progress(progress, finished_count, total),
             )
             name = f"{MODELS}/{number}"
-            write_model(_model(reconstruction, frames, tracks), new / name, form)
-            written.append(summary_of(name, piece, frames, tracks))
+            write_model(_colmap_reconstruction(reconstruction, frames, tracks), new / name, form)
+            models.append(model_summary(name, piece, frames, tracks))
         posed = sorted(frame for frames in pieces.values() for frame in frames)
         if images != "none":
             write_pictures(reconstruction, posed, new / IMAGES, images)
         if has_masks(reconstruction):
             write_masks(reconstruction, posed, new / MASKS, ".jpg.png")
-        about["models"] = [asdict(model) for model in written]
-    return tuple(written)
+        record["models"] = [asdict(model) for model in models]
+    return tuple(models)
 
 
 def pieces_of(result: Reconstruction) -> dict[int, list[int]]:
@@ -160,16 +160,16 @@ def pieces_of(result: Reconstruction) -> dict[int, list[int]]:
     Raises ValueError if there is no such piece.
     """
     frames = {k: np.flatnonzero(result.piece == k).tolist() for k in range(len(result.unit))}
-    several = {k: few for k, few in frames.items() if len(few) >= MIN_FRAMES}
-    if not several:
+    large_pieces = {k: numbers for k, numbers in frames.items() if len(numbers) >= MIN_FRAMES}
+    if not large_pieces:
         raise InputError(
             f"no two of the {len(result)} frames have poses in one scale: there is nothing to "
             "export; the statuses of the frames say why"
         )
-    return dict(sorted(several.items(), key=lambda item: -len(item[1])))
+    return dict(sorted(large_pieces.items(), key=lambda item: -len(item[1])))
 
 
-def summary_of(name: str, piece: int, frames: Sequence[int], tracks: Tracks) -> ExportedModel:
+def model_summary(name: str, piece: int, frames: Sequence[int], tracks: Tracks) -> ExportedModel:
     """Return the summary of the model of a piece."""
     return ExportedModel(
         name=name,
@@ -181,42 +181,44 @@ def summary_of(name: str, piece: int, frames: Sequence[int], tracks: Tracks) -> 
     )
 
 
-def _model(result: Reconstruction, frames: Sequence[int], tracks: Tracks) -> Any:
+def _colmap_reconstruction(result: Reconstruction, frames: Sequence[int], tracks: Tracks) -> Any:
     """Return a piece as a reconstruction of pycolmap."""
-    colmap = pycolmap()
-    model = colmap.Reconstruction()
+    pycolmap_module = pycolmap()
+    model = pycolmap_module.Reconstruction()
     model.add_camera_with_trivial_rig(colmap_camera(result.camera, result.shape))
     order = np.argsort(tracks.frames, kind="stable")
     bounds = np.searchsorted(tracks.frames[order], [*frames, len(result)])
     number_in_frame = np.empty(len(order), np.int64)
     for frame, (first, last) in zip(frames, pairwise(bounds.tolist()), strict=True):
-        mine = order[first:last]
-        number_in_frame[mine] = np.arange(len(mine))
-        image = colmap.Image(
-            name=name_of(frame),
-            keypoints=tracks.image_points[mine] + PIXEL_CENTRE,
+        in_frame = order[first:last]
+        number_in_frame[in_frame] = np.arange(len(in_frame))
+        image = pycolmap_module.Image(
+            name=picture_name(frame),
+            keypoints=tracks.image_points[in_frame] + PIXEL_CENTRE,
             camera_id=CAMERA,
             image_id=frame + 1,
         )
-        pose = colmap.Rigid3d(np.linalg.inv(result.poses[frame])[:3])
+        pose = pycolmap_module.Rigid3d(np.linalg.inv(result.poses[frame])[:3])
         model.add_image_with_trivial_frame(image, pose)
     ends = np.searchsorted(tracks.points, np.arange(len(tracks) + 1))
     images, numbers = (tracks.frames + 1).tolist(), number_in_frame.tolist()
     for point, (first, last) in enumerate(pairwise(ends.tolist())):
-        seen = zip(images[first:last], numbers[first:last], strict=True)
-        track = colmap.Track([colmap.TrackElement(image, number) for image, number in seen])
+        elements = zip(images[first:last], numbers[first:last], strict=True)
+        track = pycolmap_module.Track(
+            [pycolmap_module.TrackElement(image, number) for image, number in elements]
+        )
         model.add_point3D(tracks.positions[point], track, tracks.colors[point])
     model.update_point_3d_errors()
     return model
 
 
-def _shifted(
-    progress: Callable[[int, int], None] | None, before: int, total: int
+def _offset_progress(
+    progress: Callable[[int, int], None] | None, finished_count: int, total: int
 ) -> Callable[[int, int], None] | None:
     """Return a function that reports the progress of one piece as progress of all."""
     if progress is None:
         return None
-    return lambda done, _: progress(before + done, total)
+    return lambda done, _: progress(finished_count + done, total)
 
 
 def write_model(
@@ -241,19 +243,19 @@ def write_model(
 def check_complete(model: Any, folder: Path, form: Form) -> None:
     """Raise OSError unless the files of a model have all bytes, or all lines."""
     if form != "text":
-        for name, size in _sizes(model).items():
-            _require((folder / name).stat().st_size == size, folder / name)
+        for name, size in _file_sizes(model).items():
+            _require_complete((folder / name).stat().st_size == size, folder / name)
     if form != "binary":
-        for name, rows in _rows(model).items():
-            _require(_rows_of(folder / name) == rows, folder / name)
+        for name, count in _line_counts(model).items():
+            _require_complete(_count_lines(folder / name) == count, folder / name)
 
 
-def _require(complete: bool, path: Path) -> None:
+def _require_complete(complete: bool, path: Path) -> None:
     if not complete:
         raise OSError(f"{path} was not written to its end: is the disk full?")
 
 
-def _sizes(model: Any) -> dict[str, int]:
+def _file_sizes(model: Any) -> dict[str, int]:
     """Return the lengths of the binary files, bytes. Each begins with a count of 8 bytes."""
     images = sum(
         4 + 56 + 4 + len(image.name) + 1 + 8 + 24 * image.num_points2D()
@@ -269,7 +271,7 @@ def _sizes(model: Any) -> dict[str, int]:
     }
 
 
-def _rows(model: Any) -> dict[str, int]:
+def _line_counts(model: Any) -> dict[str, int]:
     """Return the numbers of lines of the text files, without comments."""
     images = model.num_images()
     return {
@@ -281,7 +283,7 @@ def _rows(model: Any) -> dict[str, int]:
     }
 
 
-def _rows_of(path: Path) -> int:
+def _count_lines(path: Path) -> int:
     """Return the number of complete lines of a text file, without comments."""
     with path.open("rb") as file:
         return sum(line.endswith(b"\n") and not line.startswith(b"#") for line in file)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
-from tisfm.camera_file import NAME as CAMERA
+from tisfm.camera_file import NAME as CAMERA_FILE
 from tisfm.camera_file import read_camera, read_camera_record
 from tisfm.errors import InputError, OutOfRangeError
 from tisfm.folders.result_folder import make_subfolder
@@ -94,10 +94,10 @@ def frame_rate(
     """
     if frames_per_second is not None:
         return check_rate(frames_per_second)
-    known = [times[frame] for frame in frames]
-    if len(known) < 2 or not are_increasing(known):
+    selected_times = [times[frame] for frame in frames]
+    if len(selected_times) < 2 or not are_increasing(selected_times):
         return FRAME_RATE
-    period = float(np.median(np.diff(np.array(known, float))))
+    period = float(np.median(np.diff(np.array(selected_times, float))))
     return float(np.clip(1 / period, _MIN_RATE, _MAX_RATE))
 
 
@@ -150,11 +150,11 @@ def source_camera(export: ExportRequest) -> tuple[Camera, tuple[int, int]]:
     """
     if isinstance(export.frames, PairFrames):
         return export.frames.camera, export.frames.shape
-    file = export.frames.folder / CAMERA
+    file = export.frames.folder / CAMERA_FILE
     if not file.is_file():
         raise FileNotFoundError(
-            f"{export.frames.folder} has no {CAMERA}, so the lens of the frames is unknown: run "
-            "tisfm reconstruct again"
+            f"{export.frames.folder} has no {CAMERA_FILE}, so the lens of the frames is unknown: "
+            "run tisfm reconstruct again"
         )
     record = read_camera_record(file)
     return read_camera(file), (int(record["height"]), int(record["width"]))

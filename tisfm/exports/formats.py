@@ -17,16 +17,16 @@ from tisfm.exports.frame_maps import (
     MAX_VALUE,
     VALUES_PER_UNIT,
     DepthKind,
-    check_fits,
+    check_depth_range,
     frames_with_depth,
     write_depths,
     write_masks,
 )
-from tisfm.exports.model_folder import refuse_others
+from tisfm.exports.model_folder import refuse_foreign_files
 from tisfm.exports.nerfstudio import write_nerfstudio
 from tisfm.exports.surfaces import Suffix, save_points, write_meshes, write_points
 from tisfm.exports.trajectories import write_kitti_paths, write_tum_paths
-from tisfm.exports.undistortion import check_distorts, write_undistortion
+from tisfm.exports.undistortion import require_distortion, write_undistortion
 from tisfm.exports.video_file import check_video
 from tisfm.exports.videos import VideoKind, write_video
 from tisfm.focal_guess import at_size
@@ -41,8 +41,8 @@ from tisfm.trajectory.times import are_increasing
 def note_poses(export: ExportRequest) -> list[str]:
     """Note frames without a pose, and several pieces."""
     pieces = pieces_of(export.sequence, export.chosen)
-    without = len(export.chosen) - sum(map(len, pieces))
-    notes = [f"{_frames(without)} without a pose left out"] if without else []
+    missing_count = len(export.chosen) - sum(map(len, pieces))
+    notes = [f"{_count_text(missing_count)} without a pose left out"] if missing_count else []
     if len(pieces) > 1:
         sizes = ", ".join(str(len(piece)) for piece in pieces)
         notes.append(
@@ -55,8 +55,10 @@ def note_models(export: ExportRequest) -> list[str]:
     """Note frames without a model: without a pose, or in a piece of one frame."""
     pieces = [piece for piece in pieces_of(export.sequence, export.chosen) if len(piece) > 1]
     notes = []
-    if without := len(export.chosen) - sum(map(len, pieces)):
-        notes.append(f"{_frames(without)} without a pose, or in a piece of one frame, left out")
+    if missing_count := len(export.chosen) - sum(map(len, pieces)):
+        notes.append(
+            f"{_count_text(missing_count)} without a pose, or in a piece of one frame, left out"
+        )
     if len(pieces) > 1:
         sizes = ", ".join(str(len(piece)) for piece in pieces)
         notes.append(
@@ -68,15 +70,20 @@ def note_models(export: ExportRequest) -> list[str]:
 def note_largest(export: ExportRequest) -> list[str]:
     """Note frames outside the largest piece."""
     largest = max(map(len, pieces_of(export.sequence, export.chosen)))
-    without = len(export.chosen) - largest
-    return [f"only the largest piece; {_frames(without)} left out"] if without else []
+    missing_count = len(export.chosen) - largest
+    return (
+        [f"only the largest piece; {_count_text(missing_count)} left out"] if missing_count else []
+    )
 
 
 def note_times(export: ExportRequest) -> list[str]:
     """Note that frame numbers replace times."""
     if are_increasing(export.frames.times) or export.frames_per_second is not None:
         return []
-    return [f"{_without(export)}: frame numbers replace seconds; --fps sets the frames per second"]
+    return [
+        f"{_missing_times_reason(export)}: frame numbers replace seconds; --fps sets the frames "
+        "per second"
+    ]
 
 
 def note_rate(export: ExportRequest) -> list[str]:
@@ -84,7 +91,10 @@ def note_rate(export: ExportRequest) -> list[str]:
     known = are_increasing([export.frames.times[frame] for frame in export.chosen])
     if (known and len(export.chosen) > 1) or export.frames_per_second is not None:
         return []
-    return [f"{_without(export)}: {FRAME_RATE:g} per second are assumed; --fps sets another rate"]
+    return [
+        f"{_missing_times_reason(export)}: {FRAME_RATE:g} per second are assumed; --fps sets "
+        "another rate"
+    ]
 
 
 def note_lens(export: ExportRequest) -> list[str]:
@@ -109,14 +119,14 @@ def note_shutter(export: ExportRequest) -> list[str]:
 
 def note_depth(export: ExportRequest) -> list[str]:
     """Note frames without depth, and statuses that this version does not know."""
-    shown = frames_with_depth(export.frames, export.chosen)
-    without = len(export.chosen) - len(shown)
-    notes = [f"{_frames(without)} without depth left out"] if without else []
-    statuses = [export.frames.statuses[frame] for frame in shown]
+    numbers = frames_with_depth(export.frames, export.chosen)
+    missing_count = len(export.chosen) - len(numbers)
+    notes = [f"{_count_text(missing_count)} without depth left out"] if missing_count else []
+    statuses = [export.frames.statuses[frame] for frame in numbers]
     codes = [str(status) for status in statuses if status not in STATUSES]
     if codes:
         notes.append(
-            f"{_frames(len(codes))} with a status that this version does not know "
+            f"{_count_text(len(codes))} with a status that this version does not know "
             f"({', '.join(sorted(set(codes)))}): treat their depth as doubtful"
         )
     return notes
@@ -125,27 +135,29 @@ def note_depth(export: ExportRequest) -> list[str]:
 def note_scale(export: ExportRequest, kind: DepthKind) -> list[str]:
     """Note the scale of 16-bit depth, and the share of depth beyond its range."""
     scale = VALUES_PER_UNIT[kind]
-    beyond = check_fits(export.frames, frames_with_depth(export.frames, export.chosen), kind)
+    share_out_of_range = check_depth_range(
+        export.frames, frames_with_depth(export.frames, export.chosen), kind
+    )
     unit = "the unit of the path"
     if isinstance(export.frames, PairFrames):
         unit = "the unit of the poses" if export.frames.has_one_scale else "the unit of each pair"
     notes = [f"depth is value / {scale:g}, in {unit}"]
-    if beyond:
+    if share_out_of_range:
         notes.append(
-            f"about {np.ceil(1000 * beyond) / 10:g} % of it is beyond {MAX_VALUE / scale:.4g}, "
-            "and 0 in the files"
+            f"about {np.ceil(1000 * share_out_of_range) / 10:g} % of it is beyond "
+            f"{MAX_VALUE / scale:.4g}, and 0 in the files"
         )
     return notes
 
 
-def _without(export: ExportRequest) -> str:
+def _missing_times_reason(export: ExportRequest) -> str:
     """Return why the times of the frames are not used."""
     if any(export.frames.times[frame] is None for frame in export.chosen):
         return "frames have no times"
     return "frames have no times that rise"
 
 
-def _frames(count: int) -> str:
+def _count_text(count: int) -> str:
     return f"{count} frame{'s' * (count != 1)}"
 
 
@@ -192,7 +204,7 @@ def _depth(kind: DepthKind, bytes_per_pixel: float) -> Format:
             check_exr()
         _require_depth(export)
         if kind in VALUES_PER_UNIT:
-            check_fits(export.frames, frames_with_depth(export.frames, export.chosen), kind)
+            check_depth_range(export.frames, frames_with_depth(export.frames, export.chosen), kind)
 
     def describe(export: ExportRequest) -> list[str]:
         scale = note_scale(export, kind) if kind in VALUES_PER_UNIT else []
@@ -224,8 +236,8 @@ def _video(kind: VideoKind) -> Format:
             _require_depth(export)
 
     def describe(export: ExportRequest) -> list[str]:
-        without = [] if kind == "flow" else note_depth(export)
-        return [*note_rate(export), *without]
+        missing_count = [] if kind == "flow" else note_depth(export)
+        return [*note_rate(export), *missing_count]
 
     return Format(write=write, check=check, notes=describe, bytes_per_pixel=0.4)
 
@@ -273,7 +285,7 @@ def _undistortion(suffix: Literal["exr", "tiff"]) -> Format:
     def check(export: ExportRequest) -> None:
         if suffix == "exr":
             check_exr()
-        check_distorts(source_camera(export)[0])
+        require_distortion(source_camera(export)[0])
 
     return Format(write=write, check=check, notes=note_shutter)
 
@@ -285,7 +297,7 @@ def _model(
 ) -> Format:
     """Return a format whose files fill a folder of their own."""
 
-    def written(export: ExportRequest, progress: Progress) -> Files:
+    def write_files(export: ExportRequest, progress: Progress) -> Files:
         subfolder = export.folder / name
         write(export.sequence, subfolder, progress=progress)
         return [subfolder]
@@ -297,16 +309,16 @@ def _model(
             raise InputError(f"{name} exports all frames: leave out --start, --stop and --step")
         subfolder = export.folder / name
         if subfolder.exists():
-            refuse_others(subfolder)
+            refuse_foreign_files(subfolder)
 
-    return Format(write=written, check=check, notes=describe, bytes_per_pixel=0.5)
+    return Format(write=write_files, check=check, notes=describe, bytes_per_pixel=0.5)
 
 
 def _path(
     write: Callable[..., Files],
     describe: Callable[[ExportRequest], list[str]],
 ) -> Format:
-    def written(export: ExportRequest, progress: Progress) -> Files:
+    def write_files(export: ExportRequest, progress: Progress) -> Files:
         return write(
             export.sequence,
             export.folder,
@@ -315,7 +327,7 @@ def _path(
         )
 
     return Format(
-        write=written,
+        write=write_files,
         check=_require_poses,
         notes=lambda export: [*note_poses(export), *describe(export)],
     )

@@ -22,7 +22,7 @@ SAMPLED_FRAMES = 48
 SAMPLED_PIXELS = 20_000  # about, of each frame
 
 
-def some_of(frames: Sequence[int], count: int = SAMPLED_FRAMES) -> list[int]:
+def spread_frames(frames: Sequence[int], count: int = SAMPLED_FRAMES) -> list[int]:
     """Return at most `count` of the frames, evenly spread."""
     if len(frames) <= count:
         return list(frames)
@@ -42,7 +42,7 @@ def inverse_depth_ranges(
         groups.setdefault(frames.scale(frame)[0], []).append(frame)
     ranges = {}
     for group, members in groups.items():
-        samples = [_positive(frames, frame) for frame in some_of(members)]
+        samples = [_positive_samples(frames, frame) for frame in spread_frames(members)]
         values = np.concatenate(samples)
         ranges[group] = float(np.percentile(values, percentile)) if len(values) else 0.0
     return ranges
@@ -51,21 +51,21 @@ def inverse_depth_ranges(
 def speed_range(frames: ResultFrames, chosen: Sequence[int]) -> float:
     """Return the length of image motion, px, that 98 % of the sample stay below."""
     samples = []
-    for frame in some_of(chosen):
-        radius = flow_radius(thinned(frames.flow(frame))).ravel()
+    for frame in spread_frames(chosen):
+        radius = flow_radius(subsample_pixels(frames.flow(frame))).ravel()
         samples.append(radius[np.isfinite(radius)])
     values = np.concatenate(samples)
     return float(np.percentile(values, FLOW_PERCENTILE)) if len(values) else 0.0
 
 
-def thinned(values: np.ndarray) -> np.ndarray:
+def subsample_pixels(values: np.ndarray) -> np.ndarray:
     """Return about `SAMPLED_PIXELS` pixels of a map on a regular grid, (h, w) or (h, w, 2)."""
     step = max(1, int(np.sqrt(values.shape[0] * values.shape[1] / SAMPLED_PIXELS)))
     return values[step // 2 :: step, step // 2 :: step]
 
 
-def _positive(frames: ResultFrames, frame: int) -> np.ndarray:
-    values = thinned(frames.inverse_depth(frame)).ravel() / frames.scale(frame)[1]
+def _positive_samples(frames: ResultFrames, frame: int) -> np.ndarray:
+    values = subsample_pixels(frames.inverse_depth(frame)).ravel() / frames.scale(frame)[1]
     return np.asarray(values[np.isfinite(values) & (values > 0)])
 
 
@@ -73,7 +73,7 @@ DepthKind = Literal["tum", "kitti", "exr", "tiff", "pfm", "dpt"]
 Progress = Callable[[int, int], None]
 VALUES_PER_UNIT = {"tum": 5000.0, "kitti": 256.0}  # as the datasets of these names define
 MAX_VALUE = 65535  # of a 16-bit file
-_MAX_BEYOND = 0.5  # share of depth beyond the range from which an export is refused; set by hand
+_MAX_SHARE_OUT_OF_RANGE = 0.5  # of depth; with a larger share an export is refused; set by hand
 _MIN_MEDIAN_VALUE = 10  # median value below which steps of depth are too coarse; set by hand
 SUFFIXES = {"tum": ".png", "kitti": ".png", "exr": ".exr", "tiff": ".tiff", "pfm": ".pfm",
             "dpt": ".dpt"}  # fmt: skip
@@ -129,16 +129,16 @@ def write_depths(
     """
     if kind == "exr":
         check_exr()
-    with_depth = frames_with_depth(frames, chosen)
+    numbers = frames_with_depth(frames, chosen)
     if kind in VALUES_PER_UNIT:
-        check_fits(frames, with_depth, kind)
+        check_depth_range(frames, numbers, kind)
     names, written = file_names(frames.names), []
-    for done, frame in enumerate(with_depth, 1):
+    for done, frame in enumerate(numbers, 1):
         file = Path(folder) / f"{names[frame]}{SUFFIXES[kind]}"
-        _write(file, kind, depth_of(frames.inverse_depth(frame)))
+        _write(file, kind, depth_from_inverse(frames.inverse_depth(frame)))
         written.append(file)
         if progress is not None:
-            progress(done, len(with_depth))
+            progress(done, len(numbers))
     return written
 
 
@@ -150,36 +150,40 @@ def frames_with_depth(frames: ResultFrames, chosen: Iterable[int] | None = None)
     return with_depth
 
 
-def check_fits(frames: ResultFrames, chosen: list[int], kind: DepthKind) -> float:
+def check_depth_range(frames: ResultFrames, chosen: list[int], kind: DepthKind) -> float:
     """Return the share of depth that 16 bits cannot hold, estimated from some of the frames.
 
     Raises ValueError if it is more than half, or if the median depth has a value below 10, so that
     steps are coarse.
     """
     scale = VALUES_PER_UNIT[kind]
-    depth = [depth_of(thinned(frames.inverse_depth(frame))) for frame in some_of(chosen)]
-    values = np.concatenate([one[np.isfinite(one)] for one in depth])
+    depth = [
+        depth_from_inverse(subsample_pixels(frames.inverse_depth(frame)))
+        for frame in spread_frames(chosen)
+    ]
+    values = np.concatenate([part[np.isfinite(part)] for part in depth])
     if not len(values):
         return 0.0
-    beyond = float((values * scale > MAX_VALUE + 0.5).mean())
+    share_out_of_range = float((values * scale > MAX_VALUE + 0.5).mean())
     median = float(np.median(values))
     range_text = (
         f"a file of {scale:g} values per unit holds {10 / scale:g} to {MAX_VALUE / scale:.4g}"
     )
     advice = f"{frames.unit_advice}, or take depth-exr, depth-tiff, depth-pfm or depth-dpt"
-    if beyond > _MAX_BEYOND:
+    if share_out_of_range > _MAX_SHARE_OUT_OF_RANGE:
         raise InputError(
-            f"depth in {frames.folder} is {median:.4g} in the median, and {100 * beyond:.3g} % of "
-            f"it is beyond {MAX_VALUE / scale:.4g}, but {range_text}: {advice}"
+            f"the median depth in {frames.folder} is {median:.4g}, and "
+            f"{100 * share_out_of_range:.3g} % of the depth is beyond {MAX_VALUE / scale:.4g}, but "
+            f"{range_text}: {advice}"
         )
     if median * scale < _MIN_MEDIAN_VALUE:
         raise InputError(
-            f"depth in {frames.folder} is {median:.3g} in the median, but {range_text}: {advice}"
+            f"the median depth in {frames.folder} is {median:.3g}, but {range_text}: {advice}"
         )
-    return beyond
+    return share_out_of_range
 
 
-def depth_of(inverse_depth: NDArray[np.float32]) -> NDArray[np.float32]:
+def depth_from_inverse(inverse_depth: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return depth, (H, W) float32; NaN for no depth."""
     depth = np.full_like(inverse_depth, np.nan)
     with np.errstate(over="ignore"):
@@ -218,7 +222,7 @@ def write_masks(
         For a reconstruction with ``motion="objects"``: ``at-rest`` has the static scene in white,
         ``object-1`` and so on the moving object of this id. For pairs: ``visible`` has the pixels
         in white that are visible in the next frame; with ``motion="objects"``, ``motion-0`` and so
-        on the pixels with this motion, whose number is valid in the pair alone.
+        on the pixels with this motion, whose numbers have no meaning in other pairs.
     folder : path
         It has to exist. Folders have the names of the masks, files the names of the frames.
     chosen : iterable of int, optional

@@ -1,4 +1,8 @@
-"""Positions of points of one frame in another: predicted by depth and pose, measured in images."""
+"""Positions of points of one frame in another: predicted by depth and pose, measured in images.
+
+The tracker of the reconstruction cannot replace this: it follows points from frame to frame, and
+its tracks end within tens of frames. Here depth and poses lead to points in keyframes far apart.
+"""
 
 from dataclasses import dataclass
 
@@ -10,17 +14,17 @@ from tisfm.checks import Floats
 from tisfm.reconstruction.tracks.tracker import BORDER
 
 # Set by hand. The first five are parameters of the Lucas-Kanade search of OpenCV.
-WINDOW = 13  # px, width of the window
-LEVELS = 2  # pyramid levels above the frame itself
-ITERATIONS = 20
+WINDOW_WIDTH = 13  # px, width of the window
+PYRAMID_LEVELS = 2  # pyramid levels above the frame itself
+MAX_ITERATIONS = 20
 MIN_STEP = 0.005  # px, of the last iteration
 MIN_GRADIENT = 1e-4  # least eigenvalue of the window, in the unit of OpenCV
-MAX_RETURN = 0.3  # px between a point and its match, matched back
+MAX_RETURN_ERROR = 0.3  # px between a point and its match, matched back
 MAX_CORRECTION = 10.0  # px between prediction and match, in frames of 640 px
 MIN_CORRELATION = 0.85  # of the patches around a match
-PATCH = 11  # px, width of a patch
-MIN_POWER = 1e-6  # squared grey levels: a patch with less has no texture
-MAX_STD = 0.15  # px, of a match, estimated from the difference of the patches
+PATCH_WIDTH = 11  # px, width of a patch
+MIN_PATCH_POWER = 1e-6  # squared grey levels: a patch with less has no texture
+MAX_MATCH_STD = 0.15  # px, of a match, estimated from the difference of the patches
 BRIGHTNESS_WINDOW = 31  # px, over which both frames are given the same mean brightness
 SURFACE_WINDOW = 9  # px around a point that belongs to one surface
 MAX_DEPTH_STEP = 0.15  # relative difference of inverse depth in that window
@@ -28,7 +32,7 @@ MIN_DEPTH = 1e-6  # least Z of a visible point, as a share of its depth in the f
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pose:
+class PosedCamera:
     """A camera and its pose."""
 
     camera: Camera  # a pinhole
@@ -42,8 +46,8 @@ def measure_points(
     # (N, 2) float64: (x, y) in frame 0, px from the centre of the upper left pixel
     points: np.ndarray,
     inverse_depth: np.ndarray,  # (H, W) float32: inverse depth of frame 0; NaN if unknown
-    pose0: Pose,
-    pose1: Pose,
+    pose0: PosedCamera,
+    pose1: PosedCamera,
 ) -> np.ndarray:
     """Return the positions in frame 1 of points of frame 0, (N, 2) float64; NaN if not found.
 
@@ -60,26 +64,26 @@ def measure_points(
     height, width = grey0.shape
     result = np.full((len(points), 2), np.nan)
     warp = _warp(inverse_depth, pose0, pose1)
-    predicted = _sampled(warp, points)
-    seen = _inside(predicted, grey1.shape)
-    if not seen.any():
+    predicted = _interpolate(warp, points)
+    is_visible = _inside(predicted, grey1.shape)
+    if not is_visible.any():
         return result
     x, y = cv2.split(warp)
     warped = cv2.remap(grey1, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    warped = _with_brightness_of(warped, grey0)
-    start = points[seen]
-    near, found = _match(grey0, warped, start)
-    back, returned = _match(warped, grey0, near)
+    warped = _match_brightness(warped, grey0)
+    start = points[is_visible]
+    matches, is_found = _match(grey0, warped, start)
+    returned_points, is_returned = _match(warped, grey0, matches)
     limit = MAX_CORRECTION * max(height, width) / 640
-    found &= returned & (np.hypot(*(back - start).T) < MAX_RETURN)
-    found &= np.hypot(*(near - start).T) < limit
-    found &= _inside(near, grey0.shape)
-    there = np.full_like(near, np.nan)
-    there[found] = _sampled(warp, near[found])
-    found &= _inside(there, grey1.shape)
-    found[found] = are_reliable(grey0, warped, start[found], near[found])
-    there[~found] = np.nan
-    result[seen] = there
+    is_found &= is_returned & (np.hypot(*(returned_points - start).T) < MAX_RETURN_ERROR)
+    is_found &= np.hypot(*(matches - start).T) < limit
+    is_found &= _inside(matches, grey0.shape)
+    positions = np.full_like(matches, np.nan)
+    positions[is_found] = _interpolate(warp, matches[is_found])
+    is_found &= _inside(positions, grey1.shape)
+    is_found[is_found] = are_reliable(grey0, warped, start[is_found], matches[is_found])
+    positions[~is_found] = np.nan
+    result[is_visible] = positions
     return result
 
 
@@ -101,26 +105,28 @@ def are_reliable(
         return np.zeros(0, bool)
     first, second = _patches(grey0, points0), _patches(grey1, points1)
     power = (first**2).sum(axis=(1, 2))
-    size = np.sqrt(power * (second**2).sum(axis=(1, 2)))
-    correlation = (first * second).sum(axis=(1, 2)) / np.maximum(size, MIN_POWER)
-    noise = 2 * (1 - correlation) * power / PATCH**2  # of both patches, after equal contrast
+    norm = np.sqrt(power * (second**2).sum(axis=(1, 2)))
+    correlation = (first * second).sum(axis=(1, 2)) / np.maximum(norm, MIN_PATCH_POWER)
+    noise = 2 * (1 - correlation) * power / PATCH_WIDTH**2  # of both patches, after equal contrast
     down, across = np.gradient(first, axis=(1, 2))
     xx, xy, yy = ((a * b).sum(axis=(1, 2)) for a, b in ((across,) * 2, (across, down), (down,) * 2))
-    least = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
-    least -= PATCH**2 * noise / 4  # the part that noise adds to the squares of central differences
-    return np.asarray((correlation > MIN_CORRELATION) & (noise < MAX_STD**2 * least))
+    min_eigenvalue = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
+    min_eigenvalue -= (
+        PATCH_WIDTH**2 * noise / 4
+    )  # the part that noise adds to the squares of central differences
+    return np.asarray((correlation > MIN_CORRELATION) & (noise < MAX_MATCH_STD**2 * min_eigenvalue))
 
 
 def is_smooth(inverse_depth: np.ndarray) -> np.ndarray:
     """Return the pixels whose neighbourhood is one surface, (H, W) bool."""
-    known = np.nan_to_num(inverse_depth, nan=0.0, posinf=0.0, neginf=0.0)
+    finite_inverse = np.nan_to_num(inverse_depth, nan=0.0, posinf=0.0, neginf=0.0)
     box = np.ones((SURFACE_WINDOW, SURFACE_WINDOW), np.uint8)
-    most, least = cv2.dilate(known, box), cv2.erode(known, box)
-    return np.asarray(most - least <= MAX_DEPTH_STEP * known)
+    largest, smallest = cv2.dilate(finite_inverse, box), cv2.erode(finite_inverse, box)
+    return np.asarray(largest - smallest <= MAX_DEPTH_STEP * finite_inverse)
 
 
 def points_in_world(
-    points: np.ndarray, inverse_depth: np.ndarray, pose: Pose, shape: tuple[int, int]
+    points: np.ndarray, inverse_depth: np.ndarray, pose: PosedCamera, shape: tuple[int, int]
 ) -> Floats:
     """Return the points of the world at pixels of a frame, (N, 3), from inverse depth, (N,)."""
     rays = (points - pose.camera.center_for(*shape)) / pose.camera.focal
@@ -128,7 +134,7 @@ def points_in_world(
     return np.asarray(local @ pose.matrix[:3, :3].T + pose.matrix[:3, 3])
 
 
-def _warp(inverse_depth: np.ndarray, pose0: Pose, pose1: Pose) -> np.ndarray:
+def _warp(inverse_depth: np.ndarray, pose0: PosedCamera, pose1: PosedCamera) -> np.ndarray:
     """Return the positions in frame 1 of all pixels of frame 0, (H, W, 2) float32.
 
     Invisible points get positions far outside. Pixels without depth count as infinitely far.
@@ -140,21 +146,23 @@ def _warp(inverse_depth: np.ndarray, pose0: Pose, pose1: Pose) -> np.ndarray:
     y = ((np.arange(height) - cy) / pose0.camera.focal).astype(np.float32)[:, None]
     inverse = np.nan_to_num(inverse_depth, nan=0.0, posinf=0.0, neginf=0.0)
     rows = motion[:3].astype(np.float32)
-    far = np.float32(-4 * (height + width))
-    seen_x, seen_y, z = (row[0] * x + row[1] * y + row[2] + row[3] * inverse for row in rows)
-    before = z > MIN_DEPTH
-    z = np.where(before, z, 1)
+    outside = np.float32(-4 * (height + width))
+    moved_x, moved_y, z = (row[0] * x + row[1] * y + row[2] + row[3] * inverse for row in rows)
+    in_front = z > MIN_DEPTH
+    z = np.where(in_front, z, 1)
     cx, cy = pose1.camera.center_for(height, width)
     focal = np.float32(pose1.camera.focal)
     warp = [
-        np.where(before, seen * (focal / z) + np.float32(center), far)
-        for seen, center in ((seen_x, cx), (seen_y, cy))
+        np.where(in_front, position * (focal / z) + np.float32(center), outside)
+        for position, center in ((moved_x, cx), (moved_y, cy))
     ]
-    clipped = [np.clip(position, far, -far) for position in warp]  # OpenCV needs a limited range
+    clipped = [
+        np.clip(position, outside, -outside) for position in warp
+    ]  # OpenCV needs a limited range
     return np.asarray(cv2.merge(clipped))
 
 
-def _with_brightness_of(warped: np.ndarray, grey: np.ndarray) -> np.ndarray:
+def _match_brightness(warped: np.ndarray, grey: np.ndarray) -> np.ndarray:
     """Return a frame with the local mean brightness of another, (H, W) uint8."""
     size = (BRIGHTNESS_WINDOW, BRIGHTNESS_WINDOW)
     first, second = (image.astype(np.float32) for image in (warped, grey))
@@ -169,17 +177,17 @@ def _match(
     if not len(points):
         return points, np.zeros(0, bool)
     start = points.astype(np.float32)
-    found, seen, _ = cv2.calcOpticalFlowPyrLK(
+    matches, status, _ = cv2.calcOpticalFlowPyrLK(
         grey0,
         grey1,
         start,
         start.copy(),
-        winSize=(WINDOW, WINDOW),
-        maxLevel=LEVELS,
-        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, ITERATIONS, MIN_STEP),
+        winSize=(WINDOW_WIDTH, WINDOW_WIDTH),
+        maxLevel=PYRAMID_LEVELS,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, MAX_ITERATIONS, MIN_STEP),
         minEigThreshold=MIN_GRADIENT,
     )
-    return found.astype(np.float64), seen[:, 0] > 0
+    return matches.astype(np.float64), status[:, 0] > 0
 
 
 def _inside(points: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -190,15 +198,15 @@ def _inside(points: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 def _patches(grey: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return patches around points, without their means, (N, PATCH, PATCH) float32."""
-    offsets = np.arange(PATCH, dtype=np.float32) - PATCH // 2
+    offsets = np.arange(PATCH_WIDTH, dtype=np.float32) - PATCH_WIDTH // 2
     dx, dy = (grid.ravel() for grid in np.meshgrid(offsets, offsets))
     x, y = (points[:, k, None].astype(np.float32) + d for k, d in enumerate((dx, dy)))
-    patches = _remapped(grey, x, y).astype(np.float32)
+    patches = _remap_in_batches(grey, x, y).astype(np.float32)
     patches -= patches.mean(axis=1, keepdims=True)
-    return np.asarray(patches.reshape(-1, PATCH, PATCH))
+    return np.asarray(patches.reshape(-1, PATCH_WIDTH, PATCH_WIDTH))
 
 
-def _sampled(warp: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _interpolate(warp: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Interpolate a map, (H, W, 2), at points bilinearly, (N, 2) float64."""
     if not len(points):
         return np.empty((0, 2))
@@ -210,7 +218,7 @@ def _sampled(warp: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.asarray((1 - y) * above + y * below)
 
 
-def _remapped(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _remap_in_batches(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return an image at (N, M) positions, for any N: OpenCV accepts at most 32767 rows."""
     rows = 2**14
     parts = [

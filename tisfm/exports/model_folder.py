@@ -28,9 +28,9 @@ NEW, EARLIER = ".tisfm-new", ".tisfm-earlier"
 
 
 @contextmanager
-def renewed_export(
+def replaced_export(
     folder: str | PathLike[str],  # made if it does not exist
-    about: dict[str, Any],  # contents of ``export.json``; the block may add to it
+    record: dict[str, Any],  # contents of ``export.json``; the block may add to it
 ) -> Iterator[Path]:
     """Yield a new folder to write an export to; it replaces the earlier export when the block ends.
 
@@ -41,29 +41,29 @@ def renewed_export(
 
     Raises OSError if the folder cannot be made or written to, or another run writes to it.
     """
-    is_new = not Path(folder).exists()
+    is_new_folder = not Path(folder).exists()
     path = make_result_folder(folder)
     try:
-        with _renewed(path, about) as new:
+        with _new_folder(path, record) as new:
             yield new
     except BaseException:
-        if is_new:
+        if is_new_folder:
             with suppress(OSError):  # the folder has other files by now
                 path.rmdir()
         raise
 
 
 @contextmanager
-def _renewed(path: Path, about: dict[str, Any]) -> Iterator[Path]:
+def _new_folder(path: Path, record: dict[str, Any]) -> Iterator[Path]:
     """Yield the new folder inside a folder that exists."""
     with locked_folder(path):
-        refuse_others(path)
+        refuse_foreign_files(path)
         remove(path / NEW)
         (path / NEW).mkdir()
         try:
             yield path / NEW
             with atomic_write(path / NEW / RECORD, durable=True) as file:
-                file.write(json.dumps({"format": FORMAT, **about}, indent=1).encode())
+                file.write(json.dumps({"format": FORMAT, **record}, indent=1).encode())
         except BaseException:
             shutil.rmtree(path / NEW, ignore_errors=True)
             raise
@@ -74,15 +74,15 @@ def _exchange(path: Path) -> None:
     """Replace the earlier export by the new one; ``export.json`` goes first and comes last."""
     remove(path / EARLIER)
     (path / EARLIER).mkdir()
-    moved: list[str] = []
+    moved_names: list[str] = []
     try:
         _move(path, path / EARLIER, PARTS)
         for name in reversed(PARTS):
             if os.path.lexists(path / NEW / name):
-                moved.append(name)
+                moved_names.append(name)
                 (path / NEW / name).replace(path / name)
     except BaseException:
-        for name in moved:
+        for name in moved_names:
             remove(path / name)
         _move(path / EARLIER, path, PARTS[::-1])
         shutil.rmtree(path / NEW, ignore_errors=True)
@@ -98,25 +98,25 @@ def _move(source: Path, target: Path, names: Iterable[str]) -> None:
             (source / name).replace(target / name)
 
 
-def refuse_others(path: Path) -> None:
+def refuse_foreign_files(path: Path) -> None:
     """Raise FileExistsError if a folder holds files that are not of an export."""
-    there = {item.name for item in path.iterdir() if not is_temporary(item.name)} - {
+    names = {item.name for item in path.iterdir() if not is_temporary(item.name)} - {
         LOCK,
         *_SYSTEM_FILES,
     }
-    ours = {RECORD, NEW, EARLIER} & there
-    others = sorted(there - {NEW, EARLIER} - set(PARTS if ours else ()))
-    if others:
+    own_names = {RECORD, NEW, EARLIER} & names
+    foreign = sorted(names - {NEW, EARLIER} - set(PARTS if own_names else ()))
+    if foreign:
         raise FileExistsError(
-            f"{path} has other files, such as {others[0]}: give a new folder, or an empty one"
+            f"{path} has other files, such as {foreign[0]}: give a new folder, or an empty one"
         )
 
 
 Images = Literal["copy", "link", "none"]
-AT_REST = 255  # level of the static scene in a mask
+STATIC_LEVEL = 255  # level of the static scene in a mask
 
 
-def name_of(frame: int) -> str:
+def picture_name(frame: int) -> str:
     """Return the file name of a frame, as in the folder of the reconstruction."""
     return f"{frame:06d}.jpg"
 
@@ -145,10 +145,13 @@ def write_pictures(
     """
     folder.mkdir()
     for frame in frames:
-        picture_of(result, frame)
-        source, target = result.folder / PICTURES / name_of(frame), folder / name_of(frame)
-        take = link_or_copy if images == "link" else copy_file
-        take(source, target)
+        read_checked_picture(result, frame)
+        source, target = (
+            result.folder / PICTURES / picture_name(frame),
+            folder / picture_name(frame),
+        )
+        copy = link_or_copy if images == "link" else copy_file
+        copy(source, target)
 
 
 def write_masks(result: Reconstruction, frames: Sequence[int], folder: Path, suffix: str) -> None:
@@ -165,11 +168,11 @@ def write_masks(result: Reconstruction, frames: Sequence[int], folder: Path, suf
     """
     folder.mkdir()
     for frame in frames:
-        at_rest = np.where(result.labels(frame) == 0, AT_REST, 0).astype(np.uint8)
-        write_png(folder / Path(name_of(frame)).with_suffix(suffix), at_rest)
+        mask = np.where(result.labels(frame) == 0, STATIC_LEVEL, 0).astype(np.uint8)
+        write_png(folder / Path(picture_name(frame)).with_suffix(suffix), mask)
 
 
-def picture_of(result: Reconstruction, frame: int) -> np.ndarray:
+def read_checked_picture(result: Reconstruction, frame: int) -> np.ndarray:
     """Return the picture of a frame, (H, W) or (H, W, 3) RGB uint8.
 
     Raises FileNotFoundError, tisfm.formats.FormatError if the file is missing or damaged, or its

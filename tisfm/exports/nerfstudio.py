@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tisfm.errors import InputError
-from tisfm.exports.colmap import ExportedModel, pieces_of, summary_of
+from tisfm.exports.colmap import ExportedModel, model_summary, pieces_of
 from tisfm.exports.model_folder import (
     IMAGES,
     MASKS,
@@ -19,8 +19,8 @@ from tisfm.exports.model_folder import (
     Images,
     check_images,
     has_masks,
-    name_of,
-    renewed_export,
+    picture_name,
+    replaced_export,
     write_masks,
     write_pictures,
 )
@@ -31,8 +31,8 @@ from tisfm.reconstruction.mapping.database import PIXEL_CENTRE
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 # From the axes of a reconstruction, Y down, to a world with Z up.
-WORLD = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-OPENGL = np.diag([1.0, -1, -1, 1])  # axes of a camera: X right, Y up, Z backward
+TO_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+OPENGL_AXES = np.diag([1.0, -1, -1, 1])  # axes of a camera: X right, Y up, Z backward
 
 
 def write_nerfstudio(
@@ -103,38 +103,38 @@ def write_nerfstudio(
             f"piece is {chosen}: expected one of several frames, {', '.join(map(str, pieces))}"
         )
     frames = pieces[chosen]
-    about: dict[str, Any] = {"kind": "nerfstudio", "version": reconstruction.version}
-    with renewed_export(folder, about) as new:
+    record: dict[str, Any] = {"kind": "nerfstudio", "version": reconstruction.version}
+    with replaced_export(folder, record) as new:
         tracks = measured_tracks(reconstruction, chosen, spacing=spacing, progress=progress)
         cloud = PointCloud(
-            positions=(tracks.positions @ WORLD[:3, :3].T).astype(np.float32),
+            positions=(tracks.positions @ TO_Z_UP[:3, :3].T).astype(np.float32),
             colors=tracks.colors,
             confidence=np.ones(len(tracks), np.float32),
         )
         cloud.save(new / POINTS)
         with atomic_write(new / TRANSFORMS) as file:
-            file.write(json.dumps(_transforms(reconstruction, frames), indent=1).encode())
+            file.write(json.dumps(_transforms_record(reconstruction, frames), indent=1).encode())
         if images != "none":
             write_pictures(reconstruction, frames, new / IMAGES, images)
         if has_masks(reconstruction):
             write_masks(reconstruction, frames, new / MASKS, ".png")
-        written = summary_of(TRANSFORMS, chosen, frames, tracks)
-        about["models"] = [asdict(written)]
-    return written
+        model = model_summary(TRANSFORMS, chosen, frames, tracks)
+        record["models"] = [asdict(model)]
+    return model
 
 
-def _transforms(result: Reconstruction, frames: list[int]) -> dict[str, Any]:
+def _transforms_record(result: Reconstruction, frames: list[int]) -> dict[str, Any]:
     """Return the contents of ``transforms.json``."""
     height, width = result.shape
     focal = result.camera.focal
     cx, cy = result.camera.center_for(height, width)
     entries = []
     for frame in frames:
-        name = name_of(frame)
+        name = picture_name(frame)
         entry: dict[str, Any] = {"file_path": f"{IMAGES}/{name}"}
         if has_masks(result):
             entry["mask_path"] = f"{MASKS}/{name.removesuffix('.jpg')}.png"
-        entry["transform_matrix"] = (WORLD @ result.poses[frame] @ OPENGL).tolist()
+        entry["transform_matrix"] = (TO_Z_UP @ result.poses[frame] @ OPENGL_AXES).tolist()
         entries.append(entry)
     return {
         "camera_model": "PINHOLE",
@@ -146,7 +146,7 @@ def _transforms(result: Reconstruction, frames: list[int]) -> dict[str, Any]:
         "h": height,
         "camera_angle_x": 2 * math.atan(width / (2 * focal)),
         "camera_angle_y": 2 * math.atan(height / (2 * focal)),
-        "applied_transform": WORLD[:3].tolist(),
+        "applied_transform": TO_Z_UP[:3].tolist(),
         "ply_file_path": POINTS,
         "frames": entries,
     }

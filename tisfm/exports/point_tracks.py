@@ -7,23 +7,23 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tisfm.exports.guided_matching import are_reliable, is_smooth, measure_points, points_in_world
-from tisfm.exports.observations import PieceFrames, SeenPoints, consistent_points
+from tisfm.exports.observations import ObservedPoints, PieceFrames, consistent_points
 from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS
 from tisfm.reconstruction.tracks.tracker import Observations, Tracker, choose_new_points
 from tisfm.reconstruction.tracks.triangulation import triangulate_tracks
 
 # Set by hand.
 NEIGHBOUR_KEYFRAMES = 4  # to either side of a keyframe, besides all frames up to the next keyframe
-MAX_GAP = 120  # frames to either side of a keyframe
+MAX_FRAME_DISTANCE = 120  # frames to either side of a keyframe
 DISTANT_KEYFRAMES = 4  # further keyframes that see the same points
 MIN_SHARED = 0.5  # share of the points of a keyframe that such a keyframe sees
 MAX_DISTANCE_RATIO = 1.6  # between views of a point: beyond it the point looks different
 SAMPLED_POINTS = 64  # that decide which keyframes see the same points
-FEW_POINTS = 150  # of a frame other than a keyframe: with fewer, points begin there as well
+MIN_POINTS = 150  # of a frame other than a keyframe: with fewer, points begin there as well
 NEIGHBOUR_STEPS = (1, 2, 3, 4, 6, 8, 12)  # frames to either side that such a frame is matched with
 MAX_RELATIVE_STD = 0.3  # of inverse depth that predicts positions
 
-Others = Callable[[int, np.ndarray, np.ndarray], list[int]]
+FrameChooser = Callable[[int, np.ndarray, np.ndarray], list[int]]
 
 
 class DepthTracks:
@@ -38,29 +38,29 @@ class DepthTracks:
         self._frames, self._cells = frames, cells
         self._observed: dict[int, list[np.ndarray]] = {frame: [] for frame in frames.numbers}
 
-    def find(self, progress: Callable[[int, int], None]) -> list[SeenPoints]:
+    def find(self, progress: Callable[[int, int], None]) -> list[ObservedPoints]:
         """Return the points of all frames; `progress` receives finished frames and all frames."""
         numbers, keyframes = self._frames.numbers, self._frames.keyframes
-        found = []
+        groups = []
         for frame in keyframes:
-            found += self._begin_in(frame, self._frames_of_keyframe)
+            groups += self._start_points(frame, self._frames_of_keyframe)
             progress(frame - numbers[0] + 1, len(numbers))
         for frame in sorted(set(numbers) - set(keyframes)):
-            if sum(map(len, self._observed[frame])) < FEW_POINTS:
-                found += self._begin_in(frame, self._neighbours)
+            if sum(map(len, self._observed[frame])) < MIN_POINTS:
+                groups += self._start_points(frame, self._neighbours)
         progress(len(numbers), len(numbers))
-        return found
+        return groups
 
-    def _begin_in(self, frame: int, others: Others) -> list[SeenPoints]:
+    def _start_points(self, frame: int, choose_frames: FrameChooser) -> list[ObservedPoints]:
         """Begin points in free cells of a frame, and find them in other frames."""
         frames, result = self._frames, self._frames.result
         inverse_depth = result.inverse_depth(frame)
         with np.errstate(invalid="ignore", divide="ignore"):
             relative_std = result.inverse_depth_std(frame) / inverse_depth
-            trusted = (inverse_depth > 0) & (relative_std < MAX_RELATIVE_STD)
-        trusted &= frames.usable(frame) & is_smooth(inverse_depth)
-        observed = np.vstack([np.empty((0, 2)), *self._observed[frame]])
-        points = choose_new_points(frames.grey(frame), observed, ~trusted, self._cells)
+            is_reliable = (inverse_depth > 0) & (relative_std < MAX_RELATIVE_STD)
+        is_reliable &= frames.usable_pixels(frame) & is_smooth(inverse_depth)
+        occupied = np.vstack([np.empty((0, 2)), *self._observed[frame]])
+        points = choose_new_points(frames.grey(frame), occupied, ~is_reliable, self._cells)
         if not len(points):
             return []
         column, row = points.astype(np.intp).T
@@ -68,26 +68,31 @@ class DepthTracks:
             values[row, column].astype(float) for values in (inverse_depth, relative_std)
         )
         positions = points_in_world(points, inverse, frames.pose(frame), result.shape)
-        seen_by = [frame, *(k for k in others(frame, positions, 1 / inverse) if k != frame)]
-        elsewhere = [self._positions_in(frame, k, points, inverse_depth) for k in seen_by[1:]]
-        image_points = np.stack([points, *elsewhere], axis=1)
-        poses = [frames.pose(k) for k in seen_by]
-        kept, image_points, estimate = consistent_points(
+        observers = [
+            frame,
+            *(k for k in choose_frames(frame, positions, 1 / inverse) if k != frame),
+        ]
+        positions_elsewhere = [
+            self._measure_in(frame, k, points, inverse_depth) for k in observers[1:]
+        ]
+        image_points = np.stack([points, *positions_elsewhere], axis=1)
+        poses = [frames.pose(k) for k in observers]
+        is_kept, image_points, estimate = consistent_points(
             image_points, poses, result.shape, positions, std, frames.min_observations
         )
-        for number, observer in enumerate(seen_by):
-            there = image_points[np.isfinite(image_points[:, number, 0]), number]
-            self._observed[observer].append(there.astype(np.float32))
-        of_frame = SeenPoints(
-            frames=seen_by,
+        for number, observer in enumerate(observers):
+            observed_points = image_points[np.isfinite(image_points[:, number, 0]), number]
+            self._observed[observer].append(observed_points.astype(np.float32))
+        group = ObservedPoints(
+            frames=observers,
             image_points=image_points,
             positions=estimate.positions,
             residual=estimate.residual,
-            colors=frames.colors(frame, points[kept]),
+            colors=frames.colors(frame, points[is_kept]),
         )
-        return [of_frame]
+        return [group]
 
-    def _positions_in(
+    def _measure_in(
         self, frame: int, other: int, points: np.ndarray, inverse_depth: np.ndarray
     ) -> np.ndarray:
         """Return the positions of points in another frame, (N, 2); NaN if lost or moving."""
@@ -100,9 +105,9 @@ class DepthTracks:
             frames.pose(frame),
             frames.pose(other),
         )
-        seen = np.flatnonzero(np.isfinite(image_points[:, 0]))
-        column, row = np.rint(image_points[seen]).astype(np.intp).T
-        image_points[seen[~frames.usable(other)[row, column]]] = np.nan
+        found = np.flatnonzero(np.isfinite(image_points[:, 0]))
+        column, row = np.rint(image_points[found]).astype(np.intp).T
+        image_points[found[~frames.usable_pixels(other)[row, column]]] = np.nan
         return image_points
 
     def _frames_of_keyframe(
@@ -113,34 +118,34 @@ class DepthTracks:
         index = bisect_left(keyframes, frame)
         first = keyframes[index - 1] if index else numbers[0]
         last = keyframes[index + 1] if index + 1 < len(keyframes) else numbers[-1]
-        begin = bisect_left(numbers, max(first, frame - MAX_GAP))
-        end = bisect_right(numbers, min(last, frame + MAX_GAP))
-        neighbours = keyframes[
+        begin = bisect_left(numbers, max(first, frame - MAX_FRAME_DISTANCE))
+        end = bisect_right(numbers, min(last, frame + MAX_FRAME_DISTANCE))
+        nearby_keyframes = keyframes[
             max(0, index - NEIGHBOUR_KEYFRAMES) : index + NEIGHBOUR_KEYFRAMES + 1
         ]
-        near = {*numbers[begin:end], *neighbours}
-        return sorted(near | self._distant_keyframes(near, positions, depth))
+        nearby = {*numbers[begin:end], *nearby_keyframes}
+        return sorted(nearby | self._distant_keyframes(nearby, positions, depth))
 
     def _distant_keyframes(
-        self, near: set[int], positions: np.ndarray, depth: np.ndarray
+        self, neighbours: set[int], positions: np.ndarray, depth: np.ndarray
     ) -> set[int]:
         """Return distant keyframes that see most points, (N, 3), from similar distances, (N,)."""
         result, keyframes = self._frames.result, self._frames.keyframes
         count = min(SAMPLED_POINTS, len(positions))
         sample = np.linspace(0, len(positions) - 1, count).astype(np.intp)
         poses = result.poses[keyframes]
-        local = (positions[sample] - poses[:, None, :3, 3]) @ poses[:, :3, :3]
-        z = local[..., 2]
+        camera_points = (positions[sample] - poses[:, None, :3, 3]) @ poses[:, :3, :3]
+        z = camera_points[..., 2]
         height, width = result.shape
         with np.errstate(invalid="ignore", divide="ignore"):
-            image_points = local[..., :2] / z[..., None] * result.camera.focal
+            image_points = camera_points[..., :2] / z[..., None] * result.camera.focal
             image_points += result.camera.center_for(height, width)
-            seen = (z > 0) & (np.abs(np.log(z / depth[sample])) < np.log(MAX_DISTANCE_RATIO))
-        inside = ((image_points >= 0) & (image_points < (width, height))).all(axis=-1)
-        share = (seen & inside).mean(axis=1)
-        share[np.isin(keyframes, list(near))] = 0
-        best = np.argsort(-share, kind="stable")[:DISTANT_KEYFRAMES]
-        return {keyframes[k] for k in best if share[k] >= MIN_SHARED}
+            is_similar = (z > 0) & (np.abs(np.log(z / depth[sample])) < np.log(MAX_DISTANCE_RATIO))
+        is_inside = ((image_points >= 0) & (image_points < (width, height))).all(axis=-1)
+        visible_share = (is_similar & is_inside).mean(axis=1)
+        visible_share[np.isin(keyframes, list(neighbours))] = 0
+        candidates = np.argsort(-visible_share, kind="stable")[:DISTANT_KEYFRAMES]
+        return {keyframes[k] for k in candidates if visible_share[k] >= MIN_SHARED}
 
     def _neighbours(self, frame: int, positions: np.ndarray, depth: np.ndarray) -> list[int]:
         """Return frames before and after a frame, in the order of time."""
@@ -163,15 +168,17 @@ class _Group:
     # of every frame: (N, 2), NaN for a lost point
     image_points: list[np.ndarray] = field(default_factory=list)
 
-    def add(self, frame: int, seen: Observations) -> np.ndarray:
-        """Add the positions of tracks in a frame; return which of `seen` belong to the group."""
-        own = np.isin(seen.tracks, self.tracks)
+    def add(self, frame: int, observations: Observations) -> np.ndarray:
+        """Add the positions of tracks in a frame; return which observations are of the group."""
+        is_own = np.isin(observations.tracks, self.tracks)
         image_points = np.full((len(self.tracks), 2), np.nan)
-        image_points[np.searchsorted(self.tracks, seen.tracks[own])] = seen.points[own]
-        if own.any():
+        image_points[np.searchsorted(self.tracks, observations.tracks[is_own])] = (
+            observations.points[is_own]
+        )
+        if is_own.any():
             self.frames.append(frame)
             self.image_points.append(image_points)
-        return own
+        return is_own
 
 
 def tracks_along_flow(
@@ -180,12 +187,12 @@ def tracks_along_flow(
     cells: int,
     # called with the number of finished frames and of all frames
     progress: Callable[[int, int], None],
-) -> list[SeenPoints]:
+) -> list[ObservedPoints]:
     """Return points with parallax whose observations follow the image motion."""
-    points = []
+    groups = []
     for group in _groups(frames, cells, progress):
-        points += _points_of(frames, group)
-    return points
+        groups += _triangulated_group(frames, group)
+    return groups
 
 
 def _groups(
@@ -193,57 +200,65 @@ def _groups(
 ) -> Iterator[_Group]:
     """Track points through all frames; yield groups of tracks when they end."""
     active: list[_Group] = []
-    for count, (frame, seen) in enumerate(_tracked(frames, cells), start=1):
-        new = np.ones(len(seen.tracks), bool)
+    for count, (frame, observations) in enumerate(_tracks_of_frames(frames, cells), start=1):
+        is_new = np.ones(len(observations.tracks), bool)
         continued = []
         for group in active:
-            own = group.add(frame, seen)
-            if own.any() and len(group.frames) < MAX_LENGTH:
+            is_own = group.add(frame, observations)
+            if is_own.any() and len(group.frames) < MAX_LENGTH:
                 continued.append(group)
-                new &= ~own
+                is_new &= ~is_own
             else:
                 yield group
-        if new.any():
-            group = _Group(tracks=seen.tracks[new])
-            group.add(frame, seen)
+        if is_new.any():
+            group = _Group(tracks=observations.tracks[is_new])
+            group.add(frame, observations)
             continued.append(group)
         active = continued
         progress(count, len(frames.numbers))
     yield from active
 
 
-def _tracked(frames: PieceFrames, cells: int) -> Iterator[tuple[int, Observations]]:
+def _tracks_of_frames(frames: PieceFrames, cells: int) -> Iterator[tuple[int, Observations]]:
     """Yield frames and their tracks; a track ends where the images no longer look alike."""
     tracker = Tracker(frames.result.camera, TRACKING_SETTINGS, cells)
-    before, lost = None, np.empty(0, np.int64)
+    previous, lost_tracks = None, np.empty(0, np.int64)
     for frame, grey in zip(frames.numbers, map(frames.grey, frames.numbers), strict=True):
-        seen = tracker.track(grey, ~frames.usable(frame))
-        if before is not None:
-            earlier, before_seen = before
-            old, now = before_seen.common_tracks(seen)
-            reliable = are_reliable(earlier, grey, before_seen.points[old], seen.points[now])
-            lost = np.union1d(np.intersect1d(lost, seen.tracks), seen.tracks[now[~reliable]])
-        before = grey, seen
-        left = ~np.isin(seen.tracks, lost)
-        yield frame, seen.select(left)
+        observations = tracker.track(grey, ~frames.usable_pixels(frame))
+        if previous is not None:
+            previous_grey, previous_tracks = previous
+            previous_index, index = previous_tracks.common_tracks(observations)
+            reliable = are_reliable(
+                previous_grey,
+                grey,
+                previous_tracks.points[previous_index],
+                observations.points[index],
+            )
+            lost_tracks = np.union1d(
+                np.intersect1d(lost_tracks, observations.tracks),
+                observations.tracks[index[~reliable]],
+            )
+        previous = grey, observations
+        is_alive = ~np.isin(observations.tracks, lost_tracks)
+        yield frame, observations.select(is_alive)
 
 
-def _points_of(frames: PieceFrames, group: _Group) -> list[SeenPoints]:
+def _triangulated_group(frames: PieceFrames, group: _Group) -> list[ObservedPoints]:
     """Return the points on which the tracks of a group agree."""
     if len(group.frames) < frames.min_observations:
         return []
     image_points = np.stack(group.image_points, axis=1)
-    seen = [
-        Observations(points=there[known], tracks=group.tracks[known])
-        for there in group.image_points
-        for known in [np.isfinite(there[:, 0])]
+    observations = [
+        Observations(points=points_of_frame[is_known], tracks=group.tracks[is_known])
+        for points_of_frame in group.image_points
+        for is_known in [np.isfinite(points_of_frame[:, 0])]
     ]
     poses = [frames.pose(frame) for frame in group.frames]
     result = frames.result
     matrices = {k: pose.matrix for k, pose in enumerate(poses)}
-    initial = triangulate_tracks(seen, matrices, result.camera, result.shape)
-    before = (initial.positions - poses[0].matrix[:3, 3]) @ poses[0].matrix[:3, 2] > 0
-    initial = initial.select(initial.tracks[before])
+    initial = triangulate_tracks(observations, matrices, result.camera, result.shape)
+    in_front = (initial.positions - poses[0].matrix[:3, 3]) @ poses[0].matrix[:3, 2] > 0
+    initial = initial.select(initial.tracks[in_front])
     if not len(initial):
         return []
     image_points = image_points[np.searchsorted(group.tracks, initial.tracks)]
@@ -252,7 +267,7 @@ def _points_of(frames: PieceFrames, group: _Group) -> list[SeenPoints]:
         image_points, poses, result.shape, initial.positions, std, frames.min_observations
     )
     return [
-        SeenPoints(
+        ObservedPoints(
             frames=group.frames,
             image_points=image_points,
             positions=points.positions,

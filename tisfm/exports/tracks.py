@@ -7,11 +7,13 @@ import numpy as np
 
 from tisfm.checks import Floats
 from tisfm.errors import InputError
-from tisfm.exports.observations import PieceFrames, SeenPoints
+from tisfm.exports.observations import ObservedPoints, PieceFrames
 from tisfm.exports.point_tracks import DepthTracks, tracks_along_flow
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
-CELLS = 80  # along the longer side: each cell without a point gets a new group; set by hand
+CELLS_PER_SIDE = (
+    80  # along the longer side: each cell without a point gets a new group; set by hand
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,9 +51,6 @@ def measured_tracks(
     have no points. Without any depth, points are tracked from frame to frame along the image
     motion, by the tracker of the reconstruction.
 
-    That tracker cannot replace the prediction: its tracks end within tens of frames, while depth
-    and poses also find a point in frames that see it again later, and from afar.
-
     Raises ValueError if the piece does not exist, or the spacing is not positive.
 
     Raises FileNotFoundError, tisfm.formats.FormatError if files of the reconstruction are missing
@@ -59,17 +58,17 @@ def measured_tracks(
     """
     if not 0 <= piece < len(result.unit):
         raise InputError(f"piece is {piece}: expected 0 to {len(result.unit) - 1}")
-    report = progress or _ignore
+    report_progress = progress or _ignore_progress
     frames, cells = PieceFrames(result, piece), cells_of(result.shape, spacing)
     if not any(map(frames.has_depth, frames.numbers)):
-        return _joined(tracks_along_flow(frames, cells, report))
-    groups = DepthTracks(frames, cells).find(report)
+        return _join_groups(tracks_along_flow(frames, cells, report_progress))
+    groups = DepthTracks(frames, cells).find(report_progress)
     if not any(len(group.positions) for group in groups):  # no point was found by depth
-        groups = tracks_along_flow(frames, cells, _ignore)  # progress was already reported
-    return _joined(groups)
+        groups = tracks_along_flow(frames, cells, _ignore_progress)  # progress was already reported
+    return _join_groups(groups)
 
 
-def _ignore(done: int, count: int) -> None:
+def _ignore_progress(done: int, count: int) -> None:
     """Ignore progress."""
 
 
@@ -79,17 +78,17 @@ def cells_of(shape: tuple[int, int], spacing: float | None) -> int:
     Raises ValueError if the spacing is not a positive number of px.
     """
     if spacing is None:
-        return CELLS
+        return CELLS_PER_SIDE
     if not (np.isfinite(spacing) and spacing > 0):
         raise InputError(f"spacing is {spacing}: expected a positive number of px")
     return max(1, round(max(shape) / spacing))
 
 
-def _joined(groups: Sequence[SeenPoints]) -> Tracks:
+def _join_groups(groups: Sequence[ObservedPoints]) -> Tracks:
     """Return all points with common numbers."""
-    observed = list(_observations(groups))
+    arrays = list(_observations(groups))
     points, frames, image_points, residual = (
-        np.concatenate([empty, *(group[k] for group in observed)])
+        np.concatenate([empty, *(group[k] for group in arrays)])
         for k, empty in enumerate(
             (np.empty(0, np.int32), np.empty(0, np.int32), np.empty((0, 2)), np.empty(0))
         )
@@ -104,7 +103,7 @@ def _joined(groups: Sequence[SeenPoints]) -> Tracks:
     )
 
 
-def _observations(groups: Sequence[SeenPoints]) -> Iterator[tuple[np.ndarray, ...]]:
+def _observations(groups: Sequence[ObservedPoints]) -> Iterator[tuple[np.ndarray, ...]]:
     """Yield points, frames, positions and residuals of observations, point by point."""
     count = 0
     for group in groups:

@@ -100,10 +100,10 @@ def write_kitti_paths(
     """
     pieces = pieces_of(result, frames)
     times = frame_times(result.times, frames_per_second)
-    poses = piece_files(Path(folder), KITTI, pieces)
-    stamps = piece_files(Path(folder), KITTI_TIMES, pieces)
-    for file, times_file, piece in zip(poses, stamps, pieces, strict=True):
-        write_kitti(file, result.poses[piece])
+    pose_files = piece_files(Path(folder), KITTI, pieces)
+    times_files = piece_files(Path(folder), KITTI_TIMES, pieces)
+    for file, times_file, piece in zip(pose_files, times_files, pieces, strict=True):
+        write_kitti(file, result.pose_files[piece])
         with atomic_write(times_file) as stream:
             stream.write("".join(f"{time!r}\n" for time in times[piece].tolist()).encode())
-    return [*poses, *stamps]
+    return [*pose_files, *times_files]

@@ -13,9 +13,9 @@ from tisfm.errors import InputError
 from tisfm.exports.float_images import check_exr, write_exr, write_tiff
 from tisfm.lens import Undistortion
 
-_NOWHERE = -1.0  # coordinate outside every picture
-_MAX_ROUND_TRIP = 0.01  # px: error of a point after undistortion and distortion; set by hand
-_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
+_OUTSIDE = -1.0  # coordinate outside every picture
+_MAX_ROUND_TRIP_ERROR = 0.01  # px: error of a point after undistortion and distortion; set by hand
+_UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 
 
 def write_undistortion(
@@ -67,21 +67,21 @@ def write_undistortion(
     >>> [str(file) for file in write_undistortion(camera, (48, 64), ".", suffix="tiff")]
     ['undistort.tiff', 'redistort.tiff']
     """
-    check_distorts(camera)
+    require_distortion(camera)
     if suffix == "exr":
         check_exr()
-    written = []
+    files = []
     for name, st_map in zip(("undistort", "redistort"), st_maps(camera, shape), strict=True):
         file = Path(folder) / f"{name}.{suffix}"
         if suffix == "exr":
             write_exr(file, {name: st_map[..., k] for k, name in enumerate("RGB")})
         else:
             write_tiff(file, st_map)
-        written.append(file)
-    return written
+        files.append(file)
+    return files
 
 
-def check_distorts(camera: Camera) -> None:
+def require_distortion(camera: Camera) -> None:
     """Raise ValueError if the camera has no distortion."""
     if camera.is_pinhole:
         raise InputError("the camera has no distortion: there is nothing that a map would undo")
@@ -94,39 +94,48 @@ def st_maps(
     height, width = shape
     forward = Undistortion(camera, height, width)
     x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
-    distorting = distorted(camera, shape, np.stack([x, y], axis=-1))
-    back = undistorted(camera, shape, np.stack([x, y], axis=-1))
-    round_trip = distorted(camera, shape, back)
-    reached = np.hypot(round_trip[..., 0] - x, round_trip[..., 1] - y) < _MAX_ROUND_TRIP
-    inside = reached & _inside(back, shape)
-    column, row = (np.rint(back[..., k]).clip(0, end - 1) for k, end in enumerate((width, height)))
-    column, row = (np.where(inside, st_map, 0).astype(int) for st_map in (column, row))
-    inside &= forward.valid[row, column]
-    return _as_st(distorting, forward.valid, shape), _as_st(back, inside, shape)
+    distorted_points = distort_points(camera, shape, np.stack([x, y], axis=-1))
+    undistorted_points = undistort_points(camera, shape, np.stack([x, y], axis=-1))
+    round_trip = distort_points(camera, shape, undistorted_points)
+    is_accurate = np.hypot(round_trip[..., 0] - x, round_trip[..., 1] - y) < _MAX_ROUND_TRIP_ERROR
+    is_valid = is_accurate & _inside(undistorted_points, shape)
+    column, row = (
+        np.rint(undistorted_points[..., k]).clip(0, end - 1)
+        for k, end in enumerate((width, height))
+    )
+    column, row = (np.where(is_valid, st_map, 0).astype(int) for st_map in (column, row))
+    is_valid &= forward.valid[row, column]
+    return _st_map(distorted_points, forward.valid, shape), _st_map(
+        undistorted_points, is_valid, shape
+    )
 
 
-def distorted(
+def distort_points(
     camera: Camera, shape: tuple[int, int], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the positions in the frame of points of the undistorted picture, (…, 2) px."""
     distorting, pinhole = _matrices(camera, shape)
     rays = (points.reshape(-1, 2) - pinhole[:2, 2]) / pinhole[[0, 1], [0, 1]]
-    ahead = np.column_stack([rays, np.ones(len(rays))])
+    rays_3d = np.column_stack([rays, np.ones(len(rays))])
     positions, _ = cv2.projectPoints(
-        ahead, np.zeros(3), np.zeros(3), distorting, _coefficients(camera)
+        rays_3d, np.zeros(3), np.zeros(3), distorting, _coefficients(camera)
     )
     return np.asarray(positions, float).reshape(points.shape)
 
 
-def undistorted(
+def undistort_points(
     camera: Camera, shape: tuple[int, int], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the positions in the undistorted picture of points of the frame, (…, 2) px."""
     distorting, pinhole = _matrices(camera, shape)
     positions = cv2.undistortPoints(
-        points.reshape(-1, 1, 2), distorting, _coefficients(camera), P=pinhole, criteria=_CRITERIA
+        points.reshape(-1, 1, 2),
+        distorting,
+        _coefficients(camera),
+        P=pinhole,
+        criteria=_UNDISTORT_CRITERIA,
     )
-    return np.nan_to_num(np.asarray(positions, float).reshape(points.shape), nan=_NOWHERE * 1e9)
+    return np.nan_to_num(np.asarray(positions, float).reshape(points.shape), nan=_OUTSIDE * 1e9)
 
 
 def _matrices(
@@ -153,7 +162,7 @@ def _inside(points: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.b
     )
 
 
-def _as_st(
+def _st_map(
     points: NDArray[np.float64], valid: NDArray[np.bool_], shape: tuple[int, int]
 ) -> NDArray[np.float32]:
     height, width = shape
@@ -161,5 +170,5 @@ def _as_st(
         [(points[..., 0] + 0.5) / width, 1 - (points[..., 1] + 0.5) / height, np.ones(shape)],
         axis=-1,
     )
-    st_map[~valid] = (_NOWHERE, _NOWHERE, 0)
+    st_map[~valid] = (_OUTSIDE, _OUTSIDE, 0)
     return st_map.astype(np.float32)

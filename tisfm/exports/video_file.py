@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
 _CODEC = "libx264"
-_QUALITY = {"crf": "18", "preset": "medium"}
+_ENCODER_OPTIONS = {"crf": "18", "preset": "medium"}
 _MAX_SIDE = 16384  # px, a limit of H.264
 _BT709 = 1  # code of the colour space in FFmpeg
 _LIMITED_RANGE = 1  # code of levels from 16 to 235 in FFmpeg
@@ -91,7 +91,9 @@ class VideoWriter:
             raise InputError(
                 f"frames of the video are {height} × {width} px: expected at most {_MAX_SIDE}"
             )
-        stream: Any = self._container.add_stream(_CODEC, rate=self._rate, options=dict(_QUALITY))
+        stream: Any = self._container.add_stream(
+            _CODEC, rate=self._rate, options=dict(_ENCODER_OPTIONS)
+        )
         stream.width, stream.height = width + width % 2, height + height % 2
         stream.pix_fmt = "yuv420p"
         stream.time_base = 1 / self._rate

@@ -100,7 +100,7 @@ def write_video(
     rate = frame_rate(frames.times, numbers, frames_per_second)
     if kind == "wiggle" and len(numbers) == 1:  # one period around a single frame
         numbers = numbers * max(2, round(_SWING_PERIOD * rate))
-    draw = _drawing(
+    draw = _draw_function(
         frames,
         numbers,
         kind,
@@ -110,14 +110,14 @@ def write_video(
         screen_depth=screen_depth,
     )
     with video_file(path, rate) as video:
-        for done, frame in enumerate(numbers):
-            video.add(draw(done, frame))
+        for position, frame in enumerate(numbers):
+            video.add(draw(position, frame))
             if progress is not None:
-                progress(done + 1, len(numbers))
+                progress(position + 1, len(numbers))
     return Path(path)
 
 
-def _drawing(
+def _draw_function(
     frames: ResultFrames,
     numbers: list[int],
     kind: VideoKind,
@@ -129,8 +129,10 @@ def _drawing(
 ) -> Callable[[int, int], Picture]:
     """Return a function that draws a frame by its position in the video and its number."""
     if kind == "flow":
-        fastest = speed_range(frames, numbers)
-        return lambda done, frame: flow_to_color(frames.flow(frame), limit=fastest, beyond="same")
+        flow_limit = speed_range(frames, numbers)
+        return lambda position, frame: flow_to_color(
+            frames.flow(frame), limit=flow_limit, beyond="same"
+        )
     ranges = inverse_depth_ranges(frames, numbers)
 
     def colors(frame: int) -> Picture:
@@ -138,9 +140,9 @@ def _drawing(
         return depth_to_color(frames.inverse_depth(frame), limit=ranges[group] * scale)
 
     if kind == "depth":
-        return lambda done, frame: colors(frame)
+        return lambda position, frame: colors(frame)
     if kind == "side-by-side":
-        return lambda done, frame: np.hstack([as_rgb(frames.picture(frame)), colors(frame)])
+        return lambda position, frame: np.hstack([as_rgb(frames.picture(frame)), colors(frame)])
     planes = {} if screen is None else inverse_depth_ranges(frames, numbers, 100 * screen)
 
     def planes_of(frame: int) -> tuple[float, float | None]:
@@ -162,16 +164,16 @@ def _drawing(
             limit=nearest,
         )
 
-    def swing(done: int, frame: int) -> Picture:
+    def swing(position: int, frame: int) -> Picture:
         nearest, plane = planes_of(frame)
         view = stereo_view(
             frames.picture(frame),
             frames.inverse_depth(frame),
-            eye=math.sin(2 * math.pi * done / (_SWING_PERIOD * rate)),
+            eye=math.sin(2 * math.pi * position / (_SWING_PERIOD * rate)),
             disparity=DISPARITY / 2 if disparity is None else disparity,
             screen_depth=plane,
             limit=nearest,
         )
         return as_rgb(view)
 
-    return swing if kind == "wiggle" else lambda done, frame: red_cyan(frame)
+    return swing if kind == "wiggle" else lambda position, frame: red_cyan(frame)
