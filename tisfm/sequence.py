@@ -17,7 +17,7 @@ from tisfm.running.pair_chunks import (
     check_whole_levels,
     interpret_with_workers,
 )
-from tisfm.running.pairs import FrameSelection, PairSource, with_poses
+from tisfm.running.pairs import FrameSelection, PairSource, attach_poses
 from tisfm.running.pool import check_workers
 from tisfm.settings import Settings, check_settings
 from tisfm.sources import BadFrames, FramePair, FrameSource, Source
@@ -143,7 +143,7 @@ def interpret_sequence(
     check_workers(workers)
     kept = window_of(window, settings)
     if workers == 1:
-        return _interpret_pairs(frames, with_poses(frames, poses), camera, settings, kept)
+        return _interpret_pairs(frames, attach_poses(frames, poses), camera, settings, kept)
     if kept is not None:
         raise InputError(
             "window is 3, which needs the result of the pair before: leave out workers"

@@ -17,12 +17,12 @@ from tisfm import pair
 from tisfm.folders import run_record
 from tisfm.formats.atomic import atomic_write
 from tisfm.running import pair_files
-from tisfm.running.background import Background
+from tisfm.running.background import BackgroundThread
 
 
 def test_work_is_done_in_order_in_one_other_thread():
     done = []
-    with Background() as background:
+    with BackgroundThread() as background:
         for k in range(20):
             background.submit(lambda k=k: done.append((k, threading.get_ident())))
     assert [k for k, _ in done] == list(range(20))
@@ -33,7 +33,7 @@ def test_work_is_done_in_order_in_one_other_thread():
 @pytest.mark.parametrize("fault", [None, KeyboardInterrupt])
 def test_turns_are_shorter_for_a_while(fault):
     usual = sys.getswitchinterval()
-    with contextlib.suppress(KeyboardInterrupt), Background():
+    with contextlib.suppress(KeyboardInterrupt), BackgroundThread():
         assert sys.getswitchinterval() < usual
         if fault is not None:
             raise fault
@@ -42,7 +42,7 @@ def test_turns_are_shorter_for_a_while(fault):
 
 def test_one_waits_and_the_next_is_waited_for():
     free, given = threading.Event(), []
-    with Background() as background:
+    with BackgroundThread() as background:
 
         def give():
             for k in range(3):
@@ -66,7 +66,7 @@ def test_an_error_is_raised_and_ends_the_work(fault):
     def fail():
         raise fault("in the thread")
 
-    with pytest.raises(fault, match="in the thread"), Background() as background:
+    with pytest.raises(fault, match="in the thread"), BackgroundThread() as background:
         background.submit(fail)
         for k in range(5):
             background.submit(done.append, k)
@@ -79,14 +79,14 @@ def test_an_error_of_the_last_piece_is_raised():
         time.sleep(0.1)
         raise OSError("at the end")
 
-    with pytest.raises(OSError, match="at the end"), Background() as background:
+    with pytest.raises(OSError, match="at the end"), BackgroundThread() as background:
         background.submit(fail)
 
 
 @pytest.mark.parametrize("fault", [ValueError, KeyboardInterrupt])
 def test_work_submitted_before_an_error_is_done(fault):
     done = []
-    with pytest.raises(fault, match="outside"), Background() as background:
+    with pytest.raises(fault, match="outside"), BackgroundThread() as background:
         for k in range(2):
             background.submit(lambda k=k: (time.sleep(0.1), done.append(k)))
         raise fault("outside")
@@ -99,7 +99,7 @@ def test_finished_work_is_released():
 
     held = Held()
     gone = weakref.ref(held)
-    with Background() as background:
+    with BackgroundThread() as background:
         background.submit(lambda what: None, held)
         del held
         wait_for(lambda: gone() is None)
@@ -173,7 +173,7 @@ def test_the_record_of_a_long_run_is_not_renewed_after_every_pair(tisfm_run, fra
         return atomic_write(path, **options)
 
     monkeypatch.setattr(run_record, "atomic_write", counted)
-    monkeypatch.setattr(run_record, "_LEAST_APART", 1000.0)
+    monkeypatch.setattr(run_record, "_MIN_WRITE_INTERVAL", 1000.0)
     assert tisfm_run("run", "frames", "-o", "out", "--no-figures")[0] == 0
     assert (
         written == ["timings.csv", "run.csv", "run.json"] * 2
@@ -187,7 +187,7 @@ def test_a_second_interrupt_ends_the_process():
 import sys
 import threading
 import time
-from tisfm.running.background import Background
+from tisfm.running.background import BackgroundThread
 
 begun = threading.Event()
 
@@ -200,7 +200,7 @@ def told(item, block=True):
     print("leaving", flush=True)
     put(item, block)
 
-with Background() as background:
+with BackgroundThread() as background:
     background.submit(piece, 1)
     begun.wait()
     background.submit(piece, 2)

@@ -283,9 +283,9 @@ def test_an_earlier_export_is_replaced(tisfm_run, work_folder):
 
 def test_long_work_is_announced(tisfm_run, work_folder, monkeypatch):
     made(work_folder / "walk")
-    monkeypatch.setattr(export, "MUCH", 1000)
-    monkeypatch.setattr(export, "_LONG", 0)
-    monkeypatch.setattr(export, "_SOON", 0)
+    monkeypatch.setattr(export, "LARGE_OUTPUT", 1000)
+    monkeypatch.setattr(export, "_MIN_PRINTED_TIME", 0)
+    monkeypatch.setattr(export, "_MIN_MEASURED_TIME", 0)
     code, _, err = tisfm_run("export", "walk", "--to", "depth-tiff", "-o", "out")
     assert code == 0
     told = err.splitlines()

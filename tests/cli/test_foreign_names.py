@@ -13,7 +13,7 @@ from rich.table import Table
 from tests.cli.command_line import FRAMES
 from tests.exports.made import made
 from tests.exports.runs import run_of
-from tisfm.cli.console import print_whole, tell, tell_error
+from tisfm.cli.console import print_full_width, tell, tell_error
 from tisfm.folders.run_record import RunRecord
 from tisfm.formats import write_png
 from tisfm.formats.csv_table import csv_table
@@ -34,7 +34,7 @@ def test_lines_tables_and_errors(capsys):
     table = Table(title=ESC)
     table.add_column(f"{MARKUP}")
     table.add_row(f"{ESC} {MARKUP}")
-    print_whole(table)
+    print_full_width(table)
     for text in capsys.readouterr():
         assert obeyed(text) == set() and r"\x1b[31mred" in text and MARKUP in text
 
@@ -119,7 +119,7 @@ def test_other_cells_are_unchanged():
 def test_the_table_of_a_run_quotes_names_and_messages(work_folder):
     record = RunRecord(work_folder, {})
     about = {"number": 0, "status": "uncertain", "message": "=cmd|' /C calc'!A0", "twists": None}
-    record.took("=1+1", 0.5)
+    record.record_time("=1+1", 0.5)
     record.finish("=1+1", about, {})
     record.write()
     for name in ("run.csv", "timings.csv"):

@@ -27,7 +27,7 @@ from tests.waiting import PATIENCE, started, wait_for
 from tisfm.camera import Camera
 from tisfm.formats import write_png
 from tisfm.running.pair_chunks import Chunk, interpret_chunk, split_chunk
-from tisfm.running.pair_files import USUAL, PairFiles
+from tisfm.running.pair_files import DEFAULT_OUTPUTS, PairFiles
 from tisfm.running.pairs import FrameSelection, PairSource, PairWork
 from tisfm.settings import Settings
 from tisfm.sources import Listing
@@ -179,7 +179,7 @@ def test_a_cluster_needs_dask(tisfm_run, film, monkeypatch):
 
 
 def make_chunk(folder, **changes):
-    files_ = PairFiles(folder=folder, outputs=USUAL, figures=0, has_pose=False)
+    files_ = PairFiles(folder=folder, outputs=DEFAULT_OUTPUTS, figures=0, has_pose=False)
     settings = Settings.preset("fast")
     about = dict(
         source=PairSource(source="film", frames=FrameSelection(), settings=settings),
@@ -189,7 +189,7 @@ def make_chunk(folder, **changes):
         arch=None,
         threads=None,
         listing=Listing.of([Path(f"f{k:02d}.png") for k in range(COUNT)]),
-        alive=folder / "alive",
+        presence=folder / "alive",
     )
     return Chunk(**{**about, **changes})
 

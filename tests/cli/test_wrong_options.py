@@ -170,7 +170,7 @@ def test_the_time_of_a_sequence_is_estimated(frames, capsys, monkeypatch):
         return capsys.readouterr().err
 
     assert announced() == ""
-    monkeypatch.setattr(reconstruct, "MUCH", 100)  # bytes, fewer than they take
+    monkeypatch.setattr(reconstruct, "LARGE_OUTPUT", 100)  # bytes, fewer than they take
     assert announced() == "about 0 MB for 4 frames in out\n"
     assert "for 2 frames" in announced(start=2)
     usage = SimpleNamespace(free=1e3)
@@ -184,7 +184,7 @@ def test_frames_of_one_channel_count_all_their_pixels(tmp_path, capsys, monkeypa
     (tmp_path / "large").mkdir()
     for k in range(3):
         cv2.imwrite(str(tmp_path / f"large/f{k}.png"), np.zeros(shape, np.uint8))
-    monkeypatch.setattr(reconstruct, "MUCH", 1e6)
+    monkeypatch.setattr(reconstruct, "LARGE_OUTPUT", 1e6)
     about = (str(tmp_path / "large"), tmp_path / "out", FrameOptions(), "all")
     reconstruct._announce(*about)
     said = capsys.readouterr().err

@@ -17,7 +17,7 @@ from tests.sources.made import (
 )
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.rigid import pose_matrix
-from tisfm.running.pairs import with_poses
+from tisfm.running.pairs import attach_poses
 from tisfm.sources import FramePair, FrameSource
 
 CAMERA_MOTION = tisfm.Settings(motion="camera", warps=1, outer_iterations=1, sweeps=2)
@@ -122,7 +122,7 @@ def test_a_video_may_announce_too_many_frames(video, asked):
     source = FrameSource(path)
     assert source.count is None and len(source) == 5
     source._reader.announced += 2
-    pairs = list(with_poses(source, TURNS[: len(frames) - 1]))
+    pairs = list(attach_poses(source, TURNS[: len(frames) - 1]))
     assert len(pairs) == 5 and all(pair.pose is not None for pair in pairs)
 
 

@@ -12,7 +12,7 @@ from tests.sources.made import FRAMES, QUICK, numbered
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats import FormatError, write_png
 from tisfm.formats.image_names import increasing_times
-from tisfm.running.pairs import with_poses
+from tisfm.running.pairs import attach_poses
 from tisfm.sources import FrameSource
 
 
@@ -216,8 +216,8 @@ def test_there_are_two_choices(choice):
 def test_poses_of_pairs_exclude_skipping():
     source = FrameSource(FRAMES, bad_frames="skip")
     with pytest.raises(ValueError, match="poses are given, one for every pair, and bad frames"):
-        with_poses(source, [np.eye(4)] * 5)
-    with_poses(source, None)
+        attach_poses(source, [np.eye(4)] * 5)
+    attach_poses(source, None)
 
 
 # Ends

@@ -18,7 +18,7 @@ from tisfm.running.commands import CommandProcesses
 from tisfm.threads import usable_cores
 
 SOURCE, OUTPUT = "source", "output"
-_FLAGS = {"yes": "--", "no": "--no-"}
+_SWITCHES = {"yes": "--", "no": "--no-"}
 
 
 @dataclass(kw_only=True)
@@ -166,8 +166,8 @@ def _job(row: dict[str, str], where: str, line: int) -> Job:
     for name, value in cells.items():
         if name in (SOURCE, OUTPUT) or not value:
             continue
-        if value in _FLAGS:
-            options.append(f"{_FLAGS[value]}{name}")
+        if value in _SWITCHES:
+            options.append(f"{_SWITCHES[value]}{name}")
         else:
             options += [f"--{name}", *shlex.split(value)]
     return Job(line=line, source=cells[SOURCE], output=cells[OUTPUT], options=tuple(options))

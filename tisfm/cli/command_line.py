@@ -22,21 +22,21 @@ from tisfm.checks import hint
 from tisfm.cli import BROKEN_PIPE, INTERRUPTED, WRONG_OPTION
 from tisfm.cli.console import tell_error
 from tisfm.cli.options import SettingsOptions
-from tisfm.cli.parsing import SEVERAL, WrongOptionError, parse, suggestion, wrapped_help
+from tisfm.cli.parsing import LIST_OPTIONS, WrongOptionError, parse, suggestion, wrapped_help
 from tisfm.errors import MissingPackageError, TisfmError, is_user_error
 from tisfm.machine.memory import advice, ran_out
 from tisfm.settings import Preset, Settings
 from tisfm.version import __version__
 
 SHELLS = ("bash", "zsh", "fish", "tcsh")
-# Python in tyro's scripts, after the data: if options of `SEVERAL` have values with commas between,
-# the last value is completed.
+# Python in tyro's scripts, after the data: if options of `LIST_OPTIONS` have values with commas
+# between, the last value is completed.
 _COMPLETE_AFTER_COMMAS = """
 _given = sys.argv[int(sys.argv[-1]) + 1 : -1][:1]
 _before = _given[0].rpartition(',')[0] + ',' if _given and ',' in _given[0] else ''
 for _name, _command in COMPLETION_SPEC['subcommands'].items():
     for _option in _command['options']:
-        if set(_option['flags']) & set(SEVERAL.get(_name, ())):
+        if set(_option['flags']) & set(LIST_OPTIONS.get(_name, ())):
             _option['choices'] = [_before + choice for choice in _option['choices']]
 """
 # Lines that tyro's scripts lack: complete file names where no option or value fits.
@@ -46,7 +46,7 @@ _COMPLETE_FILES = {
     "fish": "complete --command tisfm --force-files",
 }
 _DATA = "COMPLETION_SPEC = "  # beginning of the line of tyro's scripts with the options
-OF_TISFM = ("--help", "--version", "--completion")
+TOP_LEVEL_OPTIONS = ("--help", "--version", "--completion")
 # Commands in the order of the help, with their modules and classes. A module is imported when its
 # command is called.
 COMMANDS = {
@@ -130,19 +130,19 @@ def parse_command(arguments: Sequence[str]) -> Command:
         raise WrongOptionError(
             f"a command is missing: give one of {', '.join(COMMANDS)}; begin with tisfm demo"
         )
-    name, *others = arguments
+    name, *other_arguments = arguments
     if name in COMMANDS:
-        kind, default = _command(name, arguments)
-        command: Command = parse(name, kind, others, default)
+        command_class, default = _command(name, arguments)
+        command: Command = parse(name, command_class, other_arguments, default)
         return command
-    if name in ("--help", "-h") and not others:
+    if name in ("--help", "-h") and not other_arguments:
         _all_commands(["--help"])
     option = name.partition("=")[0]
-    if option in OF_TISFM:
+    if option in TOP_LEVEL_OPTIONS:
         raise WrongOptionError(f"{option} takes no command: give it alone; see tisfm --help")
     if name.startswith("-"):
         raise WrongOptionError(
-            f"tisfm has no option {option}{suggestion(option, OF_TISFM)}; see tisfm --help"
+            f"tisfm has no option {option}{suggestion(option, TOP_LEVEL_OPTIONS)}; see tisfm --help"
         )
     raise WrongOptionError(
         f"tisfm has no command {name}{suggestion(name, COMMANDS)}; expected {', '.join(COMMANDS)}"
@@ -151,8 +151,8 @@ def parse_command(arguments: Sequence[str]) -> Command:
 
 def _command(name: str, arguments: Sequence[str] = ()) -> tuple[type, Any]:
     """Return the class of a command, and an instance with the defaults of the given preset."""
-    module, kind = COMMANDS[name]
-    command = getattr(import_module(module), kind)
+    module, command_class = COMMANDS[name]
+    command = getattr(import_module(module), command_class)
     if name not in ("run", "eval"):
         return command, None
     preset = _preset(arguments)
@@ -167,16 +167,16 @@ def _command(name: str, arguments: Sequence[str] = ()) -> tuple[type, Any]:
 
 def _all_commands(arguments: list[str]) -> None:
     """Let tyro print the help of all commands, or a completion script for a shell."""
-    kinds: list[Any] = []
+    commands: list[Any] = []
     for name in COMMANDS:
         command, default = _command(name)
         given = {} if default is None else {"default": default}
         summary = (command.__doc__ or "").partition("\n")[0]
-        kinds.append(
+        commands.append(
             Annotated[command, subcommand(name, prefix_name=False, description=summary, **given)]
         )
     with wrapped_help(_DESCRIPTION) as description:
-        tyro.cli(reduce(or_, kinds), prog="tisfm", args=arguments, description=description)
+        tyro.cli(reduce(or_, commands), prog="tisfm", args=arguments, description=description)
 
 
 def _print_completion(shells: Sequence[str]) -> int:
@@ -202,7 +202,7 @@ def _print_completion(shells: Sequence[str]) -> int:
             # A script for fish has the data in a text, whose quotes and dollars are escaped.
             escaped = shell == "fish"
             data = re.sub(r"\\(.)", r"\1", data) if escaped else data
-            added = f"{_completed(ast.literal_eval(data))!r}\nSEVERAL = {SEVERAL!r}"
+            added = f"{_completed(ast.literal_eval(data))!r}\nSEVERAL = {LIST_OPTIONS!r}"
             added += f"\nimport sys{_COMPLETE_AFTER_COMMAS}"
             line = _DATA + (re.sub(r'(["\\$])', r"\\\1", added) if escaped else added)
         print(line)
@@ -247,7 +247,7 @@ def _preset(arguments: Sequence[str]) -> Preset:
     for index, argument in enumerate(arguments):
         name, equals, value = argument.partition("=")
         if name == "--preset":
-            given = value if equals else "".join(arguments[index + 1 : index + 2])
-            if given in get_args(Preset):  # else the parser refuses it
-                preset = given  # type: ignore[assignment]
+            value_given = value if equals else "".join(arguments[index + 1 : index + 2])
+            if value_given in get_args(Preset):  # else the parser refuses it
+                preset = value_given  # type: ignore[assignment]
     return preset

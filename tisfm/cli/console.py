@@ -32,27 +32,27 @@ def tell_error(text: str) -> None:
 
 
 @contextmanager
-def notes_as_lines() -> Iterator[None]:
+def print_source_notes() -> Iterator[None]:
     """Print each `SourceWarning` of the block as one line that begins with "note:"."""
     from tisfm.sources.frame_reader import SourceWarning
 
-    def show(message: Warning | str, category: type[Warning], *about: Any, **more: Any) -> None:
+    def show(message: Warning | str, category: type[Warning], *details: Any, **more: Any) -> None:
         if issubclass(category, SourceWarning):
             tell(f"note: {message}")
         else:
-            others(message, category, *about, **more)
+            original(message, category, *details, **more)
 
     with warnings.catch_warnings():
         warnings.simplefilter("always", SourceWarning)
-        others, warnings.showwarning = warnings.showwarning, show
+        original, warnings.showwarning = warnings.showwarning, show
         yield
 
 
-def print_whole(table: Table) -> None:
+def print_full_width(table: Table) -> None:
     """Print a table with all its columns, even if it is wider than the terminal."""
     console = Console(markup=False, emoji=False)
-    wanted = Measurement.get(console, console.options.update(max_width=1000), table).maximum
-    width = max(console.width, wanted)
+    width_needed = Measurement.get(console, console.options.update(max_width=1000), table).maximum
+    width = max(console.width, width_needed)
     Console(width=width, markup=False, emoji=False).print(_Printable(table))
 
 
@@ -82,7 +82,7 @@ def tell_device(arch: Arch | None) -> None:
         return
     device = vulkan_device()
     if device is not None and device.is_software:
-        tell(runtime.software_said(device.name))
+        tell(runtime.software_vulkan_message(device.name))
     elif device is not None:
         tell(f"vulkan runs on {device.name}")
 

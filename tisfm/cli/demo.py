@@ -9,7 +9,7 @@ from typing import Annotated
 from rich.table import Table
 from tyro.conf import arg
 
-from tisfm.cli.console import print_whole, tell
+from tisfm.cli.console import print_full_width, tell
 from tisfm.cli.demo_animation import ANIMATION
 from tisfm.cli.demo_scenes import (
     BALANCED,
@@ -19,10 +19,10 @@ from tisfm.cli.demo_scenes import (
     NAME,
     OBJECTS,
     PAPER,
-    WORKS,
+    PARTS,
     Part,
     Rows,
-    done,
+    run_part,
 )
 from tisfm.cli.figures import PAPER_FIGURES
 from tisfm.cli.progress import progress_bar
@@ -64,7 +64,7 @@ class Demo:
         )
 
 
-MOST_PIXELS = 10_000_000  # in a scene: ray casting takes about 5 s per million
+MAX_PIXELS = 10_000_000  # in a scene: ray casting takes about 5 s per million
 
 
 def demo(output: Path, *, height: int, width: int, seed: int, threads: int | None) -> int:
@@ -90,9 +90,9 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
         If the folder cannot be written to, if it holds files of these names that no demo wrote, or
         if an option is impossible.
     """
-    if height * width > MOST_PIXELS:
+    if height * width > MAX_PIXELS:
         raise InputError(
-            f"the demo scene would have {height} × {width} px: expected at most {MOST_PIXELS:,} px"
+            f"the demo scene would have {height} × {width} px: expected at most {MAX_PIXELS:,} px"
         )
     require_writable_flow("the demo scene", height, width)
     folders = output, output / "camera", output / "objects"
@@ -100,9 +100,13 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
     make_result_folder(output)
     for folder in folders[1:]:
         make_subfolder(folder)
-    workers, each = _shares(threads)
+    workers, each = _processes_and_threads(threads)
     rows: Rows = {}
-    with progress_bar() as progress, open_pool(workers) as processes, NamedTemporaryFile() as alive:
+    with (
+        progress_bar() as progress,
+        open_pool(workers) as processes,
+        NamedTemporaryFile() as presence,
+    ):
         parts = [
             Part(
                 work=work,
@@ -111,19 +115,23 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
                 width=width,
                 seed=seed,
                 threads=each,
-                alive=Path(alive.name),
+                presence=Path(presence.name),
             )
-            for work in WORKS
+            for work in PARTS
         ]
         task = progress.add_task("interpreting", total=len(parts))
-        for _, found in processes.map_unordered(done, parts):
-            if isinstance(found, Exception):
-                raise found
-            rows |= found
+        for _, part_rows in processes.map_unordered(run_part, parts):
+            if isinstance(part_rows, Exception):
+                raise part_rows
+            rows |= part_rows
             progress.advance(task)
-    on = f"Seconds on {'one thread' if each == 1 else f'{each} threads'}."
-    print_whole(_filled(_blocks_table(height, width, on), rows, (PAPER, BALANCED, BASELINE)))
-    print_whole(_filled(_models_table(height, width, on), rows, (FIELD, CAMERA, OBJECTS)))
+    time_caption = f"Seconds on {'one thread' if each == 1 else f'{each} threads'}."
+    print_full_width(
+        _fill_table(_blocks_table(height, width, time_caption), rows, (PAPER, BALANCED, BASELINE))
+    )
+    print_full_width(
+        _fill_table(_models_table(height, width, time_caption), rows, (FIELD, CAMERA, OBJECTS))
+    )
     first, *others = (folder / f"{NAME}{ENDINGS['figure']}" for folder in folders)
     tell(
         f"Pictures and data in {output}. Open {first} first, then {' and '.join(map(str, others))}."
@@ -136,14 +144,14 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
     return 0
 
 
-def _shares(threads: int | None) -> tuple[int, int]:
+def _processes_and_threads(threads: int | None) -> tuple[int, int]:
     """Return the number of processes, which do one part each, and the threads of each."""
     if threads is not None and threads < 1:
         raise InputError(f"threads is {threads}: expected a positive integer")
     cores = usable_cores()
-    most = min(threads or cores, cores)
-    workers = min(2, most)
-    return workers, most // workers
+    max_threads = min(threads or cores, cores)
+    workers = min(2, max_threads)
+    return workers, max_threads // workers
 
 
 def _refuse_foreign(folders: Iterable[Path]) -> None:
@@ -167,28 +175,29 @@ def _refuse_foreign(folders: Iterable[Path]) -> None:
                 )
 
 
-def _filled(table: Table, rows: Rows, labels: Iterable[str]) -> Table:
+def _fill_table(table: Table, rows: Rows, labels: Iterable[str]) -> Table:
     for label in labels:
         table.add_row(label, *rows[label])
     return table
 
 
-def _blocks_table(height: int, width: int, on: str) -> Table:
+def _blocks_table(height: int, width: int, time_caption: str) -> Table:
     table = Table(
         title=f"Two blocks on a floor, {height} × {width} px, against the truth",
         caption="End-point and angular error of the flow where the point stays visible. Depth "
-        "after scaling by the median, within each object, whose scale no method can know. " + on,
+        "after scaling by the median, within each object, whose scale no method can know. "
+        + time_caption,
     )
     return _with_columns(table, "EPE, px", "angle, °", "|ΔZ|/Z")
 
 
-def _models_table(height: int, width: int, on: str) -> Table:
+def _models_table(height: int, width: int, time_caption: str) -> Table:
     table = Table(
         title=f"Motion as a field, of the camera and of objects, {height} × {width} px",
         caption="Depth after scaling by the median, and the share of its errors that are below "
         "its standard deviation. Direction of translation and rotation of the background; those "
         "of a field by tisfm.egomotion. At rest: three blocks, the camera goes forward and turns. "
-        "Moving: the two blocks above, depth within each. " + on,
+        "Moving: the two blocks above, depth within each. " + time_caption,
     )
     return _with_columns(table, "|ΔZ|/Z", "within std", "EPE, px", "direction, °", "rotation, °")
 

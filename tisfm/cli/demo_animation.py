@@ -19,14 +19,14 @@ ANIMATION = "demo.webp"
 FRAMES = 30
 _DURATION = 100  # ms a frame
 _QUALITY = 50  # of WebP
-_SWING = 0.12  # share of the width: motion of the nearest against the farthest point
-_FLATNESS = 0.6  # height of the ellipse over its width
-_SHADE = 0.45  # share of the frame's brightness in the colours of depth
-_DARKEST = 25  # of 255: colour code of the farthest points, which are not black
-_BEHIND = 0.8  # factor of brightness in gaps, which the frame does not show
-_STEP = 0.08  # share of the range of nearness: a larger change within 5 px is an edge
-_FINE = 2  # samples per pixel side, which a pixel averages
-_POINTS = 3  # per pixel side: more than samples, since visible surfaces can be stretched
+_SWING_WIDTH = 0.12  # share of the width: motion of the nearest against the farthest point
+_ELLIPSE_RATIO = 0.6  # height of the ellipse over its width
+_SHADING = 0.45  # share of the frame's brightness in the colours of depth
+_MIN_COLOR_CODE = 25  # of 255: colour code of the farthest points, which are not black
+_GAP_BRIGHTNESS = 0.8  # factor of brightness in gaps, which the frame does not show
+_MIN_EDGE_STEP = 0.08  # share of the range of nearness: a larger change within 5 px is an edge
+_SAMPLES_PER_PIXEL = 2  # samples per pixel side, which a pixel averages
+_POINTS_PER_PIXEL = 3  # per pixel side: more than samples, since visible surfaces can be stretched
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
@@ -81,49 +81,49 @@ def animation_frames(result: Interpretation, *, width: int = 360) -> list[Pictur
     """
     rows, columns = result.inverse_depth.shape
     height = max(1, round(rows * width / columns))
-    points = _POINTS * width, _POINTS * height
+    points = _POINTS_PER_PIXEL * width, _POINTS_PER_PIXEL * height
     limit = inverse_depth_limit(result.inverse_depth) or 1.0
     nearness = np.clip(np.nan_to_num(result.inverse_depth / limit), 0, 1).astype(np.float32)
-    larger = cv2.resize(_with_steps(nearness), points, interpolation=cv2.INTER_NEAREST)
-    nearness = np.asarray(cv2.medianBlur(larger, 5), np.float32)  # rounds enlarged pixels
-    paints = [
+    enlarged = cv2.resize(_sharpen_edges(nearness), points, interpolation=cv2.INTER_NEAREST)
+    nearness = np.asarray(cv2.medianBlur(enlarged, 5), np.float32)  # rounds enlarged pixels
+    images = [
         cv2.resize(paint, points, interpolation=cv2.INTER_LINEAR).reshape(-1, 3)
-        for paint in _paints(result)
+        for paint in _paint_images(result)
     ]
     order = np.argsort(nearness, axis=None, kind="stable").astype(np.int32)  # far to near
-    places = _places(nearness, order, height, width)
+    positions = _point_positions(nearness, order, height, width)
     pictures = []
     for number in range(FRAMES):
-        turn = 2 * math.pi * number / FRAMES
-        seen, behind = _view(places, order, turn, height, width)
-        grey, colors = (np.take(paint, seen, axis=0) for paint in paints)
-        share = min(1.0, max(0.0, 0.5 - 1.5 * math.cos(turn)))  # weight of the colours
-        both = cv2.addWeighted(grey, 1 - share, colors, share, 0)
-        both[behind] = (both[behind] * _BEHIND).astype(np.uint8)
-        picture = cv2.resize(both, (width, height), interpolation=cv2.INTER_AREA)
+        phase = 2 * math.pi * number / FRAMES
+        visible_points, is_gap = _view(positions, order, phase, height, width)
+        grey, colors = (np.take(paint, visible_points, axis=0) for paint in images)
+        share = min(1.0, max(0.0, 0.5 - 1.5 * math.cos(phase)))  # weight of the colours
+        blended = cv2.addWeighted(grey, 1 - share, colors, share, 0)
+        blended[is_gap] = (blended[is_gap] * _GAP_BRIGHTNESS).astype(np.uint8)
+        picture = cv2.resize(blended, (width, height), interpolation=cv2.INTER_AREA)
         pictures.append(np.asarray(picture, np.uint8))
     return pictures
 
 
-def _with_steps(nearness: Floats) -> Floats:
+def _sharpen_edges(nearness: Floats) -> Floats:
     """Make edges steps: points between two surfaces would look like threads between them."""
     around = np.ones((5, 5), np.uint8)
     far, near = cv2.erode(nearness, around), cv2.dilate(nearness, around)
     nearer = np.where(nearness - far < near - nearness, far, near)
-    return np.where(near - far > _STEP, nearer, nearness)
+    return np.where(near - far > _MIN_EDGE_STEP, nearer, nearness)
 
 
-def _paints(result: Interpretation) -> tuple[Picture, Picture]:
+def _paint_images(result: Interpretation) -> tuple[Picture, Picture]:
     """Return the frame, and its depth in colours, shaded by the brightness of the frame."""
     frame = result.frame if result.frame.ndim == 3 else np.dstack([result.frame] * 3)
-    codes = np.maximum(depth_grey(result.inverse_depth), _DARKEST)
+    codes = np.maximum(depth_grey(result.inverse_depth), _MIN_COLOR_CODE)
     colors = color_ramp("depth")[codes]
     light = frame.mean(axis=2, keepdims=True) / max(float(frame.mean()), 1.0)
-    shaded = np.clip(colors * (1 - _SHADE + _SHADE * light), 0, 255)
+    shaded = np.clip(colors * (1 - _SHADING + _SHADING * light), 0, 255)
     return frame, shaded.astype(np.uint8)
 
 
-def _places(
+def _point_positions(
     nearness: Floats, order: NDArray[np.int32], height: int, width: int
 ) -> tuple[Floats, Floats, Floats]:
     """Return positions of points, right and down, and their motion, in sample units.
@@ -131,17 +131,21 @@ def _places(
     A margin outside the picture comes into view as the camera moves.
     """
     y, x = np.divmod(order, nearness.shape[1])
-    scale = _FINE / _POINTS * (1 + 1.1 * _SWING)
+    scale = _SAMPLES_PER_PIXEL / _POINTS_PER_PIXEL * (1 + 1.1 * _SWING_WIDTH)
     near = nearness.reshape(-1)[order] - 0.5
-    x = (x - (nearness.shape[1] - 1) / 2) * scale + _FINE * width / 2
-    y = (y - (nearness.shape[0] - 1) / 2) * scale + _FINE * height / 2
-    return x.astype(np.float32), y.astype(np.float32), near * (_SWING * _FINE * width)
+    x = (x - (nearness.shape[1] - 1) / 2) * scale + _SAMPLES_PER_PIXEL * width / 2
+    y = (y - (nearness.shape[0] - 1) / 2) * scale + _SAMPLES_PER_PIXEL * height / 2
+    return (
+        x.astype(np.float32),
+        y.astype(np.float32),
+        near * (_SWING_WIDTH * _SAMPLES_PER_PIXEL * width),
+    )
 
 
 def _view(
-    places: tuple[Floats, Floats, Floats],
+    positions: tuple[Floats, Floats, Floats],
     order: NDArray[np.int32],
-    turn: float,
+    phase: float,
     height: int,
     width: int,
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
@@ -149,17 +153,20 @@ def _view(
 
     A gap has the farther one of the two points beside it in its row.
     """
-    x, y, move = places
-    high, wide = _FINE * height + 2, _FINE * width + 2  # with a rim for points outside
-    column = np.clip(x + move * np.float32(math.cos(turn)) + 1, 0, wide - 1).astype(np.int32)
-    row = np.clip(y + move * np.float32(_FLATNESS * math.sin(turn)) + 1, 0, high - 1)
+    x, y, move = positions
+    high, wide = (
+        _SAMPLES_PER_PIXEL * height + 2,
+        _SAMPLES_PER_PIXEL * width + 2,
+    )  # with a rim for points outside
+    column = np.clip(x + move * np.float32(math.cos(phase)) + 1, 0, wide - 1).astype(np.int32)
+    row = np.clip(y + move * np.float32(_ELLIPSE_RATIO * math.sin(phase)) + 1, 0, high - 1)
     rank = np.full(high * wide, -1, np.int32)  # of the visible point, in the order from far to near
     rank[row.astype(np.int32) * wide + column] = np.arange(len(order), dtype=np.int32)
     rank = rank.reshape(high, wide)[1:-1, 1:-1]
     gap = rank < 0
-    along = np.arange(wide - 2, dtype=np.int32)
-    left = np.maximum.accumulate(np.where(gap, -1, along), axis=1)
-    right = np.minimum.accumulate(np.where(gap, wide - 2, along)[:, ::-1], axis=1)[:, ::-1]
+    columns = np.arange(wide - 2, dtype=np.int32)
+    left = np.maximum.accumulate(np.where(gap, -1, columns), axis=1)
+    right = np.minimum.accumulate(np.where(gap, wide - 2, columns)[:, ::-1], axis=1)[:, ::-1]
     right = np.where(right > wide - 3, left, right)
     left = np.where(left < 0, right, left)
     farther = np.minimum(*(np.take_along_axis(rank, end, axis=1) for end in (left, right)))

@@ -27,18 +27,18 @@ from tisfm.metrics import (
 from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
 from tisfm.pair import interpret
 from tisfm.rigid import pose_matrix
-from tisfm.running.pair_writer import USUAL, PairWriter
-from tisfm.running.pool import as_sent
+from tisfm.running.pair_writer import DEFAULT_OUTPUTS, PairWriter
+from tisfm.running.pool import sendable_error
 from tisfm.scenes import SyntheticPair, static_scene, two_blocks
 from tisfm.settings import Settings
 
 NAME = "demo"  # of the demo's pairs
-NONE = "–"
+NO_VALUE = "–"
 PAPER, BALANCED, BASELINE = "preset paper", "balanced (default)", "Horn–Schunck"
 FIELD, CAMERA, OBJECTS = "field, at rest", "camera, at rest", "objects, moving"
-WORKS = "objects", "blocks", "camera"  # the slowest first
-_CROP = 144, 96  # px: small, but it uses the same kernels as the whole frame
-_LOOK = 0.1  # s between two checks whether the command still runs
+PARTS = "objects", "blocks", "camera"  # the slowest first
+_WARM_UP_SIZE = 144, 96  # px: small, but it uses the same kernels as the whole frame
+_CHECK_INTERVAL = 0.1  # s between two checks whether the command still runs
 
 Rows = dict[str, tuple[str, ...]]
 
@@ -64,7 +64,7 @@ class Part:
     width: int
     seed: int
     threads: int
-    alive: Path
+    presence: Path
 
     @property
     def folder(self) -> Path:
@@ -72,7 +72,7 @@ class Part:
         return self.output if self.work == "blocks" else self.output / self.work
 
 
-def done(part: Part) -> Rows | Exception:
+def run_part(part: Part) -> Rows | Exception:
     """Interpret a scene and write its files.
 
     Returns
@@ -85,7 +85,7 @@ def done(part: Part) -> Rows | Exception:
         return {"blocks": _blocks, "camera": _camera, "objects": _objects}[part.work](part)
     except Exception as error:
         if is_user_error(error):
-            return as_sent(error)
+            return sendable_error(error)
         raise
 
 
@@ -95,38 +95,38 @@ def _blocks(part: Part) -> Rows:
     paper, settings = Settings.preset("paper"), Settings()
     writer = _writer(part, moving, settings)
     horn_schunck(*_crops(moving))
-    known: dict[Settings, Interpretation] = {}
+    results: dict[Settings, Interpretation] = {}
     rows: Rows = {}
     for label, changed in ((PAPER, paper), (BALANCED, settings)):
-        known[changed], seconds = _interpreted(part, moving, changed)
-        depth = _by_part(moving, moving.labels, _relative_error(known[changed]))
-        cells = _flow_cells(known[changed].flow, moving)
-        rows[label] = (*cells, _cell(depth, 3), known[changed].status, seconds)
-    baseline, seconds = _timed(lambda: horn_schunck(moving.frame0, moving.frame1))
-    rows[BASELINE] = (*_flow_cells(baseline, moving), NONE, NONE, seconds)
-    _write(writer, moving, known[settings], baseline)
+        results[changed], seconds = _interpret_timed(part, moving, changed)
+        depth = _by_part(moving, moving.labels, _relative_error(results[changed]))
+        cells = _flow_cells(results[changed].flow, moving)
+        rows[label] = (*cells, _cell(depth, 3), results[changed].status, seconds)
+    baseline, seconds = _measure_time(lambda: horn_schunck(moving.frame0, moving.frame1))
+    rows[BASELINE] = (*_flow_cells(baseline, moving), NO_VALUE, NO_VALUE, seconds)
+    _write(writer, moving, results[settings], baseline)
     write_paper_figures(
         part.folder,
         moving.frame0,
         moving.frame1,
         camera=moving.camera,
-        known={changed: result.inverse_depth for changed, result in known.items()},
+        known_depth={changed: result.inverse_depth for changed, result in results.items()},
     )
     return rows
 
 
 def _camera(part: Part) -> Rows:
     """Interpret static blocks under ``motion="camera"`` and ``motion="field"``."""
-    still = static_scene("forward+rotation", part.height, part.width, seed=part.seed)
+    static = static_scene("forward+rotation", part.height, part.width, seed=part.seed)
     settings = Settings(motion="camera")
-    writer = _writer(part, still, settings)
-    result, seconds = _interpreted(part, still, settings)
-    _write(writer, still, result)
+    writer = _writer(part, static, settings)
+    result, seconds = _interpret_timed(part, static, settings)
+    _write(writer, static, result)
     write_animation(part.output / ANIMATION, result)
-    field, field_seconds = _interpreted(part, still, Settings())
+    field, field_seconds = _interpret_timed(part, static, Settings())
     return {
-        FIELD: (*_model_cells(field, still), field.status, field_seconds),
-        CAMERA: (*_model_cells(result, still), result.status, seconds),
+        FIELD: (*_model_cells(field, static), field.status, field_seconds),
+        CAMERA: (*_model_cells(result, static), result.status, seconds),
     }
 
 
@@ -135,51 +135,53 @@ def _objects(part: Part) -> Rows:
     moving = two_blocks(part.height, part.width, seed=part.seed)
     settings = Settings(motion="objects")
     writer = _writer(part, moving, settings)
-    result, seconds = _interpreted(part, moving, settings)
+    result, seconds = _interpret_timed(part, moving, settings)
     _write(writer, moving, result)
     return {OBJECTS: (*_model_cells(result, moving), result.status, seconds)}
 
 
 def _writer(part: Part, scene: SyntheticPair, settings: Settings) -> PairWriter:
-    return PairWriter(part.folder, camera=scene.camera, settings=settings, outputs=(*USUAL, "flow"))
+    return PairWriter(
+        part.folder, camera=scene.camera, settings=settings, outputs=(*DEFAULT_OUTPUTS, "flow")
+    )
 
 
-def _interpreted(
+def _interpret_timed(
     part: Part, scene: SyntheticPair, settings: Settings
 ) -> tuple[Interpretation, str]:
     """Return an interpretation, and its time, s, without the compilation of kernels."""
-    with _ended_without(part.alive):
+    with _ending_with_command(part.presence):
         interpret(*_crops(scene), camera=scene.camera, settings=settings)
-        return _timed(
+        return _measure_time(
             lambda: interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
         )
 
 
 @contextmanager
-def _ended_without(alive: Path) -> Iterator[None]:
+def _ending_with_command(presence: Path) -> Iterator[None]:
     """Within the block, which writes nothing, end this process if the command ends."""
-    over = threading.Event()
+    is_over = threading.Event()
 
     def watch() -> None:
-        while not over.wait(_LOOK):
-            if not alive.exists():
+        while not is_over.wait(_CHECK_INTERVAL):
+            if not presence.exists():
                 os._exit(1)
 
-    watching = threading.Thread(target=watch, daemon=True)
-    watching.start()
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
     try:
         yield
     finally:
-        over.set()
-        watching.join()
+        is_over.set()
+        watcher.join()
 
 
 def _crops(scene: SyntheticPair) -> tuple[np.ndarray, np.ndarray]:
-    height, width = _CROP
+    height, width = _WARM_UP_SIZE
     return scene.frame0[:height, :width], scene.frame1[:height, :width]
 
 
-def _timed(work: Callable) -> tuple:
+def _measure_time(work: Callable) -> tuple:
     """Return the result of a function, and its time, s, as text."""
     begin = time.perf_counter()
     result = work()
@@ -213,13 +215,13 @@ def _model_cells(result: Interpretation, scene: SyntheticPair) -> tuple[str, ...
     """Return errors of depth, flow and motion; surfaces with one motion share a scale of depth."""
     _, part = np.unique(scene.motions, axis=0, return_inverse=True)
     parts = part.reshape(-1)[scene.labels]
-    covered = None
+    coverage = None
     if result.inverse_depth_std is not None:
-        covered = _by_part(scene, parts, _coverage(result, result.inverse_depth_std))
+        coverage = _by_part(scene, parts, _coverage(result, result.inverse_depth_std))
     pose = _pose_errors(result, scene)
     return (
         _cell(_by_part(scene, parts, _relative_error(result)), 3),
-        NONE if covered is None else f"{100 * covered:.0f} %",
+        NO_VALUE if coverage is None else f"{100 * coverage:.0f} %",
         f"{endpoint_error(result.flow, scene.flow, mask=scene.visible):.3f}",
         _cell(None if pose is None else pose.direction, 3),
         _cell(None if pose is None else pose.rotation, 4),
@@ -227,7 +229,7 @@ def _model_cells(result: Interpretation, scene: SyntheticPair) -> tuple[str, ...
 
 
 def _cell(value: float | None, digits: int) -> str:
-    return NONE if value is None else f"{value:.{digits}f}"
+    return NO_VALUE if value is None else f"{value:.{digits}f}"
 
 
 Measure = Callable[[np.ndarray, np.ndarray], float]  # error from the true depth within a mask

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from tisfm.cli.console import print_whole, start_kernels, tell
+from tisfm.cli.console import print_full_width, start_kernels, tell
 from tisfm.cli.options import SettingsOptions, StatedCameraOptions
 from tisfm.cli.progress import TimeEstimate, progress_bar
 from tisfm.datasets import LAYOUTS, Layout, LoadedPair, find_pairs
@@ -146,7 +146,7 @@ def evaluate(options: Eval) -> int:
         if output is None
         else EvaluationWriter(output, camera=camera, settings=settings, pairs=pairs)
     )
-    estimate, done = TimeEstimate("pairs"), count(1)
+    estimate, finished_counts = TimeEstimate("pairs"), count(1)
     with progress_bar() as progress:
         task = progress.add_task("compiling", total=len(pairs))
 
@@ -156,7 +156,7 @@ def evaluate(options: Eval) -> int:
             if writer is not None:
                 writer.write(evaluation, result, loaded)
             progress.update(task, advance=1, description=evaluation.label)
-            estimate.update(next(done), len(pairs))
+            estimate.update(next(finished_counts), len(pairs))
 
         evaluation = evaluate_pairs(
             pairs,
@@ -164,17 +164,17 @@ def evaluate(options: Eval) -> int:
             settings=settings,
             give_poses=options.give_poses,
             max_depth=options.max_depth,
-            on_load=None if writer is None else _require_writable,
+            on_load=None if writer is None else _require_writable_flow,
             on_pair=finish_pair,
         )
     if writer is not None:
         writer.finish(evaluation)
     for table in evaluation_tables(evaluation):
-        print_whole(table)
-    good = [pair for pair in evaluation.pairs if pair.fault is None]
-    if good:
-        counts = Counter(pair.status for pair in good)
-        number = len(good)
+        print_full_width(table)
+    valid_pairs = [pair for pair in evaluation.pairs if pair.fault is None]
+    if valid_pairs:
+        counts = Counter(pair.status for pair in valid_pairs)
+        number = len(valid_pairs)
         statuses = ", ".join(f"{count} {code}" for code, count in counts.items())
         where = (
             ""
@@ -182,7 +182,9 @@ def evaluate(options: Eval) -> int:
             else (f" Pictures and flow in {output}, every number in {output / EVALUATION_RECORD}.")
         )
         tell(f"{number} pair{'s' * (number != 1)}: {statuses}.{where}")
-    advice = {pair.status: pair.message for pair in reversed(good) if pair.status != "converged"}
+    advice = {
+        pair.status: pair.message for pair in reversed(valid_pairs) if pair.status != "converged"
+    }
     for code, message in advice.items():
         tell(f"{code}: {message}")
     for pair in evaluation.faults:
@@ -190,6 +192,6 @@ def evaluate(options: Eval) -> int:
     return 1 if evaluation.faults else 0
 
 
-def _require_writable(loaded: LoadedPair) -> None:
+def _require_writable_flow(loaded: LoadedPair) -> None:
     """Raise an error for frames that are too large for the files of `tisfm eval`."""
     require_writable_flow("frame0", *loaded.frame0.shape[:2])

@@ -10,7 +10,7 @@ import numpy as np
 
 import tisfm
 from tisfm.camera import Camera
-from tisfm.cli.console import notes_as_lines, print_whole, start_kernels, tell
+from tisfm.cli.console import print_full_width, print_source_notes, start_kernels, tell
 from tisfm.cli.progress import STAGES, TimeEstimate, progress_bar
 from tisfm.datasets import (
     SEQUENCE_LAYOUTS,
@@ -49,7 +49,7 @@ if TYPE_CHECKING:  # it imports this module
     from tisfm.cli.evaluate import Eval
 
 
-@notes_as_lines()
+@print_source_notes()
 def evaluate_sequences(options: "Eval") -> int:
     """Reconstruct the sequences of datasets, print their errors, write all; return the exit code.
 
@@ -93,15 +93,15 @@ def evaluate_sequences(options: "Eval") -> int:
             sequences=[as_record(evaluation) for evaluation in evaluations],
         )
     for table in sequence_tables(evaluations):
-        print_whole(table)
-    faults = [evaluation for evaluation in evaluations if evaluation.fault is not None]
-    good = len(evaluations) - len(faults)
-    if good:
+        print_full_width(table)
+    failed = [evaluation for evaluation in evaluations if evaluation.fault is not None]
+    valid_count = len(evaluations) - len(failed)
+    if valid_count:
         where = "" if output is None else f" Paths and every number in {output}."
-        tell(f"{good} sequence{'s' * (good != 1)}.{where}")
-    for evaluation in faults:
+        tell(f"{valid_count} sequence{'s' * (valid_count != 1)}.{where}")
+    for evaluation in failed:
         tell(f"tisfm: {evaluation.sequence.name}: {evaluation.fault}")
-    return 1 if faults else 0
+    return 1 if failed else 0
 
 
 def _sequences(folders: Sequence[str], layout: str | None) -> list[DatasetSequence]:
@@ -116,13 +116,13 @@ def _sequences(folders: Sequence[str], layout: str | None) -> list[DatasetSequen
 def _paths(sequences: Sequence[DatasetSequence], output: Path) -> dict[DatasetSequence, Path]:
     """Return the file for the path of each sequence, all different."""
     paths: dict[DatasetSequence, Path] = {}
-    taken: set[str] = set()
+    used_names: set[str] = set()
     for sequence in sequences:
         number, name = 1, sequence.name
-        while name.lower() in taken:
+        while name.lower() in used_names:
             number += 1
             name = f"{sequence.name}_{number}"
-        taken.add(name.lower())
+        used_names.add(name.lower())
         paths[sequence] = output / f"{name}.tum"
     return paths
 
@@ -150,7 +150,7 @@ def _evaluate(
             step=step,
             give_poses=options.give_poses,
             max_depth=options.max_depth,
-            progress=_estimate(sequence.name),
+            progress=_progress_callback(sequence.name),
         )
     else:
         result, has_depth = _read(options.result, loaded)
@@ -169,7 +169,7 @@ def _evaluate(
     return evaluation
 
 
-def _estimate(name: str) -> Progress:
+def _progress_callback(name: str) -> Progress:
     """Return a progress callback that prints the expected time of a long sequence."""
     estimates = {stage: TimeEstimate(f"frames of {name}, {text}") for stage, text in STAGES.items()}
     return lambda stage, done, total: estimates[stage].update(done, total)
@@ -235,9 +235,9 @@ def evaluate_objects(
         if paths is not None:
             objects["paths"] = {label: asdict(errors) for label, errors in paths.items()}
         _write_record(output, objects=objects)
-    print_whole(mask_table(name, scores))
+    print_full_width(mask_table(name, scores))
     if paths is not None:
-        print_whole(object_path_table(name, paths))
+        print_full_width(object_path_table(name, paths))
     where = "" if output is None else f" Every number in {output}."
     count = len(scores.objects)
     tell(f"{count} object{'s' * (count != 1)} in {scores.frames} frames.{where}")

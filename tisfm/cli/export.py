@@ -13,7 +13,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from tisfm.checks import hint
 from tisfm.cli.console import tell
-from tisfm.cli.progress import MUCH, progress_bar
+from tisfm.cli.progress import LARGE_OUTPUT, progress_bar
 from tisfm.errors import InputError
 from tisfm.folders.result_folder import make_result_folder
 from tisfm.machine.text import as_duration, as_size
@@ -85,8 +85,8 @@ class Export:
 
 
 _WITH_SCREEN = {"video-anaglyph", "video-wiggle"}
-_LONG = 20.0  # s: a shorter remaining time is not printed; set by hand
-_SOON = 1.0  # s over which the speed of an export is measured; set by hand
+_MIN_PRINTED_TIME = 20.0  # s: a shorter remaining time is not printed; set by hand
+_MIN_MEASURED_TIME = 1.0  # s over which the speed of an export is measured; set by hand
 
 
 def export(options: Export) -> int:
@@ -219,7 +219,7 @@ def _announce(formats: "dict[str, Format]", request: "ExportRequest") -> None:
     about = f"up to {as_size(expected)} for {len(request.chosen)} frames of {width}×{height} px"
     if expected > free:
         tell(f"{about}, but {as_size(free)} are free: choose frames with --start, --stop, --step")
-    elif expected > MUCH:
+    elif expected > LARGE_OUTPUT:
         tell(f"{about} in {request.folder}")
 
 
@@ -234,10 +234,10 @@ def _progress_callback(name: str, bar: Progress) -> Callable[[int, int], None]:
         now = time.monotonic()
         if not before or done <= before:  # the first pass gives no speed
             begin, before = now, done
-        elif not is_printed and now - begin > _SOON:
+        elif not is_printed and now - begin > _MIN_MEASURED_TIME:
             is_printed = True
             left = (now - begin) / (done - before) * (total - done)
-            if left > _LONG:
+            if left > _MIN_PRINTED_TIME:
                 tell(f"{name}: about {as_duration(left)} for {total - done} more frames")
 
     return tell_progress

@@ -14,7 +14,7 @@ from tisfm.cli.console import start_kernels, tell
 from tisfm.cli.options import CameraOptions
 from tisfm.folders.result_folder import InputFiles, make_result_folder
 from tisfm.pair import interpret
-from tisfm.running.sequence_run import camera_of_file, with_guessed_focal
+from tisfm.running.sequence_run import guess_camera_focal, load_camera
 from tisfm.settings import PAPER_SMOOTHNESS, Settings
 from tisfm.show import depth_grey, inverse_depth_limit, panel_figure, save_figure
 from tisfm.sources import FrameSource
@@ -61,13 +61,11 @@ def figures(
     start_kernels(None, threads=threads)
     for pair in pairs:
         if isinstance(camera, Path):
-            camera = camera_of_file(camera, pair.frame0.shape[:2], tell)
+            camera = load_camera(camera, pair.frame0.shape[:2], tell)
         elif guess:
-            camera = with_guessed_focal(camera, pairs.files[0], tell)
-        written = write_paper_figures(
-            output, pair.frame0, pair.frame1, camera=camera, inputs=inputs
-        )
-        tell("wrote " + ", ".join(map(str, written)))
+            camera = guess_camera_focal(camera, pairs.files[0], tell)
+        files = write_paper_figures(output, pair.frame0, pair.frame1, camera=camera, inputs=inputs)
+        tell("wrote " + ", ".join(map(str, files)))
     return 0
 
 
@@ -81,7 +79,7 @@ def write_paper_figures(
     frame1: npt.ArrayLike,
     *,
     camera: Camera,
-    known: Mapping[Settings, np.ndarray] | None = None,
+    known_depth: Mapping[Settings, np.ndarray] | None = None,
     inputs: InputFiles | None = None,
 ) -> list[Path]:
     """Write three figures of the depth of a pair under different settings.
@@ -141,14 +139,14 @@ def write_paper_figures(
             },
         ),
     }
-    depth_of = dict(known or {})
-    written = []
+    depth_by_settings = dict(known_depth or {})
+    files = []
     for name, (title, panels) in comparisons.items():
         for settings in panels.values():
-            if settings not in depth_of:
+            if settings not in depth_by_settings:
                 result = interpret(frame0, frame1, camera=camera, settings=settings)
-                depth_of[settings] = result.inverse_depth
-        depths = [depth_of[settings] for settings in panels.values()]
+                depth_by_settings[settings] = result.inverse_depth
+        depths = [depth_by_settings[settings] for settings in panels.values()]
         limit = max(inverse_depth_limit(depth) for depth in depths) or None
         pictures = [
             (label, depth_grey(depth, limit=limit))
@@ -156,5 +154,5 @@ def write_paper_figures(
         ]
         (inputs or InputFiles()).refuse(folder / name)
         save_figure(folder / name, panel_figure(pictures, title=title))
-        written.append(folder / name)
-    return written
+        files.append(folder / name)
+    return files

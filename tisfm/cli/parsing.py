@@ -34,9 +34,9 @@ from tisfm.checks import nearest
 from tisfm.errors import InputError
 
 T = TypeVar("T")
-SEVERAL = {"export": ("--to",), "run": ("--outputs",)}
+LIST_OPTIONS = {"export": ("--to",), "run": ("--outputs",)}
 """Options that may have several values with commas between, by commands."""
-_LISTED = 12  # an error with a suggestion lists no more values than this; set by hand
+_MAX_LISTED_CHOICES = 12  # an error with a suggestion lists no more values than this; set by hand
 
 
 class WrongOptionError(InputError):
@@ -64,7 +64,7 @@ def parse(name: str, command: type[T], arguments: Sequence[str], default: T | No
     SystemExit
         After the help text, if --help is given.
     """
-    words = _with_commas_split(arguments, SEVERAL.get(name, ()))
+    words = _with_commas_split(arguments, LIST_OPTIONS.get(name, ()))
     options = option_types(command)
     _refuse_unknown(name, words, options)
 
@@ -107,48 +107,50 @@ def _marker(annotated: Any) -> Any:
 
 def option_types(command: type) -> dict[str, Any]:
     """Return the names of the options of a command, such as "--preset", with their types."""
-    found: dict[str, Any] = {"--help": bool, "-h": bool}
+    options: dict[str, Any] = {"--help": bool, "-h": bool}
     for field in fields(command):
         kind = get_type_hints(command, include_extras=True)[field.name]
         markers = list(get_args(kind)[1:]) if get_origin(kind) is Annotated else []
         kind = get_args(kind)[0] if markers else kind
         if is_dataclass(kind):
-            found |= option_types(kind)  # type: ignore[arg-type]  # it is a class
+            options |= option_types(kind)  # type: ignore[arg-type]  # it is a class
             continue
         if _marker(tyro.conf.Positional[int]) in markers:
             continue
         labels = [marker for marker in markers if hasattr(marker, "aliases")]
-        own = next((label.name for label in labels if label.name), field.name).replace("_", "-")
-        found[f"--{own}"] = kind
+        option_name = next((label.name for label in labels if label.name), field.name).replace(
+            "_", "-"
+        )
+        options[f"--{option_name}"] = kind
         if kind is bool and _marker(tyro.conf.FlagCreatePairsOff[bool]) not in markers:
-            found[f"--no-{own}"] = kind
-        found |= {alias: kind for label in labels for alias in label.aliases or ()}
-    return found
+            options[f"--no-{option_name}"] = kind
+        options |= {alias: kind for label in labels for alias in label.aliases or ()}
+    return options
 
 
-def suggestion(word: str, known: Iterable[str]) -> str:
+def suggestion(word: str, words: Iterable[str]) -> str:
     """Return ": did you mean …?" with the nearest known word; "" if none is similar."""
-    found = nearest(word, known)
+    found = nearest(word, words)
     return "" if found is None else f": did you mean {found}?"
 
 
-def _with_commas_split(arguments: Sequence[str], several: Sequence[str]) -> list[str]:
+def _with_commas_split(arguments: Sequence[str], list_options: Sequence[str]) -> list[str]:
     """Return the arguments with ``--to a,b`` written as ``--to a --to b``."""
     words: list[str] = []
-    waiting = iter(arguments)
-    for word in waiting:
+    remaining = iter(arguments)
+    for word in remaining:
         name, equals, value = word.partition("=")
-        if name not in several:
+        if name not in list_options:
             words.append(word)
             continue
-        given = value if equals else next(waiting, "")
-        values = [one for one in given.replace(" ", "").split(",") if one] or [given]
-        words += [part for one in values for part in (name, one)] if given else [name]
+        text = value if equals else next(remaining, "")
+        values = [value for value in text.replace(" ", "").split(",") if value] or [text]
+        words += [part for value in values for part in (name, value)] if text else [name]
     return words
 
 
 def _refuse_unknown(name: str, words: Sequence[str], options: dict[str, Any]) -> None:
-    for word in takewhile(lambda one: one != "--", words):
+    for word in takewhile(lambda argument: argument != "--", words):
         option = word.partition("=")[0]
         # tyro accepts underscores instead of dashes.
         if option.startswith("--") and option.replace("_", "-") not in options:
@@ -161,12 +163,12 @@ def _refuse_unknown(name: str, words: Sequence[str], options: dict[str, Any]) ->
 def _explanation(name: str, event: _errors.ParseErrorEvent, words: Sequence[str]) -> str:
     """Return the reason, in words, why tyro refuses the arguments of a command."""
     if isinstance(event, _errors.InvalidChoice):
-        known = [choice for choice in _choices(event.argument) if choice != "None"]
-        meant = suggestion(event.value, known)
+        choices = [choice for choice in _choices(event.argument) if choice != "None"]
+        hint_text = suggestion(event.value, choices)
         option = event.argument.display_name()
-        if meant and len(known) > _LISTED:
-            return f"{option} is {event.value!r}{meant}"
-        return f"{option} is {event.value!r}{meant}; expected one of {', '.join(known)}"
+        if hint_text and len(choices) > _MAX_LISTED_CHOICES:
+            return f"{option} is {event.value!r}{hint_text}"
+        return f"{option} is {event.value!r}{hint_text}; expected one of {', '.join(choices)}"
     if isinstance(event, _errors.BadValue) and event.argument.is_positional():
         count, label = event.argument.lowered.nargs, event.argument.lowered.metavar
         return f"tisfm {name} takes {count} {event.argument.field.intern_name}: give {label}"
@@ -182,10 +184,10 @@ def _explanation(name: str, event: _errors.ParseErrorEvent, words: Sequence[str]
         return f"tisfm {name} does not take {' '.join(event.tokens)}"
     if isinstance(event, _errors.MissingArgs):
         missing = [
-            one.arg.lowered.metavar
-            if one.arg.is_positional()
-            else f"{one.arg.lowered.name_or_flags[0]} {one.arg.lowered.metavar}"
-            for one in event.missing_arguments
+            missing_one.arg.lowered.metavar
+            if missing_one.arg.is_positional()
+            else f"{missing_one.arg.lowered.name_or_flags[0]} {missing_one.arg.lowered.metavar}"
+            for missing_one in event.missing_arguments
         ]
         return f"tisfm {name} needs {', '.join(map(str, missing))}"
     message = getattr(event, "message", "these options are wrong")
@@ -199,19 +201,19 @@ def _choices(argument: Any) -> list[str]:
 
 
 def _literals(argument: Any) -> list[str]:
-    found = [
+    values = [
         str(value)
         for kind in _alternatives(argument.field.type_stripped)
         if get_origin(kind) is Literal
         for value in get_args(kind)
     ]
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(values))
 
 
 def _alternatives(kind: Any) -> list[Any]:
     """Return the types of a union, or of the items of a tuple of any length, without None."""
     if get_origin(kind) in (Union, types.UnionType):
-        return [one for part in get_args(kind) for one in _alternatives(part)]
+        return [alternative for part in get_args(kind) for alternative in _alternatives(part)]
     if get_origin(kind) is tuple and get_args(kind)[-1] is Ellipsis:
         return _alternatives(get_args(kind)[0])
     return [] if kind is type(None) else [kind]
@@ -224,7 +226,7 @@ def _expected(argument: Any) -> str:
         parts = get_args(kind) if get_origin(kind) is tuple else (kind,)
         if get_origin(kind) is Literal:
             choices = list(map(str, get_args(kind)))
-            texts += choices[:_LISTED] + ["…"] * (len(choices) > _LISTED)
+            texts += choices[:_MAX_LISTED_CHOICES] + ["…"] * (len(choices) > _MAX_LISTED_CHOICES)
         elif set(parts) <= {int, float}:
             noun = "whole number" if set(parts) == {int} else "number"
             texts.append(f"a {noun}" if len(parts) == 1 else f"{len(parts)} {noun}s")

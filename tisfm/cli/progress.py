@@ -30,11 +30,11 @@ from tisfm.running.pair_writer import PairWriter
 
 STAGES: dict[Stage, str] = {"reading": "reading, tracking", "path": "path", "depth": "depth"}
 """The stages of a reconstruction, as a progress bar names them."""
-MUCH = 2e8  # bytes: a command that will write more prints this beforehand; set by hand
-_LONG = 60.0  # s: a shorter remaining time is not printed; set by hand
-_LEAST_TIME = 5.0  # s over which the speed is measured; set by hand
-_FIRST_MEASURED = 2  # item: the first one takes longer, because kernels are compiled
-_RECENT = 20  # pairs over which the speed and the slowest stage are measured; set by hand
+LARGE_OUTPUT = 2e8  # bytes: a command that will write more prints this beforehand; set by hand
+_MIN_PRINTED_TIME = 60.0  # s: a shorter remaining time is not printed; set by hand
+_MIN_MEASURED_TIME = 5.0  # s over which the speed is measured; set by hand
+_FIRST_MEASURED_ITEM = 2  # item: the first one takes longer, because kernels are compiled
+_RECENT_PAIRS = 20  # pairs over which the speed and the slowest stage are measured; set by hand
 _STAGE_NAMES: dict[Stage, str] = {  # in timings.csv
     "reading": "Reading and tracking",
     "path": "Path",
@@ -56,25 +56,25 @@ class TimeEstimate:
     def __init__(self, items: str) -> None:
         self._items = items
         self._since: float | None = None
-        self._before = 0
-        self._is_told = False
+        self._first_count = 0
+        self._is_printed = False
 
     def update(self, count: int, total: int | None) -> None:
         """Receive the numbers of finished items and of all items; None if unknown."""
-        if self._is_told or total is None or count < _FIRST_MEASURED:
+        if self._is_printed or total is None or count < _FIRST_MEASURED_ITEM:
             return
         now = time.monotonic()
         if self._since is None:
-            self._since, self._before = now, count
+            self._since, self._first_count = now, count
             return
-        spent, finished = now - self._since, count - self._before
-        if spent < _LEAST_TIME or finished < 1:
+        elapsed, new_items = now - self._since, count - self._first_count
+        if elapsed < _MIN_MEASURED_TIME or new_items < 1:
             return
-        self._is_told = True
-        left = spent / finished * (total - count)
-        if left > _LONG:
-            speed = f"{finished / spent:.2g} a second"
-            tell(f"{total} {self._items}: about {as_duration(left)} to go, {speed}")
+        self._is_printed = True
+        remaining = elapsed / new_items * (total - count)
+        if remaining > _MIN_PRINTED_TIME:
+            speed = f"{new_items / elapsed:.2g} a second"
+            tell(f"{total} {self._items}: about {as_duration(remaining)} to go, {speed}")
 
 
 def progress_bar() -> Progress:
@@ -112,20 +112,20 @@ class RunProgress:
     """
 
     def __init__(self) -> None:
-        self.last = 0.0
+        self.last_seconds = 0.0
         self.writer: PairWriter | None = None
         self._total: int | None = None
         self._bar = progress_bar()
         self._task = self._bar.add_task("", total=None)
-        self._spent: dict[str, float] = {}
-        self._steps: deque[tuple[float, int, dict[str, float]]] = deque(maxlen=_RECENT)
+        self._stage_seconds: dict[str, float] = {}
+        self._steps: deque[tuple[float, int, dict[str, float]]] = deque(maxlen=_RECENT_PAIRS)
         self._estimate = TimeEstimate("pairs")
         self._is_announced = False
 
     def __enter__(self) -> "RunProgress":
         return self
 
-    def __exit__(self, *about: object) -> None:
+    def __exit__(self, *details: object) -> None:
         self._bar.stop()
 
     def begin(self, writer: PairWriter, total: int | None) -> None:
@@ -142,16 +142,16 @@ class RunProgress:
         try:
             yield
         finally:
-            self.last = time.perf_counter() - begin
-            self._spent[name] = self._spent.get(name, 0.0) + self.last
+            self.last_seconds = time.perf_counter() - begin
+            self._stage_seconds[name] = self._stage_seconds.get(name, 0.0) + self.last_seconds
 
-    def timed(self, name: str, items: Iterable[T]) -> Iterator[T]:
+    def measure_items(self, name: str, items: Iterable[T]) -> Iterator[T]:
         """Yield items, and measure the time of fetching each of them for a stage."""
-        waiting = iter(items)
+        iterator = iter(items)
         while True:
             with self.stage(name):
                 try:
-                    item = next(waiting)
+                    item = next(iterator)
                 except StopIteration:
                     return
             yield item
@@ -162,12 +162,12 @@ class RunProgress:
 
         Other processes finish `count` pairs at a time; their stages are not known here.
         """
-        self._steps.append((time.perf_counter(), count, dict(self._spent)))
+        self._steps.append((time.perf_counter(), count, dict(self._stage_seconds)))
         (begin, _, before), (end, _, after) = self._steps[0], self._steps[-1]
         speed = sum(step[1] for step in list(self._steps)[1:]) / max(end - begin, 1e-9)
-        spent = {stage: after[stage] - before.get(stage, 0.0) for stage in after}
-        slowest = max(spent, key=lambda stage: spent[stage], default="")
-        stage = f", {slowest}" if slowest and spent[slowest] > 0 else ""
+        recent_seconds = {stage: after[stage] - before.get(stage, 0.0) for stage in after}
+        slowest = max(recent_seconds, key=lambda stage: recent_seconds[stage], default="")
+        stage = f", {slowest}" if slowest and recent_seconds[slowest] > 0 else ""
         counts = ", ".join(f"{count} {code}" for code, count in statuses.items())
         text = f"{name}: {speed:.3g} pairs/s{stage}" + (f"; {counts}" if counts else "")
         self._bar.update(self._task, advance=count, description=text)
@@ -176,11 +176,11 @@ class RunProgress:
         """Print the remaining time of the run, from the pairs that this command interpreted."""
         if self._total is None or self.writer is None:
             return
-        left = self._total - sum(self.writer.statuses.values())
+        remaining = self._total - sum(self.writer.statuses.values())
         if not self._is_announced and self.writer.statuses:
             self._is_announced = True
-            _announce(self.writer, left + 1)
-        self._estimate.update(interpreted, interpreted + left)
+            _announce(self.writer, remaining + 1)
+        self._estimate.update(interpreted, interpreted + remaining)
 
 
 def _announce(writer: PairWriter, count: int) -> None:
@@ -191,7 +191,7 @@ def _announce(writer: PairWriter, count: int) -> None:
             f"about {as_size(expected)} for {count} pairs, but {as_size(free)} are free: see "
             "--outputs"
         )
-    elif expected > MUCH:
+    elif expected > LARGE_OUTPUT:
         tell(f"about {as_size(expected)} for {count} pairs in {writer.folder}; --outputs chooses")
 
 

@@ -15,9 +15,9 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
-from tisfm.cli.console import notes_as_lines, tell, tell_device, watch_interrupt
+from tisfm.cli.console import print_source_notes, tell, tell_device, watch_interrupt
 from tisfm.cli.options import CameraOptions, FrameOptions
-from tisfm.cli.progress import MUCH, STAGES, StageTimes, TimeEstimate, progress_bar
+from tisfm.cli.progress import LARGE_OUTPUT, STAGES, StageTimes, TimeEstimate, progress_bar
 from tisfm.cli.report import report_reconstruction
 from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
@@ -209,7 +209,7 @@ def reconstruct(options: Reconstruct) -> int:
     with (
         progress_bar() as bar,
         watch_interrupt(is_endless) as is_interrupted,
-        notes_as_lines(),
+        print_source_notes(),
     ):
         warnings.simplefilter("ignore", GuessedFocalWarning)  # printed at the end
         warnings.simplefilter("ignore", SoftwareVulkanWarning)  # tell_device printed it
@@ -298,11 +298,14 @@ def _announce(source: Source, output: Path, frames: FrameSelection, depth_of: De
     pairs = frames.open(source)
     if pairs.names is None:
         pairs = replace(frames, start=0, stop=None, step=1).open(source)
-    place = output.resolve()
-    folder = next((one for one in (place, *place.parents) if one.exists()), None)
+    path_name = output.resolve()
+    folder = next(
+        (parent_path for parent_path in (path_name, *path_name.parents) if parent_path.exists()),
+        None,
+    )
     try:
-        with closing(pairs.frames()) as found:
-            first = next(found, None)
+        with closing(pairs.frames()) as images:
+            first = next(images, None)
     except (OSError, ValueError):  # reading the source will report it
         return
     if first is None or folder is None:
@@ -312,23 +315,23 @@ def _announce(source: Source, output: Path, frames: FrameSelection, depth_of: De
     expected, free = each * count, shutil.disk_usage(folder).free
     if expected > free:
         tell(f"about {as_size(expected)} for {count} frames, but {as_size(free)} are free")
-    elif expected > MUCH:
+    elif expected > LARGE_OUTPUT:
         tell(f"about {as_size(expected)} for {count} frames in {output}")
 
 
 def _check_fits(file: Path, source: Source, frames: FrameSelection) -> None:
     """Raise an error if a file is no camera, or does not fit the frames of a source."""
     read_camera(file)  # before the source is read
-    with closing(frames.open(source).frames()) as found:
-        first = next(found, None)
+    with closing(frames.open(source).frames()) as images:
+        first = next(images, None)
     if first is not None:
         read_camera(file, first.full or first.image.shape[:2])
 
 
 def _refuse_inside(file: Path, output: Path) -> None:
     """Raise InputError for a file in the output folder, whose contents are replaced."""
-    place = output.resolve()
-    if place in (file.resolve(), *file.resolve().parents):
+    path_name = output.resolve()
+    if path_name in (file.resolve(), *file.resolve().parents):
         raise InputError(f"{file} lies in {output}, whose files are replaced: give another folder")
 
 
@@ -369,27 +372,28 @@ def write_trajectories(result: Reconstruction, folder: Path) -> None:
 
 def _tell(result: Reconstruction, output: Path) -> None:
     count = len(result)
-    placed = int((result.piece >= 0).sum())
+    posed = int((result.piece >= 0).sum())
     sizes = np.bincount(result.piece[result.piece >= 0])
     pieces = f"{len(sizes)} piece{'s' * (len(sizes) != 1)}"
     if len(sizes) > 1:
         pieces += f" ({', '.join(map(str, sizes))} frames, each with its own scale)"
     tell(
-        f"{placed} of {count} frames have a pose, in {pieces}; {len(result.keyframes)} keyframes. "
+        f"{posed} of {count} frames have a pose, in {pieces}; {len(result.keyframes)} keyframes. "
         f"Results in {output}."
     )
-    for thing in result.objects:
-        known = int(np.isfinite(thing.poses[:, 0, 0]).sum())
-        told = f"object {thing.id}: labelled in {len(thing.frames)} frames"
-        told += f", with a pose in {known}" if known else ""
-        tell(told + (f"; {thing.message}" if thing.message else ""))
-    about = result.calibration
-    if about.message:
-        tell(f"focal length: {about.message}" if about.seen else about.message)
-    if about.readout:
+    for moving_object in result.objects:
+        posed_count = int(np.isfinite(moving_object.poses[:, 0, 0]).sum())
+        text = f"object {moving_object.id}: labelled in {len(moving_object.frames)} frames"
+        text += f", with a pose in {posed_count}" if posed_count else ""
+        tell(text + (f"; {moving_object.message}" if moving_object.message else ""))
+    calibration = result.calibration
+    if calibration.message:
+        tell(f"focal length: {calibration.message}" if calibration.seen else calibration.message)
+    if calibration.readout:
         tell(
-            f"rolling shutter: the readout takes {about.readout:.2f} ± {about.readout_std:.1g} of "
-            "the time between two frames; frames and poses are corrected for it"
+            f"rolling shutter: the readout takes {calibration.readout:.2f} ± "
+            f"{calibration.readout_std:.1g} of the time between two frames; frames and poses are "
+            "corrected for it"
         )
     counts = Counter(str(status) for status in result.status if status != "converged")
     for code, number in counts.items():

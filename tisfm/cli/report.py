@@ -51,7 +51,7 @@ def report_run(folder: Path, source: Source | None = None) -> None:
     record = read_record(folder)
     if record is None:
         raise FileNotFoundError(f"{folder} has no {RECORD}: the run finished no pair")
-    path = write_run_report(folder, record, source=title_of(source))
+    path = write_run_report(folder, record, source=source_title(source))
     tell(f"Open {path} in a browser.")
 
 
@@ -59,11 +59,11 @@ def report_reconstruction(
     result: Reconstruction, folder: Path, *, source: Source | None = None
 ) -> None:
     """Write the report of a reconstruction, and print its path."""
-    path = write_reconstruction_report(result, folder, source=title_of(source))
+    path = write_reconstruction_report(result, folder, source=source_title(source))
     tell(f"Open {path} in a browser.")
 
 
-def title_of(source: Source | None) -> str | None:
+def source_title(source: Source | None) -> str | None:
     """Return the name of a source in a report: without the folders above it."""
     if source is None:
         return None

@@ -14,7 +14,7 @@ from tisfm.cli.report import report_run
 from tisfm.errors import InputError
 from tisfm.folders.run_record import RECORD
 from tisfm.report import check_report
-from tisfm.running.pair_files import USUAL, checked_outputs
+from tisfm.running.pair_files import DEFAULT_OUTPUTS, check_outputs
 from tisfm.running.pair_writer import PairWriter
 from tisfm.running.sequence_run import SequenceRun
 from tisfm.runtime import Arch, SoftwareVulkanWarning
@@ -126,9 +126,9 @@ class Run:
         """Return the outputs of a pair, or raise ValueError."""
         if self.figures < 0:
             raise InputError(f"figures is {self.figures}: expected a number of pairs, or 0")
-        chosen = self.outputs or USUAL
+        chosen = self.outputs or DEFAULT_OUTPUTS
         more = ["flow"] * self.flo + ["ply"] * self.ply
-        return checked_outputs([*chosen, *more])
+        return check_outputs([*chosen, *more])
 
 
 def run(sequence: SequenceRun, *, report: bool) -> int:

@@ -69,7 +69,7 @@ class View:
         )
 
 
-_PATIENCE = 10.0  # s: wait for a browser, before more than a first picture is made
+_FIRST_BROWSER_WAIT = 10.0  # s: wait for a browser, before more than a first picture is made
 
 
 def view(folder: Path, *, host: str, port: int, browser: bool, frame: int, points: int) -> int:
@@ -83,7 +83,7 @@ def view(folder: Path, *, host: str, port: int, browser: bool, frame: int, point
         port=port,
         number=frame,
         most_points=points,
-        patience=_PATIENCE,
+        patience=_FIRST_BROWSER_WAIT,
         server=server,
     )
     try:

@@ -21,7 +21,7 @@ RECORD = "run.json"
 TABLE = "run.csv"
 FORMAT = 2  # of `RECORD`, in this version
 # Entries that must be equal for a run to be resumed.
-ASKED = (
+REQUEST_KEYS = (
     "version", "arch", "lanes", "camera", "source", "settings", "window", "outputs", "figures",
     "start", "step", "disparity", "screen",
 )  # fmt: skip
@@ -36,8 +36,11 @@ ENDINGS = {
     "npz": ".npz",
 }
 """Endings of the files of a pair, by output."""
-FOUND = ("depth16_values_per_unit", "depth_range", "flow_limit", "screen_at")
-_LEAST_APART, _SHARE = 1.0, 20.0  # between writings: s, and durations of the last writing
+RANGE_KEYS = ("depth16_values_per_unit", "depth_range", "flow_limit", "screen_at")
+_MIN_WRITE_INTERVAL, _MAX_WRITE_RATIO = (
+    1.0,
+    20.0,
+)  # between writings: s, and durations of the last writing
 _COLUMNS = (
     "pair", "status", "message", "time0", "time1", "speed", "occluded", "confidence", "tx", "ty",
     "tz", "rx", "ry", "rz",
@@ -54,8 +57,8 @@ class RunRecord:
     Parameters
     ----------
     folder : Path
-    asked : mapping
-        The request: values of the keys in `ASKED`.
+    request : mapping
+        The request: values of the keys in `REQUEST_KEYS`.
     notes : sequence of str
         Notes on how the source is read.
 
@@ -67,42 +70,42 @@ class RunRecord:
         Times of the pairs that this command interpreted, s, by their names.
     """
 
-    def __init__(self, folder: Path, asked: Mapping[str, Any], notes: Sequence[str] = ()) -> None:
+    def __init__(self, folder: Path, request: Mapping[str, Any], notes: Sequence[str] = ()) -> None:
         self._folder, self._notes = folder, tuple(notes)
-        self._about: dict[str, Any] = {
-            "format": FORMAT, **asked, **dict.fromkeys(FOUND), "notes": [], "pairs": {}
+        self._record: dict[str, Any] = {
+            "format": FORMAT, **request, **dict.fromkeys(RANGE_KEYS), "notes": [], "pairs": {}
         }  # fmt: skip
         self.statuses: Counter[str] = Counter()
         self.seconds: dict[str, float] = {}
-        self._next, self._is_written = -math.inf, True
-        self._before: dict[str, Any] | ValueError | None = None
+        self._next_write, self._is_written = -math.inf, True
+        self._earlier: dict[str, Any] | ValueError | None = None
 
-    def look(self) -> list[Path]:
+    def read_earlier(self) -> list[Path]:
         """Read the record of an earlier run; return the files that it lists."""
-        before = None
+        earlier = None
         try:
-            before = self._before = _of_any_format(self._folder)
-            refuse_other_format(self._folder / RECORD, before)
+            earlier = self._earlier = _read_any_format(self._folder)
+            refuse_other_format(self._folder / RECORD, earlier)
         except ValueError as error:
-            self._before = error
-        if before is None:
+            self._earlier = error
+        if earlier is None:
             return []
         return [
             self._folder / f"{name}{ending}"
-            for name, pair in before["pairs"].items()
+            for name, pair in earlier["pairs"].items()
             for ending in pair["files"]
         ]
 
     def __getitem__(self, key: str) -> Any:
-        return self._about[key]
+        return self._record[key]
 
     def __setitem__(self, key: str, value: Any) -> None:
-        self._about[key] = value
+        self._record[key] = value
 
     @property
     def pairs(self) -> Mapping[str, Mapping[str, Any]]:
         """The entry of every finished pair, by its name."""
-        pairs: Mapping[str, Mapping[str, Any]] = self._about["pairs"]
+        pairs: Mapping[str, Mapping[str, Any]] = self._record["pairs"]
         return pairs
 
     def resume(self) -> None:
@@ -111,14 +114,14 @@ class RunRecord:
         Raises ValueError if the record is damaged, or of another request; the message names the
         differences.
         """
-        before = self._before
-        if isinstance(before, ValueError):
-            raise before
-        if before is None:
+        earlier = self._earlier
+        if isinstance(earlier, ValueError):
+            raise earlier
+        if earlier is None:
             return
-        asked = json.loads(json.dumps({key: self._about[key] for key in ASKED}))
+        request = json.loads(json.dumps({key: self._record[key] for key in REQUEST_KEYS}))
         differences = summarise_differences(
-            compare_records({key: before.get(key) for key in ASKED}, asked)
+            compare_records({key: earlier.get(key) for key in REQUEST_KEYS}, request)
         )
         if differences:
             raise InputError(
@@ -126,7 +129,7 @@ class RunRecord:
                 f"kind of processor ({differences}): give the same options, or run without "
                 "--resume to start again"
             )
-        self._about = _checked(before, self._folder / RECORD)
+        self._record = _check_values(earlier, self._folder / RECORD)
         self.statuses.update(pair["status"] for pair in self.pairs.values())
 
     def is_complete(self, name: str, digest: str, endings: Collection[str]) -> bool:
@@ -135,19 +138,19 @@ class RunRecord:
         return pair is not None and is_unchanged(self._folder, name, pair, digest, endings)
 
     def finish(
-        self, name: str, about: Mapping[str, Any], files: Mapping[str, tuple[int, int]]
+        self, name: str, entry: Mapping[str, Any], files: Mapping[str, tuple[int, int]]
     ) -> None:
         """Record a pair as finished, with the check sums of its files by their endings."""
-        before = self.pairs.get(name)
-        self._about["pairs"][name] = {**about, "files": dict(files)}
-        self.statuses[about["status"]] += 1
-        if before is not None:
-            self.statuses[before["status"]] -= 1
+        earlier = self.pairs.get(name)
+        self._record["pairs"][name] = {**entry, "files": dict(files)}
+        self.statuses[entry["status"]] += 1
+        if earlier is not None:
+            self.statuses[earlier["status"]] -= 1
         self._is_written = False
-        if time.monotonic() > self._next:
+        if time.monotonic() > self._next_write:
             self.write()
 
-    def took(self, name: str, seconds: float) -> None:
+    def record_time(self, name: str, seconds: float) -> None:
         """Record the time of the interpretation of a pair, s."""
         self.seconds[name] = seconds
 
@@ -155,16 +158,16 @@ class RunRecord:
         """Return a note if a path cannot use the times of frames, else ""."""
         pairs = sorted(self.pairs.items(), key=lambda item: item[1]["number"])
         for name, pair in pairs:
-            before, after = pair.get("times") or (None, None)
-            if fault := time_fault(before, after, f"frame {name}", "the next"):
+            earlier, after = pair.get("times") or (None, None)
+            if fault := time_fault(earlier, after, f"frame {name}", "the next"):
                 return f"{fault}: paths use the numbers of frames instead of times"
         return ""
 
     def write(self) -> None:
         """Write ``run.json``, the table of all pairs and their times, if anything has changed."""
         pairs = dict(sorted(self.pairs.items(), key=lambda item: item[1]["number"]))
-        self._about["pairs"] = pairs  # other processes finish pairs in any order
-        self._about["notes"] = [*self._notes, *filter(None, [self.times_note()])]
+        self._record["pairs"] = pairs  # other processes finish pairs in any order
+        self._record["notes"] = [*self._notes, *filter(None, [self.times_note()])]
         rows = ((name, *_row(pair)) for name, pair in pairs.items())
         if self._is_written:
             table = csv_table(_COLUMNS, rows)
@@ -172,13 +175,13 @@ class RunRecord:
                 _write(self._folder / TABLE, table)
             return
         begin = time.monotonic()
-        text = json.dumps(self._about, indent=2, ensure_ascii=False) + "\n"
+        text = json.dumps(self._record, indent=2, ensure_ascii=False) + "\n"
         _write(self._folder / TIMINGS, csv_table(("pair", "seconds"), self.seconds.items()))
         _write(self._folder / TABLE, csv_table(_COLUMNS, rows))
         _write(self._folder / RECORD, text, durable=True)
         self._is_written = True
         end = time.monotonic()
-        self._next = end + max(_LEAST_APART, _SHARE * (end - begin))
+        self._next_write = end + max(_MIN_WRITE_INTERVAL, _MAX_WRITE_RATIO * (end - begin))
 
 
 def refuse_other_format(
@@ -188,11 +191,11 @@ def refuse_other_format(
     """Raise FormatError if a record is of a format that this version does not read."""
     if not isinstance(record, dict) or not {"format", "version"} & record.keys():
         return
-    found = record.get("format", 1)  # files of format 1 do not state it
-    if found != FORMAT:
+    format_number = record.get("format", 1)  # files of format 1 do not state it
+    if format_number != FORMAT:
         raise FormatError(
-            f"{path} is of format {found}, written by tisfm {record.get('version')}; this version "
-            f"reads format {FORMAT}: run anew, without --resume"
+            f"{path} is of format {format_number}, written by tisfm {record.get('version')}; this "
+            f"version reads format {FORMAT}: run anew, without --resume"
         )
 
 
@@ -223,42 +226,42 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 
     Raises ValueError if it is damaged, or of another format.
     """
-    about = _of_any_format(folder)
-    refuse_other_format(folder / RECORD, about)
-    return about
+    record = _read_any_format(folder)
+    refuse_other_format(folder / RECORD, record)
+    return record
 
 
-def _of_any_format(folder: Path) -> dict[str, Any] | None:
+def _read_any_format(folder: Path) -> dict[str, Any] | None:
     """Return the record of a run, of any format, None without one; ValueError if damaged."""
     path = folder / RECORD
     if not path.is_file():
         return None
-    about = None
+    record = None
     try:
-        about = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(about, dict) or "version" not in about:
+        record = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(record, dict) or "version" not in record:
             raise InputError("it is not the record of a run")
-        for name, pair in about["pairs"].items():
+        for name, pair in record["pairs"].items():
             if os.path.basename(name) != name:
                 raise InputError(f"{name!r} is not the name of a pair")
             Status(pair["status"], pair["message"])  # raises if it is not a status
             if not set(pair["files"]) <= set(ENDINGS.values()):
                 raise InputError(f"it lists unknown kinds of files of {name}")
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        refuse_other_format(path, about)
-        raise _damaged(path, error) from error
-    return about
+        refuse_other_format(path, record)
+        raise _damage_error(path, error) from error
+    return record
 
 
-def _checked(about: dict[str, Any], path: Path) -> dict[str, Any]:
+def _check_values(record: dict[str, Any], path: Path) -> dict[str, Any]:
     """Check the types of the values in a record of this version, and return it."""
     try:
-        if missing := set(ASKED) - about.keys():
+        if missing := set(REQUEST_KEYS) - record.keys():
             raise InputError(f"it has no {sorted(missing)[0]}")
-        for key in FOUND:
-            if about[key] is not None and not _is_number(about[key]):
-                raise InputError(f"{key} is {about[key]!r}")
-        for name, pair in about["pairs"].items():
+        for key in RANGE_KEYS:
+            if record[key] is not None and not _is_number(record[key]):
+                raise InputError(f"{key} is {record[key]!r}")
+        for name, pair in record["pairs"].items():
             texts = (pair["status"], pair["message"], pair["frames"])
             numbers = [*(pair.get("times") or ()), *(pair.get("twists") or [()])[0]]
             for length, total in pair["files"].values():
@@ -269,15 +272,15 @@ def _checked(about: dict[str, Any], path: Path) -> dict[str, Any]:
             if not all(map(_is_number, numbers)):
                 raise InputError(f"the entry of {name} has a value that is not a number")
     except (ValueError, LookupError, TypeError, AttributeError) as error:
-        raise _damaged(path, error) from error
-    return about
+        raise _damage_error(path, error) from error
+    return record
 
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-def _damaged(path: Path, error: Exception) -> ValueError:
+def _damage_error(path: Path, error: Exception) -> ValueError:
     reason = " ".join(str(error).split())
     return InputError(f"{path} is damaged ({reason}): run without --resume")
 

@@ -9,10 +9,12 @@ from types import TracebackType
 from typing import Any
 
 Work = Callable[[], Any]
-_SWITCH = 5e-4  # s: kernels hold Python's lock, and a waiting thread asks for it at this interval
+_SWITCH_INTERVAL = (
+    5e-4  # s: kernels hold Python's lock, and a waiting thread asks for it at this interval
+)
 
 
-class Background:
+class BackgroundThread:
     """A thread that does jobs in order while the block runs.
 
     One job runs, and one may wait; `submit` blocks on a third job, so that memory holds two at
@@ -24,9 +26,9 @@ class Background:
     """
 
     def __init__(self) -> None:
-        self._waiting: queue.Queue[Work | None] = queue.Queue(maxsize=1)
+        self._jobs: queue.Queue[Work | None] = queue.Queue(maxsize=1)
         self._error: BaseException | None = None
-        self._abandoned = False
+        self._is_abandoned = False
         self._thread = threading.Thread(target=self._work, name="tisfm-writer")
 
     def submit(
@@ -41,17 +43,17 @@ class Background:
         Raises BaseException: the error of an earlier job.
         """
         self._raise()
-        self._waiting.put(lambda: function(*arguments, **options))
+        self._jobs.put(lambda: function(*arguments, **options))
 
     def wait(self) -> None:
         """Wait until all jobs are done; raise the error of a failed one."""
-        self._waiting.join()
+        self._jobs.join()
         self._raise()
 
-    def __enter__(self) -> "Background":
+    def __enter__(self) -> "BackgroundThread":
         self._thread.start()
-        self._usual = sys.getswitchinterval()
-        sys.setswitchinterval(min(self._usual, _SWITCH))
+        self._previous_interval = sys.getswitchinterval()
+        sys.setswitchinterval(min(self._previous_interval, _SWITCH_INTERVAL))
         return self
 
     def __exit__(
@@ -61,18 +63,18 @@ class Background:
         trace: TracebackType | None,
     ) -> None:
         try:
-            self._waiting.put(None)
+            self._jobs.put(None)
             self._thread.join()
         except KeyboardInterrupt:
-            self._abandoned = True
+            self._is_abandoned = True
             with contextlib.suppress(queue.Empty):  # drop the waiting job
-                self._waiting.get_nowait()
+                self._jobs.get_nowait()
             with contextlib.suppress(queue.Full):  # the end mark is in the queue already
-                self._waiting.put_nowait(None)
+                self._jobs.put_nowait(None)
             self._thread.join()  # so that no file is written while outer contexts close
             raise
         finally:
-            sys.setswitchinterval(self._usual)
+            sys.setswitchinterval(self._previous_interval)
         if error is None:
             self._raise()
 
@@ -81,11 +83,11 @@ class Background:
             raise self._error
 
     def _work(self) -> None:
-        while (piece := self._waiting.get()) is not None:
-            if self._error is None and not self._abandoned:
+        while (job := self._jobs.get()) is not None:
+            if self._error is None and not self._is_abandoned:
                 try:
-                    piece()
+                    job()
                 except BaseException as error:
                     self._error = error
-            del piece  # or it would stay in memory during the wait for the next
-            self._waiting.task_done()
+            del job  # or it would stay in memory during the wait for the next
+            self._jobs.task_done()

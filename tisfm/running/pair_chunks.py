@@ -17,9 +17,9 @@ from tisfm.errors import InputError, is_user_error
 from tisfm.folders.result_folder import InputFiles, presence_file
 from tisfm.folders.run_record import is_unchanged
 from tisfm.interpretation import Interpretation
-from tisfm.running.pair_files import Ranges, Sums
+from tisfm.running.pair_files import Checksums, Ranges
 from tisfm.running.pairs import PairSource, PairWork
-from tisfm.running.pool import as_sent, check_worker, open_pool
+from tisfm.running.pool import check_worker, open_pool, sendable_error
 from tisfm.runtime import Arch
 from tisfm.sources import FramePair, FrameSource, Listing, Source
 from tisfm.sources.frame_reader import is_path
@@ -27,9 +27,9 @@ from tisfm.sources.webcam import webcam_number
 from tisfm.threads import usable_cores
 from tisfm.version import __version__
 
-_NO_END = 2**62  # beyond the number of any pair
-_MOST_PAIRS_WRITTEN = 32  # in a chunk: a killed process loses them; set by hand
-_MOST_PAIRS_RETURNED = 4  # in a chunk: memory holds all their results; set by hand
+_OPEN_END = 2**62  # beyond the number of any pair
+_MAX_PAIRS_WRITTEN = 32  # in a chunk: a killed process loses them; set by hand
+_MAX_PAIRS_RETURNED = 4  # in a chunk: memory holds all their results; set by hand
 _CHUNKS_PER_WORKER = 4  # at least, so that no process waits long for the last chunk; set by hand
 
 
@@ -49,8 +49,8 @@ class Chunk:
     listing: Listing  # the files of the source, as the parent process sees them
     ranges: Ranges | None = None  # ranges of depth and flow in images
     # record entries of the pairs that an earlier run finished, by their names
-    known: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    alive: Path = Path()  # a file that exists as long as the parent process waits for the chunk
+    finished_entries: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    presence: Path = Path()  # a file that exists as long as the parent process waits for the chunk
     # lanes of the vectors of the CPU of the parent process
     lanes: int = field(default_factory=runtime.cpu_lanes)
     version: str = __version__  # version of tisfm in the parent process
@@ -62,13 +62,13 @@ class Chunk:
         if work.files is not None:
             files = replace(work.files, folder=work.files.folder.absolute())
             work = replace(work, files=files)
-        whole = replace(
+        remaining = replace(
             source,
             source=_absolute(source.source),
             mask=None if source.mask is None else os.path.abspath(source.mask),
             poses=None if source.poses is None else source.poses.absolute(),
         )
-        return replace(self, source=whole, work=work)
+        return replace(self, source=remaining, work=work)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,8 +77,8 @@ class FinishedPair:
 
     name: str
     # its entry in the record of the run; None if an earlier run finished it
-    about: Mapping[str, Any] | None = None
-    sums: Sums | None = None  # lengths and check sums of its files
+    entry: Mapping[str, Any] | None = None
+    sums: Checksums | None = None  # lengths and check sums of its files
     result: Interpretation | None = None  # the result, if it is returned instead of written
     seconds: float = 0.0  # time of the interpretation
 
@@ -94,18 +94,20 @@ class FinishedChunk:
     error: Exception | None = None  # the error that ended the chunk early
 
 
-def split_chunk(whole: Chunk, workers: int) -> list[Chunk]:
+def split_chunk(remaining: Chunk, workers: int) -> list[Chunk]:
     """Split a chunk with all remaining pairs into the chunks that processes take in turns."""
-    most = _MOST_PAIRS_RETURNED
-    if whole.work.files is not None:
-        most = _MOST_PAIRS_WRITTEN
-        bare = replace(whole.work.files, inputs=InputFiles())  # each process lists them itself
-        whole = replace(whole, work=replace(whole.work, files=bare))
-    count = whole.end - whole.first
-    length = max(1, min(most, -(-count // (_CHUNKS_PER_WORKER * workers))))
-    ends = [*range(whole.first + length, whole.end, length), _NO_END]
-    begins = [whole.first, *ends[:-1]]
-    return [replace(whole, first=first, end=end) for first, end in zip(begins, ends, strict=True)]
+    max_pairs = _MAX_PAIRS_RETURNED
+    if remaining.work.files is not None:
+        max_pairs = _MAX_PAIRS_WRITTEN
+        files = replace(remaining.work.files, inputs=InputFiles())  # each process lists them itself
+        remaining = replace(remaining, work=replace(remaining.work, files=files))
+    count = remaining.end - remaining.first
+    length = max(1, min(max_pairs, -(-count // (_CHUNKS_PER_WORKER * workers))))
+    ends = [*range(remaining.first + length, remaining.end, length), _OPEN_END]
+    begins = [remaining.first, *ends[:-1]]
+    return [
+        replace(remaining, first=first, end=end) for first, end in zip(begins, ends, strict=True)
+    ]
 
 
 def interpret_chunk(chunk: Chunk) -> FinishedChunk:
@@ -114,20 +116,20 @@ def interpret_chunk(chunk: Chunk) -> FinishedChunk:
     reader: _PairReader | None = None
     error: Exception | None = None
     try:
-        here = runtime.cpu_lanes() if chunk.arch in (None, "cpu") else chunk.lanes
-        check_worker(chunk.version, chunk.alive, lanes=chunk.lanes, here=here)
+        own_lanes = runtime.cpu_lanes() if chunk.arch in (None, "cpu") else chunk.lanes
+        check_worker(chunk.version, chunk.presence, lanes=chunk.lanes, own_lanes=own_lanes)
         runtime.start_worker(chunk.arch, threads=chunk.threads)
         reader = _reader_for(chunk)
-        while (pair := reader.next_of(chunk)) is not None and chunk.alive.exists():
+        while (pair := reader.next_of(chunk)) is not None and chunk.presence.exists():
             pairs.append(_finish(chunk, pair, reader.inputs))
             del pair
-        if not chunk.alive.exists():
+        if not chunk.presence.exists():
             _close_reader()  # no other chunk of this run will come
     except Exception as raised:
         _close_reader()
         if not is_user_error(raised):
             raise
-        error = as_sent(raised)  # the pairs before it are not lost
+        error = sendable_error(raised)  # the pairs before it are not lost
     skipped = [] if reader is None else list(reader.skipped)
     return FinishedChunk(pairs=pairs, skipped=skipped, error=error)
 
@@ -148,7 +150,7 @@ def interpret_with_workers(
     """
     pairs, reader = source.open()
     reader.close()
-    whole = Chunk(
+    remaining = Chunk(
         source=source,
         work=PairWork(camera=camera, settings=source.settings),
         first=first,
@@ -157,24 +159,24 @@ def interpret_with_workers(
         threads=max(1, usable_cores() // workers),
         listing=pairs.listing,
     )
-    told: set[int] = set()
+    reported: set[int] = set()
     waiting: dict[int, FinishedChunk] = {}
-    following = 0
+    next_number = 0
     with (
         open_pool(workers) as pool,
         tempfile.TemporaryDirectory(prefix="tisfm-") as folder,
-        presence_file(Path(folder)) as alive,
+        presence_file(Path(folder)) as presence,
     ):
-        chunks = split_chunk(replace(whole, alive=alive), workers)
+        chunks = split_chunk(replace(remaining, presence=presence), workers)
         with closing(pool.map_unordered(interpret_chunk, chunks)) as finished:
-            for number, done in finished:
-                waiting[number] = done
-                while following in waiting:
-                    chunk = waiting.pop(following)
-                    following += 1
+            for number, chunk_result in finished:
+                waiting[number] = chunk_result
+                while next_number in waiting:
+                    chunk = waiting.pop(next_number)
+                    next_number += 1
                     for index, reason in chunk.skipped:
-                        if index not in told:
-                            told.add(index)
+                        if index not in reported:
+                            reported.add(index)
                             yield reason
                     yield from (pair.result for pair in chunk.pairs if pair.result is not None)
                     if chunk.error is not None:
@@ -224,15 +226,19 @@ def _finish(chunk: Chunk, pair: FramePair, inputs: InputFiles) -> FinishedPair:
     if work.files is None:
         return FinishedPair(name=name, result=work.interpret(pair))
     files = replace(work.files, inputs=inputs)
-    known = chunk.known.get(name)
+    finished_entries = chunk.finished_entries.get(name)
     endings = files.endings(number)
-    if known is not None and is_unchanged(files.folder, name, known, pair.digest, endings):
+    if finished_entries is not None and is_unchanged(
+        files.folder, name, finished_entries, pair.digest, endings
+    ):
         return FinishedPair(name=name)
     begin = perf_counter()
     result = work.interpret(pair)
     seconds = perf_counter() - begin
-    about, sums = files.write(name, result, ranges=chunk.ranges, **work.about(pair, number))
-    return FinishedPair(name=name, about=about, sums=sums, seconds=seconds)
+    entry, sums = files.write(
+        name, result, ranges=chunk.ranges, **work.write_arguments(pair, number)
+    )
+    return FinishedPair(name=name, entry=entry, sums=sums, seconds=seconds)
 
 
 class _PairReader:
@@ -240,13 +246,13 @@ class _PairReader:
 
     def __init__(self, chunk: Chunk) -> None:
         # The files are compared before anything depends on them.
-        seen = FrameSource(chunk.source.source, stop=chunk.source.frames.stop)
-        chunk.listing.check(seen.listing, seen.title)
+        source = FrameSource(chunk.source.source, stop=chunk.source.frames.stop)
+        chunk.listing.check(source.listing, source.title)
         self._whole = chunk.source
         self._opened, self._pairs = chunk.source.starting_at(chunk.first).open()
         self._opened.allow_no_pairs()
-        self._waiting: FramePair | None = None
-        self.alive = chunk.alive
+        self._next_pair: FramePair | None = None
+        self.presence = chunk.presence
         self.position = chunk.first
         poses = [] if chunk.source.poses is None else [chunk.source.poses]
         self.inputs = InputFiles([*self._opened.files, *poses])
@@ -259,13 +265,13 @@ class _PairReader:
     def next_of(self, chunk: Chunk) -> FramePair | None:
         """Return the next pair of a chunk; None after the last pair."""
         while True:
-            pair, self._waiting = self._waiting or next(self._pairs, None), None
+            pair, self._next_pair = self._next_pair or next(self._pairs, None), None
             if pair is None:
                 return None
             number = self._whole.number(pair)
             self.position = number
             if number >= chunk.end:
-                self._waiting = pair  # for a later chunk
+                self._next_pair = pair  # for a later chunk
                 return None
             if number >= chunk.first:
                 return pair
@@ -276,23 +282,23 @@ class _PairReader:
         self._pairs.close()
 
 
-_of_thread = threading.local()  # the reader that a thread keeps between two chunks
+_thread_state = threading.local()  # the reader that a thread keeps between two chunks
 
 
 def _reader_for(chunk: Chunk) -> _PairReader:
     """Return a reader that is not beyond the chunk: this thread's last reader, if possible."""
-    last: _PairReader | None = getattr(_of_thread, "reader", None)
-    if last is not None and last.alive == chunk.alive and last.position <= chunk.first:
+    last: _PairReader | None = getattr(_thread_state, "reader", None)
+    if last is not None and last.presence == chunk.presence and last.position <= chunk.first:
         return last
     _close_reader()
     atexit.register(_close_reader)  # modules are unloaded too early to close it at exit
-    reader = _of_thread.reader = _PairReader(chunk)
+    reader = _thread_state.reader = _PairReader(chunk)
     return reader
 
 
 def _close_reader() -> None:
-    last: _PairReader | None = getattr(_of_thread, "reader", None)
-    _of_thread.reader = None
+    last: _PairReader | None = getattr(_thread_state, "reader", None)
+    _thread_state.reader = None
     atexit.unregister(_close_reader)
     if last is not None:
         last.close()

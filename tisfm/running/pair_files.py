@@ -39,10 +39,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-USUAL = tuple(output for output in ENDINGS if output not in ("flow", "ply"))
+DEFAULT_OUTPUTS = tuple(output for output in ENDINGS if output not in ("flow", "ply"))
 """Default outputs: all except large files whose content is in the ``.npz`` as well."""
 
-Sums = dict[str, tuple[int, int]]  # length, bytes, and CRC-32 of files, by their endings
+Checksums = dict[str, tuple[int, int]]  # length, bytes, and CRC-32 of files, by their endings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,43 +58,43 @@ class Ranges:
 
     @classmethod
     def of(
-        cls, result: Interpretation, *, posed: bool, screen: float | None = None
+        cls, result: Interpretation, *, has_unit: bool, screen: float | None = None
     ) -> "Ranges | None":
         """Return the ranges that suit a pair; None if the pair has no depth.
 
         `screen` is the quantile of depth at the screen plane. By default the inverse depth of this
         plane is half of the brightest inverse depth.
         """
-        if not shows_depth(result):
+        if not has_drawable_depth(result):
             return None
-        level = _level(result, posed)
+        level = _depth_unit(result, has_unit)
         depth = inverse_depth_limit(result.inverse_depth) / level
-        plane = depth / 2
+        screen_inverse = depth / 2
         if screen is not None:
-            known = result.inverse_depth[result.inverse_depth > 0]
-            plane = float(np.quantile(known, screen)) / level
+            checksum = result.inverse_depth[result.inverse_depth > 0]
+            screen_inverse = float(np.quantile(checksum, screen)) / level
         return cls(
             depth=depth,
             depth16=choose_depth_scale(result.depth),
             flow=usual_length(result.flow),
-            screen=plane,
+            screen=screen_inverse,
         )
 
-    def limit(self, result: Interpretation, *, posed: bool) -> float | None:
+    def depth_limit(self, result: Interpretation, *, has_unit: bool) -> float | None:
         """Return the inverse depth that is shown brightest in a pair; None without depth."""
-        if not shows_depth(result):
+        if not has_drawable_depth(result):
             return None
-        return float(self.depth * _level(result, posed))
+        return float(self.depth * _depth_unit(result, has_unit))
 
-    def screen_depth(self, result: Interpretation, *, posed: bool) -> float | None:
+    def screen_depth(self, result: Interpretation, *, has_unit: bool) -> float | None:
         """Return the depth of the screen plane in a pair; None without depth."""
-        if not shows_depth(result):
+        if not has_drawable_depth(result):
             return None
-        plane = self.screen * _level(result, posed)
-        return 1 / plane if plane > 0 else math.inf
+        screen_inverse = self.screen * _depth_unit(result, has_unit)
+        return 1 / screen_inverse if screen_inverse > 0 else math.inf
 
 
-def shows_depth(result: Interpretation) -> bool:
+def has_drawable_depth(result: Interpretation) -> bool:
     """Return whether a pair has depth that may be drawn."""
     wrong = result.status in ("diverged", "pose_mismatch")
     return not wrong and bool((result.inverse_depth > 0).any())
@@ -121,7 +121,7 @@ class PairFiles:
 
     def endings(self, number: int) -> list[str]:
         """Return the endings of the files of a pair, by its number in the run."""
-        return [ENDINGS[output] for output in self._wanted(number)]
+        return [ENDINGS[output] for output in self._outputs_of(number)]
 
     def all(self, name: str) -> list[Path]:
         """Return all files that a pair may have."""
@@ -144,57 +144,61 @@ class PairFiles:
         truth_flow: np.ndarray | None = None,  # (H, W, 2): the true flow, for the figure
         # (H, W): the true inverse depth, for the figure
         truth_inverse_depth: np.ndarray | None = None,
-    ) -> tuple[dict[str, Any], Sums]:
+    ) -> tuple[dict[str, Any], Checksums]:
         """Write all files of a pair; return the record's entry of the pair, and check sums.
 
         Raises OSError if a file cannot be written.
 
         Raises ValueError if a file is an input.
         """
-        limit = None if ranges is None else ranges.limit(result, posed=pose is not None)
+        depth_limit = (
+            None if ranges is None else ranges.depth_limit(result, has_unit=pose is not None)
+        )
         self.inputs.refuse(*self.all(name))
         path = self.folder / name
         # Until all files are rewritten, the .npz of an earlier run must not mark the pair as
         # complete.
         Path(f"{path}.npz").unlink(missing_ok=True)
         motions = motion_rows(result, pose=pose)
-        wanted = self._wanted(number)
-        if "depth16" in wanted:
+        outputs = self._outputs_of(number)
+        if "depth16" in outputs:
             scale = 1.0 if ranges is None else ranges.depth16
             write_depth_png(f"{path}_depth16.png", result.depth, scale=scale)
-        if "depth" in wanted:
-            write_png(f"{path}_depth.png", depth_grey(result.inverse_depth, limit=limit))
-        if "flow" in wanted:
+        if "depth" in outputs:
+            write_png(f"{path}_depth.png", depth_grey(result.inverse_depth, limit=depth_limit))
+        if "flow" in outputs:
             write_flo(f"{path}_flow.flo", result.flow)
-        if "anaglyph" in wanted:
-            posed = pose is not None
+        if "anaglyph" in outputs:
+            has_unit = pose is not None
             picture = anaglyph(
                 result.frame,
                 result.inverse_depth,
                 disparity=self.disparity,
-                screen_depth=None if ranges is None else ranges.screen_depth(result, posed=posed),
-                limit=limit,
+                screen_depth=None
+                if ranges is None
+                else ranges.screen_depth(result, has_unit=has_unit),
+                limit=depth_limit,
             )
             write_png(f"{path}_anaglyph.png", picture)
-        if "figure" in wanted:
+        if "figure" in outputs:
             figure = _figure(
                 printable(name),
                 result,
                 baseline_flow=baseline_flow,
-                depth_limit=limit,
+                depth_limit=depth_limit,
                 flow_limit=None if ranges is None else ranges.flow,
                 unit="relative" if pose is None else "unit of the poses",
                 truth_flow=truth_flow,
                 truth_inverse_depth=truth_inverse_depth,
             )
             save_figure(f"{path}_figure.png", figure)
-        if "ply" in wanted:
+        if "ply" in outputs:
             result.points().save(f"{path}.ply")
-        if "pose" in wanted and motions is not None:
+        if "pose" in outputs and motions is not None:
             write_motions(f"{path}_pose.txt", motions)
-        if "npz" in wanted:
+        if "npz" in outputs:
             result.save(f"{path}.npz", compact=True)
-        about = {
+        entry = {
             "number": number,
             "status": str(result.status),
             "message": result.status.message,
@@ -207,19 +211,21 @@ class PairFiles:
             ending: file_checksum(self.folder / f"{name}{ending}")
             for ending in self.endings(number)
         }
-        gone = [ending for ending, known in files.items() if known is None]
-        if gone:
-            raise OSError(f"{path}{gone[0]} was removed during the run: run again")
-        return about, {ending: known for ending, known in files.items() if known is not None}
+        missing = [ending for ending, checksum in files.items() if checksum is None]
+        if missing:
+            raise OSError(f"{path}{missing[0]} was removed during the run: run again")
+        return entry, {
+            ending: checksum for ending, checksum in files.items() if checksum is not None
+        }
 
-    def _wanted(self, number: int) -> list[str]:
+    def _outputs_of(self, number: int) -> list[str]:
         """Return the outputs of a pair, by its number in the run."""
-        left_out = set() if self.has_figure(number) else {"figure"}
-        left_out |= set() if self.has_pose else {"pose"}
-        return [output for output in self.outputs if output not in left_out]
+        excluded = set() if self.has_figure(number) else {"figure"}
+        excluded |= set() if self.has_pose else {"pose"}
+        return [output for output in self.outputs if output not in excluded]
 
 
-def checked_outputs(outputs: Collection[str]) -> tuple[str, ...]:
+def check_outputs(outputs: Collection[str]) -> tuple[str, ...]:
     """Return outputs in the order in which they are written; ValueError for unknown ones."""
     unknown = sorted(set(outputs) - set(ENDINGS))
     if unknown or not outputs:
@@ -269,14 +275,14 @@ def _figure(
     )
 
 
-def _level(result: Interpretation, posed: bool) -> float:
+def _depth_unit(result: Interpretation, has_unit: bool) -> float:
     """Return the unit in which inverse depth is shown.
 
     Each pair has a scale of its own, ‖T‖ = 1: a camera that speeds up would make all pictures
     brighter. Division by the mean inverse depth removes this scale; pixels without depth count as
     infinitely far. With known poses the unit is 1.
     """
-    if posed:
+    if has_unit:
         return 1.0
     mean = np.maximum(result.inverse_depth, 0).mean(dtype=np.float64)
     return float(f"{mean:.9g}")  # rounding of NumPy's sum depends on the address of the array

@@ -12,15 +12,15 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.folders.files import TIMINGS
 from tisfm.folders.result_folder import InputFiles, locked_folder, make_result_folder
-from tisfm.folders.run_record import ENDINGS, FOUND, RECORD, TABLE, RunRecord
+from tisfm.folders.run_record import ENDINGS, RANGE_KEYS, RECORD, TABLE, RunRecord
 from tisfm.interpretation import Interpretation
 from tisfm.report import REPORT, is_report
-from tisfm.running.pair_files import USUAL, PairFiles, Ranges, Sums, checked_outputs
+from tisfm.running.pair_files import DEFAULT_OUTPUTS, Checksums, PairFiles, Ranges, check_outputs
 from tisfm.settings import Settings
 from tisfm.show.stereo import DISPARITY
 from tisfm.version import __version__
 
-_RANGES = ("depth16", "depth", "flow", "screen")  # in the order of `FOUND`
+_RANGES = ("depth16", "depth", "flow", "screen")  # in the order of `RANGE_KEYS`
 
 
 class PairWriter:
@@ -53,7 +53,7 @@ class PairWriter:
         # shrunk, and their height and width, px
         source: tuple[Camera, tuple[int, int]] | None = None,
         window: int = 2,  # number of frames of an interpretation
-        outputs: Collection[str] = USUAL,  # the outputs of a pair: keys of `ENDINGS`
+        outputs: Collection[str] = DEFAULT_OUTPUTS,  # the outputs of a pair: keys of `ENDINGS`
         # one pair in this many has a figure, the first pair included; 0 for no figures
         figures: int = 1,
         # disparity, screen: parameters of anaglyphs, as for `PairFiles`
@@ -71,7 +71,7 @@ class PairWriter:
     ) -> None:
         self.folder, self.camera = Path(folder), camera
         self._inputs = inputs or InputFiles()
-        chosen = checked_outputs(outputs)
+        chosen = check_outputs(outputs)
         # writes the files of a pair without the record
         self.files = PairFiles(
             folder=self.folder,
@@ -87,12 +87,12 @@ class PairWriter:
             *(file for name in names for file in self.files.all(name)),
         )
         make_result_folder(folder)
-        asked = {
+        request = {
             "version": __version__,
             "arch": None,
             "lanes": None,
             "camera": asdict(camera),
-            "source": None if source is None else _about_source(*source),
+            "source": None if source is None else _source_record(*source),
             "settings": asdict(settings),
             "window": window,
             "outputs": list(chosen),
@@ -104,8 +104,8 @@ class PairWriter:
             "screen": screen if "anaglyph" in chosen else None,
         }
         self._earlier: list[Path] = []
-        self._record = RunRecord(self.folder, asked, notes)
-        self._with = ExitStack()
+        self._record = RunRecord(self.folder, request, notes)
+        self._contexts = ExitStack()
         self._resume = self._is_begun = resume
         self._has_report = True  # until it is checked
 
@@ -121,12 +121,12 @@ class PairWriter:
         """Return whether this run, or the run that it resumes, wrote a pair of this name."""
         return name in self._record.pairs
 
-    def took(self, name: str, seconds: float) -> None:
+    def record_time(self, name: str, seconds: float) -> None:
         """Record the time of the interpretation of a pair, s."""
-        self._record.took(name, seconds)
+        self._record.record_time(name, seconds)
 
     def write(
-        self, name: str, result: Interpretation, *, pose: np.ndarray | None = None, **about: Any
+        self, name: str, result: Interpretation, *, pose: np.ndarray | None = None, **arguments: Any
     ) -> None:
         """Write all files of a pair, as `PairFiles.write` does, and record it as finished.
 
@@ -135,15 +135,15 @@ class PairWriter:
         self.begin()
         self._remove_report()
         if self.ranges is None:
-            posed = pose is not None
-            self.ranges = Ranges.of(result, posed=posed, screen=self.files.screen)
-        written = self.files.write(name, result, ranges=self.ranges, pose=pose, **about)
+            has_unit = pose is not None
+            self.ranges = Ranges.of(result, has_unit=has_unit, screen=self.files.screen)
+        written = self.files.write(name, result, ranges=self.ranges, pose=pose, **arguments)
         self._record.finish(name, *written)
 
-    def finish(self, name: str, about: Mapping[str, Any], sums: Sums) -> None:
+    def finish(self, name: str, arguments: Mapping[str, Any], sums: Checksums) -> None:
         """Record a pair as finished whose files another process wrote."""
         self._remove_report()
-        self._record.finish(name, about, sums)
+        self._record.finish(name, arguments, sums)
 
     def begin(self) -> None:
         """Remove the files of an earlier run. The record is last, since it names the files."""
@@ -165,17 +165,17 @@ class PairWriter:
     @property
     def ranges(self) -> Ranges | None:
         """Ranges of values in pictures; None before the first pair with depth."""
-        found = [self._record[key] for key in FOUND]
-        if any(value is None for value in found):
+        values = [self._record[key] for key in RANGE_KEYS]
+        if any(value is None for value in values):
             return None
-        return Ranges(**dict(zip(_RANGES, found, strict=True)))
+        return Ranges(**dict(zip(_RANGES, values, strict=True)))
 
     @ranges.setter
     def ranges(self, ranges: Ranges | None) -> None:
-        for key, name in zip(FOUND, _RANGES, strict=True):
+        for key, name in zip(RANGE_KEYS, _RANGES, strict=True):
             self._record[key] = None if ranges is None else getattr(ranges, name)
 
-    def known(self, first: int, end: int) -> dict[str, Mapping[str, Any]]:
+    def entries_between(self, first: int, end: int) -> dict[str, Mapping[str, Any]]:
         """Return the record's entries of pairs with these numbers, by their names."""
         return {
             name: pair for name, pair in self._record.pairs.items() if first <= pair["number"] < end
@@ -219,20 +219,20 @@ class PairWriter:
             runtime.start()
             self._record["arch"] = runtime.running_arch()
             self._record["lanes"] = runtime.lanes()
-            self._earlier = self._record.look()
+            self._earlier = self._record.read_earlier()
             if self._resume:
                 self._record.resume()
             else:
                 self._inputs.refuse(*self._earlier)
-            self._with = opened.pop_all()
+            self._contexts = opened.pop_all()
         return self
 
-    def __exit__(self, *about: object) -> None:
-        with self._with:
+    def __exit__(self, *arguments: object) -> None:
+        with self._contexts:
             self._inputs.refuse(*(self.folder / name for name in (RECORD, TABLE, TIMINGS)))
             self._record.write()
 
 
-def _about_source(camera: Camera, shape: tuple[int, int]) -> dict[str, float]:
+def _source_record(camera: Camera, shape: tuple[int, int]) -> dict[str, float]:
     """Return the size and the focal length of the source's frames, px, for the record."""
     return {"focal": camera.focal, "width": shape[1], "height": shape[0]}

@@ -62,9 +62,9 @@ class PairSource:
         """Return the source, and its pairs with their poses."""
         pairs = self.frames.open(self.source, mask=self.mask)
         if self.poses is None:
-            return pairs, with_poses(pairs, self.motions)
-        motions = _motions(self.poses, pairs, self.settings)
-        return pairs, with_poses(pairs, motions, title=f"the motions of {self.poses}")
+            return pairs, attach_poses(pairs, self.motions)
+        motions = _read_motions(self.poses, pairs, self.settings)
+        return pairs, attach_poses(pairs, motions, title=f"the motions of {self.poses}")
 
     def starting_at(self, number: int) -> "PairSource":
         """Return the source without the pairs before this number."""
@@ -90,7 +90,7 @@ class PairWork:
         """Interpret a pair; `window` as for `FramePair.interpret`."""
         return pair.interpret(camera=self.camera, settings=self.settings, window=window)
 
-    def about(self, pair: FramePair, number: int) -> dict[str, Any]:
+    def write_arguments(self, pair: FramePair, number: int) -> dict[str, Any]:
         """Return the arguments of `PairFiles.write` for a pair, except its interpretation."""
         has_figure = self.files is not None and self.files.has_figure(number)
         compared = self.settings.motion == "field" and has_figure
@@ -99,16 +99,16 @@ class PairWork:
             "digest": pair.digest,
             "times": pair.times,
             "pose": None if pair.pose is None else np.asarray(pair.pose),
-            "baseline_flow": self._baseline(pair) if compared else None,
+            "baseline_flow": self._baseline_flow(pair) if compared else None,
         }
 
-    def _baseline(self, pair: FramePair) -> np.ndarray:
+    def _baseline_flow(self, pair: FramePair) -> np.ndarray:
         """Return the flow of Horn and Schunck between the undistorted frames."""
         frames = (undistort(frame, self.camera) for frame in (pair.frame0, pair.frame1))
         return horn_schunck(*frames, settings=self.settings)
 
 
-def with_poses(
+def attach_poses(
     pairs: FrameSource,
     # iterable of array_like, or None: one pose for every pair; None for no poses. They are checked
     # when the pair is interpreted.
@@ -138,28 +138,28 @@ def with_poses(
     number = len(poses) if isinstance(poses, Sized) else None
     if pairs.count is not None and number is not None:
         _check_poses(number, len(pairs), title)
-    return _posed(pairs, poses, number, title)
+    return _attach_poses(pairs, poses, number, title)
 
 
-def _posed(
+def _attach_poses(
     pairs: FrameSource, poses: Iterable[npt.ArrayLike], number: int | None, title: str
 ) -> Generator[FramePair, None, None]:
-    following = iter(poses)
-    done = 0
-    with closing(iter(pairs)) as plain:
-        for pair in plain:
+    remaining_poses = iter(poses)
+    finished_count = 0
+    with closing(iter(pairs)) as opened_pairs:
+        for pair in opened_pairs:
             try:
-                pose = next(following)
+                pose = next(remaining_poses)
             except StopIteration:
                 raise InputError(
-                    f"{title} ended before frames {pair.name0} and {pair.name1}, after {done}: "
-                    "expected one for every pair"
+                    f"{title} ended before frames {pair.name0} and {pair.name1}, after "
+                    f"{finished_count}: expected one for every pair"
                 ) from None
             yield replace(pair, pose=pose)
             del pair  # or its first frame would stay in memory while the next is read
-            done += 1
+            finished_count += 1
     if number is not None:
-        _check_poses(number, done, title)
+        _check_poses(number, finished_count, title)
 
 
 def _check_poses(number: int, pairs: int, title: str) -> None:
@@ -170,7 +170,7 @@ def _check_poses(number: int, pairs: int, title: str) -> None:
         )
 
 
-def _motions(path: Path, pairs: FrameSource, settings: Settings) -> list[np.ndarray]:
+def _read_motions(path: Path, pairs: FrameSource, settings: Settings) -> list[np.ndarray]:
     """Return the motion of every pair, from a file with the pose of every frame."""
     if settings.motion != "camera":
         raise InputError(

@@ -30,7 +30,7 @@ from tisfm.version import __version__
 
 T = TypeVar("T")
 R = TypeVar("R")
-MOST_ATTEMPTS = 3  # for an item whose process was killed; set by hand
+MAX_ATTEMPTS = 3  # for an item whose process was killed; set by hand
 _QUEUED_PER_WORKER = 2  # items: one that the worker computes, and one that waits for it
 _CLUSTER_TIMEOUT = 10  # s for the scheduler of a cluster to answer; set by hand
 
@@ -76,9 +76,9 @@ class WorkerPool:
                     yield running.pop(future), result
             except BrokenProcessPool:
                 kills += 1
-                if kills >= MOST_ATTEMPTS:
+                if kills >= MAX_ATTEMPTS:
                     raise RunError(
-                        f"workers were killed {MOST_ATTEMPTS} times, and finished nothing in "
+                        f"workers were killed {MAX_ATTEMPTS} times, and finished nothing in "
                         "between: there may be too little memory; give fewer workers"
                     ) from None
                 for future in list(running):
@@ -141,7 +141,9 @@ def _local_pool(workers: int) -> Iterator[WorkerPool]:
 
 
 def _local_executor(workers: int) -> Executor:
-    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_start_process)
+    return ProcessPoolExecutor(
+        workers, mp_context=get_context("spawn"), initializer=_initialise_process
+    )
 
 
 @contextmanager
@@ -169,16 +171,16 @@ def _cluster_pool(address: str) -> Iterator[WorkerPool]:
             pool.close()
 
 
-def _start_process() -> None:
+def _initialise_process() -> None:
     """Leave Ctrl-C to the parent process, and end when the parent ends."""
     with suppress(ValueError):
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
     if parent is not None:
-        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+        threading.Thread(target=_exit_with_parent, args=(parent.sentinel,), daemon=True).start()
 
 
-def _end_with(sentinel: Any) -> None:
+def _exit_with_parent(sentinel: Any) -> None:
     wait_for([sentinel])
     sys.stdout.flush()
     os._exit(1)
@@ -186,10 +188,10 @@ def _end_with(sentinel: Any) -> None:
 
 def check_worker(
     version: str,  # version of tisfm in the parent process
-    alive: Path,  # a file that exists as long as the parent process waits for results
+    presence: Path,  # a file that exists as long as the parent process waits for results
     *,
     lanes: int,  # lanes of the vectors of the CPU of the parent process
-    here: int,  # lanes of the vectors of the CPU of this worker
+    own_lanes: int,  # lanes of the vectors of the CPU of this worker
 ) -> None:
     """Check, in a worker, that the worker fits the parent process.
 
@@ -200,19 +202,19 @@ def check_worker(
             f"a worker has tisfm {__version__}, but the command has {version}: install the same "
             "version everywhere"
         )
-    if not alive.exists():
+    if not presence.exists():
         raise RunError(
-            f"a worker does not see the folder {alive.parent} of the command: give a folder that "
-            "all machines share, by the same path"
+            f"a worker does not see the folder {presence.parent} of the command: give a folder "
+            "that all machines share, by the same path"
         )
-    if lanes != here:
+    if lanes != own_lanes:
         raise RunError(
-            f"the processor of a worker has vectors of {here} lanes, that of the command {lanes}: "
-            "their results differ in the last digits; leave out such machines"
+            f"the processor of a worker has vectors of {own_lanes} lanes, that of the command "
+            f"{lanes}: their results differ in the last digits; leave out such machines"
         )
 
 
-def as_sent(error: Exception) -> Exception:
+def sendable_error(error: Exception) -> Exception:
     """Return an error of a worker in the form that is sent to the parent process."""
     if isinstance(error, MemoryError) and not isinstance(error, TisfmError):
         return OutOfMemoryError(advice())

@@ -19,7 +19,7 @@ from tisfm.focal_guess import at_size, guess_focal
 from tisfm.folders.result_folder import InputFiles, presence_file
 from tisfm.formats.float_maps import require_writable_flow
 from tisfm.interpretation import Interpretation
-from tisfm.running.background import Background
+from tisfm.running.background import BackgroundThread
 from tisfm.running.pair_chunks import (
     Chunk,
     FinishedChunk,
@@ -28,7 +28,7 @@ from tisfm.running.pair_chunks import (
     interpret_chunk,
     split_chunk,
 )
-from tisfm.running.pair_files import USUAL
+from tisfm.running.pair_files import DEFAULT_OUTPUTS
 from tisfm.running.pair_writer import PairWriter
 from tisfm.running.pairs import FrameSelection, PairSource, PairWork
 from tisfm.running.pool import WorkerPool, check_workers, open_pool
@@ -46,15 +46,15 @@ Tell = Callable[[str], None]
 class RunObserver(Protocol):
     """Receives the progress of a run, such as `tisfm.cli.progress.RunProgress`."""
 
-    last: float  # s: time of the last stage
+    last_seconds: float  # s: time of the last stage
 
-    def begin(self, writer: PairWriter, total: int | None) -> None:
+    def begin(self, writer: PairWriter, pair_count: int | None) -> None:
         """Receive the writer of the run and the number of its pairs; None if unknown."""
 
     def stage(self, name: str) -> AbstractContextManager[None]:
         """Measure the time of a block for a stage."""
 
-    def timed(self, name: str, items: Iterable[T]) -> Iterator[T]:
+    def measure_items(self, name: str, items: Iterable[T]) -> Iterator[T]:
         """Yield items, and measure the time of fetching each of them."""
 
     def finish(self, name: str, statuses: Mapping[str, int], *, count: int = 1) -> None:
@@ -79,7 +79,7 @@ class SequenceRun:
     window: WindowSize = 2  # {2, 3}: as for `tisfm.interpret_sequence`
     resume: bool = False  # keep the pairs that an earlier run with the same options finished
     # the outputs of a pair: keys of `tisfm.folders.run_record.ENDINGS`
-    outputs: Collection[str] = USUAL
+    outputs: Collection[str] = DEFAULT_OUTPUTS
     figures: int = 1  # one pair in this many has a figure; 0 for no figures
     # disparity, screen: parameters of anaglyphs, as for `PairWriter`
     disparity: float | None = None
@@ -142,12 +142,12 @@ class SequenceRun:
             poses=self.poses,
         )
         frames, pairs = source.open()
-        _refuse_mixing(self.source, frames.frame_files, self.folder)
+        refuse_among_inputs(self.source, frames.frame_files, self.folder)
         if self.mask is not None:
-            _refuse_mixing(self.mask, frames.mask_files, self.folder, kind="masks")
+            refuse_among_inputs(self.mask, frames.mask_files, self.folder, kind="masks")
         for note in frames.notes:
             tell(f"note: {note}")
-        total = check_sharable(self.source, frames) if self.is_shared else _total(frames)
+        pair_count = check_sharable(self.source, frames) if self.is_shared else _pair_count(frames)
         first = next(pairs)  # before any file is written: all frames have its size
         if "flow" in self.outputs:
             require_writable_flow(f"frame {first.name0}", *first.frame0.shape[:2])
@@ -159,26 +159,26 @@ class SequenceRun:
         runtime.start(self.arch, threads=self.threads)
         camera = self.camera
         if isinstance(camera, Path):
-            camera = camera_of_file(camera, full or shape[:2], tell)
+            camera = load_camera(camera, full or shape[:2], tell)
         elif self.guess:
-            camera = with_guessed_focal(camera, frames.first_file or full or shape, tell)
+            camera = guess_camera_focal(camera, frames.first_file or full or shape, tell)
         writer = self._writer(frames, camera, full or shape[:2], frames.camera_after(camera, full))
         work = PairWork(camera=writer.camera, settings=self.settings, files=writer.files)
         pool = open_pool(self.workers, self.cluster) if self.is_shared else nullcontext()
         with closing(pairs), writer, pool as workers:
-            observer.begin(writer, total)
-            here = _ThisProcess(writer, work, source, observer, window)
-            done = here.interpret(following, until_ranges=self.is_shared)
+            observer.begin(writer, pair_count)
+            interpreter = _LocalInterpreter(writer, work, source, observer, window)
+            next_number = interpreter.interpret(following, stop_at_ranges=self.is_shared)
             skipped = dict(frames.skipped)
-            if workers is not None and total is not None and done < total:
+            if workers is not None and pair_count is not None and next_number < pair_count:
                 pairs.close()
-                whole = self._chunk(source, work, frames, done, total)
-                for chunk in _finished_chunks(whole, writer, workers):
-                    here.interpreted += _add(chunk, writer, observer)
-                    observer.estimate(here.interpreted)
+                remaining = self._chunk(source, work, frames, next_number, pair_count)
+                for chunk in _finished_chunks(remaining, writer, workers):
+                    interpreter.interpreted += _record_chunk(chunk, writer, observer)
+                    observer.estimate(interpreter.interpreted)
                     skipped.update(chunk.skipped)
             else:  # no pair is left, unless a video has more frames than its header says
-                here.interpret(pairs, until_ranges=False)
+                interpreter.interpret(pairs, stop_at_ranges=False)
                 skipped.update(frames.skipped)
         return dict(sorted(skipped.items()))
 
@@ -199,7 +199,7 @@ class SequenceRun:
             step=frames.chosen.step,
             resume=self.resume,
             inputs=InputFiles([*frames.files, *([] if self.poses is None else [self.poses])]),
-            names=_names(frames, self.folder),
+            names=_possible_names(frames, self.folder),
             notes=frames.notes,
         )
 
@@ -207,7 +207,7 @@ class SequenceRun:
         self, source: PairSource, work: PairWork, frames: FrameSource, first: int, end: int
     ) -> Chunk:
         """Return one chunk with all remaining pairs."""
-        whole = Chunk(
+        remaining = Chunk(
             source=source,
             work=work,
             first=first,
@@ -217,13 +217,13 @@ class SequenceRun:
             listing=frames.listing,
         )
         if self.cluster is not None:
-            return whole.with_absolute_paths()
+            return remaining.with_absolute_paths()
         if self.threads is None:
-            return replace(whole, threads=max(1, usable_cores() // self.workers))
-        return whole
+            return replace(remaining, threads=max(1, usable_cores() // self.workers))
+        return remaining
 
 
-def camera_of_file(file: Path, shape: tuple[int, int] | None, tell: Tell) -> Camera:
+def load_camera(file: Path, shape: tuple[int, int] | None, tell: Tell) -> Camera:
     """Return the camera in a file for frames of a shape; warn if its focal length is doubtful."""
     camera = read_camera(file, shape)
     if doubt := focal_doubt(file):
@@ -231,7 +231,7 @@ def camera_of_file(file: Path, shape: tuple[int, int] | None, tell: Tell) -> Cam
     return camera
 
 
-def with_guessed_focal(camera: Camera, first: Path | tuple[int, ...], tell: Tell) -> Camera:
+def guess_camera_focal(camera: Camera, first: Path | tuple[int, ...], tell: Tell) -> Camera:
     """Return a camera with a focal length guessed from the first frame, or from its shape."""
     guess = guess_focal(first)
     value = f"{guess.focal:.0f} px{at_size(guess.shape)}, {guess.reason}"
@@ -240,7 +240,7 @@ def with_guessed_focal(camera: Camera, first: Path | tuple[int, ...], tell: Tell
 
 
 @dataclass
-class _ThisProcess:
+class _LocalInterpreter:
     """Interprets the pairs of a run in this process, and writes in a second thread."""
 
     writer: PairWriter
@@ -250,45 +250,47 @@ class _ThisProcess:
     window: Window | None
     interpreted: int = field(default=0, init=False)
 
-    def interpret(self, pairs: Iterable[FramePair], *, until_ranges: bool) -> int:
+    def interpret(self, pairs: Iterable[FramePair], *, stop_at_ranges: bool) -> int:
         """Interpret pairs; return the number of the next pair.
 
-        With `until_ranges`, interpretation stops after the first pair with depth. This pair sets
+        With `stop_at_ranges`, interpretation stops after the first pair with depth. This pair sets
         the ranges of values in all images.
         """
         writer, window, observer = self.writer, self.window, self.observer
-        before, number = None, -1  # the pair before, if an earlier run finished it
-        with Background() as background:
-            for pair in observer.timed("decoding", pairs):
+        previous, number = None, -1  # the pair before, if an earlier run finished it
+        with BackgroundThread() as background:
+            for pair in observer.measure_items("decoding", pairs):
                 name, number = pair.name0, self.source.number(pair)
                 if writer.knows(name) and writer.is_complete(name, pair.digest, number):
-                    before = None if window is None else pair
+                    previous = None if window is None else pair
                 else:
-                    if window is not None and before is not None:
-                        result = Interpretation.load(writer.result_of(before.name0))
-                        before.keep(window, result, camera=self.work.camera)
+                    if window is not None and previous is not None:
+                        result = Interpretation.load(writer.result_of(previous.name0))
+                        previous.keep(window, result, camera=self.work.camera)
                         del result
-                    before = None
+                    previous = None
                     with observer.stage("interpreting"):
                         result = self.work.interpret(pair, window)
                     self.interpreted += 1
-                    writer.took(name, observer.last)
+                    writer.record_time(name, observer.last_seconds)
                     with observer.stage("interpreting"):
-                        about = self.work.about(pair, number)
+                        about = self.work.write_arguments(pair, number)
                     with observer.stage("writing"):
                         background.submit(writer.write, name, result, **about)
                     del result, about  # or they would be in memory while the next is computed
                 observer.finish(name, writer.statuses)
                 observer.estimate(self.interpreted)
                 del pair
-                if until_ranges:
+                if stop_at_ranges:
                     background.wait()
                     if writer.ranges is not None:
                         break
         return number + 1
 
 
-def _finished_chunks(whole: Chunk, writer: PairWriter, pool: WorkerPool) -> Iterator[FinishedChunk]:
+def _finished_chunks(
+    remaining: Chunk, writer: PairWriter, pool: WorkerPool
+) -> Iterator[FinishedChunk]:
     """Let other processes interpret the pairs of a chunk; yield the parts as they finish.
 
     The error of a worker is raised after the parts that are being computed are yielded.
@@ -296,19 +298,22 @@ def _finished_chunks(whole: Chunk, writer: PairWriter, pool: WorkerPool) -> Iter
     writer.begin()
     error: BaseException | None = None
     # The path for the workers: an absolute one for a cluster.
-    folder = writer.folder if whole.work.files is None else whole.work.files.folder
-    with presence_file(folder) as alive:
-        parts = [
+    folder = writer.folder if remaining.work.files is None else remaining.work.files.folder
+    with presence_file(folder) as presence:
+        chunks = [
             replace(
-                part, known=writer.known(part.first, part.end), alive=alive, ranges=writer.ranges
+                chunk,
+                finished_entries=writer.entries_between(chunk.first, chunk.end),
+                presence=presence,
+                ranges=writer.ranges,
             )
-            for part in split_chunk(whole, pool.workers)
+            for chunk in split_chunk(remaining, pool.workers)
         ]
         try:
-            for _, done in pool.map_unordered(interpret_chunk, parts):
-                yield done
-                if done.error is not None:
-                    error = done.error
+            for _, finished in pool.map_unordered(interpret_chunk, chunks):
+                yield finished
+                if finished.error is not None:
+                    error = finished.error
                     break
         except KeyboardInterrupt as interrupt:
             error = interrupt
@@ -317,20 +322,20 @@ def _finished_chunks(whole: Chunk, writer: PairWriter, pool: WorkerPool) -> Iter
         raise error
 
 
-def _add(chunk: FinishedChunk, writer: PairWriter, observer: RunObserver) -> int:
+def _record_chunk(chunk: FinishedChunk, writer: PairWriter, observer: RunObserver) -> int:
     """Record the pairs of another process; return the number of those that it interpreted."""
     interpreted = 0
     for pair in chunk.pairs:
-        if pair.about is not None and pair.sums is not None:
-            writer.finish(pair.name, pair.about, pair.sums)
-            writer.took(pair.name, pair.seconds)
+        if pair.entry is not None and pair.sums is not None:
+            writer.finish(pair.name, pair.entry, pair.sums)
+            writer.record_time(pair.name, pair.seconds)
             interpreted += 1
     if chunk.pairs:
         observer.finish(chunk.pairs[-1].name, writer.statuses, count=len(chunk.pairs))
     return interpreted
 
 
-def _total(frames: FrameSource) -> int | None:
+def _pair_count(frames: FrameSource) -> int | None:
     """Return the number of pairs; None if it is known only after reading."""
     try:
         return len(frames)
@@ -338,30 +343,32 @@ def _total(frames: FrameSource) -> int | None:
         return None
 
 
-def _refuse_mixing(
+def refuse_among_inputs(
     source: Source, files: Iterable[Path], folder: Path, *, kind: str = "frames"
 ) -> None:
     """Raise InputError if results would lie among the frames: the next run would read them."""
     if not isinstance(source, (str, os.PathLike)) or os.path.isfile(source):
         return
     parents = {file.parent for file in files}
-    among = folder.exists() and any(
+    is_among = folder.exists() and any(
         parent.exists() and parent.samefile(folder) for parent in parents
     )
-    if among or (glob.has_magic(os.fspath(source)) and _matches(folder, Path(source).parent)):
+    if is_among or (
+        glob.has_magic(os.fspath(source)) and _matches_pattern(folder, Path(source).parent)
+    ):
         raise InputError(
             f"the results would lie among the {kind} in {folder}, and the next run would read them "
             f"as {kind}: give another folder with -o"
         )
 
 
-def _matches(folder: Path, pattern: Path) -> bool:
+def _matches_pattern(folder: Path, pattern: Path) -> bool:
     """Return whether the folders of a glob pattern, such as "d?" in "d?/*.png", include one."""
-    parts, patterns = (Path(os.path.abspath(path)).parts for path in (folder, pattern))
-    return len(parts) == len(patterns) and all(map(fnmatch.fnmatch, parts, patterns))
+    chunks, patterns = (Path(os.path.abspath(path)).chunks for path in (folder, pattern))
+    return len(chunks) == len(patterns) and all(map(fnmatch.fnmatch, chunks, patterns))
 
 
-def _names(frames: FrameSource, folder: Path) -> list[str]:
+def _possible_names(frames: FrameSource, folder: Path) -> list[str]:
     """Return the names of pairs whose results may already lie in a folder."""
     if frames.names is not None:
         return list(frames.names)

@@ -25,7 +25,7 @@ from tisfm.reconstruction.entry import reconstruct
 from tisfm.reconstruction.progress import DepthOf
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.request import files_below
-from tisfm.running.pool import as_sent, check_worker
+from tisfm.running.pool import check_worker, sendable_error
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.sources import FrameSource, Listing, Source
@@ -154,7 +154,7 @@ def make_chunk(chunk: Chunk) -> Exception | None:
     """Reconstruct a chunk unless it is complete; return an error that the user's input caused."""
     try:
         here = runtime.cpu_lanes() if chunk.arch in (None, "cpu") else chunk.lanes
-        check_worker(chunk.version, chunk.alive, lanes=chunk.lanes, here=here)
+        check_worker(chunk.version, chunk.alive, lanes=chunk.lanes, own_lanes=here)
         seen = FrameSource(chunk.source, stop=chunk.stop)
         chunk.listing.check(seen.listing, seen.title)
         with _alone(chunk):
@@ -162,7 +162,7 @@ def make_chunk(chunk: Chunk) -> Exception | None:
     except Exception as error:
         if not is_user_error(error):
             raise
-        return as_sent(error)
+        return sendable_error(error)
     return None
 
 
