@@ -103,7 +103,7 @@ def write_kitti_paths(
     pose_files = piece_files(Path(folder), KITTI, pieces)
     times_files = piece_files(Path(folder), KITTI_TIMES, pieces)
     for file, times_file, piece in zip(pose_files, times_files, pieces, strict=True):
-        write_kitti(file, result.pose_files[piece])
+        write_kitti(file, result.poses[piece])
         with atomic_write(times_file) as stream:
             stream.write("".join(f"{time!r}\n" for time in times[piece].tolist()).encode())
     return [*pose_files, *times_files]

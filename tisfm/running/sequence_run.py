@@ -364,7 +364,7 @@ def refuse_among_inputs(
 
 def _matches_pattern(folder: Path, pattern: Path) -> bool:
     """Return whether the folders of a glob pattern, such as "d?" in "d?/*.png", include one."""
-    chunks, patterns = (Path(os.path.abspath(path)).chunks for path in (folder, pattern))
+    chunks, patterns = (Path(os.path.abspath(path)).parts for path in (folder, pattern))
     return len(chunks) == len(patterns) and all(map(fnmatch.fnmatch, chunks, patterns))
 
 
