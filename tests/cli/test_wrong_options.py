@@ -188,7 +188,7 @@ def test_frames_of_one_channel_count_all_their_pixels(tmp_path, capsys, monkeypa
     about = (str(tmp_path / "large"), tmp_path / "out", FrameOptions(), "all")
     reconstruct._announce(*about)
     said = capsys.readouterr().err
-    assert float(said.split()[1]) > reconstruct._DEPTH * 3 * 1.2  # MB
+    assert float(said.split()[1]) > reconstruct._DEPTH_BYTES * 3 * 1.2  # MB
     (tmp_path / "large/f0.png").write_bytes(b"none")
     reconstruct._announce(*about)
     assert capsys.readouterr().err == ""

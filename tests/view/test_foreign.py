@@ -18,7 +18,7 @@ from tisfm.status import Status
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 
 from tisfm.results.opening import open_result
-from tisfm.view.colors import ranges_of, sampled
+from tisfm.view.colors import ranges_of, sample_frames
 from tisfm.view.frame_cloud import PointFilter
 from tisfm.view.static_page import static_page
 
@@ -97,7 +97,7 @@ def test_no_exported_page_runs_script_of_a_folder(tab, tmp_path, kind):
         made = static_page(
             result,
             quantity="image",
-            ranges=ranges_of(sampled(FrameCache(result), 1)),
+            ranges=ranges_of(sample_frames(FrameCache(result), 1)),
             points=PointFilter(most_points=50),
             most_frames=4,
             frames_per_second=8,

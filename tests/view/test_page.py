@@ -97,7 +97,7 @@ def test_frames_are_read_when_they_are_looked_at(opened, tmp_path):
 
 
 def test_coarse_first_then_all(opened, tmp_path, monkeypatch):
-    monkeypatch.setattr("tisfm.view.page.COARSE", 100)
+    monkeypatch.setattr("tisfm.view.page.COARSE_POINTS", 100)
     write_reconstruction(tmp_path / "r")
     page = opened(tmp_path / "r")
     shown = []

@@ -150,7 +150,8 @@ def _object_sizes(words: Sequence[str]) -> dict[int, float]:
 
 
 POSES, TRAJECTORY, POINTS = "poses.txt", "trajectory.txt", "points.ply"
-_PICTURE, _DEPTH = 0.2, 4.0  # bytes per value of a picture, and per pixel of depth
+_PICTURE_BYTES = 0.2  # per value of a picture, as JPEG; set by hand
+_DEPTH_BYTES = 4.0  # per pixel of depth; set by hand
 
 
 def reconstruct(options: Reconstruct) -> int:
@@ -311,7 +312,7 @@ def _announce(source: Source, output: Path, frames: FrameSelection, depth_of: De
     if first is None or folder is None:
         return
     pixels = math.prod(first.image.shape[:2])
-    each = _PICTURE * first.image.size + _DEPTH * pixels * (depth_of == "all")
+    each = _PICTURE_BYTES * first.image.size + _DEPTH_BYTES * pixels * (depth_of == "all")
     expected, free = each * count, shutil.disk_usage(folder).free
     if expected > free:
         tell(f"about {as_size(expected)} for {count} frames, but {as_size(free)} are free")

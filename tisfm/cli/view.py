@@ -13,7 +13,7 @@ from tisfm.errors import InputError
 from tisfm.formats import atomic_write
 from tisfm.results.opening import NotReadyError, open_result
 from tisfm.results.result_frames import FrameCache, ResultFrames
-from tisfm.view.colors import ranges_of, sampled
+from tisfm.view.colors import ranges_of, sample_frames
 from tisfm.view.frame_cloud import PointFilter
 from tisfm.view.page import ViewerPage
 from tisfm.view.server import start_server, stop_server, url_of
@@ -106,7 +106,7 @@ def write_static(folder: Path, path: Path, *, frames: int, points: int) -> int:
     if not path.absolute().parent.is_dir():
         raise FileNotFoundError(f"there is no folder {path.parent} to write {path.name} to")
     result = open_result(folder)
-    ranges = ranges_of(sampled(FrameCache(result), len(result.names)))
+    ranges = ranges_of(sample_frames(FrameCache(result), len(result.names)))
     page = static_page(
         result,
         quantity="image",

@@ -37,10 +37,8 @@ ENDINGS = {
 }
 """Endings of the files of a pair, by output."""
 RANGE_KEYS = ("depth16_values_per_unit", "depth_range", "flow_limit", "screen_at")
-_MIN_WRITE_INTERVAL, _MAX_WRITE_RATIO = (
-    1.0,
-    20.0,
-)  # between writings: s, and durations of the last writing
+_MIN_WRITE_INTERVAL = 1.0  # s between two writings of the record; set by hand
+_MAX_WRITE_RATIO = 20.0  # this interval over the duration of the last writing; set by hand
 _COLUMNS = (
     "pair", "status", "message", "time0", "time1", "speed", "occluded", "confidence", "tx", "ty",
     "tz", "rx", "ry", "rz",

@@ -52,24 +52,26 @@ def curves_drawing(
     curves: Sequence[tuple[str, Sequence[float | None]]],
 ) -> Markup:  # an ``svg`` element for each curve with more than one number
     """Draw curves of numbers over the pairs of a run."""
-    known = [
+    known_curves = [
         (name, np.array([np.nan if value is None else value for value in values], np.float64))
         for name, values in curves
     ]
-    known = [(name, values) for name, values in known if np.isfinite(values).sum() > 1]
+    known_curves = [
+        (name, values) for name, values in known_curves if np.isfinite(values).sum() > 1
+    ]
     drawings = []
-    for name, values in known:
+    for name, values in known_curves:
         figure = _figure(4.0, 2.0)
         axes = figure.add_subplot()
         edges = np.linspace(0, len(values), min(len(values), _MAX_POINTS) + 1).astype(int)
         middles = (edges[:-1] + edges[1:] - 1) / 2
         means = [_mean(values[a:b]) for a, b in pairwise(edges)]
-        dot = "." if len(means) <= 60 else ""
+        marker = "." if len(means) <= 60 else ""
         axes.grid(color=FAINT, linewidth=0.5, alpha=0.4)
         axes.tick_params(colors=INK, labelsize=8)
         for spine in axes.spines.values():
             spine.set(color=FAINT, linewidth=0.6)
-        axes.plot(middles, means, color=ESTIMATE, linewidth=1.4, marker=dot)
+        axes.plot(middles, means, color=ESTIMATE, linewidth=1.4, marker=marker)
         axes.set_title(name, color=INK, fontsize=10)
         axes.set_xlim(-0.02 * len(values), 1.02 * len(values) - 1)
         axes.set_ylim(0, 1.08 * max(np.nanmax(means), 1e-6))
@@ -115,5 +117,5 @@ def _svg(figure: "Figure") -> Markup:
 
 
 def _mean(values: NDArray[np.float64]) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if len(known) else float("nan")
+    known_curves = values[np.isfinite(values)]
+    return float(known_curves.mean()) if len(known_curves) else float("nan")

@@ -16,7 +16,9 @@ from tisfm.show.palette import Quantity, as_hex
 # Set by hand.
 MAX_SLIDES = 48
 MAX_SIDE = 560  # px
-BUDGET = 13_000_000  # bytes of all pictures; base64 adds a third, and the page stays below 20 MB
+MAX_TOTAL_BYTES = (
+    13_000_000  # bytes of all pictures; base64 adds a third, and the page stays below 20 MB
+)
 _QUALITIES = (86, 75, 60, 40, 20)  # of JPEG, in the order of trial
 
 
@@ -27,7 +29,7 @@ class Pictures:
         self,
         count: int,  # number of pictures
         *,
-        budget: int = BUDGET,  # bytes of all pictures
+        budget: int = MAX_TOTAL_BYTES,  # bytes of all pictures
     ) -> None:
         self._max_bytes = budget // max(count, 1)
 
@@ -37,11 +39,11 @@ class Pictures:
         image = Image.fromarray(np.ascontiguousarray(as_rgb(levels)))
         side = MAX_SIDE
         while True:
-            small = image.copy()
-            small.thumbnail((side, side), Image.Resampling.BOX)
+            resized = image.copy()
+            resized.thumbnail((side, side), Image.Resampling.BOX)
             for quality in _QUALITIES:
                 data = io.BytesIO()
-                small.save(data, "JPEG", quality=quality, subsampling=0)
+                resized.save(data, "JPEG", quality=quality, subsampling=0)
                 if data.tell() <= self._max_bytes or side <= 8:
                     return _address("jpeg", data.getvalue())
             side //= 2
@@ -57,17 +59,17 @@ def png_url(picture: NDArray[np.uint8]) -> str:
 def choose_slides(
     count: int,  # number of frames
     # required frames, such as the first of each status, the most important first; at most half of
-    # `most`
-    wanted: list[int],
-    most: int = MAX_SLIDES,  # limit of the frames to show
+    # `max_count`
+    required: list[int],
+    max_count: int = MAX_SLIDES,  # limit of the frames to show
 ) -> list[int]:
     """Return the numbers of the frames to show: required frames, and others evenly spread."""
-    if count <= most:
+    if count <= max_count:
         return list(range(count))
-    kept = list(dict.fromkeys(wanted))[: most // 2]
-    others = most - len(kept)
-    even = {round(k * (count - 1) / (others - 1)) for k in range(others)}
-    return sorted({*kept, *even})
+    chosen = list(dict.fromkeys(required))[: max_count // 2]
+    remaining = max_count - len(chosen)
+    evenly_spaced = {round(k * (count - 1) / (remaining - 1)) for k in range(remaining)}
+    return sorted({*chosen, *evenly_spaced})
 
 
 def _address(kind: str, data: bytes) -> str:

@@ -16,7 +16,7 @@ from tisfm.report.pictures import (
     deviation_legend,
     flow_legend,
 )
-from tisfm.report.tables import counted, nearest_preset, setting_rows, shortened, spans
+from tisfm.report.tables import count_statuses, nearest_preset, setting_rows, shorten, status_spans
 from tisfm.results.frame import ResultFrame
 from tisfm.results.sequence_frames import SequenceFrames
 from tisfm.show import (
@@ -32,7 +32,7 @@ _DEPTH, _MOTION = "Depth, near is bright", "Image motion to the next frame"
 _DEVIATION = "Relative deviation of depth"
 _MAX_PICTURES = 5  # pictures of a frame, including labels
 _CONVERGED = "The frame has a pose, and depth if it was requested."
-_MAX_ROWS = 40  # rows of a table at most; set by hand
+_MAX_TABLE_ROWS = 40  # rows of a table at most; set by hand
 
 
 def write_reconstruction_report(
@@ -52,12 +52,12 @@ def write_reconstruction_report(
 
 
 def _report(result: Reconstruction, folder: Path, source: str | None) -> Report:
-    counts = counted(result.status, result.names, converged=_CONVERGED)
-    begins = [int(np.argmax(result.piece == piece)) for piece in _pieces(result)]
-    first = [list(map(str, result.status)).index(status.code) for status in counts]
-    numbers = choose_slides(len(result), [*first, *begins])
+    counts = count_statuses(result.status, result.names, converged=_CONVERGED)
+    first_frames = [int(np.argmax(result.piece == piece)) for piece in _pieces(result)]
+    first_with_status = [list(map(str, result.status)).index(status.code) for status in counts]
+    numbers = choose_slides(len(result), [*first_with_status, *first_frames])
     slides, flow_limit = _slides(result, numbers)
-    whole = len(slides) == len(result)
+    has_all_frames = len(slides) == len(result)
     pieces = _pieces(result)
     text = (
         "The path begins at the circle, in dark colours, and ends at the square, in light colours. "
@@ -71,13 +71,13 @@ def _report(result: Reconstruction, folder: Path, source: str | None) -> Report:
         kind="A sequence, reconstructed by tisfm reconstruct",
         summary=_summary(result, folder, source),
         statuses=counts,
-        spans=spans([str(status) for status in result.status]),
+        spans=status_spans([str(status) for status in result.status]),
         unit="frame",
         drawing=path_drawing(result.poses, result.piece),
         drawing_title="Path of the camera",
         drawing_text=text,
         slides=slides,
-        slides_text="All frames." if whole else f"{len(slides)} of {len(result)} frames.",
+        slides_text="All frames." if has_all_frames else f"{len(slides)} of {len(result)} frames.",
         legends=[
             depth_legend(_DEPTH, "of a piece"),
             flow_legend(_MOTION, f"{_MOTION}, of the static scene", flow_limit),
@@ -89,18 +89,18 @@ def _report(result: Reconstruction, folder: Path, source: str | None) -> Report:
                 ("Number", "Frames", "With a pose", "Note"),
                 [
                     (
-                        str(one.id),
-                        str(len(one.frames)),
-                        str(int(np.isfinite(one.poses[:, 0, 0]).sum())),
-                        shortened(one.message or ""),
+                        str(moving_object.id),
+                        str(len(moving_object.frames)),
+                        str(int(np.isfinite(moving_object.poses[:, 0, 0]).sum())),
+                        shorten(moving_object.message or ""),
                     )
-                    for one in result.objects[:_MAX_ROWS]
+                    for moving_object in result.objects[:_MAX_TABLE_ROWS]
                 ],
             ),
             (
                 "Frames that could not be read",
                 ("Frame of the source", "Why"),
-                [(str(k), shortened(reason)) for k, reason in result.skipped[:_MAX_ROWS]],
+                [(str(k), shorten(reason)) for k, reason in result.skipped[:_MAX_TABLE_ROWS]],
             ),
             ("How the source was read", ("Note",), [(note,) for note in result.notes]),
         ],
@@ -110,35 +110,37 @@ def _report(result: Reconstruction, folder: Path, source: str | None) -> Report:
 
 
 def _summary(result: Reconstruction, folder: Path, source: str | None) -> list[tuple[str, str]]:
-    posed = int((result.piece >= 0).sum())
+    posed_count = int((result.piece >= 0).sum())
     sizes = np.bincount(result.piece[result.piece >= 0])
-    about = result.calibration
-    focal = describe_focal(about.focal or result.camera.focal, about.focal_std, about.shape)
+    calibration = result.calibration
+    focal = describe_focal(
+        calibration.focal or result.camera.focal, calibration.focal_std, calibration.shape
+    )
     height, width = result.shape
     rows = [
         *([("Source", source)] if source else []),
         ("Folder", folder.resolve().name),
         ("Frames", f"{len(result)}, {width} × {height} px"),
-        ("With a pose", f"{posed} of {len(result)}"),
-        ("Pieces", f"{len(sizes)}" + (f" ({_listed(sizes)} frames)" if len(sizes) > 1 else "")),
+        ("With a pose", f"{posed_count} of {len(result)}"),
+        ("Pieces", f"{len(sizes)}" + (f" ({_sizes_text(sizes)} frames)" if len(sizes) > 1 else "")),
         ("Keyframes", str(len(result.keyframes))),
         ("Preset", nearest_preset(result.settings)),
         ("Motion", result.settings.motion),
-        ("Focal length", f"{focal}, {about.origin}"),
+        ("Focal length", f"{focal}, {calibration.origin}"),
         ("Version", result.version),
     ]
-    if about.message and about.message != f"{focal}, estimated from the sequence":
-        rows.append(("Note on the camera", shortened(about.message)))
-    if about.readout:
-        rows.append(("Rolling shutter", f"{about.readout:.2f} of the time to the next frame"))
+    if calibration.message and calibration.message != f"{focal}, estimated from the sequence":
+        rows.append(("Note on the camera", shorten(calibration.message)))
+    if calibration.readout:
+        rows.append(("Rolling shutter", f"{calibration.readout:.2f} of the time to the next frame"))
     if result.skipped:
         rows.append(("Frames that could not be read", str(len(result.skipped))))
     return rows
 
 
-def _listed(sizes: NDArray[np.int64], most: int = 8) -> str:
-    more = len(sizes) - most
-    return ", ".join(map(str, sizes[:most])) + (f" and {more} more" if more > 0 else "")
+def _sizes_text(sizes: NDArray[np.int64], max_count: int = 8) -> str:
+    more = len(sizes) - max_count
+    return ", ".join(map(str, sizes[:max_count])) + (f" and {more} more" if more > 0 else "")
 
 
 def _slides(result: Reconstruction, numbers: list[int]) -> tuple[list[Slide], float]:
@@ -179,7 +181,7 @@ def _slide(
         flow = _flow(frame)
         if flow is not None:
             motion = pictures.url(flow_to_color(flow, limit=flow_limit, beyond="same"))
-    shown = [
+    pictures_shown = [
         Picture(title="Frame", url=pictures.url(frame.picture)),
         Picture(title=_DEPTH, url=depth),
         Picture(title=_MOTION, url=motion),
@@ -187,19 +189,19 @@ def _slide(
     ]
     if result.objects and frame.labels is not None and frame.labels.any():
         overlay = label_overlay(frame.picture, frame.labels)
-        shown.append(Picture(title="Moving objects", url=pictures.url(overlay)))
+        pictures_shown.append(Picture(title="Moving objects", url=pictures.url(overlay)))
     piece, status = int(result.piece[number]), frame.status
     where = f"piece {piece}" if piece >= 0 else "no pose"
     if number in result.keyframes:
         where += ", keyframe"
-    advice = "" if status == "converged" and not status.message else shortened(status.message)
+    advice = "" if status == "converged" and not status.message else shorten(status.message)
     return Slide(
         name=result.names[number],
         number=number,
         status=str(status),
         shape=result.shape,
         message=f"{where}. {advice}".strip(),
-        pictures=shown,
+        pictures=pictures_shown,
     )
 
 
@@ -217,5 +219,5 @@ def _pieces(result: Reconstruction) -> list[int]:
 
 
 def _median_positive(values: list[float]) -> float:
-    known = [value for value in values if value > 0]
-    return float(np.median(known)) if known else 1.0
+    positive_values = [value for value in values if value > 0]
+    return float(np.median(positive_values)) if positive_values else 1.0

@@ -19,7 +19,7 @@ from tisfm.report.pictures import (
     depth_legend,
     flow_legend,
 )
-from tisfm.report.tables import counted, nearest_preset, setting_rows, shortened, spans
+from tisfm.report.tables import count_statuses, nearest_preset, setting_rows, shorten, status_spans
 from tisfm.results.frame import mean_inverse_depth
 from tisfm.settings import Settings
 from tisfm.show import (
@@ -33,7 +33,7 @@ from tisfm.show import (
 from tisfm.status import Status
 
 _DEPTH, _MOTION, _CONFIDENCE = "Depth, near is bright", "Image motion", "Confidence"
-_PICTURES = 4  # pictures of a pair, without labels
+_MAX_PICTURES = 4  # pictures of a pair, without labels
 
 
 def write_run_report(
@@ -89,9 +89,9 @@ def _read(folder: Path, record: Mapping[str, Any]) -> _Run:
                 name=str(name),
                 number=int(pair["number"]),
                 status=Status(pair["status"], pair["message"]),
-                speed=_number(pair.get("speed")),
-                confidence=_number(pair.get("confidence")),
-                occluded=_number(pair.get("occluded")),
+                speed=_float_or_none(pair.get("speed")),
+                confidence=_float_or_none(pair.get("confidence")),
+                occluded=_float_or_none(pair.get("occluded")),
             )
             for name, pair in record["pairs"].items()
         ]
@@ -105,7 +105,7 @@ def _read(folder: Path, record: Mapping[str, Any]) -> _Run:
             step=int(record["step"]),
             arch=str(record["arch"]),
             version=str(record["version"]),
-            flow_limit=_number(record.get("flow_limit")),
+            flow_limit=_float_or_none(record.get("flow_limit")),
             notes=[str(note) for note in record["notes"]],
         )
     except (LookupError, TypeError, AttributeError, ValueError) as error:
@@ -115,11 +115,11 @@ def _read(folder: Path, record: Mapping[str, Any]) -> _Run:
 def _report(folder: Path, run: _Run, source: str | None) -> Report:
     names = [pair.name for pair in run.pairs]
     statuses = [pair.status for pair in run.pairs]
-    counts = counted(statuses, names)
+    counts = count_statuses(statuses, names)
     codes = [str(status) for status in statuses]
     numbers = choose_slides(len(names), [codes.index(status.code) for status in counts])
-    shown = [run.pairs[k] for k in numbers if (folder / f"{names[k]}.npz").is_file()]
-    slides, shape, flow_limit = _slides(folder, shown, run.flow_limit)
+    pairs_shown = [run.pairs[k] for k in numbers if (folder / f"{names[k]}.npz").is_file()]
+    slides, shape, flow_limit = _slides(folder, pairs_shown, run.flow_limit)
     if not names:
         slides_text = "There is no pair."
     elif not slides:
@@ -139,7 +139,7 @@ def _report(folder: Path, run: _Run, source: str | None) -> Report:
         kind="Pairs of frames, interpreted by tisfm run",
         summary=_summary(folder, run, shape, source),
         statuses=counts,
-        spans=spans(codes),
+        spans=status_spans(codes),
         unit="pair",
         drawing=curves_drawing(
             [
@@ -181,30 +181,32 @@ def _summary(
 
 
 def _slides(
-    folder: Path, shown: Sequence[_Pair], recorded: float | None
+    folder: Path, pairs: Sequence[_Pair], recorded_limit: float | None
 ) -> tuple[list[Slide], tuple[int, int] | None, float]:
     """Return slides of some pairs, the shape of the frames, and the range of image motion, px."""
-    levels, speeds, shape = [], [], None
-    for pair in shown:  # a first pass for the ranges, common to all pairs
+    depth_limits, speeds, shape = [], [], None
+    for pair in pairs:  # a first pass for the ranges, common to all pairs
         result = Interpretation.load(folder / f"{pair.name}.npz")
         shape = result.flow.shape[:2]
-        level = mean_inverse_depth(result.inverse_depth)
-        if level > 0 and str(result.status) not in ("diverged", "pose_mismatch"):
-            levels.append(inverse_depth_limit(result.inverse_depth) / level)
+        mean_inverse = mean_inverse_depth(result.inverse_depth)
+        if mean_inverse > 0 and str(result.status) not in ("diverged", "pose_mismatch"):
+            depth_limits.append(inverse_depth_limit(result.inverse_depth) / mean_inverse)
         speeds.append(usual_length(result.flow))
-    depth_limit = float(np.median(levels)) if levels else 1.0
-    flow_limit = float(recorded or (np.median(speeds) if speeds else 0.0))
-    pictures = Pictures((_PICTURES + 1) * len(shown))
+    depth_limit = float(np.median(depth_limits)) if depth_limits else 1.0
+    flow_limit = float(recorded_limit or (np.median(speeds) if speeds else 0.0))
+    pictures = Pictures((_MAX_PICTURES + 1) * len(pairs))
     slides = []
-    for pair in shown:
+    for pair in pairs:
         result = Interpretation.load(folder / f"{pair.name}.npz")
-        level = mean_inverse_depth(result.inverse_depth)
+        mean_inverse = mean_inverse_depth(result.inverse_depth)
         images = [
             Picture(title="Frame", url=pictures.url(result.frame)),
             Picture(
                 title=_DEPTH,
-                url=pictures.url(depth_to_color(result.inverse_depth, limit=depth_limit * level))
-                if level > 0
+                url=pictures.url(
+                    depth_to_color(result.inverse_depth, limit=depth_limit * mean_inverse)
+                )
+                if mean_inverse > 0
                 else None,
             ),
             Picture(
@@ -222,7 +224,7 @@ def _slides(
                 number=pair.number,
                 status=str(pair.status),
                 shape=result.flow.shape[:2],
-                message="" if pair.status == "converged" else shortened(pair.status.message),
+                message="" if pair.status == "converged" else shorten(pair.status.message),
                 pictures=images,
             )
         )
@@ -234,5 +236,5 @@ def _as_tuples(settings: Mapping[str, Any]) -> dict[str, Any]:
     return {k: tuple(v) if isinstance(v, list) else v for k, v in settings.items()}
 
 
-def _number(value: Any) -> float | None:
+def _float_or_none(value: Any) -> float | None:
     return None if value is None else float(value)

@@ -60,7 +60,7 @@ def color_of(code: str) -> str:
     return _COLORS.get(code, _WRONG)
 
 
-def counted(
+def count_statuses(
     statuses: Sequence[Status], names: Sequence[str], *, converged: str = MEANINGS["converged"]
 ) -> list[StatusCount]:
     """Return the statuses, the most frequent first; `converged` is the meaning of that status."""
@@ -68,47 +68,51 @@ def counted(
     counts = Counter(map(str, statuses))
     result = []
     for code, count in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
-        mine = [index for index, status in enumerate(statuses) if status == code]
-        shown = ", ".join(names[index] for index in mine[:_MAX_NAMES])
-        more = count - _MAX_NAMES
+        indices = [index for index, status in enumerate(statuses) if status == code]
+        shown = ", ".join(names[index] for index in indices[:_MAX_NAMES])
+        further = count - _MAX_NAMES
         # The message of "converged" only repeats its meaning.
-        message = "" if code == "converged" else statuses[mine[0]].message
+        message = "" if code == "converged" else statuses[indices[0]].message
         result.append(
             StatusCount(
                 code=code,
                 meaning=meanings.get(code, UNKNOWN),
-                advice=shortened(message),
+                advice=shorten(message),
                 count=count,
-                names="all" if count == len(statuses) else shown + f" and {more} more" * (more > 0),
+                names="all"
+                if count == len(statuses)
+                else shown + f" and {further} more" * (further > 0),
             )
         )
     return result
 
 
-def shortened(text: str) -> str:
+def shorten(text: str) -> str:
     """Return a text in one line, cut off if it is very long."""
     line = " ".join(text.split())
     return line if len(line) <= _MAX_MESSAGE else line[: _MAX_MESSAGE - 1] + "…"
 
 
-def spans(codes: Sequence[str], most: int = 500) -> list[tuple[float, float, str]]:
+def status_spans(codes: Sequence[str], max_parts: int = 500) -> list[tuple[float, float, str]]:
     """Return begin and end, as shares of the sequence, of consecutive frames with one status.
 
-    More than `most` frames are divided into that many parts, each with its rarest status.
+    More than `max_parts` frames are divided into that many parts, each with its rarest status.
     """
     frequency = Counter(codes)
-    parts = min(most, len(codes))
-    edges = [len(codes) * part // parts for part in range(parts + 1)] if parts else [0]
+    part_count = min(max_parts, len(codes))
+    edges = (
+        [len(codes) * part // part_count for part in range(part_count + 1)] if part_count else [0]
+    )
     rarest = [
         min(codes[begin:end], key=lambda code: (frequency[code], code))
         for begin, end in pairwise(edges)
     ]
     result: list[tuple[float, float, str]] = []
     for part, code in enumerate(rarest):
-        begin = part / parts
+        begin = part / part_count
         if result and result[-1][2] == code:
             begin = result.pop()[0]
-        result.append((begin, (part + 1) / parts, code))
+        result.append((begin, (part + 1) / part_count, code))
     return result
 
 
@@ -125,11 +129,11 @@ def nearest_preset(settings: Settings) -> str:
     """Return the preset with the fewest different settings."""
     values = asdict(settings)
 
-    def differing(name: Preset) -> int:
+    def difference_count(name: Preset) -> int:
         preset = asdict(Settings.preset(name, motion=settings.motion))
         return sum(preset[key] != value for key, value in values.items())
 
-    return min(("balanced", *get_args(Preset)), key=differing)
+    return min(("balanced", *get_args(Preset)), key=difference_count)
 
 
 def setting_rows(settings: Settings) -> list[SettingRow]:
@@ -138,17 +142,17 @@ def setting_rows(settings: Settings) -> list[SettingRow]:
     rows = [
         SettingRow(
             name=name,
-            value=_shown(value),
-            preset_value=None if preset[name] == value else _shown(preset[name]),
+            value=_value_text(value),
+            preset_value=None if preset[name] == value else _value_text(preset[name]),
         )
         for name, value in asdict(settings).items()
     ]
     return sorted(rows, key=lambda row: row.preset_value is None)
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     if isinstance(value, tuple):
-        return ", ".join(map(_shown, value))
+        return ", ".join(map(_value_text, value))
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: "none"}[value]
     return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -12,7 +12,7 @@ from tisfm.errors import OutOfRangeError
 from tisfm.status import Status
 
 Floats = NDArray[np.float32]
-_MIN_DEPTH = 1e-9  # Z of a moved ray below which it lies behind the camera; a bound on rounding
+_MIN_MOVED_Z = 1e-9  # Z of a moved ray below which it lies behind the camera; a bound on rounding
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,9 +58,9 @@ class ResultFrame:
             self.picture, self.inverse_depth, self.inverse_depth_std, self.confidence, self.labels,
             self.hidden, self.rho, self.stored_flow,
         ]  # fmt: skip
-        made = 8 * self.inverse_depth.size if self.stored_flow is None else 0
-        made += 4 * self.inverse_depth.size if self.inverse_depth_std is not None else 0
-        return sum(array.nbytes for array in arrays if array is not None) + made
+        computed_bytes = 8 * self.inverse_depth.size if self.stored_flow is None else 0
+        computed_bytes += 4 * self.inverse_depth.size if self.inverse_depth_std is not None else 0
+        return sum(array.nbytes for array in arrays if array is not None) + computed_bytes
 
     @property
     def has_depth(self) -> NDArray[np.bool_]:
@@ -70,18 +70,18 @@ class ResultFrame:
     @property
     def median_depth(self) -> float:
         """The median depth in the scene; 1 without depth."""
-        known = self.inverse_depth[self.has_depth]
-        return self.scale / float(np.median(known)) if known.size else 1.0
+        known_values = self.inverse_depth[self.has_depth]
+        return self.scale / float(np.median(known_values)) if known_values.size else 1.0
 
     @cached_property
     def relative_deviation(self) -> Floats | None:
         """Standard deviation of inverse depth over inverse depth, (H, W); NaN if unknown."""
         if self.inverse_depth_std is None:
             return None
-        known = self.has_depth & np.isfinite(self.inverse_depth_std)
-        share = np.full(self.shape, np.nan, np.float32)
-        np.divide(self.inverse_depth_std, self.inverse_depth, out=share, where=known)
-        return share
+        is_known = self.has_depth & np.isfinite(self.inverse_depth_std)
+        ratio = np.full(self.shape, np.nan, np.float32)
+        np.divide(self.inverse_depth_std, self.inverse_depth, out=ratio, where=is_known)
+        return ratio
 
     @cached_property
     def flow(self) -> Floats | None:
@@ -106,7 +106,7 @@ class ResultFrame:
         Returns (N, 2) float32, px; NaN for points behind the camera.
         """
         rows, columns = np.nonzero(pixels)
-        return self._displacement(rows, columns, pose)[0]
+        return self._flow_and_slope(rows, columns, pose)[0]
 
     def rays(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
         """Return the rays of pixels, (N, 3), with Z = 1, in the axes of the camera."""
@@ -132,15 +132,15 @@ class ResultFrame:
         label = None if self.labels is None else int(self.labels[row, column])
         flow = None if self.flow is None else self.flow[row, column].astype(float)
         tau = omega = tau_std = flow_std = None
-        known = self.motions.get(label or 0)
+        motion = self.motions.get(label or 0)
         if self.rho is not None:
             tau, omega = np.split(self.rho[:, row, column] / self.camera.focal, 2)
-        elif known is not None:
-            omega = known[0][3:]
-            tau = known[0][:3] * inverse if has_depth else None
-        if known is not None and has_depth and deviation is not None and np.isfinite(deviation):
-            tau_std = np.abs(known[0][:3]) * deviation
-            slope = self._displacement(np.array([row]), np.array([column]), known[1])[1][0]
+        elif motion is not None:
+            omega = motion[0][3:]
+            tau = motion[0][:3] * inverse if has_depth else None
+        if motion is not None and has_depth and deviation is not None and np.isfinite(deviation):
+            tau_std = np.abs(motion[0][:3]) * deviation
+            slope = self._flow_and_slope(np.array([row]), np.array([column]), motion[1])[1][0]
             flow_std = np.abs(slope) * deviation
         depth = 1 / inverse if has_depth else None
         return PixelReading(
@@ -164,7 +164,7 @@ class ResultFrame:
     def _at(self, values: Floats | None, row: int, column: int) -> float | None:
         return None if values is None else float(values[row, column])
 
-    def _displacement(
+    def _flow_and_slope(
         self, rows: NDArray[np.intp], columns: NDArray[np.intp], pose: NDArray[np.float64]
     ) -> tuple[Floats, Floats]:
         """Return the image motion of pixels, (N, 2) px, and its derivative by inverse depth.
@@ -173,11 +173,11 @@ class ResultFrame:
         """
         rays = self.rays(rows, columns).astype(np.float64)
         inverse = self.inverse_depth[rows, columns].astype(np.float64)[:, None]
-        moved = rays @ pose[:3, :3].T + inverse * pose[:3, 3]
-        depth = np.where(moved[:, 2:] > _MIN_DEPTH, moved[:, 2:], np.nan)
+        moved_rays = rays @ pose[:3, :3].T + inverse * pose[:3, 3]
+        depth = np.where(moved_rays[:, 2:] > _MIN_MOVED_Z, moved_rays[:, 2:], np.nan)
         focal = self.camera.focal
-        flow = focal * (moved[:, :2] / depth - rays[:, :2])
-        slope = focal * (pose[:2, 3] * depth - moved[:, :2] * pose[2, 3]) / depth**2
+        flow = focal * (moved_rays[:, :2] / depth - rays[:, :2])
+        slope = focal * (pose[:2, 3] * depth - moved_rays[:, :2] * pose[2, 3]) / depth**2
         return flow.astype(np.float32), slope.astype(np.float32)
 
 
@@ -208,5 +208,5 @@ def mean_inverse_depth(inverse_depth: Floats) -> float:
 
     It is the scale of a frame whose depth has a unit of its own.
     """
-    known = np.maximum(np.nan_to_num(inverse_depth, nan=0.0, posinf=0.0), 0)
-    return float(known.mean(dtype=np.float64))
+    finite_values = np.maximum(np.nan_to_num(inverse_depth, nan=0.0, posinf=0.0), 0)
+    return float(finite_values.mean(dtype=np.float64))

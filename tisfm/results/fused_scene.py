@@ -33,7 +33,7 @@ class FusedScene:
     colors: NDArray[np.uint8]  # (N, 3) uint8
     faces: NDArray[np.int32] | None  # (M, 3) int32 or None: none for points
     origin: str  # its source, in words: a file, or keyframes
-    kept_share: float = 1.0  # share of the points after thinning
+    point_share: float = 1.0  # share of the points after thinning
 
 
 def read_fused(folder: Path, kind: FusedKind) -> FusedScene | None:
@@ -99,7 +99,9 @@ def fuse_keyframes(result: Reconstruction, kind: FusedKind, number: int) -> Fuse
     return FusedScene(positions=mesh.vertices, colors=mesh.colors, faces=mesh.faces, origin=origin)
 
 
-def thinned(scene: FusedScene, *, points: int = MAX_POINTS, faces: int = MAX_FACES) -> FusedScene:
+def limit_size(
+    scene: FusedScene, *, points: int = MAX_POINTS, faces: int = MAX_FACES
+) -> FusedScene:
     """Return at most `points` points, or a coarser surface with at most `faces` faces."""
     if scene.faces is None:
         if len(scene.positions) <= points:
@@ -109,7 +111,7 @@ def thinned(scene: FusedScene, *, points: int = MAX_POINTS, faces: int = MAX_FAC
             scene,
             positions=scene.positions[chosen],
             colors=scene.colors[chosen],
-            kept_share=points / len(scene.positions),
+            point_share=points / len(scene.positions),
         )
     if len(scene.faces) <= faces:
         return scene
@@ -118,29 +120,29 @@ def thinned(scene: FusedScene, *, points: int = MAX_POINTS, faces: int = MAX_FAC
     coarse = scene
     while coarse.faces is not None and len(coarse.faces) > faces:
         side *= _COARSENING
-        coarse = _clustered(scene, side)
+        coarse = _cluster_vertices(scene, side)
     return coarse
 
 
-def clipped(
+def clip_to_box(
     scene: FusedScene, box: tuple[NDArray[np.float64], NDArray[np.float64]] | None
 ) -> FusedScene:
     """Return the part inside a box; everything without a box."""
     if box is None:
         return scene
     low, high = box
-    inside = ((scene.positions >= low) & (scene.positions <= high)).all(axis=1)
+    is_inside = ((scene.positions >= low) & (scene.positions <= high)).all(axis=1)
     faces = None
     if scene.faces is not None:
-        numbers = np.cumsum(inside, dtype=np.int32) - 1
-        kept = np.asarray(inside)[scene.faces].all(axis=1)
-        faces = numbers[scene.faces[kept]]
+        numbers = np.cumsum(is_inside, dtype=np.int32) - 1
+        is_kept = np.asarray(is_inside)[scene.faces].all(axis=1)
+        faces = numbers[scene.faces[is_kept]]
     return replace(
-        scene, positions=scene.positions[inside], colors=scene.colors[inside], faces=faces
+        scene, positions=scene.positions[is_inside], colors=scene.colors[is_inside], faces=faces
     )
 
 
-def _clustered(scene: FusedScene, side: float) -> FusedScene:
+def _cluster_vertices(scene: FusedScene, side: float) -> FusedScene:
     """Return a surface whose vertices are the means of all vertices in a cube of this side."""
     assert scene.faces is not None
     cubes = np.floor(scene.positions / side).astype(np.int64)
@@ -159,5 +161,5 @@ def _clustered(scene: FusedScene, side: float) -> FusedScene:
         positions=means[0].astype(np.float32),
         colors=np.rint(means[1]).astype(np.uint8),
         faces=faces,
-        kept_share=len(count) / len(scene.positions),
+        point_share=len(count) / len(scene.positions),
     )

@@ -24,7 +24,7 @@ from tisfm.status import Status
 
 # Without given poses all translations have length 1. A relative difference from 1 above this shows
 # that poses were given. A bound on rounding, set by hand.
-_GIVEN_LENGTH = 1e-6
+_MIN_LENGTH_CHANGE = 1e-6
 
 
 class PairFrames:
@@ -71,20 +71,20 @@ class PairFrames:
         self._is_complete = complete
         self._record_stamp: tuple[int, int] | None = None  # modification time and size
         self._files: list[tuple[str, Any]] = []
-        self._latest: tuple[int, Interpretation] | None = None
-        self._depth_known: dict[int, bool] = {}
+        self._latest_result: tuple[int, Interpretation] | None = None
+        self._has_depth_cache: dict[int, bool] = {}
         self.refresh()
 
     def refresh(self) -> Change | None:
         """Read the record again if it has changed. A run replaces it as a whole."""
         path = self.folder / RUN
-        about = os.stat(path)
-        stamp = about.st_mtime_ns, about.st_size
+        status = os.stat(path)
+        stamp = status.st_mtime_ns, status.st_size
         if stamp == self._record_stamp:
             return None
         record = read_json(path)
         refuse_other_format(path, record)
-        before = self._files
+        earlier_files = self._files
         try:
             self._set_record(record)
         except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
@@ -93,10 +93,12 @@ class PairFrames:
         if self._is_complete:
             self._require_files("npz" in record["outputs"])
         self._record_stamp = stamp
-        self._latest, self._depth_known = None, {}
-        now = dict(self._files)
-        is_kept = all(name in now and now[name] == files for name, files in before)
-        return "grown" if is_kept else "replaced"
+        self._latest_result, self._has_depth_cache = None, {}
+        new_files = dict(self._files)
+        are_kept = all(
+            name in new_files and new_files[name] == files for name, files in earlier_files
+        )
+        return "grown" if are_kept else "replaced"
 
     def __len__(self) -> int:
         return len(self.names)
@@ -109,10 +111,10 @@ class PairFrames:
 
     def result(self, number: int) -> Interpretation:
         """Read the interpretation of a pair; the latest one is kept."""
-        if self._latest is None or self._latest[0] != number:
-            self._latest = None
-            self._latest = number, Interpretation.load(self._file(self.names[number]))
-        return self._latest[1]
+        if self._latest_result is None or self._latest_result[0] != number:
+            self._latest_result = None
+            self._latest_result = number, Interpretation.load(self._file(self.names[number]))
+        return self._latest_result[1]
 
     def read(self, number: int) -> ResultFrame:
         """Read everything about the first frame of a pair."""
@@ -152,9 +154,9 @@ class PairFrames:
         """Return whether a pair has depth that its status does not call wrong."""
         if self.statuses[number] in ("diverged", "pose_mismatch"):
             return False
-        if number not in self._depth_known:
-            self._depth_known[number] = bool((self.result(number).inverse_depth > 0).any())
-        return self._depth_known[number]
+        if number not in self._has_depth_cache:
+            self._has_depth_cache[number] = bool((self.result(number).inverse_depth > 0).any())
+        return self._has_depth_cache[number]
 
     def scale(self, number: int) -> tuple[int, float]:
         """Return 0 and the mean inverse depth of a pair, or 1 if poses were given."""
@@ -184,29 +186,33 @@ class PairFrames:
 
     def _set_record(self, record: Any) -> None:
         pairs = sorted(record["pairs"].items(), key=lambda item: item[1]["number"])
-        kept = [(name, pair) for name, pair in pairs if self._is_complete or _has_npz(pair)]
-        if pairs and not kept:
+        complete_pairs = [
+            (name, pair) for name, pair in pairs if self._is_complete or _has_npz(pair)
+        ]
+        if pairs and not complete_pairs:
             raise InputError("it lists no .npz file: run again with npz among --outputs")
-        for name, _ in kept:
+        for name, _ in complete_pairs:
             if os.path.basename(name) != name or not name:
                 raise InputError(f"{name!r} is not the name of a pair")
         motion = record["settings"]["motion"]
         if self._is_complete:
             self.camera = _camera_of(record["camera"])
-        self.names = [name for name, _ in kept]
-        self._files = [(name, pair.get("files")) for name, pair in kept]
+        self.names = [name for name, _ in complete_pairs]
+        self._files = [(name, pair.get("files")) for name, pair in complete_pairs]
         self.statuses: Sequence[Status] = [
-            Status(pair["status"], pair["message"]) for _, pair in kept
+            Status(pair["status"], pair["message"]) for _, pair in complete_pairs
         ]
-        self.times: Sequence[float | None] = [(pair.get("times") or [None])[0] for _, pair in kept]
-        motions = [_motion_of(pair) for _, pair in kept]
-        numbers = [int(pair["number"]) for _, pair in kept]
-        self._lengths = [1.0 if one is None else one[1] for one in motions]
+        self.times: Sequence[float | None] = [
+            (pair.get("times") or [None])[0] for _, pair in complete_pairs
+        ]
+        motions = [_motion_of(pair) for _, pair in complete_pairs]
+        numbers = [int(pair["number"]) for _, pair in complete_pairs]
+        self._lengths = [1.0 if motion is None else motion[1] for motion in motions]
         self.has_one_scale = motion == "camera" and any(
-            abs(length - 1) > _GIVEN_LENGTH for length in self._lengths
+            abs(length - 1) > _MIN_LENGTH_CHANGE for length in self._lengths
         )
-        poses = [None if one is None else one[0] for one in motions]
-        self.poses, self.piece = _chained(numbers, poses if self.has_one_scale else [])
+        poses = [None if motion is None else motion[0] for motion in motions]
+        self.poses, self.piece = _chain_poses(numbers, poses if self.has_one_scale else [])
         self.unit = (
             "the unit of the poses"
             if self.has_one_scale
@@ -215,13 +221,13 @@ class PairFrames:
         self.quantities = ("confidence",) + (("deviation",) if motion != "field" else ())
         self.quantities += ("object",) if motion == "objects" else ()
 
-    def _require_files(self, were_written: bool) -> None:
+    def _require_files(self, was_written: bool) -> None:
         """Raise an error if there is no pair, or a pair has no file."""
         if not self.names:
             raise InputError(f"{self.folder} has no complete pair: run again, with --resume")
         missing = [name for name in self.names if not self._file(name).is_file()]
         if missing:
-            reason = "it was removed" if were_written else "--outputs left it out"
+            reason = "it was removed" if was_written else "--outputs left it out"
             raise FileNotFoundError(
                 f"{self.folder} has no {missing[0]}.npz, which every export needs: {reason}; run "
                 "again with npz among --outputs"
@@ -258,7 +264,7 @@ def _motion_of(pair: Any) -> tuple[NDArray[np.float64], float] | None:
     return pose, float(np.linalg.norm(pose[:3, 3])) / length if length > 0 else 1.0
 
 
-def _chained(
+def _chain_poses(
     numbers: list[int], motions: list[NDArray[np.float64] | None]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Return poses, camera to world, from the motions between neighbouring frames; and pieces.
@@ -269,8 +275,8 @@ def _chained(
     count = len(numbers)
     poses, piece = np.tile(np.eye(4), (count, 1, 1)), np.arange(count, dtype=np.int32)
     for k in range(1, count if motions else 0):
-        before = motions[k - 1]
-        if numbers[k] == numbers[k - 1] + 1 and before is not None:
-            poses[k] = poses[k - 1] @ np.linalg.inv(before)
+        earlier_files = motions[k - 1]
+        if numbers[k] == numbers[k - 1] + 1 and earlier_files is not None:
+            poses[k] = poses[k - 1] @ np.linalg.inv(earlier_files)
             piece[k] = piece[k - 1]
     return poses, piece

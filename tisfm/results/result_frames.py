@@ -95,10 +95,10 @@ def file_names(names: Sequence[str]) -> tuple[str, ...]:
 
     Names that differ only in upper and lower case count as equal, as some file systems do.
     """
-    plain = [Path(name).name for name in names]
-    count = Counter(name.casefold() for name in plain)
-    if all(plain) and max(count.values(), default=1) == 1:
-        return tuple(plain)
+    base_names = [Path(name).name for name in names]
+    count = Counter(name.casefold() for name in base_names)
+    if all(base_names) and max(count.values(), default=1) == 1:
+        return tuple(base_names)
     return tuple(f"{number:06d}" for number in range(len(names)))
 
 

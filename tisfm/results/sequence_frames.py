@@ -12,7 +12,7 @@ from tisfm.reconstruction.result.folder import DEPTH, RECORD, depth_path
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.results.frame import ResultFrame
-from tisfm.results.fused_scene import FusedKind, FusedScene, fuse_keyframes, read_fused, thinned
+from tisfm.results.fused_scene import FusedKind, FusedScene, fuse_keyframes, limit_size, read_fused
 from tisfm.results.result_frames import Change, as_rgb
 from tisfm.rigid import rigid_twist
 from tisfm.status import Status
@@ -133,7 +133,10 @@ class SequenceFrames:
                 f"{self.folder} has no labels of moving objects: reconstruct with --motion objects"
             )
         labels = self._result.labels(number)
-        moving = {f"object-{one.id}": labels == one.id for one in self.objects}
+        moving = {
+            f"object-{moving_object.id}": labels == moving_object.id
+            for moving_object in self.objects
+        }
         return {"at-rest": labels == 0, **moving}
 
     def fused(self, kind: FusedKind, number: int) -> FusedScene:
@@ -141,10 +144,12 @@ class SequenceFrames:
 
         Its points are thinned for browsers.
         """
-        result, stored = self._result, None
+        result, stored_scene = self._result, None
         if self.piece[number] == result.largest_piece:
-            stored = read_fused(self.folder, kind)
-        return thinned(fuse_keyframes(result, kind, number) if stored is None else stored)
+            stored_scene = read_fused(self.folder, kind)
+        return limit_size(
+            fuse_keyframes(result, kind, number) if stored_scene is None else stored_scene
+        )
 
     def _set_result(self, result: Reconstruction) -> None:
         self._result, self.folder = result, result.folder
@@ -166,10 +171,10 @@ class SequenceFrames:
             return {}
         to_next = np.linalg.inv(self.poses[following])
         motions = {0: to_next @ self.poses[number]}
-        for one in self.objects:
-            moved = _motion_in_world(one, number)
+        for moving_object in self.objects:
+            moved = _motion_in_world(moving_object, number)
             if moved is not None:
-                motions[one.id] = to_next @ moved @ self.poses[number]
+                motions[moving_object.id] = to_next @ moved @ self.poses[number]
         return {label: (rigid_twist(m[:3, :3], m[:3, 3]), m) for label, m in motions.items()}
 
 
@@ -179,12 +184,14 @@ def _stamp(folder: Path) -> tuple[int, int]:
     return about.st_mtime_ns, about.st_size
 
 
-def _motion_in_world(one: MovingObject, number: int) -> NDArray[np.float64] | None:
+def _motion_in_world(moving_object: MovingObject, number: int) -> NDArray[np.float64] | None:
     """Return the motion of an object in the world to the next frame, (4, 4), if it is known."""
-    if number not in one.frames or number + 1 not in one.frames:
+    if number not in moving_object.frames or number + 1 not in moving_object.frames:
         return None
-    here, there = (one.poses[one.frames.index(k)] for k in (number, number + 1))
-    if not (np.isfinite(here).all() and np.isfinite(there).all()):
+    pose, next_pose = (
+        moving_object.poses[moving_object.frames.index(k)] for k in (number, number + 1)
+    )
+    if not (np.isfinite(pose).all() and np.isfinite(next_pose).all()):
         return None
-    motion: NDArray[np.float64] = there @ np.linalg.inv(here)
+    motion: NDArray[np.float64] = next_pose @ np.linalg.inv(pose)
     return motion

@@ -14,8 +14,10 @@ if TYPE_CHECKING:
     from viser import CameraHandle, ClientHandle, ViserServer
 
 # Set by hand.
-_ASPECT_CHANGE = 0.1  # change of log(width / height) of a window from which the view is fitted anew
-_MOVED = 1e-3  # distance, in median depths, from which a user has moved the view
+_MIN_ASPECT_CHANGE = (
+    0.1  # change of log(width / height) of a window from which the view is fitted anew
+)
+_MIN_MOVE = 1e-3  # distance, in median depths, from which a user has moved the view
 
 
 class Browsers:
@@ -41,17 +43,17 @@ class Browsers:
         self.points: FrameCloud | None = None
         self._server, self._scene, self._is_followed = server, scene, is_followed
 
-    def go_all(self) -> None:
+    def move_all_to_overview(self) -> None:
         """Move all browsers to a viewpoint that shows the frame and its points."""
         for client in self._server.get_clients().values():
-            self.go(client)
+            self.move_to_overview(client)
 
     def follow_all(self) -> None:
         """Move all browsers to the position of the camera."""
         for client in self._server.get_clients().values():
             self._follow(client)
 
-    def go(self, client: "ClientHandle") -> None:
+    def move_to_overview(self, client: "ClientHandle") -> None:
         """Move a browser to a viewpoint that shows the frame and its points."""
         if self.frame is None:
             return
@@ -68,24 +70,29 @@ class Browsers:
 
         A browser that follows the camera is always fitted, so that the whole frame is visible.
         """
-        fitted, has_begun, was_moved = USUAL_ASPECT, False, False
-        followed = 0.0  # width over height of the window that the field of view was fitted to
+        fitted_aspect, is_placed, was_moved = USUAL_ASPECT, False, False
+        # width over height of the window that the field of view was fitted to
+        followed_aspect = 0.0
         home = np.asarray(self._server.initial_camera.position)
 
         def fit(camera: "CameraHandle") -> None:
-            nonlocal fitted, home, has_begun, was_moved, followed
-            is_home = bool(np.linalg.norm(camera.position - home) <= _MOVED * self._scene.depth)
-            is_due = camera.aspect != followed or (is_home and not has_begun)
+            nonlocal fitted_aspect, home, is_placed, was_moved, followed_aspect
+            is_home = bool(np.linalg.norm(camera.position - home) <= _MIN_MOVE * self._scene.depth)
+            is_due = camera.aspect != followed_aspect or (is_home and not is_placed)
             if self._is_followed() and is_due:
-                followed = camera.aspect
+                followed_aspect = camera.aspect
                 self._follow(client)
-            has_begun |= is_home  # until then, the browser has not received its first viewpoint
-            was_moved |= has_begun and not is_home
+            is_placed |= is_home  # until then, the browser has not received its first viewpoint
+            was_moved |= is_placed and not is_home
             if self._is_followed():
                 return
-            if is_home and not was_moved and abs(np.log(camera.aspect / fitted)) > _ASPECT_CHANGE:
-                fitted = camera.aspect
-                self.go(client)
+            if (
+                is_home
+                and not was_moved
+                and abs(np.log(camera.aspect / fitted_aspect)) > _MIN_ASPECT_CHANGE
+            ):
+                fitted_aspect = camera.aspect
+                self.move_to_overview(client)
                 home = np.array(camera.position)
 
         client.camera.on_update(fit)

@@ -19,8 +19,8 @@ Box = tuple[NDArray[np.float64], NDArray[np.float64]]
 # Set by hand.
 _HANDLE_LENGTH = 0.2  # of the arrows of a handle, in median depths
 _MAX_DEPTH = 1.5  # in median depths: the first box leaves out farther points
-_OUTSIDE = 2.0  # percent of the points beyond each side of the first box
-_SHARES = np.linspace(1.0, 0.2, 33)  # sizes of the first box that are tried, largest first
+_OUTSIDE_PERCENT = 2.0  # percent of the points beyond each side of the first box
+_SIZE_SHARES = np.linspace(1.0, 0.2, 33)  # sizes of the first box that are tried, largest first
 _STEPS = 50  # steps of the number fields in a median depth
 
 
@@ -54,16 +54,16 @@ class ClippingBox:
         self._decimals = max(0, 1 - math.floor(math.log10(step)))
         if len(points):
             depths = points.positions[:, 2]
-            near = points.positions[depths <= _MAX_DEPTH * np.median(depths)]
-            world = near @ pose[:3, :3].T + pose[:3, 3]
-            ends = np.percentile(world, (_OUTSIDE, 100 - _OUTSIDE), axis=0)
+            near_points = points.positions[depths <= _MAX_DEPTH * np.median(depths)]
+            world_points = near_points @ pose[:3, :3].T + pose[:3, 3]
+            ends = np.percentile(world_points, (_OUTSIDE_PERCENT, 100 - _OUTSIDE_PERCENT), axis=0)
         else:
             ends = pose[:3, 3] + depth * pose[:3, 2] + np.array([[-depth], [depth]])
-        seen_from, _ = self._scene.overview(frame, points)
+        viewpoint, _ = self._scene.overview(frame, points)
         middle, half = ends.mean(axis=0), np.diff(ends, axis=0)[0] / 2
-        for share in _SHARES:
+        for share in _SIZE_SHARES:
             ends = middle + share * np.stack([-half, half])
-            if in_sight(ends, seen_from).all():
+            if in_sight(ends, viewpoint).all():
                 break
         for corner, end in zip(self._corners, ends, strict=True):
             corner.step, corner.precision = step, self._decimals

@@ -33,7 +33,7 @@ _RAMPS: dict[str, Literal["depth", "confidence", "error"]] = {
     "deviation": "error",
 }
 _BAR_COLORS = 9  # of a legend, which the browser interpolates; set by hand
-_COVER = 0.75  # share of the colour of a moving object over the grey picture; set by hand
+_LABEL_OPACITY = 0.75  # share of the colour of a moving object over the grey picture; set by hand
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,13 +62,13 @@ def pixel_colors(frame: ResultFrame, quantity: Quantity, ranges: Ranges) -> NDAr
         return confidence_to_color(frame.confidence)
     if quantity == "deviation" and frame.relative_deviation is not None:
         deviation = frame.relative_deviation
-        known = np.where(np.isfinite(deviation), deviation, np.nan)
-        return error_to_color(known, limits=UNCERTAINTY_RANGE)
+        positive_values = np.where(np.isfinite(deviation), deviation, np.nan)
+        return error_to_color(positive_values, limits=UNCERTAINTY_RANGE)
     if quantity == "object" and frame.labels is not None:
         grey = cv2.cvtColor(frame.picture, cv2.COLOR_RGB2GRAY)[..., None].astype(np.float32)
-        own = label_colors(int(frame.labels.max()) + 1)[frame.labels]
-        cover = np.where(frame.labels > 0, _COVER, 0.0).astype(np.float32)[..., None]
-        return np.rint((1 - cover) * grey + cover * own).astype(np.uint8)
+        label_color = label_colors(int(frame.labels.max()) + 1)[frame.labels]
+        opacity = np.where(frame.labels > 0, _LABEL_OPACITY, 0.0).astype(np.float32)[..., None]
+        return np.rint((1 - opacity) * grey + opacity * label_color).astype(np.uint8)
     if quantity == "image":
         return frame.picture
     return unknown_picture(frame.shape)
@@ -86,9 +86,9 @@ def legend_of_result(
     labels: set[int],  # visible labels, for a result without a list of moving objects
 ) -> Legend | None:
     """Return the legend of a quantity of a result; None for the colours of the image."""
-    listed = tuple(one.id for one in result.objects) or tuple(sorted(labels))
+    labels_shown = tuple(one.id for one in result.objects) or tuple(sorted(labels))
     unit = result.unit if result.has_one_scale else "harmonic mean depths of the frame"
-    return legend(quantity, ranges, unit, listed)
+    return legend(quantity, ranges, unit, labels_shown)
 
 
 def object_labels(frame: ResultFrame) -> set[int]:
@@ -106,10 +106,10 @@ def legend(
     if quantity == "image":
         return None
     if quantity == "object":
-        own = label_colors(max(labels, default=0) + 1)
+        label_color = label_colors(max(labels, default=0) + 1)
         names = ("at rest", *(f"object {k}" for k in labels))
-        shown = [as_hex(own[k]) for k in (0, *labels)]
-        return Legend(title="object", colors=tuple(shown), ticks=names, is_bar=False)
+        colors = [as_hex(label_color[k]) for k in (0, *labels)]
+        return Legend(title="object", colors=tuple(colors), ticks=names, is_bar=False)
     bar = color_ramp(_RAMPS[quantity])[:: 255 // (_BAR_COLORS - 1)]
     if quantity == "depth":
         top = ranges.inverse_depth or 1.0
@@ -131,13 +131,13 @@ def ranges_of(frames: Sequence[ResultFrame], *, with_flow: bool = True) -> Range
     return Ranges(inverse_depth=_median(depths), flow=_median(lengths))
 
 
-def differ(one: Ranges, other: Ranges, factor: float) -> bool:
+def are_different(one: Ranges, other: Ranges, factor: float) -> bool:
     """Return whether depth or motion ranges differ by more than a factor."""
     pairs = (one.inverse_depth, other.inverse_depth), (one.flow, other.flow)
     return any(max(pair) > factor * min(pair) for pair in pairs)
 
 
-def sampled(cache: FrameCache, count: int, samples: int = 3) -> list[ResultFrame]:
+def sample_frames(cache: FrameCache, count: int, samples: int = 3) -> list[ResultFrame]:
     """Return a few readable frames, spread evenly over `count` frames."""
     frames = []
     for number in dict.fromkeys(int(k) for k in np.linspace(0, count - 1, samples)):
@@ -150,13 +150,13 @@ def sampled(cache: FrameCache, count: int, samples: int = 3) -> list[ResultFrame
 
 def _median(values: list[float]) -> float:
     """Return the median of the positive values; 1 without any."""
-    known = [value for value in values if value > 0]
-    return float(np.median(known)) if known else 1.0
+    positive_values = [value for value in values if value > 0]
+    return float(np.median(positive_values)) if positive_values else 1.0
 
 
 PictureKind = Literal["frame", "depth", "flow", "anaglyph", "confidence", "deviation", "object"]
 KINDS: tuple[PictureKind, ...] = get_args(PictureKind)
-_CROSS = (230, 159, 0)  # colour of the mark of a pixel
+_CROSS_COLOR = (230, 159, 0)  # colour of the mark of a pixel
 
 
 def picture_of(
@@ -172,19 +172,21 @@ def picture_of(
     Small pictures are enlarged by a whole number.
     """
     picture = _picture(frame, kind, ranges)
-    height, full = picture.shape[:2]
-    if full > width:
-        size = (width, max(1, round(height * width / full)))
+    height, original_width = picture.shape[:2]
+    if original_width > width:
+        size = (width, max(1, round(height * width / original_width)))
         picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
-    elif width >= 2 * full:
-        enlarged = picture.repeat(width // full, axis=0).repeat(width // full, axis=1)
+    elif width >= 2 * original_width:
+        enlarged = picture.repeat(width // original_width, axis=0).repeat(
+            width // original_width, axis=1
+        )
         picture = enlarged
     picture = np.ascontiguousarray(picture)
     if marked is not None:
-        share = picture.shape[1] / full
-        center = (int((marked[1] + 0.5) * share), int((marked[0] + 0.5) * share))
+        scale = picture.shape[1] / original_width
+        center = (int((marked[1] + 0.5) * scale), int((marked[0] + 0.5) * scale))
         picture = picture.copy()
-        for color, thickness in (((0, 0, 0), 4), (_CROSS, 2)):
+        for color, thickness in (((0, 0, 0), 4), (_CROSS_COLOR, 2)):
             cv2.drawMarker(picture, center, color, cv2.MARKER_CROSS, 17, thickness)
     return picture
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tisfm.errors import InputError
 from tisfm.view.html_texts import progress_html, set_html
-from tisfm.view.scene import behind, quaternion
+from tisfm.view.scene import pose_behind, quaternion
 from tisfm.view.static_page import static_page
 from tisfm.view.viewpoint import FOV
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # Set by hand.
 _MAX_FILM_FRAMES = 300
 FILM_SIZE = (540, 960)  # rows and columns, px
-_SWING = 0.15  # rad: half the angle of a film around frames without a common scale
+_SWING_ANGLE = 0.15  # rad: half the angle of a film around frames without a common scale
 _TIMEOUT = 120.0  # s, for a browser to draw a picture
 _MAX_STATIC_FRAMES = 120  # of a page that plays by itself
 _MAX_STATIC_POINTS = 20_000  # of each of its frames
@@ -34,11 +34,11 @@ def save_screenshot(page: "ViewerPage", client: "ClientHandle") -> None:
     from PIL import Image
 
     height, width = client.camera.image_height, client.camera.image_width
-    shown = client.get_render(height, width, transport_format="png", timeout=_TIMEOUT)
-    picture = Image.fromarray(shown).convert("RGBA")
-    ground = Image.new("RGBA", picture.size, "white")  # the background of the page
+    view = client.get_render(height, width, transport_format="png", timeout=_TIMEOUT)
+    picture = Image.fromarray(view).convert("RGBA")
+    background = Image.new("RGBA", picture.size, "white")  # the background of the page
     file = io.BytesIO()
-    Image.alpha_composite(ground, picture).convert("RGB").save(file, "PNG")
+    Image.alpha_composite(background, picture).convert("RGB").save(file, "PNG")
     name = f"{page.result.names[max(page.number, 0)]}.png"
     client.send_file_download(name, file.getvalue(), save_immediately=True)
 
@@ -59,7 +59,7 @@ def save_film(page: "ViewerPage", client: "ClientHandle") -> None:
     check_video()
     count = len(page.result.names)
     numbers = np.unique(np.linspace(0, count - 1, min(count, _MAX_FILM_FRAMES)).astype(int))
-    first, depth, unread = page.number, page.scene.depth, list[str]()
+    shown_number, depth, unread = page.number, page.scene.depth, list[str]()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "film.mp4")
         try:
@@ -69,14 +69,16 @@ def save_film(page: "ViewerPage", client: "ClientHandle") -> None:
                     if page.show(number) is None:
                         unread.append(f"{page.result.names[number]}: {page.fault}")
                         continue
-                    pose = behind(page.scene.pose_of(number), depth)
+                    pose = pose_behind(page.scene.pose_of(number), depth)
                     if not page.result.has_one_scale:
-                        pose = _swung(pose, depth, _SWING * np.sin(2 * np.pi * k / len(numbers)))
-                    film.add(_drawn(client, pose))
+                        pose = _swing_pose(
+                            pose, depth, _SWING_ANGLE * np.sin(2 * np.pi * k / len(numbers))
+                        )
+                    film.add(_render_view(client, pose))
                 if len(unread) == len(numbers):
                     raise InputError(f"no frame can be read: {unread[0]}")
         finally:
-            page.show(max(first, 0))
+            page.show(max(shown_number, 0))
         client.send_file_download("fly-through.mp4", path.read_bytes(), save_immediately=True)
     _note_unread(page, client, "The film is not complete", unread)
 
@@ -111,7 +113,7 @@ def _note_unread(
         notify(page, client, title, f"{frames} be read: {unread[0]}")
 
 
-def _drawn(client: "ClientHandle", pose: NDArray[np.float64]) -> NDArray[np.uint8]:
+def _render_view(client: "ClientHandle", pose: NDArray[np.float64]) -> NDArray[np.uint8]:
     """Return the view of a browser from a pose, (H, W, 3) uint8."""
     picture = client.get_render(
         *FILM_SIZE,
@@ -124,15 +126,15 @@ def _drawn(client: "ClientHandle", pose: NDArray[np.float64]) -> NDArray[np.uint
     return np.asarray(picture[..., :3], np.uint8)
 
 
-def _swung(pose: NDArray[np.float64], depth: float, angle: float) -> NDArray[np.float64]:
+def _swing_pose(pose: NDArray[np.float64], depth: float, angle: float) -> NDArray[np.float64]:
     """Return a pose turned about a point ahead of it, by an angle about its Y axis, rad."""
-    turn = np.eye(4)
-    turn[:3, :3] = (
+    rotation = np.eye(4)
+    rotation[:3, :3] = (
         (np.cos(angle), 0, np.sin(angle)),
         (0, 1, 0),
         (-np.sin(angle), 0, np.cos(angle)),
     )
-    there, back = np.eye(4), np.eye(4)
-    there[2, 3], back[2, 3] = depth, -depth
-    swung: NDArray[np.float64] = pose @ there @ turn @ back
-    return swung
+    forward, backward = np.eye(4), np.eye(4)
+    forward[2, 3], backward[2, 3] = depth, -depth
+    moved: NDArray[np.float64] = pose @ forward @ rotation @ backward
+    return moved

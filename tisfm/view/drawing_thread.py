@@ -13,38 +13,38 @@ class Playback:
     """Steps through frames at a rate; frames that there is no time for are skipped."""
 
     def __init__(self) -> None:
-        self._begin: tuple[float, int] | None = None  # time, s, and number of the first frame
+        self._start: tuple[float, int] | None = None  # time, s, and number of the first frame
 
     @property
     def is_on(self) -> bool:
         """Whether frames advance."""
-        return self._begin is not None
+        return self._start is not None
 
     def toggle(self, number: int) -> None:
         """Begin at a frame, or stop."""
-        self._begin = None if self.is_on else (time.monotonic(), number)
+        self._start = None if self.is_on else (time.monotonic(), number)
 
     def restart(self, number: int) -> None:
         """Go on from another frame, if playing."""
         if self.is_on:
-            self._begin = time.monotonic(), number
+            self._start = time.monotonic(), number
 
     def due(self, frames_per_second: float, count: int) -> int | None:
         """Return the number of the frame that is due, of `count` in a loop; None if stopped."""
-        if self._begin is None:
+        if self._start is None:
             return None
-        begin, number = self._begin
+        begin, number = self._start
         return (number + int((time.monotonic() - begin) * frames_per_second)) % count
 
 
-_FULL_AFTER = 0.25  # s without a change before everything is drawn; set by hand
-_BROWSER_CHECK = 0.05  # s between looks for the first browser
-_FIRST_PICTURE = 1.0  # s that a browser gets for its first picture
-_FOLDER_CHECK = 1.0  # s between looks at the folder of the result
+_FULL_DRAWING_DELAY = 0.25  # s without a change before everything is drawn; set by hand
+_BROWSER_CHECK_INTERVAL = 0.05  # s between looks for the first browser
+_FIRST_PICTURE_TIME = 1.0  # s that a browser gets for its first picture
+_FOLDER_CHECK_INTERVAL = 1.0  # s between looks at the folder of the result
 _THUMBNAIL_PAUSE = 0.02  # s between thumbnails, so that changes are noticed in time
 
 
-class Drawn(Protocol):
+class DrawnPage(Protocol):
     """A page, as the thread needs it."""
 
     def draw(self, *, coarse: bool) -> None:
@@ -77,7 +77,7 @@ class DrawingThread:
 
     def __init__(
         self,
-        page: Drawn,
+        page: DrawnPage,
         *,
         # time, s, in which only the first coarse picture is drawn, unless a browser connects
         patience: float,
@@ -117,8 +117,8 @@ class DrawingThread:
 
     def is_idle(self) -> bool:
         """Return whether everything is drawn; to be called by a job of the thread."""
-        left = self._is_stale or self._is_coarse or self._page.has_missing_thumbnails()
-        return self._jobs.empty() and not left
+        is_unfinished = self._is_stale or self._is_coarse or self._page.has_missing_thumbnails()
+        return self._jobs.empty() and not is_unfinished
 
     def _run(self) -> None:
         self._await_browser()
@@ -136,10 +136,10 @@ class DrawingThread:
         """Wait, so that a browser has the processor until its first picture, or a request comes."""
         end = time.monotonic() + self._patience
         while time.monotonic() < end and not self._page.has_browser():
-            if self._wake.wait(_BROWSER_CHECK):
+            if self._wake.wait(_BROWSER_CHECK_INTERVAL):
                 return
         if self._patience > 0:
-            self._wake.wait(_FIRST_PICTURE)
+            self._wake.wait(_FIRST_PICTURE_TIME)
 
     def _step(self) -> None:
         """Do the most urgent drawing, after all jobs."""
@@ -152,12 +152,12 @@ class DrawingThread:
         if self._is_stale:
             self._is_stale, self._is_coarse, self._changed_at = False, True, now
             self._page.draw(coarse=True)
-        elif self._is_coarse and now - self._changed_at > _FULL_AFTER:
+        elif self._is_coarse and now - self._changed_at > _FULL_DRAWING_DELAY:
             self._is_coarse = False
             self._page.draw(coarse=False)
         elif self._page.seconds_per_frame() is None and self._page.has_missing_thumbnails():
             self._page.add_thumbnail()
-        if now - self._watched_at > _FOLDER_CHECK:
+        if now - self._watched_at > _FOLDER_CHECK_INTERVAL:
             self._watched_at = now
             self._page.watch_folder()
 
@@ -169,5 +169,5 @@ class DrawingThread:
         if period is not None:
             return 0.5 * period
         if self._is_coarse:
-            return _FULL_AFTER
-        return _THUMBNAIL_PAUSE if self._page.has_missing_thumbnails() else _FOLDER_CHECK
+            return _FULL_DRAWING_DELAY
+        return _THUMBNAIL_PAUSE if self._page.has_missing_thumbnails() else _FOLDER_CHECK_INTERVAL

@@ -51,16 +51,16 @@ def frame_cloud(
     pose: NDArray[np.float64] | None = None,
 ) -> FrameCloud:
     """Return the points of a frame."""
-    kept = _passing(frame, points)
-    step = _step(int(kept.sum()), points.most_points)
-    rows, columns = np.nonzero(kept[::step, ::step])
+    is_kept = _passing_pixels(frame, points)
+    step = _grid_step(int(is_kept.sum()), points.most_points)
+    rows, columns = np.nonzero(is_kept[::step, ::step])
     rows, columns = step * rows, step * columns
     positions = _positions(frame, rows, columns)
     if points.box is not None and len(positions):
         world = positions if pose is None else positions @ pose[:3, :3].T + pose[:3, 3]
         low, high = points.box
-        inside = ((world >= low) & (world <= high)).all(axis=1)
-        rows, columns, positions = rows[inside], columns[inside], positions[inside]
+        is_inside = ((world >= low) & (world <= high)).all(axis=1)
+        rows, columns, positions = rows[is_inside], columns[is_inside], positions[is_inside]
     median = float(np.median(positions[:, 2])) if len(positions) else 1.0
     return FrameCloud(
         positions=positions,
@@ -71,24 +71,24 @@ def frame_cloud(
     )
 
 
-def _passing(frame: ResultFrame, points: PointFilter) -> NDArray[np.bool_]:
+def _passing_pixels(frame: ResultFrame, points: PointFilter) -> NDArray[np.bool_]:
     """Return which pixels pass the thresholds, (H, W) bool."""
-    kept = frame.has_depth
+    is_kept = frame.has_depth
     if frame.hidden is not None and not points.with_hidden:
-        kept &= ~frame.hidden
+        is_kept &= ~frame.hidden
     if frame.confidence is not None and points.min_confidence > 0:
-        kept &= frame.confidence >= points.min_confidence
+        is_kept &= frame.confidence >= points.min_confidence
     if frame.relative_deviation is not None and np.isfinite(points.max_deviation):
-        kept &= frame.relative_deviation <= points.max_deviation  # false for NaN
-    if kept.any():
-        least = float(np.median(frame.inverse_depth[kept])) / MAX_DEPTH
-        kept &= frame.inverse_depth >= least
-    return kept
+        is_kept &= frame.relative_deviation <= points.max_deviation  # false for NaN
+    if is_kept.any():
+        min_inverse_depth = float(np.median(frame.inverse_depth[is_kept])) / MAX_DEPTH
+        is_kept &= frame.inverse_depth >= min_inverse_depth
+    return is_kept
 
 
-def _step(count: int, most: int) -> int:
-    """Return the distance of rows and columns that leaves at most `most` of `count` pixels."""
-    return max(1, int(np.ceil(np.sqrt(count / max(most, 1)))))
+def _grid_step(count: int, max_count: int) -> int:
+    """Return the distance of rows and columns that leaves at most `max_count` of `count` pixels."""
+    return max(1, int(np.ceil(np.sqrt(count / max(max_count, 1)))))
 
 
 def _positions(
@@ -117,8 +117,8 @@ def triangles_between(
     triangles = triangles[(triangles >= 0).all(axis=1)]
     depth = points.positions[:, 2][triangles]
     is_smooth = np.ptp(depth, axis=1) <= _MAX_DEPTH_STEP * points.step**0.5 * depth.min(axis=1)
-    smooth: NDArray[np.int32] = triangles[is_smooth]
-    return smooth
+    smooth_triangles: NDArray[np.int32] = triangles[is_smooth]
+    return smooth_triangles
 
 
 def surface_file(
@@ -133,15 +133,15 @@ def surface_file(
     from trimesh.visual.material import PBRMaterial
 
     height, width = colors.shape[:2]
-    picture = io.BytesIO()
-    Image.fromarray(colors).save(picture, "JPEG", quality=_JPEG_QUALITY)
-    across = (points.pixels[:, 1] + 0.5) / width
-    up = 1 - (points.pixels[:, 0] + 0.5) / height
-    material = PBRMaterial(baseColorTexture=Image.open(picture), doubleSided=True)
+    texture = io.BytesIO()
+    Image.fromarray(colors).save(texture, "JPEG", quality=_JPEG_QUALITY)
+    u = (points.pixels[:, 1] + 0.5) / width
+    v = 1 - (points.pixels[:, 0] + 0.5) / height
+    material = PBRMaterial(baseColorTexture=Image.open(texture), doubleSided=True)
     mesh = Trimesh(
         vertices=points.positions,
         faces=triangles,
-        visual=TextureVisuals(uv=np.stack([across, up], axis=-1), material=material),
+        visual=TextureVisuals(uv=np.stack([u, v], axis=-1), material=material),
         process=False,
     )
     return bytes(export_glb(mesh.scene(), include_normals=False, tree_postprocessor=make_unlit))

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tisfm.results.fused_scene import FusedKind, FusedScene, clipped
+from tisfm.results.fused_scene import FusedKind, FusedScene, clip_to_box
 from tisfm.results.result_frames import ResultFrames
 from tisfm.view.clipping_box import Box
 from tisfm.view.controls import NOT_FUSED, Controls
@@ -23,13 +23,18 @@ class FusedLayer:
         controls: Controls,
         scene: ViewerScene,
         result: ResultFrames,
-        do: Callable[[Callable[[], None]], None],  # lets the drawing thread call a function
+        schedule: Callable[[Callable[[], None]], None],  # lets the drawing thread call a function
     ) -> None:
-        self._controls, self._scene, self._result, self._do = controls, scene, result, do
-        self._one_thread = threading.Lock()
+        self._controls, self._scene, self._result, self._schedule = (
+            controls,
+            scene,
+            result,
+            schedule,
+        )
+        self._lock = threading.Lock()
         self._requested: Key | None = None
         self._fused: FusedScene | None = None
-        self._drawn: object = None
+        self._drawn_state: object = None
 
     def update(
         self,
@@ -52,30 +57,30 @@ class FusedLayer:
             ).start()
         ends = None if box is None else tuple(np.concatenate(box))
         drawn = self._requested, self._fused is not None, ends, size
-        if drawn != self._drawn:
-            self._drawn = drawn
-            shown = None if self._fused is None else clipped(self._fused, box)
+        if drawn != self._drawn_state:
+            self._drawn_state = drawn
+            shown = None if self._fused is None else clip_to_box(self._fused, box)
             self._scene.show_fused(shown, size=size)
 
     def clear(self) -> None:
         """Show nothing, and make the next scene from the beginning."""
         if self._requested is not None:
-            self._requested = self._fused = self._drawn = None
+            self._requested = self._fused = self._drawn_state = None
             self._scene.show_fused(None, size=1.0)
             self._note("")
 
     def _make(self, kind: FusedKind, number: int, key: Key) -> None:
         """Make a scene, and give it to the drawing thread. Runs in a thread of its own."""
-        with self._one_thread:
+        with self._lock:
             if key != self._requested:
                 return
             fused, text = None, ""
             try:
                 fused = self._result.fused(kind, number)
-                text = _described(fused)
+                text = _describe(fused)
             except (ImportError, OSError, ValueError) as error:
                 text = " ".join(str(error).split())
-        self._do(lambda: self._set(key, fused, text))
+        self._schedule(lambda: self._set(key, fused, text))
 
     def _set(self, key: Key, fused: FusedScene | None, text: str) -> None:
         """Show a scene, unless another one is requested by now."""
@@ -87,10 +92,10 @@ class FusedLayer:
         set_html(self._controls.fused_note, note_html(text))
 
 
-def _described(scene: FusedScene) -> str:
+def _describe(scene: FusedScene) -> str:
     """Return the source and the size of a scene, in words."""
     if scene.faces is None:
         text = f"{scene.origin}: {len(scene.positions):,} points"
     else:
         text = f"{scene.origin}: {len(scene.faces):,} triangles"
-    return text + (f", thinned to {100 * scene.kept_share:.0f} %" if scene.kept_share < 1 else "")
+    return text + (f", thinned to {100 * scene.kept_share:.0f} %" if scene.point_share < 1 else "")

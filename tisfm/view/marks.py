@@ -11,7 +11,7 @@ from tisfm.view.html_texts import NOTHING, distance_html, outside_html, reading_
 from tisfm.view.scene import ViewerScene
 from tisfm.view.viewpoint import CLICK_ANGLE, picked_pixel, picked_point
 
-_CLICK_WIDTH = 0.75  # distance of a click to a point, in steps of the points; set by hand
+_CLICK_STEPS = 0.75  # distance of a click to a point, in steps of the points; set by hand
 
 
 class Marks:
@@ -46,17 +46,23 @@ class Marks:
         if frame is None or points is None:
             return
         pose = self._scene.pose_of(frame.number)
-        start = pose[:3, :3].T @ (origin - pose[:3, 3])
-        along = pose[:3, :3].T @ direction
-        between = _CLICK_WIDTH * points.step / frame.camera.focal
-        hit = None
+        ray_start = pose[:3, :3].T @ (origin - pose[:3, 3])
+        ray_direction = pose[:3, :3].T @ direction
+        click_angle = _CLICK_STEPS * points.step / frame.camera.focal
+        point_index = None
         if self._controls.with_frame.value:  # invisible points cannot be hit
-            hit = picked_point(start, along, points.positions, max_angle=max(CLICK_ANGLE, between))
-        pixel = None if hit is None else tuple(map(int, points.pixels[hit]))
+            point_index = picked_point(
+                ray_start, ray_direction, points.positions, max_angle=max(CLICK_ANGLE, click_angle)
+            )
+        pixel = None if point_index is None else tuple(map(int, points.pixels[point_index]))
         if not self._controls.follow.value:
             distance = self._scene.picture_distance(frame)
-            in_picture = picked_pixel(start, along, frame, distance)
-            length = np.inf if hit is None else np.linalg.norm(points.positions[hit] - start)
+            in_picture = picked_pixel(ray_start, ray_direction, frame, distance)
+            length = (
+                np.inf
+                if point_index is None
+                else np.linalg.norm(points.positions[point_index] - ray_start)
+            )
             if in_picture is not None and in_picture[2] < length:
                 pixel = in_picture[:2]
         if pixel is None:

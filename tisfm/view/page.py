@@ -12,14 +12,14 @@ from tisfm.results.result_frames import MAX_BYTES, FrameCache, ResultFrames, as_
 from tisfm.view.browsers import Browsers
 from tisfm.view.clipping_box import ClippingBox
 from tisfm.view.colors import (
+    are_different,
     caption,
-    differ,
     legend_of_result,
     object_labels,
     picture_of,
     pixel_colors,
     ranges_of,
-    sampled,
+    sample_frames,
 )
 from tisfm.view.controls import ANY_DEVIATION, build_controls, copy_settings, features_of
 from tisfm.view.downloads import notify, save_film, save_screenshot, save_static
@@ -35,10 +35,12 @@ if TYPE_CHECKING:
     from viser import ClientHandle, ViserServer
 
 # Set by hand.
-COARSE = 15_000  # points of a frame right after a change
-_GROWTH = 1.2  # ratio of frame counts from which path and ranges of a growing result are renewed
-_RANGE_CHANGE = 1.25  # ratio of ranges up to which colours stay as they are
-_SIZE_CHANGE = 1.5  # ratio of scene depths from which browsers get a new viewpoint
+COARSE_POINTS = 15_000  # points of a frame right after a change
+_MIN_GROWTH = (
+    1.2  # ratio of frame counts from which path and ranges of a growing result are renewed
+)
+_MAX_RANGE_RATIO = 1.25  # ratio of ranges up to which colours stay as they are
+_MAX_SCALE_RATIO = 1.5  # ratio of scene depths from which browsers get a new viewpoint
 _PICTURE_WIDTH = 420  # px, of pictures beside the scene
 
 
@@ -76,17 +78,18 @@ class ViewerPage:
         )
         self.playback = Playback()
         self.thread = DrawingThread(self, patience=patience)
-        self._path_shown: tuple[int, bool] | None = None  # piece, and whether seen from inside
-        self._path_frames = self._range_frames = 0  # frames when path, ranges were last renewed
+        self._drawn_path: tuple[int, bool] | None = None  # piece, and whether seen from inside
+        # frames when path, ranges were last renewed
+        self._path_frame_count = self._range_frame_count = 0
         self._missing_thumbnails: list[int] = []
         if server is not None:
             server.gui.reset()
         self._build_controls(most_points)
-        self._begin(number)
+        self._show_first(number)
         self.server.scene.on_click()(lambda event: self._clicked(event))
         self.server.on_client_connect(self.browsers.welcome)
         self.draw(coarse=True)
-        self.browsers.go_all()  # browsers of a server that was taken over have another viewpoint
+        self.browsers.move_all_to_overview()  # those of a server that was taken over
         self.thread.start()
 
     @property
@@ -99,8 +102,8 @@ class ViewerPage:
         self.thread.stop()
         stop_server(self.server)
 
-    def point_filter(self, most: int | None = None) -> PointFilter:
-        """Return the filter that the controls choose, with at most `most` points."""
+    def point_filter(self, max_points: int | None = None) -> PointFilter:
+        """Return the filter that the controls choose, with at most `max_points` points."""
         controls = self.controls
         deviation = controls.max_deviation.value
         limit = 1000 * int(controls.most.value)
@@ -108,11 +111,11 @@ class ViewerPage:
             min_confidence=controls.min_confidence.value,
             max_deviation=np.inf if deviation >= ANY_DEVIATION else deviation / 100,
             box=self.box.ends,
-            most_points=limit if most is None else min(most, limit),
+            most_points=limit if max_points is None else min(max_points, limit),
             with_hidden=controls.hidden.value,
         )
 
-    def show(self, number: int, most: int | None = None) -> FrameCloud | None:
+    def show(self, number: int, max_points: int | None = None) -> FrameCloud | None:
         """Show a frame as the controls choose; return its points, None if it cannot be read.
 
         Only the drawing thread may call this.
@@ -125,7 +128,7 @@ class ViewerPage:
                 self.scene.remove("points")
             else:
                 quantity = controls.color.value
-                self.points = self._points_of(frame, most)
+                self.points = self._points_of(frame, max_points)
                 if controls.shape.value == "surface":
                     colors = pixel_colors(frame, quantity, self.ranges)
                     self.scene.show_surface(self.points, frame, colors)
@@ -155,13 +158,13 @@ class ViewerPage:
     def draw(self, *, coarse: bool) -> None:
         """Show the frame that the slider is at, with its texts and pictures."""
         number = min(int(self.controls.frame.value), len(self.result.names) - 1)
-        is_another = number != self.number
-        if is_another and self.marks.measured and not self._shares_scale(number):
+        is_new_frame = number != self.number
+        if is_new_frame and self.marks.measured and not self._shares_scale(number):
             self.marks.clear_measured()
-        self.show(number, COARSE if coarse else None)
-        if is_another:
+        self.show(number, COARSE_POINTS if coarse else None)
+        if is_new_frame:
             self._show_status()
-        if is_another or coarse:
+        if is_new_frame or coarse:
             self._show_pictures()
             self._show_legend()
             self.marks.show_reading()
@@ -209,11 +212,11 @@ class ViewerPage:
         names = self.result.names
         number = names.index(name) if name in names else 0
         if change == "replaced" or features_of(self.result) != self._features:
-            self._begin_again(number)
+            self._replace_result(number)
             return
         self._set_last_frame()
         self._renumber(number, pose)
-        if len(names) >= _GROWTH * self._range_frames:
+        if len(names) >= _MIN_GROWTH * self._range_frame_count:
             self.thread.put(self._renew_ranges)
 
     # The result: at the beginning, and when it grows or is replaced.
@@ -228,45 +231,45 @@ class ViewerPage:
             self.controls, self.scene, self.result, lambda job: self.thread.put(job, redraw=True)
         )
         self._features = features_of(self.result)
-        self._listen()
+        self._connect_controls()
 
-    def _begin(self, number: int) -> None:
+    def _show_first(self, number: int) -> None:
         """Set sizes, ranges, the viewpoint of browsers and the clipping box from a frame."""
-        first = self._read(number)
-        self.ranges = ranges_of([first] if first else [], with_flow=False)
-        self._range_frames = 0
-        self.scene.begin(1.0 if first is None else first.median_depth)
-        if first is not None:
-            points = self._points_of(first, COARSE)
-            self.scene.place_browsers(first, points)
+        first_frame = self._read(number)
+        self.ranges = ranges_of([first_frame] if first_frame else [], with_flow=False)
+        self._range_frame_count = 0
+        self.scene.begin(1.0 if first_frame is None else first_frame.median_depth)
+        if first_frame is not None:
+            points = self._points_of(first_frame, COARSE_POINTS)
+            self.scene.set_first_viewpoint(first_frame, points)
             if not self.controls.box.value:
-                self.box.begin_around(points, first)
+                self.box.begin_around(points, first_frame)
         self.controls.frame.value = number
         self.thread.put(self._renew_ranges)
 
-    def _begin_again(self, number: int) -> None:
+    def _replace_result(self, number: int) -> None:
         """Show another result; controls that it also has keep their settings."""
         depth = self.scene.depth
         self.cache.clear()
         self.fused.clear()
         self.marks.clear_measured()
-        self.number, self._path_shown = -1, None
+        self.number, self._drawn_path = -1, None
         if features_of(self.result) != self._features:
-            before, pixel = self.controls, self.marks.pixel
+            earlier, pixel = self.controls, self.marks.pixel
             self.box.remove_handles()
             with self.server.atomic():
                 self.server.gui.reset()
-                self._build_controls(before.most.value * 1000)
-                copy_settings(before, self.controls)
+                self._build_controls(earlier.most.value * 1000)
+                copy_settings(earlier, self.controls)
             self.marks.pixel = pixel
-            self.controls.play.label = before.play.label
+            self.controls.play.label = earlier.play.label
         self._set_last_frame()
-        self._begin(number)
+        self._show_first(number)
         self.box.remove_handles()
         self._restart_playback()
         self.draw(coarse=True)
-        if abs(np.log(self.scene.depth / depth)) > np.log(_SIZE_CHANGE):
-            self.browsers.go_all()
+        if abs(np.log(self.scene.depth / depth)) > np.log(_MAX_SCALE_RATIO):
+            self.browsers.move_all_to_overview()
         self._redraw(path=True)
 
     def _set_last_frame(self) -> None:
@@ -290,8 +293,8 @@ class ViewerPage:
             return
         if not np.array_equal(self.scene.pose_of(number), pose):
             self._redraw(path=True)
-        elif has_changed or len(self.result.names) >= _GROWTH * self._path_frames:
-            self._path_shown = None
+        elif has_changed or len(self.result.names) >= _MIN_GROWTH * self._path_frame_count:
+            self._drawn_path = None
             with self.server.atomic():
                 self._show_path(number)
 
@@ -300,9 +303,9 @@ class ViewerPage:
 
         Ranges that differ little stay, so that colours do not change with every new frame.
         """
-        is_first, self._range_frames = self._range_frames == 0, len(self.result.names)
-        ranges = ranges_of(sampled(self.cache, self._range_frames))
-        if is_first or differ(ranges, self.ranges, _RANGE_CHANGE):
+        is_first, self._range_frame_count = self._range_frame_count == 0, len(self.result.names)
+        ranges = ranges_of(sample_frames(self.cache, self._range_frame_count))
+        if is_first or are_different(ranges, self.ranges, _MAX_RANGE_RATIO):
             self.ranges = ranges
             self.thread.redraw()
 
@@ -321,11 +324,11 @@ class ViewerPage:
         self.number, self.frame = number, self._read(number)
         self.marks.frame = self.browsers.frame = self.frame
 
-    def _points_of(self, frame: ResultFrame, most: int | None) -> FrameCloud:
-        """Return the points of a frame that the controls choose, at most `most`."""
+    def _points_of(self, frame: ResultFrame, max_points: int | None) -> FrameCloud:
+        """Return the points of a frame that the controls choose, at most `max_points`."""
         pose = self.scene.pose_of(frame.number)
         quantity = self.controls.color.value
-        return frame_cloud(frame, quantity, self.ranges, self.point_filter(most), pose)
+        return frame_cloud(frame, quantity, self.ranges, self.point_filter(max_points), pose)
 
     def _shares_scale(self, number: int) -> bool:
         """Return whether a frame has the scale of the frame that is shown."""
@@ -334,7 +337,7 @@ class ViewerPage:
 
     # Controls and clicks: they only give work to the drawing thread.
 
-    def _listen(self) -> None:
+    def _connect_controls(self) -> None:
         controls = self.controls
         for control in controls.redrawing:
             control.on_update(lambda _: self._redraw())
@@ -342,7 +345,7 @@ class ViewerPage:
         for control in (controls.path, controls.frusta, controls.objects, controls.pictures):
             control.on_update(lambda _: self._redraw(path=True))
         controls.play.on_click(lambda _: self._toggle_playback())
-        controls.go.on_click(lambda event: self.browsers.go(event.client))
+        controls.go.on_click(lambda event: self.browsers.move_to_overview(event.client))
         controls.speed.on_update(lambda _: self._restart_playback())
         controls.pixel.on_update(lambda event: self._pixel_entered(event.client is not None))
         for control in (controls.measure.on_update, controls.clear.on_click):
@@ -353,7 +356,7 @@ class ViewerPage:
 
     def _redraw(self, *, path: bool = False) -> None:
         if path:
-            self._path_shown = None
+            self._drawn_path = None
         self.thread.redraw()
 
     def _save(
@@ -402,9 +405,9 @@ class ViewerPage:
         self.scene.show_objects(number, visible=controls.objects.value)
         from_inside = controls.follow.value  # path and frusta would be in the way
         wanted = int(self.result.piece[number]), from_inside
-        if self.frame is None or wanted == self._path_shown:
+        if self.frame is None or wanted == self._drawn_path:
             return
-        self._path_shown, self._path_frames = wanted, len(self.result.names)
+        self._drawn_path, self._path_frame_count = wanted, len(self.result.names)
         self.scene.show_path(
             number,
             self.frame,

@@ -30,7 +30,7 @@ _MAX_FRUSTUM_LENGTH = 0.16  # in median depths
 _PATH_FRUSTUM = 0.35  # size of frusta along the path, over the frustum of the frame
 _MIN_FRUSTUM_DISTANCE = 0.6  # between frusta along the path, over their length
 _MARK_RADIUS = 0.008  # in median depths
-_BEHIND = (0.12, -0.22, -0.5)  # viewpoint of a film from the camera, in median depths
+_BEHIND_OFFSET = (0.12, -0.22, -0.5)  # viewpoint of a film from the camera, in median depths
 
 
 class ViewerScene:
@@ -68,7 +68,7 @@ class ViewerScene:
         pose = self._result.poses[number]
         return pose if np.isfinite(pose).all() else np.eye(4)
 
-    def place_browsers(self, frame: ResultFrame, points: FrameCloud) -> None:
+    def set_first_viewpoint(self, frame: ResultFrame, points: FrameCloud) -> None:
         """Let new browsers begin at a viewpoint that shows a frame and its points."""
         pose, distance = self.overview(frame, points)
         start = self._server.initial_camera
@@ -90,8 +90,10 @@ class ViewerScene:
         corners = frame.rays(np.array([0, 0, height, height]), np.array([0, width, 0, width]))
         frustum = np.concatenate([np.zeros((1, 3)), self.picture_distance(frame) * corners])
         positions = np.zeros((0, 3)) if points is None else points.positions
-        seen, distance = overview(positions, frustum, up=pose[:3, :3].T @ self.up, aspect=aspect)
-        return pose @ seen, distance
+        viewpoint, distance = overview(
+            positions, frustum, up=pose[:3, :3].T @ self.up, aspect=aspect
+        )
+        return pose @ viewpoint, distance
 
     def show_surface(
         self,
@@ -143,7 +145,7 @@ class ViewerScene:
                 "/fused",
                 fused.positions,
                 fused.colors,
-                point_size=size / fused.kept_share**0.5,
+                point_size=size / fused.point_share**0.5,
                 point_shape="square",
                 point_shading="flat",
                 precision="float32",
@@ -203,7 +205,7 @@ class ViewerScene:
         if frusta and len(posed) > 1:
             fov, aspect = field_of_view(frame)
             length = _PATH_FRUSTUM * self.picture_distance(frame)
-            for k in posed[_spread(centers, _MIN_FRUSTUM_DISTANCE * length)]:
+            for k in posed[_spaced_indices(centers, _MIN_FRUSTUM_DISTANCE * length)]:
                 pose = self._result.poses[k]
                 self.frusta[int(k)] = self._server.scene.add_camera_frustum(
                     f"/frusta/{k}",
@@ -226,9 +228,9 @@ class ViewerScene:
         objects = self._result.objects if visible else ()
         colors = label_colors(max((one.id for one in objects), default=0) + 1)
         for one in objects:
-            known = np.isfinite(one.poses).all(axis=(1, 2))
-            known &= self._result.piece[list(one.frames)] == self._result.piece[number]
-            centers = one.poses[known, :3, 3].astype(np.float32)
+            is_known = np.isfinite(one.poses).all(axis=(1, 2))
+            is_known &= self._result.piece[list(one.frames)] == self._result.piece[number]
+            centers = one.poses[is_known, :3, 3].astype(np.float32)
             if len(centers) > 1:
                 self._nodes[f"object{one.id}"] = self._server.scene.add_line_segments(
                     f"/objects/{one.id}",
@@ -237,7 +239,7 @@ class ViewerScene:
                     thickness=4.0,
                     thickness_units="screen",
                 )
-            if number in one.frames and known[one.frames.index(number)]:
+            if number in one.frames and is_known[one.frames.index(number)]:
                 self._nodes[f"object{one.id}here"] = self._server.scene.add_label(
                     f"/names/{one.id}",
                     f"object {one.id}",
@@ -288,20 +290,20 @@ class ViewerScene:
             node.remove()
 
 
-def _spread(centers: NDArray[np.float64], apart: float) -> NDArray[np.int_]:
-    """Return indices of the positions that get a frustum: few, and at least `apart` apart."""
-    every = np.unique(np.linspace(0, len(centers) - 1, MAX_FRUSTA).astype(int))
-    taken = [int(every[0])]
-    for k in every[1:]:
-        if np.linalg.norm(centers[k] - centers[taken[-1]]) >= apart:
-            taken.append(int(k))
-    return np.array(taken)
+def _spaced_indices(centers: NDArray[np.float64], min_distance: float) -> NDArray[np.int_]:
+    """Return the indices of positions with a frustum: a few, at least `min_distance` apart."""
+    candidates = np.unique(np.linspace(0, len(centers) - 1, MAX_FRUSTA).astype(int))
+    chosen = [int(candidates[0])]
+    for k in candidates[1:]:
+        if np.linalg.norm(centers[k] - centers[chosen[-1]]) >= min_distance:
+            chosen.append(int(k))
+    return np.array(chosen)
 
 
 def _mean_up(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the mean upward direction of the frames, (3,); −Y without poses."""
-    posed = poses[np.isfinite(poses).all(axis=(1, 2))]
-    mean = -posed[:, :3, 1].mean(axis=0) if len(posed) else np.zeros(3)
+    finite_poses = poses[np.isfinite(poses).all(axis=(1, 2))]
+    mean = -finite_poses[:, :3, 1].mean(axis=0) if len(finite_poses) else np.zeros(3)
     length = float(np.linalg.norm(mean))
     return mean / length if length > 1e-3 else np.array((0.0, -1.0, 0.0))
 
@@ -315,12 +317,12 @@ def quaternion(pose: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def thumbnail(picture: NDArray[np.uint8], width: int = _THUMBNAIL_WIDTH) -> NDArray[np.uint8]:
     """Return a picture of at most a width, px."""
-    height, full = picture.shape[:2]
-    if full <= width:
+    height, original_width = picture.shape[:2]
+    if original_width <= width:
         return picture
-    size = (width, max(1, round(height * width / full)))
-    shrunk: NDArray[np.uint8] = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
-    return shrunk
+    size = (width, max(1, round(height * width / original_width)))
+    resized: NDArray[np.uint8] = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
+    return resized
 
 
 def box_edges(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -330,8 +332,8 @@ def box_edges(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np
     return corners[np.array(pairs)].astype(np.float32)
 
 
-def behind(pose: NDArray[np.float64], depth: float) -> NDArray[np.float64]:
+def pose_behind(pose: NDArray[np.float64], depth: float) -> NDArray[np.float64]:
     """Return a pose behind, above and beside another, with the same direction."""
     moved = pose.copy()
-    moved[:3, 3] += pose[:3, :3] @ np.array(_BEHIND) * depth
+    moved[:3, 3] += pose[:3, :3] @ np.array(_BEHIND_OFFSET) * depth
     return moved

@@ -36,8 +36,8 @@ def start_server(host: str, port: int) -> "ViserServer":
     if not 0 <= port <= 65535:
         raise InputError(f"port is {port}: expected 0 to 65535")
     _require_address(host)
-    alone = _local_origins_only() if _is_loopback(host) else contextlib.nullcontext()
-    with alone, contextlib.redirect_stdout(io.StringIO()):
+    origin_check = _local_origins_only() if _is_loopback(host) else contextlib.nullcontext()
+    with origin_check, contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label="tisfm", verbose=False)
     # A page of viser can request a tunnel to the internet: this server refuses.
     server.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]

@@ -66,7 +66,7 @@ def static_page(
             labels |= object_labels(frame)
             cloud = frame_cloud(frame, quantity, ranges, points, scene.pose_of(number))
             if frame is first:
-                scene.place_browsers(frame, cloud)
+                scene.set_first_viewpoint(frame, cloud)
                 recording = server.get_scene_serializer()
             scene.show_points(cloud, frame, size=size)
             scene.show_frustum(frame, visible=True)
@@ -76,29 +76,29 @@ def static_page(
             raise InputError(f"{result.folder} has no frame that can be read: {unread[0]}")
         if piece != result.piece[first.number]:  # the page plays in a loop
             scene.show_path(first.number, first, path=True, frusta=True)
-        shown = len(numbers) - len(unread)
-        text = _captioned(
+        shown_count = len(numbers) - len(unread)
+        text = _with_foot(
             recording.as_html(),
             legend_html(legend_of_result(result, quantity, ranges, labels)),
-            _caption(result, shown, unread),
+            _caption(result, shown_count, unread),
         )
-        return StaticPage(text=text, frames=shown, unread=tuple(unread))
+        return StaticPage(text=text, frames=shown_count, unread=tuple(unread))
     finally:
         stop_server(server)
 
 
-def _caption(result: ResultFrames, shown: int, unread: list[str]) -> str:
+def _caption(result: ResultFrames, shown_count: int, unread: list[str]) -> str:
     """Return name and number of frames, and which frames could not be read."""
-    said = f"{result.folder.resolve().name}: {shown} of {len(result.names)} frames"
+    text = f"{result.folder.resolve().name}: {shown_count} of {len(result.names)} frames"
     if unread:
-        more = f" and {len(unread) - 1} more" if len(unread) > 1 else ""
-        said += f". Left out, as it cannot be read: {unread[0]}{more}"
-    return said
+        others = f" and {len(unread) - 1} more" if len(unread) > 1 else ""
+        text += f". Left out, as it cannot be read: {unread[0]}{others}"
+    return text
 
 
-def _captioned(page: str, legend: Markup, caption: str) -> str:
+def _with_foot(page: str, legend: Markup, caption: str) -> str:
     """Return a page, as viser made it, with a legend and a line at its foot."""
     block = foot_html(legend, caption)
     before, end, after = page.rpartition("</body>")
-    whole = f"{before}{block}{end}{after}" if end else f"{page}{block}"
-    return whole.encode("utf-8", "replace").decode()  # names may have lone surrogates
+    page_text = f"{before}{block}{end}{after}" if end else f"{page}{block}"
+    return page_text.encode("utf-8", "replace").decode()  # names may have lone surrogates

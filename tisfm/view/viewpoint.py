@@ -10,21 +10,25 @@ from tisfm.results.frame import ResultFrame
 # Set by hand.
 FOV = 0.9  # vertical field of view of browsers, rad
 USUAL_ASPECT = 0.85  # width over height of a browser's view between its panels
-_DIRECTION = (-0.13, 0.22, 1.0)  # of the view in the axes of the camera: from its right and above
+_VIEW_DIRECTION = (
+    -0.13,
+    0.22,
+    1.0,
+)  # of the view in the axes of the camera: from its right and above
 _MAX_DEPTH = 2.0  # in median depths: farther points may be outside the view
 _MIN_DISTANCE = 0.5  # from the viewpoint to the camera, in median depths
-_OUTSIDE = 2.0  # percent of the points that may be beyond each side
+_OUTSIDE_PERCENT = 2.0  # percent of the points that may be beyond each side
 _MAX_POINTS = 500  # points that the viewpoint is fitted to
-_STEP_BACK = 1.1  # factor of the distance from one attempt to the next
+_DISTANCE_FACTOR = 1.1  # factor of the distance from one attempt to the next
 _MAX_STEPS = 40  # attempts, which multiply the distance by up to 45
 _HALVINGS = 30  # of the interval of a bisection: to 1e-9 of it
-_FILLED = 0.9  # share of the view that points may fill
+_FILLED_SHARE = 0.9  # share of the view that points may fill
 
 
 def overview(
     # (N, 3): in the axes of the camera. Far points, and a few others, may be outside the view.
     points: NDArray[np.floating],
-    whole: NDArray[np.floating],  # (M, 3): further points, all of which are inside the view
+    inner_points: NDArray[np.floating],  # (M, 3): further points, all of which are inside the view
     *,
     up: ArrayLike = (0.0, -1.0, 0.0),  # (3,) array_like: upward direction in the same axes
     aspect: float = USUAL_ASPECT,  # width over height of the view
@@ -34,26 +38,28 @@ def overview(
     Returns the pose, (4, 4) float64, in the axes of the points (X right, Y down, Z forward); and
     the distance from the viewpoint to the median of the points.
     """
-    forward = np.array(_DIRECTION) / np.linalg.norm(_DIRECTION)
-    across = np.cross(forward, np.asarray(up, float))
-    if np.linalg.norm(across) < 1e-3:  # it looks straight up or down
-        across = np.array((1.0, 0.0, 0.0))
-    right = across / np.linalg.norm(across)
+    forward = np.array(_VIEW_DIRECTION) / np.linalg.norm(_VIEW_DIRECTION)
+    side = np.cross(forward, np.asarray(up, float))
+    if np.linalg.norm(side) < 1e-3:  # it looks straight up or down
+        side = np.array((1.0, 0.0, 0.0))
+    right = side / np.linalg.norm(side)
     axes = np.stack([right, np.cross(forward, right), forward], axis=1)
-    local = np.concatenate([_sample(np.asarray(points, float)), np.asarray(whole, float)]) @ axes
+    local = (
+        np.concatenate([_sample(np.asarray(points, float)), np.asarray(inner_points, float)]) @ axes
+    )
     middle = float(np.median(local[:, 2]))
-    most = np.tan(FOV / 2) * _FILLED * np.array((aspect, 1.0))
+    max_slope = np.tan(FOV / 2) * _FILLED_SHARE * np.array((aspect, 1.0))
     distance_behind = _MIN_DISTANCE * middle
     for _ in range(_MAX_STEPS):
-        beside, half = zip(
-            *(_centred(local, axis, -distance_behind) for axis in (0, 1)), strict=True
+        eyes, slopes_needed = zip(
+            *(_centered_eye(local, axis, -distance_behind) for axis in (0, 1)), strict=True
         )
-        if (np.array(half) <= most).all():
+        if (np.array(slopes_needed) <= max_slope).all():
             break
-        distance_behind = _STEP_BACK * (distance_behind + middle) - middle
+        distance_behind = _DISTANCE_FACTOR * (distance_behind + middle) - middle
     pose = np.eye(4)
     pose[:3, :3] = axes
-    pose[:3, 3] = axes @ (*beside, -distance_behind)
+    pose[:3, 3] = axes @ (*eyes, -distance_behind)
     return pose, middle + distance_behind
 
 
@@ -61,30 +67,30 @@ def in_sight(
     points: NDArray[np.floating], pose: NDArray[np.floating], aspect: float = USUAL_ASPECT
 ) -> NDArray[np.bool_]:
     """Return which points, (N, 3), are well inside the view from a pose."""
-    inside = (points - pose[:3, 3]) @ pose[:3, :3]
-    half = np.tan(FOV / 2) * _FILLED * np.array((aspect, 1.0))
-    seen: NDArray[np.bool_] = (np.abs(inside[:, :2]) <= half * inside[:, 2:]).all(axis=1)
-    return seen
+    local = (points - pose[:3, 3]) @ pose[:3, :3]
+    max_slopes = np.tan(FOV / 2) * _FILLED_SHARE * np.array((aspect, 1.0))
+    is_visible: NDArray[np.bool_] = (np.abs(local[:, :2]) <= max_slopes * local[:, 2:]).all(axis=1)
+    return is_visible
 
 
 def _sample(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a sample of the points, without far points and without a few at each side."""
     if not len(points):
         return points
-    near = points[points[:, 2] <= _MAX_DEPTH * np.median(points[:, 2])]
-    slopes = near[:, :2] / near[:, 2:]
-    low, high = np.percentile(slopes, (_OUTSIDE, 100 - _OUTSIDE), axis=0)
-    kept = near[((slopes >= low) & (slopes <= high)).all(axis=1)]
-    return kept[:: max(1, len(kept) // _MAX_POINTS)]
+    near_points = points[points[:, 2] <= _MAX_DEPTH * np.median(points[:, 2])]
+    slopes = near_points[:, :2] / near_points[:, 2:]
+    low, high = np.percentile(slopes, (_OUTSIDE_PERCENT, 100 - _OUTSIDE_PERCENT), axis=0)
+    chosen = near_points[((slopes >= low) & (slopes <= high)).all(axis=1)]
+    return chosen[:: max(1, len(chosen) // _MAX_POINTS)]
 
 
-def _centred(points: NDArray[np.float64], axis: int, depth: float) -> tuple[float, float]:
+def _centered_eye(points: NDArray[np.float64], axis: int, depth: float) -> tuple[float, float]:
     """Return the coordinate of a centred eye at a depth, and the largest slope of a point."""
-    values, before = points[:, axis], np.maximum(points[:, 2] - depth, 1e-9)
+    values, distance = points[:, axis], np.maximum(points[:, 2] - depth, 1e-9)
     low, high = float(values.min()), float(values.max())
     for _ in range(_HALVINGS):
         eye = (low + high) / 2
-        slopes = (values - eye) / before
+        slopes = (values - eye) / distance
         if slopes.min() + slopes.max() > 0:
             low = eye
         else:
@@ -117,11 +123,11 @@ def picked_point(
     distance = offset @ along
     with np.errstate(divide="ignore", invalid="ignore"):
         angle = np.linalg.norm(offset - distance[:, None] * along, axis=1) / distance
-    near = (distance > 0) & (angle < max_angle)
-    if not near.any():
+    is_near = (distance > 0) & (angle < max_angle)
+    if not is_near.any():
         return None
-    front = near & (distance <= _SAME_SURFACE * distance[near].min())
-    return int(np.argmin(np.where(front, angle, np.inf)))
+    is_front = is_near & (distance <= _SAME_SURFACE * distance[is_near].min())
+    return int(np.argmin(np.where(is_front, angle, np.inf)))
 
 
 def picked_pixel(
@@ -132,14 +138,14 @@ def picked_pixel(
     distance: float,  # from the camera to the picture
 ) -> tuple[int, int, float] | None:  # (row, column, length) or None
     """Return row, column and distance of the pixel in a frustum that a ray hits."""
-    start, along = np.asarray(origin, float), np.asarray(direction, float)
+    eye, along = np.asarray(origin, float), np.asarray(direction, float)
     along = along / np.linalg.norm(along)
     if abs(along[2]) < 1e-9:
         return None
-    length = (distance - start[2]) / along[2]
+    length = (distance - eye[2]) / along[2]
     if length <= 0:
         return None
-    hit = start + length * along
+    hit = eye + length * along
     height, width = frame.shape
     # viser draws a frustum about its axis, through the middle of the picture.
     column = round(hit[0] / distance * frame.camera.focal + (width - 1) / 2)
@@ -160,8 +166,8 @@ def following_fov(
     aspect: float,  # width over height of the window
 ) -> float:
     """Return the vertical field of view, rad, of a window that shows the whole frame."""
-    fov, own = field_of_view(frame)
-    return 2 * math.atan(math.tan(fov / 2) * max(1.0, own / aspect))
+    fov, frame_aspect = field_of_view(frame)
+    return 2 * math.atan(math.tan(fov / 2) * max(1.0, frame_aspect / aspect))
 
 
 def frustum_scale(fov: float, aspect: float, distance: float) -> float:

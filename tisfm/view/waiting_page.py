@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 # Set by hand.
-_FOLDER_CHECK = 0.5  # s between looks at the folder
+_FOLDER_CHECK_INTERVAL = 0.5  # s between looks at the folder
 _PICTURE_PERIOD = 2.0  # s between pictures
-_LAST_MESSAGE = 0.3  # s for browsers to receive the last message
+_LAST_MESSAGE_TIME = 0.3  # s for browsers to receive the last message
 
 
 class WaitingPage:
@@ -52,9 +52,9 @@ class WaitingPage:
                 reason = " ".join(str(error).split())
                 set_html(self._text, waiting_html(reason, is_running=False))
                 self._server.flush()
-                time.sleep(_LAST_MESSAGE)
+                time.sleep(_LAST_MESSAGE_TIME)
                 raise
-            time.sleep(_FOLDER_CHECK)
+            time.sleep(_FOLDER_CHECK_INTERVAL)
 
     def _show(self, reason: str) -> None:
         """Show the reason of waiting, the progress, and the latest frame."""
