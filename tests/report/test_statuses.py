@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tisfm.report.pictures import choose_slides
-from tisfm.report.tables import MEANINGS, color_of, counted, spans
+from tisfm.report.tables import MEANINGS, color_of, count_statuses, status_spans
 from tisfm.status import Status
 
 TRUST = Path(__file__).parents[2] / "docs" / "trust.md"
@@ -22,7 +22,7 @@ def test_every_status_has_a_meaning_and_a_colour():
 
 
 def test_a_status_of_another_version_is_doubtful():
-    (found,) = counted([Status("brand_new", "do so")], ["f0"])
+    (found,) = count_statuses([Status("brand_new", "do so")], ["f0"])
     assert found.code == "brand_new" and found.advice == "do so"
     assert "doubt" in found.meaning
     assert color_of("brand_new") != color_of("converged")
@@ -31,19 +31,19 @@ def test_a_status_of_another_version_is_doubtful():
 def test_they_are_counted_with_the_advice_of_the_first():
     statuses = [Status("converged", "as usual")] * 6
     statuses += [Status("aperture", "turn"), Status("aperture", "other")]
-    found = counted(statuses, [f"f{k}" for k in range(8)])
+    found = count_statuses(statuses, [f"f{k}" for k in range(8)])
     assert [(status.code, status.count, status.advice) for status in found] == [
         ("converged", 6, ""),
         ("aperture", 2, "turn"),
     ]
     assert found[0].names == "f0, f1, f2, f3 and 2 more" and found[1].names == "f6, f7"
-    assert counted(statuses[:6], "abcdef")[0].names == "all"
-    assert counted([], []) == []
+    assert count_statuses(statuses[:6], "abcdef")[0].names == "all"
+    assert count_statuses([], []) == []
 
 
 @given(st.lists(st.sampled_from("abc"), max_size=60), st.integers(1, 20))
 def test_spans_cover_all_frames_once(codes, most):
-    found = spans(codes, most)
+    found = status_spans(codes, most)
     ends = [0.0, *(end for _, end, _ in found)]
     assert [begin for begin, _, _ in found] == ends[:-1]
     assert not codes or ends[-1] == 1
@@ -58,7 +58,7 @@ def test_spans_cover_all_frames_once(codes, most):
 def test_a_rare_status_is_seen_in_a_long_sequence():
     codes = ["converged"] * 100_000
     codes[54_321] = "diverged"
-    assert [code for _, _, code in spans(codes)] == ["converged", "diverged", "converged"]
+    assert [code for _, _, code in status_spans(codes)] == ["converged", "diverged", "converged"]
 
 
 @given(st.integers(0, 2000), st.lists(st.integers(0, 1999), max_size=80), st.integers(4, 60))

@@ -13,7 +13,13 @@ from tisfm.formats.srgb import linear_from_srgb
 from tisfm.fusion import Mesh
 from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.result.reconstruction import Reconstruction
-from tisfm.results.fused_scene import FusedScene, clipped, fuse_keyframes, read_fused, thinned
+from tisfm.results.fused_scene import (
+    FusedScene,
+    clip_to_box,
+    fuse_keyframes,
+    limit_size,
+    read_fused,
+)
 from tisfm.results.opening import open_result
 
 
@@ -87,9 +93,9 @@ def test_damaged_files_are_stated(tmp_path, name, kind, data):
 def test_few_points_are_kept(most):
     points = some_points(100)
     whole = FusedScene(positions=points.positions, colors=points.colors, faces=None, origin="")
-    few = thinned(whole, points=most)
+    few = limit_size(whole, points=most)
     assert len(few.positions) == len(few.colors) == min(most, 100)
-    assert few.kept_share == min(most, 100) / 100
+    assert few.point_share == min(most, 100) / 100
     known = {tuple(place): tuple(color) for place, color in zip(*_lists(whole), strict=True)}
     assert all(
         known[tuple(place)] == tuple(color) for place, color in zip(*_lists(few), strict=True)
@@ -103,7 +109,7 @@ def _lists(whole):
 @pytest.mark.parametrize("most", [10_000, 300, 40])
 def test_a_coarser_surface_is_much_the_same(most):
     whole = sheet(41)
-    coarse = thinned(whole, faces=most)
+    coarse = limit_size(whole, faces=most)
     assert 0 < len(coarse.faces) <= max(most, 1)
     assert coarse.faces.max() < len(coarse.positions) == len(coarse.colors)
     assert area(coarse) == pytest.approx(area(whole), rel=0.6)
@@ -117,16 +123,16 @@ def test_clipped_points_lie_in_the_box(low, wide):
     box = np.full(3, low), np.full(3, low + wide)
     points = some_points()
     whole = FusedScene(positions=points.positions, colors=points.colors, faces=None, origin="")
-    inside = clipped(whole, box)
+    inside = clip_to_box(whole, box)
     assert ((inside.positions >= low) & (inside.positions <= low + wide)).all()
     expected = ((points.positions >= low) & (points.positions <= low + wide)).all(axis=1)
     assert len(inside.positions) == expected.sum()
-    assert clipped(whole, None) is whole
+    assert clip_to_box(whole, None) is whole
 
 
 def test_a_clipped_surface_has_the_faces_that_lie_inside():
     whole = sheet(5)
-    inside = clipped(whole, (np.array((0, 0, -1.0)), np.array((2, 4, 1.0))))
+    inside = clip_to_box(whole, (np.array((0, 0, -1.0)), np.array((2, 4, 1.0))))
     assert area(inside) == pytest.approx(8)
     assert inside.positions[:, 0].max() == 2
 

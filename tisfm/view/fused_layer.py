@@ -98,4 +98,4 @@ def _describe(scene: FusedScene) -> str:
         text = f"{scene.origin}: {len(scene.positions):,} points"
     else:
         text = f"{scene.origin}: {len(scene.faces):,} triangles"
-    return text + (f", thinned to {100 * scene.kept_share:.0f} %" if scene.point_share < 1 else "")
+    return text + (f", thinned to {100 * scene.point_share:.0f} %" if scene.point_share < 1 else "")
