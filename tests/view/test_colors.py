@@ -18,7 +18,7 @@ from tisfm.view.colors import (
     picture_of,
     pixel_colors,
     ranges_of,
-    sampled,
+    sample_frames,
 )
 from tisfm.view.html_texts import distance_html, legend_html, reading_html, status_html
 
@@ -163,7 +163,7 @@ def test_frame_data_are_kept_when_earlier_frames_appear():
 
 def test_samples_leave_out_unreadable_frames():
     result = Frames(3)
-    assert [frame.number for frame in sampled(FrameCache(result), 3)] == [0, 1]
+    assert [frame.number for frame in sample_frames(FrameCache(result), 3)] == [0, 1]
 
 
 def test_texts_escape_names_and_tell_faults():
