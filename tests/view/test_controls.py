@@ -149,9 +149,9 @@ def test_the_speed_holds_from_now_on(opened, tmp_path):
     write_run(tmp_path / "r", 2)
     page = opened(tmp_path / "r")
     change(page, "play", True)
-    since = page.playback._begin
+    since = page.playback._start
     change(page, "speed", 20)
-    assert page.playback._begin[0] > since[0]
+    assert page.playback._start[0] > since[0]
 
 
 def test_one_frame_cannot_be_played(opened, tmp_path):

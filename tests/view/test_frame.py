@@ -53,9 +53,9 @@ def test_the_deviation_of_flow_is_its_change_with_depth(reconstruction):
     reading = frame.reading(30, 40)
     row, column = np.array([30]), np.array([40])
     pose, deviation = frame.motions[0][1], frame.inverse_depth_std[30, 40]
-    before = frame._displacement(row, column, pose)[0][0]
+    before = frame._flow_and_slope(row, column, pose)[0][0]
     frame.inverse_depth[30, 40] += deviation
-    after = frame._displacement(row, column, pose)[0][0]
+    after = frame._flow_and_slope(row, column, pose)[0][0]
     assert reading.flow_std == pytest.approx(np.abs(after - before), rel=0.1, abs=1e-3)
 
 

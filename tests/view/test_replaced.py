@@ -20,7 +20,7 @@ from tisfm.reconstruction.result.folder import write_depth
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 
-from tisfm.view.colors import Ranges, differ
+from tisfm.view.colors import Ranges, are_different
 from tisfm.view.server import start_server, stop_server
 from tisfm.view.waiting_page import WaitingPage
 
@@ -97,9 +97,9 @@ def test_ranges_follow_a_run_that_grows(opened, tmp_path):
 
 def test_ranges_that_differ_little_are_kept():
     one = Ranges(inverse_depth=1.0, flow=4.0)
-    assert not differ(one, Ranges(inverse_depth=1.2, flow=3.5), 1.25)
-    assert differ(one, Ranges(inverse_depth=0.7, flow=4.0), 1.25)
-    assert differ(one, Ranges(inverse_depth=1.0, flow=40.0), 1.25)
+    assert not are_different(one, Ranges(inverse_depth=1.2, flow=3.5), 1.25)
+    assert are_different(one, Ranges(inverse_depth=0.7, flow=4.0), 1.25)
+    assert are_different(one, Ranges(inverse_depth=1.0, flow=40.0), 1.25)
 
 
 def test_a_page_states_that_the_run_has_ended(tmp_path):

@@ -202,7 +202,7 @@ def _print_completion(shells: Sequence[str]) -> int:
             # A script for fish has the data in a text, whose quotes and dollars are escaped.
             escaped = shell == "fish"
             data = re.sub(r"\\(.)", r"\1", data) if escaped else data
-            added = f"{_completed(ast.literal_eval(data))!r}\nSEVERAL = {LIST_OPTIONS!r}"
+            added = f"{_completed(ast.literal_eval(data))!r}\nLIST_OPTIONS = {LIST_OPTIONS!r}"
             added += f"\nimport sys{_COMPLETE_AFTER_COMMAS}"
             line = _DATA + (re.sub(r'(["\\$])', r"\\\1", added) if escaped else added)
         print(line)
