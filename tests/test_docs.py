@@ -17,9 +17,9 @@ import pytest
 from PIL import Image
 
 import tisfm
-from tisfm.cli import BROKEN_PIPE, INTERRUPTED, WRONG_OPTION
 from tisfm.cli.command_line import main
 from tisfm.cli.demo_animation import animation_frames
+from tisfm.cli.startup import BROKEN_PIPE, INTERRUPTED, WRONG_OPTION
 from tisfm.scenes import static_scene
 from tisfm.settings import Preset
 from tisfm.status import Status

@@ -125,7 +125,7 @@ def test_other_folders_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"neither run\.json nor reconstruction\.json"):
         open_result(tmp_path)
     (tmp_path / "file").touch()
-    with pytest.raises(NotADirectoryError, match="is no folder"):
+    with pytest.raises(NotADirectoryError, match="is not a folder"):
         open_result(tmp_path / "file")
 
 

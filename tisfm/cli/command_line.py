@@ -19,10 +19,10 @@ import tyro
 from tyro.conf import subcommand
 
 from tisfm.checks import hint
-from tisfm.cli import BROKEN_PIPE, INTERRUPTED, WRONG_OPTION
 from tisfm.cli.console import tell_error
 from tisfm.cli.options import SettingsOptions
 from tisfm.cli.parsing import LIST_OPTIONS, WrongOptionError, parse, suggestion, wrapped_help
+from tisfm.cli.startup import BROKEN_PIPE, INTERRUPTED, WRONG_OPTION
 from tisfm.errors import MissingPackageError, TisfmError, is_user_error
 from tisfm.machine.memory import advice, ran_out
 from tisfm.settings import Preset, Settings
@@ -59,7 +59,7 @@ COMMANDS = {
     "view": ("tisfm.cli.view", "View"),
     "demo": ("tisfm.cli.demo", "Demo"),
     "figures": ("tisfm.cli.figures", "Figures"),
-    "doctor": ("tisfm.cli", "Doctor"),
+    "doctor": ("tisfm.cli.startup", "Doctor"),
 }
 _DESCRIPTION = (
     "Dense structure and 3D motion from image sequences, on a CPU, without training. "
