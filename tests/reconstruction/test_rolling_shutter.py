@@ -13,7 +13,7 @@ from tests.reconstruction.films import path_error
 from tests.rendered import room_film
 from tisfm.camera_file import read_camera
 from tisfm.reconstruction.path.path_solver import find_path
-from tisfm.reconstruction.rolling_shutter.correction import _is_seen
+from tisfm.reconstruction.rolling_shutter.correction import _is_significant
 from tisfm.reconstruction.rolling_shutter.readout import ReadoutEstimate
 from tisfm.reconstruction.streaming.stream import Stream
 from tisfm.rigid import pose_matrix
@@ -137,7 +137,7 @@ def test_same_bits_on_one_thread():
      (-2.1, 0.49, False)],  # with this deviation, no possible readout time differs from 0
 )  # fmt: skip
 def test_readout_is_believed_if_possible_and_significant(readout, deviation, seen):
-    assert _is_seen(ReadoutEstimate(readout=readout, deviation=deviation)) is seen
+    assert _is_significant(ReadoutEstimate(readout=readout, deviation=deviation)) is seen
 
 
 # Streams

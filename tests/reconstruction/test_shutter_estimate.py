@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.rolling_shutter.correction import _is_seen
+from tisfm.reconstruction.rolling_shutter.correction import _is_significant
 from tisfm.reconstruction.rolling_shutter.readout import estimate_readout
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
@@ -109,7 +109,7 @@ def test_readout_that_poses_and_focal_length_explain_is_not_seen(twist, readout)
     views = seen_by(poses, readout, 0.3)
     found = estimate_readout(views, {}, poses, motion_rates(poses, np.arange(10)), CAMERA, SHAPE)
     assert found.deviation > 1  # larger than any readout time
-    assert not _is_seen(found)
+    assert not _is_significant(found)
 
 
 def test_estimate_does_not_depend_on_the_axes():

@@ -34,7 +34,8 @@ def frames(tmp_path_factory):
 
 def in_chunks(source, folder, **options):
     options = {
-        "camera": film().camera, "settings": FAST, "chunk": CHUNK, "finished": in_turn, **options
+        "camera": film().camera, "settings": FAST, "chunk": CHUNK,
+        "map_unordered": in_turn, **options,
     }  # fmt: skip
     return reconstruct_in_chunks(source, folder, **options)
 
@@ -95,7 +96,12 @@ def test_focal_length_is_estimated_once(frames, tmp_path, monkeypatch):
     monkeypatch.setattr(run_module, "PathSolver", solver)
     with pytest.warns(tisfm.focal_guess.GuessedFocalWarning):
         found = in_chunks(
-            frames, tmp_path / "out", stop=16, camera=None, depth_of="none", finished=load_chunks
+            frames,
+            tmp_path / "out",
+            stop=16,
+            camera=None,
+            depth_of="none",
+            map_unordered=load_chunks,
         )
     assert found.calibration.origin in ("estimated", "guessed") and not found.calibration.seen
     assert read_camera(found.folder).focal == found.camera.focal
@@ -150,7 +156,7 @@ def test_camera_is_guessed_once(tmp_path):
             source,
             tmp_path / "out",
             camera=None,
-            finished=load_chunks,
+            map_unordered=load_chunks,
             poses=film().poses,
             depth_of="keyframes",
         )
@@ -203,7 +209,7 @@ def spawned(function, items):
 
 @pytest.mark.nightly  # workers of the command are tested in tests/cli/test_workers.py
 def test_other_processes_find_the_same(frames, found, tmp_path):
-    there = in_chunks(frames, tmp_path / "out", finished=spawned)
+    there = in_chunks(frames, tmp_path / "out", map_unordered=spawned)
     assert contents(there.folder) == contents(found.folder)
 
 
@@ -212,15 +218,15 @@ def test_other_processes_find_the_same(frames, found, tmp_path):
     [
         ("film", {"chunk": 11}, ValueError, "chunk is 11: expected a number of frames, at least"),
         ("film", {"settings": tisfm.Settings.preset("fast", motion="objects")}, ValueError,
-         "no number that is the same in all of them"),
+         "do not share the ids"),
         ("film", {"mask": np.ones((120, 160), bool)}, TypeError, "mask is ndarray"),
         ("film", {"poses": np.tile(np.eye(4), (3, 1, 1))}, ValueError, "poses are 3"),
         ("film", {"poses": np.tile(np.eye(4), (COUNT, 1, 1)), "bad_frames": "skip"}, ValueError,
          "would not fit"),
         ("film", {"poses": np.tile(np.eye(4), (COUNT, 1, 1)), "calibrate": "focal"}, ValueError,
          'calibrate="focal"'),
-        ("webcam:0", {}, ValueError, "record the camera to a file"),
-        ("arrays", {}, TypeError, "source is no path"),
+        ("webcam:0", {}, ValueError, "record it to a file"),
+        ("arrays", {}, TypeError, "source is not a path"),
         ("gone", {}, FileNotFoundError, "gone"),
     ],
 )  # fmt: skip
@@ -233,7 +239,7 @@ def test_wrong_arguments_are_refused(frames, tmp_path, source, options, error, t
 
 def test_preset_alone_means_the_motion_of_the_camera(frames, tmp_path):
     run = ChunkedRun(frames, tmp_path / "out", settings=tisfm.Settings.preset("fast"), chunk=12)
-    assert run.asked["settings"]["motion"] == "camera"
+    assert run.request["settings"]["motion"] == "camera"
 
 
 def test_error_of_a_chunk_is_raised(tmp_path):

@@ -48,7 +48,7 @@ def chunk_options():
 
 
 def again(source, folder, **options):
-    options = {**chunk_options(), "finished": in_turn, "resume": True, **options}
+    options = {**chunk_options(), "map_unordered": in_turn, "resume": True, **options}
     return reconstruct_in_chunks(source, folder, **options)
 
 
@@ -257,7 +257,7 @@ def test_chunk_of_another_process_is_awaited(frames, whole, begun, tmp_path, mon
     thread = threading.Thread(target=finish)
     thread.start()
     held.wait()
-    again(frames, tmp_path / "out", finished=in_other_process)
+    again(frames, tmp_path / "out", map_unordered=in_other_process)
     thread.join()
     assert contents(tmp_path / "out") == whole
 
@@ -276,5 +276,5 @@ def test_worker_with_another_setup_is_refused(frames, tmp_path, change, words):
         return in_turn(function, [replace(item, **change) for item in items])
 
     with pytest.raises(RuntimeError, match=words):
-        again(frames, tmp_path / "out", finished=there, resume=False)
+        again(frames, tmp_path / "out", map_unordered=there, resume=False)
     assert not (tmp_path / "out" / CHUNKS / "000").exists()

@@ -50,9 +50,9 @@ class Span:
     stop: int | None  # number of the first frame after the chunk; None for the end of the source
     count: int  # number of frames
 
-    def of(self, taken: range) -> slice:
+    def of(self, frames: range) -> slice:
         """Return the slice of the chunk in the selected frames."""
-        begin = taken.index(self.start)
+        begin = frames.index(self.start)
         return slice(begin, begin + self.count)
 
 
@@ -68,20 +68,20 @@ def overlap_of(chunk: int) -> int:
 
 
 def spans_of(
-    taken: range,  # numbers of all selected frames in the source
+    frames: range,  # numbers of all selected frames in the source
     stop: int | None,  # the end of the selection, as given; the last chunk ends there
     chunk: int,  # largest number of frames of a chunk
 ) -> list[Span]:
     """Return the frames of each chunk; their lengths are as equal as possible."""
-    count, overlap = len(taken), overlap_of(chunk)
+    count, overlap = len(frames), overlap_of(chunk)
     chunks = 1 if count <= chunk else -(-(count - overlap) // (chunk - overlap))
     begins = [k * (count - overlap) // chunks for k in range(chunks + 1)]
     if chunks == 1:
         begins = [0, count - overlap]
     return [
         Span(
-            start=taken[begin],
-            stop=stop if end + overlap >= count else taken[end + overlap - 1] + 1,
+            start=frames[begin],
+            stop=stop if end + overlap >= count else frames[end + overlap - 1] + 1,
             count=end + overlap - begin,
         )
         for begin, end in pairwise(begins)
@@ -103,7 +103,7 @@ class Chunk:
     # (N, 4, 4) float64, or None: poses of the frames, if given
     poses: np.ndarray | None = field(repr=False, default=None)
     depth_of: DepthOf = "all"
-    asked: str  # digest of the request of the whole sequence
+    request_digest: str  # digest of the request of the whole sequence
     listing: Listing  # the files of the frames, as the parent process sees them
     stop: int | None = None  # number of the frame of the source before which the selection ends
     # arch, threads: as for `tisfm.runtime.start`
@@ -115,7 +115,7 @@ class Chunk:
     version: str = __version__  # version of tisfm in the parent process
 
     @property
-    def account(self) -> Path:
+    def completion_file(self) -> Path:
         """The file beside its folder that marks it as complete."""
         return self.folder.with_name(f"{self.folder.name}.json")
 
@@ -123,21 +123,21 @@ class Chunk:
     def digest(self) -> str:
         """A digest of everything that the result depends on."""
         camera = self.camera
-        about = [
-            self.asked,
+        parts = [
+            self.request_digest,
             asdict(self.span),
             read_camera_record(camera) if isinstance(camera, Path) else camera and asdict(camera),
             self.calibrate,
             self.depth_of,
         ]
-        return hashlib.sha256(json.dumps(about).encode()).hexdigest()[:32]
+        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
 
     def is_complete(self) -> bool:
         """Return whether the chunk is complete, of the same request, with unchanged files."""
         try:
-            about = read_json(self.account)
+            record = read_json(self.completion_file)
             return bool(
-                about["digest"] == self.digest and about["files"] == files_below(self.folder)
+                record["digest"] == self.digest and record["files"] == files_below(self.folder)
             )
         except (FormatError, OSError, LookupError, TypeError):
             return False
@@ -153,12 +153,12 @@ class Chunk:
 def make_chunk(chunk: Chunk) -> Exception | None:
     """Reconstruct a chunk unless it is complete; return an error that the user's input caused."""
     try:
-        here = runtime.cpu_lanes() if chunk.arch in (None, "cpu") else chunk.lanes
-        check_worker(chunk.version, chunk.alive, lanes=chunk.lanes, own_lanes=here)
-        seen = FrameSource(chunk.source, stop=chunk.stop)
-        chunk.listing.check(seen.listing, seen.title)
-        with _alone(chunk):
-            _make(chunk)
+        own_lanes = runtime.cpu_lanes() if chunk.arch in (None, "cpu") else chunk.lanes
+        check_worker(chunk.version, chunk.alive, lanes=chunk.lanes, own_lanes=own_lanes)
+        source = FrameSource(chunk.source, stop=chunk.stop)
+        chunk.listing.check(source.listing, source.title)
+        with _chunk_lock(chunk):
+            _reconstruct(chunk)
     except Exception as error:
         if not is_user_error(error):
             raise
@@ -167,7 +167,7 @@ def make_chunk(chunk: Chunk) -> Exception | None:
 
 
 @contextmanager
-def _alone(chunk: Chunk) -> Iterator[None]:
+def _chunk_lock(chunk: Chunk) -> Iterator[None]:
     """Wait until no other process makes the chunk: an orphaned worker may still do so."""
     file = chunk.folder.with_name(f"{chunk.folder.name}.lock")
     remove_link(file)
@@ -183,10 +183,10 @@ def _alone(chunk: Chunk) -> Iterator[None]:
         lock.release()
 
 
-def _make(chunk: Chunk) -> None:
+def _reconstruct(chunk: Chunk) -> None:
     if chunk.is_complete():
         return
-    remove(chunk.account)
+    remove(chunk.completion_file)
     remove(chunk.folder)
     runtime.start_worker(chunk.arch, threads=chunk.threads)
     with warnings.catch_warnings():
@@ -202,15 +202,15 @@ def _make(chunk: Chunk) -> None:
             start=chunk.span.start,
             stop=chunk.span.stop,
             folder=chunk.folder,
-            progress=lambda stage, done, total: _go_on(chunk),
+            progress=lambda stage, done, total: _check_parent(chunk),
             **chunk.frames,
         )
-    about = {"digest": chunk.digest, "files": files_below(chunk.folder)}
-    with atomic_write(chunk.account, durable=True) as file:
-        file.write(json.dumps(about, indent=1).encode())
+    record = {"digest": chunk.digest, "files": files_below(chunk.folder)}
+    with atomic_write(chunk.completion_file, durable=True) as file:
+        file.write(json.dumps(record, indent=1).encode())
 
 
-def _go_on(chunk: Chunk) -> None:
+def _check_parent(chunk: Chunk) -> None:
     """Stop a chunk whose parent process has ended."""
     if not chunk.alive.exists():
-        raise RunError(f"what {chunk.folder} was made for has ended")
+        raise RunError(f"the command that reconstructs {chunk.folder} has ended")

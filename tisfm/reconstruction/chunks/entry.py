@@ -25,7 +25,12 @@ from tisfm.folders.result_folder import (
 )
 from tisfm.reconstruction.chunks.chunk import CHUNK, Chunk, check_chunk, spans_of
 from tisfm.reconstruction.chunks.joining import ChunkResult, place_chunks, write_whole
-from tisfm.reconstruction.chunks.shared_camera import Finished, is_sought, made, shared_camera
+from tisfm.reconstruction.chunks.shared_camera import (
+    UnorderedMap,
+    complete_chunks,
+    needs_calibration,
+    shared_camera,
+)
 from tisfm.reconstruction.entry import (
     checked_calibrate,
     checked_camera,
@@ -114,37 +119,37 @@ class ChunkedRun:
         settings = checked_settings(settings)
         if settings.motion == "objects":
             raise InputError(
-                'motion is "objects", and chunks are asked for: what moves on its own has no '
-                "number that is the same in all of them; reconstruct it in one process"
+                'motion is "objects", but chunks do not share the ids of moving objects: '
+                "reconstruct in one process"
             )
         check_chunk(chunk)
         if mask is not None and not is_path(mask):
             raise InputTypeError(
-                f"mask is {type(mask).__name__}: expected a path, for other processes"
+                f"mask is {type(mask).__name__}: expected a path, which other processes can read"
             )
-        source = _absolute(source)
+        source = _absolute_source(source)
         sources = FrameSource(
             source, step=step, start=start, stop=stop, size=size, crop=crop, mask=mask,
             bad_frames=bad_frames,
         )  # fmt: skip
-        _refuse_decimals(sources)
+        _refuse_float_frames(sources)
         given = None if poses is None else checked_poses(poses)
         if given is not None and bad_frames == "skip":
             raise InputError(
                 'poses are given and bad_frames="skip": poses would not fit the remaining frames'
             )
         calibrate = checked_calibrate(calibrate, is_known=camera is not None or given is not None)
-        camera, self._stated = checked_camera(camera)
+        camera, self._known_camera = checked_camera(camera)
         self.folder = Path(folder).absolute()
         files = [camera_file_path(camera)] if isinstance(camera, Path) else []
         refuse_inside([*sources.files, *files], self.folder)
-        self._taken, times = _taken(sources)
+        self._frames, times = _selected_frames(sources)
         self._notes = [*sources.notes, *filter(None, [times_note(times)])]
         self._missing: dict[int, Status] = {}
-        known = None
+        frame_poses = None
         if given is not None:
-            known, self._missing = poses_of_frames(given, times)
-        self.asked = make_request(
+            frame_poses, self._missing = poses_of_frames(given, times)
+        self.request = make_request(
             sources,
             camera=camera,
             settings=settings,
@@ -168,15 +173,15 @@ class ChunkedRun:
                 camera=camera.absolute() if isinstance(camera, Path) else camera,
                 calibrate=calibrate,
                 settings=settings,
-                poses=None if known is None else known[span.of(self._taken)],
+                poses=None if frame_poses is None else frame_poses[span.of(self._frames)],
                 depth_of=depth_of,
-                asked=request_digest(self.asked),
+                request_digest=request_digest(self.request),
                 listing=sources.listing,
                 stop=stop,
                 arch=arch,
                 threads=threads,
             )
-            for number, span in enumerate(spans_of(self._taken, stop, chunk))
+            for number, span in enumerate(spans_of(self._frames, stop, chunk))
         ]  # fmt: skip
 
     def is_done(self) -> bool:
@@ -186,17 +191,17 @@ class ChunkedRun:
         """
         chunks = read_request(self.folder / CHUNKS)
         if chunks is None:
-            return is_done(self.folder, self.asked)
-        refuse_differing_request(self.folder, chunks["asked"], self.asked)
+            return is_done(self.folder, self.request)
+        refuse_differing_request(self.folder, chunks["asked"], self.request)
         whole = read_request(self.folder)
-        same = whole is not None and whole["asked"] == self.asked
-        return same and is_done(self.folder, self.asked)
+        same = whole is not None and whole["asked"] == self.request
+        return same and is_done(self.folder, self.request)
 
     def result(
         self,
         # ``finished(function, items)`` calls a function, which can be pickled, with each item, in
         # any process. It yields (number of the item, result) in the order in which items finish.
-        finished: Finished,
+        map_unordered: UnorderedMap,
         *,
         resume: bool = False,  # keep the complete chunks that lie in the folder
         progress: Progress | None = None,  # as for `tisfm.reconstruct`
@@ -209,27 +214,29 @@ class ChunkedRun:
         warn_notes(self._notes)
         tell: Progress = progress or (lambda stage, done, total: None)
         path = make_result_folder(self.folder)
-        with locked_folder(path), ExitStack() as living:
+        with locked_folder(path), ExitStack() as stack:
             refuse_others(path)
             self._begin(path / CHUNKS, resume)
-            alive = living.enter_context(presence_file(path / CHUNKS))
-            chunks, count = [replace(one, alive=alive) for one in self._chunks], len(self._taken)
+            alive = stack.enter_context(presence_file(path / CHUNKS))
+            chunks, count = [replace(one, alive=alive) for one in self._chunks], len(self._frames)
             tell("path", 0, count)
-            found = None  # the result that the camera is from
-            if len(chunks) > 1 and is_sought(chunks[0], self._stated):
-                shared = shared_camera(chunks, finished, path / CHUNKS)
-                found = shared.found
+            calibrated = None  # the result that the camera is from
+            if len(chunks) > 1 and needs_calibration(chunks[0], self._known_camera):
+                shared = shared_camera(chunks, map_unordered, path / CHUNKS)
+                calibrated = shared.result
                 chunks = [one.with_camera(shared.camera) for one in chunks]
-            elif len(chunks) > 1 and self._stated is None:  # guessed from the first chunk alone
-                list(made(chunks[:1], finished))
+            elif (
+                len(chunks) > 1 and self._known_camera is None
+            ):  # guessed from the first chunk alone
+                list(complete_chunks(chunks[:1], map_unordered))
                 guessed = camera_file_path(chunks[0].folder)
                 chunks = [chunks[0], *(one.with_camera(guessed) for one in chunks[1:])]
             done = 0
-            for number in made(chunks, finished):
+            for number in complete_chunks(chunks, map_unordered):
                 done += chunks[number].span.count
                 tell("depth", min(done, count), count)
             parts = [
-                ChunkResult.of(Reconstruction.load(one.folder), one.span, self._taken)
+                ChunkResult.of(Reconstruction.load(one.folder), one.span, self._frames)
                 for one in chunks
             ]
             places = place_chunks(parts, are_given=chunks[0].poses is not None)
@@ -238,7 +245,7 @@ class ChunkedRun:
                     path,
                     parts,
                     places,
-                    camera=found or parts[0].result,
+                    camera=calibrated or parts[0].result,
                     missing=self._missing,
                     notes=self._notes,
                 )
@@ -246,19 +253,19 @@ class ChunkedRun:
     def finish(self) -> None:
         """Mark the result in the folder as complete, and remove the chunks."""
         with locked_folder(self.folder):
-            write_request(self.folder, self.asked)
+            write_request(self.folder, self.request)
             try_to_remove(self.folder / CHUNKS)
 
     def _begin(self, chunks: Path, resume: bool) -> None:
         remove_link(chunks)  # chunks would be written outside the folder
         before = read_request(chunks) if resume else None
         if before is not None:
-            refuse_differing_request(self.folder, before["asked"], self.asked)
+            refuse_differing_request(self.folder, before["asked"], self.request)
             remove_temporaries(chunks)
             return
         remove(chunks)
         chunks.mkdir()
-        write_request(chunks, self.asked)
+        write_request(chunks, self.request)
 
 
 def reconstruct_in_chunks(
@@ -266,8 +273,8 @@ def reconstruct_in_chunks(
     source: Source,
     folder: str | os.PathLike[str],
     *,
-    # finished, resume, progress: as for `ChunkedRun.result`
-    finished: Finished,
+    # map_unordered, resume, progress: as for `ChunkedRun.result`
+    map_unordered: UnorderedMap,
     resume: bool = False,
     progress: Progress | None = None,
     **options: Any,
@@ -277,20 +284,20 @@ def reconstruct_in_chunks(
     if resume and run.is_done():
         run.finish()
         return Reconstruction.load(run.folder)
-    result = run.result(finished, resume=resume, progress=progress)
+    result = run.result(map_unordered, resume=resume, progress=progress)
     run.finish()
     if not result.calibration.seen:
         warnings.warn(result.calibration.message, GuessedFocalWarning, stacklevel=2)
     return result
 
 
-def _absolute(source: Source) -> str | list[str]:
+def _absolute_source(source: Source) -> str | list[str]:
     """Return a source of files with absolute paths, which other processes can open."""
     if isinstance(source, (str, os.PathLike)):
         name = os.fspath(source)
         if webcam_number(name) is not None and not os.path.exists(name):
             raise InputError(
-                f"source is {name}, and chunks are asked for: record the camera to a file first"
+                f"source is {name}, a camera, and chunks need files: record it to a file first"
             )
         if not os.path.exists(name):
             refuse_url(name)
@@ -298,34 +305,36 @@ def _absolute(source: Source) -> str | list[str]:
     if isinstance(source, Sequence) and source and all(map(is_path, source)):
         return [os.path.abspath(item) for item in source]
     raise InputTypeError(
-        "source is no path, and chunks are asked for: expected a video, a folder, a pattern or "
+        "source is not a path, and chunks need files: expected a video, a folder, a pattern or "
         "image files, which other processes can read"
     )
 
 
-def _taken(source: FrameSource) -> tuple[range, list[float | None]]:
+def _selected_frames(source: FrameSource) -> tuple[range, list[float | None]]:
     """Return the numbers of the selected frames, and their times; None for an unknown time.
 
     The number of frames of a video is known only after it is read.
     """
     if source.names is not None:
-        chosen = range(len(source.frame_files))[source.chosen]
-        return chosen, list(source.times or (None,) * len(chosen))
-    found: list[tuple[int, float | None]] = []
+        selected = range(len(source.frame_files))[source.chosen]
+        return selected, list(source.times or (None,) * len(selected))
+    frames_read: list[tuple[int, float | None]] = []
     with closing(source.frames()) as frames:
         for frame in frames:
-            found.append((frame.index, frame.time))
-    last = max([index for index, _ in found] + [index for index, _ in source.skipped], default=-1)
-    if not found:
+            frames_read.append((frame.index, frame.time))
+    last = max(
+        [index for index, _ in frames_read] + [index for index, _ in source.skipped], default=-1
+    )
+    if not frames_read:
         raise InputError(f"{source.title} has no frame that can be read: expected at least 2")
-    return range(last + 1)[source.chosen], [time for _, time in found]
+    return range(last + 1)[source.chosen], [time for _, time in frames_read]
 
 
-def _refuse_decimals(source: FrameSource) -> None:
+def _refuse_float_frames(source: FrameSource) -> None:
     with closing(source.frames()) as frames:
         first = next(frames, None)
     if first is not None and first.image.dtype.kind == "f":
         raise InputError(
-            f"frame {first.name} has decimals: which scale such frames are on is told by all that "
-            "came before, which chunks do not see; reconstruct it in one process"
+            f"frame {first.name} has decimals: the scale of such frames depends on all earlier "
+            "frames, which a chunk does not see; reconstruct in one process"
         )

@@ -29,19 +29,19 @@ class ChunkResult:
     frames: dict[int, int]  # number of each frame in the result, by its number in the source
 
     @classmethod
-    def of(cls, result: Reconstruction, span: Span, taken: range) -> "ChunkResult":
+    def of(cls, result: Reconstruction, span: Span, frames: range) -> "ChunkResult":
         """Return the result of a chunk, for its span of the selected frames.
 
         Raises ValueError if the result has another number of frames.
         """
         skipped = {index for index, _ in result.skipped}
-        left = [index for index in taken[span.of(taken)] if index not in skipped]
-        if len(left) != len(result):
+        kept = [index for index in frames[span.of(frames)] if index not in skipped]
+        if len(kept) != len(result):
             raise InputError(
-                f"{result.folder} has {len(result)} frames, expected {len(left)}: the source has "
+                f"{result.folder} has {len(result)} frames, expected {len(kept)}: the source has "
                 "changed meanwhile"
             )
-        return cls(result=result, frames={index: number for number, index in enumerate(left)})
+        return cls(result=result, frames={index: number for number, index in enumerate(kept)})
 
     def piece(self, index: int) -> int:
         """Return the piece of a frame; −1 for none."""
@@ -66,47 +66,51 @@ def place_chunks(
     are_given: bool,  # Whether poses were given. All results then have one world and one unit.
 ) -> list[ChunkPlacement]:
     """Return the placement of every frame of the whole, in order."""
-    owners = _owners(parts)
+    owners = _chunk_of_frames(parts)
     nodes = [(k, piece) for k, part in enumerate(parts) for piece in range(len(part.result.unit))]
     if are_given:
         worlds = [{node: np.eye(4) for node in range(len(nodes))}]
     else:
         worlds = _worlds(parts, nodes)
     of_node = {nodes[node]: n for n, world in enumerate(worlds) for node in world}
-    similarity = {nodes[node]: place for world in worlds for node, place in world.items()}
+    similarity = {
+        nodes[node]: similarity_of_node
+        for world in worlds
+        for node, similarity_of_node in world.items()
+    }
     pieces: dict[int, int] = {}
     bases: dict[int, tuple[np.ndarray, float]] = {}  # the first pose of a piece, and its unit
-    found = []
+    placements = []
     for index, owner in owners.items():
         part = parts[owner]
         node, number = (owner, part.piece(index)), part.frames[index]
         if node[1] < 0:
-            nowhere = np.full((4, 4), np.nan)
-            found.append(
-                ChunkPlacement(part=owner, number=number, piece=-1, pose=nowhere, scale=1.0)
+            no_pose = np.full((4, 4), np.nan)
+            placements.append(
+                ChunkPlacement(part=owner, number=number, piece=-1, pose=no_pose, scale=1.0)
             )
             continue
         world = of_node[node]
         pose = transform_pose(similarity[node], part.result.poses[number])
         if world not in pieces:
             pieces[world] = len(pieces)
-            unit = _unit(parts, owners, similarity, of_node, world)
-            begins = np.allclose(pose, np.eye(4), atol=1e-12)  # exactly the first frame
-            bases[world] = (np.eye(4) if begins or are_given else pose), unit
+            unit = _unit_of_world(parts, owners, similarity, of_node, world)
+            is_identity = np.allclose(pose, np.eye(4), atol=1e-12)  # exactly the first frame
+            bases[world] = (np.eye(4) if is_identity or are_given else pose), unit
         base, unit = bases[world]
         pose = np.linalg.solve(base, pose)
         pose[:3, 3] /= unit
         scale = sim3_scale(similarity[node]) / unit
-        found.append(
+        placements.append(
             ChunkPlacement(part=owner, number=number, piece=pieces[world], pose=pose, scale=scale)
         )
-    return found
+    return placements
 
 
-def _owners(parts: Sequence[ChunkResult]) -> dict[int, int]:
+def _chunk_of_frames(parts: Sequence[ChunkResult]) -> dict[int, int]:
     """Return the chunk of each frame, by its number in the source, in order."""
     owners: dict[int, int] = {}
-    cuts = [_cut(before, after) for before, after in pairwise(parts)]
+    cuts = [_first_frame_of_later(before, after) for before, after in pairwise(parts)]
     for k, part in enumerate(parts):
         for index in part.frames:
             if k == 0 or index >= cuts[k - 1]:
@@ -120,7 +124,7 @@ def _owners(parts: Sequence[ChunkResult]) -> dict[int, int]:
     return dict(sorted(owners.items()))
 
 
-def _cut(before: ChunkResult, after: ChunkResult) -> int:
+def _first_frame_of_later(before: ChunkResult, after: ChunkResult) -> int:
     """Return the first frame that is taken from the later of two chunks.
 
     It is the keyframe of the later chunk that is nearest to the middle of the shared frames.
@@ -130,12 +134,12 @@ def _cut(before: ChunkResult, after: ChunkResult) -> int:
     if not shared:
         return min(after.frames)
     middle, quarter = len(shared) // 2, len(shared) // 4
-    keys = [
+    keyframes = [
         k
         for k in range(quarter, len(shared) - quarter)
         if after.frames[shared[k]] in after.result.keyframes
     ]
-    return shared[min(keys, key=lambda k: (abs(k - middle), k), default=middle)]
+    return shared[min(keyframes, key=lambda k: (abs(k - middle), k), default=middle)]
 
 
 def _worlds(
@@ -143,17 +147,19 @@ def _worlds(
 ) -> list[dict[int, np.ndarray]]:
     """Return, for each world, the similarities of its pieces, by their node numbers."""
     number = {node: n for n, node in enumerate(nodes)}
-    joints = []
+    overlaps = []
     for k, (before, after) in enumerate(pairwise(parts)):
-        both: dict[tuple[int, int], list[tuple[int, int]]] = {}
+        shared_frames: dict[tuple[int, int], list[tuple[int, int]]] = {}
         for index in sorted(before.frames.keys() & after.frames.keys()):
             pair = before.piece(index), after.piece(index)
             if min(pair) >= 0:
-                both.setdefault(pair, []).append((before.frames[index], after.frames[index]))
-        for (first, second), shared in sorted(both.items()):
+                shared_frames.setdefault(pair, []).append(
+                    (before.frames[index], after.frames[index])
+                )
+        for (first, second), shared in sorted(shared_frames.items()):
             similarity = overlap_sim3(before.result, after.result, shared)
             if similarity is not None:
-                joints.append(
+                overlaps.append(
                     ChunkOverlap(
                         first=number[k, first],
                         second=number[k + 1, second],
@@ -161,11 +167,11 @@ def _worlds(
                         frames=len(shared),
                     )
                 )
-    joints.sort(key=lambda joint: -joint.frames)
-    return chain_sim3(len(nodes), joints)
+    overlaps.sort(key=lambda overlap: -overlap.frames)
+    return chain_sim3(len(nodes), overlaps)
 
 
-def _unit(
+def _unit_of_world(
     parts: Sequence[ChunkResult],
     owners: dict[int, int],
     similarity: dict[tuple[int, int], np.ndarray],
@@ -202,11 +208,11 @@ def write_whole(
     for frame, place in enumerate(places):
         source = parts[place.part].result.folder
         link_or_copy(_picture(source, place.number), _picture(folder, frame))
-        _take_depth(depth_path(source, place.number), depth_path(folder, frame), place.scale)
+        _copy_depth(depth_path(source, place.number), depth_path(folder, frame), place.scale)
     link_or_copy(camera.folder / CAMERA, folder / CAMERA)
     shutil.rmtree(folder / CACHE, ignore_errors=True)
     results = [parts[place.part].result for place in places]
-    skipped = {index: why for part in parts for index, why in part.result.skipped}
+    skipped = {index: reason for part in parts for index, reason in part.result.skipped}
     result = Reconstruction(
         poses=np.array([place.pose for place in places]),
         piece=np.array([place.piece for place in places], np.int32),
@@ -214,14 +220,20 @@ def write_whole(
         status=tuple(_statuses(results, places, missing)),
         keyframes=tuple(
             frame
-            for frame, (one, place) in enumerate(zip(results, places, strict=True))
-            if place.number in one.keyframes
+            for frame, (result_, place) in enumerate(zip(results, places, strict=True))
+            if place.number in result_.keyframes
         ),
         camera=camera.camera,
         calibration=camera.calibration,
         settings=first.settings,
-        names=tuple(one.names[at.number] for one, at in zip(results, places, strict=True)),
-        times=tuple(one.times[at.number] for one, at in zip(results, places, strict=True)),
+        names=tuple(
+            result_.names[placement.number]
+            for result_, placement in zip(results, places, strict=True)
+        ),
+        times=tuple(
+            result_.times[placement.number]
+            for result_, placement in zip(results, places, strict=True)
+        ),
         skipped=tuple(sorted(skipped.items())),
         notes=tuple(notes),
         shape=first.shape,
@@ -240,21 +252,21 @@ def _statuses(
     """Return the status of each frame; the first frame of a later piece has a note of it."""
     from tisfm.reconstruction.pipeline import add_piece_note, remove_piece_note
 
-    found, begun = [], {-1, 0}
+    statuses, known_pieces = [], {-1, 0}
     for frame, (one, place) in enumerate(zip(results, places, strict=True)):
         status = missing.get(frame, remove_piece_note(one.status[place.number]))
-        if place.piece not in begun:
-            begun.add(place.piece)
+        if place.piece not in known_pieces:
+            known_pieces.add(place.piece)
             status = add_piece_note(status)
-        found.append(status)
-    return found
+        statuses.append(status)
+    return statuses
 
 
 def _picture(folder: Path, number: int) -> Path:
     return folder / PICTURES / f"{number:06d}.jpg"
 
 
-def _take_depth(source: Path, target: Path, scale: float) -> None:
+def _copy_depth(source: Path, target: Path, scale: float) -> None:
     """Copy the depth of a frame, if it has any, with another scale factor and the same values."""
     if not source.exists():
         return

@@ -64,35 +64,42 @@ def overlap_sim3(
     poses, others = (
         one.poses[[pair[k] for pair in shared]] for k, one in enumerate((first, second))
     )
-    turn = mean_rotation(poses, others)
-    both = scale_from_depth(first, second, shared), scale_from_positions(poses, others, turn)
-    told = [
-        one for one in both
+    rotation = mean_rotation(poses, others)
+    candidates = (
+        scale_from_depth(first, second, shared),
+        scale_from_positions(poses, others, rotation),
+    )
+    estimates = [
+        one for one in candidates
         if one is not None
     ]  # fmt: skip
-    if not told:
+    if not estimates:
         return None
-    logs, deviations = np.array(told).T
+    logs, deviations = np.array(estimates).T
     scale = np.exp(np.average(logs, weights=1 / deviations**2))
     similarity = np.eye(4)
-    similarity[:3, :3] = scale * turn
-    similarity[:3, 3] = np.mean(poses[:, :3, 3] - others[:, :3, 3] @ (scale * turn).T, axis=0)
+    similarity[:3, :3] = scale * rotation
+    similarity[:3, 3] = np.mean(poses[:, :3, 3] - others[:, :3, 3] @ (scale * rotation).T, axis=0)
     return similarity
 
 
 def scale_from_positions(
-    poses: np.ndarray, others: np.ndarray, turn: np.ndarray
+    poses: np.ndarray, others: np.ndarray, rotation: np.ndarray
 ) -> tuple[float, float] | None:
     """Return the logarithm of the scale from camera positions, and its standard deviation."""
     if len(poses) < MIN_POSITIONS:
         return None
-    here = poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
-    there = (others[:, :3, 3] - others[:, :3, 3].mean(axis=0)) @ turn.T
-    apart, apart_there = (float(np.sqrt((one**2).sum())) for one in (here, there))
-    if min(apart, apart_there) == 0:
+    own_positions = poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
+    other_positions = (others[:, :3, 3] - others[:, :3, 3].mean(axis=0)) @ rotation.T
+    spread, other_spread = (
+        float(np.sqrt((one**2).sum())) for one in (own_positions, other_positions)
+    )
+    if min(spread, other_spread) == 0:
         return None
-    scale = apart / apart_there  # symmetric: neither chunk is more exact
-    deviation = max(float(np.linalg.norm(here - scale * there)) / apart, MIN_SCALE_DEVIATION)
+    scale = spread / other_spread  # symmetric: neither chunk is more exact
+    deviation = max(
+        float(np.linalg.norm(own_positions - scale * other_positions)) / spread, MIN_SCALE_DEVIATION
+    )
     return None if deviation > MAX_SCALE_DEVIATION else (float(np.log(scale)), deviation)
 
 
@@ -100,18 +107,20 @@ def scale_from_depth(
     first: Reconstruction, second: Reconstruction, shared: Shared
 ) -> tuple[float, float] | None:
     """Return the logarithm of the scale from depth, and its standard deviation."""
-    lots = [_ratios(first, second, shared, at) for at in _with_depth(first, second, shared)]
-    lots = [lot for lot in lots if len(lot)]
-    if not lots:
+    ratio_sets = [
+        _ratios(first, second, shared, pair) for pair in _with_depth(first, second, shared)
+    ]
+    ratio_sets = [ratios_of_frame for ratios_of_frame in ratio_sets if len(ratios_of_frame)]
+    if not ratio_sets:
         return None
-    ratios = np.log(np.concatenate(lots))
+    ratios = np.log(np.concatenate(ratio_sets))
     if len(ratios) < MIN_PIXELS:
         return None
     scale = float(np.median(ratios))
     if np.mean(np.abs(ratios - scale) < MAX_SCALE_DIFFERENCE) < MIN_AGREEING_SHARE:
         return None
-    each = np.array([np.median(np.log(lot)) for lot in lots])
-    deviation = max(float(np.median(np.abs(each - scale))), MIN_SCALE_DEVIATION)
+    medians = np.array([np.median(np.log(ratios_of_frame)) for ratios_of_frame in ratio_sets])
+    deviation = max(float(np.median(np.abs(medians - scale))), MIN_SCALE_DEVIATION)
     return None if deviation > MAX_SCALE_DEVIATION else (scale, deviation)
 
 
@@ -133,7 +142,7 @@ def _with_depth(
 
 
 def _ratios(
-    first: Reconstruction, second: Reconstruction, shared: Shared, at: tuple[int, int]
+    first: Reconstruction, second: Reconstruction, shared: Shared, pair: tuple[int, int]
 ) -> np.ndarray:
     """Return the ratios of depth in the first chunk to depth in the second, for some pixels.
 
@@ -144,26 +153,30 @@ def _ratios(
     fx, fy = first.camera.focals
     cx, cy = first.camera.center_for(height, width)
     lens = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    frame, (ours, theirs) = shared[at[0]][0], shared[at[1]]
-    apart = max(1, int(np.sqrt(height * width / PIXELS_PER_FRAME)))
-    rows, columns = np.mgrid[apart // 2 : height : apart, apart // 2 : width : apart]
+    frame, (ours, theirs) = shared[pair[0]][0], shared[pair[1]]
+    step = max(1, int(np.sqrt(height * width / PIXELS_PER_FRAME)))
+    rows, columns = np.mgrid[step // 2 : height : step, step // 2 : width : step]
     rows, columns = rows.ravel(), columns.ravel()
-    depth = _sure_depth(first, frame)[rows, columns]
+    depth = _certain_depth(first, frame)[rows, columns]
     pixels = np.stack([columns, rows, np.ones_like(rows)], axis=1)
     points = depth[:, None] * (pixels @ np.linalg.inv(lens).T)
     if frame != ours:
         points = transform_points(np.linalg.solve(first.poses[ours], first.poses[frame]), points)
         with np.errstate(divide="ignore", invalid="ignore"):
-            seen = (points @ lens.T)[:, :2] / np.where(points[:, 2:] > 0, points[:, 2:], np.nan)
-        columns, rows = np.rint(np.nan_to_num(seen, nan=-1.0).clip(-1, 1e6)).astype(int).T
+            projected = (points @ lens.T)[:, :2] / np.where(
+                points[:, 2:] > 0, points[:, 2:], np.nan
+            )
+        columns, rows = np.rint(np.nan_to_num(projected, nan=-1.0).clip(-1, 1e6)).astype(int).T
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-    ratio = points[inside, 2] / _sure_depth(second, theirs)[rows[inside], columns[inside]]
+    ratio = points[inside, 2] / _certain_depth(second, theirs)[rows[inside], columns[inside]]
     return np.asarray(ratio[np.isfinite(ratio)])
 
 
-def _sure_depth(result: Reconstruction, frame: int) -> np.ndarray:
+def _certain_depth(result: Reconstruction, frame: int) -> np.ndarray:
     """Return the depth of a frame, (H, W) float64; NaN where it is uncertain."""
     inverse = result.inverse_depth(frame).astype(np.float64)
     with np.errstate(invalid="ignore"):
-        sure = (inverse > 0) & (result.inverse_depth_std(frame) < MAX_DEPTH_DEVIATION * inverse)
-    return 1 / np.where(sure, inverse, np.nan)
+        is_certain = (inverse > 0) & (
+            result.inverse_depth_std(frame) < MAX_DEPTH_DEVIATION * inverse
+        )
+    return 1 / np.where(is_certain, inverse, np.nan)

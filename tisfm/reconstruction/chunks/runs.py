@@ -10,7 +10,7 @@ from tisfm import runtime
 from tisfm.errors import InputError
 from tisfm.folders.result_folder import locked_folder
 from tisfm.reconstruction.chunks.entry import ChunkedRun
-from tisfm.reconstruction.chunks.shared_camera import Finished
+from tisfm.reconstruction.chunks.shared_camera import UnorderedMap
 from tisfm.reconstruction.entry import reconstruct
 from tisfm.reconstruction.progress import Progress
 from tisfm.reconstruction.result.reconstruction import Reconstruction
@@ -68,7 +68,9 @@ class WholeRun:
     def _request_of(self, others: Mapping[str, Any]) -> Request:
         plain = {k: self._options[k] for k in ("calibrate", "depth_of")}
         sizes = self._options["object_sizes"] or {}
-        cut = {k: v for k, v in asdict(self._frames).items() if k not in ("start", "stop", "step")}
+        selection = {
+            k: v for k, v in asdict(self._frames).items() if k not in ("start", "stop", "step")
+        }
         return make_request(
             self._frames.open(self._source),
             camera=self._options["camera"],
@@ -77,7 +79,7 @@ class WholeRun:
             arch=self._arch,
             files={name: self._options[name] for name in ("mask", "labels")},
             others={
-                **plain, **cut, **others, "chunk": None,
+                **plain, **selection, **others, "chunk": None,
                 "object_sizes": {str(number): size for number, size in sizes.items()},
             },
         )  # fmt: skip
@@ -129,13 +131,13 @@ class ChunksRun:
         workers: int,  # number of processes
         cluster: str | None,  # the address of a Dask scheduler, whose workers compute instead
     ) -> None:
-        taken = {k: v for k, v in options.items() if k not in ("labels", "object_sizes")}
+        accepted = {k: v for k, v in options.items() if k not in ("labels", "object_sizes")}
         if workers > 1 and cluster is None:  # each process gets its share of the cores
             threads = threads or max(1, usable_cores() // workers)
         self._run = ChunkedRun(
             source,
             folder,
-            **taken,
+            **accepted,
             **asdict(frames),
             chunk=chunk,
             arch=arch,
@@ -150,7 +152,7 @@ class ChunksRun:
 
     def result(self, *, resume: bool, progress: Progress) -> Reconstruction:
         """Compute the chunks that are missing, and join all chunks."""
-        with _map_of(self._workers, self._cluster) as map_unordered:
+        with _open_map(self._workers, self._cluster) as map_unordered:
             return self._run.result(map_unordered, resume=resume, progress=progress)
 
     def finish(self) -> None:
@@ -159,7 +161,7 @@ class ChunksRun:
 
 
 @contextmanager
-def _map_of(workers: int, cluster: str | None) -> Iterator[Finished]:
+def _open_map(workers: int, cluster: str | None) -> Iterator[UnorderedMap]:
     """Yield a function that calls another one with every item, here or in other processes."""
     if workers == 1 and cluster is None:
         yield _map_here

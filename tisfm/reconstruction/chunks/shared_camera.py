@@ -12,7 +12,7 @@ from tisfm.camera_file import NAME, read_camera, read_camera_record, write_camer
 from tisfm.reconstruction.chunks.chunk import Chunk, make_chunk
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
-Finished = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[tuple[int, Any]]]
+UnorderedMap = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[tuple[int, Any]]]
 """Calls a function with each item, in any process; yields the number and result of each item."""
 
 # Largest number of chunks that are searched for the focal length. Set by hand.
@@ -26,10 +26,10 @@ class SharedCamera:
     # Its file, for the frames of the source. The readout time is known; the file states whether the
     # focal length is a guess.
     camera: Path
-    found: Reconstruction  # a path without depth
+    result: Reconstruction  # a path without depth
 
 
-def is_sought(chunk: Chunk, camera: Camera | None) -> bool:
+def needs_calibration(chunk: Chunk, camera: Camera | None) -> bool:
     """Return whether a part of the camera has to be found from the frames."""
     if chunk.poses is not None:
         return False
@@ -38,7 +38,7 @@ def is_sought(chunk: Chunk, camera: Camera | None) -> bool:
 
 def shared_camera(
     chunks: Sequence[Chunk],  # all chunks, before the camera is known
-    finished: Finished,
+    map_unordered: UnorderedMap,
     folder: Path,  # the folder for the file of the camera and for the paths that it is found from
 ) -> SharedCamera:
     """Find the camera from the first chunk, or from other chunks if the first one fails.
@@ -49,36 +49,43 @@ def shared_camera(
         replace(chunk, folder=folder / f"camera-{number:03d}", depth_of="none")
         for number, chunk in enumerate(chunks)
     ]
-    found = [result for _, result in _made([first], finished)]
-    if not found[0].calibration.seen and others:
-        some = np.unique(
+    results = [result for _, result in _complete_results([first], map_unordered)]
+    if not results[0].calibration.seen and others:
+        indices = np.unique(
             np.linspace(0, len(others) - 1, min(MAX_TRIED_CHUNKS - 1, len(others))).astype(int)
         )
-        asked = [others[number] for number in some]
-        found += [result for _, result in sorted(_made(asked, finished), key=lambda one: one[0])]
-    best = next((one for one in found if one.calibration.seen), None)
+        tried = [others[number] for number in indices]
+        results += [
+            result
+            for _, result in sorted(
+                _complete_results(tried, map_unordered), key=lambda result: result[0]
+            )
+        ]
+    best = next((result for result in results if result.calibration.seen), None)
     if best is None:
-        best = min(found, key=_relative_deviation)
+        best = min(results, key=_relative_deviation)
     camera, record = read_camera(best.folder), read_camera_record(best.folder)
     if camera.readout is None:  # no readout was found: chunks must not search again
         camera = replace(camera, readout=0.0)
     shape = record["height"], record["width"]
     write_camera(folder / NAME, camera, shape, about=record)
-    return SharedCamera(camera=folder / NAME, found=best)
+    return SharedCamera(camera=folder / NAME, result=best)
 
 
 def _relative_deviation(result: Reconstruction) -> float:
     """Return the relative standard deviation of the focal length; infinite for a guess."""
-    about = result.calibration
-    return about.focal_std / about.focal if about.focal else np.inf
+    calibration = result.calibration
+    return calibration.focal_std / calibration.focal if calibration.focal else np.inf
 
 
-def _made(chunks: Sequence[Chunk], finished: Finished) -> Iterator[tuple[int, Reconstruction]]:
-    for number in made(chunks, finished):
+def _complete_results(
+    chunks: Sequence[Chunk], map_unordered: UnorderedMap
+) -> Iterator[tuple[int, Reconstruction]]:
+    for number in complete_chunks(chunks, map_unordered):
         yield number, Reconstruction.load(chunks[number].folder)
 
 
-def made(chunks: Sequence[Chunk], finished: Finished) -> Iterator[int]:
+def complete_chunks(chunks: Sequence[Chunk], map_unordered: UnorderedMap) -> Iterator[int]:
     """Make the incomplete chunks; yield their numbers as they become complete.
 
     Raises Exception: as `tisfm.reconstruct`.
@@ -89,7 +96,7 @@ def made(chunks: Sequence[Chunk], finished: Finished) -> Iterator[int]:
             yield number
         else:
             missing.append(number)
-    for number, error in finished(make_chunk, [chunks[number] for number in missing]):
+    for number, error in map_unordered(make_chunk, [chunks[number] for number in missing]):
         if error is not None:
             raise error
         yield missing[number]

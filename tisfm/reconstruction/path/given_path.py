@@ -29,22 +29,22 @@ def given_path(
 
     Raises InputError if poses do not fit the frames in number or in time.
     """
-    seen: Sequence[Observations] = tracks.observations
+    observations: Sequence[Observations] = tracks.observations
     poses, missing = poses_of_frames(given, times)
-    known = {k: pose for k, pose in enumerate(poses) if k not in missing}
-    points = triangulate_tracks(seen, known, camera, tracks.shape)
-    piece, rolling = Piece(poses=known, views=tuple(known), points=points), None
-    if known and camera.readout:
-        unroller = ReadoutCorrection(
-            seen, [piece], instants, camera.readout, 0.0, camera, tracks.shape
+    known_poses = {k: pose for k, pose in enumerate(poses) if k not in missing}
+    points = triangulate_tracks(observations, known_poses, camera, tracks.shape)
+    piece, rolling = Piece(poses=known_poses, views=tuple(known_poses), points=points), None
+    if known_poses and camera.readout:
+        correction = ReadoutCorrection(
+            observations, [piece], instants, camera.readout, 0.0, camera, tracks.shape
         )
-        seen, rolling = unroller.all_tracks(), unroller.rolling
-        points = triangulate_tracks(seen, known, camera, tracks.shape)
+        observations, rolling = correction.all_tracks(), correction.rolling
+        points = triangulate_tracks(observations, known_poses, camera, tracks.shape)
         piece = replace(piece, points=points)
     return CameraPath(
-        pieces=(piece,) if known else (),
+        pieces=(piece,) if known_poses else (),
         missing=missing,
-        observations=seen,
+        observations=observations,
         camera=camera,
         rolling=rolling,
     )

@@ -28,25 +28,26 @@ def poses_of_frames(
     Raises ValueError if poses are assigned by order, and their number differs from the number of
     frames; or if no pose is near a frame in time.
     """
-    told = "no pose is given for it"
+    reason = "no pose is given for it"
     if given.times is None or len(times) < 2 or not are_increasing(times):
         check_poses_count(given, len(times))
         poses = given.poses
     else:
-        known = np.array(times, np.float64)
-        reach = MAX_TIME_SHARE * float(np.median(np.diff(known)))
-        frames, places = associate(known, given.times, farthest=reach)
+        seconds = np.array(times, np.float64)
+        max_time = MAX_TIME_SHARE * float(np.median(np.diff(seconds)))
+        frames, indices = associate(seconds, given.times, farthest=max_time)
         if not len(frames):
             raise InputError(
-                f"no pose is within {reach:.3g} s of a frame: frames are from {known[0]:.3f} to "
-                f"{known[-1]:.3f} s, poses from {given.times[0]:.3f} to {given.times[-1]:.3f} s; "
+                f"no pose is within {max_time:.3g} s of a frame: frames are from {seconds[0]:.3f} "
+                f"to {seconds[-1]:.3f} s, poses from {given.times[0]:.3f} to "
+                f"{given.times[-1]:.3f} s; "
                 "without times, as in KITTI's format, poses belong to frames in their order"
             )
-        poses = np.full((len(known), 4, 4), np.nan)
-        poses[frames] = given.poses[places]
-        told = f"no pose is given within {reach:.3g} s of it"
+        poses = np.full((len(seconds), 4, 4), np.nan)
+        poses[frames] = given.poses[indices]
+        reason = f"no pose is given within {max_time:.3g} s of it"
     missing = np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2))).tolist()
-    return poses, dict.fromkeys(missing, Status("unrelated", told))
+    return poses, dict.fromkeys(missing, Status("unrelated", reason))
 
 
 def check_poses_count(given: Trajectory, count: int) -> None:
@@ -54,6 +55,6 @@ def check_poses_count(given: Trajectory, count: int) -> None:
     if given.times is not None and len(given.poses) != count:
         raise InputError(
             f"poses are {len(given.poses)} with times, but the {count} frames have no times "
-            "that rise: expected one pose for each frame, or times for all frames"
+            "that increase: expected one pose for each frame, or times for all frames"
         )
     check_count(len(given.poses), count)

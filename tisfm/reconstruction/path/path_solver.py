@@ -85,12 +85,12 @@ class PathSolver:
         tracks = self.tracks
         if not len(tracks.observations):
             return CameraPath(pieces=(), missing={}, observations=(), camera=self.camera)
-        solution = self._solution(tracks.views, tracks.observations, self.camera, self.calibrate)
+        solution = self._solve_views(tracks.views, tracks.observations, self.camera, self.calibrate)
         rolling = None
         if self.readout != 0 and solution.pieces:
             count = len(tracks.observations)
             instants = np.arange(count) if instants is None else np.asarray(instants)
-            solution, rolling = self._unrolled(solution, instants)
+            solution, rolling = self._correct_readout(solution, instants)
         return CameraPath(
             pieces=tuple(sorted(solution.pieces, key=lambda piece: min(piece.poses))),
             missing=self.missing(solution),
@@ -101,7 +101,7 @@ class PathSolver:
         )
 
     @property
-    def _focal_stated(self) -> bool:
+    def _is_focal_known(self) -> bool:
         return self.focal_known and self.calibrate == "nothing"
 
     def new_models(
@@ -117,12 +117,12 @@ class PathSolver:
             return find_models_and_focal(
                 views, matches, camera, shape, calibrate, max_deviation=self.max_deviation
             )
-        return find_models(views, matches, camera, shape, focal_known=self._focal_stated), None
+        return find_models(views, matches, camera, shape, focal_known=self._is_focal_known), None
 
     def readjust(
         self,
         views: Sequence[View],  # corrected for the readout time
-        seen: Sequence[Observations],  # tracks in every frame, corrected as well
+        observations: Sequence[Observations],  # tracks in every frame, corrected as well
         pieces: Sequence[Piece],  # start values of the poses
         camera: Camera,  # pinhole camera
     ) -> PathSolution:
@@ -130,12 +130,12 @@ class PathSolver:
         shape, matches = self.tracks.shape, self.tracks.matches
         if len(views) > MAX_VIEWS:
             models = models_from_submaps(
-                views, matches, camera, shape, seen, focal_known=self._focal_stated
+                views, matches, camera, shape, observations, focal_known=self._is_focal_known
             )
         else:
             known = [{frame: piece.poses[frame] for frame in piece.views} for piece in pieces]
             models = readjust_models(views, matches, camera, shape, known)
-        return self._complete(models, views, seen, camera)
+        return self._solution_of_models(models, views, observations, camera)
 
     def missing(self, solution: PathSolution) -> dict[int, Status]:
         """Return the reason for each frame without a pose."""
@@ -144,7 +144,7 @@ class PathSolver:
                 solution.observations[frame],
                 solution.pieces,
                 self.tracks.distinct_count,
-                focal_known=self._focal_stated,
+                focal_known=self._is_focal_known,
             )
             for frame in solution.missing_frames
         }
@@ -153,32 +153,32 @@ class PathSolver:
         self,
         pieces: Sequence[Piece],
         views: Sequence[View],
-        seen: Sequence[Observations],
+        observations: Sequence[Observations],
         camera: Camera,
         focal: FocalEstimate | None = None,
         score: float = 0.0,
     ) -> PathSolution:
         """Return pieces as a solution; the frames between their views get poses as well."""
-        frames = range(len(seen)) if self.frames is None else self.frames
+        frames = range(len(observations)) if self.frames is None else self.frames
         pieces, missing_frames = add_remaining_frames(
-            pieces, seen, frames, camera.pinhole(), self.tracks.shape
+            pieces, observations, frames, camera.pinhole(), self.tracks.shape
         )
         return PathSolution(
             pieces=pieces,
             missing_frames=missing_frames,
             views=views,
-            observations=seen,
+            observations=observations,
             camera=camera,
             focal=focal,
             score=score,
         )
 
-    def _unrolled(
+    def _correct_readout(
         self, solution: PathSolution, instants: np.ndarray
     ) -> tuple[PathSolution, Rolling | None]:
         """Return the path of middle rows, and the motion of frames while their rows were read."""
         pinhole = solution.camera.pinhole()
-        found, rolling = find_corrected_path(
+        corrected, rolling = find_corrected_path(
             solution,
             partial(self.readjust, camera=pinhole),
             self.tracks.matches,
@@ -188,32 +188,34 @@ class PathSolver:
         )
         if rolling is None:
             return solution, None
-        if len(found.views) <= MAX_VIEWS:
+        if len(corrected.views) <= MAX_VIEWS:
             # A path bent by the readout effect may stay bent. So another path is built from the
             # corrected tracks, without the first path as a start.
             calibrate: Calibrate = "focal" if self.calibrate == "focal" else "nothing"
-            anew = self._solution(found.views, found.observations, pinhole, calibrate)
-            if anew.pieces and anew.focal is None:
-                anew = self.readjust(found.views, found.observations, anew.pieces, pinhole)
-            if anew.score > found.score and _is_useful(anew.focal):
-                found = anew
-        if found.focal is None:
-            found = replace(found, camera=solution.camera, focal=solution.focal)
+            rebuilt = self._solve_views(corrected.views, corrected.observations, pinhole, calibrate)
+            if rebuilt.pieces and rebuilt.focal is None:
+                rebuilt = self.readjust(
+                    corrected.views, corrected.observations, rebuilt.pieces, pinhole
+                )
+            if rebuilt.score > corrected.score and _is_useful(rebuilt.focal):
+                corrected = rebuilt
+        if corrected.focal is None:
+            corrected = replace(corrected, camera=solution.camera, focal=solution.focal)
         # The last solution has poses for more frames: their motion is added.
-        late = ReadoutCorrection(
+        correction = ReadoutCorrection(
             solution.observations,
-            found.pieces,
+            corrected.pieces,
             instants,
             rolling.readout,
             0.0,
             rolling.camera,
             self.tracks.shape,
         ).rolling
-        rates = {**late.rates, **rolling.rates}
-        usual = {**late.inverse_depth, **rolling.inverse_depth}
-        return found, replace(rolling, rates=rates, inverse_depth=usual)
+        rates = {**correction.rates, **rolling.rates}
+        inverse_depth = {**correction.inverse_depth, **rolling.inverse_depth}
+        return corrected, replace(rolling, rates=rates, inverse_depth=inverse_depth)
 
-    def _solution(
+    def _solve_views(
         self,
         views: Sequence[View],
         tracks: Sequence[Observations],
@@ -228,29 +230,36 @@ class PathSolver:
                     views, matches, camera, shape, calibrate, max_deviation=self.max_deviation
                 )
                 if focal is None:  # no part has a path
-                    return self._complete([], views, tracks, camera)
+                    return self._solution_of_models([], views, tracks, camera)
             lens = camera if focal is None else focal.apply_to(camera)
-            seen = _straight(tracks, lens, shape)
-            straight_views = _straight_views(views, lens, shape)
+            observations = _undistort_tracks(tracks, lens, shape)
+            straight_views = _undistort_views(views, lens, shape)
             models = models_from_submaps(
-                straight_views, matches, lens.pinhole(), shape, seen, focal_known=self._focal_stated
+                straight_views,
+                matches,
+                lens.pinhole(),
+                shape,
+                observations,
+                focal_known=self._is_focal_known,
             )
-            return self._complete(models, views, seen, lens, focal)
+            return self._solution_of_models(models, views, observations, lens, focal)
         models, focal = self.new_models(views, matches, camera, calibrate)
         lens = camera if focal is None else focal.apply_to(camera)
-        return self._complete(models, views, _straight(tracks, lens, shape), lens, focal)
+        return self._solution_of_models(
+            models, views, _undistort_tracks(tracks, lens, shape), lens, focal
+        )
 
-    def _complete(
+    def _solution_of_models(
         self,
         models: Sequence[Model],
         views: Sequence[View],
-        seen: Sequence[Observations],
+        observations: Sequence[Observations],
         camera: Camera,
         focal: FocalEstimate | None = None,
     ) -> PathSolution:
         """Return the solution with the poses of models and of the frames between their views."""
         pieces, score = list(map(piece_of_model, models)), sum(model.score for model in models)
-        return self.solution(pieces, views, seen, camera, focal, score)
+        return self.solution(pieces, views, observations, camera, focal, score)
 
 
 def piece_of_model(model: Model) -> Piece:
@@ -284,51 +293,51 @@ def _is_useful(focal: FocalEstimate | None) -> bool:
     return focal is None or focal.is_useful
 
 
-def _straight(
+def _undistort_tracks(
     tracks: Sequence[Observations], lens: Camera, shape: tuple[int, int]
 ) -> Sequence[Observations]:
     """Return where a pinhole would see the tracks of every frame."""
     if lens.is_pinhole:
         return tracks
-    found = DiskCache(Observations.arrays, Observations.of_arrays)
-    for one in tracks:
-        found.append(undistort_observations(one, lens, shape))
-    return found
+    undistorted = DiskCache(Observations.arrays, Observations.of_arrays)
+    for observations in tracks:
+        undistorted.append(undistort_observations(observations, lens, shape))
+    return undistorted
 
 
-def _straight_views(views: Sequence[View], lens: Camera, shape: tuple[int, int]) -> Sequence[View]:
+def _undistort_views(views: Sequence[View], lens: Camera, shape: tuple[int, int]) -> Sequence[View]:
     """Return views as a pinhole would see them."""
     if lens.is_pinhole:
         return views
-    found = DiskCache(View.arrays, View.of_arrays)
+    undistorted = DiskCache(View.arrays, View.of_arrays)
     for view in views:
-        found.append(
+        undistorted.append(
             View(
                 frame=view.frame,
                 observations=undistort_observations(view.observations, lens, shape),
                 detected=undistort_points(view.detected, lens, shape),
             )
         )
-    return found
+    return undistorted
 
 
 def add_remaining_frames(
     pieces: Sequence[Piece],
-    seen: Sequence[Observations],  # tracks in every frame
+    observations: Sequence[Observations],  # tracks in every frame
     frames: Iterable[int],  # frames to add
     camera: Camera,  # pinhole camera of the frames
     shape: tuple[int, int],  # height and width of the frames, px
 ) -> tuple[list[Piece], list[int]]:
     """Add the frames between views to pieces; return the pieces and the frames without a piece."""
-    placed = {frame: k for k, piece in enumerate(pieces) for frame in piece.poses}
-    ordered = sorted(placed)
+    piece_of_frame = {frame: k for k, piece in enumerate(pieces) for frame in piece.poses}
+    ordered = sorted(piece_of_frame)
     added: list[dict[int, np.ndarray]] = [dict(piece.poses) for piece in pieces]
     missing_frames = []
     for frame in frames:
-        if frame in placed:
+        if frame in piece_of_frame:
             continue
-        for k in _nearest(frame, placed, ordered):
-            pose = pose_from_points(seen[frame], pieces[k].points, camera, shape)
+        for k in _nearest_pieces(frame, piece_of_frame, ordered):
+            pose = pose_from_points(observations[frame], pieces[k].points, camera, shape)
             if pose is not None:
                 added[k][frame] = pose
                 break
@@ -341,7 +350,7 @@ def add_remaining_frames(
 
 
 def status_without_pose(
-    seen: Observations,  # tracks in the frame
+    observations: Observations,  # tracks in the frame
     pieces: Sequence[Piece],  # all pieces of the path
     distinct_count: int,  # number of frames that differ from one another
     *,
@@ -349,7 +358,7 @@ def status_without_pose(
     focal_known: bool = True,
 ) -> Status:
     """Return the status of a frame without a pose."""
-    count = len(seen.tracks)
+    count = len(observations.tracks)
     if count < MIN_OBSERVATIONS:
         return Status(
             "no_texture",
@@ -383,9 +392,11 @@ def status_without_pose(
     )
 
 
-def _nearest(frame: int, placed: Mapping[int, int], ordered: Sequence[int]) -> list[int]:
+def _nearest_pieces(
+    frame: int, piece_of_frame: Mapping[int, int], ordered: Sequence[int]
+) -> list[int]:
     """Return the pieces of the nearest frames before and after, without repetition."""
     after = bisect_left(ordered, frame)
-    near = [*ordered[max(0, after - 1) : after], *ordered[after : after + 1]]
-    near.sort(key=lambda other: abs(other - frame))
-    return list(dict.fromkeys(placed[other] for other in near))
+    neighbours = [*ordered[max(0, after - 1) : after], *ordered[after : after + 1]]
+    neighbours.sort(key=lambda other: abs(other - frame))
+    return list(dict.fromkeys(piece_of_frame[other] for other in neighbours))

@@ -46,7 +46,7 @@ class ReadoutCorrection:
     def __init__(
         self,
         # tracks of every frame, as the camera sees them
-        seen: Sequence[Observations] | Mapping[int, Observations],
+        observations: Sequence[Observations] | Mapping[int, Observations],
         pieces: Sequence[Piece],  # each frame is in at most one piece
         # (N,) array, or mapping: time of each frame, in intervals between frames of the source
         instants: np.ndarray | Mapping[int, float],
@@ -56,60 +56,64 @@ class ReadoutCorrection:
         camera: Camera,  # pinhole camera
         shape: tuple[int, int],  # height and width of the frames, px
     ) -> None:
-        self._seen, self._camera, self._shape = seen, camera, shape
+        self._observations, self._camera, self._shape = observations, camera, shape
         rates: dict[int, np.ndarray] = {}
-        usual: dict[int, float] = {}
+        inverse_depth: dict[int, float] = {}
         self._depths: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         for piece in pieces:
             for frame, rate in motion_rates(piece.poses, instants).items():
-                depth, known = _depths(seen[frame], piece.points, piece.poses[frame])
-                if known.any():
-                    rates[frame], usual[frame] = rate, 1 / float(np.median(depth[known]))
-                    self._depths[frame] = depth, known
+                depth, is_known = _depths(observations[frame], piece.points, piece.poses[frame])
+                if is_known.any():
+                    rates[frame], inverse_depth[frame] = rate, 1 / float(np.median(depth[is_known]))
+                    self._depths[frame] = depth, is_known
         self.rolling = Rolling(
             camera=camera,
             readout=readout,
             deviation=deviation,
             rates=rates,
-            inverse_depth=usual,
+            inverse_depth=inverse_depth,
         )
 
     def tracks(self, frame: int) -> Observations:
         """Return the corrected tracks of a frame; tracks that leave the frame are dropped."""
-        seen = self._seen[frame]
+        observations = self._observations[frame]
         if frame not in self._depths:
-            return seen
-        depth, known = self._depths[frame]
-        usual = 1 / self.rolling.inverse_depth[frame]
-        points = self._moved(frame, seen.points, np.where(known, depth, usual))
+            return observations
+        depth, is_known = self._depths[frame]
+        median_depth = 1 / self.rolling.inverse_depth[frame]
+        points = self._correct_points(
+            frame, observations.points, np.where(is_known, depth, median_depth)
+        )
         height, width = self._shape
-        inside = ((points >= 0) & (points <= (width - 1, height - 1))).all(axis=1)
-        return Observations(points=points[inside], tracks=seen.tracks[inside])
+        is_inside = ((points >= 0) & (points <= (width - 1, height - 1))).all(axis=1)
+        return Observations(points=points[is_inside], tracks=observations.tracks[is_inside])
 
     def all_tracks(self) -> DiskCache[Observations]:
         """Return the corrected tracks of every frame."""
-        found = DiskCache(Observations.arrays, Observations.of_arrays)
-        for frame in range(len(self._seen)):
-            found.append(self.tracks(frame))
-        return found
+        corrected = DiskCache(Observations.arrays, Observations.of_arrays)
+        for frame in range(len(self._observations)):
+            corrected.append(self.tracks(frame))
+        return corrected
 
     def view(self, view: View) -> View:
         """Return a corrected view, with all its detected points."""
         frame = view.frame
         if frame not in self._depths or not len(view.detected):
             return replace(view, observations=self.tracks(frame))
-        depth, known = self._depths[frame]
-        _, near = cKDTree(self._seen[frame].points[known]).query(
-            view.detected, k=min(DEPTH_NEIGHBOURS, int(known.sum()))
+        depth, is_known = self._depths[frame]
+        _, neighbours = cKDTree(self._observations[frame].points[is_known]).query(
+            view.detected, k=min(DEPTH_NEIGHBOURS, int(is_known.sum()))
         )
-        around = np.median(depth[known][near].reshape(len(view.detected), -1), axis=1)
+        median_depth = np.median(
+            depth[is_known][neighbours].reshape(len(view.detected), -1), axis=1
+        )
         return replace(
             view,
             observations=self.tracks(frame),
-            detected=self._moved(frame, view.detected, around),
+            detected=self._correct_points(frame, view.detected, median_depth),
         )
 
-    def _moved(self, frame: int, points: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    def _correct_points(self, frame: int, points: np.ndarray, depth: np.ndarray) -> np.ndarray:
         rolling = self.rolling
         return points_at_middle_row(
             points, depth, rolling.rates[frame], rolling.readout, self._camera, self._shape
@@ -117,12 +121,12 @@ class ReadoutCorrection:
 
 
 def _depths(
-    seen: Observations, points: Mapping[int, np.ndarray], pose: np.ndarray
+    observations: Observations, points: Mapping[int, np.ndarray], pose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the depth of each track of a frame, (N,), and whether it is known and positive."""
-    known, world = points_of_tracks(seen, points)
-    depth = np.zeros(len(seen.tracks))
-    depth[known] = (world - pose[:3, 3]) @ pose[:3, 2]
+    has_point, world = points_of_tracks(observations, points)
+    depth = np.zeros(len(observations.tracks))
+    depth[has_point] = (world - pose[:3, 3]) @ pose[:3, 2]
     return depth, depth > 0
 
 
@@ -151,44 +155,51 @@ def find_corrected_path(
                 frame=view.frame, observations=solution.observations[view.frame], detected=detected
             )
         )
-    found, rolling = solution, None
+    corrected, rolling = solution, None
     value, deviation, change = readout or 0.0, 0.0, 0.0
-    for number in range(MAX_ROUNDS if readout is None else KNOWN_ROUNDS):
+    for round_number in range(MAX_ROUNDS if readout is None else KNOWN_ROUNDS):
         if readout is None:
-            estimate = _estimate(found, views, matches, instants, camera, shape, begun=value)
-            if estimate is None or not _is_seen(estimate):
+            estimate = _estimate(corrected, views, matches, instants, camera, shape, start=value)
+            if estimate is None or not _is_significant(estimate):
                 break
-            before, change = change, estimate.readout - value
-            if number and abs(change) < MIN_CHANGE:
+            previous_change, change = change, estimate.readout - value
+            if round_number and abs(change) < MIN_CHANGE:
                 break
-            hidden = min(max(change / before, 0.0), MAX_HIDDEN_SHARE) if before else 0.0
-            value, last = _taken(value + change / (1 - hidden)), value
+            hidden_share = (
+                min(max(change / previous_change, 0.0), MAX_HIDDEN_SHARE)
+                if previous_change
+                else 0.0
+            )
+            value, previous = _rounded(value + change / (1 - hidden_share)), value
             deviation = float(f"{estimate.deviation:.3g}")
-            if number and value == last:  # the value is at its limit
+            if round_number and value == previous:  # the value is at its limit
                 break
-        unrolling = ReadoutCorrection(
-            solution.observations, found.pieces, instants, value, deviation, camera, shape
+        correction = ReadoutCorrection(
+            solution.observations, corrected.pieces, instants, value, deviation, camera, shape
         )
-        rolling = unrolling.rolling
-        corrected = DiskCache(View.arrays, View.of_arrays)
+        rolling = correction.rolling
+        corrected_views = DiskCache(View.arrays, View.of_arrays)
         for view in views:
-            corrected.append(unrolling.view(view))
-        found = resolve(corrected, unrolling.all_tracks(), found.pieces)
-        if not found.pieces:
+            corrected_views.append(correction.view(view))
+        corrected = resolve(corrected_views, correction.all_tracks(), corrected.pieces)
+        if not corrected.pieces:
             return solution, None
-    return found, rolling
+    return corrected, rolling
 
 
-def _is_seen(estimate: ReadoutEstimate) -> bool:
+def _is_significant(estimate: ReadoutEstimate) -> bool:
     """Return whether a readout time differs significantly from 0 and is possible for a camera.
 
     With a large standard deviation no possible value is significant: then the result is False.
     """
-    least = MIN_SIGNIFICANCE * estimate.deviation
-    return least < MAX_READOUT and least < abs(estimate.readout) < MAX_READOUT + least
+    min_readout = MIN_SIGNIFICANCE * estimate.deviation
+    return (
+        min_readout < MAX_READOUT
+        and min_readout < abs(estimate.readout) < MAX_READOUT + min_readout
+    )
 
 
-def _taken(readout: float) -> float:
+def _rounded(readout: float) -> float:
     """Return a readout time in whole thousandths, so that rounding errors do not spread."""
     return round(min(max(readout, -MAX_READOUT), MAX_READOUT), 3)
 
@@ -201,11 +212,11 @@ def _estimate(
     camera: Camera,
     shape: tuple[int, int],
     *,
-    begun: float,
+    start: float,
 ) -> ReadoutEstimate | None:
     """Estimate the readout time from the largest piece."""
     if not solution.pieces:
         return None
     largest = max(solution.pieces, key=lambda piece: len(piece.views))
     rates = motion_rates(largest.poses, instants)
-    return estimate_readout(views, matches, largest.poses, rates, camera, shape, begun=begun)
+    return estimate_readout(views, matches, largest.poses, rates, camera, shape, start=start)

@@ -25,7 +25,7 @@ MAX_VIEWS = 60
 # Observations in use: points that most views show are taken first, until this number.
 MAX_OBSERVATIONS = 8000
 # px: larger residuals have a decreasing weight; the first value is for the first steps.
-OUTLIER_PIXELS = (3.0, 1.0)
+OUTLIER_SCALES = (3.0, 1.0)
 # Gauss–Newton steps with each of these values.
 STEPS_PER_SCALE = 4
 # Damping of the steps, as a share of the diagonal.
@@ -37,7 +37,7 @@ MIN_DAMPING = 1e-10
 MIN_DEPTH = 1e-6
 # The standard deviation is this multiple of its value for independent residuals: errors of films
 # with a global shutter are this much larger.
-DEPENDENCE = 5.5
+DEVIATION_FACTOR = 5.5
 # px: observations with a larger residual are ignored.
 MAX_RESIDUAL = 100.0
 
@@ -51,17 +51,19 @@ class ReadoutEstimate:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Seen:
+class _Observations:
     """Observations: numbers of the view and of the point, (N,), and positions, (N, 2) px."""
 
     view: np.ndarray
     point: np.ndarray
-    place: np.ndarray
+    position: np.ndarray
 
-    def of(self, kept: np.ndarray) -> "_Seen":
+    def select(self, is_selected: np.ndarray) -> "_Observations":
         """Return a subset, with points renumbered."""
-        _, point = np.unique(self.point[kept], return_inverse=True)
-        return _Seen(view=self.view[kept], point=point, place=self.place[kept])
+        _, point = np.unique(self.point[is_selected], return_inverse=True)
+        return _Observations(
+            view=self.view[is_selected], point=point, position=self.position[is_selected]
+        )
 
 
 def estimate_readout(
@@ -78,52 +80,54 @@ def estimate_readout(
     camera: Camera,  # pinhole camera
     shape: tuple[int, int],  # height and width of the frames, px
     *,
-    begun: float = 0.0,  # readout that the estimation starts from
+    start: float = 0.0,  # readout that the estimation starts from
 ) -> ReadoutEstimate | None:  # none if views share too few points
     """Estimate the readout of a camera."""
     numbers = [k for k, view in enumerate(views) if view.frame in rates]
     if len(numbers) < MIN_VIEWS:
         return None
-    numbers = _turning(numbers, views, rates)
-    seen = _seen_by(views, matches, numbers)
-    if not len(seen.view):
+    numbers = _select_rotating_views(numbers, views, rates)
+    observations = _collect_observations(views, matches, numbers)
+    if not len(observations.view):
         return None
     frames = [views[k].frame for k in numbers]
     problem = _Problem(
-        seen,
+        observations,
         np.linalg.inv(np.array([poses[frame] for frame in frames])),
         np.array([rates[frame] for frame in frames]),
         camera,
         shape,
-        begun,
+        start,
     )
-    for outlying in OUTLIER_PIXELS:
+    for outlier_scale in OUTLIER_SCALES:
         for _ in range(STEPS_PER_SCALE):
-            problem.step(outlying)
-    deviation = problem.deviation(OUTLIER_PIXELS[-1])
-    return ReadoutEstimate(readout=problem.readout, deviation=DEPENDENCE * deviation)
+            problem.step(outlier_scale)
+    deviation = problem.deviation(OUTLIER_SCALES[-1])
+    return ReadoutEstimate(readout=problem.readout, deviation=DEVIATION_FACTOR * deviation)
 
 
-def _turning(
+def _select_rotating_views(
     numbers: list[int], views: Sequence[View], rates: Mapping[int, np.ndarray]
 ) -> list[int]:
     """Return at most MAX_VIEWS consecutive views: those in which the camera rotates most."""
     if len(numbers) <= MAX_VIEWS:
         return numbers
-    turns = np.cumsum([0.0, *(np.linalg.norm(rates[views[k].frame][3:]) for k in numbers)])
-    first = int(np.argmax(turns[MAX_VIEWS:] - turns[:-MAX_VIEWS]))
+    cumulative_rotation = np.cumsum(
+        [0.0, *(np.linalg.norm(rates[views[k].frame][3:]) for k in numbers)]
+    )
+    first = int(np.argmax(cumulative_rotation[MAX_VIEWS:] - cumulative_rotation[:-MAX_VIEWS]))
     return numbers[first : first + MAX_VIEWS]
 
 
-def _seen_by(
+def _collect_observations(
     views: Sequence[View], matches: Mapping[tuple[int, int], np.ndarray], numbers: Sequence[int]
-) -> _Seen:
+) -> _Observations:
     """Return the observations of the tracks and matched points that most views see."""
     order = {number: k for k, number in enumerate(numbers)}
     begins = np.cumsum([0, *(len(views[number].detected) for number in numbers)])
     pairs = [
-        both + np.array([begins[order[first]], begins[order[second]]])
-        for (first, second), both in matches.items()
+        indices + np.array([begins[order[first]], begins[order[second]]])
+        for (first, second), indices in matches.items()
         if first in order and second in order
     ]
     ends = np.vstack([np.empty((0, 2), np.intp), *pairs])
@@ -134,20 +138,26 @@ def _seen_by(
     tracks = [views[number].observations.tracks for number in numbers]
     view = np.r_[np.repeat(np.arange(len(numbers)), list(map(len, tracks))), of_detected]
     point = np.r_[np.concatenate(tracks), -1 - group]
-    place = np.vstack(
+    position = np.vstack(
         [*(views[k].observations.points for k in numbers), *(views[k].detected for k in numbers)]
     )
     if not len(view):
-        return _Seen(view=view, point=point, place=place)
-    whole = _Seen(view=view, point=np.unique(point, return_inverse=True)[1], place=place)
+        return _Observations(view=view, point=point, position=position)
+    all_observations = _Observations(
+        view=view, point=np.unique(point, return_inverse=True)[1], position=position
+    )
     # A point that one view shows twice is a wrong match.
-    twice = np.unique(whole.point * len(numbers) + whole.view, return_counts=True)
-    wrong = np.unique(twice[0][twice[1] > 1] // len(numbers))
-    often = np.bincount(whole.point)
-    often[wrong] = 0
-    ranked = np.sort(often)[::-1]
-    enough = ranked[np.searchsorted(np.cumsum(ranked), MAX_OBSERVATIONS).clip(0, len(ranked) - 1)]
-    return whole.of(often[whole.point] >= max(MIN_VIEWS, enough))
+    repeated = np.unique(
+        all_observations.point * len(numbers) + all_observations.view, return_counts=True
+    )
+    wrong_points = np.unique(repeated[0][repeated[1] > 1] // len(numbers))
+    counts = np.bincount(all_observations.point)
+    counts[wrong_points] = 0
+    ranked = np.sort(counts)[::-1]
+    min_count = ranked[
+        np.searchsorted(np.cumsum(ranked), MAX_OBSERVATIONS).clip(0, len(ranked) - 1)
+    ]
+    return all_observations.select(counts[all_observations.point] >= max(MIN_VIEWS, min_count))
 
 
 class _Problem:
@@ -155,7 +165,7 @@ class _Problem:
 
     def __init__(
         self,
-        seen: _Seen,
+        observations: _Observations,
         poses: np.ndarray,  # (V, 4, 4) array: world to camera
         rates: np.ndarray,  # (V, 6) array
         # camera, shape, readout: as for `estimate_readout`
@@ -164,57 +174,59 @@ class _Problem:
         readout: float,
     ) -> None:
         self.readout = readout
-        self._seen, self._rates = seen, rates
-        self._turns, self._shifts = poses[:, :3, :3].copy(), poses[:, :3, 3].copy()
+        self._observations, self._rates = observations, rates
+        self._rotations, self._translations = poses[:, :3, :3].copy(), poses[:, :3, 3].copy()
         self._focal = camera.focal
-        self._places = seen.place - camera.center_for(*shape)
-        self._late = (seen.place[:, 1] - (shape[0] - 1) / 2) / shape[0]
+        self._positions = observations.position - camera.center_for(*shape)
+        self._row_delay = (observations.position[:, 1] - (shape[0] - 1) / 2) / shape[0]
         self._points = self._nearest_to_rays()
 
-    def step(self, outlying: float) -> None:
+    def step(self, outlier_scale: float) -> None:
         """Make one Gauss–Newton step."""
-        step, moves, _ = self._solved(*self._linearised(outlying), DAMPING)
-        self._move(step[:-2].reshape(-1, 6), moves)
+        step, point_steps, _ = self._solve(*self._linearise(outlier_scale), DAMPING)
+        self._apply_step(step[:-2].reshape(-1, 6), point_steps)
         self.readout += float(step[-2])
         self._focal *= float(np.exp(step[-1]))
 
-    def deviation(self, outlying: float) -> float:
+    def deviation(self, outlier_scale: float) -> float:
         """Return the standard deviation of the readout time for independent residuals."""
-        return self._solved(*self._linearised(outlying), MIN_DAMPING)[2]
+        return self._solve(*self._linearise(outlier_scale), MIN_DAMPING)[2]
 
-    def _linearised(self, outlying: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def _linearise(
+        self, outlier_scale: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return weighted derivatives by poses, points, and readout and log focal; and residuals.
 
         The residuals are weighted too.
         """
-        view = self._seen.view
-        local = self._in_views()
-        late = self.readout * self._late
-        speed = self._rates[view, :3] + np.cross(self._rates[view, 3:], local)
-        moved = local + late[:, None] * speed
+        view = self._observations.view
+        local = self._view_coordinates()
+        delay = self.readout * self._row_delay
+        velocity = self._rates[view, :3] + np.cross(self._rates[view, 3:], local)
+        moved = local + delay[:, None] * velocity
         z = np.maximum(moved[:, 2], MIN_DEPTH)
-        seen = self._focal * moved[:, :2] / z[:, None]
-        off = seen - self._places
-        square = (off**2).sum(axis=1)
-        counts = (moved[:, 2] > MIN_DEPTH) & (square < MAX_RESIDUAL**2)
-        weight = np.where(counts, 1 / (1 + square / outlying**2), 0)
+        projected = self._focal * moved[:, :2] / z[:, None]
+        residual = projected - self._positions
+        square_residual = (residual**2).sum(axis=1)
+        is_used = (moved[:, 2] > MIN_DEPTH) & (square_residual < MAX_RESIDUAL**2)
+        weight = np.where(is_used, 1 / (1 + square_residual / outlier_scale**2), 0)
         root = np.sqrt(weight)[:, None, None]
-        slope = np.zeros((len(z), 2, 3))
-        slope[:, 0, 0] = slope[:, 1, 1] = self._focal / z
-        slope[:, :, 2] = -self._focal * moved[:, :2] / z[:, None] ** 2
-        by_point = slope @ self._turns[view] * root
-        turned = np.stack([np.cross(axis, local) for axis in np.eye(3)], axis=2)
-        by_view = np.concatenate([slope, slope @ turned], axis=2) * root
-        by_readout = slope @ (self._late[:, None] * speed)[:, :, None]
-        by_camera = np.concatenate([by_readout, seen[:, :, None]], axis=2) * root
-        return by_view, by_point, by_camera, off * root[:, :, 0]
+        jacobian = np.zeros((len(z), 2, 3))
+        jacobian[:, 0, 0] = jacobian[:, 1, 1] = self._focal / z
+        jacobian[:, :, 2] = -self._focal * moved[:, :2] / z[:, None] ** 2
+        by_point = jacobian @ self._rotations[view] * root
+        rotated = np.stack([np.cross(axis, local) for axis in np.eye(3)], axis=2)
+        by_view = np.concatenate([jacobian, jacobian @ rotated], axis=2) * root
+        by_readout = jacobian @ (self._row_delay[:, None] * velocity)[:, :, None]
+        by_camera = np.concatenate([by_readout, projected[:, :, None]], axis=2) * root
+        return by_view, by_point, by_camera, residual * root[:, :, 0]
 
-    def _solved(
+    def _solve(
         self,
         by_view: np.ndarray,
         by_point: np.ndarray,
         by_camera: np.ndarray,
-        off: np.ndarray,
+        residual: np.ndarray,
         damping: float,
     ) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the step of poses, readout and log focal, the step of points, and the deviation.
@@ -222,35 +234,37 @@ class _Problem:
         The deviation is the standard deviation of the readout. Points are eliminated (Schur
         complement).
         """
-        view, point = self._seen.view, self._seen.point
-        views, points = len(self._turns), len(self._points)
-        left = sparse.hstack(
+        view, point = self._observations.view, self._observations.point
+        views, points = len(self._rotations), len(self._points)
+        camera_jacobian = sparse.hstack(
             [_blocks(by_view, view, views), sparse.csr_matrix(by_camera.reshape(-1, 2))]
         ).tocsr()
-        right = _blocks(by_point, point, points)
-        own = np.zeros((points, 3, 3))
-        np.add.at(own, point, np.swapaxes(by_point, 1, 2) @ by_point)
-        trace = np.trace(own, axis1=1, axis2=2)[:, None, None]
-        own += (damping * trace + 1e-12) * np.eye(3)
+        point_jacobian = _blocks(by_point, point, points)
+        point_blocks = np.zeros((points, 3, 3))
+        np.add.at(point_blocks, point, np.swapaxes(by_point, 1, 2) @ by_point)
+        trace = np.trace(point_blocks, axis1=1, axis2=2)[:, None, None]
+        point_blocks += (damping * trace + 1e-12) * np.eye(3)
         inverse = sparse.bsr_matrix(
-            (np.linalg.inv(own), np.arange(points), np.arange(points + 1)),
+            (np.linalg.inv(point_blocks), np.arange(points), np.arange(points + 1)),
             shape=(3 * points, 3 * points),
         )
-        shared = (left.T @ right).tocsr()
-        pull = right.T @ off.ravel()
-        matrix = (left.T @ left).toarray() - (shared @ inverse @ shared.T).toarray()
-        vector = left.T @ off.ravel() - shared @ (inverse @ pull)
+        cross_blocks = (camera_jacobian.T @ point_jacobian).tocsr()
+        point_gradient = point_jacobian.T @ residual.ravel()
+        matrix = (camera_jacobian.T @ camera_jacobian).toarray() - (
+            cross_blocks @ inverse @ cross_blocks.T
+        ).toarray()
+        vector = camera_jacobian.T @ residual.ravel() - cross_blocks @ (inverse @ point_gradient)
         diagonal = np.diag(matrix).copy()
         matrix += np.diag(damping * diagonal + 1e-12 * max(float(diagonal.max()), 1e-12))
         matrix += self._gauge(diagonal)
         readout = np.zeros(len(vector))
         readout[-2] = 1
-        answers = np.linalg.solve(matrix, np.stack([-vector, readout], axis=1))
-        step = answers[:, 0]
-        moves = -(inverse @ (pull + shared.T @ step)).reshape(-1, 3)
-        free = max(1, off.size - len(vector) - 3 * points)
-        deviation = np.sqrt(float((off**2).sum()) / free * max(float(answers[-2, 1]), 0.0))
-        return step, moves, float(deviation)
+        solution = np.linalg.solve(matrix, np.stack([-vector, readout], axis=1))
+        step = solution[:, 0]
+        point_steps = -(inverse @ (point_gradient + cross_blocks.T @ step)).reshape(-1, 3)
+        freedom = max(1, residual.size - len(vector) - 3 * points)
+        deviation = np.sqrt(float((residual**2).sum()) / freedom * max(float(solution[-2, 1]), 0.0))
+        return step, point_steps, float(deviation)
 
     def _gauge(self, diagonal: np.ndarray) -> np.ndarray:
         """Return the gauge term, which fixes the first view and its distance to the farthest view.
@@ -259,40 +273,42 @@ class _Problem:
         rates have a fixed unit: without this term, any readout time would fit a camera that does
         not rotate.
         """
-        held = np.zeros((7, len(diagonal)))
-        held[np.arange(6), np.arange(6)] = np.sqrt(diagonal[:6].max())
-        centers = -np.einsum("nji,nj->ni", self._turns, self._shifts)
-        away = np.einsum("nij,nj->ni", self._turns, centers - centers[0])
-        distances = np.linalg.norm(away, axis=1)
+        constraints = np.zeros((7, len(diagonal)))
+        constraints[np.arange(6), np.arange(6)] = np.sqrt(diagonal[:6].max())
+        centers = -np.einsum("nji,nj->ni", self._rotations, self._translations)
+        offsets = np.einsum("nij,nj->ni", self._rotations, centers - centers[0])
+        distances = np.linalg.norm(offsets, axis=1)
         farthest = int(np.argmax(distances))
         if distances[farthest] > 0:
             columns = slice(6 * farthest, 6 * farthest + 3)
-            direction = away[farthest] / distances[farthest]
-            held[6, columns] = np.sqrt(diagonal[columns].max()) * direction
-        return np.asarray(held.T @ held)
+            direction = offsets[farthest] / distances[farthest]
+            constraints[6, columns] = np.sqrt(diagonal[columns].max()) * direction
+        return np.asarray(constraints.T @ constraints)
 
-    def _move(self, steps: np.ndarray, moves: np.ndarray) -> None:
+    def _apply_step(self, steps: np.ndarray, point_steps: np.ndarray) -> None:
         for k, step in enumerate(steps):
-            columns = np.vstack([self._turns[k].T, self._shifts[k]])
+            columns = np.vstack([self._rotations[k].T, self._translations[k]])
             moved = moved_by_twist(columns, np.r_[np.zeros(3), step[3:]], np.ones(4))
-            self._turns[k], self._shifts[k] = moved[:3].T, moved[3] + step[:3]
-        self._points += moves
+            self._rotations[k], self._translations[k] = moved[:3].T, moved[3] + step[:3]
+        self._points += point_steps
 
-    def _in_views(self) -> np.ndarray:
-        view = self._seen.view
-        world = self._points[self._seen.point]
-        return np.asarray(np.einsum("nij,nj->ni", self._turns[view], world) + self._shifts[view])
+    def _view_coordinates(self) -> np.ndarray:
+        view = self._observations.view
+        world = self._points[self._observations.point]
+        return np.asarray(
+            np.einsum("nij,nj->ni", self._rotations[view], world) + self._translations[view]
+        )
 
     def _nearest_to_rays(self) -> np.ndarray:
         """Return the points nearest to the rays of their observations, (P, 3)."""
-        view, point = self._seen.view, self._seen.point
-        local = np.column_stack([self._places / self._focal, np.ones(len(view))])
+        view, point = self._observations.view, self._observations.point
+        local = np.column_stack([self._positions / self._focal, np.ones(len(view))])
         if self.readout:  # rays of the middle row, without the camera's translation
-            spin = self._rates[view, 3:] * (-self.readout * self._late)[:, None]
+            spin = self._rates[view, 3:] * (-self.readout * self._row_delay)[:, None]
             local = local + np.cross(spin, local)
-        ray = np.einsum("nji,nj->ni", self._turns[view], local)
+        ray = np.einsum("nji,nj->ni", self._rotations[view], local)
         ray = unit_vectors(ray)
-        centre = -np.einsum("nji,nj->ni", self._turns, self._shifts)[view]
+        centre = -np.einsum("nji,nj->ni", self._rotations, self._translations)[view]
         matrix, vector = nearest_point_equations(point, ray, centre, int(point.max()) + 1)
         matrix += 1e-9 * np.eye(3)
         return np.asarray(np.linalg.solve(matrix, vector[..., None])[..., 0])
