@@ -60,10 +60,10 @@ def scaled(value: float, factor: float) -> float:
 def changed(settings: Any, name: str, index: int | None, factor: float) -> Iterator[None]:
     """Scale one number of a settings object inside a ``with`` block."""
     value = getattr(settings, name)
-    if index is None:
-        new = scaled(value, factor)
-    else:
-        new = (*value[:index], scaled(value[index], factor), *value[index + 1 :])
+    new: Any = scaled(value, factor) if index is None else list(value)
+    if index is not None:
+        new[index] = scaled(value[index], factor)
+        new = tuple(new)
     object.__setattr__(settings, name, new)  # modules share this frozen object
     try:
         yield
@@ -201,11 +201,10 @@ def main(arguments: list[str] | None = None) -> int:
     except (AttributeError, ImportError, TypeError) as error:
         print(f"bench.sensitivity: {error}", file=sys.stderr)
         return 2
-    common = {"chosen": tuple(options.inputs), "data": data}
-    rows = []
+    chosen, rows = tuple(options.inputs), []
     with ProcessPoolExecutor(options.jobs, multiprocessing.get_context("spawn")) as pool:
-        base = pool.submit(unchanged, **common)
-        for row in pool.map(partial(row_of, **common), cases):
+        base = pool.submit(unchanged, chosen, data)
+        for row in pool.map(partial(row_of, chosen=chosen, data=data), cases):
             print(row[0], f"{row[1]:g}", *(largest(c)[1] for c in row[2]), sep=" | ", flush=True)
             rows.append(row)
     record = {"base": base.result(), "rows": rows}
