@@ -9,7 +9,7 @@ import pytest
 
 import tisfm
 from tisfm import scenes
-from tisfm.frames import LARGEST_GREY
+from tisfm.frames import MAX_GREY
 from tisfm.motion.frame_agreement import unrelated_status
 from tisfm.motion.window_statistics import warped
 from tisfm.rigid import pose_matrix
@@ -198,7 +198,7 @@ def test_a_masked_pose_is_refused(moving, size):
         (1e14, "fast", "camera"),
         (1e18, "paper", "field"),
         (1e18, "fast", "camera"),
-        (LARGEST_GREY / 256, "fast", "field"),
+        (MAX_GREY / 256, "fast", "field"),
     ],
 )
 @pytest.mark.filterwarnings("error::RuntimeWarning")

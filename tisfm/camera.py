@@ -12,8 +12,10 @@ from tisfm.errors import InputError, InputTypeError
 
 COEFFICIENTS = (4, 5, 8, 12, 14)  # numbers of distortion coefficients that OpenCV accepts
 # The power of the radius that each coefficient multiplies; the tilt has none.
-POWERS = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3)
-SHORTEST, LONGEST = 1e-3, 1e6  # px: outside, squares of x̂ and ŷ exceed the range of float32
+RADIUS_POWERS = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3)
+# Focal lengths, px: outside this range, squares of x̂ and ŷ exceed the range of float32.
+MIN_FOCAL = 1e-3
+MAX_FOCAL = 1e6
 
 
 @dataclass(frozen=True, init=False)
@@ -117,7 +119,7 @@ class Camera:
     @property
     def is_tilted(self) -> bool:
         """Whether the distortion includes a tilted sensor."""
-        return any((self.distortion or ())[len(POWERS) :])
+        return any((self.distortion or ())[len(RADIUS_POWERS) :])
 
     def center_for(self, height: int, width: int) -> tuple[float, float]:
         """Return the principal point (cx, cy), px, for an image of this size."""
@@ -151,7 +153,9 @@ class Camera:
             if self.is_tilted:
                 raise InputError("the distortion of a tilted sensor fits no other focal length")
             ratio = focal / self.focal
-            lens = tuple(k * ratio**power for k, power in zip(lens, (*POWERS, 0, 0), strict=False))
+            lens = tuple(
+                k * ratio**power for k, power in zip(lens, (*RADIUS_POWERS, 0, 0), strict=False)
+            )
         return replace(self, focal=focal, distortion=lens)
 
     def scaled(self, scale: float, height: int, width: int) -> "Camera":
@@ -186,10 +190,12 @@ def check_camera(camera: Camera | None) -> Camera:
         return Camera()
     if not isinstance(camera, Camera):
         raise InputTypeError(f"camera is {camera!r}: expected a tisfm.Camera")
-    if not SHORTEST <= camera.focal <= LONGEST:
-        raise InputError(f"focal is {camera.focal:g}: expected {SHORTEST:g} to {LONGEST:g}, in px")
-    if camera.center is not None and max(map(abs, camera.center)) > LONGEST:
-        raise InputError(f"center is {camera.center}: expected at most {LONGEST:g}, in px")
+    if not MIN_FOCAL <= camera.focal <= MAX_FOCAL:
+        raise InputError(
+            f"focal is {camera.focal:g}: expected {MIN_FOCAL:g} to {MAX_FOCAL:g}, in px"
+        )
+    if camera.center is not None and max(map(abs, camera.center)) > MAX_FOCAL:
+        raise InputError(f"center is {camera.center}: expected at most {MAX_FOCAL:g}, in px")
     return camera
 
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from tisfm.errors import InputError, InputTypeError
 
-_LEAST_SIMILARITY = 0.6  # of a suggested word: ratio of `difflib`, 0 to 1; the default there
+_MIN_SIMILARITY = 0.6  # of a suggested word: ratio of `difflib`, 0 to 1; the default there
 
 Floats = NDArray[np.float64]
 # Type of a dataclass field: array_like as an argument, a read-only float64 array once checked.
@@ -94,7 +94,7 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
     if len(begun) == 1:
         return begun[0]
     lower = {name.lower(): name for name in reversed(words)}
-    similar = difflib.get_close_matches(word.lower(), lower, n=1, cutoff=_LEAST_SIMILARITY)
+    similar = difflib.get_close_matches(word.lower(), lower, n=1, cutoff=_MIN_SIMILARITY)
     return lower[similar[0]] if similar else None
 
 

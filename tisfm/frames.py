@@ -9,14 +9,14 @@ from tisfm.checks import refuse_masked
 from tisfm.errors import InputError, InputTypeError
 
 MIN_SIDE = 4  # px: on a shorter side a five-tap derivative depends mainly on the border
-LARGEST_GREY = 1e36  # grey levels: differences of such values still fit into float32
+MAX_GREY = 1e36  # grey levels: differences of such values still fit into float32
 # Float frames in [0, 1] may overshoot. Each pair is a distance beyond [0, 1], and the largest share
 # of values that may lie farther out. 0.01 allows for rounding; resampling and sharpening take up
 # to a sixth of the values beyond it. 1 allows for strong sharpening, 10 for bright spots. A frame
 # on the 8-bit scale that passes these limits is black apart from spots: 99% of its values are at
 # most grey level 2.
-OVERSHOOTS = ((0.01, 0.2), (1.0, 0.01), (10.0, 0.001))
-ROWS = 32  # rows converted at a time, few enough to stay in the cache
+MAX_OVERSHOOTS = ((0.01, 0.2), (1.0, 0.01), (10.0, 0.001))
+ROWS_PER_STEP = 32  # rows converted at a time, few enough to stay in the cache
 
 # ITU-R BT.601 luma.
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
@@ -125,7 +125,7 @@ def in_unit_range(frame: np.ndarray) -> bool:
         return True
     return all(
         np.count_nonzero((frame < -beyond) | (frame > 1 + beyond)) <= share * frame.size
-        for beyond, share in OVERSHOOTS
+        for beyond, share in MAX_OVERSHOOTS
     )
 
 
@@ -147,7 +147,7 @@ def _grey(frame: np.ndarray, factor: float) -> np.ndarray:
         if factor != 1:
             grey *= np.float32(factor)
     # Differences of grey levels must be finite too.
-    if _is_float(frame) and not np.abs(grey).max() <= LARGEST_GREY:
+    if _is_float(frame) and not np.abs(grey).max() <= MAX_GREY:
         raise InputError("a frame has values too large for float32: scale it before interpreting")
     return grey
 
@@ -155,8 +155,8 @@ def _grey(frame: np.ndarray, factor: float) -> np.ndarray:
 def _luma(frame: np.ndarray) -> np.ndarray:
     """Return the luma of an RGB frame, (H, W) float32."""
     grey = np.empty(frame.shape[:2], np.float32)
-    for top in range(0, len(frame), ROWS):
-        rows, total = frame[top : top + ROWS], grey[top : top + ROWS]
+    for top in range(0, len(frame), ROWS_PER_STEP):
+        rows, total = frame[top : top + ROWS_PER_STEP], grey[top : top + ROWS_PER_STEP]
         # Channel by channel: a matrix product may round differently on another machine.
         red, green, blue = (rows[..., k].astype(np.float32) for k in range(3))
         np.multiply(red, _LUMA[0], out=total)

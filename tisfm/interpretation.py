@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.point_cloud import FARTHEST_MEDIANS, PointCloud, point_cloud
+from tisfm.point_cloud import MAX_MEDIAN_DEPTHS, PointCloud, point_cloud
 from tisfm.settings import Settings
 from tisfm.status import History, Status
 
@@ -109,7 +109,7 @@ class Interpretation:
         self,
         *,
         min_confidence: float = 0.0,
-        max_depth: float | None = FARTHEST_MEDIANS,
+        max_depth: float | None = MAX_MEDIAN_DEPTHS,
         occluded: bool = False,
     ) -> PointCloud:
         """Return the scene as coloured points, one for every pixel with a depth.

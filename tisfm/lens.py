@@ -13,8 +13,8 @@ from tisfm.solver.sampling import FAR_FLOW
 __all__ = ["undistort"]
 
 # Least share of pixels with data: if fewer remain, the coefficients belong to another camera.
-LEAST_SEEN = 0.1
-RADII = 4096  # number of radii at which the radial part of the model is evaluated
+MIN_VALID_SHARE = 0.1
+RADIUS_SAMPLES = 4096  # number of radii at which the radial part of the model is evaluated
 
 
 class Undistortion(Resampling):
@@ -62,7 +62,7 @@ class Undistortion(Resampling):
         folded = radius > _fold(coefficients, float(radius.max()))
         super().__init__(flow, ~folded)
         share = float(self.valid.mean())
-        if share < LEAST_SEEN:
+        if share < MIN_VALID_SHARE:
             raise InputError(
                 f"distortion leaves data at {100 * share:.2g}% of the pixels of a frame of "
                 f"{height} × {width} px: check its signs and order (k1, k2, p1, p2[, k3, …]), the "
@@ -124,7 +124,7 @@ def _fold(coefficients: np.ndarray, reach: float) -> float:
     of the frame into the pinhole image a second time.
     """
     k1, k2, _, _, k3, k4, k5, k6 = np.pad(coefficients, (0, 14 - len(coefficients)))[:8]
-    radius = np.linspace(0, reach, RADII)
+    radius = np.linspace(0, reach, RADIUS_SAMPLES)
     square = radius**2
     with np.errstate(all="ignore"):
         distorted = (

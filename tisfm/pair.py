@@ -27,7 +27,7 @@ ENERGY_OVERFLOW = Status(
     "diverged",
     "the energy grew beyond what single precision can hold: bring the frames to the 8-bit scale",
 )
-RELIABLE = ("converged", "iteration_limit")  # statuses of a flow that the next pair may use
+USABLE_STATUSES = ("converged", "iteration_limit")  # statuses of a flow that the next pair may use
 
 
 def interpret(
@@ -278,14 +278,14 @@ def keep_pair(
 def _keep(
     window: Window, pyramid: "ImagePyramid", flow: np.ndarray, unseen: np.ndarray, status: Status
 ) -> None:
-    """Store a flow, (2, H, W), for the next pair, if its status is in `RELIABLE`.
+    """Store a flow, (2, H, W), for the next pair, if its status is in `USABLE_STATUSES`.
 
     The flow is rounded as in a compact file, so that a resumed run, which reads the flow from such
     a file, gives the same results.
     """
     from tisfm.motion.previous_frame import PreviousPair
 
-    is_reliable = status in RELIABLE
+    is_reliable = status in USABLE_STATUSES
     window.previous = (
         PreviousPair.from_pair(pyramid, round_as_packed(flow, STEP), unseen)
         if is_reliable

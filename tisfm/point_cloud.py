@@ -13,7 +13,7 @@ from tisfm.checks import refuse_masked, unmasked
 from tisfm.errors import InputError, InputTypeError
 
 # Farthest point, median depths: where inverse depth is nearly 0, its noise moves points far away.
-FARTHEST_MEDIANS = 10.0
+MAX_MEDIAN_DEPTHS = 10.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,7 +120,7 @@ def point_cloud(
     occlusion: np.ndarray,  # (H, W) bool
     # min_confidence, max_depth, occluded: as for `tisfm.Interpretation.points`
     min_confidence: float = 0.0,
-    max_depth: float | None = FARTHEST_MEDIANS,
+    max_depth: float | None = MAX_MEDIAN_DEPTHS,
     occluded: bool = False,
 ) -> PointCloud:  # in the order of the pixels, row by row
     """Return the 3D points of the pixels of a depth map.

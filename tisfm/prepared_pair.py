@@ -22,7 +22,7 @@ from tisfm.status import Status
 if TYPE_CHECKING:
     from tisfm.solver.image_pyramid import ImagePyramid
 
-LARGEST_GREY = 1e15  # grey levels: squares of derivatives must fit into float32
+MAX_GREY = 1e15  # grey levels: squares of derivatives must fit into float32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +130,7 @@ def overflow_status(grey0: np.ndarray, grey1: np.ndarray) -> Status | None:
     largest = max(
         abs(float(value)) for grey in (grey0, grey1) for value in (grey.min(), grey.max())
     )
-    if largest <= LARGEST_GREY:
+    if largest <= MAX_GREY:
         return None
     return Status(
         "diverged",

@@ -11,11 +11,14 @@ from tisfm.errors import InputError, InputTypeError
 
 __all__ = ["pose_matrix", "rigid_motion", "rigid_twist"]
 
-_ORTHONORMAL = 1e-3  # tolerance of R Rᵀ − 1: text files round poses, measured poses to 1e-4
+# Tolerance of R Rᵀ − 1: text files round poses, measured poses to 1e-4.
+_ORTHONORMALITY_TOLERANCE = 1e-3
 # Range of ‖t‖, in the unit of t: depth and its deviation then fit into float32, with a margin for
 # scenes of any size and any parallax.
-_SHORTEST, _LONGEST = 1e-30, 1e30
-_TURN = 90.0  # degrees: frames that differ by a larger rotation have hardly anything in common
+_MIN_TRANSLATION = 1e-30
+_MAX_TRANSLATION = 1e30
+# Degrees: frames that differ by a larger rotation have hardly anything in common.
+_MAX_ROTATION_ANGLE = 90.0
 
 
 def rigid_motion(motion: ArrayLike) -> tuple[Floats, Floats]:
@@ -136,7 +139,9 @@ def pose_matrix(twist: ArrayLike) -> NDArray[np.float64]:
 def is_rotation(matrix: NDArray[np.float64]) -> bool:
     """Return whether a (3, 3) matrix is orthonormal within 0.001 and has no mirroring."""
     square = matrix @ matrix.T
-    return bool(np.abs(square - np.eye(3)).max() <= _ORTHONORMAL and np.linalg.det(matrix) > 0)
+    return bool(
+        np.abs(square - np.eye(3)).max() <= _ORTHONORMALITY_TOLERANCE and np.linalg.det(matrix) > 0
+    )
 
 
 def nearest_rotation(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -187,33 +192,33 @@ def check_pose(
     if not np.isfinite(matrix).all():
         raise InputError("pose has a value that is NaN or infinite")
     if matrix.shape == (4, 4) and not np.allclose(
-        matrix[3], (0, 0, 0, 1), rtol=0, atol=_ORTHONORMAL
+        matrix[3], (0, 0, 0, 1), rtol=0, atol=_ORTHONORMALITY_TOLERANCE
     ):
         raise InputError(f"the last row of pose is {matrix[3].tolist()}: expected 0, 0, 0, 1")
     rotation = matrix[:3, :3]
     if not is_rotation(rotation):
         raise InputError(
-            f"pose holds {rotation.tolist()}, which is no rotation: expected an orthonormal matrix "
+            f"pose holds {rotation.tolist()}, which is not a rotation: expected an orthonormal matrix "
             "without mirroring"
         )
     rotation = nearest_rotation(rotation)  # measured poses are rounded
     from scipy.spatial.transform import Rotation  # slow to import
 
     turn = math.degrees(Rotation.from_matrix(rotation).magnitude())
-    if turn >= _TURN:
+    if turn >= _MAX_ROTATION_ANGLE:
         raise InputError(
-            f"pose turns by {turn:.0f}°: expected less than {_TURN:g}° between two frames of one "
-            "scene; check that it is the motion from frame 0's camera to frame 1's, not a pose in "
-            "the world, and that both have their axes right, down and forward"
+            f"pose turns by {turn:.0f}°: expected less than {_MAX_ROTATION_ANGLE:g}° between two "
+            "frames of one scene; check that it is the motion from frame 0's camera to frame 1's, "
+            "not a pose in the world, and that both have their axes right, down and forward"
         )
     if len(matrix) == 3:
         return KnownPose(rotation=rotation, translation=None)
     translation = matrix[:3, 3].copy()
     length = math.hypot(*translation)  # hypot: squares would overflow
-    if translation.any() and not _SHORTEST <= length <= _LONGEST:
+    if translation.any() and not _MIN_TRANSLATION <= length <= _MAX_TRANSLATION:
         raise InputError(
             f"pose translates by {length:.1e}: expected 0 if it only turns, or a length of "
-            f"{_SHORTEST:g} to {_LONGEST:g}, for single precision to hold depth in its unit; give "
-            "it in another unit"
+            f"{_MIN_TRANSLATION:g} to {_MAX_TRANSLATION:g}, for single precision to hold depth in "
+            "its unit; give it in another unit"
         )
     return KnownPose(rotation=rotation, translation=translation)

@@ -17,11 +17,12 @@ Preset = Literal["paper", "fast", "balanced", "accurate"]
 PAPER_SMOOTHNESS = 1e8 / 600**2  # the paper's λ = 1e8 at its f = 600, as λ̂ = λ/f²
 # Bounds of weights and scales. Within them, products of several settings with grey levels and
 # motions fit into float32, and α stays above the least pivots of the linear solvers.
-LEAST_SMOOTHNESS, MOST_SMOOTHNESS = 1e-6, 1e12
-_MOST = 1e6
-_LEAST_CONTRAST = 1e-3  # px/frame: below it, rounding in float32 can make the energy rise
+MIN_SMOOTHNESS = 1e-6
+MAX_SMOOTHNESS = 1e12
+_MAX_WEIGHT = 1e6
+_MIN_CONTRAST = 1e-3  # px/frame: below it, rounding in float32 can make the energy rise
 # The most of every count: more than any use needs, but a run still ends or can be interrupted.
-_COUNTS = {
+_MAX_COUNTS = {
     "pyramid_levels": 100,
     "finest_level": 100,
     "warps": 10_000,
@@ -31,7 +32,7 @@ _COUNTS = {
     "cycles": 1000,
     "max_objects": 255,  # the search for objects stores labels as bytes
 }
-_MAY_BE_0 = ("finest_level", "cycles")
+_COUNTS_FROM_0 = ("finest_level", "cycles")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,48 +194,48 @@ class Settings:
             ("solver", Solver),
         ):
             _check_choice(name, getattr(self, name), get_args(kind))
-        least, most = LEAST_SMOOTHNESS, MOST_SMOOTHNESS
+        least, most = MIN_SMOOTHNESS, MAX_SMOOTHNESS
         _check_real("smoothness", self.smoothness, least=least, most=most)
-        _check_real("beta", self.beta, least=1 / _MOST, most=_MOST)
+        _check_real("beta", self.beta, least=1 / _MAX_WEIGHT, most=_MAX_WEIGHT)
         if not least <= float(self.smoothness) * float(self.beta) <= most:
             raise InputError(
                 f"smoothness · beta is {float(self.smoothness):g} · {float(self.beta):g}: expected "
                 f"a product of at least {least:g} and at most {most:g}"
             )
         if self.contrast is not None:
-            _check_real("contrast", self.contrast, least=_LEAST_CONTRAST, most=_MOST)
+            _check_real("contrast", self.contrast, least=_MIN_CONTRAST, most=_MAX_WEIGHT)
         for name in ("joint_edges", "align_scales"):
             value = getattr(self, name)
             if not isinstance(value, bool):
                 raise InputTypeError(f"{name} is {value!r}: expected True or False")
         object.__setattr__(self, "stiffness", _check_stiffness(self.stiffness))
-        _check_real("image_edges", self.image_edges, least=0, most=_MOST)
+        _check_real("image_edges", self.image_edges, least=0, most=_MAX_WEIGHT)
         for name in ("brightness", "gradient"):
-            _check_real(name, getattr(self, name), least=0, most=_MOST)
+            _check_real(name, getattr(self, name), least=0, most=_MAX_WEIGHT)
         if not self.brightness + self.gradient > 0:
             raise InputError("brightness and gradient are both 0: give one of them a weight")
         if self.normalization is not None:
-            _check_real("normalization", self.normalization, least=0, most=_MOST)
+            _check_real("normalization", self.normalization, least=0, most=_MAX_WEIGHT)
         if self.data_contrast is not None:
-            _check_real("data_contrast", self.data_contrast, least=_LEAST_CONTRAST, most=_MOST)
+            _check_real("data_contrast", self.data_contrast, least=_MIN_CONTRAST, most=_MAX_WEIGHT)
         _check_real("depth_smoothness", self.depth_smoothness, least=least, most=most)
-        _check_real("depth_brightness", self.depth_brightness, least=0, most=_MOST)
+        _check_real("depth_brightness", self.depth_brightness, least=0, most=_MAX_WEIGHT)
         if not self.depth_brightness + self.gradient > 0:
             raise InputError("depth_brightness and gradient are both 0: give one of them a weight")
         if self.depth_normalization is not None:
-            _check_real("depth_normalization", self.depth_normalization, least=0, most=_MOST)
+            _check_real("depth_normalization", self.depth_normalization, least=0, most=_MAX_WEIGHT)
         _check_real("presmoothing", self.presmoothing, least=0, most=100)
         _check_real("pyramid_factor", self.pyramid_factor, least=0.5, most=0.95)
         _check_real("relaxation", self.relaxation, least=0.01, below=2)
         _check_real("tolerance", self.tolerance, least=0)
-        for name, most_of in _COUNTS.items():
+        for name, most_of in _MAX_COUNTS.items():
             if name != "pyramid_levels" or self.pyramid_levels is not None:
-                fewest = 0 if name in _MAY_BE_0 else 1
+                fewest = 0 if name in _COUNTS_FROM_0 else 1
                 _check_count(name, getattr(self, name), least=fewest, most=most_of)
         # Convert to Python numbers: settings are compared, hashed and written to JSON.
         for field in fields(self):
             value = getattr(self, field.name)
-            if field.name in _COUNTS and value is not None:
+            if field.name in _MAX_COUNTS and value is not None:
                 object.__setattr__(self, field.name, int(value))
             elif isinstance(value, Real) and not isinstance(value, bool):
                 object.__setattr__(self, field.name, float(value))
@@ -342,7 +343,7 @@ def _check_stiffness(stiffness: object) -> tuple[float, ...]:
     if isinstance(stiffness, str) or not isinstance(stiffness, Sequence) or len(stiffness) != 6:
         raise InputTypeError(f"stiffness is {stiffness!r}: expected 6 numbers")
     for k, value in enumerate(stiffness):
-        _check_real(f"stiffness[{k}]", value, least=1e-3, most=_MOST)
+        _check_real(f"stiffness[{k}]", value, least=1e-3, most=_MAX_WEIGHT)
     return tuple(float(value) for value in stiffness)
 
 

@@ -208,7 +208,7 @@ def test_the_unit_of_length_is_of_no_matter():
 
 
 def test_voxels_that_fill_too_much_are_refused(monkeypatch):
-    monkeypatch.setattr(signed_distance, "MOST_BLOCKS", 20)
+    monkeypatch.setattr(signed_distance, "MAX_BLOCKS", 20)
     views = walls(3, size=(30, 40))
     with pytest.raises(ValueError, match=r"voxel is 0.05: .* give at least 0\.") as error:
         fused_mesh(views, voxel=0.05)
@@ -221,7 +221,7 @@ def test_voxels_that_fill_too_much_are_refused(monkeypatch):
     # By default they are made as large as they must be.
     usual = 2 * 2 / 20  # 2 px
     assert fused_mesh(views).voxel == pytest.approx(usual)
-    monkeypatch.setattr(signed_distance, "MOST_BLOCKS", 8)
+    monkeypatch.setattr(signed_distance, "MAX_BLOCKS", 8)
     assert fused_mesh(views).voxel > 1.09 * usual
 
 
@@ -233,11 +233,11 @@ def test_candidates_of_one_view_are_dropped_where_they_are_too_many(monkeypatch)
             PosedViews(views, max_relative_std=0.1, max_depth=None), 0.05, 0.2, 1
         )
     )
-    monkeypatch.setattr(signed_distance, "MOST_CANDIDATES", count - 1)
+    monkeypatch.setattr(signed_distance, "MAX_CANDIDATES", count - 1)
     found = fused_mesh(views, voxel=0.1)
     assert len(expected.faces) > 100
     np.testing.assert_array_equal(found.faces, expected.faces)
-    monkeypatch.setattr(signed_distance, "MOST_CANDIDATES", 5)
+    monkeypatch.setattr(signed_distance, "MAX_CANDIDATES", 5)
     with pytest.raises(ValueError, match=r"voxel is 0\.1: "):
         fused_mesh(views, voxel=0.1)
 

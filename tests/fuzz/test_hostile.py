@@ -20,7 +20,7 @@ from tisfm.datasets.calibration import read_calibration
 from tisfm.datasets.depth_files import read_disparity
 from tisfm.datasets.pose_files import read_poses
 from tisfm.formats import FormatError, read_depth_png, read_flo, read_image
-from tisfm.formats.image_headers import LARGEST_PICTURE
+from tisfm.formats.image_headers import MAX_IMAGE_PIXELS
 from tisfm.formats.label_picture import has_colour_palette, read_label_picture
 from tisfm.interpretation import Interpretation
 from tisfm.sources import video_checks
@@ -184,7 +184,7 @@ def test_a_packed_disparity_that_is_too_large(tmp_path):
     file = io.BytesIO()
     about = {"descr": "|u1", "fortran_order": False, "shape": (2**20, 2**20)}
     header.write_array_header_1_0(file, about)
-    with pytest.raises(FormatError, match=f"at most {LARGEST_PICTURE}"):
+    with pytest.raises(FormatError, match=f"at most {MAX_IMAGE_PIXELS}"):
         read_disparity(file_of(tmp_path, file.getvalue(), "x.npy"))
 
 
@@ -298,7 +298,7 @@ def test_frames_that_are_too_large(data, tmp_path, monkeypatch):
             changed.setattr(av_video, "_LIMITS", {"max_pixels": "1000"})
             with pytest.raises(ValueError, match=r"film\.avi"):
                 av_video.AvVideo(path)
-    monkeypatch.setattr(video_checks, "LARGEST_FRAME", 1000)
+    monkeypatch.setattr(video_checks, "MAX_FRAME_PIXELS", 1000)
     for read in (*readers, open_video):
         with pytest.raises(FormatError, match="32 × 32 px, more than 1000 pixels"):
             read(path)

@@ -15,7 +15,7 @@ from tests.sources.made import FRAMES, QUICK
 from tests.waiting import PATIENCE, wait_for
 from tisfm.formats import write_png
 from tisfm.sources import FrameSource
-from tisfm.sources.read_ahead import AHEAD, read_ahead
+from tisfm.sources.read_ahead import READ_AHEAD_COUNT, read_ahead
 
 
 def own_threads():
@@ -51,9 +51,9 @@ def test_few_items_are_read_ahead():
     ahead = read_ahead(items())
     assert next(ahead) == 0
     for k in range(1, 5):
-        wait_for(lambda k=k: len(made) >= k + AHEAD)
+        wait_for(lambda k=k: len(made) >= k + READ_AHEAD_COUNT)
         time.sleep(0.01)
-        assert made == list(range(k + AHEAD))
+        assert made == list(range(k + READ_AHEAD_COUNT))
         assert next(ahead) == k
     ahead.close()
 
@@ -137,7 +137,7 @@ def test_few_frames_are_alive_at_a_time(tmp_path, monkeypatch, options):
             pass
     finally:
         gc.enable()
-    assert len(most) == 12 and max(most) <= 2 + AHEAD
+    assert len(most) == 12 and max(most) <= 2 + READ_AHEAD_COUNT
     assert not alive
 
 

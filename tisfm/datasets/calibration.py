@@ -11,7 +11,7 @@ from tisfm.formats import FormatError
 from tisfm.formats.float_maps import TAG
 from tisfm.formats.reading import read_bytes, read_text
 
-KNOWN_SIZE = (480, 640)
+KNOWN_CAMERA_SIZE = (480, 640)
 """Height and width of the frames that `KNOWN_CAMERAS` are for, px."""
 
 KNOWN_CAMERAS = {
@@ -143,7 +143,7 @@ def read_calibration(
 
 def for_width(camera: Camera, width: int) -> Camera:
     """Return one of `KNOWN_CAMERAS` for frames that are resampled to this width, px."""
-    return camera.scaled(width / KNOWN_SIZE[1], *KNOWN_SIZE)
+    return camera.scaled(width / KNOWN_CAMERA_SIZE[1], *KNOWN_CAMERA_SIZE)
 
 
 def _sintel_matrix(path: Path) -> np.ndarray:

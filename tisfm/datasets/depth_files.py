@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tisfm.camera import Camera
 from tisfm.errors import InputError
 from tisfm.formats import FormatError, read_image
-from tisfm.formats.image_headers import LARGEST_PICTURE
+from tisfm.formats.image_headers import MAX_IMAGE_PIXELS
 from tisfm.formats.npz import ALLOWED_COMPRESSIONS, DAMAGE_ERRORS
 from tisfm.formats.reading import read_bytes
 
@@ -150,8 +150,8 @@ def _read_npy(name: str, file: IO[bytes], length: int) -> NDArray[Any]:
 
 
 def _check_map(name: str, shape: tuple[int, ...], dtype: np.dtype) -> None:
-    if len(shape) == 2 and math.prod(shape) > LARGEST_PICTURE:
-        raise FormatError(f"{name} holds {shape}, expected at most {LARGEST_PICTURE} values")
+    if len(shape) == 2 and math.prod(shape) > MAX_IMAGE_PIXELS:
+        raise FormatError(f"{name} holds {shape}, expected at most {MAX_IMAGE_PIXELS} values")
     if len(shape) != 2 or min(shape) < 1:
         raise FormatError(f"{name} holds {shape}, expected a disparity map, (H, W)")
     if dtype.kind != "f" and dtype not in (np.uint8, np.uint16):

@@ -21,7 +21,7 @@ from tisfm.datasets.calibration import (
 from tisfm.datasets.depth_files import MILLIMETRES, read_depth, read_disparity, reproject_depth
 from tisfm.datasets.pose_files import motion_between, read_pose, read_pose_row
 from tisfm.formats import FormatError, read_flo, read_image, read_kitti_flow
-from tisfm.metrics.valid_pixels import UNKNOWN_ABOVE
+from tisfm.metrics.valid_pixels import MAX_KNOWN_VALUE
 
 # Motion of the scene from the left to the right view; the baseline is unknown, and counts as 1.
 _STEREO_TRANSLATION = (-1.0, 0.0, 0.0)
@@ -213,7 +213,7 @@ class DatasetPair:
             return np.stack([-disparity, nothing], axis=2)
         flow = read_flo(path)
         # NaN compares as false, so it counts as unknown.
-        known = (np.abs(flow) <= UNKNOWN_ABOVE).all(axis=2)
+        known = (np.abs(flow) <= MAX_KNOWN_VALUE).all(axis=2)
         flow[~known] = np.nan
         return flow
 

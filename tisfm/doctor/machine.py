@@ -9,7 +9,7 @@ from pathlib import Path
 from tisfm.doctor.control_groups import group_limits
 from tisfm.doctor.finding import Finding
 from tisfm.doctor.trials import TrialResults
-from tisfm.machine.kernel_cache import LOCK, STALE, cache_folder
+from tisfm.machine.kernel_cache import LOCK, STALE_LOCK_AGE, cache_folder
 from tisfm.machine.memory import limit
 from tisfm.threads import usable_cores
 
@@ -110,7 +110,7 @@ def about_cache() -> Iterator[Finding]:
         age = time.time() - (folder / LOCK).stat().st_mtime
     except OSError:
         return
-    if age > STALE:
+    if age > STALE_LOCK_AGE:
         yield Finding(
             "Cache lock",
             "warning",

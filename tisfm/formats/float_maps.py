@@ -18,7 +18,7 @@ TAG = 202021.25
 """First float32 of .flo, .dpt and Sintel's .cam files, by which readers check the type of the file
 and the byte order. Its little-endian bytes read "PIEH"."""
 
-LARGEST_SIDE = 99_999
+MAX_SIDE = 99_999
 """Largest width and height, px. Middlebury's readers of .flo files and Sintel's readers of .dpt
 files take a larger one for a damaged header."""
 
@@ -51,10 +51,10 @@ def read_tagged(
             f"{name} is cut off in its header: {len(data)} of {_HEADER.size} bytes are there"
         )
     _, width, height = _HEADER.unpack_from(data)
-    if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE):
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
         raise FormatError(
             f"{name} has an impossible size in its header: width {width}, height {height}, "
-            f"expected 1 to {LARGEST_SIDE}"
+            f"expected 1 to {MAX_SIDE}"
         )
     expected = _HEADER.size + 4 * channels * width * height
     if len(data) != expected:
@@ -86,11 +86,11 @@ def write_tagged(
     """
     array = as_real(name, values)
     inner = (channels,) if channels > 1 else ()
-    possible = all(1 <= side <= LARGEST_SIDE for side in array.shape[:2])
+    possible = all(1 <= side <= MAX_SIDE for side in array.shape[:2])
     if array.ndim != 2 + len(inner) or array.shape[2:] != inner or not possible:
         shape = f"(H, W, {channels})" if inner else "(H, W)"
         raise InputError(
-            f"{name} is {array.shape}, expected {shape} with H and W from 1 to {LARGEST_SIDE}"
+            f"{name} is {array.shape}, expected {shape} with H and W from 1 to {MAX_SIDE}"
         )
     height, width = array.shape[:2]
     with atomic_write(path) as file:
@@ -179,10 +179,10 @@ def write_flo(path: str | os.PathLike[str], flow: ArrayLike) -> None:
 
 def require_writable_flow(name: str, height: int, width: int) -> None:
     """Raise ValueError if the frame `name` is too large for a .flo file of its flow."""
-    if max(height, width) > LARGEST_SIDE:
+    if max(height, width) > MAX_SIDE:
         raise InputError(
             f"{name} is {height} × {width} px, but its flow goes into a .flo file, whose sides are "
-            f"at most {LARGEST_SIDE} px: scale the frames down"
+            f"at most {MAX_SIDE} px: scale the frames down"
         )
 
 

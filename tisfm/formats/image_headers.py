@@ -15,7 +15,7 @@ from PIL import Image
 from tisfm.formats.png import SIGNATURE
 from tisfm.formats.reading import FormatError
 
-LARGEST_PICTURE = 2**28
+MAX_IMAGE_PIXELS = 2**28
 """Pixels beyond which no image is read: a damaged file of kilobytes may state any number."""
 
 PILLOW_FORMATS = ("BMP", "JPEG", "JPEG2000", "PNG", "PPM", "TIFF", "WEBP")
@@ -64,14 +64,14 @@ def refuse_large_image(
     data: bytes,  # the whole file
     pixels: int | None = None,  # number of pixels; read from the header of the file if not given
 ) -> None:
-    """Raise FormatError for an image of more than `LARGEST_PICTURE` pixels."""
+    """Raise FormatError for an image of more than `MAX_IMAGE_PIXELS` pixels."""
     pixels = _stated_pixels(data) if pixels is None else pixels
     if pixels is None and data.startswith(FLOAT_SIGNATURES):
         # OpenCV may take other numbers in the file for its size.
         raise FormatError(f"{name} is damaged: it states no size")
-    if pixels is not None and pixels > LARGEST_PICTURE:
+    if pixels is not None and pixels > MAX_IMAGE_PIXELS:
         raise FormatError(
-            f"{name} is a picture of {pixels} pixels, more than {LARGEST_PICTURE}: it is damaged, "
+            f"{name} is a picture of {pixels} pixels, more than {MAX_IMAGE_PIXELS}: it is damaged, "
             "or has to be shrunk"
         )
 

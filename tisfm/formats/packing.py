@@ -26,7 +26,7 @@ SIGNIFICANT_BITS = 12
 """Bits that are kept of a number without a step."""
 
 _DROPPED_BITS = 24 - SIGNIFICANT_BITS  # float32 has 24 significant bits
-_LEVEL = 1  # of ISA-L's levels 0 to 3
+_COMPRESSION_LEVEL = 1  # of ISA-L's levels 0 to 3
 _MAX_STEPS = 2.0**30  # largest value in steps: it fits int32
 _MAX_FLOAT = 3e38  # rounding a larger float32 may give infinity
 _FIXED_POINT_TYPES = ("int16", "int32")
@@ -184,7 +184,9 @@ def _compress(integers: NDArray[np.integer], row_axis: int) -> NDArray[np.uint8]
             for plane, part in zip(planes, _byte_planes(codes), strict=True):
                 plane[number, first : first + len(codes)] = part
     used = max(1, -(-largest.bit_length() // 8))
-    return np.frombuffer(isal_zlib.compress(planes[:used].reshape(-1), _LEVEL), np.uint8)
+    return np.frombuffer(
+        isal_zlib.compress(planes[:used].reshape(-1), _COMPRESSION_LEVEL), np.uint8
+    )
 
 
 def _encode_rows(image: NDArray[Any], first: int, codes: NDArray[Any]) -> None:

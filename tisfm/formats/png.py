@@ -22,7 +22,7 @@ _COLOUR = 2  # colour type of the header
 _UP = 2  # filter type: every byte less the byte above it
 # Of ISA-L's levels 0 to 3: its files are a fifth smaller than those of level 0, and hardly larger
 # than those of 2 and 3.
-_LEVEL = 1
+_COMPRESSION_LEVEL = 1
 _MAX_CHUNK = 2**30  # bytes; the format allows 2³¹ - 1
 
 
@@ -45,7 +45,7 @@ def encode_png(
     yield from _chunk(b"IHDR", struct.pack(">IIBBBBB", *header))
     for keyword, text in (texts or {}).items():
         yield from _chunk(b"tEXt", f"{keyword}\0{text}".encode("ascii"))
-    pixels = isal_zlib.compress(_filter_rows(image), _LEVEL)
+    pixels = isal_zlib.compress(_filter_rows(image), _COMPRESSION_LEVEL)
     for start in range(0, len(pixels), _MAX_CHUNK):
         yield from _chunk(b"IDAT", pixels[start : start + _MAX_CHUNK])
     yield from _chunk(b"IEND", b"")

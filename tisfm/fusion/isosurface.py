@@ -8,7 +8,7 @@ from tisfm.fusion.signed_distance import Blocks, DistanceField, block_coordinate
 
 # Truncation distances, set by hand: a cell in which the distance changes by more has no surface,
 # but a depth discontinuity.
-STEEPEST = 1.0
+MAX_DISTANCE_CHANGE = 1.0
 # Truncation distances: smaller magnitudes are enlarged to this one, so that every vertex lies on
 # one edge of a cell, and not on a voxel.
 _MIN_DISTANCE = 1 / 1024
@@ -106,7 +106,7 @@ def _cells(values: NDArray[np.float32]) -> NDArray[np.bool_]:
         np.minimum(least, corner, out=least)
         np.maximum(most, corner, out=most)
     cells = np.zeros(values.shape, bool)
-    cells[:, :8, :8, :8] = (least < 0) & (most >= 0) & (most - least < STEEPEST)
+    cells[:, :8, :8, :8] = (least < 0) & (most >= 0) & (most - least < MAX_DISTANCE_CHANGE)
     return cells
 
 

@@ -16,7 +16,7 @@ from tisfm.formats.glb import glb_surface
 from tisfm.fusion.depth_views import DepthView, PosedViews, check_positive
 from tisfm.fusion.isosurface import extract_surface
 from tisfm.fusion.signed_distance import (
-    MOST_BLOCKS,
+    MAX_BLOCKS,
     DistanceField,
     VoxelTooSmallError,
     integrate_views,
@@ -101,11 +101,12 @@ class Mesh:
 
 # Defaults, set by hand:
 VOXEL_PIXELS = 2.0  # edge of a voxel, px at the median depth
-VOXEL_DEVIATIONS = 0.5  # least edge of a voxel, median deviations of depth: finer ones show noise
+# Least edge of a voxel, median deviations of depth: finer ones show noise.
+MIN_VOXEL_DEVIATIONS = 0.5
 TRUNCATION_VOXELS = 4.0  # truncation distance, voxels
-TRUNCATION_DEVIATIONS = 3.0  # least truncation distance, median deviations of depth
+MIN_TRUNCATION_DEVIATIONS = 3.0  # least truncation distance, median deviations of depth
 UNSEEN_GREY = 128  # grey level of vertices that no view shows
-_ENLARGEMENT = 1.1  # least factor by which voxels grow if the default is too small
+_MIN_ENLARGEMENT = 1.1  # least factor by which voxels grow if the default is too small
 
 
 def fused_mesh(
@@ -182,12 +183,12 @@ def _field(
     deviation = float(np.median([seen.deviation for seen in views.seen]))
     if voxel is None:
         pixel = float(np.median([seen.depth / seen.focal for seen in views.seen]))
-        side = max(VOXEL_PIXELS * pixel, VOXEL_DEVIATIONS * deviation)
+        side = max(VOXEL_PIXELS * pixel, MIN_VOXEL_DEVIATIONS * deviation)
     else:
         side = voxel / views.unit
     while True:
         if truncation is None:
-            reach = max(TRUNCATION_VOXELS * side, TRUNCATION_DEVIATIONS * deviation)
+            reach = max(TRUNCATION_VOXELS * side, MIN_TRUNCATION_DEVIATIONS * deviation)
         else:
             reach = truncation / views.unit
         try:
@@ -195,11 +196,11 @@ def _field(
         except VoxelTooSmallError as error:
             if voxel is not None:
                 raise InputError(
-                    f"voxel is {voxel:g}: the surface would need more than {MOST_BLOCKS} blocks of "
+                    f"voxel is {voxel:g}: the surface would need more than {MAX_BLOCKS} blocks of "
                     f"8×8×8 voxels, the most that is kept in memory; give at least "
                     f"{1.05 * error.larger * voxel:.2g}, or a smaller max_depth"
                 ) from None
-            side *= max(_ENLARGEMENT, error.larger)
+            side *= max(_MIN_ENLARGEMENT, error.larger)
 
 
 def _colors(views: PosedViews, vertices: NDArray[np.float64], near: float) -> NDArray[np.uint8]:

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from tisfm import runtime
 from tisfm.checks import Floats, whole
 from tisfm.fusion.depth_views import DepthView, PosedDepth, PosedViews, ViewSummary, check_positive
-from tisfm.point_cloud import FARTHEST_MEDIANS, PointCloud
+from tisfm.point_cloud import MAX_MEDIAN_DEPTHS, PointCloud
 
 # Bounds of the difference of two views (`_differences`), set by hand:
-NEAR = 0.7  # views with a smaller difference see much of the same surface
-FARTHEST = 1.5  # views with a larger difference see hardly any of it
+SIMILAR_DIFFERENCE = 0.7  # views with a smaller difference see much of the same surface
+MAX_DIFFERENCE = 1.5  # views with a larger difference see hardly any of it
 
 
 def choose_neighbours(
@@ -23,15 +23,15 @@ def choose_neighbours(
 ) -> list[int]:
     """Return other views that see the same surface as a view, the most similar ones first.
 
-    Of the similar views (difference up to `NEAR`), `count` are chosen evenly from the most to the
-    least similar one: neighbours in time alone may share the same errors. If there are fewer, the
-    views up to `FARTHEST` follow.
+    Of the similar views (difference up to `SIMILAR_DIFFERENCE`), `count` are chosen evenly from
+    the most to the least similar one: neighbours in time alone may share the same errors. If there
+    are fewer, the views up to `MAX_DIFFERENCE` follow.
     """
     difference = _differences(seen[n], seen)
     difference[n] = math.inf
     order = np.argsort(difference, kind="stable")
-    usable = min(count, np.count_nonzero(difference <= FARTHEST))
-    near = order[: max(usable, np.count_nonzero(difference <= NEAR))]
+    usable = min(count, np.count_nonzero(difference <= MAX_DIFFERENCE))
+    near = order[: max(usable, np.count_nonzero(difference <= SIMILAR_DIFFERENCE))]
     chosen = np.linspace(0, len(near) - 1, min(count, len(near))).round().astype(int)
     return [int(near[k]) for k in chosen]
 
@@ -58,10 +58,10 @@ def _differences(view: ViewSummary, seen: Sequence[ViewSummary]) -> Floats:
     return np.where(at_point, math.inf, difference)
 
 
-NEIGHBOURS = 8
+NEIGHBOUR_COUNT = 8
 """Number of views that a view is compared with. Set by hand."""
 
-TOLERANCE = 3.0
+MAX_DEVIATIONS = 3.0
 """Difference of inverse depth, in combined standard deviations, up to which two views agree."""
 
 
@@ -77,7 +77,7 @@ def fused_points(
     max_relative_std: float = 0.05,
     # depth beyond this multiple of the median depth of its view is not used;
     # None for no bound
-    max_depth: float | None = FARTHEST_MEDIANS,
+    max_depth: float | None = MAX_MEDIAN_DEPTHS,
     # Edge of cubes, in the unit of the poses: the points of a cube are replaced by their mean,
     # weighted by precision. By default all points are kept, about one for each pixel of the view
     # that shows the surface best.
@@ -100,13 +100,13 @@ def fused_points(
     if voxel is not None:
         check_positive(voxel, "voxel")
     read = PosedViews(
-        views, max_relative_std=max_relative_std, max_depth=max_depth, held=2 * NEIGHBOURS + 1
+        views, max_relative_std=max_relative_std, max_depth=max_depth, held=2 * NEIGHBOUR_COUNT + 1
     )
     runtime.start()
     needed = min(agreeing, len(read))
     found = _PointList()
     for n, view in enumerate(read):
-        others = [read[other] for other in choose_neighbours(n, read.seen, NEIGHBOURS)]
+        others = [read[other] for other in choose_neighbours(n, read.seen, NEIGHBOUR_COUNT)]
         found.add(*_points_of(view, others, found.shown_by(view), needed))
     if voxel is not None:
         found.thin(voxel / read.unit)
@@ -152,7 +152,7 @@ class _PointList:
                 view.deviation,
                 shown,
                 projection=view.to_pixels.astype(np.float32),
-                tolerance=TOLERANCE,
+                tolerance=MAX_DEVIATIONS,
             )
         return shown > 0
 
@@ -193,7 +193,7 @@ def _points_of(
             sums,
             colors,
             projection=view.projection_to(other).astype(np.float32),
-            tolerance=TOLERANCE,
+            tolerance=MAX_DEVIATIONS,
         )
     agree, through = sums[..., 2], sums[..., 3]
     kept = wanted & (agree + 1 >= needed) & (through < agree + 1)

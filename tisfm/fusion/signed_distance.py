@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from tisfm.checks import Floats
 from tisfm.fusion.depth_views import PosedDepth, PosedViews
 
-MOST_BLOCKS = 150_000  # blocks of a field, 6 KB each: 0.9 GB
-MOST_CANDIDATES = 16 * MOST_BLOCKS  # blocks while views are counted, 12 bytes each
+MAX_BLOCKS = 150_000  # blocks of a field, 6 KB each: 0.9 GB
+MAX_CANDIDATES = 16 * MAX_BLOCKS  # blocks while views are counted, 12 bytes each
 # Sampling of a view's rays for the blocks near its surface; set by hand:
 _BAND_ROWS = 64  # rows of sampled pixels that are processed at a time
 _SAMPLES_PER_BLOCK = 3  # least number of pixels sampled across a block in the image
@@ -95,15 +95,15 @@ def _blocks(views: PosedViews, voxel: float, truncation: float, agreeing: int) -
         new = np.searchsorted(both, near)
         counted[new] += 1
         numbers, count = both, counted
-        if len(numbers) > MOST_CANDIDATES:
+        if len(numbers) > MAX_CANDIDATES:
             kept = count >= min(agreeing, 2)
             kept[new] = True  # later views may add to their counts
             numbers, count = numbers[kept], count[kept]
-        if len(numbers) > MOST_CANDIDATES:
-            raise VoxelTooSmallError(np.sqrt(len(numbers) / MOST_BLOCKS))
+        if len(numbers) > MAX_CANDIDATES:
+            raise VoxelTooSmallError(np.sqrt(len(numbers) / MAX_BLOCKS))
     numbers = numbers[count >= agreeing]
-    if len(numbers) > MOST_BLOCKS:
-        raise VoxelTooSmallError(np.sqrt(len(numbers) / MOST_BLOCKS))
+    if len(numbers) > MAX_BLOCKS:
+        raise VoxelTooSmallError(np.sqrt(len(numbers) / MAX_BLOCKS))
     return numbers
 
 

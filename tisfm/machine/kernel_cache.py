@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 LOCK, _LIST = "ticache.lock", "ticache.tcb"
-STALE = 120.0  # s; it is held while the list of kernels is read or written, for less than one
+# s: a lock file this old is left over, as the list of kernels is locked for less than 1 s.
+STALE_LOCK_AGE = 120.0
 _TURN_FILE = "tisfm.turn"  # locked by the process that writes kernels
-_LONGEST_WAIT = 5.0  # s, for that lock; set by hand
-_PAUSE = 0.02  # s, between attempts to lock it; set by hand
+_MAX_LOCK_WAIT = 5.0  # s, for that lock; set by hand
+_LOCK_RETRY_INTERVAL = 0.02  # s, between attempts to lock it; set by hand
 
 
 def cache_options() -> dict[str, Any]:
@@ -54,12 +55,12 @@ def _take_turn(folder: Path) -> None:
         return
     with contextlib.suppress(OSError):  # the folder is gone, or has no locks
         file = os.open(folder / _TURN_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-        end = time.monotonic() + _LONGEST_WAIT
+        end = time.monotonic() + _MAX_LOCK_WAIT
         while time.monotonic() < end:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                time.sleep(_PAUSE)
+                time.sleep(_LOCK_RETRY_INTERVAL)
             else:
                 break
 
@@ -88,7 +89,7 @@ def remove_stale_lock(
         made = lock.stat().st_mtime
     except FileNotFoundError:
         return
-    if time.time() - made < STALE:
+    if time.time() - made < STALE_LOCK_AGE:
         return
     listed = folder / _LIST
     if not listed.exists() or listed.stat().st_mtime < made:

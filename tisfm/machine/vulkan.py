@@ -15,7 +15,7 @@ _INSTANCE_CREATE_INFO = 1  # VK_STRUCTURE_TYPE_INSTANCE_CREATE_INFO
 _SCORES = {1: 500, 2: 1000}  # of integrated and discrete GPUs, as Taichi ranks devices
 _CPU = 4  # VK_PHYSICAL_DEVICE_TYPE_CPU
 _WIDE_LINES = 15  # index of this feature in VkPhysicalDeviceFeatures
-_MOST_DEVICES = 64
+_MAX_DEVICES = 64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,8 +90,8 @@ def vulkan_devices() -> list[VulkanDevice]:
     if library.vkCreateInstance(ctypes.byref(about), None, ctypes.byref(instance)) != _SUCCESS:
         return []
     try:
-        count = ctypes.c_uint32(_MOST_DEVICES)
-        handles = (ctypes.c_void_p * _MOST_DEVICES)()
+        count = ctypes.c_uint32(_MAX_DEVICES)
+        handles = (ctypes.c_void_p * _MAX_DEVICES)()
         answer = library.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), handles)
         if answer not in (_SUCCESS, _INCOMPLETE):
             return []

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.checks import unmasked
 from tisfm.errors import InputError
 
-_SAME_POINT = 1e-12  # of the largest coordinate: points that spread less count as one point
+_MIN_SPREAD = 1e-12  # of the largest coordinate: points that spread less count as one point
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,7 +85,7 @@ def align(points: ArrayLike, truth: ArrayLike, *, with_scale: bool = True) -> Si
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
     rotation = u * signs @ vt
     spread = float(np.square(left).sum(axis=1).mean())
-    is_point = spread <= (_SAME_POINT * np.abs(source).max()) ** 2
+    is_point = spread <= (_MIN_SPREAD * np.abs(source).max()) ** 2
     scale = float(values @ signs / spread) if with_scale and not is_point else 1.0
     return Similarity(scale=scale, rotation=rotation, translation=goal - scale * rotation @ centre)
 

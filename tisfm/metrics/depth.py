@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import unmasked
 from tisfm.errors import InputError
-from tisfm.metrics.depth_sequence import FARTHEST, NEAREST
+from tisfm.metrics.depth_sequence import MAX_DEPTH_RATIO, MIN_DEPTH_RATIO
 from tisfm.metrics.valid_pixels import is_known, mask_or_all
 
 
@@ -107,7 +107,7 @@ def depth_errors(
     """
     d, true, valid, known, scale = _depths(depth, truth, mask, align)
     all_true = true[known]
-    nearest, farthest = NEAREST * all_true.min(), FARTHEST * all_true.max()
+    nearest, farthest = MIN_DEPTH_RATIO * all_true.min(), MAX_DEPTH_RATIO * all_true.max()
     everywhere = np.where(valid, d, farthest)[known].clip(nearest, farthest)
     d, true = d[valid], true[valid]
     log_ratio = np.log(d) - np.log(true)

@@ -10,9 +10,9 @@ from tisfm.metrics.valid_pixels import is_known
 # Definitions of these measures, set by hand:
 CERTAIN_SHARE = 0.4  # share of the pixels, those of the smallest relative deviation
 MAX_ERROR = 3.0  # relative error to which the error of a pixel is limited
-SAME_SURFACE = 0.02  # relative difference of two depths up to which they count as one point
-NEAREST = 0.1  # of the smallest true depth: lower limit of an estimate
-FARTHEST = 10.0  # of the largest true depth: upper limit of an estimate
+MAX_DEPTH_DIFFERENCE = 0.02  # relative difference of two depths up to which they count as one point
+MIN_DEPTH_RATIO = 0.1  # of the smallest true depth: lower limit of an estimate
+MAX_DEPTH_RATIO = 10.0  # of the largest true depth: upper limit of an estimate
 
 
 def limited_error(inverse_depth: ArrayLike, truth: ArrayLike, *, scale: float = 1.0) -> float:
@@ -50,10 +50,10 @@ def limited_error(inverse_depth: ArrayLike, truth: ArrayLike, *, scale: float = 
     valid = _valid(inverse)
     if not valid.any():
         return 1.0
-    farthest = FARTHEST * true.max()
+    farthest = MAX_DEPTH_RATIO * true.max()
     depth = np.full(len(true), farthest)
     depth[valid] = scale / inverse[valid]
-    depth = depth.clip(NEAREST * true.min(), farthest)
+    depth = depth.clip(MIN_DEPTH_RATIO * true.min(), farthest)
     return float((np.abs(depth - true) / true).mean())
 
 
@@ -185,7 +185,7 @@ def flicker(
     rows, columns, depth = rows[inside], columns[inside], points[2, inside]
     there = y[inside].astype(np.intp), x[inside].astype(np.intp)
     same = known1[there] & _valid(inverse1[there])
-    same &= np.abs(np.where(same, true1[there], np.inf) - depth) <= SAME_SURFACE * depth
+    same &= np.abs(np.where(same, true1[there], np.inf) - depth) <= MAX_DEPTH_DIFFERENCE * depth
     if not same.any():
         return None
     before = inverse0[rows[same], columns[same]] * true0[rows[same], columns[same]]

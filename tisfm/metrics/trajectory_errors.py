@@ -13,7 +13,7 @@ from tisfm.metrics.alignment import align
 KITTI_LENGTHS = tuple(100.0 * k for k in range(1, 9))
 """Lengths of the segments of KITTI's odometry benchmark, m."""
 
-KITTI_EVERY = 10
+KITTI_START_INTERVAL = 10
 """Frames between the starts of segments, as in that benchmark."""
 
 LENGTH_SHARES = tuple(0.1 * k for k in range(1, 9))
@@ -299,7 +299,7 @@ def drift(
     elif not all(np.isfinite(length) and length > 0 for length in lengths):
         raise InputError(f"lengths are {list(lengths)}: expected positive numbers")
     if every is None:
-        every = 1 if short else KITTI_EVERY
+        every = 1 if short else KITTI_START_INTERVAL
     whole(1, every=every)
     begins = np.arange(0, len(known), every)
     translations, rotations = [], []

@@ -6,14 +6,14 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.checks import unmasked_mask
 from tisfm.errors import InputError
 
-UNKNOWN_ABOVE = 1e9
+MAX_KNOWN_VALUE = 1e9
 """Magnitude above which a true value stands for an unknown one, as in Middlebury's .flo files."""
 
 
 def is_known(truth: NDArray) -> NDArray[np.bool_]:
     """Return where a ground truth is known."""
     # NaN compares as false, so it counts as unknown.
-    return np.abs(truth) <= UNKNOWN_ABOVE
+    return np.abs(truth) <= MAX_KNOWN_VALUE
 
 
 def mask_or_all(mask: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:

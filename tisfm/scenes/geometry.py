@@ -12,7 +12,7 @@ from tisfm.errors import InputError
 from .texture import Texture
 
 # Depth of a plane, in scene units, beyond which a ray counts as a miss: grazing rays stay finite.
-FARTHEST_SURFACE = 1e9
+MAX_PLANE_DEPTH = 1e9
 # Margin of the bounds of a box, as a share of its largest coordinate: far more than rounding.
 BOUNDS_MARGIN = 1e-6
 # Factors of the grey level of a box's faces -X +X -Y +Y -Z +Z: the top is light, one side dark.
@@ -81,7 +81,7 @@ class Plane:
 
     def _hit(self, origin: Floats, ray: Floats) -> Floats:
         depth = -origin[2] / ray[2]
-        return np.where((depth > 0) & (depth < FARTHEST_SURFACE), depth, np.inf)
+        return np.where((depth > 0) & (depth < MAX_PLANE_DEPTH), depth, np.inf)
 
     def _grey(self, at: Floats, ray: Floats, footprint: Floats) -> NDArray:
         return self.texture._grey(at[0], at[1], footprint / np.sqrt(np.abs(ray[2])))

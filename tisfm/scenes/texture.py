@@ -14,7 +14,7 @@ from tisfm.errors import InputError
 # copies of it. All strengths are set by hand.
 TILE = 512  # samples along each side of the tile
 SAMPLES_PER_WAVE = 16
-STRENGTHS = (
+OCTAVE_STRENGTHS = (
     0.09,
     0.16,
     0.55,
@@ -132,7 +132,9 @@ class Texture:
             if wavelength / finest <= 2:  # it is left out at every point
                 return 0.0
             kept = np.clip(wavelength / footprint - 2, 0, 1).astype(np.float32)
-            strength = STRENGTHS[min(octave, len(STRENGTHS) - 1)] if octave >= 0 else 1.0
+            strength = (
+                OCTAVE_STRENGTHS[min(octave, len(OCTAVE_STRENGTHS) - 1)] if octave >= 0 else 1.0
+            )
             return strength * kept * kept * (3 - 2 * kept) * _noise(*at, wavelength, draw)
 
         # Bending the blotches by the longest wave gives the veins of marble.

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 # Numbers set by hand.
 _WHEEL_PIXELS = 400  # width of the colour wheel beside a picture, px
-_DIMMED = 0.6  # brightness of a frame under arrows, as a share
+_FRAME_BRIGHTNESS = 0.6  # brightness of a frame under arrows, as a share
 _ARROW_SPACING = 0.17  # inches, in a panel of the size that `panel_size` gives
 _ARROW_LENGTH = 2.0  # of a motion as long as the limit, in spacings
 _MAX_ARROW = 3.0  # longest arrow, in limits
@@ -169,7 +169,7 @@ def arrow_scale(
 def _dimmed(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return a picture as dark grey levels, on which bright arrows are visible."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
-    return np.rint(grey * np.float32(_DIMMED)).astype(np.uint8)
+    return np.rint(grey * np.float32(_FRAME_BRIGHTNESS)).astype(np.uint8)
 
 
 def _draw_wheel(axes: Axes, limit: float, sizes: Sizes) -> None:

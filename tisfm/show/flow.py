@@ -22,7 +22,7 @@ _HUE_STEPS = (
     ((0, 0, 255), 13),  # blue to magenta
     ((255, 0, 255), 6),  # magenta to red
 )
-_BEYOND = 0.75  # brightness of motion beyond the limit, as in the benchmark
+_BRIGHTNESS_BEYOND_LIMIT = 0.75  # brightness of motion beyond the limit, as in the benchmark
 
 
 class Arrows(NamedTuple):
@@ -161,7 +161,7 @@ def flow_to_color(
     # With a limit of 0, motion is either zero or beyond the limit.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         share = np.where(radius > 0, np.minimum(radius / top, 2), 0)[..., None].astype(np.float32)
-    last = hue * np.float32(_BEYOND) if beyond == "darker" else hue
+    last = hue * np.float32(_BRIGHTNESS_BEYOND_LIMIT) if beyond == "darker" else hue
     color = np.where(share <= 1, 255 - share * (255 - hue), last)
     color[~known] = 0
     return np.rint(color).astype(np.uint8)

@@ -9,8 +9,8 @@ from tisfm.errors import InputError, InputTypeError
 from tisfm.show.arrays import as_image, as_uint8, require_same_size
 from tisfm.show.palette import category_colors, colors_of_categories
 
-_COVER = 0.55  # share of the colour of a label over the picture; set by hand
-_WIDTH_OF_THIN_LINE = 400  # px, width of a picture with outlines of 1 px; set by hand
+_LABEL_OPACITY = 0.55  # share of the colour of a label over the picture; set by hand
+_THIN_LINE_WIDTH = 400  # px, width of a picture with outlines of 1 px; set by hand
 
 
 def label_colors(count: int) -> NDArray[np.uint8]:
@@ -88,7 +88,7 @@ def label_overlay(image: ArrayLike, labels: ArrayLike) -> NDArray[np.uint8]:
     shown = np.repeat(grey.astype(np.float32)[..., None], 3, axis=2)
     own = label > 0
     colors = colors_of_categories(label[own])
-    shown[own] += np.float32(_COVER) * (colors - shown[own])
+    shown[own] += np.float32(_LABEL_OPACITY) * (colors - shown[own])
     shown[_boundaries(label)] = 255
     return np.rint(shown).astype(np.uint8)
 
@@ -98,5 +98,5 @@ def _boundaries(labels: NDArray[np.integer]) -> NDArray[np.bool_]:
     edge = np.zeros(labels.shape, np.uint8)
     edge[:, 1:] |= labels[:, 1:] != labels[:, :-1]
     edge[1:] |= labels[1:] != labels[:-1]
-    width = max(1, round(labels.shape[1] / _WIDTH_OF_THIN_LINE))
+    width = max(1, round(labels.shape[1] / _THIN_LINE_WIDTH))
     return cv2.dilate(edge, np.ones((width, width), np.uint8)).astype(bool)

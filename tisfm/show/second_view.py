@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.errors import InputError
 from tisfm.show.arrays import as_image, as_map, is_depth, require_same_size
 
-_SAME_SURFACE = 1  # px: shifts that differ by at most this are of one depth; set by hand
+_MAX_SURFACE_DIFFERENCE = 1  # px: shifts that differ by at most this are of one depth; set by hand
 
 
 def second_view(
@@ -94,7 +94,7 @@ def _shifts(inverse_depth: NDArray[Any], displacement: float) -> NDArray[np.int3
 
     A pixel that leaves the picture stays a different surface from a pixel just inside.
     """
-    most = inverse_depth.shape[1] + _SAME_SURFACE + 1
+    most = inverse_depth.shape[1] + _MAX_SURFACE_DIFFERENCE + 1
     valid = is_depth(inverse_depth)
     shift = np.zeros_like(inverse_depth)
     with np.errstate(over="ignore"):  # infinity is out of the picture as well
@@ -155,7 +155,7 @@ def _fill_from_behind(source: NDArray[np.int32], shifts: NDArray[np.int32]) -> N
     )
     row = empty // width * width
     behind_before, behind_after = (shifts.reshape(-1)[row + flat[side]] for side in (before, after))
-    alike = np.abs(behind_after - behind_before) <= _SAME_SURFACE
+    alike = np.abs(behind_after - behind_before) <= _MAX_SURFACE_DIFFERENCE
     is_farther = np.where(alike, gap_after < gap_before, behind_after < behind_before)
     takes_after = (gap_before == width) | ((gap_after < width) & is_farther)
     edge = flat[np.where(takes_after, after, before)]
@@ -163,7 +163,7 @@ def _fill_from_behind(source: NDArray[np.int32], shifts: NDArray[np.int32]) -> N
     inside = (mirrored >= 0) & (mirrored < width)
     mirrored = np.where(inside, mirrored, edge)
     depth = shifts.reshape(-1)
-    is_behind = depth[row + mirrored] <= depth[row + edge] + _SAME_SURFACE
+    is_behind = depth[row + mirrored] <= depth[row + edge] + _MAX_SURFACE_DIFFERENCE
     flat[empty] = np.where(nothing, width - 1, np.where(is_behind, mirrored, edge))
     return flat.reshape(height, width)
 

@@ -19,9 +19,9 @@ MAX_DISPARITY = 0.2  # share of the width that eyes can still fuse; set by hand
 
 # Set by hand.
 _UPSAMPLING = 2  # columns per pixel: views shift by half pixels, and edges are smooth
-_EDGE = 0.02  # change of nearness, in [0, 1], between neighbours at an edge of depth
-_SOFT_EDGE = 3  # px: soft edges of objects shift with the object
-_MIN_KEPT = 0.5  # share of the picture that is kept when its border is cut off
+_MIN_EDGE_CHANGE = 0.02  # change of nearness, in [0, 1], between neighbours at an edge of depth
+_SOFT_EDGE_WIDTH = 3  # px: soft edges of objects shift with the object
+_MIN_KEPT_SHARE = 0.5  # share of the picture that is kept when its border is cut off
 
 
 def stereo_view(
@@ -200,11 +200,11 @@ def _view_beside(picture: NDArray[np.uint8], parallax: _Parallax, eye: float) ->
     wide = cv2.resize(
         picture, size, interpolation=cv2.INTER_NEAREST
     )  # so that unshifted parts stay sharp
-    near = cv2.dilate(parallax.near, np.ones((_SOFT_EDGE, _SOFT_EDGE), np.uint8))
+    near = cv2.dilate(parallax.near, np.ones((_SOFT_EDGE_WIDTH, _SOFT_EDGE_WIDTH), np.uint8))
     depth = cv2.resize(near, size, interpolation=cv2.INTER_LINEAR)
     # Interpolated depth at an edge belongs to neither side.
     nearest = cv2.resize(near, size, interpolation=cv2.INTER_NEAREST)
-    depth = np.where(np.abs(depth - nearest) < _EDGE, depth, nearest)
+    depth = np.where(np.abs(depth - nearest) < _MIN_EDGE_CHANGE, depth, nearest)
     displacement = _UPSAMPLING * parallax.shift * eye
     seen = second_view(wide, depth, displacement=displacement, fill="behind")
     moved = np.arange(_UPSAMPLING * width) - round(displacement * parallax.screen)
@@ -218,7 +218,7 @@ def _inner_part(picture: NDArray[np.uint8], parallax: _Parallax) -> NDArray[np.u
     margin = math.ceil(parallax.shift * max(parallax.screen, 1 - parallax.screen))
     if margin == 0:
         return picture
-    share = max(_MIN_KEPT, 1 - 2 * margin / width)
+    share = max(_MIN_KEPT_SHARE, 1 - 2 * margin / width)
     size = max(1, round(share * width)), max(1, round(share * height))
     inner = cv2.getRectSubPix(picture, size, ((width - 1) / 2, (height - 1) / 2))
     return np.asarray(cv2.resize(inner, (width, height), interpolation=cv2.INTER_CUBIC))

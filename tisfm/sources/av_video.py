@@ -18,7 +18,7 @@ from tisfm.errors import InputError
 from tisfm.formats import FormatError
 from tisfm.sources.frame_reader import BadFrame, RawFrame, is_selected
 from tisfm.sources.video_checks import (
-    LARGEST_FRAME,
+    MAX_FRAME_PIXELS,
     cut_off_error,
     ends_early,
     lacks_frames,
@@ -31,7 +31,7 @@ from tisfm.sources.video_checks import (
 _TEXT_FORMAT = "tty"  # FFmpeg renders a text file as a video
 _PLAYLIST_FORMATS = ("concat", "dash", "hls", "imf", "sdp")  # they name other files
 # For decoders: a stream may have frames of another size than its container states.
-_LIMITS = {"max_pixels": str(LARGEST_FRAME)}
+_LIMITS = {"max_pixels": str(MAX_FRAME_PIXELS)}
 _STILL_IMAGES = Disposition.attached_pic | Disposition.timed_thumbnails  # such as a cover
 _HOURS = re.compile(r"(\d+):(\d+):(\d+(?:\.\d+)?)")  # hours:minutes:seconds
 
@@ -45,7 +45,7 @@ class AvVideo:
     Raises ValueError if the file has no frame that PyAV can decode.
 
     Raises tisfm.formats.FormatError: a ValueError: if it is a playlist, or its frames are larger
-    than `LARGEST_FRAME`.
+    than `MAX_FRAME_PIXELS`.
     """
 
     names: tuple[str, ...] | None = None

@@ -6,14 +6,14 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, TypeVar
 
-AHEAD = 2  # items beside the one in use; more items would only take memory
+READ_AHEAD_COUNT = 2  # items beside the one in use; more items would only take memory
 T = TypeVar("T")
 _END = object()
 
 
 def read_ahead(
     items: Generator[T, None, None],  # it is closed at the end, also if the consumer stops early
-    count: int = AHEAD,  # number of items that are made before the consumer needs them
+    count: int = READ_AHEAD_COUNT,  # number of items that are made before the consumer needs them
 ) -> Generator[T, None, None]:
     """Yield the items of a generator, which runs in a thread.
 

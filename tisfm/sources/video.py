@@ -41,7 +41,7 @@ class OpenCvVideo:
 
     Of several video streams OpenCV reads the first. Frames are resampled to square pixels.
 
-    Raises ValueError if OpenCV cannot decode it, or its frames are larger than `LARGEST_FRAME`.
+    Raises ValueError if OpenCV cannot decode it, or its frames are larger than `MAX_FRAME_PIXELS`.
     """
 
     names: tuple[str, ...] | None = None

@@ -36,21 +36,21 @@ def cut_off_error(path: str, after: str, of: str) -> ValueError:
     )
 
 
-LARGEST_FRAME = 2**26
+MAX_FRAME_PIXELS = 2**26
 """Pixels of a frame beyond which no video is decoded, 8192 × 8192: a damaged file of kilobytes may
 state any size, and decoders hold up to 17 frames at once."""
 
 
 def refuse_large_frames(path: str, width: int, height: int) -> None:
-    """Raise FormatError for frames of more than `LARGEST_FRAME` pixels."""
-    if width * height > LARGEST_FRAME:
+    """Raise FormatError for frames of more than `MAX_FRAME_PIXELS` pixels."""
+    if width * height > MAX_FRAME_PIXELS:
         raise FormatError(
-            f"{path} has frames of {width} × {height} px, more than {LARGEST_FRAME} pixels: it is "
-            "damaged, or has to be shrunk"
+            f"{path} has frames of {width} × {height} px, more than {MAX_FRAME_PIXELS} pixels: "
+            "it is damaged, or has to be shrunk"
         )
 
 
-_LARGEST_ASPECT = 8.0  # files that state more, or less than the inverse, are damaged
+_MAX_ASPECT = 8.0  # files that state more, or less than the inverse, are damaged
 
 
 def square_size(
@@ -60,7 +60,7 @@ def square_size(
     aspect: float,  # Width of a pixel over its height. Values outside 1/8 to 8 count as 1.
 ) -> tuple[int, int]:
     """Return width and height of a frame with square pixels, px; no pixel is lost."""
-    if not 1 / _LARGEST_ASPECT <= aspect <= _LARGEST_ASPECT:
+    if not 1 / _MAX_ASPECT <= aspect <= _MAX_ASPECT:
         return width, height
     return (round(width * aspect), height) if aspect > 1 else (width, round(height / aspect))
 

@@ -12,7 +12,7 @@ from tisfm.sources.frame_reader import RawFrame, is_selected
 
 _WEBCAM = re.compile(r"webcam(?::(\d+))?", re.IGNORECASE)
 # All set by hand:
-_FRESH_WAIT = 0.25  # of a frame interval: a frame that arrives sooner was in the driver's queue
+_MIN_WAIT_RATIO = 0.25  # of a frame interval: a frame that arrives sooner was in the driver's queue
 _DEFAULT_RATE = 30.0  # frames/s, if the driver states no rate
 _MAX_QUEUED = 16  # frames that a driver may queue
 
@@ -51,7 +51,7 @@ class Webcam:
         """Take frames until `chosen.stop`, or forever."""
         capture = self._open()
         rate = capture.get(cv2.CAP_PROP_FPS)
-        fresh = _FRESH_WAIT / (rate if rate > 0 else _DEFAULT_RATE)
+        fresh = _MIN_WAIT_RATIO / (rate if rate > 0 else _DEFAULT_RATE)
         index, first = 0, None
         try:
             while index != chosen.stop:

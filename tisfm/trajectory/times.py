@@ -63,12 +63,12 @@ def time_fault(
     return f"the times of frames go back: {first} is at {before:.9g} s, {second} at {after:.9g} s"
 
 
-FARTHEST = 0.02
+MAX_TIME_DIFFERENCE = 0.02
 """Largest difference of two associated times, s, as in the TUM RGB-D benchmark."""
 
 
 def associate(
-    times: ArrayLike, others: ArrayLike, *, farthest: float = FARTHEST
+    times: ArrayLike, others: ArrayLike, *, farthest: float = MAX_TIME_DIFFERENCE
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Pair the times of two lists that are mutual nearest neighbours.
 

@@ -18,7 +18,7 @@ from tisfm.motion.problems import pyramid_of
 from tisfm.motion.rigid_depth import RigidSolution
 from tisfm.motion.settings import EGOMOTION
 from tisfm.motion.sparse_start import sparse_start
-from tisfm.settings import MOST_SMOOTHNESS, Settings
+from tisfm.settings import MAX_SMOOTHNESS, Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.status import Status
 from tisfm.visibility.occlusion import leaves_image, occlusion_in
@@ -85,7 +85,7 @@ def objects_estimate(
         replace(
             settings,
             depth_smoothness=min(
-                OBJECTS.smoothness_factor * settings.depth_smoothness, MOST_SMOOTHNESS
+                OBJECTS.smoothness_factor * settings.depth_smoothness, MAX_SMOOTHNESS
             ),
         ),
         np.stack([motions[k] for k in order]),

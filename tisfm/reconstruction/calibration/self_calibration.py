@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tisfm.camera import LONGEST, SHORTEST, Camera
+from tisfm.camera import MAX_FOCAL, MIN_FOCAL, Camera
 from tisfm.reconstruction.mapping.database import pycolmap
 from tisfm.reconstruction.mapping.incremental import robust_adjustment
 from tisfm.reconstruction.mapping.models import Model, ViewGraph, find_models
@@ -161,7 +161,7 @@ def _guess_estimate(guess: Camera) -> FocalEstimate:
 
 def _is_possible(focal: float) -> bool:
     """Return whether a camera may have this focal length: an adjustment has no bounds."""
-    return SHORTEST <= focal <= LONGEST
+    return MIN_FOCAL <= focal <= MAX_FOCAL
 
 
 def _log_focal_change(model: Any) -> float:

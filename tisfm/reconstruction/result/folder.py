@@ -21,7 +21,7 @@ from tisfm.errors import InputError
 from tisfm.folders.files import REPORT, TIMINGS
 from tisfm.folders.result_folder import make_subfolder
 from tisfm.formats import FormatError, atomic_write
-from tisfm.formats.image_headers import LARGEST_PICTURE, refuse_large_image
+from tisfm.formats.image_headers import MAX_IMAGE_PIXELS, refuse_large_image
 from tisfm.formats.images import decode
 from tisfm.formats.label_picture import read_label_picture, write_label_png
 from tisfm.formats.npz import NpzFile, write_npz
@@ -276,8 +276,8 @@ def _damage_as_format_error(path: Path) -> Iterator[None]:
 def _shape(values: Any) -> tuple[int, int]:
     """Return height and width of frames; ValueError for other values."""
     height, width = map(int, values)
-    if height < 1 or width < 1 or height * width > LARGEST_PICTURE:
+    if height < 1 or width < 1 or height * width > MAX_IMAGE_PIXELS:
         raise InputError(
-            f"its frames are {height} × {width} px: expected 1 to {LARGEST_PICTURE} px"
+            f"its frames are {height} × {width} px: expected 1 to {MAX_IMAGE_PIXELS} px"
         )
     return height, width
