@@ -198,8 +198,8 @@ def check_pose(
     rotation = matrix[:3, :3]
     if not is_rotation(rotation):
         raise InputError(
-            f"pose holds {rotation.tolist()}, which is not a rotation: expected an orthonormal matrix "
-            "without mirroring"
+            f"pose holds {rotation.tolist()}, which is not a rotation: expected an "
+            "orthonormal matrix without mirroring"
         )
     rotation = nearest_rotation(rotation)  # measured poses are rounded
     from scipy.spatial.transform import Rotation  # slow to import

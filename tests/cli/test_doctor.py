@@ -83,7 +83,7 @@ def test_a_crashing_library_leaves_the_others_examined(tmp_path):
 def test_a_library_that_hangs_is_not_waited_for(tmp_path, monkeypatch):
     write_module_that_hangs(tmp_path, "cv2")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr(trials, "IN_ALL", PATIENCE)
+    monkeypatch.setattr(trials, "TOTAL_LIMIT", PATIENCE)
     hasty = hasty_trial(tmp_path)
     monkeypatch.setattr(examination, "Trial", hasty)
     monkeypatch.setattr(examination, "run_trial", lambda names, limit: trials.results(hasty(names)))

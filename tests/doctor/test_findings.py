@@ -37,14 +37,14 @@ def test_failed_imports_are_reported(tmp_path, monkeypatch):
 def test_a_hanging_library_does_not_block(tmp_path, monkeypatch):
     write_module_that_hangs(tmp_path, "hangs")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr(trials, "IN_ALL", PATIENCE)
+    monkeypatch.setattr(trials, "TOTAL_LIMIT", PATIENCE)
     tried = results(hasty_trial(tmp_path)(["json", "hangs", "csv"]))
     assert tried["hangs"]["error"].startswith("it did not end within")
     assert "error" not in tried["json"] and "error" not in tried["csv"]
     clock = SimpleNamespace(monotonic=itertools.count(0.0, 10.0).__next__)
     monkeypatch.setattr(trials, "time", clock)  # each look counts 10 s, and takes no time
     for limit, in_all in ((35.0, 10 * PATIENCE), (10 * PATIENCE, 35.0)):
-        monkeypatch.setattr(trials, "IN_ALL", in_all)
+        monkeypatch.setattr(trials, "TOTAL_LIMIT", in_all)
         assert "did not end within" in run_trial(["hangs"], limit=limit)["hangs"]["error"]
     tried = run_trial(["hangs", "csv"])
     assert tried["csv"]["error"].startswith(("it was not tried: others took", "it did not end"))
@@ -57,7 +57,7 @@ def test_several_are_tried_at_the_same_time(tmp_path, monkeypatch):
         code += f"while not os.path.exists({str(tmp_path / other)!r}): time.sleep(0.01)"
         (tmp_path / f"{name}.py").write_text(f"import os, time\n{code}")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr(trials, "IN_ALL", PATIENCE)
+    monkeypatch.setattr(trials, "TOTAL_LIMIT", PATIENCE)
     tried = results(Trial(["one"], limit=PATIENCE), Trial(["two"], limit=PATIENCE), Trial([]))
     assert set(tried) == {"one", "two"} and not any("error" in about for about in tried.values())
 

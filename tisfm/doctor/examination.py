@@ -15,42 +15,42 @@ _GPU_LIMIT = 20.0  # s, after which a GPU driver counts as hanging; set by hand
 
 def examine() -> list[Finding]:
     """Return the findings of all examinations; it raises nothing."""
-    base, extras, unread = packages.requirements()
+    base, extras, unread_requirements = packages.requirements()
     modules = [packages.module_of(name) for name in base if name != "taichi"]
     optional = [packages.module_of(name) for found in extras.values() for name in found]
     kernel = Trial(["tisfm", "kernel:default"], limit=_KERNEL_LIMIT)
     imports = Trial([*modules, *optional])
     archs = Trial(["archs", "software_vulkan"], limit=_GPU_LIMIT)
-    tried = results(imports, kernel, archs)
-    started: TrialResults = {}
-    software = machine.software_vulkan_in(tried)
-    for arch in tried["archs"].get("archs", []):
+    trial_results = results(imports, kernel, archs)
+    gpu_results: TrialResults = {}
+    software = machine.software_vulkan_in(trial_results)
+    for arch in trial_results["archs"].get("archs", []):
         if not (arch == "vulkan" and software):
-            started |= run_trial([f"kernel:{arch}"], limit=_GPU_LIMIT)
+            gpu_results |= run_trial([f"kernel:{arch}"], limit=_GPU_LIMIT)
     # The import of Taichi takes longest, so it is not tried a third time: a kernel that ran has
     # imported it. If no kernel ran, another library may be the reason.
-    about_archs = {} if "error" not in tried["kernel:default"] else tried["archs"]
-    tried["taichi"] = {key: value for key, value in about_archs.items() if key == "error"}
-    looks: list[Callable[[], Finding | Iterable[Finding]]] = [
+    arch_results = {} if "error" not in trial_results["kernel:default"] else trial_results["archs"]
+    trial_results["taichi"] = {key: value for key, value in arch_results.items() if key == "error"}
+    examinations: list[Callable[[], Finding | Iterable[Finding]]] = [
         packages.about_python,
-        lambda: packages.about_tisfm(tried, unread),
-        lambda: packages.about_base(base, tried),
+        lambda: packages.about_tisfm(trial_results, unread_requirements),
+        lambda: packages.about_base(base, trial_results),
         packages.about_opencv,
-        lambda: machine.about_kernel(tried),
+        lambda: machine.about_kernel(trial_results),
         machine.about_cores,
         machine.about_memory,
         machine.about_addresses,
         machine.about_cache,
         lambda: machine.about_folder(Path.cwd()),
         machine.about_temporary,
-        lambda: machine.about_gpus(tried, started),
-        lambda: packages.about_extras(extras, tried),
+        lambda: machine.about_gpus(trial_results, gpu_results),
+        lambda: packages.about_extras(extras, trial_results),
     ]
     found: list[Finding] = []
-    for look in looks:
+    for examination in examinations:
         try:
-            seen = look()
-            found += [seen] if isinstance(seen, Finding) else list(seen)
+            result = examination()
+            found += [result] if isinstance(result, Finding) else list(result)
         except Exception as error:  # a failed examination is a finding, too
             text = " ".join(str(error).split())
             found.append(Finding("doctor", "warning", f"{type(error).__name__}: {text}"))

@@ -7,8 +7,13 @@ from dataclasses import asdict, dataclass
 from typing import Literal
 
 Verdict = Literal["ok", "warning", "wrong", "absent"]
-_SHOWN: dict[Verdict, str] = {"ok": "ok", "warning": "warning", "wrong": "WRONG", "absent": "-"}
-_WIDTH = 100
+_VERDICT_TEXTS: dict[Verdict, str] = {
+    "ok": "ok",
+    "warning": "warning",
+    "wrong": "WRONG",
+    "absent": "-",
+}
+_LINE_WIDTH = 100
 
 
 @dataclass(frozen=True)
@@ -28,35 +33,39 @@ def is_well(findings: Sequence[Finding]) -> bool:
 
 def as_text(findings: Sequence[Finding]) -> str:
     """Return findings as a table in plain words, with a line at the end that sums them up."""
-    widest = max((len(finding.name) for finding in findings), default=0)
-    margin = " " * (9 + widest + 2)
+    name_width = max((len(finding.name) for finding in findings), default=0)
+    margin = " " * (9 + name_width + 2)
     lines = []
     for finding in findings:
-        head = f"{_SHOWN[finding.verdict]:<9}{finding.name:<{widest}}  "
-        lines += _wrapped(finding.text, head, margin)
+        head = f"{_VERDICT_TEXTS[finding.verdict]:<9}{finding.name:<{name_width}}  "
+        lines += _wrap_text(finding.text, head, margin)
         if finding.advice:
-            lines += _wrapped(f"→ {finding.advice}", margin, margin + "  ")
-    wrong = sum(finding.verdict == "wrong" for finding in findings)
-    warned = sum(finding.verdict == "warning" for finding in findings)
-    told = "All is well." if not wrong else f"{wrong} {'is' if wrong == 1 else 'are'} wrong."
-    if warned:
-        told += f" {warned} warning{'s' * (warned != 1)}."
-    return "\n".join([*lines, "", told])
+            lines += _wrap_text(f"→ {finding.advice}", margin, margin + "  ")
+    wrong_count = sum(finding.verdict == "wrong" for finding in findings)
+    warning_count = sum(finding.verdict == "warning" for finding in findings)
+    summary = (
+        "All is well."
+        if not wrong_count
+        else f"{wrong_count} {'is' if wrong_count == 1 else 'are'} wrong."
+    )
+    if warning_count:
+        summary += f" {warning_count} warning{'s' * (warning_count != 1)}."
+    return "\n".join([*lines, "", summary])
 
 
 def as_json(findings: Sequence[Finding]) -> str:
     """Return findings as JSON: ``ok``, and ``findings`` with all that each has."""
-    about = {"ok": is_well(findings), "findings": [asdict(finding) for finding in findings]}
-    return json.dumps(about, indent=2, ensure_ascii=False)
+    record = {"ok": is_well(findings), "findings": [asdict(finding) for finding in findings]}
+    return json.dumps(record, indent=2, ensure_ascii=False)
 
 
-def _wrapped(text: str, head: str, margin: str) -> list[str]:
-    wrapped = textwrap.wrap(
+def _wrap_text(text: str, head: str, margin: str) -> list[str]:
+    lines = textwrap.wrap(
         " ".join(text.split()),
-        _WIDTH,
+        _LINE_WIDTH,
         initial_indent=head,
         subsequent_indent=margin,
         break_long_words=False,
         break_on_hyphens=False,
     )
-    return wrapped or [head.rstrip()]
+    return lines or [head.rstrip()]

@@ -14,27 +14,27 @@ from tisfm.machine.memory import limit
 from tisfm.threads import usable_cores
 
 RAISE_LIMIT = "raise the limit of the address space (ulimit -v) first"
-_LEAST_ADDRESSES = 3.0e9  # bytes of address space for a pair of 1920 × 1080 px; measured
-_LEAST_MEMORY = 2.0e9  # bytes of memory for a pair of 1920 × 1080 px; measured
+_MIN_ADDRESS_SPACE = 3.0e9  # bytes of address space for a pair of 1920 × 1080 px; measured
+_MIN_MEMORY = 2.0e9  # bytes of memory for a pair of 1920 × 1080 px; measured
 
 
 def about_cores() -> Finding:
     """Return the finding about the cores that this process may use."""
-    there = os.cpu_count() or 1
+    total = os.cpu_count() or 1
     usable, reasons = usable_cores(), []
-    if usable < there:
+    if usable < total:
         reasons.append(f"bound to {usable} of them")
     share = group_limits().cores
     if share is not None and share < usable:
         reasons.append(f"the control group gives the time of {share:g}")
-    text = f"{there} core{'s' * (there != 1)}" + "".join(f", {reason}" for reason in reasons)
+    text = f"{total} core{'s' * (total != 1)}" + "".join(f", {reason}" for reason in reasons)
     if reasons:
-        most = max(1, int(min(usable, share or usable)))
+        thread_count = max(1, int(min(usable, share or usable)))
         return Finding(
             "Cores",
             "warning",
             text,
-            f"give --threads {most}: by default {there} threads start, and share them",
+            f"give --threads {thread_count}: by default {total} threads start, and share them",
         )
     return Finding("Cores", "ok", text)
 
@@ -51,7 +51,7 @@ def about_memory() -> Finding:
     if group is not None and group < total:
         text += f"; the control group allows {group / 1e9:.1f} GB"
         free = min(group, free or group)
-    if free is not None and free < _LEAST_MEMORY:
+    if free is not None and free < _MIN_MEMORY:
         return Finding(
             "Memory",
             "warning",
@@ -63,16 +63,16 @@ def about_memory() -> Finding:
 
 def is_limited() -> bool:
     """Return whether libraries may fail because the address space is limited."""
-    bound = limit()
-    return bound is not None and bound < _LEAST_ADDRESSES
+    max_bytes = limit()
+    return max_bytes is not None and max_bytes < _MIN_ADDRESS_SPACE
 
 
 def about_addresses() -> Finding:
     """Return the finding about the limit of the address space."""
-    bound = limit()
-    if bound is None:
+    max_bytes = limit()
+    if max_bytes is None:
         return Finding("Address space", "ok", "not limited (ulimit -v)")
-    text = f"limited to {bound / 1e9:.2f} GB (ulimit -v)"
+    text = f"limited to {max_bytes / 1e9:.2f} GB (ulimit -v)"
     if is_limited():
         return Finding(
             "Address space",
@@ -144,51 +144,51 @@ def about_temporary() -> Finding:
 
 def about_kernel(tried: TrialResults) -> Iterator[Finding]:
     """Yield findings about a kernel that Taichi compiled and ran."""
-    about = tried["kernel:default"]
-    if "error" in about:
+    result = tried["kernel:default"]
+    if "error" in result:
         yield Finding(
-            "Kernels", "wrong", f"Taichi does not run: {about['error']}", _advice_of_taichi()
+            "Kernels", "wrong", f"Taichi does not run: {result['error']}", _taichi_advice()
         )
         return
-    arch, lanes = about["arch"], about["lanes"]
+    arch, lanes = result["arch"], result["lanes"]
     yield Finding(
         "Kernels",
         "ok",
         f"one was compiled and run on {arch}, with the import of Taichi in "
-        f"{about['seconds']:.1f} s",
+        f"{result['seconds']:.1f} s",
     )
     if arch == "cpu":
         width = {16: "16 numbers (AVX-512)", 8: "8 numbers (AVX2, or as NEON has them)"}
         yield Finding("Vectors", "ok", f"of {width.get(lanes, lanes)}")
-        yield Finding("Threads", "ok", f"{about['threads']} by default")
+        yield Finding("Threads", "ok", f"{result['threads']} by default")
 
 
 def about_gpus(tried: TrialResults, started: TrialResults) -> Finding:
     """Return the finding about GPUs, none of which is needed."""
-    about = tried["archs"]
-    if "error" in about:
+    result = tried["archs"]
+    if "error" in result:
         return Finding(
             "GPU",
             "absent",
-            f"not known: {about['error']}",
+            f"not known: {result['error']}",
             "none is needed; give --arch cpu if TI_ARCH says otherwise",
         )
     software = software_vulkan_in(tried)
-    gpus = [arch for arch in about["archs"] if not (arch == "vulkan" and software)]
-    works = [arch for arch in gpus if "error" not in started.get(f"kernel:{arch}", {})]
-    fails = [arch for arch in gpus if arch not in works]
-    emulated = f"Vulkan here is {software}, software on the CPU, not a GPU"
-    if works:
-        text = f"kernels run on {', '.join(works)}: --arch {works[0]}"
+    gpus = [arch for arch in result["archs"] if not (arch == "vulkan" and software)]
+    working = [arch for arch in gpus if "error" not in started.get(f"kernel:{arch}", {})]
+    failing = [arch for arch in gpus if arch not in working]
+    software_note = f"Vulkan here is {software}, software on the CPU, not a GPU"
+    if working:
+        text = f"kernels run on {', '.join(working)}: --arch {working[0]}"
         if software:
-            text += f". {emulated}"
+            text += f". {software_note}"
         return Finding("GPU", "ok", text)
     text = "none that Taichi can use"
-    if fails:
-        error = started[f"kernel:{fails[0]}"]["error"]
-        text = f"{', '.join(fails)} cannot be started ({error})"
+    if failing:
+        error = started[f"kernel:{failing[0]}"]["error"]
+        text = f"{', '.join(failing)} cannot be started ({error})"
     if software:
-        text += f". {emulated}"
+        text += f". {software_note}"
     return Finding(
         "GPU",
         "absent",
@@ -203,7 +203,7 @@ def software_vulkan_in(tried: TrialResults) -> str:
     return name
 
 
-def _advice_of_taichi() -> str:
+def _taichi_advice() -> str:
     if is_limited():
         return RAISE_LIMIT
     arch = os.environ.get("TI_ARCH")
@@ -224,11 +224,11 @@ def _is_writable(folder: Path, *, make: bool = True) -> bool:
 
 def _memory() -> tuple[float | None, float | None]:
     """Return the total and the free memory, bytes; None where the system does not say."""
-    known = {}
+    sizes = {}
     try:
         for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
             name, _, value = line.partition(":")
-            known[name] = 1024.0 * float(value.split()[0])
+            sizes[name] = 1024.0 * float(value.split()[0])
     except (OSError, ValueError, IndexError):
         pass
-    return known.get("MemTotal"), known.get("MemAvailable")
+    return sizes.get("MemTotal"), sizes.get("MemAvailable")

@@ -10,18 +10,18 @@ from pathlib import Path
 from typing import Any
 
 _PROBE = Path(__file__).with_name("probe.py")
-_CALL = (
+_PROBE_CODE = (
     # No module of the working folder is one of Python's.
     "import sys; sys.path[:1] == [''] and sys.path.pop(0); import runpy; "
     "sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
 )
 # All of these were set by hand.
 LIMIT = 30.0  # s, for each item of a trial
-IN_ALL = 120.0  # s, for all items of a trial together
-_AFTER_ONE = (
+TOTAL_LIMIT = 120.0  # s, for all items of a trial together
+_LIMIT_AFTER_HANG = (
     8.0  # s, for each further item once one has hung: the next ones hang for the same reason
 )
-_LOOK = 0.05  # s, of one look at the output of a process
+_POLL_INTERVAL = 0.05  # s, of one look at the output of a process
 
 TrialResults = dict[str, dict[str, Any]]
 
@@ -38,8 +38,8 @@ class Trial:
         *,
         limit: float = LIMIT,  # seconds after which an item counts as hanging
     ) -> None:
-        self._limit, self._end = limit, time.monotonic() + IN_ALL
-        self._left, self._found = list(names), TrialResults()
+        self._limit, self._end = limit, time.monotonic() + TOTAL_LIMIT
+        self._remaining, self._results = list(names), TrialResults()
         self._start()
 
     def poll(self) -> TrialResults | None:
@@ -47,13 +47,13 @@ class Trial:
 
         The result of an item that failed has an ``error``.
         """
-        if not self._left:
-            return self._found
+        if not self._remaining:
+            return self._results
         if isinstance(self._process, str):
             self._take_output(self._process)
-            return self._found if not self._left else None
+            return self._results if not self._remaining else None
         try:
-            self._output, _ = self._process.communicate(timeout=_LOOK)
+            self._output, _ = self._process.communicate(timeout=_POLL_INTERVAL)
             self._take_output(_exit_text(self._process.returncode))
         except subprocess.TimeoutExpired as error:
             now = time.monotonic()
@@ -63,23 +63,23 @@ class Trial:
                 self._process.kill()
                 self._output, _ = self._process.communicate()
                 self._take_output(f"it did not end within {now - self._since:.0f} s")
-                self._limit = min(self._limit, _AFTER_ONE)
-        return None if self._left else self._found
+                self._limit = min(self._limit, _LIMIT_AFTER_HANG)
+        return None if self._remaining else self._results
 
     def _start(self) -> None:
         self._output, self._since = b"", time.monotonic()
         self._process: subprocess.Popen[bytes] | str = (
-            _started_process(self._left) if self._left else ""
+            _start_process(self._remaining) if self._remaining else ""
         )
 
-    def _take_output(self, ended: str) -> None:
+    def _take_output(self, exit_text: str) -> None:
         """Take the output and the end of a process; start another one for the remaining items."""
-        self._found |= _parsed_output(self._left, self._output, ended)
-        self._left = [name for name in self._left if name not in self._found]
-        if self._left and time.monotonic() > self._end:
-            error = f"it was not tried: others took {IN_ALL:.0f} s"
-            self._found |= {name: {"error": error} for name in self._left}
-            self._left = []
+        self._results |= _parse_output(self._remaining, self._output, exit_text)
+        self._remaining = [name for name in self._remaining if name not in self._results]
+        if self._remaining and time.monotonic() > self._end:
+            error = f"it was not tried: others took {TOTAL_LIMIT:.0f} s"
+            self._results |= {name: {"error": error} for name in self._remaining}
+            self._remaining = []
         self._start()
 
 
@@ -88,15 +88,15 @@ def results(*trials: Trial) -> TrialResults:
 
     No thread is started for them, since memory may not suffice for one.
     """
-    found: TrialResults = {}
-    left = list(trials)
-    while left:
-        for trial in list(left):
-            done = trial.poll()
-            if done is not None:
-                found |= done
-                left.remove(trial)
-    return found
+    all_results: TrialResults = {}
+    remaining = list(trials)
+    while remaining:
+        for trial in list(remaining):
+            trial_results = trial.poll()
+            if trial_results is not None:
+                all_results |= trial_results
+                remaining.remove(trial)
+    return all_results
 
 
 def run_trial(names: Sequence[str], *, limit: float = LIMIT) -> TrialResults:
@@ -104,11 +104,11 @@ def run_trial(names: Sequence[str], *, limit: float = LIMIT) -> TrialResults:
     return results(Trial(names, limit=limit))
 
 
-def _started_process(names: Sequence[str]) -> subprocess.Popen[bytes] | str:
+def _start_process(names: Sequence[str]) -> subprocess.Popen[bytes] | str:
     """Start a process that tries items, or return why none can be started."""
     try:
         return subprocess.Popen(
-            [sys.executable, "-c", _CALL, str(_PROBE), *names],
+            [sys.executable, "-c", _PROBE_CODE, str(_PROBE), *names],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -124,19 +124,19 @@ def _exit_text(code: int) -> str:
     return f"the process ended with exit code {code}" if code else ""
 
 
-def _parsed_output(names: Sequence[str], output: bytes, ended: str) -> TrialResults:
+def _parse_output(names: Sequence[str], output: bytes, exit_text: str) -> TrialResults:
     """Return the result of each item that a process came to, from its output."""
-    found: TrialResults = {}
+    results: TrialResults = {}
     for line in output.decode("utf-8", "replace").splitlines():
         try:
-            about = json.loads(line)
-            found[about.pop("name")] = about
+            result = json.loads(line)
+            results[result.pop("name")] = result
         except (ValueError, LookupError, AttributeError):
             continue
-    for about in found.values():
-        if about.pop("begun", False):
-            about["error"] = ended or "it did not say how it ended"
-    if not found:  # the process ended before the first item
-        why = ended or "the process said nothing"
-        found = {name: {"error": why} for name in names}
-    return {name: about for name, about in found.items() if name in names}
+    for result in results.values():
+        if result.pop("begun", False):
+            result["error"] = exit_text or "it did not say how it ended"
+    if not results:  # the process ended before the first item
+        reason = exit_text or "the process said nothing"
+        results = {name: {"error": reason} for name in names}
+    return {name: result for name, result in results.items() if name in names}

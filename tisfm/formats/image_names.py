@@ -21,10 +21,10 @@ _NAME_PATTERNS = (
 )
 _SIGN_OR_EXPONENT = re.compile("[-e]")
 # Set by hand:
-_EVEN = 0.1  # unevenness (see `_unevenness`) up to which steps count as even
+_MAX_EVEN_DEVIATION = 0.1  # unevenness (see `_unevenness`) up to which steps count as even
 _MAX_NANOSECOND_DIGITS = 9
 _MIN_NANOSECOND_DIGITS = 7  # some name must have as many: 1 ms or more after a full second
-_MAX_COUNTER_DIGITS = 4  # digits of the number of an image behind the number of its take
+_MAX_IMAGE_DIGITS = 4  # digits of the number of an image behind the number of its take
 _MIN_STEP = 1e-4  # s; a smaller median step means numbers of frames or versions, not times
 
 
@@ -86,8 +86,8 @@ def parse_times(
     if len(lengths) == 1:
         if prefix:
             return None  # frame_1.05 may be a version and a number
-        return _if_finite(ParsedTimes(tuple(map(float, numbers)), "decimals", is_inferred))
-    decimals, nanoseconds = _as_decimals(numbers), _as_nanoseconds(numbers)
+        return _require_finite(ParsedTimes(tuple(map(float, numbers)), "decimals", is_inferred))
+    decimals, nanoseconds = _read_decimals(numbers), _read_nanoseconds(numbers)
     if decimals is not None and nanoseconds is not None:
         if _unevenness(nanoseconds.seconds) < _unevenness(decimals.seconds):
             return nanoseconds
@@ -96,13 +96,20 @@ def parse_times(
     if times and _take_unevenness(numbers) < _unevenness(times.seconds):
         return None
     follows_letter = prefix[-1:].isalpha()
-    return None if times and follows_letter and _unevenness(times.seconds) > _EVEN else times
+    return (
+        None
+        if times and follows_letter and _unevenness(times.seconds) > _MAX_EVEN_DEVIATION
+        else times
+    )
 
 
 def unread_times_note(stems: Sequence[str]) -> str:
     """Return a note that numbers with a point are not read as times; "" without such numbers."""
-    found = _prefix_and_numbers(stems)
-    if found is None or len({len(_fraction(number)) for number in found[1]}) == 1:
+    prefix_and_numbers = _prefix_and_numbers(stems)
+    if (
+        prefix_and_numbers is None
+        or len({len(_fraction(number)) for number in prefix_and_numbers[1]}) == 1
+    ):
         return ""
     return (
         "the numbers in the names of the pictures are not read as times, as they may be versions: "
@@ -128,10 +135,10 @@ def increasing_times(
     Returns None if `parse_times` finds no times, or if they do not increase: then they may be
     numbers of frames.
     """
-    found = parse_times(stems)
-    if found is None or not all(later > sooner for sooner, later in pairwise(found.seconds)):
+    times = parse_times(stems)
+    if times is None or not all(later > earlier for earlier, later in pairwise(times.seconds)):
         return None
-    return found.seconds
+    return times.seconds
 
 
 def sort_by_name(files: Iterable[Path]) -> list[Path]:
@@ -139,14 +146,14 @@ def sort_by_name(files: Iterable[Path]) -> list[Path]:
 
     In natural order frame2 comes before frame10. Images of one folder stay together.
     """
-    listed = sorted(files, key=natural_sort_key)
+    sorted_files = sorted(files, key=natural_sort_key)
     ordered: list[Path] = []
-    for _, group in groupby(listed, key=lambda file: file.parent):
+    for _, group in groupby(sorted_files, key=lambda file: file.parent):
         pictures = list(group)
-        found = parse_times([file.stem for file in pictures])
-        if found is not None and found.is_inferred:
-            time = dict(zip(pictures, found.seconds, strict=True))
-            pictures.sort(key=time.__getitem__)
+        times = parse_times([file.stem for file in pictures])
+        if times is not None and times.is_inferred:
+            time_of_file = dict(zip(pictures, times.seconds, strict=True))
+            pictures.sort(key=time_of_file.__getitem__)
         ordered += pictures
     return ordered
 
@@ -167,15 +174,15 @@ def _fraction(number: str) -> str:
     return number.rpartition(".")[2].partition("e")[0] if "." in number else ""
 
 
-def _as_decimals(numbers: Sequence[str]) -> ParsedTimes | None:
+def _read_decimals(numbers: Sequence[str]) -> ParsedTimes | None:
     """Return numbers read as floats; None if one ends in a zero, as no printed float does."""
     fractions = map(_fraction, numbers)
     if any(len(digits) > 1 and digits.endswith("0") for digits in fractions):
         return None
-    return _if_plausible(ParsedTimes(tuple(map(float, numbers)), "decimals", True))
+    return _require_plausible(ParsedTimes(tuple(map(float, numbers)), "decimals", True))
 
 
-def _as_nanoseconds(numbers: Sequence[str]) -> ParsedTimes | None:
+def _read_nanoseconds(numbers: Sequence[str]) -> ParsedTimes | None:
     """Return numbers read as seconds and nanoseconds; None if one cannot be read so.
 
     Too many digits, a leading zero after the point, a minus and an exponent exclude this notation.
@@ -184,25 +191,25 @@ def _as_nanoseconds(numbers: Sequence[str]) -> ParsedTimes | None:
     for number in numbers:
         if _SIGN_OR_EXPONENT.search(number):
             return None
-        whole, point, digits = number.partition(".")
-        padded = len(digits) > 1 and digits.startswith("0")
-        if not point or padded or len(digits) > _MAX_NANOSECOND_DIGITS:
+        whole_seconds, point, digits = number.partition(".")
+        has_leading_zero = len(digits) > 1 and digits.startswith("0")
+        if not point or has_leading_zero or len(digits) > _MAX_NANOSECOND_DIGITS:
             return None
-        seconds.append(float(whole) + int(digits) / 1e9)
+        seconds.append(float(whole_seconds) + int(digits) / 1e9)
     if not any(len(_fraction(number)) >= _MIN_NANOSECOND_DIGITS for number in numbers):
         return None
-    return _if_plausible(ParsedTimes(tuple(seconds), "nanoseconds", True))
+    return _require_plausible(ParsedTimes(tuple(seconds), "nanoseconds", True))
 
 
-def _if_plausible(times: ParsedTimes) -> ParsedTimes | None:
+def _require_plausible(times: ParsedTimes) -> ParsedTimes | None:
     """Return times that are finite and all differ, with a median step of 0.1 ms or more."""
-    if _if_finite(times) is None:
+    if _require_finite(times) is None:
         return None
     steps = np.diff(np.sort(times.seconds))
     return times if (steps > 0).all() and np.median(steps) >= _MIN_STEP else None
 
 
-def _if_finite(times: ParsedTimes) -> ParsedTimes | None:
+def _require_finite(times: ParsedTimes) -> ParsedTimes | None:
     return times if all(map(math.isfinite, times.seconds)) else None
 
 
@@ -214,7 +221,7 @@ def _take_unevenness(numbers: Sequence[str]) -> float:
     takes: dict[str, list[int]] = {}
     for number in numbers:
         digits = _fraction(number)
-        if not 0 < len(digits) <= _MAX_COUNTER_DIGITS or _SIGN_OR_EXPONENT.search(number):
+        if not 0 < len(digits) <= _MAX_IMAGE_DIGITS or _SIGN_OR_EXPONENT.search(number):
             return math.inf
         if digits.startswith("0") and digits != "0":
             return math.inf

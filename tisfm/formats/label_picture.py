@@ -26,7 +26,7 @@ def read_label_picture(
     Raises OSError if the file does not exist or cannot be read.
     """
     name = os.fspath(path)
-    data = _whole(name)
+    data = _read_complete(name)
     try:
         with Image.open(io.BytesIO(data), formats=PILLOW_FORMATS) as picture:
             picture.load()
@@ -54,7 +54,7 @@ def has_colour_palette(path: str | os.PathLike[str]) -> bool:
     Raises OSError if the file does not exist or cannot be read.
     """
     name = os.fspath(path)
-    data = _whole(name)
+    data = _read_complete(name)
     try:
         with Image.open(io.BytesIO(data), formats=PILLOW_FORMATS) as picture:
             colours = picture.getpalette("RGB") if picture.mode == "P" else None
@@ -66,7 +66,7 @@ def has_colour_palette(path: str | os.PathLike[str]) -> bool:
     return bool((table != table[:, :1]).any())
 
 
-def _whole(name: str) -> bytes:
+def _read_complete(name: str) -> bytes:
     """Return the bytes of an image file; FormatError if it is shorter than it states."""
     data = read_bytes(name)
     missing = missing_part(data)

@@ -36,7 +36,7 @@ def read_bytes(
         try:
             data = file.read()
         except OSError as error:
-            raise _explained(error, os.fspath(path)) from error
+            raise _explain_error(error, os.fspath(path)) from error
     if not data:
         raise FormatError(f"{os.fspath(path)} is empty (0 bytes): write or download it again")
     return data
@@ -57,7 +57,7 @@ def open_file(
         if stat.S_ISREG(mode):
             return open(name, "rb")
     except OSError as error:
-        raise _explained(error, name) from error
+        raise _explain_error(error, name) from error
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(f"{name} is a folder, not a file: give the path of one file in it")
     raise OSError(f"{name} is a device or a pipe, not a file: save its data to a file first")
@@ -76,7 +76,7 @@ def opencv_memory_errors(
         raise OutOfMemoryError(f"there is not enough memory for {name}") from error
 
 
-def _explained(error: OSError, name: str) -> OSError:
+def _explain_error(error: OSError, name: str) -> OSError:
     """Return an error of the same class whose text names the file and says what to do."""
     if isinstance(error, FileNotFoundError):
         return FileNotFoundError(

@@ -18,7 +18,7 @@ MAX_DIFFERENCE = 1.5  # views with a larger difference see hardly any of it
 
 def choose_neighbours(
     n: int,  # number of the view
-    seen: Sequence[ViewSummary],  # all views
+    summaries: Sequence[ViewSummary],  # all views
     count: int,  # greatest number of views returned
 ) -> list[int]:
     """Return other views that see the same surface as a view, the most similar ones first.
@@ -27,16 +27,16 @@ def choose_neighbours(
     the most to the least similar one: neighbours in time alone may share the same errors. If there
     are fewer, the views up to `MAX_DIFFERENCE` follow.
     """
-    difference = _differences(seen[n], seen)
+    difference = _differences(summaries[n], summaries)
     difference[n] = math.inf
     order = np.argsort(difference, kind="stable")
     usable = min(count, np.count_nonzero(difference <= MAX_DIFFERENCE))
-    near = order[: max(usable, np.count_nonzero(difference <= SIMILAR_DIFFERENCE))]
-    chosen = np.linspace(0, len(near) - 1, min(count, len(near))).round().astype(int)
-    return [int(near[k]) for k in chosen]
+    similar = order[: max(usable, np.count_nonzero(difference <= SIMILAR_DIFFERENCE))]
+    chosen = np.linspace(0, len(similar) - 1, min(count, len(similar))).round().astype(int)
+    return [int(similar[k]) for k in chosen]
 
 
-def _differences(view: ViewSummary, seen: Sequence[ViewSummary]) -> Floats:
+def _differences(view: ViewSummary, summaries: Sequence[ViewSummary]) -> Floats:
     """Return the differences of all views from a view, (N,).
 
     They compare the views of one point, on the optical axis of the view at its median depth. Each
@@ -45,7 +45,7 @@ def _differences(view: ViewSummary, seen: Sequence[ViewSummary]) -> Floats:
     logarithm of the ratio of the distances.
     """
     axis = view.pose[:3, 2]
-    poses = np.array([other.pose for other in seen])
+    poses = np.array([other.pose for other in summaries])
     rays = view.pose[:3, 3] + view.depth * axis - poses[:, :3, 3]
     distance = np.linalg.norm(rays, axis=1)
     at_point = distance == 0
@@ -53,7 +53,7 @@ def _differences(view: ViewSummary, seen: Sequence[ViewSummary]) -> Floats:
     rays /= distance[:, None]
     from_axis = np.arccos(np.clip((rays * poses[:, :3, 2]).sum(axis=1), -1, 1))
     parallax = np.arccos(np.clip(rays @ axis, -1, 1))
-    fields = np.array([other.field for other in seen])
+    fields = np.array([other.field for other in summaries])
     difference = from_axis / fields + parallax + np.abs(np.log(distance / view.depth))
     return np.where(at_point, math.inf, difference)
 
@@ -99,21 +99,23 @@ def fused_points(
     whole(1, agreeing=agreeing)
     if voxel is not None:
         check_positive(voxel, "voxel")
-    read = PosedViews(
+    posed_views = PosedViews(
         views, max_relative_std=max_relative_std, max_depth=max_depth, held=2 * NEIGHBOUR_COUNT + 1
     )
     runtime.start()
-    needed = min(agreeing, len(read))
-    found = _PointList()
-    for n, view in enumerate(read):
-        others = [read[other] for other in choose_neighbours(n, read.seen, NEIGHBOUR_COUNT)]
-        found.add(*_points_of(view, others, found.shown_by(view), needed))
+    min_views = min(agreeing, len(posed_views))
+    points = _PointList()
+    for n, view in enumerate(posed_views):
+        others = [
+            posed_views[other] for other in choose_neighbours(n, posed_views.seen, NEIGHBOUR_COUNT)
+        ]
+        points.add(*_points_of(view, others, points.shown_by(view), min_views))
     if voxel is not None:
-        found.thin(voxel / read.unit)
+        points.thin(voxel / posed_views.unit)
     return PointCloud(
-        positions=(found.positions * np.float64(read.unit)).astype(np.float32),
-        colors=np.rint(found.colors).astype(np.uint8),
-        confidence=found.confidence,
+        positions=(points.positions * np.float64(posed_views.unit)).astype(np.float32),
+        colors=np.rint(points.colors).astype(np.uint8),
+        confidence=points.confidence,
     )
 
 
@@ -143,18 +145,18 @@ class _PointList:
         """Return the pixels of a view, (H, W) bool, that show one of the points."""
         from tisfm.kernels.fusion.agreement import mark_pixels_of_points
 
-        shown = np.zeros(view.inverse_depth.shape, np.int32)
+        is_shown = np.zeros(view.inverse_depth.shape, np.int32)
         if len(self.positions):
             mark_pixels_of_points(
                 self.positions,
                 self.relative_deviation,
                 view.inverse_depth,
                 view.deviation,
-                shown,
+                is_shown,
                 projection=view.to_pixels.astype(np.float32),
                 tolerance=MAX_DEVIATIONS,
             )
-        return shown > 0
+        return is_shown > 0
 
     def thin(self, voxel: float) -> None:
         """Replace the points in each cube by their mean, weighted by precision."""
@@ -174,13 +176,13 @@ class _PointList:
 
 
 def _points_of(
-    view: PosedDepth, others: Sequence[PosedDepth], shown: NDArray[np.bool_], needed: int
+    view: PosedDepth, others: Sequence[PosedDepth], is_shown: NDArray[np.bool_], min_views: int
 ) -> tuple[NDArray[np.float32], ...]:
     """Return the points of a view that enough views agree on: the arguments of `_PointList.add`."""
     from tisfm.kernels.fusion.agreement import compare
 
-    wanted = (view.inverse_depth > 0) & ~shown
-    inverse_depth = np.where(wanted, view.inverse_depth, np.float32(0))
+    is_candidate = (view.inverse_depth > 0) & ~is_shown
+    inverse_depth = np.where(is_candidate, view.inverse_depth, np.float32(0))
     sums = np.zeros((*inverse_depth.shape, 4), np.float32)
     colors = view.colors.copy()
     for other in others:
@@ -195,18 +197,18 @@ def _points_of(
             projection=view.projection_to(other).astype(np.float32),
             tolerance=MAX_DEVIATIONS,
         )
-    agree, through = sums[..., 2], sums[..., 3]
-    kept = wanted & (agree + 1 >= needed) & (through < agree + 1)
-    row, column = np.nonzero(kept)
-    weight, moved, agree, through = sums[kept].T.astype(float)
-    precision = 1 / view.deviation[kept].astype(float) ** 2 + weight
-    fused = inverse_depth[kept] + moved / precision
-    rays = view.to_world
-    ahead = np.stack([column, row, np.ones(len(row))])
-    positions = ((rays[:, :3] @ ahead) / fused).T + rays[:, 3]
+    agreeing, seeing_through = sums[..., 2], sums[..., 3]
+    is_kept = is_candidate & (agreeing + 1 >= min_views) & (seeing_through < agreeing + 1)
+    row, column = np.nonzero(is_kept)
+    weight, weighted_difference, agreeing, seeing_through = sums[is_kept].T.astype(float)
+    precision = 1 / view.deviation[is_kept].astype(float) ** 2 + weight
+    fused_inverse = inverse_depth[is_kept] + weighted_difference / precision
+    to_world = view.to_world
+    pixels = np.stack([column, row, np.ones(len(row))])
+    positions = ((to_world[:, :3] @ pixels) / fused_inverse).T + to_world[:, 3]
     return (
         positions.astype(np.float32),
-        (1 / (np.sqrt(precision) * fused)).astype(np.float32),
-        (colors[kept] / (agree[:, None] + 1)).astype(np.float32),
-        (agree / (agree + through + 1)).astype(np.float32),
+        (1 / (np.sqrt(precision) * fused_inverse)).astype(np.float32),
+        (colors[is_kept] / (agreeing[:, None] + 1)).astype(np.float32),
+        (agreeing / (agreeing + seeing_through + 1)).astype(np.float32),
     )

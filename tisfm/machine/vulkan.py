@@ -12,9 +12,9 @@ from dataclasses import dataclass
 _SUCCESS = 0
 _INCOMPLETE = 5  # a driver found more devices than it was asked for
 _INSTANCE_CREATE_INFO = 1  # VK_STRUCTURE_TYPE_INSTANCE_CREATE_INFO
-_SCORES = {1: 500, 2: 1000}  # of integrated and discrete GPUs, as Taichi ranks devices
-_CPU = 4  # VK_PHYSICAL_DEVICE_TYPE_CPU
-_WIDE_LINES = 15  # index of this feature in VkPhysicalDeviceFeatures
+_TYPE_SCORES = {1: 500, 2: 1000}  # of integrated and discrete GPUs, as Taichi ranks devices
+_CPU_DEVICE_TYPE = 4  # VK_PHYSICAL_DEVICE_TYPE_CPU
+_WIDE_LINES_FEATURE = 15  # index of this feature in VkPhysicalDeviceFeatures
 _MAX_DEVICES = 64
 
 
@@ -71,9 +71,9 @@ def vulkan_device() -> VulkanDevice | None:
     devices = vulkan_devices()
     if not devices:
         return None
-    chosen = os.environ.get("TI_VISIBLE_DEVICE", "")
-    if chosen.isdecimal() and int(chosen) < len(devices):
-        return devices[int(chosen)]
+    device_number = os.environ.get("TI_VISIBLE_DEVICE", "")
+    if device_number.isdecimal() and int(device_number) < len(devices):
+        return devices[int(device_number)]
     return max(devices, key=lambda device: device.score)
 
 
@@ -82,25 +82,28 @@ def vulkan_devices() -> list[VulkanDevice]:
 
     The list is empty where there is no Vulkan loader, and on macOS, where Taichi brings its own.
     """
-    library = _loader()
+    library = _load_vulkan()
     if library is None:
         return []
     instance = ctypes.c_void_p()
-    about = _InstanceCreateInfo(sType=_INSTANCE_CREATE_INFO)
-    if library.vkCreateInstance(ctypes.byref(about), None, ctypes.byref(instance)) != _SUCCESS:
+    create_info = _InstanceCreateInfo(sType=_INSTANCE_CREATE_INFO)
+    if (
+        library.vkCreateInstance(ctypes.byref(create_info), None, ctypes.byref(instance))
+        != _SUCCESS
+    ):
         return []
     try:
         count = ctypes.c_uint32(_MAX_DEVICES)
         handles = (ctypes.c_void_p * _MAX_DEVICES)()
-        answer = library.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), handles)
-        if answer not in (_SUCCESS, _INCOMPLETE):
+        return_code = library.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), handles)
+        if return_code not in (_SUCCESS, _INCOMPLETE):
             return []
-        return [_described(library, handles[index]) for index in range(count.value)]
+        return [_describe_device(library, handles[index]) for index in range(count.value)]
     finally:
         library.vkDestroyInstance(instance, None)
 
 
-def _loader() -> ctypes.CDLL | None:
+def _load_vulkan() -> ctypes.CDLL | None:
     names = {"linux": ("libvulkan.so.1", "libvulkan.so"), "win32": ("vulkan-1.dll",)}
     for name in names.get(sys.platform, ()):
         try:
@@ -110,14 +113,16 @@ def _loader() -> ctypes.CDLL | None:
     return None
 
 
-def _described(library: ctypes.CDLL, handle: int | None) -> VulkanDevice:
-    about, features = _Properties(), (ctypes.c_uint32 * 256)()
+def _describe_device(library: ctypes.CDLL, handle: int | None) -> VulkanDevice:
+    properties, features = _Properties(), (ctypes.c_uint32 * 256)()
     device = ctypes.c_void_p(handle)
-    library.vkGetPhysicalDeviceProperties(device, ctypes.byref(about))
+    library.vkGetPhysicalDeviceProperties(device, ctypes.byref(properties))
     library.vkGetPhysicalDeviceFeatures(device, features)
-    minor = (about.apiVersion >> 12) & 0x3FF
+    minor = (properties.apiVersion >> 12) & 0x3FF
     return VulkanDevice(
-        name=about.deviceName.decode("utf-8", "replace"),
-        is_software=about.deviceType == _CPU,
-        score=_SCORES.get(about.deviceType, 0) + 100 * minor + 100 * bool(features[_WIDE_LINES]),
+        name=properties.deviceName.decode("utf-8", "replace"),
+        is_software=properties.deviceType == _CPU_DEVICE_TYPE,
+        score=_TYPE_SCORES.get(properties.deviceType, 0)
+        + 100 * minor
+        + 100 * bool(features[_WIDE_LINES_FEATURE]),
     )

@@ -107,7 +107,7 @@ def object_path_errors(
     >>> errors.frames, round(errors.share, 6), round(errors.rotation, 3)
     (5, 0.0, 0.0)
     """
-    found, true, camera, true_camera = (
+    estimated, true, camera, true_camera = (
         check_poses(values, name)
         for values, name in (
             (poses, "poses"),
@@ -116,30 +116,30 @@ def object_path_errors(
             (true_cameras, "true_cameras"),
         )
     )
-    shapes = [path.shape for path in (found, true, camera, true_camera)]
+    shapes = [path.shape for path in (estimated, true, camera, true_camera)]
     if len(set(shapes)) > 1:
-        numbers = ", ".join(str(len(path)) for path in (found, true, camera, true_camera))
+        numbers = ", ".join(str(len(path)) for path in (estimated, true, camera, true_camera))
         raise InputError(
             f"poses, truth, cameras and true_cameras are of {numbers} frames: expected as many"
         )
-    posed = _known(camera) & _known(true_camera)
-    both = posed & _known(found) & _known(true)
-    if both.sum() < MIN_FRAMES:
+    has_cameras = _is_known(camera) & _is_known(true_camera)
+    has_all = has_cameras & _is_known(estimated) & _is_known(true)
+    if has_all.sum() < MIN_FRAMES:
         return None
-    world = _align_world(camera[posed], true_camera[posed])
-    length = path_length(true[both])
-    centre = world.apply(camera[both, :3, 3])
-    away = world.apply(found[both, :3, 3]) - centre
-    rotations, positions = true[both, :3, :3], true[both, :3, 3]
-    scale, offset = _fit_scale_and_offset(centre, away, rotations, positions)
-    residual = centre + scale * away - rotations @ offset - positions
-    axes = world.rotation @ found[both, :3, :3]
-    fixed = nearest_rotation((rotations.transpose(0, 2, 1) @ axes).sum(axis=0))
-    angles = rotation_angles((rotations @ fixed).transpose(0, 2, 1) @ axes)
+    world = _align_world(camera[has_cameras], true_camera[has_cameras])
+    length = path_length(true[has_all])
+    centre = world.apply(camera[has_all, :3, 3])
+    from_camera = world.apply(estimated[has_all, :3, 3]) - centre
+    rotations, positions = true[has_all, :3, :3], true[has_all, :3, 3]
+    scale, offset = _fit_scale_and_offset(centre, from_camera, rotations, positions)
+    residual = centre + scale * from_camera - rotations @ offset - positions
+    axes = world.rotation @ estimated[has_all, :3, :3]
+    axes_rotation = nearest_rotation((rotations.transpose(0, 2, 1) @ axes).sum(axis=0))
+    angles = rotation_angles((rotations @ axes_rotation).transpose(0, 2, 1) @ axes)
     position = float(np.sqrt(np.square(residual).sum(axis=1).mean()))
     x, y, z = map(float, offset)
     return ObjectPathErrors(
-        frames=int(both.sum()),
+        frames=int(has_all.sum()),
         position=position,
         share=position / length if length else None,
         rotation=float(np.sqrt(np.square(angles).mean())),
@@ -150,25 +150,29 @@ def object_path_errors(
 
 def _align_world(cameras: NDArray, true_cameras: NDArray) -> Similarity:
     """Return the similarity from estimated to true cameras: rotation first, then the centres."""
-    turn = (true_cameras[:, :3, :3] @ cameras[:, :3, :3].transpose(0, 2, 1)).sum(axis=0)
-    rotation = nearest_rotation(turn)
-    centres, goal = cameras[:, :3, 3] @ rotation.T, true_cameras[:, :3, 3]
-    middle, target = centres.mean(axis=0), goal.mean(axis=0)
-    spread = float(np.square(centres - middle).sum())
-    scale = float(((centres - middle) * (goal - target)).sum() / spread) if spread else 1.0
+    rotation_sum = (true_cameras[:, :3, :3] @ cameras[:, :3, :3].transpose(0, 2, 1)).sum(axis=0)
+    rotation = nearest_rotation(rotation_sum)
+    centres, true_centres = cameras[:, :3, 3] @ rotation.T, true_cameras[:, :3, 3]
+    mean_centre, true_mean = centres.mean(axis=0), true_centres.mean(axis=0)
+    spread = float(np.square(centres - mean_centre).sum())
+    scale = (
+        float(((centres - mean_centre) * (true_centres - true_mean)).sum() / spread)
+        if spread
+        else 1.0
+    )
     if scale <= 0:  # the paths do not correlate; the scale of the object is fitted in any case
         scale = 1.0
-    return Similarity(scale=scale, rotation=rotation, translation=target - scale * middle)
+    return Similarity(scale=scale, rotation=rotation, translation=true_mean - scale * mean_centre)
 
 
 def _fit_scale_and_offset(
-    centre: NDArray, away: NDArray, rotations: NDArray, positions: NDArray
+    centre: NDArray, from_camera: NDArray, rotations: NDArray, positions: NDArray
 ) -> tuple[float, NDArray[np.float64]]:
     """Return σ and q in least squares; of several solutions the nearest to σ = 1 and q = 0."""
     # The unknowns are lengths, so that their norm is meaningful: (σ - 1) · distance, and q.
-    distance = float(np.sqrt(np.square(away).sum(axis=1).mean())) or 1.0
-    system = np.concatenate([away[:, :, None] / distance, -rotations], axis=2).reshape(-1, 4)
-    target = (positions - centre - away).ravel()
+    distance = float(np.sqrt(np.square(from_camera).sum(axis=1).mean())) or 1.0
+    system = np.concatenate([from_camera[:, :, None] / distance, -rotations], axis=2).reshape(-1, 4)
+    target = (positions - centre - from_camera).ravel()
     solution = np.linalg.lstsq(system, target, rcond=1e-9)[0]
     scale, offset = 1 + float(solution[0]) / distance, solution[1:]
     if scale < 0:
@@ -177,5 +181,5 @@ def _fit_scale_and_offset(
     return scale, offset
 
 
-def _known(poses: NDArray) -> NDArray[np.bool_]:
+def _is_known(poses: NDArray) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(poses).all(axis=(1, 2)))

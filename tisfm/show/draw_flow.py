@@ -140,7 +140,7 @@ def draw_arrows(
     require_same_size("flow", values, "image", picture)
     top = usual_length(values) if limit is None else check_limit("limit", limit)
     target = picture_axes(*values.shape[:2]) if axes is None else axes
-    show_picture(target, _dimmed(as_uint8(picture)[0]), title)
+    show_picture(target, _dim_frame(as_uint8(picture)[0]), title)
     if top == 0:
         return target
     step, magnification = arrow_scale(values.shape[:2], top)
@@ -166,7 +166,7 @@ def arrow_scale(
     return max(1, round(spacing)), _ARROW_LENGTH * spacing / limit
 
 
-def _dimmed(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _dim_frame(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return a picture as dark grey levels, on which bright arrows are visible."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
     return np.rint(grey * np.float32(_FRAME_BRIGHTNESS)).astype(np.uint8)

@@ -80,7 +80,7 @@ def draw_image(
     if hidden is not None:
         mask = unmasked_mask(hidden, "hidden")
         require_same_size("hidden", mask, "image", picture)
-        picture = _tinted(picture, mask)
+        picture = _tint(picture, mask)
     target = picture_axes(*picture.shape[:2]) if axes is None else axes
     show_picture(target, picture, title)
     return target
@@ -338,7 +338,7 @@ def draw_with_bar(
     return target
 
 
-def _tinted(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def _tint(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Return a picture in colour whose masked pixels are two thirds red."""
     tinted = np.dstack([image] * 3) if image.ndim == 2 else image.copy()
     red = (tinted[mask].astype(np.uint16) + 2 * np.array(HIDDEN, np.uint16)) // 3

@@ -30,8 +30,8 @@ PathView = Literal["above", "side"]
 
 # Set by hand.
 _MAX_POINTS = 2000  # of a drawn line
-_SHADES = 40, 215  # of 256 levels of the ramp: its ends are invisible on dark or light pages
-_HALF_SIDE = 0.58  # half side of the plot, in largest extents of the path
+_SHADE_RANGE = 40, 215  # of 256 levels of the ramp: its ends are invisible on dark or light pages
+_HALF_SIDE_RATIO = 0.58  # half side of the plot, in largest extents of the path
 _MAX_LEGEND_WIDTH = 0.7  # of the width of the axes
 _MIN_EXTENT = 0.35  # least extent shown, in largest extents in space: small motion is not enlarged
 
@@ -96,43 +96,43 @@ def draw_path(
     >>> save_figure("path.png", axes.figure, dpi=60)
     """
     _check_view(view)
-    path = _poses("poses", poses)
-    true = None if truth is None else _poses("truth", truth)
-    number = np.zeros(len(path), np.int64) if piece is None else _piece(piece)
-    for name, others in (("truth", true), ("piece", number)):
-        if others is not None and len(others) != len(path):
-            raise InputError(f"{name} has {len(others)} frames but poses have {len(path)}")
-    number = np.where(_posed(path), number, -1)
-    pieces, counts = np.unique(number[number >= 0], return_counts=True)
+    path = _check_poses("poses", poses)
+    true = None if truth is None else _check_poses("truth", truth)
+    piece_numbers = np.zeros(len(path), np.int64) if piece is None else _check_piece(piece)
+    for name, array in (("truth", true), ("piece", piece_numbers)):
+        if array is not None and len(array) != len(path):
+            raise InputError(f"{name} has {len(array)} frames but poses have {len(path)}")
+    piece_numbers = np.where(_has_pose(path), piece_numbers, -1)
+    pieces, counts = np.unique(piece_numbers[piece_numbers >= 0], return_counts=True)
     target = plot_axes(4.4, 3.9) if axes is None else axes
     sizes = style_plot(target, title)
     if true is None:
         pieces = pieces[[int(np.argmax(counts))]] if len(pieces) else pieces
-        lines = [path[number == k, :3, 3] for k in pieces]
-        lines = _in_first_axes(lines, path[number == pieces[0]][0]) if lines else []
+        lines = [path[piece_numbers == piece_number, :3, 3] for piece_number in pieces]
+        lines = _to_camera_axes(lines, path[piece_numbers == pieces[0]][0]) if lines else []
         name = "path" if len(counts) < 2 else f"largest of {len(counts)} pieces"
-        _finish(target, sizes, lines, [], view, unit, name)
+        _draw_camera_paths(target, sizes, lines, [], view, unit, name)
         return target
     lines, errors = [], []
-    for k in pieces:
-        in_piece = number == k
-        both = in_piece & _posed(true)
-        if not both.any():
+    for piece_number in pieces:
+        in_piece = piece_numbers == piece_number
+        has_both = in_piece & _has_pose(true)
+        if not has_both.any():
             continue
-        fitted = align(path[both, :3, 3], true[both, :3, 3])
-        lines.append(fitted.apply(path[in_piece, :3, 3]))
-        errors.append(fitted.apply(path[both, :3, 3]) - true[both, :3, 3])
-    known = true[_posed(true)]
+        similarity = align(path[has_both, :3, 3], true[has_both, :3, 3])
+        lines.append(similarity.apply(path[in_piece, :3, 3]))
+        errors.append(similarity.apply(path[has_both, :3, 3]) - true[has_both, :3, 3])
+    true_posed = true[_has_pose(true)]
     name = "no pose to compare"
     if lines:
         rmse = float(np.sqrt(np.square(np.concatenate(errors)).sum(axis=1).mean()))
         name = f"path, rmse {rmse:.3g} {unit}"
-    if len(known):
-        lines = _in_first_axes(lines, known[0])
-        (of_truth,) = _in_first_axes([known[:, :3, 3]], known[0])
-        _finish(target, sizes, lines, [of_truth], view, unit, name)
+    if len(true_posed):
+        lines = _to_camera_axes(lines, true_posed[0])
+        (true_line,) = _to_camera_axes([true_posed[:, :3, 3]], true_posed[0])
+        _draw_camera_paths(target, sizes, lines, [true_line], view, unit, name)
     else:
-        _finish(target, sizes, [], [], view, unit, "no true pose")
+        _draw_camera_paths(target, sizes, [], [], view, unit, "no true pose")
     return target
 
 
@@ -184,15 +184,17 @@ def draw_object_paths(
     _check_view(view)
     if any(number < 0 for number in objects):
         raise InputError(f"objects are {sorted(objects)}: expected numbers from 0")
-    given = {number: _poses(f"object {number}", poses) for number, poses in objects.items()}
-    positions = {number: poses[_posed(poses), :3, 3] for number, poses in given.items()}
+    object_poses = {
+        number: _check_poses(f"object {number}", poses) for number, poses in objects.items()
+    }
+    positions = {number: poses[_has_pose(poses), :3, 3] for number, poses in object_poses.items()}
     positions = {number: line for number, line in positions.items() if len(line)}
     target = plot_axes(4.4, 3.9) if axes is None else axes
     sizes = style_plot(target, title)
     lines = list(positions.values())
     if camera is not None:
-        path = _poses("camera", camera)
-        path = path[_posed(path), :3, 3]
+        path = _check_poses("camera", camera)
+        path = path[_has_pose(path), :3, 3]
         if len(path):
             lines.append(path)
             _draw_line(target, path, view, sizes, color=INK, style="--", name="camera")
@@ -201,7 +203,7 @@ def draw_object_paths(
         color = as_hex(colors_of_categories(np.array(number)))
         _draw_line(target, line, view, sizes, color=color, name=f"object {number}")
         _mark_ends(target, line, view, sizes, colors=(color, color))
-    _frame(target, sizes, lines, view, unit)
+    _set_up_axes(target, sizes, lines, view, unit)
     if not positions:
         write_inside(target, sizes, "no object has a pose")
     if lines:
@@ -209,7 +211,7 @@ def draw_object_paths(
     return target
 
 
-def _finish(
+def _draw_camera_paths(
     axes: Axes,
     sizes: Sizes,
     lines: list[NDArray[np.float64]],
@@ -226,13 +228,13 @@ def _finish(
         _draw_line(axes, line, view, sizes, color=INK, style="--", name="truth")
         handles.append(Line2D([], [], color=INK, linestyle="--", linewidth=sizes.line))
     for line in lines:
-        _draw_shaded(axes, line, view, sizes)
+        _draw_shaded_line(axes, line, view, sizes)
         _mark_ends(axes, line, view, sizes, colors=(ESTIMATE, OTHER))
-    _frame(axes, sizes, [*lines, *truth], view, unit)
+    _set_up_axes(axes, sizes, [*lines, *truth], view, unit)
     if not lines:
         write_inside(axes, sizes, "no pose" if name == "path" else name)
         return
-    middle = as_hex(color_ramp("confidence")[sum(_SHADES) // 2])
+    middle = as_hex(color_ramp("confidence")[sum(_SHADE_RANGE) // 2])
     handles.append(Line2D([], [], color=middle, linewidth=2 * sizes.line))
     _legend(axes, sizes, handles, ["truth"] * len(truth) + [name])
 
@@ -247,20 +249,28 @@ def _draw_line(
     name: str,
     style: str = "-",
 ) -> None:
-    x, y = _projected(_thinned(positions), view)
-    wide, order = (1.8, 2) if style == "-" else (0.8, 2.5)  # dashed lines lie on top
+    x, y = _project(_subsample(positions), view)
+    relative_width, z_order = (1.8, 2) if style == "-" else (0.8, 2.5)  # dashed lines lie on top
     axes.plot(
-        x, y, color=color, linestyle=style, linewidth=wide * sizes.line, label=name, zorder=order
+        x,
+        y,
+        color=color,
+        linestyle=style,
+        linewidth=relative_width * sizes.line,
+        label=name,
+        zorder=z_order,
     )
 
 
-def _draw_shaded(axes: Axes, positions: NDArray[np.float64], view: PathView, sizes: Sizes) -> None:
+def _draw_shaded_line(
+    axes: Axes, positions: NDArray[np.float64], view: PathView, sizes: Sizes
+) -> None:
     """Draw a path that is dark at its beginning and light at its end."""
     from matplotlib.collections import LineCollection
 
-    ends = np.stack(_projected(_thinned(positions), view), axis=1)
+    ends = np.stack(_project(_subsample(positions), view), axis=1)
     segments = np.stack([ends[:-1], ends[1:]], axis=1)
-    levels = np.linspace(*_SHADES, len(segments)).astype(int)
+    levels = np.linspace(*_SHADE_RANGE, len(segments)).astype(int)
     colors = color_ramp("confidence")[levels] / 255
     axes.add_collection(
         LineCollection(list(segments), colors=colors, linewidths=2 * sizes.line, capstyle="round")
@@ -275,7 +285,7 @@ def _mark_ends(
     *,
     colors: tuple[str, str],
 ) -> None:
-    x, y = _projected(positions, view)
+    x, y = _project(positions, view)
     for index, marker, color in ((0, "o", colors[0]), (-1, "s", colors[1])):
         axes.plot(
             x[[index]],
@@ -288,7 +298,7 @@ def _mark_ends(
         )
 
 
-def _frame(
+def _set_up_axes(
     axes: Axes,
     sizes: Sizes,
     lines: list[NDArray[np.float64]],
@@ -304,30 +314,30 @@ def _frame(
         axes.set(xlim=(-1, 1), ylim=(-1, 1))
         return
     positions = np.concatenate(lines)
-    x, y = _projected(positions, view)
-    spread = np.ptp(positions, axis=0).max()
-    half = _HALF_SIDE * max(np.ptp(x), np.ptp(y), _MIN_EXTENT * spread, 1e-9)
+    x, y = _project(positions, view)
+    extent = np.ptp(positions, axis=0).max()
+    half_side = _HALF_SIDE_RATIO * max(np.ptp(x), np.ptp(y), _MIN_EXTENT * extent, 1e-9)
     for set_limits, values in ((axes.set_xlim, x), (axes.set_ylim, y)):
         middle = (values.min() + values.max()) / 2
-        set_limits(middle - half, middle + half)
+        set_limits(middle - half_side, middle + half_side)
 
 
 def _legend(
     axes: Axes, sizes: Sizes, handles: list[Line2D] | None = None, names: Sequence[str] = ()
 ) -> None:
     """Draw the legend inside the axes, or above them if it is wide."""
-    given = (handles, names) if handles is not None else ()
-    longest = max(map(len, names or axes.get_legend_handles_labels()[1]))
-    needed = (longest * 0.6 + 4) * sizes.inch * axes.figure.dpi
-    place: dict[str, Any] = {"loc": "best"}
-    if needed > _MAX_LEGEND_WIDTH * axes.get_window_extent().width:
-        place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
+    legend_arguments = (handles, names) if handles is not None else ()
+    longest_name = max(map(len, names or axes.get_legend_handles_labels()[1]))
+    needed_width = (longest_name * 0.6 + 4) * sizes.inch * axes.figure.dpi
+    placement: dict[str, Any] = {"loc": "best"}
+    if needed_width > _MAX_LEGEND_WIDTH * axes.get_window_extent().width:
+        placement = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
         lines = len(names) or len(axes.get_legend_handles_labels()[1])
         if axes.get_title():
             axes.set_title(axes.get_title(), pad=(1.6 * lines + 1.2) * sizes.text, parse_math=False)
     legend = axes.legend(
-        *given,
-        **place,
+        *legend_arguments,
+        **placement,
         fontsize=sizes.text,
         labelcolor=INK,
         framealpha=0.7,
@@ -337,17 +347,19 @@ def _legend(
     without_formulas(legend)
 
 
-def _in_first_axes(
-    lines: list[NDArray[np.float64]], first: NDArray[np.float64]
+def _to_camera_axes(
+    lines: list[NDArray[np.float64]], camera_pose: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
     """Return positions in the axes of a camera of a given pose."""
-    rigid = Similarity(
-        scale=1.0, rotation=first[:3, :3].T, translation=-first[:3, :3].T @ first[:3, 3]
+    to_camera = Similarity(
+        scale=1.0,
+        rotation=camera_pose[:3, :3].T,
+        translation=-camera_pose[:3, :3].T @ camera_pose[:3, 3],
     )
-    return [rigid.apply(line) for line in lines]
+    return [to_camera.apply(line) for line in lines]
 
 
-def _projected(
+def _project(
     positions: NDArray[np.float64], view: PathView
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the coordinates of positions, (M, 3), along both axes of a view."""
@@ -355,30 +367,30 @@ def _projected(
     return to_right * positions[:, across], upwards * positions[:, up]
 
 
-def _thinned(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def _subsample(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return evenly spaced positions, few enough to draw fast, with the first and last."""
-    kept = np.unique(np.linspace(0, len(positions) - 1, _MAX_POINTS).astype(int))
-    return positions[kept]
+    indices = np.unique(np.linspace(0, len(positions) - 1, _MAX_POINTS).astype(int))
+    return positions[indices]
 
 
-def _posed(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _has_pose(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(poses).all(axis=(1, 2)))
 
 
-def _poses(name: str, poses: ArrayLike) -> NDArray[np.float64]:
-    given = unmasked(poses, name, np.float64)
-    if given.ndim != 3 or given.shape[1:] != (4, 4):
-        raise InputError(f"{name} has the shape {given.shape}, expected (N, 4, 4)")
-    return given
+def _check_poses(name: str, poses: ArrayLike) -> NDArray[np.float64]:
+    array = unmasked(poses, name, np.float64)
+    if array.ndim != 3 or array.shape[1:] != (4, 4):
+        raise InputError(f"{name} has the shape {array.shape}, expected (N, 4, 4)")
+    return array
 
 
-def _piece(piece: ArrayLike) -> NDArray[np.integer]:
-    given = unmasked(piece, "piece")
-    if given.ndim != 1:
-        raise InputError(f"piece has the shape {given.shape}, expected (N,)")
-    if given.dtype.kind not in "iu" and given.size:
-        raise InputError(f"piece has dtype {given.dtype}, expected integers, below 0 for none")
-    return given.astype(np.int64)  # a type with negative values
+def _check_piece(piece: ArrayLike) -> NDArray[np.integer]:
+    array = unmasked(piece, "piece")
+    if array.ndim != 1:
+        raise InputError(f"piece has the shape {array.shape}, expected (N,)")
+    if array.dtype.kind not in "iu" and array.size:
+        raise InputError(f"piece has dtype {array.dtype}, expected integers, below 0 for none")
+    return array.astype(np.int64)  # a type with negative values
 
 
 def _check_view(view: str) -> None:

@@ -94,12 +94,12 @@ def _shifts(inverse_depth: NDArray[Any], displacement: float) -> NDArray[np.int3
 
     A pixel that leaves the picture stays a different surface from a pixel just inside.
     """
-    most = inverse_depth.shape[1] + _MAX_SURFACE_DIFFERENCE + 1
+    max_shift = inverse_depth.shape[1] + _MAX_SURFACE_DIFFERENCE + 1
     valid = is_depth(inverse_depth)
     shift = np.zeros_like(inverse_depth)
     with np.errstate(over="ignore"):  # infinity is out of the picture as well
         np.multiply(inverse_depth, displacement, out=shift, where=valid)
-    np.minimum(shift, most, out=shift)
+    np.minimum(shift, max_shift, out=shift)
     return np.rint(shift, out=shift).astype(np.int32)
 
 
@@ -118,10 +118,10 @@ def _nearest_source(
     source.reshape(-1)[(starts + targets).reshape(-1)] = columns.reshape(-1)
     # A surface that turns away is stretched: neighbours land two columns apart. The column between
     # them belongs to that surface; nothing behind may show through.
-    stretched = np.flatnonzero(shifts[:, 1:] - shifts[:, :-1] == -1)
-    row, column = np.divmod(stretched, max(1, width - 1))
-    between = row, targets[row, column] + 1
-    np.maximum.at(source, between, column.astype(np.int32))
+    stretched_columns = np.flatnonzero(shifts[:, 1:] - shifts[:, :-1] == -1)
+    row, column = np.divmod(stretched_columns, max(1, width - 1))
+    gap_pixels = row, targets[row, column] + 1
+    np.maximum.at(source, gap_pixels, column.astype(np.int32))
     return source[:, margin:]
 
 
@@ -134,9 +134,9 @@ def _fill_rows(source: NDArray[np.int32]) -> NDArray[np.int32]:
     flat = source.reshape(-1)  # a copy where there is a margin
     empty, before, after, gap_before, gap_after = _sides(flat, width)
     nearest = np.where(gap_before <= gap_after, before, after)
-    nothing = np.minimum(gap_before, gap_after) == width
-    nearest[nothing] = 0
-    flat[empty] = np.where(nothing, width - 1, flat[nearest])
+    is_row_empty = np.minimum(gap_before, gap_after) == width
+    nearest[is_row_empty] = 0
+    flat[empty] = np.where(is_row_empty, width - 1, flat[nearest])
     return flat.reshape(height, width)
 
 
@@ -149,22 +149,22 @@ def _fill_from_behind(source: NDArray[np.int32], shifts: NDArray[np.int32]) -> N
     height, width = source.shape
     flat = source.reshape(-1)
     empty, before, after, gap_before, gap_after = _sides(flat, width)
-    nothing = np.minimum(gap_before, gap_after) == width
+    is_row_empty = np.minimum(gap_before, gap_after) == width
     before, after = (
         np.where(gap < width, side, 0) for gap, side in ((gap_before, before), (gap_after, after))
     )
     row = empty // width * width
-    behind_before, behind_after = (shifts.reshape(-1)[row + flat[side]] for side in (before, after))
-    alike = np.abs(behind_after - behind_before) <= _MAX_SURFACE_DIFFERENCE
-    is_farther = np.where(alike, gap_after < gap_before, behind_after < behind_before)
-    takes_after = (gap_before == width) | ((gap_after < width) & is_farther)
-    edge = flat[np.where(takes_after, after, before)]
-    mirrored = edge + np.where(takes_after, gap_after, -gap_before)
-    inside = (mirrored >= 0) & (mirrored < width)
-    mirrored = np.where(inside, mirrored, edge)
+    shift_before, shift_after = (shifts.reshape(-1)[row + flat[side]] for side in (before, after))
+    is_same_surface = np.abs(shift_after - shift_before) <= _MAX_SURFACE_DIFFERENCE
+    is_farther = np.where(is_same_surface, gap_after < gap_before, shift_after < shift_before)
+    is_from_after = (gap_before == width) | ((gap_after < width) & is_farther)
+    edge = flat[np.where(is_from_after, after, before)]
+    mirrored = edge + np.where(is_from_after, gap_after, -gap_before)
+    is_inside = (mirrored >= 0) & (mirrored < width)
+    mirrored = np.where(is_inside, mirrored, edge)
     depth = shifts.reshape(-1)
     is_behind = depth[row + mirrored] <= depth[row + edge] + _MAX_SURFACE_DIFFERENCE
-    flat[empty] = np.where(nothing, width - 1, np.where(is_behind, mirrored, edge))
+    flat[empty] = np.where(is_row_empty, width - 1, np.where(is_behind, mirrored, edge))
     return flat.reshape(height, width)
 
 
@@ -179,10 +179,10 @@ def _sides(
     """
     filled = np.flatnonzero(flat >= 0)
     empty = np.flatnonzero(flat < 0)
-    following = np.searchsorted(filled, empty)
+    next_filled = np.searchsorted(filled, empty)
     # Two distant columns count as filled, before the first row and after the last.
     filled = np.concatenate([[-width - 1], filled, [len(flat) + width]])
-    before, after = filled[following], filled[following + 1]
+    before, after = filled[next_filled], filled[next_filled + 1]
     start = empty - empty % width
     gap_before = np.where(before >= start, empty - before, width)
     gap_after = np.where(after < start + width, after - empty, width)

@@ -95,7 +95,7 @@ def stereo_view(
     require_same_size("inverse_depth", depth, "image", picture)
     if not -1 <= eye <= 1:
         raise InputError(f"eye is {eye!r}, expected a number from -1 to 1")
-    parallax = _parallax(
+    parallax = _compute_parallax(
         depth,
         disparity=disparity,
         max_disparity=max_disparity,
@@ -103,10 +103,10 @@ def stereo_view(
         screen_depth=screen_depth,
         limit=limit,
     )
-    (shown,) = as_uint8(picture)
-    seen = shown if eye == 0 else _view_beside(shown, parallax, eye)
-    view = _inner_part(seen, parallax) if crop else seen
-    return view.copy() if view is shown else view  # not the array of the caller
+    (picture_uint8,) = as_uint8(picture)
+    eye_view = picture_uint8 if eye == 0 else _render_eye(picture_uint8, parallax, eye)
+    view = _crop_border(eye_view, parallax) if crop else eye_view
+    return view.copy() if view is picture_uint8 else view  # not the array of the caller
 
 
 def check_disparity(disparity: float) -> float:
@@ -136,12 +136,12 @@ class _Parallax:
     """The shifts of pixels to the left for the right eye."""
 
     # (H, W) float32: nearness in [0, 1], from infinitely far to the limit
-    near: NDArray[np.float32]
+    nearness: NDArray[np.float32]
     shift: float  # shift of the nearest point against infinity, px
     screen: float  # nearness, in [0, 1], of points without shift
 
 
-def _parallax(
+def _compute_parallax(
     depth: NDArray[np.floating[Any]],
     *,
     disparity: float,
@@ -156,69 +156,73 @@ def _parallax(
     if max_disparity is not None:
         shift = check_limit("max_disparity", max_disparity)
     check_screen(screen, screen_depth)
-    top = inverse_depth_limit(depth) if limit is None else check_limit("limit", limit)
-    if top == 0:  # no depth: no shifts
-        return _Parallax(near=np.zeros(depth.shape, np.float32), shift=0.0, screen=0.0)
-    near = (np.clip(_without_holes(depth), 0, top) / top).astype(np.float32)
-    plane = 0.5
+    max_inverse_depth = inverse_depth_limit(depth) if limit is None else check_limit("limit", limit)
+    if max_inverse_depth == 0:  # no depth: no shifts
+        return _Parallax(nearness=np.zeros(depth.shape, np.float32), shift=0.0, screen=0.0)
+    nearness = (np.clip(_fill_holes(depth), 0, max_inverse_depth) / max_inverse_depth).astype(
+        np.float32
+    )
+    screen_nearness = 0.5
     if screen is not None:
-        known = near[near > 0]
-        plane = float(np.quantile(known, screen)) if known.size else 0.0
+        known_nearness = nearness[nearness > 0]
+        screen_nearness = float(np.quantile(known_nearness, screen)) if known_nearness.size else 0.0
     elif screen_depth is not None:
-        plane = min(1.0, 1 / (screen_depth * top))
-    return _Parallax(near=near, shift=shift, screen=plane)
+        screen_nearness = min(1.0, 1 / (screen_depth * max_inverse_depth))
+    return _Parallax(nearness=nearness, shift=shift, screen=screen_nearness)
 
 
-def _without_holes(inverse_depth: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+def _fill_holes(inverse_depth: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
     """Return inverse depth whose unknown pixels have the farther of both sides of their row.
 
     A row without any known pixel is infinitely far.
     """
-    known = np.isfinite(inverse_depth)
-    if known.all():
+    is_known = np.isfinite(inverse_depth)
+    if is_known.all():
         return inverse_depth
-    from_left = _from_left(inverse_depth, known)
-    from_right = _from_left(inverse_depth[:, ::-1], known[:, ::-1])[:, ::-1]
+    from_left = _fill_from_left(inverse_depth, is_known)
+    from_right = _fill_from_left(inverse_depth[:, ::-1], is_known[:, ::-1])[:, ::-1]
     farther = np.fmin(from_left, from_right)
-    return np.where(known, inverse_depth, np.nan_to_num(farther, nan=0.0))
+    return np.where(is_known, inverse_depth, np.nan_to_num(farther, nan=0.0))
 
 
-def _from_left(
-    values: NDArray[np.floating[Any]], known: NDArray[np.bool_]
+def _fill_from_left(
+    values: NDArray[np.floating[Any]], is_known: NDArray[np.bool_]
 ) -> NDArray[np.floating[Any]]:
     """Return the last known value of the row up to each pixel; NaN without one."""
-    column = np.where(known, np.arange(values.shape[1]), -1)
-    last = np.maximum.accumulate(column, axis=1)
-    found = np.take_along_axis(values, np.maximum(last, 0), axis=1)
-    return np.where(last < 0, np.nan, found)
+    column = np.where(is_known, np.arange(values.shape[1]), -1)
+    last_column = np.maximum.accumulate(column, axis=1)
+    filled = np.take_along_axis(values, np.maximum(last_column, 0), axis=1)
+    return np.where(last_column < 0, np.nan, filled)
 
 
-def _view_beside(picture: NDArray[np.uint8], parallax: _Parallax, eye: float) -> NDArray[np.uint8]:
+def _render_eye(picture: NDArray[np.uint8], parallax: _Parallax, eye: float) -> NDArray[np.uint8]:
     """Return the view of an eye; beyond the border, pixels are repeated or mirrored."""
-    height, width = parallax.near.shape
+    height, width = parallax.nearness.shape
     size = (_UPSAMPLING * width, height)
-    wide = cv2.resize(
+    upsampled = cv2.resize(
         picture, size, interpolation=cv2.INTER_NEAREST
     )  # so that unshifted parts stay sharp
-    near = cv2.dilate(parallax.near, np.ones((_SOFT_EDGE_WIDTH, _SOFT_EDGE_WIDTH), np.uint8))
-    depth = cv2.resize(near, size, interpolation=cv2.INTER_LINEAR)
+    nearness = cv2.dilate(
+        parallax.nearness, np.ones((_SOFT_EDGE_WIDTH, _SOFT_EDGE_WIDTH), np.uint8)
+    )
+    depth = cv2.resize(nearness, size, interpolation=cv2.INTER_LINEAR)
     # Interpolated depth at an edge belongs to neither side.
-    nearest = cv2.resize(near, size, interpolation=cv2.INTER_NEAREST)
-    depth = np.where(np.abs(depth - nearest) < _MIN_EDGE_CHANGE, depth, nearest)
+    nearest_depth = cv2.resize(nearness, size, interpolation=cv2.INTER_NEAREST)
+    depth = np.where(np.abs(depth - nearest_depth) < _MIN_EDGE_CHANGE, depth, nearest_depth)
     displacement = _UPSAMPLING * parallax.shift * eye
-    seen = second_view(wide, depth, displacement=displacement, fill="behind")
-    moved = np.arange(_UPSAMPLING * width) - round(displacement * parallax.screen)
-    seen = seen[:, moved.clip(0, _UPSAMPLING * width - 1)]
-    return np.asarray(cv2.resize(seen, (width, height), interpolation=cv2.INTER_AREA))
+    eye_view = second_view(upsampled, depth, displacement=displacement, fill="behind")
+    source_columns = np.arange(_UPSAMPLING * width) - round(displacement * parallax.screen)
+    eye_view = eye_view[:, source_columns.clip(0, _UPSAMPLING * width - 1)]
+    return np.asarray(cv2.resize(eye_view, (width, height), interpolation=cv2.INTER_AREA))
 
 
-def _inner_part(picture: NDArray[np.uint8], parallax: _Parallax) -> NDArray[np.uint8]:
+def _crop_border(picture: NDArray[np.uint8], parallax: _Parallax) -> NDArray[np.uint8]:
     """Return a view without the border that lacks content for some eye, enlarged to full size."""
     height, width = picture.shape[:2]
     margin = math.ceil(parallax.shift * max(parallax.screen, 1 - parallax.screen))
     if margin == 0:
         return picture
-    share = max(_MIN_KEPT_SHARE, 1 - 2 * margin / width)
-    size = max(1, round(share * width)), max(1, round(share * height))
-    inner = cv2.getRectSubPix(picture, size, ((width - 1) / 2, (height - 1) / 2))
-    return np.asarray(cv2.resize(inner, (width, height), interpolation=cv2.INTER_CUBIC))
+    kept_share = max(_MIN_KEPT_SHARE, 1 - 2 * margin / width)
+    size = max(1, round(kept_share * width)), max(1, round(kept_share * height))
+    center_part = cv2.getRectSubPix(picture, size, ((width - 1) / 2, (height - 1) / 2))
+    return np.asarray(cv2.resize(center_part, (width, height), interpolation=cv2.INTER_CUBIC))
