@@ -9,8 +9,8 @@ from tisfm.cli.command_line import main
 from tisfm.formats import write_png
 from tisfm.scenes import bodies_film, bodies_path, two_blocks
 
-FRAMES, HEIGHT, WIDTH = 7, 120, 160  # of the film of a room
-BODY_FRAMES = 6  # of the film of moving bodies
+FRAMES, HEIGHT, WIDTH = 9, 180, 240  # of the film of a room; examples name its frames and size
+BODY_FRAMES = 8  # of the film of moving bodies
 
 
 def make(folder):

@@ -93,7 +93,7 @@ def prepare(here, words):
     write_png(here / "bonnet.png", np.full(frames[0].shape, 255, np.uint8))
     for name, folder in (("walk.mp4", "calibrated/images"), ("street.mp4", "bodies/frames")):
         if name in words:
-            images = sorted((here / folder).iterdir())[: 3 if words[0] == "run" else None]
+            images = sorted((here / folder).iterdir())[: 3 if words[0] == "run" else 6]
             write_video(here / name, [cv2.imread(str(p), cv2.IMREAD_GRAYSCALE) for p in images])
     if "--labels" in words:
         (here / "street" / "masks").mkdir(parents=True)

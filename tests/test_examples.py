@@ -2,8 +2,6 @@
 
 import doctest
 import inspect
-import os
-import shutil
 from importlib import import_module
 
 import pytest
@@ -47,19 +45,8 @@ def examples_of(name):
     return example if heading and example.examples else None
 
 
-@pytest.fixture(scope="module")
-def folder(documented_files, tmp_path_factory):
-    """A copy of the documented files for all examples: tisfm never writes into a file."""
-    folder = tmp_path_factory.mktemp("examples") / "here"
-    shutil.copytree(
-        documented_files, folder, copy_function=os.link, ignore=shutil.ignore_patterns("*.lock")
-    )
-    return folder
-
-
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_it_has_an_example_that_runs(name, folder, monkeypatch):
-    monkeypatch.chdir(folder)
+def test_docstring_example_runs(name, documented_here):
     if name in NEEDS:
         pytest.importorskip(NEEDS[name])
     example = examples_of(name)

@@ -111,7 +111,7 @@ def test_depth_has_the_unit_of_given_poses(tisfm_run, film):
 
 def test_poses_with_times_belong_to_frames_without_times_in_order(tisfm_run, film):
     write_tum("known.txt", film.poses, 5.0 + np.arange(COUNT))
-    run = ("reconstruct", "film", *options(film, *NO_DEPTH, "--poses"))
+    run = ("reconstruct", "film", *options(film, "--depth-of", "keyframes", "--poses"))
     assert tisfm_run(*run, "known.txt")[0] == 0
     np.testing.assert_allclose(Reconstruction.load("out").poses, film.poses, atol=1e-6)
     write_tum("fewer.txt", film.poses[:4], np.arange(4.0))
@@ -129,7 +129,7 @@ def test_scale_and_mask_are_taken(tisfm_run, film):
     assert code == 0 and len(result) == COUNT
     moved = np.linalg.norm(result.poses[6, :3, 3] - result.poses[0, :3, 3])
     assert moved == pytest.approx(2.5)
-    assert np.isnan(result.depth(result.keyframes[0])[100:]).all()
+    assert np.isinf(result.inverse_depth_std(result.keyframes[0])[100:]).all()
 
 
 def test_nothing_is_fused_without_depth(tisfm_run, film, work_folder):
@@ -260,7 +260,7 @@ def test_poses_with_times_belong_to_the_nearest_frames(tisfm_run, film, work_fol
     between = np.repeat(film.poses[: COUNT - 2], 2, axis=0)[:-1]
     between[1::2, :3, 3] += 1
     write_tum("known.txt", between, stamps[0] + 0.003 + 0.02 * np.arange(len(between)))
-    options_ = options(film, "--poses", "known.txt", *NO_DEPTH)
+    options_ = options(film, "--poses", "known.txt", "--depth-of", "keyframes")
     code, _, err = tisfm_run("reconstruct", "timed", *options_)
     result = Reconstruction.load("out")
     assert code == 0
@@ -280,7 +280,7 @@ def test_the_scale_of_a_missing_frame_is_refused_at_once(tisfm_run, film, work_f
     code, _, err = tisfm_run(
         "reconstruct", "film", *options(film, *NO_DEPTH, "--scale", "0", "7", "1")
     )
-    assert_one_line(code, err, "the sequence has 9 frames: expected numbers from 0 to 8")
+    assert_one_line(code, err, "the sequence has 7 frames: expected numbers from 0 to 6")
     assert not (work_folder / "out").exists()
 
 

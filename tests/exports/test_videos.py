@@ -136,7 +136,7 @@ def test_frames_without_depth_are_left_out(tmp_path):
 
 
 def test_flow_is_of_pairs(tmp_path):
-    with pytest.raises(ValueError, match="keeps no image motion"):
+    with pytest.raises(ValueError, match="has no image motion"):
         write_video(SequenceFrames(made(tmp_path / "walk")), tmp_path / "a.mp4", "flow")
     frames = PairFrames(run_of(tmp_path / "run"))
     write_video(frames, tmp_path / "flow.mp4", "flow")
