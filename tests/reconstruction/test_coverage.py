@@ -134,5 +134,5 @@ def test_moving_board_in_a_third_of_the_frames_is_not_the_static_scene():
         )
         for one in (film, alone)
     ]
-    # Measured: 0.006 with the board, and 0.0025 without; relative to the board above 0.1.
+    # Measured: 0.006 with the board, and 0.0025 without.
     assert errors[0] < 0.01 and errors[1] < 0.005
