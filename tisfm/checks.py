@@ -84,21 +84,21 @@ def _masked(values: object) -> tuple[int, int]:
     return sum(hidden for hidden, _ in counts), sum(total for _, total in counts)
 
 
-def nearest(word: str, known: Iterable[str]) -> str | None:
+def nearest(word: str, candidates: Iterable[str]) -> str | None:
     """Return the known word most similar to `word`; None if no word is similar.
 
     If exactly one known word begins with `word`, that word is returned.
     """
-    words = [name for name in known if name]
-    begun = [name for name in words if name.startswith(word)] if word.strip("-") else []
-    if len(begun) == 1:
-        return begun[0]
+    words = [name for name in candidates if name]
+    completions = [name for name in words if name.startswith(word)] if word.strip("-") else []
+    if len(completions) == 1:
+        return completions[0]
     lower = {name.lower(): name for name in reversed(words)}
     similar = difflib.get_close_matches(word.lower(), lower, n=1, cutoff=_MIN_SIMILARITY)
     return lower[similar[0]] if similar else None
 
 
-def hint(word: str, known: Iterable[str]) -> str:
+def hint(word: str, candidates: Iterable[str]) -> str:
     """Return ", did you mean …?" with the nearest known word, for an error; "" without one."""
-    found = nearest(word, known)
-    return f", did you mean {found!r}?" if found else ""
+    suggestion = nearest(word, candidates)
+    return f", did you mean {suggestion!r}?" if suggestion else ""

@@ -124,9 +124,9 @@ def _pack(arrays: dict[str, NDArray[Any]], packed: dict[str, Any]) -> None:
         array = arrays[name]
         if name == "confidence":  # positive values must not be rounded to 0
             array = np.maximum(array, np.float32(STEP), out=array.copy(), where=array > 0)
-        found = pack(array, row_axis=_row_axis(name), step=step)
-        if found is not None:
-            arrays[name], packing = found
+        result = pack(array, row_axis=_row_axis(name), step=step)
+        if result is not None:
+            arrays[name], packing = result
             packed[name] = packing.to_json()
 
 

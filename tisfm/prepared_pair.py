@@ -72,11 +72,11 @@ def prepare_pair(
         camera = camera.pinhole()
     overflow = overflow_status(grey0, grey1)
     if settings.motion == "camera" and camera.readout and overflow is None:
-        seen = valid
+        visible = valid
         if lens is not None:
             both = (np.ones_like(lens.valid),) * 2 if valid is None else valid
-            seen = both[0] & lens.valid, both[1] & lens.valid
-        unrolled = global_shutter_pair(grey0, grey1, frame, seen, camera, settings, known)
+            visible = both[0] & lens.valid, both[1] & lens.valid
+        unrolled = global_shutter_pair(grey0, grey1, frame, visible, camera, settings, known)
         if unrolled is not None:
             grey0, grey1, frame = unrolled.grey0, unrolled.grey1, unrolled.frame
             valid, lens = unrolled.valid, None

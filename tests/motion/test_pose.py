@@ -49,8 +49,8 @@ def test_a_pose_that_is_a_rotation_shows_no_depth(small):
     [
         (np.eye(2), "shape"),
         (np.zeros((3, 4)), "shape"),
-        (np.diag([1.0, 1, -1]), "no rotation"),
-        (2 * np.eye(3), "no rotation"),
+        (np.diag([1.0, 1, -1]), "not a rotation"),
+        (2 * np.eye(3), "not a rotation"),
         (np.full((4, 4), np.nan), "NaN"),
         (np.diag([1.0, 1, 1, 2]), "last row"),
         (np.diag([1.0, -1, -1]), "turns by 180°: expected less than 90°"),

@@ -67,11 +67,11 @@ class LoadedSequence:
 
     def take(self, indices: Iterable[int]) -> "LoadedSequence":
         """Return the sequence of some of the frames, in the order of `indices`."""
-        kept = list(indices)
+        selected = list(indices)
         return replace(
             self,
-            frames=tuple(self.frames[index] for index in kept),
-            poses=self.poses[kept],
-            times=None if self.times is None else self.times[kept],
-            depths=tuple(self.depths[index] for index in kept),
+            frames=tuple(self.frames[index] for index in selected),
+            poses=self.poses[selected],
+            times=None if self.times is None else self.times[selected],
+            depths=tuple(self.depths[index] for index in selected),
         )

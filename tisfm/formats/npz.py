@@ -126,17 +126,17 @@ class NpzFile:
         """Yield the names of the parts."""
         return (name.removesuffix(_SUFFIX) for name in self._archive.namelist())
 
-    def require_only(self, known: Collection[str]) -> None:
+    def require_only(self, allowed_names: Collection[str]) -> None:
         """Raise FormatError for a part that is unknown, repeated, compressed or too long."""
-        seen = set()
+        names = set()
         for part in self._archive.infolist():
             name = part.filename.removesuffix(_SUFFIX)
-            if name == part.filename or name not in known:
+            if name == part.filename or name not in allowed_names:
                 raise FormatError(f"{self.name} has the unknown part {part.filename!r}")
-            if name in seen:
+            if name in names:
                 raise FormatError(f"{self.name} has the part {name} twice")
             self._refuse_compressed(part)
-            seen.add(name)
+            names.add(name)
         # Parts that overlap in the file may add up to more bytes than the file has.
         if sum(part.file_size for part in self._archive.infolist()) > self.length:
             raise FormatError(f"{self.name} has parts longer than the whole file")

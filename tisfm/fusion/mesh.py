@@ -165,9 +165,9 @@ def fused_mesh(
         )
     runtime.start()
     needed = min(agreeing, len(read))
-    field, reach = _field(read, voxel, truncation, needed)
+    field, truncation_distance = _field(read, voxel, truncation, needed)
     vertices, faces = extract_surface(field, needed)
-    colors = _colors(read, vertices, reach)
+    colors = _colors(read, vertices, truncation_distance)
     return Mesh(
         vertices=(vertices * read.unit).astype(np.float32),
         faces=faces,
@@ -180,19 +180,21 @@ def _field(
     views: PosedViews, voxel: float | None, truncation: float | None, agreeing: int
 ) -> tuple[DistanceField, float]:
     """Return the field and its truncation distance, in the unit of the views."""
-    deviation = float(np.median([seen.deviation for seen in views.seen]))
+    deviation = float(np.median([summary.deviation for summary in views.seen]))
     if voxel is None:
-        pixel = float(np.median([seen.depth / seen.focal for seen in views.seen]))
+        pixel = float(np.median([summary.depth / summary.focal for summary in views.seen]))
         side = max(VOXEL_PIXELS * pixel, MIN_VOXEL_DEVIATIONS * deviation)
     else:
         side = voxel / views.unit
     while True:
         if truncation is None:
-            reach = max(TRUNCATION_VOXELS * side, MIN_TRUNCATION_DEVIATIONS * deviation)
+            truncation_distance = max(
+                TRUNCATION_VOXELS * side, MIN_TRUNCATION_DEVIATIONS * deviation
+            )
         else:
-            reach = truncation / views.unit
+            truncation_distance = truncation / views.unit
         try:
-            return integrate_views(views, side, reach, agreeing), reach
+            return integrate_views(views, side, truncation_distance, agreeing), truncation_distance
         except VoxelTooSmallError as error:
             if voxel is not None:
                 raise InputError(
@@ -203,7 +205,9 @@ def _field(
             side *= max(_MIN_ENLARGEMENT, error.larger)
 
 
-def _colors(views: PosedViews, vertices: NDArray[np.float64], near: float) -> NDArray[np.uint8]:
+def _colors(
+    views: PosedViews, vertices: NDArray[np.float64], max_distance: float
+) -> NDArray[np.uint8]:
     """Return the mean colour of each vertex, (V, 3)."""
     from tisfm.kernels.fusion.agreement import add_colors
 
@@ -216,10 +220,10 @@ def _colors(views: PosedViews, vertices: NDArray[np.float64], near: float) -> ND
             view.colors,
             sums,
             projection=view.to_pixels.astype(np.float32),
-            max_distance=near,
+            max_distance=max_distance,
         )
-    shown = sums[:, 3:] > 0
-    mean = np.where(shown, sums[:, :3] / np.where(shown, sums[:, 3:], 1), UNSEEN_GREY)
+    is_shown = sums[:, 3:] > 0
+    mean = np.where(is_shown, sums[:, :3] / np.where(is_shown, sums[:, 3:], 1), UNSEEN_GREY)
     return np.rint(mean).astype(np.uint8)
 
 

@@ -72,7 +72,7 @@ def integrate_views(
     """
     from tisfm.kernels.fusion.distance_field import VOXELS
 
-    numbers = _blocks(views, voxel, truncation, agreeing)
+    numbers = _select_blocks(views, voxel, truncation, agreeing)
     distance = np.ones((len(numbers), VOXELS), np.float32)
     weight = np.zeros((len(numbers), VOXELS), np.float32)
     count = np.zeros((len(numbers), VOXELS), np.int32)
@@ -81,24 +81,24 @@ def integrate_views(
     return DistanceField(voxel=voxel, numbers=numbers, distance=distance, views=count)
 
 
-def _blocks(views: PosedViews, voxel: float, truncation: float, agreeing: int) -> Blocks:
+def _select_blocks(views: PosedViews, voxel: float, truncation: float, agreeing: int) -> Blocks:
     """Return the numbers of the blocks near the surfaces of enough views, ascending.
 
     Blocks near errors of single views would be many more.
     """
     numbers, count = np.empty(0, np.int64), np.empty(0, np.int32)
-    for view, seen in zip(views, views.seen, strict=True):
-        near = _blocks_near(view, seen.farthest, voxel, truncation)
-        both = np.union1d(numbers, near)
-        counted = np.zeros(len(both), np.int32)
-        counted[np.searchsorted(both, numbers)] = count
-        new = np.searchsorted(both, near)
-        counted[new] += 1
-        numbers, count = both, counted
+    for view, summary in zip(views, views.seen, strict=True):
+        view_numbers = _find_near_blocks(view, summary.farthest, voxel, truncation)
+        all_numbers = np.union1d(numbers, view_numbers)
+        counted = np.zeros(len(all_numbers), np.int32)
+        counted[np.searchsorted(all_numbers, numbers)] = count
+        view_indices = np.searchsorted(all_numbers, view_numbers)
+        counted[view_indices] += 1
+        numbers, count = all_numbers, counted
         if len(numbers) > MAX_CANDIDATES:
-            kept = count >= min(agreeing, 2)
-            kept[new] = True  # later views may add to their counts
-            numbers, count = numbers[kept], count[kept]
+            is_kept = count >= min(agreeing, 2)
+            is_kept[view_indices] = True  # later views may add to their counts
+            numbers, count = numbers[is_kept], count[is_kept]
         if len(numbers) > MAX_CANDIDATES:
             raise VoxelTooSmallError(np.sqrt(len(numbers) / MAX_BLOCKS))
     numbers = numbers[count >= agreeing]
@@ -107,7 +107,7 @@ def _blocks(views: PosedViews, voxel: float, truncation: float, agreeing: int) -
     return numbers
 
 
-def _blocks_near(view: PosedDepth, farthest: float, voxel: float, truncation: float) -> Blocks:
+def _find_near_blocks(view: PosedDepth, farthest: float, voxel: float, truncation: float) -> Blocks:
     """Return the numbers of the blocks near the surface of a view, ascending.
 
     Pixels are sampled densely enough for the smallest block in the image.
@@ -131,14 +131,14 @@ def _blocks_near(view: PosedDepth, farthest: float, voxel: float, truncation: fl
     rays = view.to_world / voxel
     rays[:, 3] -= first * EDGE
     height, width = view.inverse_depth.shape
-    found = []
+    numbers_of_rows = []
     for top in range(0, height, _BAND_ROWS * step):
         rows = -(-min(height - top, _BAND_ROWS * step) // step)
-        near = np.empty((rows, -(-width // step), samples, CORNERS), np.int32)
+        row_numbers = np.empty((rows, -(-width // step), samples, CORNERS), np.int32)
         find_blocks(
             view.inverse_depth,
             view.deviation,
-            near,
+            row_numbers,
             top=top,
             stride=step,
             rays=rays.astype(np.float32),
@@ -146,10 +146,10 @@ def _blocks_near(view: PosedDepth, farthest: float, voxel: float, truncation: fl
             truncation=truncation,
         )
         # Most pixels are near the same blocks as the pixel to their left.
-        new = near >= 0
-        new[:, 1:] &= near[:, 1:] != near[:, :-1]
-        found.append(np.unique(near[new]))
-    flat = np.unique(np.concatenate(found)).astype(np.int64)
+        is_first = row_numbers >= 0
+        is_first[:, 1:] &= row_numbers[:, 1:] != row_numbers[:, :-1]
+        numbers_of_rows.append(np.unique(row_numbers[is_first]))
+    flat = np.unique(np.concatenate(numbers_of_rows)).astype(np.int64)
     blocks = np.stack([flat // (ny * nz), flat // nz % ny, flat % nz], axis=1)
     return np.sort(block_numbers(blocks + first.astype(np.int64)))
 
@@ -212,6 +212,6 @@ def _in_frustum(
             [0, 0, 1],
         ]
     )
-    reach = np.maximum(across @ sides.T, 0).sum(axis=0)
-    inside = (corners @ sides.T + reach >= 0).all(axis=1)
-    return inside & (corners[:, 2] + np.minimum(across[:, 2], 0).sum() <= farthest)
+    extent = np.maximum(across @ sides.T, 0).sum(axis=0)
+    is_inside = (corners @ sides.T + extent >= 0).all(axis=1)
+    return is_inside & (corners[:, 2] + np.minimum(across[:, 2], 0).sum() <= farthest)

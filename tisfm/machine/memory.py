@@ -47,12 +47,12 @@ def require(
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     except OSError:  # not Linux: other systems hardly enforce that limit
         return
-    left = bound - pages * os.sysconf("SC_PAGE_SIZE")
-    if left < amount:
+    available = bound - pages * os.sysconf("SC_PAGE_SIZE")
+    if available < amount:
         raise OutOfMemoryError(
-            f"the limit of the address space (ulimit -v) is {_gb(bound)} and leaves {_gb(left)}, "
-            f"but {purpose} reserves {_gb(amount)}, of which little is used: raise the limit, or "
-            "limit resident memory instead"
+            f"the limit of the address space (ulimit -v) is {_gb(bound)} and leaves "
+            f"{_gb(available)}, but {purpose} reserves {_gb(amount)}, of which little is used: "
+            "raise the limit, or limit resident memory instead"
         )
 
 

@@ -149,16 +149,16 @@ def label_scores(
     if not 0 < least <= 1:
         raise InputError(f"least is {least!r}: expected a number above 0, and 1 at most")
     pairs = _overlaps(labels, truth)
-    (ids, id_index), (found, label_index) = (
+    (ids, id_index), (label_ids, label_index) = (
         np.unique([pair[column] for pair in pairs], return_inverse=True) for column in (1, 2)
     )
     frames = 1 + max((pair[0] for pair in pairs), default=-1)
-    shared = np.zeros((frames, len(ids), len(found)), np.int64)
+    shared = np.zeros((frames, len(ids), len(label_ids)), np.int64)
     shared[[pair[0] for pair in pairs], id_index, label_index] = [pair[3] for pair in pairs]
     true_pixels, found_pixels = shared.sum(axis=2), shared.sum(axis=1)
     # From here on without the background, which is neither an object nor a label.
-    is_object, is_label = ids > 0, found > 0
-    ids, found = ids[is_object], found[is_label]
+    is_object, is_label = ids > 0, label_ids > 0
+    ids, label_ids = ids[is_object], label_ids[is_label]
     if not len(ids):
         raise InputError(
             f"truth has no object in any of {frames} frames: expected pixels other than 0"
@@ -180,7 +180,7 @@ def label_scores(
         scores.append(
             ObjectScores(
                 object_id=int(object_id),
-                label=None if column is None else int(found[column]),
+                label=None if column is None else int(label_ids[column]),
                 iou=0.0 if column is None else float(mean[row, column]),
                 frames=int(present.sum() if column is None else counted[row, column]),
                 present=int(present.sum()),
@@ -191,15 +191,15 @@ def label_scores(
     return LabelScores(objects=tuple(scores), frames=frames)
 
 
-def _followers(shared: NDArray, overlap: NDArray, least: float) -> NDArray[np.intp]:
+def _followers(shared: NDArray, overlap: NDArray, min_overlap: float) -> NDArray[np.intp]:
     """Return the index of the label that follows an object in each frame, -1 without one.
 
     `shared`, pixels, and `overlap`, intersections over unions, are (N frames, labels).
     """
     if not shared.shape[1]:
         return np.full(len(shared), -1)
-    enough = np.where(overlap >= least, shared, 0)
-    return np.where(enough.any(axis=1), enough.argmax(axis=1), -1)
+    sufficient = np.where(overlap >= min_overlap, shared, 0)
+    return np.where(sufficient.any(axis=1), sufficient.argmax(axis=1), -1)
 
 
 def _overlaps(

@@ -92,15 +92,15 @@ def occlusion_scores(
     >>> scores.precision, scores.recall
     (1.0, 0.5)
     """
-    found, true = unmasked_mask(occlusion, "occlusion"), unmasked_mask(truth, "truth")
-    if found.shape != true.shape or found.ndim != 2:
+    estimated, true = unmasked_mask(occlusion, "occlusion"), unmasked_mask(truth, "truth")
+    if estimated.shape != true.shape or estimated.ndim != 2:
         raise InputError(
-            f"occlusion is {found.shape} and truth is {true.shape}: both must be (H, W)"
+            f"occlusion is {estimated.shape} and truth is {true.shape}: both must be (H, W)"
         )
-    counts = mask_or_all(mask, found.shape)
+    counts = mask_or_all(mask, estimated.shape)
     if not counts.any():
         raise InputError("no pixel counts: the mask is zero everywhere")
-    hits, marked, occluded = (int((m & counts).sum()) for m in (found & true, found, true))
+    hits, marked, occluded = (int((m & counts).sum()) for m in (estimated & true, estimated, true))
     return OcclusionScores.from_counts(
         hits=hits, marked=marked, occluded=occluded, pixels=int(counts.sum())
     )

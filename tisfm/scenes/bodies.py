@@ -60,9 +60,9 @@ class _Flight:
     """The path of a body: it swings along each axis of the world, and rotates steadily."""
 
     size: tuple[float, float, float]
-    # middle, reach: centre and amplitude of the swing along each axis, (3,), m
+    # middle, amplitude: centre and amplitude of the swing along each axis, (3,), m
     middle: tuple[float, float, float]
-    reach: tuple[float, float, float]
+    amplitude: tuple[float, float, float]
     period: tuple[float, float, float]  # period of the swing along each axis, (3,), frames
     # frame in which the body passes the centre along each axis, (3,)
     start: tuple[float, float, float]
@@ -73,7 +73,7 @@ class _Flight:
         """Return the pose, body to world, (4, 4), at the number of a frame."""
         swing = np.sin(2 * np.pi * (number - np.array(self.start)) / np.array(self.period))
         pose = pose_matrix(np.array([0, 0, 0, *self.spin]) * number)
-        pose[:3, 3] = np.array(self.middle) + np.array(self.reach) * swing
+        pose[:3, 3] = np.array(self.middle) + np.array(self.amplitude) * swing
         return pose
 
 
@@ -82,7 +82,7 @@ _FLIGHTS = (
     _Flight(
         size=(0.6, 0.5, 0.4),
         middle=(-0.1, 0.1, 2.15),
-        reach=(1.05, 0.08, 0.05),
+        amplitude=(1.05, 0.08, 0.05),
         period=(130, 70, 90),
         start=(23, 0, 10),
         spin=(0.006, 0.03, 0.004),
@@ -92,7 +92,7 @@ _FLIGHTS = (
     _Flight(
         size=(0.6, 0.5, 0.42),
         middle=(-0.34, 0.17, 2.93),
-        reach=(-0.83, 0.05, 0.03),
+        amplitude=(-0.83, 0.05, 0.03),
         period=(110, 80, 60),
         start=(22, 30, 0),
         spin=(-0.01, -0.035, 0.006),
@@ -102,7 +102,7 @@ _FLIGHTS = (
     _Flight(
         size=(0.41, 0.4, 0.38),
         middle=(0.38, 0.08, 1.45),
-        reach=(0.25, 0.38, 0.05),
+        amplitude=(0.25, 0.38, 0.05),
         period=(80, 48, 100),
         start=(8, 11, 30),
         spin=(0.02, 0.025, -0.012),
@@ -197,13 +197,13 @@ def bodies_film(
 
     for k, pose in enumerate(path):
         scene = scene_at(k, 0.0)
-        depth[k], seen = scene.depth_and_labels(pose)
+        depth[k], scene_labels = scene.depth_and_labels(pose)
         if readout:
             frame = render_rolling_shutter(partial(scene_at, k), path, k, readout, samples)
         else:
             frame = scene.frame_from(pose, samples=samples)
         frames[k] = expose(frame, random, noise, 0.0, "uint8")
-        labels[k] = np.maximum(seen - len(at_rest) + 1, 0)
+        labels[k] = np.maximum(scene_labels - len(at_rest) + 1, 0)
     return BodiesFilm(
         frames=frames,
         depth=depth,

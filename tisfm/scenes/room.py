@@ -63,8 +63,8 @@ class _Tiles(Texture):
         shades = self.spread * random.uniform(-1.7, 1.7, (_TILE_PERIOD, _TILE_PERIOD))
         column, row = (np.floor(at / self.side).astype(np.int64) % _TILE_PERIOD for at in (s, t))
         # The shades of tiles smaller than a pixel fade out.
-        kept = np.clip(self.side / footprint - 1, 0, 1)
-        grey = super()._grey(s, t, footprint, face) + kept * shades[row, column]
+        shade_weight = np.clip(self.side / footprint - 1, 0, 1)
+        grey = super()._grey(s, t, footprint, face) + shade_weight * shades[row, column]
         bare = (1 - self._joint_share(s, footprint)) * (1 - self._joint_share(t, footprint))
         return np.clip(grey * bare + self.joint_grey * (1 - bare), 0, 255).astype(np.float32)
 

@@ -82,9 +82,9 @@ class Labels:
             raise InputTypeError(
                 f"labels is {labels!r}: expected pictures, or an array for every frame"
             )
-        known = self._items.values() if isinstance(self._items, Mapping) else ()
+        label_items = self._items.values() if isinstance(self._items, Mapping) else ()
         # files of the labels
-        self.files = tuple(Path(os.fspath(item)) for item in known if is_path(item))
+        self.files = tuple(Path(os.fspath(item)) for item in label_items if is_path(item))
         for file in self.files:
             if not file.exists():
                 raise FileNotFoundError(f"there are no labels {file}: check the path")
