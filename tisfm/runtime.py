@@ -24,9 +24,9 @@ __all__ = ["start"]
 
 Arch = Literal["cpu", "cuda", "vulkan", "metal"]
 ARCHS = get_args(Arch)
-_starting = threading.Lock()
+_start_lock = threading.Lock()
 _process: int | None = None  # id of the process in which Taichi was started or found running
-_warned_of: int | None = None  # id of the Taichi program that the user was warned about
+_warned_program_id: int | None = None  # id of the Taichi program that the user was warned about
 _AVX_512F = 13  # OpenCV's number of this CPU feature; cv2 in Python has no name for it
 _NEEDS = {
     "cuda": "it needs an NVIDIA GPU and its driver (libcuda)",
@@ -111,7 +111,7 @@ def start(
             'there: start workers afresh, as multiprocessing.get_context("spawn") does, or fork '
             "before the first interpretation"
         )
-    with _starting:
+    with _start_lock:
         _process = os.getpid()  # set first: the process may fork while this thread starts Taichi
         try:
             _start(arch, threads, bind_threads)
@@ -137,8 +137,8 @@ def _start(arch: Arch | None, threads: int | None, bind_threads: bool) -> None:
         _check_running(arch, threads)
         _warn_of_application()
         return
-    chosen = arch or _arch_of_environment()
-    if chosen == "vulkan" and (device := software_vulkan()):
+    arch_name = arch or _arch_of_environment()
+    if arch_name == "vulkan" and (device := software_vulkan()):
         warnings.warn(software_vulkan_message(device), SoftwareVulkanWarning, stacklevel=3)
     require_for_taichi(threads or os.cpu_count() or 1)
     options = cache_options()
@@ -152,24 +152,24 @@ def _start(arch: Arch | None, threads: int | None, bind_threads: bool) -> None:
     if threads is not None:
         options["cpu_max_num_threads"] = threads
         cv2.setNumThreads(threads)
-    if chosen == "cpu":
+    if arch_name == "cpu":
         options["real_matrix_scalarize"] = False  # keeps all lanes in one or two hardware vectors
     else:
         options["fast_math"] = False  # rounds roots and quotients as a CPU does
-    before = thread_ids()
-    _initialise(chosen, options)
-    if chosen == "cpu" and bind_threads:
-        bind_newest(_most_threads(), before)
+    earlier_threads = thread_ids()
+    _initialise(arch_name, options)
+    if arch_name == "cpu" and bind_threads:
+        bind_newest(_max_threads(), earlier_threads)
 
 
 def _initialise(arch: str, options: dict[str, Any]) -> None:
     """Start Taichi on an arch, or raise an error that says why this is impossible."""
-    global _warned_of
+    global _warned_program_id
     import taichi as ti
 
     from tisfm.kernels.layout.internals import materialize, program
 
-    overriding = os.environ.pop("TI_ARCH", None)  # it would override `arch`
+    environment_arch = os.environ.pop("TI_ARCH", None)  # it would override `arch`
     try:
         with contextlib.redirect_stdout(io.StringIO()):  # Taichi prints the arch it starts on
             # log_level: no line for each library that Taichi does not find; the error is enough.
@@ -181,10 +181,10 @@ def _initialise(arch: str, options: dict[str, Any]) -> None:
             f"Taichi cannot run on {arch!r} here: {_NEEDS.get(arch, str(error))}"
         ) from error
     finally:
-        if overriding is not None:
-            os.environ["TI_ARCH"] = overriding
+        if environment_arch is not None:
+            os.environ["TI_ARCH"] = environment_arch
     ti.set_logging_level(ti.WARN)
-    _warned_of = id(program())  # started here, so no warning about an application's ti.init
+    _warned_program_id = id(program())  # started here, so no warning about an application's ti.init
 
 
 def software_vulkan_message(device: str) -> str:
@@ -244,10 +244,10 @@ def lane_grid(height: int, width: int) -> "LaneGrid":
 def threads() -> int:
     """Return the most CPU threads that kernels use; start the runtime if necessary."""
     start()
-    return _most_threads()
+    return _max_threads()
 
 
-def _most_threads() -> int:
+def _max_threads() -> int:
     from tisfm.kernels.layout import internals
 
     return int(internals.configuration().cpu_max_num_threads)
@@ -290,18 +290,19 @@ def _warn_of_application() -> None:
 
     The options are splitting of vectors into scalars, or Vulkan that is emulated in software.
     """
-    global _warned_of
+    global _warned_program_id
     from tisfm.kernels.layout import internals
 
     program, arch = id(internals.program()), running_arch()
-    if _warned_of == program:
+    if _warned_program_id == program:
         return
     if arch == "vulkan":
-        _warned_of = program  # set first: the query of the drivers is slow and need not repeat
+        # Set first: the query of the drivers is slow and need not repeat.
+        _warned_program_id = program
         if device := software_vulkan():
             warnings.warn(software_vulkan_message(device), SoftwareVulkanWarning, stacklevel=4)
     if arch == "cpu" and internals.configuration().real_matrix_scalarize:
-        _warned_of = program
+        _warned_program_id = program
         warnings.warn(
             "Taichi was started without real_matrix_scalarize=False: kernels may take minutes to "
             "compile, and are slower. Pass it: ti.init(arch=ti.cpu, real_matrix_scalarize=False); "

@@ -86,13 +86,13 @@ def test_software_vulkan_gives_a_warning(monkeypatch):
 def test_software_vulkan_that_an_application_started_gives_one_warning(monkeypatch):
     monkeypatch.setattr(runtime, "running_arch", lambda: "vulkan")
     monkeypatch.setattr(runtime, "software_vulkan", lambda: "llvmpipe (LLVM 15)")
-    monkeypatch.setattr(runtime, "_warned_of", None)
+    monkeypatch.setattr(runtime, "_warned_program_id", None)
     with pytest.warns(runtime.SoftwareVulkanWarning, match="vulkan runs on llvmpipe"):
         runtime.start()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         runtime.start()
-    monkeypatch.setattr(runtime, "_warned_of", None)
+    monkeypatch.setattr(runtime, "_warned_program_id", None)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         runtime.start_worker()  # the main process has warned

@@ -48,7 +48,10 @@ def _load_new_tsukuba(folder: Path) -> LoadedSequence:
     poses[:, :3, 3] /= _CENTIMETRES
     files = tuple(frames[number] for number in sorted(frames))
     return LoadedSequence(
-        frames=files, poses=poses, camera=_stated("new_tsukuba", files), depths=(None,) * len(files)
+        frames=files,
+        poses=poses,
+        camera=_known_camera("new_tsukuba", files),
+        depths=(None,) * len(files),
     )
 
 
@@ -60,16 +63,16 @@ def _load_sevenscenes(folder: Path) -> LoadedSequence:
     files = tuple(frames[number] for number in numbers)
     return LoadedSequence(
         frames=files,
-        poses=np.array([read_pose(poses[n]) if n in poses else _no_pose() for n in numbers]),
-        camera=_stated("sevenscenes", files),
+        poses=np.array([read_pose(poses[n]) if n in poses else _missing_pose() for n in numbers]),
+        camera=_known_camera("sevenscenes", files),
         depths=tuple(depths.get(number) for number in numbers),
     )
 
 
 def _load_calibrated(folder: Path) -> LoadedSequence:
-    frames = tuple(_pictures(folder / "images"))
+    frames = tuple(_find_pictures(folder / "images"))
     path = folder / "poses.txt"
-    poses = np.tile(_no_pose(), (len(frames), 1, 1))
+    poses = np.tile(_missing_pose(), (len(frames), 1, 1))
     if path.is_file():
         poses = read_kitti(path).poses
         if len(poses) != len(frames):
@@ -86,13 +89,13 @@ def _load_calibrated(folder: Path) -> LoadedSequence:
 
 
 def _load_tum(folder: Path) -> LoadedSequence:
-    times, frames = _listed(folder / "rgb.txt")
+    times, frames = _read_list(folder / "rgb.txt")
     depths: list[Path | None] = [None] * len(frames)
     if (folder / "depth.txt").is_file():
-        depth_times, maps = _listed(folder / "depth.txt")
+        depth_times, maps = _read_list(folder / "depth.txt")
         for frame, depth in zip(*associate(times, depth_times), strict=True):
             depths[frame] = maps[depth]
-    poses = np.tile(_no_pose(), (len(frames), 1, 1))
+    poses = np.tile(_missing_pose(), (len(frames), 1, 1))
     if (folder / "groundtruth.txt").is_file():
         truth = read_tum(folder / "groundtruth.txt")
         assert truth.times is not None
@@ -111,7 +114,7 @@ def _load_tum(folder: Path) -> LoadedSequence:
 
 def _load_kitti_odometry(folder: Path) -> LoadedSequence:
     pictures = next(folder / name for name in _KITTI_FRAMES if (folder / name).is_dir())
-    frames = tuple(_pictures(pictures))
+    frames = tuple(_find_pictures(pictures))
     path = _kitti_poses(folder)
     poses = read_kitti(path).poses
     if len(poses) != len(frames):
@@ -136,7 +139,7 @@ def _kitti_poses(folder: Path) -> Path:
     return folder.parent.parent / "poses" / f"{folder.name}.txt"
 
 
-def _listed(path: Path) -> tuple[NDArray[np.float64], list[Path]]:
+def _read_list(path: Path) -> tuple[NDArray[np.float64], list[Path]]:
     """Return times and files of a TUM list, which has a time and a file name on every line."""
     times, files = [], []
     for number, words in read_lines(path):
@@ -154,17 +157,17 @@ def _listed(path: Path) -> tuple[NDArray[np.float64], list[Path]]:
         raise FormatError(f"{path}: {error}") from None
 
 
-def _pictures(folder: Path) -> list[Path]:
+def _find_pictures(folder: Path) -> list[Path]:
     files = [file for file in sorted_files(folder, "*") if file.suffix.lower() in IMAGE_SUFFIXES]
     return sort_by_name(files)
 
 
-def _stated(layout: SequenceLayout, frames: tuple[Path, ...]) -> Camera:
+def _known_camera(layout: SequenceLayout, frames: tuple[Path, ...]) -> Camera:
     """Return the known camera of a layout, for the size of these frames."""
     return for_width(KNOWN_CAMERAS[layout], read_image(frames[0]).shape[1])
 
 
-def _no_pose() -> NDArray[np.float64]:
+def _missing_pose() -> NDArray[np.float64]:
     return np.full((4, 4), np.nan)
 
 

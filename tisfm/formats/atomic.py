@@ -71,7 +71,7 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = False) -> Iter
         # Plain open, not tempfile.mkstemp: the file gets the permissions the user's umask asks for.
         file = open(temporary, "xb", _BUFFER_SIZE)  # noqa: SIM115 (closed below, before the rename)
     except OSError as error:
-        raise _explained(error, name, folder) from error
+        raise _explain_error(error, name, folder) from error
     try:
         with file:
             yield file
@@ -81,12 +81,12 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = False) -> Iter
         try:
             os.replace(temporary, target)
         except OSError as error:
-            raise _explained(error, name, folder) from error
+            raise _explain_error(error, name, folder) from error
     except BaseException as error:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)
         if isinstance(error, OSError) and error.strerror and error.errno in _DISK_ERRORS:
-            raise _explained(error, name, folder) from error
+            raise _explain_error(error, name, folder) from error
         raise
 
 
@@ -118,7 +118,7 @@ def is_temporary(name: str) -> bool:
     return name.startswith(TEMPORARY_PREFIX) and name.endswith(TEMPORARY_SUFFIX)
 
 
-def _explained(error: OSError, name: str, folder: str) -> OSError:
+def _explain_error(error: OSError, name: str, folder: str) -> OSError:
     """Return an error of the same kind whose text names the file and says what to do."""
     if isinstance(error, FileNotFoundError):
         advice = f"the folder {folder} does not exist; create it first or give another path"
@@ -130,6 +130,6 @@ def _explained(error: OSError, name: str, folder: str) -> OSError:
         advice = f"{error.strerror}; give a path in another folder"
     # A class of a library may take other arguments: raise the built-in class that it derives from.
     kind = next(one for one in type(error).__mro__ if one.__module__ == "builtins")
-    explained: OSError = kind(f"cannot write {name}: {advice}")
-    explained.errno = error.errno
-    return explained
+    new_error: OSError = kind(f"cannot write {name}: {advice}")
+    new_error.errno = error.errno
+    return new_error

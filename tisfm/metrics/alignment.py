@@ -80,11 +80,11 @@ def align(points: ArrayLike, truth: ArrayLike, *, with_scale: bool = True) -> Si
             f"points are {source.shape} and truth is {target.shape}: expected the same number"
         )
     centre, goal = source.mean(axis=0), target.mean(axis=0)
-    left, right = source - centre, target - goal
-    u, values, vt = np.linalg.svd(right.T @ left / len(source))
+    centred_source, centred_goal = source - centre, target - goal
+    u, values, vt = np.linalg.svd(centred_goal.T @ centred_source / len(source))
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
     rotation = u * signs @ vt
-    spread = float(np.square(left).sum(axis=1).mean())
+    spread = float(np.square(centred_source).sum(axis=1).mean())
     is_point = spread <= (_MIN_SPREAD * np.abs(source).max()) ** 2
     scale = float(values @ signs / spread) if with_scale and not is_point else 1.0
     return Similarity(scale=scale, rotation=rotation, translation=goal - scale * rotation @ centre)

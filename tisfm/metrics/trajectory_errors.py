@@ -225,16 +225,16 @@ def relative_errors(
     0.1
     """
     whole(1, step=step)
-    found, true = _check_both(poses, truth)
-    first = np.arange(max(0, len(found) - step))
-    left = _residual_motions(found, true, first, first + step, scale)
-    if not len(left):
+    estimated, true = _check_both(poses, truth)
+    first = np.arange(max(0, len(estimated) - step))
+    residuals = _residual_motions(estimated, true, first, first + step, scale)
+    if not len(residuals):
         return None
     return RelativeErrors(
-        pairs=len(left),
+        pairs=len(residuals),
         step=step,
-        translation=_root_mean_square(left[:, :3, 3]),
-        rotation=float(np.sqrt(np.square(rotation_angles(left)).mean())),
+        translation=_root_mean_square(residuals[:, :3, 3]),
+        rotation=float(np.sqrt(np.square(rotation_angles(residuals)).mean())),
     )
 
 
@@ -289,29 +289,29 @@ def drift(
     >>> round(drift(found, truth).translation, 6)  # a tenth of the way
     0.1
     """
-    found, true = _check_both(poses, truth)
+    estimated, true = _check_both(poses, truth)
     known = np.flatnonzero(_has_pose(true))
-    along = _distances_along(true[known])
-    short = along[-1] <= KITTI_LENGTHS[0]
-    measured = lengths is None and short
+    distances = _distances_along(true[known])
+    is_short = distances[-1] <= KITTI_LENGTHS[0]
+    uses_shares = lengths is None and is_short
     if lengths is None:
-        lengths = [share * along[-1] for share in LENGTH_SHARES] if short else KITTI_LENGTHS
+        lengths = [share * distances[-1] for share in LENGTH_SHARES] if is_short else KITTI_LENGTHS
     elif not all(np.isfinite(length) and length > 0 for length in lengths):
         raise InputError(f"lengths are {list(lengths)}: expected positive numbers")
     if every is None:
-        every = 1 if short else KITTI_START_INTERVAL
+        every = 1 if is_short else KITTI_START_INTERVAL
     whole(1, every=every)
-    begins = np.arange(0, len(known), every)
+    starts = np.arange(0, len(known), every)
     translations, rotations = [], []
     for length in lengths:
-        ends = np.searchsorted(along, along[begins] + length, side="right")
-        first, last = begins[ends < len(known)], ends[ends < len(known)]
-        posed = _has_pose(found)[known[first]] & _has_pose(found)[known[last]]
+        ends = np.searchsorted(distances, distances[starts] + length, side="right")
+        first, last = starts[ends < len(known)], ends[ends < len(known)]
+        posed = _has_pose(estimated)[known[first]] & _has_pose(estimated)[known[last]]
         first, last = first[posed], last[posed]
-        left = _residual_motions(found, true, known[first], known[last], scale)
-        divisor = along[last] - along[first] if measured else np.full(len(last), length)
-        translations.append(np.linalg.norm(left[:, :3, 3], axis=1) / divisor)
-        rotations.append(rotation_angles(left) / divisor)
+        residuals = _residual_motions(estimated, true, known[first], known[last], scale)
+        divisor = distances[last] - distances[first] if uses_shares else np.full(len(last), length)
+        translations.append(np.linalg.norm(residuals[:, :3, 3], axis=1) / divisor)
+        rotations.append(rotation_angles(residuals) / divisor)
     if not sum(map(len, rotations)):
         return None
     return Drift(

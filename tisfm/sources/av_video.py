@@ -60,7 +60,7 @@ class AvVideo:
         self.title, self.prefix = path, Path(path).stem
         self.files: tuple[Path, ...] = (Path(path),)
         try:
-            with _opened(path) as container:
+            with _open_container(path) as container:
                 if container.format.name in _PLAYLIST_FORMATS:
                     raise FormatError(
                         f"{path} is a list of other files, not a video: give one of those files"
@@ -91,7 +91,7 @@ class AvVideo:
     def read(self, chosen: slice) -> Iterator[RawFrame | BadFrame]:
         """Decode the frames with these numbers."""
         index, time, sound = 0, None, True
-        with _opened(self.title) as container:
+        with _open_container(self.title) as container:
             stream = container.streams[self._stream]
             decoding = _Decoding(container, stream)
             frames = iter(decoding)
@@ -152,7 +152,7 @@ def _choose_stream(container: InputContainer) -> VideoStream:
     if not streams:
         return container.streams.video[0]
     default = [one for one in streams if one.disposition & Disposition.default]
-    return default[0] if len(default) == 1 else max(default or streams, key=_pixels_of)
+    return default[0] if len(default) == 1 else max(default or streams, key=_frame_pixels)
 
 
 def _video_streams(container: InputContainer) -> list[VideoStream]:
@@ -161,11 +161,11 @@ def _video_streams(container: InputContainer) -> list[VideoStream]:
     return [one for one in known if not one.disposition & _STILL_IMAGES] or known
 
 
-def _pixels_of(stream: VideoStream) -> int:
+def _frame_pixels(stream: VideoStream) -> int:
     return int(stream.width * stream.height)
 
 
-def _streams_note(path: str, container: InputContainer, taken: VideoStream) -> str:
+def _streams_note(path: str, container: InputContainer, used_stream: VideoStream) -> str:
     """Return a note on the streams that are read and left out; "" if there is only one."""
     streams = _video_streams(container)
     if len(streams) < 2:
@@ -173,18 +173,23 @@ def _streams_note(path: str, container: InputContainer, taken: VideoStream) -> s
     others = ", ".join(
         f"{number} ({one.width} × {one.height} px)"
         for number, one in enumerate(container.streams.video)
-        if one in streams and one.index != taken.index
+        if one in streams and one.index != used_stream.index
     )
-    number = [one.index for one in container.streams.video].index(taken.index)
-    why = "is marked as default" if taken.disposition & Disposition.default else "is the largest"
+    number = [one.index for one in container.streams.video].index(used_stream.index)
+    reason = (
+        "is marked as default"
+        if used_stream.disposition & Disposition.default
+        else "is the largest"
+    )
     return (
-        f"{path} has {len(streams)} video streams: {number} ({taken.width} × {taken.height} px) "
-        f"is read, as it {why}; left out: {others}, which `ffmpeg -i FILE -map 0:v:NUMBER -c copy "
-        "OTHER` copies to a file of its own"
+        f"{path} has {len(streams)} video streams: {number} "
+        f"({used_stream.width} × {used_stream.height} px) is read, as it {reason}; left out: "
+        f"{others}, which `ffmpeg -i FILE -map 0:v:NUMBER -c copy OTHER` copies to a "
+        "file of its own"
     )
 
 
-def _opened(path: str) -> InputContainer:
+def _open_container(path: str) -> InputContainer:
     return av.open(path, options=_LIMITS)
 
 
@@ -205,7 +210,7 @@ class _Decoding:
         self.packets = 0
 
     def __iter__(self) -> Iterator[VideoFrame | av.FFmpegError]:
-        lost: list[tuple[int, int, av.FFmpegError]] = []  # time, number of the packet, error
+        lost_frames: list[tuple[int, int, av.FFmpegError]] = []  # time, number of the packet, error
         for packet in self._container.demux(self._stream):
             self.packets += packet.size > 0
             try:
@@ -216,14 +221,14 @@ class _Decoding:
                 if packet.pts is None:
                     yield error
                 else:
-                    heappush(lost, (packet.pts, self.packets, error))
+                    heappush(lost_frames, (packet.pts, self.packets, error))
                 continue
             for frame in frames:
-                while lost and frame.pts is not None and lost[0][0] < frame.pts:
-                    yield heappop(lost)[2]
+                while lost_frames and frame.pts is not None and lost_frames[0][0] < frame.pts:
+                    yield heappop(lost_frames)[2]
                 yield frame
-        while lost:
-            yield heappop(lost)[2]
+        while lost_frames:
+            yield heappop(lost_frames)[2]
 
 
 def _time(frame: VideoFrame, stream: VideoStream) -> float | None:

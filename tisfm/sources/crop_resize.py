@@ -59,7 +59,7 @@ class CropResize:
         kind = image.dtype
         if kind not in (np.uint8, np.uint16):  # OpenCV shrinks these, float32 and float64
             part = part.astype(np.float32 if kind.itemsize <= 4 else np.float64)
-        return _shrunk(part, scale).astype(kind, copy=False)
+        return _shrink(part, scale).astype(kind, copy=False)
 
     def apply_to_mask(self, ignored: NDArray[np.bool_], name: str) -> NDArray[np.bool_]:
         """Return where pixels of the result are ignored: where any of their source pixels is."""
@@ -67,7 +67,7 @@ class CropResize:
         scale = self._scale(part.shape, name)
         if scale == 1:
             return np.ascontiguousarray(part)
-        return _shrunk(part.astype(np.float32), scale) > 0
+        return _shrink(part.astype(np.float32), scale) > 0
 
     def apply_to_labels(self, labels: NDArray[np.uint8], name: str) -> NDArray[np.uint8]:
         """Return the labels of the result, each from the nearest source pixel."""
@@ -75,7 +75,7 @@ class CropResize:
         scale = self._scale(part.shape, name)
         if scale == 1:
             return np.ascontiguousarray(part)
-        size = _shrunk(np.empty(part.shape, np.uint8), scale).shape[::-1]
+        size = _shrink(np.empty(part.shape, np.uint8), scale).shape[::-1]
         return cv2.resize(part, size, interpolation=cv2.INTER_NEAREST_EXACT).astype(np.uint8)
 
     def camera_after(
@@ -121,7 +121,7 @@ class CropResize:
         return scale
 
 
-def _shrunk(image: np.ndarray, scale: float) -> np.ndarray:
+def _shrink(image: np.ndarray, scale: float) -> np.ndarray:
     """Return an image shrunk by averaging.
 
     The scale is the same along both axes, though the sides are rounded: so the focal length is.

@@ -90,7 +90,9 @@ def match_pattern(pattern: str) -> ImageSelection:
     Brackets count as part of a name if no file matches them as a pattern: ``set [1]/*.png`` is the
     folder ``set [1]``, unless there is a folder ``set 1``.
     """
-    matches = {reading: files for reading in _readings_of(pattern) if (files := _glob(reading))}
+    matches = {
+        reading: files for reading in _pattern_readings(pattern) if (files := _glob(reading))
+    }
     if not matches:
         raise FileNotFoundError(f"no file matches {pattern}: {_advice_on_pattern(pattern)}")
     reading, files = next(iter(matches.items()))
@@ -105,10 +107,10 @@ def match_pattern(pattern: str) -> ImageSelection:
 
 def files_of_pattern(pattern: str) -> list[Path]:
     """Return the files of `match_pattern`; an empty list if there are none."""
-    return next(filter(None, map(_glob, _readings_of(pattern))), [])
+    return next(filter(None, map(_glob, _pattern_readings(pattern))), [])
 
 
-def _readings_of(pattern: str) -> list[str]:
+def _pattern_readings(pattern: str) -> list[str]:
     """Return a pattern, and the same pattern with brackets as part of the name."""
     if "[" not in pattern:
         return [pattern]
@@ -197,10 +199,10 @@ def _advice_without_images(folder: str, present: Sequence[Path]) -> str:
     if skipped := _skipped_notes(folder, present, is_all=True):
         return ", but " + "; ".join(skipped)
     if videos:
-        return f", but {_listed([file.name for file in videos])}: give the path of one video"
+        return f", but {_join_names([file.name for file in videos])}: give the path of one video"
     if below := list(_folders_with_images(Path(folder))):
         begin = "a folder below it has" if len(below) == 1 else "folders below it have"
-        return f", but {begin}: give {_listed([str(one) for one in below], 'or')}"
+        return f", but {begin}: give {_join_names([str(one) for one in below], 'or')}"
     return f": expected files ending in {', '.join(IMAGE_SUFFIXES)}"
 
 
@@ -237,12 +239,12 @@ def _skipped_notes(folder: str, present: Sequence[Path], *, is_all: bool = False
         pattern = os.path.join(glob.escape(folder), f"*{Path(names[0]).suffix}")
         advice = advice.format(pattern=pattern)
         if is_all:
-            notes.append(f"it has {_listed(names)}: {advice}")
+            notes.append(f"it has {_join_names(names)}: {advice}")
         else:
             one = len(names) == 1
             notes.append(
                 f"{len(names)} picture{'s' * (not one)} in {folder} {'is' if one else 'are'} left "
-                f"out ({_listed(names)}): {advice}"
+                f"out ({_join_names(names)}): {advice}"
             )
     return notes
 
@@ -262,7 +264,7 @@ def _kinds_note(folder: str, files: Sequence[Path]) -> list[str]:
     ]
 
 
-def _listed(names: Sequence[str], conjunction: str = "and") -> str:
+def _join_names(names: Sequence[str], conjunction: str = "and") -> str:
     """Return names as text; of many names the first few."""
     if len(names) == 1:
         return names[0]

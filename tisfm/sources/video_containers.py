@@ -76,11 +76,11 @@ def _mp4_videos(file: BinaryIO, end: int) -> int:
     """Return the number of video tracks of an MP4 file."""
     return sum(
         _handler(file, media, stop) == b"vide"
-        for media, stop in _inside(file, 0, end, (b"moov", b"trak", b"mdia", b"hdlr"))
+        for media, stop in _boxes_by_path(file, 0, end, (b"moov", b"trak", b"mdia", b"hdlr"))
     )
 
 
-def _inside(
+def _boxes_by_path(
     file: BinaryIO, begin: int, end: int, kinds: tuple[bytes, ...]
 ) -> Iterator[tuple[int, int]]:
     """Yield begin and end of the boxes with a path of kinds, each inside the kind before it."""
@@ -90,7 +90,7 @@ def _inside(
         if len(kinds) == 1:
             yield content, stop
         else:
-            yield from _inside(file, content, stop, kinds[1:])
+            yield from _boxes_by_path(file, content, stop, kinds[1:])
 
 
 def _handler(file: BinaryIO, begin: int, end: int) -> bytes:

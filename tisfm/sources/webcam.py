@@ -61,7 +61,7 @@ class Webcam:
                 if is_selected(index, chosen):
                     read, frame = capture.retrieve()
                     if not read:
-                        raise self._ended()
+                        raise self._end_error()
                     yield RawFrame(
                         index=index,
                         name=f"{self.prefix}_{index:06d}",
@@ -78,11 +78,11 @@ class Webcam:
         for _ in range(_MAX_QUEUED):
             begin = time.monotonic()
             if not capture.grab():
-                raise self._ended()
+                raise self._end_error()
             if time.monotonic() - begin >= fresh:
                 return
 
-    def _ended(self) -> OSError:
+    def _end_error(self) -> OSError:
         return OSError(f"{self.title} gives no more frames: check that it is still plugged in")
 
     def _open(self) -> cv2.VideoCapture:
