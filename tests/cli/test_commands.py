@@ -41,7 +41,7 @@ def interpreted(monkeypatch):
 
 def test_demo(quick_workers, tisfm_run, interpreted):
     """It interprets no pair twice with the same settings, and is right."""
-    code, out, err = tisfm_run("demo", "--height", "72", "--width", "100", "-o", "out")
+    code, out, err = tisfm_run("demo", "--height", "96", "--width", "128", "-o", "out")
     assert code == 0
     figure = os.path.join("out", "demo_figure.png")
     assert err.startswith(f"Pictures and data in out. Open {figure} first, then ")
@@ -68,7 +68,7 @@ def test_demo(quick_workers, tisfm_run, interpreted):
     expected = promised("demo") | {"demo_pose.txt", "demo_flow.flo"}
     assert set(files("out/camera")) == set(files("out/objects")) == expected
     assert load("out/camera", "demo").settings == Settings(motion="camera")
-    whole = [call for call in interpreted if call[0] == (72, 100)]
+    whole = [call for call in interpreted if call[0] == (96, 128)]
     assert len(set(whole)) == len(whole)
     assert len(whole) == 8 or quick_workers == []  # other processes list their own calls
 
