@@ -24,7 +24,7 @@ from bench.shared.results import RESULTS, Table, machine, markdown_page, write_r
 
 FACTORS = {"halved": 0.5, "doubled": 2.0}
 SEQUENCES = ("new_tsukuba", "tartanair")  # real sequences
-INPUTS = ("flow", "camera", "film", *SEQUENCES)
+INPUTS = ("flow", "camera", "objects", "film", "bodies", *SEQUENCES)
 STEP = (0.05, 0.0, 0.02, 0.0, 0.01, 0.0)  # m and rad per frame, of the rendered film
 Figures = dict[str, float]
 Changes = dict[str, float] | str  # % by figure, empty for the same bits; or the message of an error
@@ -78,11 +78,11 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
     from bench.sequences.rendered_films import depth_in_one_scale, path_error
     from bench.shared.sequences import find_pairs, scene_pairs
     from tisfm.evaluation.sequences import compare_sequence
-    from tisfm.metrics import depth_errors, endpoint_error, pose_errors
+    from tisfm.metrics import depth_errors, endpoint_error, label_scores, pose_errors
     from tisfm.rigid import pose_matrix
-    from tisfm.scenes import room_film, static_scene
 
     fast = tisfm.Settings.preset("fast", motion="camera")
+    with_objects = tisfm.Settings.preset("fast", motion="objects")
 
     def flow() -> Figures:
         pairs = find_pairs(data)[0] if data else scene_pairs(96, 128)
@@ -91,16 +91,30 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
         return {"EPE, px": float(np.mean(errors))}
 
     def camera() -> Figures:
-        pair = static_scene("sideways+rotation", 120, 160)
+        pair = rendered()["camera"]
         result = tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera, settings=fast)
         assert result.motions is not None  # this motion model has them
         errors = pose_errors(pose_matrix(result.motions[0]), pose_matrix(pair.motions[0]))
         depth = depth_errors(result.depth, pair.depth).abs_rel
         return {"rotation, °": errors.rotation, "abs-rel": depth}
 
+    def objects() -> Figures:
+        pair = rendered()["objects"]
+        result = tisfm.interpret(
+            pair.frame0, pair.frame1, camera=pair.camera, settings=with_objects
+        )
+        depth = depth_errors(result.depth, pair.depth, align="median").abs_rel
+        return {"abs-rel": depth, "IoU": label_scores([result.labels], [pair.labels]).iou}
+
+    def bodies() -> Figures:
+        film = rendered()["bodies"]
+        result = tisfm.reconstruct(film.frames, camera=film.camera, settings=with_objects)
+        labels = [result.labels(frame) for frame in range(len(film.frames))]
+        path = path_error(result.poses, film.poses)
+        return {"path, %": path, "IoU": label_scores(labels, film.labels).iou}
+
     def film() -> Figures:
-        poses = np.array([pose_matrix(k * np.array(STEP)) for k in range(8)])
-        film = room_film(poses, 96, 128, textured=True)
+        film = rendered()["film"]
         result = tisfm.reconstruct(film.frames, camera=film.camera, settings=fast)
         depth = depth_in_one_scale(film, result)
         return {"path, %": path_error(result.poses, film.poses), "depth error": depth}
@@ -117,7 +131,24 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
         return {"path, %": 100 * (found.pieces[0].share or np.nan)} | depth
 
     real = {name: partial(sequence, name) for name in SEQUENCES if data}
-    return {"flow": flow, "camera": camera, "film": film, **real}
+    rendered_inputs = {"camera": camera, "objects": objects, "film": film, "bodies": bodies}
+    return {"flow": flow, **rendered_inputs, **real}
+
+
+@cache
+def rendered() -> dict[str, Any]:
+    """Return name → rendered pair or film, made once in a process."""
+    from tisfm.rigid import pose_matrix
+    from tisfm.scenes import bodies_film, bodies_path, room_film, static_scene, three_blocks
+
+    return {
+        "camera": static_scene("sideways+rotation", 120, 160),
+        "objects": three_blocks(180, 240),
+        "film": room_film(
+            np.array([pose_matrix(k * np.array(STEP)) for k in range(8)]), 96, 128, textured=True
+        ),
+        "bodies": bodies_film(bodies_path(10), 150, 200),
+    }
 
 
 @cache
