@@ -171,5 +171,5 @@ def test_poses_are_assigned_by_order_if_times_do_not_increase():
     given = Trajectory(poses=np.tile(np.eye(4), (3, 1, 1)), times=[0.0, 0.1, 0.2])
     poses, missing = poses_of_frames(given, [0.0, 0.1, 0.1])
     assert len(poses) == 3 and not missing
-    with pytest.raises(ValueError, match="no times that rise"):
+    with pytest.raises(ValueError, match="no times that increase"):
         poses_of_frames(given, [0.0, 0.1, 0.1, 0.2])

@@ -160,7 +160,7 @@ def test_a_cluster_that_does_not_answer_is_named(tisfm_run, frames):
 def test_a_webcam_has_no_chunks(tisfm_run, work_folder):
     webcam = ("reconstruct", "webcam:0", "-o", "out")
     code, _, err = tisfm_run(*webcam, "--workers", "2")
-    assert_one_line(code, err, "record the camera to a file first")
+    assert_one_line(code, err, "record it to a file first")
     code, _, err = tisfm_run(*webcam, "--resume")
     assert_one_line(code, err, "webcam:0 shows other frames now")
     assert not (work_folder / "out").exists()

@@ -197,7 +197,8 @@ class PathSolver:
                 rebuilt = self.readjust(
                     corrected.views, corrected.observations, rebuilt.pieces, pinhole
                 )
-            if rebuilt.score > corrected.score and _is_useful(rebuilt.focal):
+            is_useful = rebuilt.focal is None or rebuilt.focal.is_useful  # better than a guess
+            if rebuilt.score > corrected.score and is_useful:
                 corrected = rebuilt
         if corrected.focal is None:
             corrected = replace(corrected, camera=solution.camera, focal=solution.focal)
@@ -286,11 +287,6 @@ def find_path(
         tracks=tracker.finish(), camera=camera, readout=readout, focal_known=focal_known
     )
     return solver.solve()
-
-
-def _is_useful(focal: FocalEstimate | None) -> bool:
-    """Return whether the estimate of a focal length, if there is any, is better than a guess."""
-    return focal is None or focal.is_useful
 
 
 def _undistort_tracks(
