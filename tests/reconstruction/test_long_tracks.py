@@ -1,20 +1,23 @@
 """The choice of the tracks that a path is built from."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tisfm.reconstruction.tracks import views as module
+from tisfm.reconstruction.tracks.settings import TRACKS
 from tisfm.reconstruction.tracks.tracker import Observations
-from tisfm.reconstruction.tracks.views import CELL_COUNTS, MIN_TRACKS, choose_long_tracks
+from tisfm.reconstruction.tracks.views import choose_long_tracks
 
 SIDE = 400  # px, of the frames
-CELL = SIDE / CELL_COUNTS[0]
+CELL = SIDE / TRACKS.cell_counts[0]
 
 
 @pytest.fixture
 def any_number(monkeypatch):
     """Accept the first grid of cells, however few tracks it gives."""
-    monkeypatch.setattr(module, "MIN_TRACKS", 0)
+    monkeypatch.setattr(module, "TRACKS", replace(TRACKS, min_tracks=0))
 
 
 def views(seed=0, count=5):
@@ -75,4 +78,4 @@ def test_enough_tracks_from_a_part_of_the_frames():
     tracks = np.arange(points.size // 2)
     seen = [Observations(points=points.reshape(-1, 2), tracks=tracks)] * 3
     few = choose_long_tracks(seen, SIDE)
-    assert MIN_TRACKS <= len(few[0].tracks) < len(tracks)
+    assert TRACKS.min_tracks <= len(few[0].tracks) < len(tracks)

@@ -13,6 +13,7 @@ from tisfm.reconstruction.frames.image_motion import (
     flow_scale,
     shrink_for_flow,
 )
+from tisfm.reconstruction.tracks.settings import TRACKS
 from tisfm.reconstruction.tracks.tracker import Tracker, choose_new_points, thin_out
 
 CAMERA = Camera(focal=192.0)
@@ -71,7 +72,7 @@ def test_first_of_meeting_tracks_continues():
 def test_no_track_begins_on_ignored_pixels():
     ignored = np.zeros((240, 320), bool)
     ignored[:, :160] = True
-    begun = choose_new_points(picture((0, 0)), np.empty((0, 2)), ignored)
+    begun = choose_new_points(picture((0, 0)), np.empty((0, 2)), ignored, TRACKS.cells)
     assert len(begun) > 100
     assert (begun[:, 0] >= 160).all()
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.checks import Floats
-from tisfm.reconstruction.tracks.tracker import BORDER
+from tisfm.reconstruction.tracks.settings import TRACKS
 
 # Set by hand. The first five are parameters of the Lucas-Kanade search of OpenCV.
 WINDOW_WIDTH = 13  # px, width of the window
@@ -192,8 +192,8 @@ def _match(
 
 def _inside(points: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Return which points lie in a frame, away from its border."""
-    last = np.array([shape[1], shape[0]]) - 1 - BORDER
-    return np.asarray(((points >= BORDER) & (points <= last)).all(axis=1))
+    last = np.array([shape[1], shape[0]]) - 1 - TRACKS.border
+    return np.asarray(((points >= TRACKS.border) & (points <= last)).all(axis=1))
 
 
 def _patches(grey: np.ndarray, points: np.ndarray) -> np.ndarray:

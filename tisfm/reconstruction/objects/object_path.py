@@ -17,7 +17,8 @@ from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.objects.settings import OBJECTS
 from tisfm.reconstruction.path.path_solver import find_path
 from tisfm.reconstruction.result.moving_object import MovingObject
-from tisfm.reconstruction.tracks.tracker import CELLS, Observations
+from tisfm.reconstruction.tracks.settings import TRACKS
+from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.settings import Settings
 
 # px: the box of an object starts at a multiple of this number, so that it holds whole pixels of the
@@ -81,7 +82,9 @@ def find_object_path(
     object_frames = _ObjectFrames(frames, numbers, obj.id)
     object_side = float(np.median(np.sqrt(obj.boxes[:, 2] * obj.boxes[:, 3])))
     frame_side = max(frames.shape)
-    cells = min(CELLS * frame_side / max(object_side, 1.0), frame_side / OBJECTS.min_track_distance)
+    cells = min(
+        TRACKS.cells * frame_side / max(object_side, 1.0), frame_side / OBJECTS.min_track_distance
+    )
     rim = np.ones((OBJECTS.track_rim, OBJECTS.track_rim), np.uint8)
 
     def tracker_input(number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
@@ -94,7 +97,7 @@ def find_object_path(
             map(tracker_input, range(len(numbers))),
             frames.camera,
             readout=0.0,
-            cells=max(CELLS, round(cells)),
+            cells=max(TRACKS.cells, round(cells)),
             focal_known=False,
         )
     except ValueError:  # the views do not fit together

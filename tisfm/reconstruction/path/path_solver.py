@@ -32,7 +32,7 @@ from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.rolling_shutter.correction import ReadoutCorrection, find_corrected_path
 from tisfm.reconstruction.submaps.joining import MAX_VIEWS, focal_from_submaps, models_from_submaps
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, SequenceTracks
-from tisfm.reconstruction.tracks.tracker import CELLS, Observations
+from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 from tisfm.shutter import Rolling
 from tisfm.status import Status
@@ -275,7 +275,7 @@ def find_path(
     # camera, readout, focal_known: as for `PathSolver`
     camera: Camera,
     *,
-    cells: int = CELLS,  # as for `SequenceTracker`
+    cells: int | None = None,  # as for `SequenceTracker`
     readout: float | None = None,
     focal_known: bool = True,
 ) -> CameraPath:

@@ -7,26 +7,11 @@ import numpy as np
 
 from tisfm.motion.sparse_matches import Features
 from tisfm.reconstruction.frames.disk_cache import DiskCache
+from tisfm.reconstruction.tracks.settings import TRACKS
 
-# Values without a stated source were set by hand.
-
-# Words of the codebook.
-CODEBOOK_SIZE = 32
-# Descriptors that the codebook is clustered from.
-SAMPLE_SIZE = 8192
-# Number of rounds of this clustering.
-CODEBOOK_ROUNDS = 8
-# Largest number of earlier views that a view is matched with.
-MAX_CANDIDATES = 3
-# Smallest distance, in views, between two of these candidates.
-MIN_CANDIDATE_DISTANCE = 3
-# The fewest described points of a view.
-MIN_POINTS = 30
-# Smallest similarity of matched views, as a share of the median similarity of neighbouring views.
-MIN_SIMILARITY = 0.4
 # Largest value of a descriptor, which is stored in 8 bits.
 MAX_LEVEL = 255.0
-# Views whose codes are in memory at a time.
+# Views whose codes are in memory at a time. Set by hand.
 BLOCK_VIEWS = 512
 
 
@@ -72,7 +57,9 @@ def find_similar_views(
     Arandjelović and Zisserman, "All about VLAD", CVPR 2013, doi 10.1109/CVPR.2013.207 (each
     word's part is of unit length).
     """
-    views = [k for k, each in enumerate(descriptors) if len(each.points) >= MIN_POINTS]
+    views = [
+        k for k, each in enumerate(descriptors) if len(each.points) >= TRACKS.min_described_points
+    ]
     if len(views) < 2 or views[-1] - views[0] < min_distance:
         return []
     codebook = _cluster_codebook(descriptors, views)
@@ -94,7 +81,7 @@ def find_similar_views(
                 (float(similarity[column]), views[column], later)
                 for column in _select_candidates(similarity, views, later - min_distance)
             ]
-    threshold = MIN_SIMILARITY * float(np.median(np.array(next_similarities, np.float32)))
+    threshold = TRACKS.min_similarity * float(np.median(np.array(next_similarities, np.float32)))
     return [(earlier, later) for value, earlier, later in candidates if value >= threshold]
 
 
@@ -102,10 +89,10 @@ def _select_candidates(similarity: np.ndarray, views: Sequence[int], max_view: i
     """Return the earlier views, up to `max_view`, that are most similar to a view, in order."""
     selected: list[int] = []
     for column in np.argsort(-similarity, kind="stable").tolist():
-        if len(selected) == MAX_CANDIDATES:
+        if len(selected) == TRACKS.max_candidates:
             break
         is_distant = all(
-            abs(views[column] - views[other]) >= MIN_CANDIDATE_DISTANCE for other in selected
+            abs(views[column] - views[other]) >= TRACKS.min_candidate_distance for other in selected
         )
         if views[column] <= max_view and is_distant:
             selected.append(column)
@@ -113,18 +100,18 @@ def _select_candidates(similarity: np.ndarray, views: Sequence[int], max_view: i
 
 
 def _cluster_codebook(descriptors: Sequence[ImageDescriptors], views: Sequence[int]) -> np.ndarray:
-    """Return the centres of clusters of descriptors, (CODEBOOK_SIZE, 128) float32."""
-    count = max(1, SAMPLE_SIZE // len(views))
+    """Return the centres of clusters of descriptors, (words, 128) float32."""
+    count = max(1, TRACKS.codebook_sample // len(views))
     # Evenly spaced descriptors of each view: no random choice, and so no seed.
     samples = []
-    for k in views[:: -(-len(views) // SAMPLE_SIZE)]:
+    for k in views[:: -(-len(views) // TRACKS.codebook_sample)]:
         levels = descriptors[k].levels
         samples.append(levels[np.linspace(0, len(levels) - 1, min(count, len(levels))).astype(int)])
     sample = np.vstack(samples).astype(np.float32)
-    centres = sample[np.linspace(0, len(sample) - 1, CODEBOOK_SIZE).astype(int)]
-    for _ in range(CODEBOOK_ROUNDS):
+    centres = sample[np.linspace(0, len(sample) - 1, TRACKS.codebook_size).astype(int)]
+    for _ in range(TRACKS.codebook_rounds):
         words = _nearest_words(sample, centres)
-        for k in range(CODEBOOK_SIZE):
+        for k in range(TRACKS.codebook_size):
             if (words == k).any():
                 centres[k] = sample[words == k].mean(axis=0)
     return centres
@@ -137,7 +124,7 @@ def _nearest_words(levels: np.ndarray, centres: np.ndarray) -> np.ndarray:
 
 
 def _encode(levels: np.ndarray, centres: np.ndarray) -> np.ndarray:
-    """Return the code of a view, (CODEBOOK_SIZE · 128,) float32, of unit length."""
+    """Return the code of a view, (words · 128,) float32, of unit length."""
     values = levels.astype(np.float32)
     words = _nearest_words(values, centres)
     sums = np.zeros_like(centres)

@@ -9,13 +9,9 @@ from tisfm.camera import Camera
 from tisfm.errors import InputError
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS
-from tisfm.reconstruction.tracks.tracker import CELLS, Observations, Tracker
+from tisfm.reconstruction.tracks.settings import TRACKS
+from tisfm.reconstruction.tracks.tracker import Observations, Tracker
 from tisfm.reconstruction.tracks.views import View, ViewSelection
-
-# Number of views: with fewer, a second selection of views with less motion between them is used.
-FEW_VIEWS = 3
-# Median motion of tracks between these closer views, as a share of the longer side. Set by hand.
-MIN_CLOSE_MOTION = 0.0125
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +39,7 @@ class SequenceTracker:
         # length may fit.
         focal_known: bool = True,
         with_views: bool = True,  # Whether views are selected. A given path needs only tracks.
-        cells: int = CELLS,  # as for `tisfm.reconstruction.tracks.tracker.Tracker`
+        cells: int | None = None,  # as for `tisfm.reconstruction.tracks.tracker.Tracker`
     ) -> None:
         self._tracker = Tracker(camera, TRACKING_SETTINGS, cells)
         self._observations = DiskCache(Observations.arrays, Observations.of_arrays)
@@ -68,10 +64,10 @@ class SequenceTracker:
             longer_side = max(grey.shape)
             if self._views.needs_view(observations, longer_side):
                 self._views.add(frame, grey, observations, ignored)
-            if len(self._views.views) >= FEW_VIEWS:
+            if len(self._views.views) >= TRACKS.min_views:
                 self._close_views = None
             elif self._close_views is not None and self._close_views.needs_view(
-                observations, longer_side, MIN_CLOSE_MOTION
+                observations, longer_side, TRACKS.min_close_motion
             ):
                 self._close_views.add(frame, grey, observations, ignored)
         self._observations.append(observations)

@@ -7,38 +7,8 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.frames.image_motion import find_flow, flow_scale, shrink_for_flow
+from tisfm.reconstruction.tracks.settings import TRACKS
 from tisfm.settings import Settings
-
-# Values without a stated source were set by hand.
-
-# Default number of cells along the longer side: a new track begins in every cell without a track.
-CELLS = 32
-# Side of a square, as a share of a cell: of the tracks in one square, the oldest is kept.
-MIN_DISTANCE = 0.6
-# px: side of the window for the average of the structure tensor.
-STRUCTURE_WINDOW = 5
-# A new point has more structure than this quantile of all pixels.
-STRUCTURE_QUANTILE = 0.5
-# px: smallest distance of points from the border.
-BORDER = 4
-# px: largest distance from the start after tracking there and back,
-MAX_RETURN_ERROR = 0.5
-# or a share of the longer side, if that is more.
-MAX_RETURN_SHARE = 0.5 / 640
-# px: side of the patches that are compared along a track.
-PATCH_SIDE = 7
-# Grey levels: largest mean difference of two patches of a track, after the difference of their
-# means is removed.
-MAX_PATCH_DIFFERENCE = 12.0
-# px: side of the window of the search for a patch, which starts at the position from the flow.
-SEARCH_WINDOW = 11
-# Rounds of this search.
-SEARCH_ROUNDS = 10
-# px: a smaller step ends this search.
-SEARCH_TOLERANCE = 0.01
-# px: largest distance between the search result and the position from the flow: a farther patch
-# belongs to another point.
-MAX_SEARCH = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,10 +46,12 @@ class Tracker:
         self,
         camera: Camera,  # pinhole camera of the frames
         settings: Settings,  # settings of the image motion
-        # cells along the longer side: a new track begins in every cell without a track
-        cells: int = CELLS,
+        # cells along the longer side: a new track begins in every cell without a track; by default
+        # that of the settings of tracks
+        cells: int | None = None,
     ) -> None:
-        self._camera, self._settings, self._cells = camera, settings, cells
+        self._camera, self._settings = camera, settings
+        self._cells = TRACKS.cells if cells is None else cells
         self._grey: np.ndarray | None = None
         self._small: np.ndarray | None = None
         self._observations = Observations(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
@@ -102,7 +74,7 @@ class Tracker:
                 flow = find_flow(self._small, small, scale, self._camera, self._settings)
             points, is_tracked = track_points(self._grey, grey, points, flow)
             points, tracks = points[is_tracked], tracks[is_tracked]
-            oldest = thin_out(points, MIN_DISTANCE * _cell_side(grey, self._cells))
+            oldest = thin_out(points, TRACKS.min_track_distance * _cell_side(grey, self._cells))
             points, tracks = points[oldest], tracks[oldest]
         if ignored is not None:
             x, y = np.rint(points).astype(np.intp).T
@@ -144,17 +116,17 @@ def track_points(
     motion = _sample_flow(flow, points, grey0)
     predicted = points + motion
     refined, is_found = _search_points(grey0, grey1, points, predicted)
-    is_refined = is_found & (np.hypot(*(refined - predicted).T) < MAX_SEARCH)
+    is_refined = is_found & (np.hypot(*(refined - predicted).T) < TRACKS.max_search_distance)
     tracked = np.where(is_refined[:, None], refined, predicted)
     returned, is_tracked = _search_points(grey1, grey0, tracked, tracked - motion)
     is_tracked &= np.hypot(*(returned - points).T) < max(
-        MAX_RETURN_ERROR, MAX_RETURN_SHARE * max(height, width)
+        TRACKS.max_return_error, TRACKS.max_return_share * max(height, width)
     )
-    low, high = np.array([BORDER, BORDER]), np.array([width, height]) - 1 - BORDER
-    is_tracked &= ((tracked >= low) & (tracked <= high)).all(axis=1)
+    last = np.array([width, height]) - 1 - TRACKS.border
+    is_tracked &= ((tracked >= TRACKS.border) & (tracked <= last)).all(axis=1)
     difference = _sample_patches(grey0, points) - _sample_patches(grey1, tracked)
     difference -= difference.mean(axis=1, keepdims=True)
-    is_tracked &= np.abs(difference).mean(axis=1) < MAX_PATCH_DIFFERENCE
+    is_tracked &= np.abs(difference).mean(axis=1) < TRACKS.max_patch_difference
     return tracked, is_tracked
 
 
@@ -167,11 +139,15 @@ def _search_points(
         grey1,
         points.astype(np.float32),
         start.astype(np.float32),
-        winSize=(SEARCH_WINDOW, SEARCH_WINDOW),
+        winSize=(TRACKS.search_window, TRACKS.search_window),
         maxLevel=0,
-        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, SEARCH_ROUNDS, SEARCH_TOLERANCE),
+        criteria=(
+            cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS,
+            TRACKS.search_rounds,
+            TRACKS.search_tolerance,
+        ),
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-        minEigThreshold=1e-5,
+        minEigThreshold=TRACKS.min_search_structure,
     )
     return positions.astype(np.float64), status[:, 0] > 0
 
@@ -180,7 +156,7 @@ def choose_new_points(
     grey: np.ndarray,  # (H, W) uint8
     points: np.ndarray,  # (M, 2) float64: existing points
     ignored: np.ndarray | None,  # (H, W) bool, or None
-    cells: int = CELLS,  # number of cells along the longer side
+    cells: int,  # number of cells along the longer side
 ) -> np.ndarray:
     """Return the strongest corner of each cell without a point, (N, 2) float64.
 
@@ -193,10 +169,13 @@ def choose_new_points(
     rows, columns = height // side, width // side
     if not rows * columns:
         return np.empty((0, 2))
-    strength = cv2.cornerMinEigenVal(grey, STRUCTURE_WINDOW)
-    min_strength = max(float(np.quantile(strength[::2, ::2], STRUCTURE_QUANTILE)), 1e-6)
+    strength = cv2.cornerMinEigenVal(grey, TRACKS.structure_window)
+    min_strength = max(
+        float(np.quantile(strength[::2, ::2], TRACKS.structure_quantile)),
+        TRACKS.min_corner_strength,
+    )
     inside = np.zeros((height, width), bool)
-    inside[BORDER:-BORDER, BORDER:-BORDER] = True
+    inside[TRACKS.border : -TRACKS.border, TRACKS.border : -TRACKS.border] = True
     if ignored is not None:
         inside &= ~ignored
     strength[~inside] = 0
@@ -213,7 +192,7 @@ def choose_new_points(
 
 def _cell_side(grey: np.ndarray, cells: int) -> int:
     """Return the side of the cells in which new points begin, px."""
-    return max(BORDER, round(max(grey.shape) / cells))
+    return max(TRACKS.border, round(max(grey.shape) / cells))
 
 
 def thin_out(points: np.ndarray, side: float) -> np.ndarray:
@@ -238,8 +217,8 @@ def _sample(image: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _sample_patches(grey: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the patches around points, (N, PATCH_SIDE²) float32."""
-    offsets = np.arange(PATCH_SIDE, dtype=np.float32) - PATCH_SIDE // 2
+    """Return the patches around points, (N, TRACKS.patch_side²) float32."""
+    offsets = np.arange(TRACKS.patch_side, dtype=np.float32) - TRACKS.patch_side // 2
     dx, dy = (grid.ravel() for grid in np.meshgrid(offsets, offsets))
     x, y = (points[:, k, None].astype(np.float32) + d for k, d in enumerate((dx, dy)))
     patches = cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

@@ -7,17 +7,10 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.geometry.rays import nearest_point_equations, pinhole_rays, unit_vectors
+from tisfm.reconstruction.tracks.settings import TRACKS
 from tisfm.reconstruction.tracks.tracker import Observations
 
-# Values without a stated source were set by hand.
-
-# The fewest frames that see a track.
-MIN_FRAMES = 2
-# Degrees: smallest angle between the rays of a track: a smaller angle shows no depth.
-MIN_ANGLE = 0.5
-# px: largest median residual of a track.
-MAX_MEDIAN_RESIDUAL = 3.0
-# Observations that are triangulated at a time, to bound the memory.
+# Observations that are triangulated at a time, to bound the memory. Set by hand.
 MAX_OBSERVATIONS = 2**18
 
 
@@ -150,8 +143,8 @@ def _triangulate(
     matrix, vector = nearest_point_equations(index, ray, centre, len(numbers))
     # The smallest eigenvalue is 0 for parallel rays, else count · sin² of their spread.
     min_eigenvalue = np.linalg.eigvalsh(matrix)[:, 0]
-    is_valid = (count >= MIN_FRAMES) & (
-        min_eigenvalue > count * np.sin(np.radians(MIN_ANGLE) / 2) ** 2
+    is_valid = (count >= TRACKS.min_frames) & (
+        min_eigenvalue > count * np.sin(np.radians(TRACKS.min_angle) / 2) ** 2
     )
     point = np.zeros((len(numbers), 3))
     point[is_valid] = np.linalg.solve(matrix[is_valid], vector[is_valid][..., None])[..., 0]
@@ -165,7 +158,7 @@ def _triangulate(
         residual[in_frame] = np.where(local[:, 2] > 0, np.nan_to_num(distance, nan=np.inf), np.inf)
     order = np.lexsort((residual, index))
     first = np.concatenate([[0], np.cumsum(count)[:-1]])
-    is_valid &= residual[order][first + (count - 1) // 2] < MAX_MEDIAN_RESIDUAL
+    is_valid &= residual[order][first + (count - 1) // 2] < TRACKS.max_median_residual
     return TrackPoints(tracks=numbers[is_valid], positions=point[is_valid])
 
 

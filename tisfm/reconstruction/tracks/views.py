@@ -12,40 +12,8 @@ from tisfm.motion.sparse_matches import Features, detect_features, match_feature
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.frames.image_motion import flow_scale, shrink_for_flow
 from tisfm.reconstruction.tracks.retrieval import ImageDescriptors, find_similar_views
+from tisfm.reconstruction.tracks.settings import TRACKS
 from tisfm.reconstruction.tracks.tracker import Observations
-
-# Values without a stated source were set by hand.
-
-# A frame becomes a view if the median motion of tracks since the last view exceeds this share of
-# the longer side,
-MIN_MOTION = 0.025
-# or if less than this share of the last view's tracks is still visible.
-MIN_VISIBLE_TRACKS = 0.35
-# Detected points per cell: fewer than for pairs, since a view is matched with several views.
-POINTS_PER_CELL = 4
-# Number of previous views with which a view is matched by appearance.
-MATCHED_VIEWS = 3
-# The fewest matches of two neighbouring views.
-MIN_MATCHES = 15
-# The fewest matches of two views at a loop that one motion explains,
-MIN_LOOP_MATCHES = 25
-# and their smallest share of all matches.
-MIN_LOOP_SHARE = 0.4
-# Frames are out of order if, of at least this number of views,
-MIN_ORDERED_VIEWS = 8
-# at most this share matches the previous view,
-MAX_NEXT_SHARE = 0.4
-# and at least this share matches other views.
-MIN_OTHER_SHARE = 0.7
-# px, if the longer side has 640: largest distance of a match from its epipolar line.
-EPIPOLAR_TOLERANCE = 2.0
-# Largest number of RANSAC trials.
-RANSAC_TRIALS = 500
-# Cells along the longer side: each cell of a view keeps the track that most views see. The first
-# number with enough tracks is used, since parts of frames may be bare.
-CELL_COUNTS = (10, 16, 24)
-# Median number of tracks of a view that is enough.
-MIN_TRACKS = 60
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,14 +69,18 @@ class ViewSelection:
         self._camera, self._focal_known = camera, True
 
     def needs_view(
-        self, observations: Observations, longer_side: int, min_motion: float = MIN_MOTION
+        self,
+        observations: Observations,
+        longer_side: int,
+        min_motion: float | None = None,  # longer sides; by default that of the settings of tracks
     ) -> bool:
         """Return whether a frame differs enough from the last view to become a view."""
+        min_motion = TRACKS.min_motion if min_motion is None else min_motion
         if not self.views:
             return len(observations.tracks) > 0
         before = self.views[-1].observations
         index0, index1 = before.common_tracks(observations)
-        if len(index0) < MIN_VISIBLE_TRACKS * len(before.tracks):
+        if len(index0) < TRACKS.min_visible_tracks * len(before.tracks):
             return True
         if len(index0) == 0:
             return len(observations.tracks) > 0
@@ -123,16 +95,21 @@ class ViewSelection:
         number = len(self.views)
         self.views.append(View(frame=frame, observations=observations, detected=features.points))
         self._descriptors.append(ImageDescriptors.of(features))
-        for earlier in self._matchable[-MATCHED_VIEWS:]:
-            self._match(earlier, number, grey.shape, min_matches=MIN_MATCHES, min_share=0.0)
-        if len(features.points) >= MIN_MATCHES:
+        for earlier in self._matchable[-TRACKS.matched_views :]:
+            self._match(earlier, number, grey.shape, min_matches=TRACKS.min_matches, min_share=0.0)
+        if len(features.points) >= TRACKS.min_matches:
             self._matchable.append(number)
 
     def close_loops(self, shape: tuple[int, int]) -> None:
         """Match views that show the same scene again (loops), in frames of this shape, px."""
-        for pair in find_similar_views(self._descriptors, min_distance=MATCHED_VIEWS + 1):
+        for pair in find_similar_views(self._descriptors, min_distance=TRACKS.matched_views + 1):
             if pair not in self._compared_pairs:
-                self._match(*pair, shape, min_matches=MIN_LOOP_MATCHES, min_share=MIN_LOOP_SHARE)
+                self._match(
+                    *pair,
+                    shape,
+                    min_matches=TRACKS.min_loop_matches,
+                    min_share=TRACKS.min_loop_share,
+                )
 
     def drop_first(self, count: int) -> None:
         """Drop the first views."""
@@ -152,20 +129,20 @@ class ViewSelection:
     def is_out_of_order(self) -> bool:
         """Return whether most views match other views, but not the previous one."""
         count = len(self.views)
-        if count < MIN_ORDERED_VIEWS:
+        if count < TRACKS.min_ordered_views:
             return False
         next_matches = sum(
             (k, k + 1) in self.matches or self._share_tracks(k, k + 1) for k in range(count - 1)
         )
         other_matches = {view for pair in self.matches if pair[1] - pair[0] > 1 for view in pair}
         return (
-            next_matches < MAX_NEXT_SHARE * (count - 1)
-            and len(other_matches) > MIN_OTHER_SHARE * count
+            next_matches < TRACKS.max_next_share * (count - 1)
+            and len(other_matches) > TRACKS.min_other_share * count
         )
 
     def _share_tracks(self, first: int, second: int) -> bool:
         index, _ = self.views[first].observations.common_tracks(self.views[second].observations)
-        return len(index) >= MIN_MATCHES
+        return len(index) >= TRACKS.min_matches
 
     def _match(
         self,
@@ -198,7 +175,7 @@ class ViewSelection:
     ) -> np.ndarray | None:
         """Return the inliers of one motion, (N, 1); None if there is no motion."""
         height, width = shape
-        threshold = EPIPOLAR_TOLERANCE * max(height, width) / 640
+        threshold = TRACKS.epipolar_tolerance * max(height, width) / 640
         try:
             if self._focal_known:
                 cx, cy = self._camera.center_for(height, width)
@@ -208,13 +185,18 @@ class ViewSelection:
                     after,
                     np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]]),
                     method=cv2.USAC_MAGSAC,
-                    prob=0.999,
+                    prob=TRACKS.ransac_confidence,
                     threshold=threshold,
-                    maxIters=RANSAC_TRIALS,
+                    maxIters=TRACKS.ransac_trials,
                 )
             else:
                 _, is_inlier = cv2.findFundamentalMat(
-                    before, after, cv2.USAC_MAGSAC, threshold, 0.999, RANSAC_TRIALS
+                    before,
+                    after,
+                    cv2.USAC_MAGSAC,
+                    threshold,
+                    TRACKS.ransac_confidence,
+                    TRACKS.ransac_trials,
                 )
         except cv2.error:  # OpenCV fails on degenerate matches, for example of overlays
             return None
@@ -224,7 +206,7 @@ class ViewSelection:
 def _detect_features(grey: np.ndarray, ignored: np.ndarray | None) -> Features:
     """Return points of a frame and their descriptors, found on the shrunk frame."""
     small = shrink_for_flow(grey)
-    features = detect_features(small, per_cell=POINTS_PER_CELL)
+    features = detect_features(small, per_cell=TRACKS.points_per_cell)
     points = (features.points + 0.5) / flow_scale(small, grey) - 0.5
     if ignored is None:
         return Features(points=points, roots=features.roots)
@@ -246,9 +228,9 @@ def choose_long_tracks(
     if not observations:
         return []
     selected: list[np.ndarray] = []
-    for cells in CELL_COUNTS:
+    for cells in TRACKS.cell_counts:
         selected = _longest_per_cell(observations, longer_side / cells)
-        if np.median([len(own) for own in selected]) >= MIN_TRACKS:
+        if np.median([len(own) for own in selected]) >= TRACKS.min_tracks:
             break
     tracks = np.unique(np.concatenate(selected))
     return [own.select(np.isin(own.tracks, tracks)) for own in observations]
