@@ -272,7 +272,9 @@ def models_where_the_focal_is_hardly_seen(monkeypatch, again, *, shows_parallax)
         ("find_models", lambda *_, **__: again),
     ):
         monkeypatch.setattr(self_calibration, name, answer)
-    return self_calibration.find_models_and_focal([], {}, Camera(focal=90.0), SIZE, "focal")
+    return self_calibration.find_models_and_focal(
+        [], {}, Camera(focal=90.0), SIZE, "focal", max_deviation=0.3
+    )
 
 
 def test_warning_of_a_guess_comes_before_depth():

@@ -155,7 +155,7 @@ def test_result_is_the_same_if_the_caller_overwrites_its_frames(streamed, disk):
 
 def test_poses_of_yielded_frames_stay(monkeypatch):
     film = swing()
-    path = SlidingPath(film.camera)
+    path = SlidingPath(film.camera, limit=0.3)
     for image in film.frames[:10]:
         path.add(image)
     before = path.solve().pieces[0]

@@ -12,7 +12,7 @@ from tests.one_thread import bits_on_one_thread, several_threads
 from tests.reconstruction.films import along, mirrored, path_error, there_and_back, walk
 from tests.rendered import room_film
 from tisfm.reconstruction.geometry import sim3_graph
-from tisfm.reconstruction.mapping.incremental import MIN_VIEWS
+from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.path import path_solver as path
 from tisfm.reconstruction.path.path_solver import find_path
@@ -60,7 +60,7 @@ def test_submaps_that_cannot_be_aligned_share_no_frame(monkeypatch):
     assert len(found) > 1
     frames = [frame for piece in found for frame in piece.poses]
     assert len(frames) == len(set(frames))
-    assert all(len(piece.views) >= MIN_VIEWS for piece in found)
+    assert all(len(piece.views) >= MAPPING.min_views for piece in found)
 
 
 def test_round_trip_closes_across_submaps():

@@ -18,7 +18,8 @@ from tisfm.camera import MAX_FOCAL, MIN_FOCAL, Camera
 from tisfm.reconstruction.mapping.database import pycolmap
 from tisfm.reconstruction.mapping.incremental import robust_adjustment
 from tisfm.reconstruction.mapping.models import Model, ViewGraph, find_models
-from tisfm.reconstruction.mapping.solution import MAX_USEFUL_DEVIATION, FocalEstimate
+from tisfm.reconstruction.mapping.settings import MAPPING
+from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
@@ -62,7 +63,7 @@ def find_models_and_focal(
     *,
     # share of the focal length: an estimate with a larger standard deviation is no better than the
     # guess
-    max_deviation: float = MAX_USEFUL_DEVIATION,
+    max_deviation: float,
 ) -> tuple[list[Model], FocalEstimate | None]:
     """Find poses of views, points of tracks, and the focal length that fits them best.
 
@@ -284,7 +285,7 @@ def _adjust(model: Any, calibrate: Calibrate) -> None:
     for number in sorted(model.reg_image_ids()):
         config.add_image(number)
     config.fix_gauge(pycolmap().BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    robust_adjustment(options, MAX_STEPS, STEP_TOLERANCE)
+    robust_adjustment(options, MAX_STEPS, STEP_TOLERANCE, MAPPING.outlier_pixels)
     pycolmap().create_default_bundle_adjuster(options, config, model).solve()
 
 

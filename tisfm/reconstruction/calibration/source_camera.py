@@ -10,7 +10,8 @@ from pathlib import Path
 from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
 from tisfm.focal_guess import FocalGuess, at_size, guess_focal
-from tisfm.reconstruction.mapping.solution import MAX_USEFUL_DEVIATION, FocalEstimate
+from tisfm.reconstruction.mapping.settings import MAPPING
+from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.result.calibration import (
     GIVEN,
     Calibration,
@@ -78,7 +79,7 @@ class SourceCamera:
     def max_focal_deviation(self) -> float:
         """The largest relative standard deviation of an estimate that replaces the guess."""
         is_exif = self.guess is not None and self.guess.origin == "exif"
-        return MAX_EXIF_DEVIATION if is_exif else MAX_USEFUL_DEVIATION
+        return MAX_EXIF_DEVIATION if is_exif else MAPPING.max_useful_deviation
 
     def full_readout(self, readout: float) -> float:
         """Return the readout time of full frames, at most 1 interval, from that of used frames."""

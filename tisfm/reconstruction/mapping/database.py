@@ -9,18 +9,13 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.geometry.rays import pinhole_rays, unit_vectors
+from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 
-# The fewest observations that two views share, or a view and the known points. Set by hand.
-MIN_OBSERVATIONS = 15
 # The number of pycolmap's two-view configuration "calibrated".
 CALIBRATED_PAIR = 2
-# The fewest tracks that two views share. Set by hand.
-MIN_SHARED_TRACKS = 20
-# Distances, in views, of the pairs that get matches from shared tracks. Set by hand.
-VIEW_STEPS = (1, 2, 3, 4, 6, 8, 12, 16)
 # px: the centre of pycolmap's upper left pixel is at (0.5, 0.5).
 PIXEL_CENTRE = 0.5
 
@@ -54,7 +49,7 @@ def match_pairs(
     views: Sequence[View], matches: Mapping[tuple[int, int], np.ndarray]
 ) -> dict[tuple[int, int], np.ndarray]:
     """Return, for pairs of indices of views, the indices of matching points, (N, 2)."""
-    near_pairs = {(k, k + step) for step in VIEW_STEPS for k in range(len(views) - step)}
+    near_pairs = {(k, k + step) for step in MAPPING.view_steps for k in range(len(views) - step)}
     pairs = {}
     for first, second in sorted(near_pairs | set(matches)):
         indices = np.empty((0, 2), np.intp)
@@ -63,7 +58,7 @@ def match_pairs(
         if (first, second) in matches:
             begins = [len(views[k].observations.points) for k in (first, second)]
             indices = np.vstack([indices, matches[first, second] + begins])
-        if len(indices) >= MIN_OBSERVATIONS:
+        if len(indices) >= MAPPING.min_observations:
             pairs[first, second] = indices.astype(np.int32)
     return pairs
 
@@ -140,6 +135,6 @@ def _write_pairs(database: Any, pairs: Mapping[tuple[int, int], np.ndarray]) -> 
 def _common_tracks(first: Observations, second: Observations) -> np.ndarray:
     """Return the indices in two views of the tracks that they share, (N, 2)."""
     index0, index1 = first.common_tracks(second)
-    if len(index0) < MIN_SHARED_TRACKS:
+    if len(index0) < MAPPING.min_shared_tracks:
         return np.empty((0, 2), np.intp)
     return np.stack([index0, index1], axis=1)

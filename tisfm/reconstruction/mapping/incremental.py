@@ -5,80 +5,15 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tisfm.reconstruction.mapping.database import MIN_OBSERVATIONS, pycolmap
+from tisfm.reconstruction.mapping.database import pycolmap
 from tisfm.reconstruction.mapping.parallax import (
     LowParallaxFilter,
     beyond_homography,
     beyond_rotation,
     epipolar_angles,
 )
+from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.result.calibration import Calibrate
-
-# Values without a stated source were set by hand.
-
-# Smallest share of inliers among a new view's observations of known points.
-MIN_INLIER_SHARE = 0.15
-# px: largest reprojection error of an inlier of a new view.
-MAX_POSE_ERROR = 6.0
-# The fewest views of a model.
-MIN_VIEWS = 3
-# px: larger residuals have a decreasing weight in an adjustment of all views.
-OUTLIER_PIXELS = 0.5
-# px: the same bound in the first adjustment from rough poses.
-ROUGH_OUTLIER_PIXELS = 3.0
-# All views are adjusted when the number of views or points has grown by this factor.
-GROWTH_FACTOR = 1.5
-# Steps of an adjustment of all views while a model grows, and the relative change of the squared
-# residuals that ends it.
-GROWING_LIMITS = (10, 1e-4)
-# The same limits at the end.
-FINAL_LIMITS = (50, 1e-5)
-# Degrees: smallest triangulation angles of first pairs, tried in this order. A car that drives
-# forward gives only small angles.
-FIRST_PAIR_ANGLES = (4.0, 1.0, 0.5)
-# First pairs that are tried for each angle.
-MAX_FIRST_PAIRS = 24
-# px: error that RANSAC tolerates at a first pair. The parallax may be as small as 2 px: with a
-# larger tolerance RANSAC accepts any motion. Films of 160 to 320 px get nearly the same path with
-# 0.5 to 4 px.
-FIRST_PAIR_TOLERANCE = 1.0
-# px: longer side up to which this tolerance is used; for larger frames it grows in proportion.
-TOLERANCE_FRAME = 1000
-# rad: a smaller parallax is matching noise.
-MIN_PARALLAX = 5e-4
-# rad: a larger parallax makes a first pair no better.
-MAX_PARALLAX = 0.03
-# Smallest ratio of the residuals of a homography to the residuals of the motion of a first pair, if
-# the focal length is a guess.
-MIN_HOMOGRAPHY_RATIO_GUESSED = 2.5
-# If the focal length is known: the same ratio for a rotation with any focal length,
-MIN_ROTATION_RATIO = 6.0
-# and for a homography. On a plane, noise alone makes the residuals of a homography, which have two
-# dimensions, 1.75 times the distances from epipolar lines.
-MIN_HOMOGRAPHY_RATIO = 1.5
-# Quantile of the parallax of two views that ranks first pairs.
-PARALLAX_QUANTILE = 0.75
-# Smallest share of pairs with parallax, of the best pairs with a motion, at an estimated focal
-# length. This share was 0.12 to 0.33 in three sequences where the camera rotated and hardly moved,
-# 0 in noise, and 0.71 to 1 in 20 other sequences.
-MIN_PARALLAX_PAIRS = 0.4
-# Smallest mean score per match of a right model.
-MIN_MEAN_SCORE = 0.65
-# Smallest score of the worst view of a right model, as a share of the median view. Worst views of
-# right models had a share of 0.84 to 1 (blurred: 0.67), the worst view of a bent model 0.53.
-MIN_WORST_VIEW_SHARE = 0.8
-# Otherwise a model is right if another first pair leads to the same score, within this share.
-MAX_SCORE_DIFFERENCE = 0.02
-# Views: models of at most this size are always built twice, which costs little.
-SMALL_MODEL_VIEWS = 8
-# The largest number of models that are built from different first pairs.
-MAX_FIRST_PAIR_MODELS = 3
-# Smallest distance between first pairs, as a share of the remaining views,
-MIN_PAIR_DISTANCE_SHARE = 0.25
-# but at most this number of views.
-MAX_PAIR_DISTANCE = 4
-# Degrees: smallest angle between the rays of a triangulated point.
-MIN_TRIANGULATION_ANGLE = 0.5
 
 Pairs = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 
@@ -115,7 +50,7 @@ def grow_models(
     remaining = set(range(1, count + 1)) & set(cache.images)
     first_pairs = _FirstPairs(pairs, focal_known)
     models = []
-    while len(remaining) >= MIN_VIEWS:
+    while len(remaining) >= MAPPING.min_views:
         model = _build_model(mapper, score, options, first_pairs, remaining)
         if model is None:
             break
@@ -159,19 +94,19 @@ def shows_parallax(
     # mapping of (int, int) to two (N, 3) arrays: as for `grow_models`, with that focal length
     pairs: Pairs,
 ) -> bool:
-    """Return whether at least MIN_PARALLAX_PAIRS of the best pairs show parallax beyond a rotation.
+    """Return whether enough of the best pairs show parallax beyond a rotation.
 
     If few of them do, matching errors determine the focal length and the path.
     """
     _, mapper, options = _open_mapper(database)
     first_pairs = _FirstPairs(pairs, focal_known=True)
-    return first_pairs.parallax_share(mapper, options) >= MIN_PARALLAX_PAIRS
+    return first_pairs.parallax_share(mapper, options) >= MAPPING.min_parallax_pairs
 
 
 def _open_mapper(database: Any, calibrate: Calibrate = "nothing") -> tuple[Any, Any, Any]:
     """Return the cache of a database, its mapper and the options of the mapper."""
     settings = pycolmap().DatabaseCacheOptions()
-    settings.min_num_matches = MIN_OBSERVATIONS
+    settings.min_num_matches = MAPPING.min_observations
     cache = pycolmap().DatabaseCache.create(database, settings)
     options = _options(calibrate)
     camera = next(iter(cache.cameras.values()))
@@ -183,7 +118,7 @@ def first_pair_tolerance(
     longer_side: float,  # longer side of the frames, px
 ) -> float:
     """Return the largest error, px, of a match of a first pair."""
-    return FIRST_PAIR_TOLERANCE * max(1.0, longer_side / TOLERANCE_FRAME)
+    return MAPPING.first_pair_tolerance * max(1.0, longer_side / MAPPING.tolerance_frame)
 
 
 class _FirstPairs:
@@ -202,10 +137,12 @@ class _FirstPairs:
         Pairs near `used_views` are left out; the caller may extend this list meanwhile.
         """
         pairs = [pair for pair in self._ranked_pairs if remaining.issuperset(pair)]
-        min_distance = min(max(MIN_PAIR_DISTANCE_SHARE * len(remaining), 1), MAX_PAIR_DISTANCE)
-        for angle in FIRST_PAIR_ANGLES:
+        min_distance = min(
+            max(MAPPING.min_pair_distance_share * len(remaining), 1), MAPPING.max_pair_distance
+        )
+        for angle in MAPPING.first_pair_angles:
             options.mapper.init_min_tri_angle = angle
-            for pair in pairs[:MAX_FIRST_PAIRS]:
+            for pair in pairs[: MAPPING.max_first_pairs]:
                 if any(abs(view - used) < min_distance for view in pair for used in used_views):
                     continue
                 motion = mapper.estimate_initial_two_view_geometry(options.mapper, *pair)
@@ -217,9 +154,9 @@ class _FirstPairs:
 
         Pairs whose matches fit no motion are not counted.
         """
-        options.mapper.init_min_tri_angle = FIRST_PAIR_ANGLES[-1]
+        options.mapper.init_min_tri_angle = MAPPING.first_pair_angles[-1]
         has_parallax = []
-        for pair in self._ranked_pairs[:MAX_FIRST_PAIRS]:
+        for pair in self._ranked_pairs[: MAPPING.max_first_pairs]:
             motion = mapper.estimate_initial_two_view_geometry(options.mapper, *pair)
             if motion is not None:
                 has_parallax.append(self._has_parallax(motion.matrix(), *pair))
@@ -229,11 +166,11 @@ class _FirstPairs:
         """Return pairs that share many points with parallax, the best first."""
         weights = {}
         for pair, (before, after) in self._pairs.items():
-            if len(before) >= 2 * MIN_OBSERVATIONS:
+            if len(before) >= 2 * MAPPING.min_observations:
                 angles = self._residual_angles(before, after)
-                if np.median(angles) > MIN_PARALLAX:
+                if np.median(angles) > MAPPING.min_parallax:
                     weights[pair] = len(before) * min(
-                        float(np.quantile(angles, PARALLAX_QUANTILE)), MAX_PARALLAX
+                        float(np.quantile(angles, MAPPING.parallax_quantile)), MAPPING.max_parallax
                     )
         return sorted(weights, key=lambda one: (-weights[one], one))
 
@@ -247,11 +184,11 @@ class _FirstPairs:
         epipolar_angle = float(np.median(epipolar_angles(np.eye(4)[:3], motion, before, after)))
         homography_angle = float(np.median(beyond_homography(before, after)))
         if not self._focal_known:
-            return homography_angle > MIN_HOMOGRAPHY_RATIO_GUESSED * epipolar_angle
+            return homography_angle > MAPPING.min_homography_ratio_guessed * epipolar_angle
         rotation_angle = float(np.median(beyond_rotation(before, after)))
         return (
-            rotation_angle > MIN_ROTATION_RATIO * epipolar_angle
-            and homography_angle > MIN_HOMOGRAPHY_RATIO * epipolar_angle
+            rotation_angle > MAPPING.min_rotation_ratio * epipolar_angle
+            and homography_angle > MAPPING.min_homography_ratio * epipolar_angle
         )
 
 
@@ -265,7 +202,7 @@ def _build_model(
     the model with the best score is returned.
     """
     best, best_score, used_views, is_accepted = None, 0.0, list[int](), False
-    min_score = MIN_MEAN_SCORE * score.match_count(remaining)
+    min_score = MAPPING.min_mean_score * score.match_count(remaining)
     for pair in first_pairs.candidates(mapper, options, remaining, used_views):
         used_views += pair[:2]
         model = pycolmap().Reconstruction()
@@ -274,19 +211,20 @@ def _build_model(
         mapper.triangulate_image(options.triangulation, pair[0])
         _add_views(mapper, model, options, remaining)
         mapper.end_reconstruction(False)
-        if model.num_reg_images() >= MIN_VIEWS:
+        if model.num_reg_images() >= MAPPING.min_views:
             total_score = score.score(model)
             is_consistent = (
-                model.num_reg_images() > SMALL_MODEL_VIEWS
+                model.num_reg_images() > MAPPING.small_model_views
                 and total_score > min_score
-                and score.worst_view_share(model) > MIN_WORST_VIEW_SHARE
+                and score.worst_view_share(model) > MAPPING.min_worst_view_share
             )
             is_accepted = (
-                is_consistent or abs(total_score - best_score) < MAX_SCORE_DIFFERENCE * best_score
+                is_consistent
+                or abs(total_score - best_score) < MAPPING.max_score_difference * best_score
             )
             if is_consistent or total_score > best_score:
                 best, best_score = model, total_score
-        if is_accepted or len(used_views) >= 2 * MAX_FIRST_PAIR_MODELS:
+        if is_accepted or len(used_views) >= 2 * MAPPING.max_first_pair_models:
             break
     return best
 
@@ -299,13 +237,13 @@ def _add_views(
     low_parallax_filter = LowParallaxFilter(mapper, model)
 
     def adjust_all(
-        refinements: int,
-        limits: tuple[int, float] = GROWING_LIMITS,
-        outlier_pixels: float = OUTLIER_PIXELS,
+        rounds: int,
+        limits: tuple[int, float],  # steps and tolerance
+        outlier_pixels: float = MAPPING.outlier_pixels,
     ) -> tuple[int, int]:
         mapper.iterative_global_refinement(
-            refinements,
-            1e-3,
+            rounds,
+            MAPPING.max_changed_share,
             options.mapper,
             robust_adjustment(options.get_global_bundle_adjustment(), *limits, outlier_pixels),
             options.triangulation,
@@ -313,9 +251,10 @@ def _add_views(
         )
         return model.num_reg_images(), model.num_points3D()
 
+    rough_rounds, first_rounds, later_rounds = MAPPING.growth_rounds
     if is_rough:
-        adjust_all(3, FINAL_LIMITS, ROUGH_OUTLIER_PIXELS)
-    views, points = adjust_all(2)
+        adjust_all(rough_rounds, MAPPING.final_limits, MAPPING.rough_outlier_pixels)
+    views, points = adjust_all(first_rounds, MAPPING.growing_limits)
     if points == 0:
         return
     while True:
@@ -327,27 +266,32 @@ def _add_views(
         mapper.triangulate_image(options.triangulation, number)
         low_parallax_filter.delete_points(number)
         mapper.iterative_local_refinement(
-            1, 1e-3, options.mapper, local, options.triangulation, number
+            1, MAPPING.max_changed_share, options.mapper, local, options.triangulation, number
         )
         low_parallax_filter.delete_points(number)
         counts = model.num_reg_images(), model.num_points3D()
-        if counts[0] >= GROWTH_FACTOR * views or counts[1] >= GROWTH_FACTOR * points:
-            views, points = adjust_all(1)
-    adjust_all(1)
-    adjust_all(1, FINAL_LIMITS)
+        if (
+            counts[0] >= MAPPING.growth_factor * views
+            or counts[1] >= MAPPING.growth_factor * points
+        ):
+            views, points = adjust_all(later_rounds, MAPPING.growing_limits)
+    adjust_all(later_rounds, MAPPING.growing_limits)
+    adjust_all(later_rounds, MAPPING.final_limits)
 
 
 def _options(calibrate: Calibrate) -> Any:
     options = pycolmap().IncrementalPipelineOptions()
     options.ba_refine_focal_length = calibrate != "nothing"
     options.ba_refine_extra_params = calibrate == "radial"
-    options.ba_local_function_tolerance = 1e-5
+    options.ba_local_function_tolerance = MAPPING.local_tolerance
     options.mapper.abs_pose_refine_focal_length = False
     options.mapper.abs_pose_refine_extra_params = False
-    options.mapper.abs_pose_min_num_inliers = MIN_OBSERVATIONS
-    options.mapper.abs_pose_min_inlier_ratio = MIN_INLIER_SHARE
-    options.mapper.init_min_num_inliers = 2 * MIN_OBSERVATIONS
-    options.triangulation.min_angle = options.mapper.filter_min_tri_angle = MIN_TRIANGULATION_ANGLE
+    options.mapper.abs_pose_min_num_inliers = MAPPING.min_observations
+    options.mapper.abs_pose_min_inlier_ratio = MAPPING.min_inlier_share
+    options.mapper.init_min_num_inliers = 2 * MAPPING.min_observations
+    options.triangulation.min_angle = options.mapper.filter_min_tri_angle = (
+        MAPPING.min_triangulation_angle
+    )
     options.mapper.init_max_forward_motion = 1.0  # the triangulation angle decides instead
     for part in (options, options.mapper):
         part.num_threads = 1
@@ -356,9 +300,7 @@ def _options(calibrate: Calibrate) -> Any:
     return options
 
 
-def robust_adjustment(
-    adjustment: Any, steps: int, tolerance: float, outlier_pixels: float = OUTLIER_PIXELS
-) -> Any:
+def robust_adjustment(adjustment: Any, steps: int, tolerance: float, outlier_pixels: float) -> Any:
     """Return pycolmap's options of an adjustment, with a robust loss and at most `steps` steps."""
     adjustment.print_summary = False
     adjustment.ceres.loss_function_type = pycolmap().LossFunctionType.CAUCHY

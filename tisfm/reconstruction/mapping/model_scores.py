@@ -18,14 +18,8 @@ from tisfm.reconstruction.geometry.rays import unit_vectors
 from tisfm.reconstruction.mapping.database import PIXEL_CENTRE
 from tisfm.reconstruction.mapping.incremental import first_pair_tolerance
 from tisfm.reconstruction.mapping.parallax import epipolar_angles
+from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.tracks.views import View
-
-# Values without a stated source were set by hand.
-
-# Grid points along the longer side of a frame; each belongs to the nearest matched point.
-GRID_CELLS = 32
-# px, if the longer side has 640: largest distance of an explained match from its epipolar line.
-EPIPOLAR_TOLERANCE = 2.0
 
 Pairs = Mapping[tuple[int, int], np.ndarray]
 """(N, 2) int arrays by pairs of indices of views: indices of matching points, tracks first, then
@@ -144,7 +138,7 @@ class Coverage:
         pairs: Pairs,
         shape: tuple[int, int],  # height and width of the frames, px
     ) -> None:
-        self._pairs, self._max_distance = pairs, EPIPOLAR_TOLERANCE * max(shape) / 640
+        self._pairs, self._max_distance = pairs, MAPPING.epipolar_tolerance * max(shape) / 640
         self._points = [np.vstack([view.observations.points, view.detected]) for view in views]
         areas = self._areas(grid_points(shape))
         self._weights = {
@@ -193,7 +187,7 @@ class Coverage:
 
 def grid_points(shape: tuple[int, int]) -> np.ndarray:
     """Return (x, y) of grid points over a frame, (N, 2), px."""
-    side = max(shape) / GRID_CELLS
+    side = max(shape) / MAPPING.grid_cells
     rows, columns = (
         (np.arange(max(1, round(length / side))) + 0.5) * side - 0.5 for length in shape
     )

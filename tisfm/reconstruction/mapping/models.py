@@ -11,7 +11,6 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.mapping.database import (
-    MIN_OBSERVATIONS,
     PIXEL_CENTRE,
     MatchDirections,
     colmap_camera,
@@ -19,15 +18,9 @@ from tisfm.reconstruction.mapping.database import (
     open_database,
     pycolmap,
 )
-from tisfm.reconstruction.mapping.incremental import (
-    MAX_POSE_ERROR,
-    MIN_INLIER_SHARE,
-    OUTLIER_PIXELS,
-    grow_from_poses,
-    grow_models,
-    shows_parallax,
-)
+from tisfm.reconstruction.mapping.incremental import grow_from_poses, grow_models, shows_parallax
 from tisfm.reconstruction.mapping.model_scores import Coverage, MatchScore
+from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import (
@@ -36,10 +29,6 @@ from tisfm.reconstruction.tracks.triangulation import (
     triangulate_tracks,
 )
 from tisfm.reconstruction.tracks.views import View, choose_long_tracks
-
-# Share of the area of the frames: models that explain at least this show the static scene. Set by
-# hand.
-MIN_COVERAGE = 0.75
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,9 +88,11 @@ class ViewGraph:
         models = self._build_models(self.pairs, camera, calibrate)
         coverage = Coverage(self.views, self.pairs, self.shape)
         explained = coverage.explained_matches(models)
-        while models and coverage.explained_area(explained) < MIN_COVERAGE:
+        while models and coverage.explained_area(explained) < MAPPING.min_coverage:
             rest = {**self.pairs, **{pair: self.pairs[pair][~e] for pair, e in explained.items()}}
-            rest = {pair: left for pair, left in rest.items() if len(left) >= MIN_OBSERVATIONS}
+            rest = {
+                pair: left for pair, left in rest.items() if len(left) >= MAPPING.min_observations
+            }
             others = self._build_models(rest, camera, calibrate)
             others_explained = coverage.explained_matches(others)
             if coverage.explained_area(others_explained) <= coverage.explained_area(explained):
@@ -240,14 +231,14 @@ def pose_from_points(
     None is returned if too few tracks agree.
     """
     has_point, world = points_of_tracks(observations, points)
-    if len(has_point) < MIN_OBSERVATIONS:
+    if len(has_point) < MAPPING.min_observations:
         return None
     estimation = pycolmap().AbsolutePoseEstimationOptions()
-    estimation.ransac.max_error = MAX_POSE_ERROR
+    estimation.ransac.max_error = MAPPING.max_pose_error
     estimation.ransac.random_seed = 0
     refinement = pycolmap().AbsolutePoseRefinementOptions()
-    refinement.loss_function_scale = OUTLIER_PIXELS
-    refinement.gradient_tolerance = 1e-4
+    refinement.loss_function_scale = MAPPING.outlier_pixels
+    refinement.gradient_tolerance = MAPPING.pose_tolerance
     estimate = pycolmap().estimate_and_refine_absolute_pose(
         observations.points[has_point] + PIXEL_CENTRE,
         world,
@@ -255,7 +246,7 @@ def pose_from_points(
         estimation,
         refinement,
     )
-    min_inliers = max(MIN_OBSERVATIONS, MIN_INLIER_SHARE * len(has_point))
+    min_inliers = max(MAPPING.min_observations, MAPPING.min_inlier_share * len(has_point))
     if estimate is None or estimate["num_inliers"] < min_inliers:
         return None
     return _pose_matrix(estimate["cam_from_world"])

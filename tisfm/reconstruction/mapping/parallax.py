@@ -9,24 +9,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-# Values without a stated source were set by hand.
+from tisfm.reconstruction.mapping.settings import MAPPING
 
-# rad: matching noise; it bounds the weight of small angles in the robust fits.
-MATCH_NOISE = 5e-4
-# Reweighted rounds of the linear fit of a homography.
-HOMOGRAPHY_ROUNDS = 5
-# Gauss–Newton steps of the fit of a rotation and a focal length.
-ROTATION_STEPS = 12
-# A smaller step, in rad and in the logarithm of the focal length, ends this fit.
-MIN_ROTATION_STEP = 1e-5
-# Bounds of the focal length in the fit of a rotation, as multiples of the stated focal length. When
-# only the stated one was allowed, 20 % off, 7 of 8 rendered pure rotations passed for parallax.
-MIN_FOCAL_RATIO = 0.5
-MAX_FOCAL_RATIO = 2.0
-# Smallest z of a unit direction that is projected.
+# Smallest z of a unit direction that is projected. Set by hand.
 MIN_Z = 1e-3
-# Smallest distance to another view that sees a point, as a share of a view's median depth.
-MIN_BASELINE = 0.02
 
 
 def epipolar_angles(
@@ -60,12 +46,12 @@ def beyond_homography(
         ]
     )
     weights = np.ones(len(before))
-    for _ in range(HOMOGRAPHY_ROUNDS):
+    for _ in range(MAPPING.homography_rounds):
         weighted = (equations * weights[:, None]).reshape(-1, 9)
         mapped = before @ np.linalg.eigh(weighted.T @ weighted)[1][:, 0].reshape(3, 3).T
         mapped /= np.maximum(np.linalg.norm(mapped, axis=1, keepdims=True), 1e-12)
         angles = np.linalg.norm(np.cross(after, mapped), axis=1)
-        weights = 1 / np.sqrt(angles + MATCH_NOISE)
+        weights = 1 / np.sqrt(angles + MAPPING.match_noise)
     return np.asarray(angles)
 
 
@@ -92,7 +78,7 @@ def beyond_rotation(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 def _rotate_and_zoom(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Return points moved by the best rotation and focal length; all (N, 2), in focal lengths."""
     rotation, log_focal, weights = np.eye(3), 0.0, np.ones(len(start))
-    for round_number in range(ROTATION_STEPS):
+    for round_number in range(MAPPING.rotation_steps):
         focal = np.exp(log_focal)
         x, y, z = (np.column_stack([start / focal, np.ones(len(start))]) @ rotation.T).T
         z = np.maximum(z, MIN_Z)
@@ -101,7 +87,7 @@ def _rotate_and_zoom(start: np.ndarray, end: np.ndarray) -> np.ndarray:
         residual = end - rotated
         distance = np.hypot(*residual.T)
         if round_number:
-            weights = 1 / (distance + MATCH_NOISE)
+            weights = 1 / (distance + MAPPING.match_noise)
         # Derivatives of the projection by a rotation (ω × ray) from the left, and by log f.
         by_rotation = focal * np.stack(
             [np.column_stack([-u * v, -1 - v * v]), np.column_stack([1 + u * u, u * v]),
@@ -118,13 +104,15 @@ def _rotate_and_zoom(start: np.ndarray, end: np.ndarray) -> np.ndarray:
         matrix += 1e-9 * np.trace(matrix) * np.eye(4) + 1e-30 * np.eye(4)
         step = np.linalg.solve(matrix, vector)
         target = log_focal + step[3]
-        next_log_focal = float(np.clip(target, np.log(MIN_FOCAL_RATIO), np.log(MAX_FOCAL_RATIO)))
+        next_log_focal = float(
+            np.clip(target, np.log(MAPPING.min_focal_ratio), np.log(MAPPING.max_focal_ratio))
+        )
         if next_log_focal != target:  # the best rotation at the limit
             vector = vector - matrix[:, 3] * (next_log_focal - log_focal)
             step = np.r_[np.linalg.solve(matrix[:3, :3], vector[:3]), next_log_focal - log_focal]
         rotation = _rotation(step[:3]) @ rotation
         log_focal = next_log_focal
-        if round_number and np.abs(step).max() < MIN_ROTATION_STEP:
+        if round_number and np.abs(step).max() < MAPPING.min_rotation_step:
             break
     return rotated
 
@@ -163,7 +151,7 @@ class LowParallaxFilter:
             return
         pose = image.cam_from_world().matrix()
         depth = np.array([points[one].xyz for one in ids]) @ pose[2, :3] + pose[2, 3]
-        min_distance = MIN_BASELINE * float(np.median(depth))
+        min_distance = MAPPING.min_baseline * float(np.median(depth))
         position = image.projection_center()
         distances: dict[int, float] = {}
         for point_id in ids:

@@ -1,19 +1,14 @@
 """Solutions of the camera path: focal length, pieces of frames, and the views and tracks used."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
-
-# Share of the focal length: with a larger standard deviation, the motion hardly shows it.
-MAX_SEEN_DEVIATION = 0.05
-# Share of the focal length: with a larger standard deviation, a guess is as good, since focal
-# lengths of 0.6 to 2 longer sides are common.
-MAX_USEFUL_DEVIATION = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +23,7 @@ class FocalEstimate:
     radial: float = 0.0
     radial_deviation: float = 0.0
     # share of the focal length: with a larger standard deviation, a guess is as good
-    max_deviation: float = MAX_USEFUL_DEVIATION
+    max_deviation: float = field(default_factory=lambda: MAPPING.max_useful_deviation)
     shows_distortion: bool = (
         False  # whether the focal length changes clearly if the lens may distort
     )
@@ -43,7 +38,7 @@ class FocalEstimate:
     @property
     def is_certain(self) -> bool:
         """Whether the motion shows the focal length well."""
-        return self.deviation <= MAX_SEEN_DEVIATION * self.focal
+        return self.deviation <= MAPPING.max_seen_deviation * self.focal
 
     @property
     def is_useful(self) -> bool:

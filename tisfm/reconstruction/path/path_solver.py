@@ -2,7 +2,7 @@
 
 from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -14,20 +14,14 @@ from tisfm.reconstruction.calibration.self_calibration import (
     undistort_points,
 )
 from tisfm.reconstruction.frames.disk_cache import DiskCache
-from tisfm.reconstruction.mapping.database import MIN_OBSERVATIONS
-from tisfm.reconstruction.mapping.incremental import MIN_VIEWS
 from tisfm.reconstruction.mapping.models import (
     Model,
     find_models,
     pose_from_points,
     readjust_models,
 )
-from tisfm.reconstruction.mapping.solution import (
-    MAX_USEFUL_DEVIATION,
-    FocalEstimate,
-    PathSolution,
-    Piece,
-)
+from tisfm.reconstruction.mapping.settings import MAPPING
+from tisfm.reconstruction.mapping.solution import FocalEstimate, PathSolution, Piece
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.rolling_shutter.correction import ReadoutCorrection, find_corrected_path
 from tisfm.reconstruction.submaps.joining import MAX_VIEWS, focal_from_submaps, models_from_submaps
@@ -67,7 +61,7 @@ class PathSolver:
     calibrate: Calibrate = "nothing"
     # share of the focal length: an estimate with a larger standard deviation is dropped, and the
     # guess is used
-    max_deviation: float = MAX_USEFUL_DEVIATION
+    max_deviation: float = field(default_factory=lambda: MAPPING.max_useful_deviation)
     # readout time of the shutter, as in `tisfm.Camera`; None if it is estimated
     readout: float | None = None
     # Whether the focal length is known. With a guess, a path cannot begin where all points lie in
@@ -355,18 +349,18 @@ def status_without_pose(
 ) -> Status:
     """Return the status of a frame without a pose."""
     count = len(observations.tracks)
-    if count < MIN_OBSERVATIONS:
+    if count < MAPPING.min_observations:
         return Status(
             "no_texture",
             f"it shows only {count} points that can be tracked: it is dark, bare or blurred",
         )
     if not pieces and distinct_count < 2:
         return Status("no_motion", "frames hardly differ: the camera has to move")
-    if not pieces and distinct_count < MIN_VIEWS:
+    if not pieces and distinct_count < MAPPING.min_views:
         return Status(
             "little_parallax",
-            f"only {distinct_count} frames differ, but a path needs {MIN_VIEWS}: take more frames, "
-            "or give the pair to tisfm.interpret",
+            f"only {distinct_count} frames differ, but a path needs {MAPPING.min_views}: "
+            "take more frames, or give the pair to tisfm.interpret",
         )
     if not pieces and focal_known:
         return Status(

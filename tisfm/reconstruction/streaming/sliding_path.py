@@ -10,12 +10,7 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS
 from tisfm.reconstruction.mapping.models import continue_model
-from tisfm.reconstruction.mapping.solution import (
-    MAX_USEFUL_DEVIATION,
-    FocalEstimate,
-    PathSolution,
-    Piece,
-)
+from tisfm.reconstruction.mapping.solution import FocalEstimate, PathSolution, Piece
 from tisfm.reconstruction.path.path_solver import PathSolver, piece_of_model
 from tisfm.reconstruction.rolling_shutter.correction import (
     KNOWN_ROUNDS,
@@ -102,7 +97,7 @@ class SlidingPath:
         readout: float | None = 0.0,
         # Share of the focal length: with a larger standard deviation of the estimate, the guess is
         # used
-        limit: float = MAX_USEFUL_DEVIATION,
+        limit: float,
         # Whether the focal length is a guess that is not estimated. Then a path does not begin
         # where all points lie in one plane.
         is_guess: bool = False,

@@ -20,8 +20,8 @@ from tisfm.reconstruction.geometry.sim3 import (
     transform_pose,
 )
 from tisfm.reconstruction.geometry.sim3_graph import Edge, optimise_sim3_graph
-from tisfm.reconstruction.mapping.incremental import MIN_VIEWS
 from tisfm.reconstruction.mapping.models import Model
+from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.submaps.submap import Matches, Submap, SubmapBuilder
@@ -121,7 +121,7 @@ def models_from_submaps(
     # them.
     for path in sorted(paths, key=lambda path: (-len(path), min(path))):
         poses = {frame: pose for frame, pose in path.items() if frame not in used_frames}
-        if len(poses) >= MIN_VIEWS:
+        if len(poses) >= MAPPING.min_views:
             used_frames.update(poses)
             points = triangulate_tracks(observations, poses, camera, shape)
             models.append(Model(poses=poses, points=points))

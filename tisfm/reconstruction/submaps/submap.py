@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.mapping.incremental import MIN_VIEWS
 from tisfm.reconstruction.mapping.models import ViewGraph
+from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.tracks.triangulation import TrackPoints
 from tisfm.reconstruction.tracks.views import View
 
@@ -92,7 +92,7 @@ class SubmapBuilder:
     ) -> list[Submap]:
         """Return submaps of the remaining views of a span, continued from a neighbour submap."""
         remaining = set(range(*span)).difference(*(submap.poses for submap in own))
-        if len(remaining) < MIN_VIEWS:
+        if len(remaining) < MAPPING.min_views:
             return []
         for other in sorted(others, key=lambda submap: -len(submap.poses)):
             poses = {view: pose for view, pose in other.poses.items() if span[0] <= view < span[1]}
@@ -123,7 +123,7 @@ class SubmapBuilder:
         return [
             self._make_submap(graph, reconstruction, views, numbers)
             for reconstruction in reconstructions
-            if reconstruction.num_reg_images() >= MIN_VIEWS
+            if reconstruction.num_reg_images() >= MAPPING.min_views
         ]
 
     def _make_submap(
