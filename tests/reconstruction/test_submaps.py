@@ -1,6 +1,7 @@
 """Long sequences: submaps are reconstructed and then aligned."""
 
 import hashlib
+from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
 from unittest import mock
@@ -18,6 +19,7 @@ from tisfm.reconstruction.path import path_solver as path
 from tisfm.reconstruction.path.path_solver import find_path
 from tisfm.reconstruction.submaps import joining
 from tisfm.reconstruction.submaps.joining import focal_from_submaps, submap_spans
+from tisfm.reconstruction.submaps.settings import SUBMAPS
 from tisfm.rigid import pose_matrix
 
 CAMERA = walk().camera
@@ -29,10 +31,10 @@ def turning_walk():
 
 
 def path_in_submaps(images, most=8, overlap=4):
+    settings = replace(SUBMAPS, max_views=most, overlap_views=overlap)
     with (
-        mock.patch.object(path, "MAX_VIEWS", most),
-        mock.patch.object(joining, "MAX_VIEWS", most),
-        mock.patch.object(joining, "OVERLAP_VIEWS", overlap),
+        mock.patch.object(path, "SUBMAPS", settings),
+        mock.patch.object(joining, "SUBMAPS", settings),
         mock.patch.object(path, "find_models", side_effect=AssertionError),
     ):
         return find_path(((image, None, None) for image in images), CAMERA)
@@ -48,10 +50,10 @@ def bits():
 def test_submaps_overlap_and_have_limited_size(count):
     spans = submap_spans(count)
     assert spans[0][0] == 0 and spans[-1][1] == count
-    assert all(end - begin <= joining.MAX_VIEWS for begin, end in spans)
+    assert all(end - begin <= SUBMAPS.max_views for begin, end in spans)
     shared = [end - begin for (_, end), (begin, _) in pairwise(spans)]
-    assert shared == [joining.OVERLAP_VIEWS] * (len(spans) - 1)
-    assert (len(spans) == 1) == (count <= joining.MAX_VIEWS)
+    assert shared == [SUBMAPS.overlap_views] * (len(spans) - 1)
+    assert (len(spans) == 1) == (count <= SUBMAPS.max_views)
 
 
 def test_submaps_that_cannot_be_aligned_share_no_frame(monkeypatch):

@@ -24,7 +24,8 @@ from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.mapping.solution import FocalEstimate, PathSolution, Piece
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.rolling_shutter.correction import ReadoutCorrection, find_corrected_path
-from tisfm.reconstruction.submaps.joining import MAX_VIEWS, focal_from_submaps, models_from_submaps
+from tisfm.reconstruction.submaps.joining import focal_from_submaps, models_from_submaps
+from tisfm.reconstruction.submaps.settings import SUBMAPS
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
@@ -122,7 +123,7 @@ class PathSolver:
     ) -> PathSolution:
         """Return the path of corrected views, adjusted from the poses of an earlier path."""
         shape, matches = self.tracks.shape, self.tracks.matches
-        if len(views) > MAX_VIEWS:
+        if len(views) > SUBMAPS.max_views:
             models = models_from_submaps(
                 views, matches, camera, shape, observations, focal_known=self._is_focal_known
             )
@@ -182,7 +183,7 @@ class PathSolver:
         )
         if rolling is None:
             return solution, None
-        if len(corrected.views) <= MAX_VIEWS:
+        if len(corrected.views) <= SUBMAPS.max_views:
             # A path bent by the readout effect may stay bent. So another path is built from the
             # corrected tracks, without the first path as a start.
             calibrate: Calibrate = "focal" if self.calibrate == "focal" else "nothing"
@@ -219,7 +220,7 @@ class PathSolver:
     ) -> PathSolution:
         """Return the path through views and tracks in every frame."""
         matches, shape, focal = self.tracks.matches, self.tracks.shape, None
-        if len(views) > MAX_VIEWS:  # submaps bound the memory
+        if len(views) > SUBMAPS.max_views:  # submaps bound the memory
             if calibrate != "nothing":
                 focal = focal_from_submaps(
                     views, matches, camera, shape, calibrate, max_deviation=self.max_deviation

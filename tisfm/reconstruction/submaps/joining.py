@@ -24,36 +24,20 @@ from tisfm.reconstruction.mapping.models import Model
 from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.result.calibration import Calibrate
+from tisfm.reconstruction.submaps.settings import SUBMAPS
 from tisfm.reconstruction.submaps.submap import Matches, Submap, SubmapBuilder
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import triangulate_tracks
 from tisfm.reconstruction.tracks.views import View
 
-# Values without a stated source were set by hand.
-
-# Largest number of views of a submap.
-MAX_VIEWS = 370
-# Views that consecutive submaps share.
-OVERLAP_VIEWS = 40
-# Approximate number of groups into which the views of all submaps are divided.
-GROUP_COUNT = 120
-# Smallest number of views of a group, roughly.
-MIN_GROUP_VIEWS = 8
-# The fewest points that two groups of one submap share.
-MIN_SHARED_POINTS = 15
-# Largest number of points that an edge of the graph keeps.
-EDGE_POINTS = 60
-# Smallest assumed error of a point, as a share of its distance.
-MIN_POINT_ERROR = 0.002
-
 
 def submap_spans(count: int) -> list[tuple[int, int]]:
     """Return the first view of each submap, and the view after its last."""
-    if count <= MAX_VIEWS:
+    if count <= SUBMAPS.max_views:
         return [(0, count)]
-    parts = -(-(count - OVERLAP_VIEWS) // (MAX_VIEWS - OVERLAP_VIEWS))
-    begins = [k * (count - OVERLAP_VIEWS) // parts for k in range(parts + 1)]
-    return [(begin, end + OVERLAP_VIEWS) for begin, end in pairwise(begins)]
+    parts = -(-(count - SUBMAPS.overlap_views) // (SUBMAPS.max_views - SUBMAPS.overlap_views))
+    begins = [k * (count - SUBMAPS.overlap_views) // parts for k in range(parts + 1)]
+    return [(begin, end + SUBMAPS.overlap_views) for begin, end in pairwise(begins)]
 
 
 def focal_from_submaps(
@@ -101,7 +85,7 @@ def models_from_submaps(
     focal_known: bool = True,
 ) -> list[Model]:  # The largest model first. Each view is in at most one model.
     """Find poses of views and points of tracks, as `find_models` does, in bounded memory."""
-    size = max(MIN_GROUP_VIEWS, len(views) // GROUP_COUNT)
+    size = max(SUBMAPS.min_group_views, len(views) // SUBMAPS.group_count)
     spans = submap_spans(len(views))
     builder = SubmapBuilder(views, matches, camera, shape, spans, size, focal_known=focal_known)
     submaps = builder.build_submaps()
@@ -135,7 +119,7 @@ def _edges_within_submaps(submaps: Sequence[Submap], begins: Sequence[int]) -> I
         for first in range(len(submap.groups)):
             for second in range(first + 1, len(submap.groups)):
                 is_shared = visibility[first] & visibility[second]
-                if is_shared.sum() < MIN_SHARED_POINTS:
+                if is_shared.sum() < SUBMAPS.min_shared_points:
                     if second > first + 1:
                         continue
                     is_shared = visibility[first] | visibility[second]  # the submap stays connected
@@ -173,7 +157,7 @@ def _edges_of_overlaps(
             for first, second, common in _group_pairs(submap, other, shared):
                 visible = [views[view].observations.tracks for view in common]
                 is_shared = is_inlier & np.isin(tracks, np.unique(np.concatenate(visible)))
-                if is_shared.sum() >= MIN_SHARED_POINTS:
+                if is_shared.sum() >= SUBMAPS.min_shared_points:
                     yield _make_edge(
                         begins[k] + first, begins[n] + second, similarity,
                         points[is_shared], distances[is_shared],
@@ -234,18 +218,18 @@ def _make_edge(
     similarity: np.ndarray,
     points: np.ndarray,
     distances: np.ndarray,
-    deviation: float = MIN_POINT_ERROR,
+    deviation: float = 0.0,
     *,
     certain: bool = True,
 ) -> Edge:
-    sample = np.linspace(0, len(points) - 1, min(len(points), EDGE_POINTS)).astype(int)
+    sample = np.linspace(0, len(points) - 1, min(len(points), SUBMAPS.max_edge_points)).astype(int)
     return Edge(
         first=first,
         second=second,
         similarity=similarity,
         points=points[sample],
         distances=distances[sample],
-        deviation=max(deviation, MIN_POINT_ERROR),
+        deviation=max(deviation, SUBMAPS.min_point_error),
         weight=float(len(points)),
         certain=certain,
     )
