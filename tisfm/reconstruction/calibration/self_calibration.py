@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import MAX_FOCAL, MIN_FOCAL, Camera
+from tisfm.reconstruction.calibration.settings import CALIBRATION
 from tisfm.reconstruction.mapping.database import pycolmap
 from tisfm.reconstruction.mapping.incremental import robust_adjustment
 from tisfm.reconstruction.mapping.models import Model, ViewGraph, find_models
@@ -23,34 +24,6 @@ from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
-
-# Values without a stated source were set by hand.
-
-# Focal lengths that an adjustment starts from, as multiples of the guess.
-START_FACTORS = (1.0, 0.42, 2.4)
-# Mean score per match, 0 to 1: a model with at least this score has the right shape: it is not
-# bent.
-MIN_SHAPE_SCORE = 0.5
-# Views in each of the two windows on which start values are compared.
-WINDOW_VIEWS = 16
-# Observations that the uncertainty estimate uses, in all its parts together.
-MAX_PART_OBSERVATIONS = 6000
-# Steps of the final adjustment.
-MAX_STEPS = 150
-# Relative change of the squared residuals that ends the final adjustment.
-STEP_TOLERANCE = 1e-6
-# Parts of a model whose focal lengths are compared for the uncertainty.
-PART_COUNT = 6
-# The focal length of a part starts at this multiple of the estimate, or at its inverse.
-PART_START_FACTOR = 1.2
-# Share of the change from start value to estimate: a part that changes less does not show the focal
-# length.
-MIN_RELATIVE_CHANGE = 0.1
-# Standard deviation of the estimate per spread of the parts, both of the logarithm.
-SPREAD_TO_DEVIATION = 0.7
-# Change of the logarithm of the focal length if distortion is estimated too: if the change is
-# larger than this and than the spread of the parts, the lens seems to distort.
-MIN_LOG_FOCAL_CHANGE = 0.03
 
 
 def find_models_and_focal(
@@ -90,7 +63,10 @@ def find_models_and_focal(
         # models may be bent too: they count only with a good score.
         new_models = find_models(views, matches, lens, shape, focal_known=False)
         score = graph.score(reconstructions) * graph.match_count()
-        if not new_models or sum(model.score for model in new_models) >= MIN_SHAPE_SCORE * score:
+        if (
+            not new_models
+            or sum(model.score for model in new_models) >= CALIBRATION.min_shape_score * score
+        ):
             return new_models, estimate
     for model in reconstructions[1:]:
         _set_focal(model, estimate.focal, estimate.radial)
@@ -131,28 +107,33 @@ def _estimate_focal(
     focal, radial = _focal_and_radial(model)
     if not _is_possible(focal):
         return _guess_estimate(camera)
-    starts = [focal * PART_START_FACTOR ** (1 if k % 2 else -1) for k in range(PART_COUNT)]
+    subsets = _split(model, camera, shape)
+    starts = [
+        focal * CALIBRATION.part_start_factor ** (1 if k % 2 else -1) for k in range(len(subsets))
+    ]
     parts = [
-        _calibrate_part(model, part, start, calibrate)
-        for part, start in zip(_split(model, camera, shape), starts, strict=True)
+        _calibrate_part(model, subset, start, calibrate)
+        for subset, start in zip(subsets, starts, strict=True)
     ]
     focals = np.array([part_focal for part_focal, _ in parts])
     if not all(map(_is_possible, focals)):
         return _guess_estimate(camera)
     # If the data do not determine the focal length, the adjustment leaves the start value.
-    min_change = MIN_RELATIVE_CHANGE * math.log(PART_START_FACTOR)
+    min_change = CALIBRATION.min_relative_change * math.log(CALIBRATION.part_start_factor)
     is_unchanged = np.abs(np.log(focals / starts)) < min_change
     if is_unchanged.sum() > len(parts) / 2:
         return _guess_estimate(camera)
     errors = np.stack([np.log(focals / focal), [k1 - radial for _, k1 in parts]], axis=1)
-    deviation, radial_deviation = SPREAD_TO_DEVIATION * np.sqrt(np.mean(errors**2, axis=0))
+    deviation, radial_deviation = CALIBRATION.spread_to_deviation * np.sqrt(
+        np.mean(errors**2, axis=0)
+    )
     change = 0.0 if calibrate == "radial" else _log_focal_change(model)
     return FocalEstimate(
         focal=focal,
         deviation=focal * math.hypot(deviation, change),
         radial=radial,
         radial_deviation=float(radial_deviation),
-        shows_distortion=abs(change) > max(MIN_LOG_FOCAL_CHANGE, deviation),
+        shows_distortion=abs(change) > max(CALIBRATION.min_log_focal_change, deviation),
     )
 
 
@@ -186,9 +167,9 @@ def _grow_models(
     follows a moving object.
     """
     best = graph.grow_models(replace(camera, focal=start_focal), calibrate)
-    if best and graph.score(best) >= MIN_SHAPE_SCORE:
+    if best and graph.score(best) >= CALIBRATION.min_shape_score:
         return best
-    for factor in START_FACTORS:
+    for factor in CALIBRATION.start_factors:
         candidates = graph.grow_models(replace(camera, focal=factor * camera.focal), calibrate)
         if (
             candidates
@@ -202,7 +183,7 @@ def _grow_models(
 def _find_start_focal(graph: ViewGraph, camera: Camera, calibrate: Calibrate) -> float | None:
     """Return the focal length, px, that explains the matches in windows of views best."""
     best, best_score = None, 0.0
-    for factor in START_FACTORS:
+    for factor in CALIBRATION.start_factors:
         score, focals = 0.0, []
         for window in _comparison_windows(graph):
             models = window.grow_models(replace(camera, focal=factor * camera.focal), calibrate)
@@ -215,23 +196,23 @@ def _find_start_focal(graph: ViewGraph, camera: Camera, calibrate: Calibrate) ->
 
 
 def _comparison_windows(graph: ViewGraph) -> list[ViewGraph]:
-    count = len(graph.views)
-    if count <= 2 * WINDOW_VIEWS:
+    count, size = len(graph.views), CALIBRATION.window_views
+    if count <= 2 * size:
         return [graph]
-    begins = (count // 4 - WINDOW_VIEWS // 2, count - count // 4 - WINDOW_VIEWS // 2)
-    return [graph.subgraph(begin, begin + WINDOW_VIEWS) for begin in begins]
+    begins = (count // 4 - size // 2, count - count // 4 - size // 2)
+    return [graph.subgraph(begin, begin + size) for begin in begins]
 
 
 def _split(model: Any, camera: Camera, shape: tuple[int, int]) -> list[tuple[set[int], set[int]]]:
     """Return views and points of each part: halves of the time, and halves of the image.
 
-    Points that most views see come first, until there are MAX_PART_OBSERVATIONS observations.
+    Points that most views see come first, until there are enough observations.
     """
     views = sorted(model.reg_image_ids())
     lengths = {number: point.track.length() for number, point in model.points3D.items()}
     points, count = set(), 0
     for number in sorted(lengths, key=lambda point_id: (-lengths[point_id], point_id)):
-        if count < MAX_PART_OBSERVATIONS:
+        if count < CALIBRATION.max_part_observations:
             points.add(number)
             count += lengths[number]
     half = max(2, len(views) // 2)
@@ -285,7 +266,9 @@ def _adjust(model: Any, calibrate: Calibrate) -> None:
     for number in sorted(model.reg_image_ids()):
         config.add_image(number)
     config.fix_gauge(pycolmap().BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    robust_adjustment(options, MAX_STEPS, STEP_TOLERANCE, MAPPING.outlier_pixels)
+    robust_adjustment(
+        options, CALIBRATION.final_steps, CALIBRATION.final_tolerance, MAPPING.outlier_pixels
+    )
     pycolmap().create_default_bundle_adjuster(options, config, model).solve()
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
 from tisfm.focal_guess import FocalGuess, at_size, guess_focal
+from tisfm.reconstruction.calibration.settings import CALIBRATION
 from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.result.calibration import (
@@ -20,9 +21,6 @@ from tisfm.reconstruction.result.calibration import (
 )
 from tisfm.sources import FrameSource, SourceFrame
 
-# Share of the focal length: an estimate with a larger standard deviation is worse than the focal
-# length in the EXIF data of a file. Set by hand.
-MAX_EXIF_DEVIATION = 0.1
 UNSEEN_NOTE = (
     "the motion does not show the focal length: the camera moves straight without a rotation, or "
     "the scene is one plane"
@@ -79,7 +77,7 @@ class SourceCamera:
     def max_focal_deviation(self) -> float:
         """The largest relative standard deviation of an estimate that replaces the guess."""
         is_exif = self.guess is not None and self.guess.origin == "exif"
-        return MAX_EXIF_DEVIATION if is_exif else MAPPING.max_useful_deviation
+        return CALIBRATION.max_exif_deviation if is_exif else MAPPING.max_useful_deviation
 
     def full_readout(self, readout: float) -> float:
         """Return the readout time of full frames, at most 1 interval, from that of used frames."""
