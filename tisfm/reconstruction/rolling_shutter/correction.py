@@ -14,28 +14,14 @@ from tisfm.reconstruction.calibration.self_calibration import undistort_points
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.mapping.solution import PathSolution, Piece
 from tisfm.reconstruction.rolling_shutter.readout import ReadoutEstimate, estimate_readout
+from tisfm.reconstruction.rolling_shutter.settings import ROLLING_SHUTTER
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import points_of_tracks
 from tisfm.reconstruction.tracks.views import View
 from tisfm.shutter import Rolling, motion_rates, points_at_middle_row
 
-# Values without a stated source were set by hand.
-
-# Number of tracks around a detected point: the point gets their median depth.
-DEPTH_NEIGHBOURS = 3
-# Standard deviations: a readout time nearer to 0 is dropped.
-MIN_SIGNIFICANCE = 4.0
 # Intervals between frames: the readout of a frame ends before the next frame begins.
 MAX_READOUT = 1.0
-# Largest number of rounds; each estimates the readout time, then the path.
-MAX_ROUNDS = 4
-# Intervals: with a smaller change, the rounds end.
-MIN_CHANGE = 0.02
-# Number of rounds if the readout time is known.
-KNOWN_ROUNDS = 2
-# A path found with too small a readout time hides a part of the remaining readout, so the next
-# round finds a further change. Upper bound of the ratio of one change to the previous change.
-MAX_HIDDEN_SHARE = 0.6
 
 Resolve = Callable[[Sequence[View], Sequence[Observations], Sequence[Piece]], PathSolution]
 
@@ -102,7 +88,7 @@ class ReadoutCorrection:
             return replace(view, observations=self.tracks(frame))
         depth, is_known = self._depths[frame]
         _, neighbours = cKDTree(self._observations[frame].points[is_known]).query(
-            view.detected, k=min(DEPTH_NEIGHBOURS, int(is_known.sum()))
+            view.detected, k=min(ROLLING_SHUTTER.depth_neighbours, int(is_known.sum()))
         )
         median_depth = np.median(
             depth[is_known][neighbours].reshape(len(view.detected), -1), axis=1
@@ -157,16 +143,18 @@ def find_corrected_path(
         )
     corrected, rolling = solution, None
     value, deviation, change = readout or 0.0, 0.0, 0.0
-    for round_number in range(MAX_ROUNDS if readout is None else KNOWN_ROUNDS):
+    for round_number in range(
+        ROLLING_SHUTTER.max_rounds if readout is None else ROLLING_SHUTTER.known_rounds
+    ):
         if readout is None:
             estimate = _estimate(corrected, views, matches, instants, camera, shape, start=value)
             if estimate is None or not _is_significant(estimate):
                 break
             previous_change, change = change, estimate.readout - value
-            if round_number and abs(change) < MIN_CHANGE:
+            if round_number and abs(change) < ROLLING_SHUTTER.min_change:
                 break
             hidden_share = (
-                min(max(change / previous_change, 0.0), MAX_HIDDEN_SHARE)
+                min(max(change / previous_change, 0.0), ROLLING_SHUTTER.max_hidden_share)
                 if previous_change
                 else 0.0
             )
@@ -192,7 +180,7 @@ def _is_significant(estimate: ReadoutEstimate) -> bool:
 
     With a large standard deviation no possible value is significant: then the result is False.
     """
-    min_readout = MIN_SIGNIFICANCE * estimate.deviation
+    min_readout = ROLLING_SHUTTER.min_significance * estimate.deviation
     return (
         min_readout < MAX_READOUT
         and min_readout < abs(estimate.readout) < MAX_READOUT + min_readout

@@ -13,33 +13,16 @@ from scipy import sparse
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.geometry.rays import nearest_point_equations, unit_vectors
+from tisfm.reconstruction.rolling_shutter.settings import ROLLING_SHUTTER
 from tisfm.reconstruction.tracks.views import View
 from tisfm.shutter import moved_by_twist
 
-# Values without a stated source were set by hand.
-
-# The smallest number of views that show a point.
-MIN_VIEWS = 3
-# The largest number of views in use: consecutive ones, in which the camera rotates most.
-MAX_VIEWS = 60
-# Observations in use: points that most views show are taken first, until this number.
-MAX_OBSERVATIONS = 8000
-# px: larger residuals have a decreasing weight; the first value is for the first steps.
-OUTLIER_SCALES = (3.0, 1.0)
-# Gauss–Newton steps with each of these values.
-STEPS_PER_SCALE = 4
-# Damping of the steps, as a share of the diagonal.
-DAMPING = 1e-4
 # Damping of the system that gives the standard deviation, as a share of the diagonal. Larger
-# damping would act as a prior, and hide that the focal length or poses explain the same effect.
+# damping would act as a prior, and hide that the focal length or poses explain the same effect. Set
+# by hand.
 MIN_DAMPING = 1e-10
-# Depth, in the unit of the poses: nearer points are not visible.
+# Depth, in the unit of the poses: nearer points are not visible. Set by hand.
 MIN_DEPTH = 1e-6
-# The standard deviation is this multiple of its value for independent residuals: errors of films
-# with a global shutter are this much larger.
-DEVIATION_FACTOR = 5.5
-# px: observations with a larger residual are ignored.
-MAX_RESIDUAL = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +67,7 @@ def estimate_readout(
 ) -> ReadoutEstimate | None:  # none if views share too few points
     """Estimate the readout of a camera."""
     numbers = [k for k, view in enumerate(views) if view.frame in rates]
-    if len(numbers) < MIN_VIEWS:
+    if len(numbers) < ROLLING_SHUTTER.min_views:
         return None
     numbers = _select_rotating_views(numbers, views, rates)
     observations = _collect_observations(views, matches, numbers)
@@ -99,24 +82,27 @@ def estimate_readout(
         shape,
         start,
     )
-    for outlier_scale in OUTLIER_SCALES:
-        for _ in range(STEPS_PER_SCALE):
+    for outlier_scale in ROLLING_SHUTTER.outlier_scales:
+        for _ in range(ROLLING_SHUTTER.steps_per_scale):
             problem.step(outlier_scale)
-    deviation = problem.deviation(OUTLIER_SCALES[-1])
-    return ReadoutEstimate(readout=problem.readout, deviation=DEVIATION_FACTOR * deviation)
+    deviation = problem.deviation(ROLLING_SHUTTER.outlier_scales[-1])
+    return ReadoutEstimate(
+        readout=problem.readout, deviation=ROLLING_SHUTTER.deviation_factor * deviation
+    )
 
 
 def _select_rotating_views(
     numbers: list[int], views: Sequence[View], rates: Mapping[int, np.ndarray]
 ) -> list[int]:
-    """Return at most MAX_VIEWS consecutive views: those in which the camera rotates most."""
-    if len(numbers) <= MAX_VIEWS:
+    """Return the allowed number of consecutive views: those in which the camera rotates most."""
+    count = ROLLING_SHUTTER.max_views
+    if len(numbers) <= count:
         return numbers
     cumulative_rotation = np.cumsum(
         [0.0, *(np.linalg.norm(rates[views[k].frame][3:]) for k in numbers)]
     )
-    first = int(np.argmax(cumulative_rotation[MAX_VIEWS:] - cumulative_rotation[:-MAX_VIEWS]))
-    return numbers[first : first + MAX_VIEWS]
+    first = int(np.argmax(cumulative_rotation[count:] - cumulative_rotation[:-count]))
+    return numbers[first : first + count]
 
 
 def _collect_observations(
@@ -154,10 +140,11 @@ def _collect_observations(
     counts = np.bincount(all_observations.point)
     counts[wrong_points] = 0
     ranked = np.sort(counts)[::-1]
-    min_count = ranked[
-        np.searchsorted(np.cumsum(ranked), MAX_OBSERVATIONS).clip(0, len(ranked) - 1)
-    ]
-    return all_observations.select(counts[all_observations.point] >= max(MIN_VIEWS, min_count))
+    last = np.searchsorted(np.cumsum(ranked), ROLLING_SHUTTER.max_observations)
+    min_count = ranked[last.clip(0, len(ranked) - 1)]
+    return all_observations.select(
+        counts[all_observations.point] >= max(ROLLING_SHUTTER.min_views, min_count)
+    )
 
 
 class _Problem:
@@ -183,7 +170,7 @@ class _Problem:
 
     def step(self, outlier_scale: float) -> None:
         """Make one Gauss–Newton step."""
-        step, point_steps, _ = self._solve(*self._linearise(outlier_scale), DAMPING)
+        step, point_steps, _ = self._solve(*self._linearise(outlier_scale), ROLLING_SHUTTER.damping)
         self._apply_step(step[:-2].reshape(-1, 6), point_steps)
         self.readout += float(step[-2])
         self._focal *= float(np.exp(step[-1]))
@@ -208,7 +195,7 @@ class _Problem:
         projected = self._focal * moved[:, :2] / z[:, None]
         residual = projected - self._positions
         square_residual = (residual**2).sum(axis=1)
-        is_used = (moved[:, 2] > MIN_DEPTH) & (square_residual < MAX_RESIDUAL**2)
+        is_used = (moved[:, 2] > MIN_DEPTH) & (square_residual < ROLLING_SHUTTER.max_residual**2)
         weight = np.where(is_used, 1 / (1 + square_residual / outlier_scale**2), 0)
         root = np.sqrt(weight)[:, None, None]
         jacobian = np.zeros((len(z), 2, 3))

@@ -12,11 +12,8 @@ from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS
 from tisfm.reconstruction.mapping.models import continue_model
 from tisfm.reconstruction.mapping.solution import FocalEstimate, PathSolution, Piece
 from tisfm.reconstruction.path.path_solver import PathSolver, piece_of_model
-from tisfm.reconstruction.rolling_shutter.correction import (
-    KNOWN_ROUNDS,
-    ReadoutCorrection,
-    find_corrected_path,
-)
+from tisfm.reconstruction.rolling_shutter.correction import ReadoutCorrection, find_corrected_path
+from tisfm.reconstruction.rolling_shutter.settings import ROLLING_SHUTTER
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations, Tracker
 from tisfm.reconstruction.tracks.views import View, ViewSelection
@@ -150,7 +147,7 @@ class SlidingPath:
             self._find_readout(solution)
         if not self.readout:
             return solution
-        for _ in range(KNOWN_ROUNDS):
+        for _ in range(ROLLING_SHUTTER.known_rounds):
             rolling = self._unroll(solution)
             solution = replace(self._solve(distinct_count), rolling=rolling)
         return solution
