@@ -103,6 +103,7 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
         result = tisfm.interpret(
             pair.frame0, pair.frame1, camera=pair.camera, settings=with_objects
         )
+        assert result.labels is not None  # this motion model has them
         depth = depth_errors(result.depth, pair.depth, align="median").abs_rel
         return {"abs-rel": depth, "IoU": label_scores([result.labels], [pair.labels]).iou}
 
