@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tisfm.reconstruction.geometry import sim3
+from tisfm.reconstruction.geometry.settings import GEOMETRY
 from tisfm.reconstruction.geometry.sim3 import (
     fit_sim3,
     fit_sim3_ransac,
@@ -87,18 +89,18 @@ def test_noise_on_both_sides_leaves_the_scale():
     assert sim3_scale(fit_sim3(points, others, np.ones(20000))) == pytest.approx(1, abs=0.01)
 
 
-def test_ransac_finds_the_similarity_of_most_points():
+def test_ransac_finds_the_similarity_of_most_points(monkeypatch):
     others, points = cloud(), transform_points(TRUE, cloud())
     points[::3] += 3
     distances = np.linalg.norm(points, axis=1)
-    similarity, agree = fit_sim3_ransac(points, others, distances, min_inliers=20, min_share=0.5)
+    similarity, agree = fit_sim3_ransac(points, others, distances)
     np.testing.assert_allclose(similarity, TRUE, atol=1e-9)
     np.testing.assert_array_equal(agree, np.arange(60) % 3 > 0)
-    assert fit_sim3_ransac(points, others, distances, min_inliers=41, min_share=0.5) is None
-    assert fit_sim3_ransac(points, others, distances, min_inliers=20, min_share=0.7) is None
-    assert (
-        fit_sim3_ransac(points[:2], others[:2], distances[:2], min_inliers=0, min_share=0.0) is None
-    )
+    for changed in ({"min_inliers": 41}, {"min_inlier_share": 0.7}):
+        monkeypatch.setattr(sim3, "GEOMETRY", replace(GEOMETRY, **changed))
+        assert fit_sim3_ransac(points, others, distances) is None
+    monkeypatch.setattr(sim3, "GEOMETRY", replace(GEOMETRY, min_inliers=0, min_inlier_share=0.0))
+    assert fit_sim3_ransac(points[:2], others[:2], distances[:2]) is None
 
 
 def near_and_far():
@@ -117,7 +119,7 @@ def near_and_far():
 
 def test_points_count_less_by_the_square_of_their_distance():
     points, others, distances = near_and_far()
-    found, agree = fit_sim3_ransac(points, others, distances, min_inliers=20, min_share=0.5)
+    found, agree = fit_sim3_ransac(points, others, distances)
     assert agree.all()
     # Measured: 0.0007; without weights by distance 0.15, with weights 1/distance 0.004.
     assert (
@@ -142,7 +144,7 @@ def test_poses_outweigh_inaccurate_points():
     random = np.random.default_rng(2)
     points = transform_points(TRUE, cloud()) + 0.1 * random.normal(size=(60, 3))
     distances = np.linalg.norm(points, axis=1)
-    rough, _ = fit_sim3_ransac(points, cloud(), distances, min_inliers=20, min_share=0.5)
+    rough, _ = fit_sim3_ransac(points, cloud(), distances)
     poses = np.array([transform_pose(TRUE, pose) for pose in path()])
     found = refine_sim3(rough, (points, cloud()), distances, (poses, path()))
     assert abs(sim3_scale(rough) / 1.7 - 1) > 1e-4 > abs(sim3_scale(found) / 1.7 - 1)

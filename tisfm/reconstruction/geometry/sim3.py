@@ -3,20 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tisfm.reconstruction.geometry.settings import GEOMETRY
 from tisfm.rigid import nearest_rotation
-
-# Values without a stated source were set by hand.
-
-# Number of RANSAC trials, each with three points.
-RANSAC_TRIALS = 200
-# Largest error of an inlier, as a share of its distance from the camera.
-INLIER_ERROR = 0.05
-# The fewest inliers of a similarity.
-MIN_INLIERS = 20
-# Their smallest share of all points.
-MIN_INLIER_SHARE = 0.5
-# Rounds of the reweighted fit to inliers.
-FIT_ROUNDS = 5
 
 
 def sim3_scale(similarity: np.ndarray) -> float:
@@ -92,34 +80,31 @@ def fit_sim3_ransac(
     others: np.ndarray,
     # (N,) float64: distances of the points from the camera: far points are less exact
     distances: np.ndarray,
-    *,
-    # the fewest inliers and their smallest share; with less, None is returned
-    min_inliers: int = MIN_INLIERS,
-    min_share: float = MIN_INLIER_SHARE,
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the similarity from `others` to `points` with most inliers, and the inliers.
 
-    Returns similarity, (4, 4) float64; is_inlier, (N,) bool.
+    Returns similarity, (4, 4) float64; is_inlier, (N,) bool. None is returned if too few points are
+    inliers.
     """
-    required = max(min_inliers, min_share * len(points))
+    required = max(GEOMETRY.min_inliers, GEOMETRY.min_inlier_share * len(points))
     if len(points) < max(3, required):
         return None
     random, best, best_count = np.random.default_rng(0), np.eye(4), 0
-    for _ in range(RANSAC_TRIALS):
+    for _ in range(GEOMETRY.ransac_trials):
         sample = random.choice(len(points), 3, replace=False)
         candidate = fit_sim3(points[sample], others[sample], np.ones(3))
         errors = relative_errors(candidate, points, others, distances)
-        count = int((errors < INLIER_ERROR).sum())
+        count = int((errors < GEOMETRY.max_inlier_error).sum())
         if count > best_count:
             best, best_count = candidate, count
-    for _ in range(FIT_ROUNDS):
+    for _ in range(GEOMETRY.fit_rounds):
         errors = relative_errors(best, points, others, distances)
-        is_inlier = errors < INLIER_ERROR
+        is_inlier = errors < GEOMETRY.max_inlier_error
         if is_inlier.sum() < max(3, required):
             return None
         weights = _robust_weights(errors[is_inlier]) / distances[is_inlier] ** 2
         best = fit_sim3(points[is_inlier], others[is_inlier], weights)
-    return best, relative_errors(best, points, others, distances) < INLIER_ERROR
+    return best, relative_errors(best, points, others, distances) < GEOMETRY.max_inlier_error
 
 
 def refine_sim3(
@@ -139,7 +124,7 @@ def refine_sim3(
     target, other = (np.vstack([k, one[:, :3, 3]]) for k, one in zip(points, poses, strict=True))
     depth = np.concatenate([distances, np.full(len(poses[0]), np.median(distances))])
     count = len(distances)
-    for _ in range(FIT_ROUNDS):
+    for _ in range(GEOMETRY.fit_rounds):
         errors = relative_errors(similarity, target, other, depth)
         weights = [_robust_weights(errors[:count]), _robust_weights(errors[count:])]
         similarity = fit_sim3(target, other, np.concatenate(weights) / depth**2, rotation)
@@ -149,7 +134,7 @@ def refine_sim3(
 def _robust_weights(errors: np.ndarray) -> np.ndarray:
     """Return robust weights of residuals, (N,): outliers get small weights."""
     median = max(float(np.median(errors)), 1e-9)
-    return np.asarray(1 / (median**2 + (errors / 2) ** 2))
+    return np.asarray(1 / (median**2 + (errors / GEOMETRY.outlier_scale) ** 2))
 
 
 def relative_errors(

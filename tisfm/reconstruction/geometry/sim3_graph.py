@@ -12,23 +12,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tisfm.reconstruction.geometry.rays import cross_matrices
+from tisfm.reconstruction.geometry.settings import GEOMETRY
 from tisfm.reconstruction.geometry.sim3 import sim3_from_vector, sim3_scale, transform_points
 
-# Values without a stated source were set by hand.
-
-# Gauss–Newton rounds.
-MAX_ROUNDS = 20
-# Error of an uncertain edge, as a share of the distance of points: larger errors have a decreasing
-# weight. The value starts here,
-FIRST_OUTLIER_ERROR = 1.0
-# decreases by this factor in each round,
-OUTLIER_ERROR_FACTOR = 0.6
-# and ends here.
-LAST_OUTLIER_ERROR = 0.02
 # Rows of the system that are eliminated at a time: the parameters of one similarity.
 BLOCK_ROWS = 7
-# A smaller step of all unknowns ends the rounds.
-MIN_STEP = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,8 +111,9 @@ def _optimise(start: dict[int, np.ndarray], edges: Sequence[Edge]) -> dict[int, 
     """Return the similarities that fit the edges best; the first node stays fixed."""
     nodes, similarities = list(start), dict(start)
     index_of = {node: k for k, node in enumerate(nodes)}
-    outlier_error = FIRST_OUTLIER_ERROR
-    for _ in range(MAX_ROUNDS if len(nodes) > 1 else 0):
+    outlier_error = GEOMETRY.first_outlier_error
+    last_outlier_error = GEOMETRY.last_outlier_error
+    for _ in range(GEOMETRY.max_rounds if len(nodes) > 1 else 0):
         matrix, vector = np.zeros((7 * len(nodes),) * 2), np.zeros(7 * len(nodes))
         for edge in edges:
             residual, jacobian, weight = _residual(edge, similarities)
@@ -146,9 +135,9 @@ def _optimise(start: dict[int, np.ndarray], edges: Sequence[Edge]) -> dict[int, 
             similarities[node] = (
                 sim3_from_vector(scale, np.array(rest[:3]), np.array(rest[3:])) @ similarities[node]
             )
-        if outlier_error == LAST_OUTLIER_ERROR and np.abs(change).max() < MIN_STEP:
+        if outlier_error == last_outlier_error and np.abs(change).max() < GEOMETRY.min_step:
             break
-        outlier_error = max(OUTLIER_ERROR_FACTOR * outlier_error, LAST_OUTLIER_ERROR)
+        outlier_error = max(GEOMETRY.outlier_error_factor * outlier_error, last_outlier_error)
     return similarities
 
 
