@@ -4,14 +4,8 @@ from itertools import pairwise
 
 import pytest
 
-from tisfm.reconstruction.chunks.chunk import (
-    CHUNK,
-    MAX_OVERLAP,
-    MIN_CHUNK,
-    check_chunk,
-    overlap_of,
-    spans_of,
-)
+from tisfm.reconstruction.chunks.chunk import CHUNK, MIN_CHUNK, check_chunk, overlap_of, spans_of
+from tisfm.reconstruction.chunks.settings import CHUNKING
 
 
 @pytest.mark.parametrize("count", [2, 12, 13, 149, 150, 151, 281, 1000, 4321])
@@ -41,7 +35,7 @@ def test_chunks_are_even():
 
 
 def test_overlaps_are_short_where_chunks_are():
-    assert overlap_of(CHUNK) == MAX_OVERLAP and overlap_of(30) == 10
+    assert overlap_of(CHUNK) == CHUNKING.max_overlap and overlap_of(30) == 10
 
 
 @pytest.mark.parametrize("chunk", [0, -1, MIN_CHUNK - 1, 20.0, True, "30"])

@@ -21,6 +21,7 @@ from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.folders.result_folder import remove, remove_link
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.reading import read_json
+from tisfm.reconstruction.chunks.settings import CHUNKING
 from tisfm.reconstruction.entry import reconstruct
 from tisfm.reconstruction.progress import DepthOf
 from tisfm.reconstruction.result.calibration import Calibrate
@@ -34,10 +35,6 @@ from tisfm.version import __version__
 
 # Default number of frames of a chunk.
 CHUNK = 150
-# Largest number of frames that a chunk shares with the next one.
-MAX_OVERLAP = 20
-# A short chunk shares fewer frames: its length divided by this number.
-MIN_OVERLAP_DIVISOR = 3
 # Smallest allowed number of frames of a chunk.
 MIN_CHUNK = 12
 
@@ -64,7 +61,7 @@ def check_chunk(chunk: int) -> None:
 
 def overlap_of(chunk: int) -> int:
     """Return the number of frames that neighbour chunks of a length share."""
-    return min(MAX_OVERLAP, chunk // MIN_OVERLAP_DIVISOR)
+    return min(CHUNKING.max_overlap, chunk // CHUNKING.overlap_divisor)
 
 
 def spans_of(

@@ -9,31 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tisfm.reconstruction.chunks.settings import CHUNKING
 from tisfm.reconstruction.geometry.sim3 import mean_rotation, transform_points
 from tisfm.reconstruction.result.folder import depth_path
 from tisfm.reconstruction.result.reconstruction import Reconstruction
-
-# Values without a stated source were set by hand.
-
-# Largest relative standard deviation of depth; less certain depth is ignored.
-MAX_DEPTH_DEVIATION = 0.25
-# Largest number of shared frames whose depth is compared.
-MAX_FRAMES = 20
-# Approximate number of compared pixels in each of these frames.
-PIXELS_PER_FRAME = 1500
-# Smallest number of pixels with comparable depth.
-MIN_PIXELS = 100
-# Smallest share of these pixels that have to agree on the scale.
-MIN_AGREEING_SHARE = 0.5
-# Difference of the logarithm of the scale within which pixels agree.
-MAX_SCALE_DIFFERENCE = 0.1
-# Smallest number of camera positions for an estimate of the scale.
-MIN_POSITIONS = 4
-# Largest standard deviation of the logarithm of the scale; a less certain estimate is ignored.
-MAX_SCALE_DEVIATION = 0.1
-# Smallest standard deviation of the logarithm of the scale: depth and positions drift along a
-# chunk, so no estimate is more certain.
-MIN_SCALE_DEVIATION = 0.01
 
 Shared = Sequence[tuple[int, int]]
 """Numbers of the same frame in two results."""
@@ -87,7 +66,7 @@ def scale_from_positions(
     poses: np.ndarray, others: np.ndarray, rotation: np.ndarray
 ) -> tuple[float, float] | None:
     """Return the logarithm of the scale from camera positions, and its standard deviation."""
-    if len(poses) < MIN_POSITIONS:
+    if len(poses) < CHUNKING.min_positions:
         return None
     own_positions = poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
     other_positions = (others[:, :3, 3] - others[:, :3, 3].mean(axis=0)) @ rotation.T
@@ -98,9 +77,10 @@ def scale_from_positions(
         return None
     scale = spread / other_spread  # symmetric: neither chunk is more exact
     deviation = max(
-        float(np.linalg.norm(own_positions - scale * other_positions)) / spread, MIN_SCALE_DEVIATION
+        float(np.linalg.norm(own_positions - scale * other_positions)) / spread,
+        CHUNKING.min_scale_deviation,
     )
-    return None if deviation > MAX_SCALE_DEVIATION else (float(np.log(scale)), deviation)
+    return None if deviation > CHUNKING.max_scale_deviation else (float(np.log(scale)), deviation)
 
 
 def scale_from_depth(
@@ -114,14 +94,17 @@ def scale_from_depth(
     if not ratio_sets:
         return None
     ratios = np.log(np.concatenate(ratio_sets))
-    if len(ratios) < MIN_PIXELS:
+    if len(ratios) < CHUNKING.min_pixels:
         return None
     scale = float(np.median(ratios))
-    if np.mean(np.abs(ratios - scale) < MAX_SCALE_DIFFERENCE) < MIN_AGREEING_SHARE:
+    if (
+        np.mean(np.abs(ratios - scale) < CHUNKING.max_scale_difference)
+        < CHUNKING.min_agreeing_share
+    ):
         return None
     medians = np.array([np.median(np.log(ratios_of_frame)) for ratios_of_frame in ratio_sets])
-    deviation = max(float(np.median(np.abs(medians - scale))), MIN_SCALE_DEVIATION)
-    return None if deviation > MAX_SCALE_DEVIATION else (scale, deviation)
+    deviation = max(float(np.median(np.abs(medians - scale))), CHUNKING.min_scale_deviation)
+    return None if deviation > CHUNKING.max_scale_deviation else (scale, deviation)
 
 
 def _with_depth(
@@ -137,7 +120,8 @@ def _with_depth(
     )
     if not ours or not theirs:
         return
-    for k in np.unique(np.linspace(0, len(ours) - 1, min(len(ours), MAX_FRAMES)).astype(int)):
+    count = min(len(ours), CHUNKING.max_frames)
+    for k in np.unique(np.linspace(0, len(ours) - 1, count).astype(int)):
         yield ours[k], min(theirs, key=lambda one: (abs(one - ours[k]), one))
 
 
@@ -154,7 +138,7 @@ def _ratios(
     cx, cy = first.camera.center_for(height, width)
     lens = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     frame, (ours, theirs) = shared[pair[0]][0], shared[pair[1]]
-    step = max(1, int(np.sqrt(height * width / PIXELS_PER_FRAME)))
+    step = max(1, int(np.sqrt(height * width / CHUNKING.pixels_per_frame)))
     rows, columns = np.mgrid[step // 2 : height : step, step // 2 : width : step]
     rows, columns = rows.ravel(), columns.ravel()
     depth = _certain_depth(first, frame)[rows, columns]
@@ -177,6 +161,6 @@ def _certain_depth(result: Reconstruction, frame: int) -> np.ndarray:
     inverse = result.inverse_depth(frame).astype(np.float64)
     with np.errstate(invalid="ignore"):
         is_certain = (inverse > 0) & (
-            result.inverse_depth_std(frame) < MAX_DEPTH_DEVIATION * inverse
+            result.inverse_depth_std(frame) < CHUNKING.max_depth_deviation * inverse
         )
     return 1 / np.where(is_certain, inverse, np.nan)

@@ -10,13 +10,11 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.camera_file import NAME, read_camera, read_camera_record, write_camera
 from tisfm.reconstruction.chunks.chunk import Chunk, make_chunk
+from tisfm.reconstruction.chunks.settings import CHUNKING
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 UnorderedMap = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[tuple[int, Any]]]
 """Calls a function with each item, in any process; yields the number and result of each item."""
-
-# Largest number of chunks that are searched for the focal length. Set by hand.
-MAX_TRIED_CHUNKS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,9 +49,8 @@ def shared_camera(
     ]
     results = [result for _, result in _complete_results([first], map_unordered)]
     if not results[0].calibration.seen and others:
-        indices = np.unique(
-            np.linspace(0, len(others) - 1, min(MAX_TRIED_CHUNKS - 1, len(others))).astype(int)
-        )
+        count = min(CHUNKING.max_tried_chunks - 1, len(others))
+        indices = np.unique(np.linspace(0, len(others) - 1, count).astype(int))
         tried = [others[number] for number in indices]
         results += [
             result

@@ -1,0 +1,28 @@
+"""Tuned numbers of chunks; without another source, a number was set by hand."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChunkSettings:
+    """Chunks of a sequence, and their joining."""
+
+    # chunk
+    max_overlap: int = 20  # frames that a chunk shares with the next one
+    overlap_divisor: int = 3  # a short chunk shares its length divided by this number
+    # overlaps; scales are logarithms
+    max_depth_deviation: float = 0.25  # relative: less certain depth is ignored
+    max_frames: int = 20  # shared frames whose depth is compared
+    pixels_per_frame: int = 1500  # compared pixels of each of these frames, roughly
+    min_pixels: int = 100  # with comparable depth
+    min_agreeing_share: float = 0.5  # of these pixels, that have to agree on the scale
+    max_scale_difference: float = 0.1  # within which pixels agree
+    min_positions: int = 4  # of the camera, for an estimate of the scale
+    max_scale_deviation: float = 0.1  # a less certain scale is ignored
+    # depth and positions drift along a chunk: no estimate is more certain
+    min_scale_deviation: float = 0.01
+    # shared_camera
+    max_tried_chunks: int = 8  # that are searched for the focal length
+
+
+CHUNKING = ChunkSettings()
