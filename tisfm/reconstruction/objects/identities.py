@@ -123,7 +123,7 @@ class ObjectTracker:
                 continue
             own_errors, _ = motions.residuals_from(part)
             nearest = np.min([error[part] for error in errors.values()], axis=0)
-            if np.median(own_errors[part]) > OBJECTS.max_own_error * np.median(nearest):
+            if np.median(own_errors[part]) > OBJECTS.max_new_object_error * np.median(nearest):
                 continue
             others = np.where(part, 0, labels), np.where(part, 0, propagated)
             number = self._find_object(frame, part, *others)
@@ -136,7 +136,7 @@ class ObjectTracker:
         distances = np.minimum(distances, OBJECTS.max_motion_error)
         nearest = distances.min(axis=0)
         # Where no motion fits, only a clear difference counts.
-        tolerance = scale**2 + (OBJECTS.error_tolerance * nearest) ** 2
+        tolerance = scale**2 + (OBJECTS.relative_error_tolerance * nearest) ** 2
         costs = np.minimum((distances**2 - nearest**2) / tolerance, OBJECTS.max_motion_cost)
         numbers = np.array(list(errors))
         costs += OBJECTS.identity_change_cost * (labels[window] != numbers[:, None, None])
@@ -155,7 +155,7 @@ class ObjectTracker:
         )
         if not enlarge:
             return shifted > 0
-        side = 1 + 2 * round(OBJECTS.reach * obj.mask.sum() ** 0.5 + 1)
+        side = 1 + 2 * round(OBJECTS.search_margin * obj.mask.sum() ** 0.5 + 1)
         return cv2.dilate(shifted, np.ones((side, side), np.uint8)) > 0
 
     def _find_object(

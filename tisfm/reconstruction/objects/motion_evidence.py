@@ -2,8 +2,8 @@
 
 The image motion of a static point fits the motion of the camera with some depth. In two frames, an
 object that moves along epipolar lines looks like static points at another depth. Over several
-frames its depth would have to change, or the lines rotate. For this reason evidence is accumulated
-along the image motion.
+frames, hardly any such object fits one static depth. For this reason evidence is accumulated along
+the image motion.
 """
 
 from collections.abc import Sequence
@@ -60,7 +60,7 @@ class Evidence:
         )
 
     def override_with(self, other: "Evidence") -> "Evidence":
-        """Return the evidence, overruled by one that finds objects which look static here."""
+        """Return the sum; static evidence of this one counts only where `other` is unknown."""
         valid = (self.total > 0) | (other.weight == 0)
         return self._add_where(valid, other)
 
@@ -74,8 +74,8 @@ def frame_evidence(motion: ImageMotion, frame: int) -> Evidence:
     """Return the evidence of the image motion from a frame to others.
 
     One rigid motion is fitted to the image motion between two frames, where it is consistent.
-    The evidence is the distance from the nearest position of a static point, compared with the
-    usual distance.
+    The evidence of a pixel depends on its distance from the nearest position of a static point, in
+    standard deviations of static pixels.
     """
     shape, camera = motion.grey(frame).shape, motion.camera()
     total, weight = (np.zeros(shape, np.float32) for _ in range(2))
@@ -105,7 +105,7 @@ def frame_evidence(motion: ImageMotion, frame: int) -> Evidence:
 
 
 def evidence_of_error(error: np.ndarray) -> np.ndarray:
-    """Return the evidence of one frame, from errors in `neutral_deviations`, (H, W)."""
+    """Return the evidence of one frame, (H, W), from errors; an error of 1 gives evidence 0."""
     return np.clip(error**2 - 1, OBJECTS.static_evidence, OBJECTS.moving_evidence)
 
 
@@ -233,14 +233,14 @@ def support_of_motion(
     nearest: np.ndarray,
     static_depths: np.ndarray,  # (N,) float32: inverse depths of static points
 ) -> np.ndarray:  # (H, W) float32: from `OBJECTS.min_support` to 1
-    """Return how far the images support the image motion against every static position.
+    """Return a factor of evidence of motion: 1 where all static positions match clearly worse.
 
     In an area without texture all positions look alike, and the image motion is arbitrary. Where
     the image motion is wrong, some static depth fits the images as well or better. One depth has to
     fit all given frames.
     """
     largest = float(np.quantile(static_depths, 0.99)) if len(static_depths) else 0.0
-    max_inverse = largest * OBJECTS.max_depth_factor
+    max_inverse = largest * OBJECTS.max_inverse_depth_factor
     shifts = [
         np.median(np.linalg.norm(static.positions(max_inverse) - static.positions(0.0), axis=-1))
         for *_, static in views
@@ -254,7 +254,7 @@ def support_of_motion(
             (other, static.positions(inverse_depth), valid) for other, _, valid, static in views
         ]
         min_difference = np.minimum(min_difference, _mean_difference(grey, static_views))
-    support = (min_difference - difference) / (OBJECTS.refuting_difference + difference)
+    support = (min_difference - difference) / (OBJECTS.full_evidence_difference + difference)
     return np.clip(support, OBJECTS.min_support, 1)
 
 

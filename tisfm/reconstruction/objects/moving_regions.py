@@ -20,7 +20,7 @@ def find_moving_regions(
 ) -> Iterator[tuple[np.ndarray, bool]]:
     """Yield the connected parts of a frame that move, (H, W) bool, and whether they have a core."""
     mean = evidence.mean()
-    core = (mean > OBJECTS.core_evidence) & (evidence.weight > OBJECTS.min_core_frames)
+    core = (mean > OBJECTS.core_evidence) & (evidence.weight > OBJECTS.min_core_weight)
     mean += np.float32(OBJECTS.known_object_bonus) * object_mask
     mean -= np.float32(OBJECTS.region_evidence)
     costs = np.stack([2 * np.clip(mean, 0, 3), 4 * np.clip(-mean, 0, 1)])
@@ -35,7 +35,7 @@ def find_moving_regions(
     for component in range(1, count):
         area = statistics[component, cv2.CC_STAT_AREA]
         if area >= smallest:
-            min_core = max(OBJECTS.min_core_of_smallest * smallest, OBJECTS.min_core_share * area)
+            min_core = max(OBJECTS.min_core_area * smallest, OBJECTS.min_core_share * area)
             yield components == component, bool(cores[component] >= min_core)
 
 

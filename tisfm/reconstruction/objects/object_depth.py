@@ -49,7 +49,7 @@ def find_object_scale(
         contact = contact_scale(combined, labels, object_pixels & ~valid, object_id)
         if contact is not None:
             contacts.append(1 / contact)
-        window = np.ones((2 * OBJECTS.surroundings + 1,) * 2, np.uint8)
+        window = np.ones((2 * OBJECTS.ring_width + 1,) * 2, np.uint8)
         ring = (cv2.dilate(np.uint8(object_pixels), window) > 0) & (labels == 0) & (background > 0)
         if ring.any():
             # The object occludes its surroundings, so it is at least as near as their nearest part.
@@ -108,12 +108,12 @@ def objects_with_depth(
             result.append(replace(obj, message=path))
             continue
         has_pose = np.asarray(np.isfinite(world[path.frames]).all(axis=(1, 2)))
-        poses_in_world = {k: pose for k, pose in path.piece.poses.items() if has_pose[k]}
+        poses_in_world = {k: pose for k, pose in path.model.poses.items() if has_pose[k]}
         if not poses_in_world:
             result.append(replace(obj, message=NO_PATH))
             continue
         depths = [depth for depth in path.depths if depth.frame in poses_in_world]
-        path = replace(path, piece=replace(path.piece, poses=poses_in_world), depths=depths)
+        path = replace(path, model=replace(path.model, poses=poses_in_world), depths=depths)
         size = (sizes or {}).get(obj.id)
         scale, scale_from = find_object_scale(path, obj.id, static_depth, frames.labels, size)
         result.append(with_world_path(obj, path, world, scale, scale_from))
@@ -142,7 +142,7 @@ def with_world_path(
     centering[:3, 3] = -np.median(points, axis=0)
     indices = {frame: k for k, frame in enumerate(obj.frames)}
     object_poses = obj.poses.copy()
-    for number, pose in path.piece.poses.items():
+    for number, pose in path.model.poses.items():
         frame = path.frames[number]
         object_to_camera = np.linalg.inv(centering @ pose)  # in the unit of `path`
         object_to_camera[:3, 3] *= scale

@@ -30,13 +30,13 @@ BOX_ALIGNMENT = 16
 class ObjectPath:
     """Path and depth of an object, in its own unit and axes."""
 
-    frames: list[int]  # frame of the sequence, by the frame number that `piece` and `depths` use
-    piece: Piece  # poses, camera to object, and the points of the object
+    frames: list[int]  # frames of the sequence; `model` and `depths` use the indices of this list
+    model: Piece  # poses, camera to object, and the points of the object
     depths: list[FrameDepth]
 
     def points(self) -> np.ndarray:
         """Return the object's points, (N, 3)."""
-        return np.array([*self.piece.points.values()]).reshape(-1, 3)
+        return np.array([*self.model.points.values()]).reshape(-1, 3)
 
 
 class _ObjectFrames:
@@ -105,7 +105,7 @@ def find_object_path(
     if not path.pieces:
         return "its motion gives no depth: it hardly turns or changes its distance, or is not rigid"
     piece = max(path.pieces, key=lambda piece: len(piece.poses))
-    without_depth = ObjectPath(frames=numbers, piece=piece, depths=[])
+    without_depth = ObjectPath(frames=numbers, model=piece, depths=[])
     if not with_depth:
         return without_depth
     depths = find_object_depths(object_frames, piece, path.observations, settings)

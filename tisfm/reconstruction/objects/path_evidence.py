@@ -151,7 +151,7 @@ class BelowGround:
             return None
         ground, apparent = self._rays @ plane, self._depths[frame].inverse_depth
         below = (
-            (ground > OBJECTS.min_judged_depth * np.abs(ground).max())
+            (ground > OBJECTS.min_inverse_depth_share * np.abs(ground).max())
             & (apparent * OBJECTS.min_below_ground < ground)
             & ~moving_pixels
         )
@@ -243,7 +243,9 @@ class BelowGround:
             static, other = self._static_motion(frame, numbers[-1]), self._motion.grey(numbers[-1])
             difference = grey_difference(other, static.positions(depth), grey)
             gain = grey_difference(other, static.positions(ground), grey) - difference
-            refutation = np.maximum(refutation, gain / (OBJECTS.refuting_difference + difference))
+            refutation = np.maximum(
+                refutation, gain / (OBJECTS.full_evidence_difference + difference)
+            )
         return np.clip(refutation, 0, 1)
 
     def _static_motion(self, frame: int, other: int) -> StaticMotion:
@@ -261,8 +263,8 @@ class BelowGround:
 def _is_upright(planes: np.ndarray) -> np.ndarray:
     """Return which planes, (..., 3), are ground below an upright camera."""
     slope_x, slope_y, center = np.moveaxis(planes, -1, 0)
-    is_level = np.abs(slope_x) < OBJECTS.max_sideways_slope * slope_y
-    return is_level & (np.abs(center) < OBJECTS.max_central_depth * slope_y)
+    is_level = np.abs(slope_x) < OBJECTS.max_roll_slope * slope_y
+    return is_level & (np.abs(center) < OBJECTS.max_pitch_slope * slope_y)
 
 
 def _plane_inliers(plane_depth: np.ndarray, inverse_depth: np.ndarray) -> np.ndarray:

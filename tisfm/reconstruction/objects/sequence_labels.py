@@ -75,7 +75,7 @@ class SequenceLabels:
             multi_frame, inverse_depth = path_result
             combined.append(own.combine_with(multi_frame))
             max_total = OBJECTS.max_static_mean * multi_frame.weight
-            static_pixels = ~moving_pixels & (multi_frame.weight > OBJECTS.min_static_frames)
+            static_pixels = ~moving_pixels & (multi_frame.weight > OBJECTS.min_static_weight)
             static_pixels &= multi_frame.total < max_total
             depths.append(StaticDepth(inverse_depth=inverse_depth, static_pixels=static_pixels))
         self._evidence = combined
