@@ -25,6 +25,7 @@ from bench.shared.results import RESULTS, Table, machine, markdown_page, write_r
 FACTORS = {"halved": 0.5, "doubled": 2.0}
 SEQUENCES = ("new_tsukuba", "tartanair")  # real sequences
 INPUTS = ("flow", "camera", "objects", "film", "bodies", *SEQUENCES)
+KINDS = ("sideways+rotation", "forward")  # of rendered pairs of a static scene
 STEP = (0.05, 0.0, 0.02, 0.0, 0.01, 0.0)  # m and rad per frame, of the rendered film
 Figures = dict[str, float]
 Changes = dict[str, float] | str  # % by figure, empty for the same bits; or the message of an error
@@ -91,12 +92,15 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
         return {"EPE, px": float(np.mean(errors))}
 
     def camera() -> Figures:
-        pair = rendered()["camera"]
-        result = tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera, settings=fast)
-        assert result.motions is not None  # this motion model has them
-        errors = pose_errors(pose_matrix(result.motions[0]), pose_matrix(pair.motions[0]))
-        depth = depth_errors(result.depth, pair.depth).abs_rel
-        return {"rotation, °": errors.rotation, "abs-rel": depth}
+        figures = []
+        for pair in rendered()["camera"]:
+            result = tisfm.interpret(pair.frame0, pair.frame1, camera=pair.camera, settings=fast)
+            assert result.motions is not None  # this motion model has them
+            errors = pose_errors(pose_matrix(result.motions[0]), pose_matrix(pair.motions[0]))
+            depth = depth_errors(result.depth, pair.depth, align="median").abs_rel
+            figures.append((errors.rotation, depth, str(result.status) == "converged"))
+        rotation, depth, converged = np.mean(figures, axis=0).tolist()
+        return {"rotation, °": rotation, "abs-rel": depth, "converged": converged}
 
     def objects() -> Figures:
         pair = rendered()["objects"]
@@ -140,10 +144,17 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
 def rendered() -> dict[str, Any]:
     """Return name → rendered pair or film, made once in a process."""
     from tisfm.rigid import pose_matrix
-    from tisfm.scenes import bodies_film, bodies_path, room_film, static_scene, three_blocks
+    from tisfm.scenes import (
+        bare_patches,
+        bodies_film,
+        bodies_path,
+        room_film,
+        static_scene,
+        three_blocks,
+    )
 
     return {
-        "camera": static_scene("sideways+rotation", 120, 160),
+        "camera": [*(static_scene(kind, 120, 160) for kind in KINDS), bare_patches(120, 160)],
         "objects": three_blocks(180, 240),
         "film": room_film(
             np.array([pose_matrix(k * np.array(STEP)) for k in range(8)]), 96, 128, textured=True
