@@ -191,7 +191,7 @@ def test_a_cloud_calculates_like_an_array():
 def test_a_copy_that_is_needed_is_not_refused_in_silence():
     cloud = some_cloud()
     assert cloud.__array__(copy=False) is cloud.positions
-    with pytest.raises(ValueError, match="the positions are float32: as float64 they are a copy"):
+    with pytest.raises(ValueError, match="the positions are float32, and float64 needs a copy"):
         cloud.__array__(np.float64, copy=False)
 
 

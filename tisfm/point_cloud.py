@@ -73,7 +73,8 @@ class PointCloud(NDArrayOperatorsMixin):
             return np.array(self.positions, dtype=dtype)
         if copy is False and dtype is not None and np.dtype(dtype) != self.dtype:
             raise InputError(
-                f"the positions are {self.dtype}: as {np.dtype(dtype)} they are a copy"
+                f"the positions are {self.dtype}, and {np.dtype(dtype)} needs a copy: leave out "
+                f"copy=False, or ask for {self.dtype}"
             )
         return np.asarray(self.positions, dtype=dtype)
 

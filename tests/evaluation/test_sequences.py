@@ -145,7 +145,7 @@ def test_steps_and_wrong_sizes(sequence):
     result.status = result.status[::2]
     found = compared(sequence, result, step=2)
     assert found.frames == 3 and found.step == 2 and found.pieces[0].share < 1e-9
-    with pytest.raises(ValueError, match=r"poses of shape \(3, 4, 4\), but there are 6 frames"):
+    with pytest.raises(ValueError, match=r"poses of shape \(3, 4, 4\): expected \(6, 4, 4\)"):
         compared(sequence, result)
     small = Result()
     small.inverse = small.inverse[:, 1:]

@@ -92,6 +92,6 @@ def test_points_and_surface_of_a_film(tmp_path):
 
 def test_results_without_points_are_errors(tmp_path):
     result = made(tmp_path / "walk", with_depth=())
-    with pytest.raises(ValueError, match="has no points"):
+    with pytest.raises(ValueError, match="gives no points"):
         write_points(result, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["walk"]

@@ -83,7 +83,9 @@ def test_standstill_one_pose_and_none():
     assert absolute_errors(one, moving).similarity == 0 and absolute_errors(one, moving).poses == 1
     assert relative_errors(one, moving) is None and drift(one, moving) is None
     assert relative_errors(moving, moving, step=6) is None
-    with pytest.raises(ValueError, match="no frame has both poses: of 6, 0 have"):
+    with pytest.raises(
+        ValueError, match="no frame has both an estimated and a true pose: of 6 frames, 0 have"
+    ):
         absolute_errors(np.full_like(moving, np.nan), moving)
     with pytest.raises(ValueError, match=r"poses are \(5, 4, 4\) and truth is \(6, 4, 4\)"):
         absolute_errors(moving[1:], moving)

@@ -58,26 +58,27 @@ class Export:
     start: int = 0
     """Number of the first frame to export, as DIR counts them, from 0."""
     stop: int | None = None
-    """Number of the first frame after the last one exported. By default all frames."""
+    """Stop before the frame of this number. By default all frames are exported."""
     step: int = 1
     """Export every STEP-th frame."""
     fps: float | None = None
-    """Frames per second of videos, of the moving camera and of the times of the path. By default it
-    follows from the times of the frames. Without times it is 25, and the path has frame numbers as
-    times."""
+    """Frame rate of videos and of the animated camera, and the rate from which the times of the
+    path are made. By default it follows from the times of the frames. Without times it is 25, and
+    the path has frame numbers as times."""
     scale: Annotated[tuple[int, int, float] | None, arg(metavar="FRAME FRAME DISTANCE")] = None
     """Two frame numbers, from 0, and the distance between the positions of the camera at these
     frames. It sets the unit."""
     disparity: float | None = None
-    """For video-anaglyph and video-wiggle: how far the nearest point moves against the farthest one
-    between two views, as a share of the width. By default 0.03 between the eyes of an anaglyph, and
-    0.015 to either side of the swinging camera."""
+    """For video-anaglyph and video-wiggle: disparity between the nearest and the farthest point, as
+    a share of the width. By default 0.03 between the eyes of an anaglyph, and 0.015 to either side
+    of the swinging camera."""
     screen: float | None = None
     """For video-anaglyph and video-wiggle: the plane of the screen, whose points do not move, as a
     quantile of the depth; 0 is the farthest point, 1 the nearest. By default the screen is twice as
     far away as the nearest point."""
     screen_depth: float | None = None
-    """The plane of the screen as a depth, in the unit of the result, instead of --screen."""
+    """For video-anaglyph and video-wiggle: the plane of the screen as a depth, in the unit of the
+    result, instead of --screen."""
 
     def __call__(self) -> int:
         """Run the command and return the exit code."""

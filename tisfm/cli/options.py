@@ -34,8 +34,8 @@ class CameraOptions:
     """The camera.json that tisfm reconstruct wrote for the same lens, or its folder."""
     focal: float | Literal["guess"] | None = None
     """Focal length, px of the frames before they are cropped or shrunk. guess computes it from the
-    EXIF data of the first image, or else from its size. By default 600 for motion field, as in the
-    paper, and a guess otherwise."""
+    EXIF data of the first image, or else from its size. By default tisfm reconstruct estimates it;
+    for pairs it is 600 with motion field, as in the paper, and a guess with other motions."""
     center: tuple[float, float] | None = None
     """Principal point (cx, cy), px. By default the centre of the image."""
     distortion: Annotated[str | None, arg(metavar="K1,K2,P1,P2[,K3...]")] = None
@@ -46,9 +46,9 @@ class CameraOptions:
     resampled first."""
     readout: float | None = None
     """Readout time of a rolling shutter, as a share of the time between two frames: the delay from
-    the first row to the last; 0 if all rows are read at once. By default reconstruct estimates it
-    for motion camera; otherwise it is 0. reconstruct, and run for motion camera, correct the frames
-    for it."""
+    the first row to the last; 0 if all rows are read at once. By default tisfm reconstruct
+    estimates it for motion camera; otherwise it is 0. The frames are corrected for it, except for
+    pairs with motion field or objects."""
 
     def guess(self, motion: Motion) -> bool:
         """Return whether to guess the focal length."""

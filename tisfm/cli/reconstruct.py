@@ -61,11 +61,12 @@ class Reconstruct:
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
     """Folder for the results: new, empty, or with an earlier reconstruction, which is replaced."""
     preset: Preset = "balanced"
-    """fast, balanced or accurate: more accuracy takes more time."""
+    """fast, balanced or accurate: more accuracy takes more time. paper is the method of the paper,
+    for motions of up to about one pixel."""
     calibrate: Calibrate | None = None
-    """Estimate the camera from the frames: its focal length (focal), starting from --focal if
-    given; also one coefficient of the lens distortion, which is then removed (radial); or nothing.
-    By default the focal length, unless --focal or --camera states it."""
+    """Values of the camera to estimate from the frames. focal: the focal length, starting from
+    --focal if given. radial: also one coefficient of the lens distortion, which is then removed.
+    nothing: none. By default the focal length, unless --focal or --camera states it."""
     poses: Annotated[Path | None, arg(metavar="FILE")] = None
     """File of known poses in the format of TUM or KITTI; then only depth is estimated. If all
     frames have times, poses of TUM belong to the frames nearest in time; otherwise the file has a
@@ -79,8 +80,9 @@ class Reconstruct:
     ignored pixels. A picture belongs to the frame of the same name; frames without a picture get
     the labels of the nearest labelled frame."""
     motion: Literal["camera", "objects"] = "camera"
-    """camera: pixels that do not move with the static scene are left out. objects: moving objects
-    are labelled in masks/ and objects.json, and each gets a path and depth of its own."""
+    """camera: only the camera moves; pixels that do not move with the static scene are left out.
+    objects: moving objects are labelled in masks/ and listed in objects.json, and each gets a path
+    and depth of its own."""
     object_sizes: Annotated[tuple[str, ...], arg(metavar="ID=LENGTH [ID=LENGTH ...]")] = ()
     """With --motion objects: lengths of objects by their ids, in the unit of --poses. A length is
     the longest side of the smallest box around the object. It sets the scale of the object."""
@@ -102,8 +104,8 @@ class Reconstruct:
     """Address of the scheduler of a Dask cluster whose workers reconstruct the chunks, such as
     tcp://10.0.0.1:8786. They must find SOURCE and DIR under the same paths."""
     chunk: int | None = None
-    """Maximum number of frames in a chunk; 150 with --workers or --cluster. The result depends on
-    it, but not on the number of workers."""
+    """Maximum number of frames in a chunk. By default 150 with --workers or --cluster; otherwise
+    all frames are one chunk. The result depends on it, but not on the number of workers."""
     resume: bool = False
     """Continue an interrupted command with the same options: complete chunks are kept. A complete
     result stays as it is."""

@@ -64,20 +64,20 @@ class Run:
     no_figures: Annotated[bool, FlagCreatePairsOff] = False
     """Draw no NAME_figure.png: the same as --figures 0."""
     disparity: float | None = None
-    """For anaglyphs: how far the nearest point moves against the farthest one between the views of
-    the two eyes, as a share of the width. By default 0.03."""
+    """For anaglyphs: disparity between the nearest and the farthest point, from one eye to the
+    other, as a share of the width. By default 0.03."""
     screen: float | None = None
     """For anaglyphs: the plane of the screen, as a quantile of the depth of the first pair with
     depth; 0 is the farthest point, 1 the nearest. By default the screen is twice as far away as the
     nearest point."""
     flo: bool = False
-    """Write NAME_flow.flo, the image motion, which NAME.npz has with rounding."""
+    """Write NAME_flow.flo, the image motion without rounding. NAME.npz has it rounded."""
     ply: bool = False
     """Write NAME.ply, a coloured point cloud of the pixels that are visible in both frames."""
     report: bool = False
     """Write report.html, one page for a browser: summary, statuses with advice, pictures."""
     workers: int = 1
-    """Processes that share the pairs. Results do not depend on it."""
+    """Number of processes that share the pairs. Results do not depend on it."""
     cluster: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """Address of the scheduler of a Dask cluster whose workers share the pairs, such as
     tcp://10.0.0.1:8786. They must find the frames and DIR under the same paths."""
@@ -85,8 +85,8 @@ class Run:
     """Processor that runs the kernels. By default the environment variable TI_ARCH decides, or else
     it is the CPU."""
     threads: int | None = None
-    """Maximum number of CPU threads, for each worker if there are several. By default all cores, or
-    its share of them. Results do not depend on it."""
+    """Maximum number of CPU threads, for each worker if there are several. By default all cores;
+    several workers divide them. Results do not depend on it."""
     frames: OmitArgPrefixes[FrameOptions] = field(default_factory=FrameOptions)
     camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
     settings: OmitArgPrefixes[SettingsOptions] = field(default_factory=SettingsOptions)

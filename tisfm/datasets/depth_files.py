@@ -151,7 +151,10 @@ def _read_npy(name: str, file: IO[bytes], length: int) -> NDArray[Any]:
 
 def _check_map(name: str, shape: tuple[int, ...], dtype: np.dtype) -> None:
     if len(shape) == 2 and math.prod(shape) > MAX_IMAGE_PIXELS:
-        raise FormatError(f"{name} holds {shape}, expected at most {MAX_IMAGE_PIXELS} values")
+        raise FormatError(
+            f"{name} has {math.prod(shape):,} values, of shape {shape}: expected at most "
+            f"{MAX_IMAGE_PIXELS:,}; shrink the map"
+        )
     if len(shape) != 2 or min(shape) < 1:
         raise FormatError(f"{name} holds {shape}, expected a disparity map, (H, W)")
     if dtype.kind != "f" and dtype not in (np.uint8, np.uint16):

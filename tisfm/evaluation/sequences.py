@@ -187,7 +187,8 @@ def compare_sequence(
     count = len(loaded.frames)
     if np.shape(result.poses) != (count, 4, 4):
         raise InputError(
-            f"the result has poses of shape {np.shape(result.poses)}, but there are {count} frames"
+            f"the result has poses of shape {np.shape(result.poses)}: expected ({count}, 4, 4), "
+            "one for each frame; give the result of the same frames, with the same step"
         )
     path = path_length(loaded.poses) if loaded.posed.any() else None
     known_depth = with_depth and any(file is not None for file in loaded.depths)

@@ -166,19 +166,18 @@ def check_depth_range(frames: ResultFrames, chosen: list[int], kind: DepthKind) 
         return 0.0
     share_out_of_range = float((values * scale > MAX_VALUE + 0.5).mean())
     median = float(np.median(values))
-    range_text = (
-        f"a file of {scale:g} values per unit holds {10 / scale:g} to {MAX_VALUE / scale:.4g}"
-    )
     advice = f"{frames.unit_advice}, or take depth-exr, depth-tiff, depth-pfm or depth-dpt"
     if share_out_of_range > _MAX_SHARE_OUT_OF_RANGE:
         raise InputError(
-            f"the median depth in {frames.folder} is {median:.4g}, and "
-            f"{100 * share_out_of_range:.3g} % of the depth is beyond {MAX_VALUE / scale:.4g}, but "
-            f"{range_text}: {advice}"
+            f"{100 * share_out_of_range:.3g} % of the depth in {frames.folder} is beyond "
+            f"{MAX_VALUE / scale:.4g}, the largest depth that this 16-bit format can hold (the "
+            f"median depth is {median:.4g}): {advice}"
         )
     if median * scale < _MIN_MEDIAN_VALUE:
         raise InputError(
-            f"the median depth in {frames.folder} is {median:.3g}, but {range_text}: {advice}"
+            f"the median depth in {frames.folder} is {median:.3g}, too small for this 16-bit "
+            f"format with its steps of {1 / scale:g} (expected at least "
+            f"{_MIN_MEDIAN_VALUE / scale:g}): {advice}"
         )
     return share_out_of_range
 

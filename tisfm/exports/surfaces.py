@@ -66,7 +66,10 @@ def write_points(
             save_points(points, file)
             written.append(file)
     if not written:
-        raise InputError(f"{result.folder} has no points: it has too little depth, or none")
+        raise InputError(
+            f"{result.folder} gives no points, because it has too little depth or none: "
+            "reconstruct with --depth-of all, from frames with more parallax"
+        )
     return written
 
 
@@ -114,7 +117,10 @@ def write_meshes(
             mesh.save(file)
             written.append(file)
     if not written:
-        raise InputError(f"{result.folder} has no surface: it has too little depth, or none")
+        raise InputError(
+            f"{result.folder} gives no surface, because it has too little depth or none: "
+            "reconstruct with --depth-of all, from frames with more parallax"
+        )
     return written
 
 

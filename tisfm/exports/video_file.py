@@ -89,7 +89,8 @@ class VideoWriter:
     def _open_stream(self, height: int, width: int) -> "VideoStream":
         if max(height, width) > _MAX_SIDE:
             raise InputError(
-                f"frames of the video are {height} × {width} px: expected at most {_MAX_SIDE}"
+                f"frames of the video are {height} × {width} px: expected at most {_MAX_SIDE} px a "
+                "side; run or reconstruct again with a smaller --size"
             )
         stream: Any = self._container.add_stream(
             _CODEC, rate=self._rate, options=dict(_ENCODER_OPTIONS)

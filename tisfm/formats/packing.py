@@ -62,7 +62,10 @@ class Packing:
             raise InputError(f"is packed as {about!r}, expected shape, of and step")
         shape, integer_type, step = about["shape"], about["of"], about["step"]
         if not isinstance(shape, list) or any(type(side) is not int or side < 1 for side in shape):
-            raise InputError(f"is packed in the shape {shape!r}, expected lengths of axes")
+            raise InputError(
+                f"has the packed shape {shape!r}: expected a list of positive whole numbers, such "
+                "as [480, 640]"
+            )
         if integer_type not in kinds:
             raise InputError(f"is packed as {integer_type!r}, expected {' or '.join(kinds)}")
         if integer_type in _FIXED_POINT_TYPES and kinds == _FIXED_POINT_TYPES:

@@ -354,8 +354,9 @@ def _check_both(poses: ArrayLike, truth: ArrayLike) -> tuple[NDArray, NDArray]:
         raise InputError(f"poses are {found.shape} and truth is {true.shape}: expected as many")
     if not (_has_pose(found) & _has_pose(true)).any():
         raise InputError(
-            f"no frame has both poses: of {len(found)}, {_has_pose(found).sum()} have an estimated "
-            f"and {_has_pose(true).sum()} a true one"
+            f"no frame has both an estimated and a true pose: of {len(found)} frames, "
+            f"{_has_pose(found).sum()} have an estimated and {_has_pose(true).sum()} a true one; "
+            "check that both lists are of the same frames"
         )
     return found, true
 

@@ -32,7 +32,7 @@ class FrameSelection:
     start: int = 0
     """Number of the first frame to use; the first frame of the source is 0."""
     stop: int | None = None
-    """Number of the first frame after the last one used. By default all frames are used."""
+    """Stop before the frame of this number. By default all frames are used."""
     size: int | None = None
     """Longer side of the frames, px: larger frames are shrunk. Give --focal and the other options
     of the camera for the frames before shrinking."""

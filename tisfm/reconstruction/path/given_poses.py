@@ -40,8 +40,8 @@ def poses_of_frames(
             raise InputError(
                 f"no pose is within {max_time:.3g} s of a frame: frames are from {seconds[0]:.3f} "
                 f"to {seconds[-1]:.3f} s, poses from {given.times[0]:.3f} to "
-                f"{given.times[-1]:.3f} s; "
-                "without times, as in KITTI's format, poses belong to frames in their order"
+                f"{given.times[-1]:.3f} s; give poses with the times of the frames, or one pose "
+                "for each frame in order, without times (KITTI's format)"
             )
         poses = np.full((len(seconds), 4, 4), np.nan)
         poses[frames] = given.poses[indices]
