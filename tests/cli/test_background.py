@@ -204,7 +204,7 @@ with BackgroundThread() as background:
     background.submit(piece, 1)
     begun.wait()
     background.submit(piece, 2)
-    put, background._waiting.put = background._waiting.put, told
+    put, background._jobs.put = background._jobs.put, told
     print("ready", flush=True)
     time.sleep({PATIENCE})
 """
