@@ -9,20 +9,23 @@ class ChunkSettings:
 
     # chunk
     max_overlap: int = 20  # frames that a chunk shares with the next one
-    overlap_divisor: int = 3  # a short chunk shares its length divided by this number
+    overlap_divisor: int = 3  # a short chunk shares fewer frames: its length divided by this number
     # overlaps; scales are logarithms
-    max_depth_deviation: float = 0.25  # relative: less certain depth is ignored
+    # relative standard deviation of depth: less certain depth is ignored
+    max_depth_deviation: float = 0.25
     max_frames: int = 20  # shared frames whose depth is compared
-    pixels_per_frame: int = 1500  # compared pixels of each of these frames, roughly
-    min_pixels: int = 100  # with comparable depth
-    min_agreeing_share: float = 0.5  # of these pixels, that have to agree on the scale
-    max_scale_difference: float = 0.1  # within which pixels agree
-    min_positions: int = 4  # of the camera, for an estimate of the scale
-    max_scale_deviation: float = 0.1  # a less certain scale is ignored
-    # depth and positions drift along a chunk: no estimate is more certain
+    pixels_per_frame: int = 1500  # approximate number of compared pixels in each of these frames
+    min_pixels: int = 100  # pixels with comparable depth
+    min_agreeing_share: float = 0.5  # share of these pixels that have to agree on the scale
+    max_scale_difference: float = 0.1  # difference of scales within which pixels agree
+    min_positions: int = 4  # camera positions for an estimate of the scale
+    # standard deviation of the scale: a less certain estimate is ignored
+    max_scale_deviation: float = 0.1
+    # standard deviation of the scale: depth and positions drift along a chunk, so no estimate is
+    # more certain
     min_scale_deviation: float = 0.01
     # shared_camera
-    max_tried_chunks: int = 8  # that are searched for the focal length
+    max_tried_chunks: int = 8  # chunks that are searched for the focal length
 
 
 CHUNKING = ChunkSettings()

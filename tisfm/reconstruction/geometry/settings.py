@@ -8,18 +8,19 @@ class GeometrySettings:
     """Robust fits of similarities, and their graph."""
 
     # sim3; errors are shares of the distance from the camera
-    ransac_trials: int = 200  # each with three points
-    max_inlier_error: float = 0.05  # of an inlier
-    min_inliers: int = 20  # of a similarity
-    min_inlier_share: float = 0.5  # of all points
-    fit_rounds: int = 5  # reweighted rounds of the fit to inliers
+    ransac_trials: int = 200  # RANSAC trials, each with three points
+    max_inlier_error: float = 0.05  # error of an inlier
+    min_inliers: int = 20  # inliers of a similarity
+    min_inlier_share: float = 0.5  # share of inliers among all points
+    fit_rounds: int = 5  # rounds of the reweighted fit to inliers
     outlier_scale: float = 2.0  # median errors: an error with half the weight
     # sim3_graph
     max_rounds: int = 20  # Gauss–Newton rounds
-    first_outlier_error: float = 1.0  # of an uncertain edge; larger errors have a decreasing weight
-    outlier_error_factor: float = 0.6  # change of this error in each round
-    last_outlier_error: float = 0.02  # of this error
-    min_step: float = 1e-9  # of all unknowns: smaller ones end the rounds
+    # error of an uncertain edge, beyond which its weight decreases: first value,
+    first_outlier_error: float = 1.0
+    outlier_error_factor: float = 0.6  # factor of this value from round to round,
+    last_outlier_error: float = 0.02  # and last value
+    min_step: float = 1e-9  # a smaller step of all unknowns ends the rounds
 
 
 GEOMETRY = GeometrySettings()
