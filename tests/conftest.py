@@ -145,8 +145,8 @@ class Problem:
         grid = self.grid
         out = grid.allocate(len(images))
         for lane in range(grid.lanes):
-            for position in range(grid.strip + 2):
-                x = lane * grid.strip + position - 1
+            for position in range(grid.strip_width + 2):
+                x = lane * grid.strip_width + position - 1
                 if 0 <= x < grid.width:
                     site = (slice(None), slice(1, -1), position)
                     out[site if grid.lanes == 1 else (*site, lane)] = images[:, :, x]
@@ -169,7 +169,7 @@ class Problem:
     def from_lanes(self, array):
         """Read a lane array back as (k, H, W) by plain indexing."""
         grid = self.grid
-        columns = [divmod(x, grid.strip) for x in range(grid.width)]
+        columns = [divmod(x, grid.strip_width) for x in range(grid.width)]
         inner = array if grid.lanes > 1 else array[..., None]
         return np.stack([inner[:, 1:-1, s + 1, lane] for lane, s in columns], axis=-1)
 

@@ -64,7 +64,7 @@ class TaichiSide:
         `strip` is the number of columns per lane, by default that of the grid.
         """
         (k, height, width), lanes = stack.shape, self.grid.lanes
-        strip = strip or self.grid.strip
+        strip = strip or self.grid.strip_width
         shape = (k, height + 2, strip + 2)
         out = aligned_zeros(shape if lanes == 1 else (*shape, lanes))
         array = out if lanes > 1 else out[..., None]
@@ -77,7 +77,9 @@ class TaichiSide:
     def lay_with_border(self, image: np.ndarray, halo: int) -> np.ndarray:
         """Copy (H + 2·halo, W + 2·halo) to one component of a lane array with a border."""
         grid = self.grid
-        columns = np.arange(grid.strip + 2 * halo)[:, None] + grid.strip * np.arange(grid.lanes)
+        columns = np.arange(grid.strip_width + 2 * halo)[:, None] + grid.strip_width * np.arange(
+            grid.lanes
+        )
         table = image[:, np.minimum(columns, image.shape[1] - 1)]
         return table if grid.lanes > 1 else table[..., 0]
 
@@ -104,7 +106,7 @@ class TaichiSide:
 
     def lay_halved(self, stack: np.ndarray) -> LaneData:
         """Copy (k, ⌈H/2⌉, ⌈W/2⌉) to an array of half the density."""
-        return self.lay(stack, strip=self.grid.strip // 2)
+        return self.lay(stack, strip=self.grid.strip_width // 2)
 
     def read_halved(self, array: LaneData) -> np.ndarray:
         """Return an array of half the density as (k, ⌈H/2⌉, ⌈W/2⌉)."""

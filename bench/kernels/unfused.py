@@ -12,9 +12,9 @@ from tisfm.kernels.layout.lanes import (
     INDEX_MASK,
     LaneArray,
     LaneData,
+    component_starts,
     first_row,
     lane_kernel,
-    planes_of,
     refresh_halo,
 )
 from tisfm.kernels.solve.linear_system import LinearSystem
@@ -33,7 +33,7 @@ def sweep_unfused(system: LinearSystem, rho: LaneData, *, relaxation: float, sol
         *system.arrays,
         relaxation,
         system.components,
-        system.sets,
+        system.weights_per_edge,
         solver == "closed_form",
         max(1, grid.height // RELAXATION_BAND),
         rho,
@@ -61,7 +61,7 @@ def _sweep_unfused(
             if task % CHUNK == 0:
                 alphas = ti.static([bind(alpha[k]) for k in range(n)])
                 stride = rho.shape[2] & INDEX_MASK
-                planes = ti.static(planes_of(rho, max(6, 2 * sets)))
+                starts = ti.static(component_starts(rho, max(6, 2 * sets)))
                 band = task // CHUNK
                 for row in range(
                     first_row(band, height, bands), first_row(band + 1, height, bands)
@@ -69,7 +69,7 @@ def _sweep_unfused(
                     for pair in range(pairs):
                         s = 2 * pair + (row + color) % 2 + 1
                         relax_at(
-                            tensor, weights, x_hat, y_hat, rho, alphas, stride, planes,
+                            tensor, weights, x_hat, y_hat, rho, alphas, stride, starts,
                             relaxation, n, sets, closed_form, False, rho, row + 1, s,
                         )  # fmt: skip
                     for k in range(n):

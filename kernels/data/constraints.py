@@ -16,7 +16,7 @@ from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import LaneArray, LaneData, LaneGrid, lane_kernel
 from tisfm.kernels.layout.launch import Launch, operation
 from tisfm.kernels.model import MIN_DIVISOR
-from tisfm.kernels.model.robust import finite_scales, robust_data, terms_of
+from tisfm.kernels.model.robust import robust_data, scale_pairs, terms_of
 
 
 @operation
@@ -70,7 +70,7 @@ def constancy_constraints(
     return _constancy_constraints[grid.lanes].bind(
         derivatives, flow, mask, brightness, gradient,
         1.0 if normalization is None else normalization**2 + MIN_DIVISOR,
-        0.0 if normalization is None else 1.0, *finite_scales(scales), count, tensor is not None,
+        0.0 if normalization is None else 1.0, *scale_pairs(scales), count, tensor is not None,
         grid.serial, out, out if tensor is None else tensor,
     )  # fmt: skip
 
@@ -89,9 +89,9 @@ def _constancy_constraints(
     gradient: ti.f32,
     noise: ti.f32,  # ζ²; 1 without normalisation
     normalized: ti.f32,  # 1 or 0
-    inverse0: ti.f32,
+    inverse_scale0: ti.f32,
     scale0: ti.f32,
-    inverse1: ti.f32,
+    inverse_scale1: ti.f32,
     scale1: ti.f32,
     count: ti.template(),
     with_tensor: ti.template(),
@@ -123,7 +123,7 @@ def _constancy_constraints(
             for k in ti.static(range(3)):
                 out[3 * i + k, y, s] = lines[i][k]
         if ti.static(with_tensor):
-            scales = ti.static([(inverse0, scale0), (inverse1, scale1)])
+            scales = ti.static([(inverse_scale0, scale0), (inverse_scale1, scale1)])
             _, sums = ti.static(robust_data(terms_of(lines), scales, u, v))
             for k in ti.static(range(6)):
                 tensor[k, y, s] = sums[k]

@@ -1,4 +1,8 @@
-"""The image-driven factor: smoothness is weaker across edges of the image."""
+"""The image-driven factor of smoothness: it is smaller across contours of the image.
+
+Here an edge joins two neighbouring pixels. A lane array holds an image of width W as vertical
+strips of width S (`tisfm.kernels.layout.lanes`).
+"""
 
 import numpy as np
 import taichi as ti
@@ -18,8 +22,8 @@ from tisfm.kernels.model import MIN_DIVISOR
 def image_edges(
     grid: LaneGrid,
     image: np.ndarray,  # (H, W) float32: grey levels
-    # lane array, 2 components: g of eastern and southern edges; 0 across the border and in the
-    # padding. The halo is not written.
+    # lane array, 2 components: g of eastern and southern edges; 0 across the border and outside
+    # the image. The halo is not written.
     out: LaneData,
     *,
     rate: float,  # decrease of the smoothness per grey level
@@ -41,7 +45,7 @@ def _image_edges(
     image: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     rate: ti.f32,
     serial: ti.template(),
-    out: LaneArray(3),  # (2, H+2, S+2), must be finite on input
+    out: LaneArray(3),  # (2, H+2, S+2), finite: a product with 0 starts all sums
     partial: SumArray(3),  # (H, blocks, 1)
 ):
     height, width = image.shape[0], image.shape[1]
@@ -70,7 +74,7 @@ def _image_edges(
 
 @ti.func
 def _lane_values(image: ti.template(), y, position, strip, zero, lanes: ti.template()):
-    """Return the image values at a strip position of all lanes; the image border is repeated."""
+    """Return the values of one column of each strip in a row; the image border is repeated."""
     values = zero
     last = image.shape[1] - 1
     if ti.static(lanes > 1):
@@ -83,7 +87,7 @@ def _lane_values(image: ti.template(), y, position, strip, zero, lanes: ti.templ
 
 @ti.func
 def _is_before(end, position, strip, zero, lanes: ti.template()):
-    """Return, for each lane, 1 if the column at a strip position is less than `end`, else 0."""
+    """Return, for each strip, 1 if its column at `position` is left of column `end`, else 0."""
     values = zero
     if ti.static(lanes > 1):
         for lane in range(lanes):

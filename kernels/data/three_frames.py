@@ -1,4 +1,8 @@
-"""Constraints of a frame with its next and its previous frame, joined to one set."""
+"""Constraints of a frame with its next and its previous frame, joined to one set.
+
+A constraint (p, q, c) is the equation p u + q v + c = 0 for the flow (u, v) of a pixel. A lane
+array holds an image as vertical strips of width S (`tisfm.kernels.layout.lanes`).
+"""
 
 from collections.abc import Sequence
 
@@ -7,28 +11,28 @@ import taichi as ti
 from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import LaneArray, LaneData, LaneGrid, lane_kernel
 from tisfm.kernels.layout.launch import Launch, operation
-from tisfm.kernels.model.robust import check_constraints, finite_scales, robust_data, terms_of
+from tisfm.kernels.model.robust import check_constraints, robust_data, scale_pairs, terms_of
 
 
 @operation
 def backward_flow(
     grid: LaneGrid,
-    # flow, bend: lane arrays, 2 components: flow to the next frame, and sum of the flows to the
-    # next and the previous frame, px/frame
+    # flow, flow_sum: lane arrays, 2 components: flow to the next frame, and sum of the flows to the
+    # next and to the previous frame, px/frame
     flow: LaneData,
-    bend: LaneData,
-    out: LaneData,  # lane array, 2 components: bend − flow
+    flow_sum: LaneData,
+    out: LaneData,  # lane array, 2 components: flow_sum − flow
 ) -> Launch:
-    """Write the flow to the previous frame, bend − flow."""
-    for array, name in ((flow, "flow"), (bend, "bend"), (out, "out")):
+    """Write the flow to the previous frame, flow_sum − flow."""
+    for array, name in ((flow, "flow"), (flow_sum, "flow_sum"), (out, "out")):
         grid.check(array, 2, name)
-    return _backward_flow[grid.lanes].bind(flow, bend, grid.serial, out)
+    return _backward_flow[grid.lanes].bind(flow, flow_sum, grid.serial, out)
 
 
 @lane_kernel
 def _backward_flow(
     flow: LaneArray(3),  # (2, H+2, S+2)
-    bend: LaneArray(3),  # (2, H+2, S+2)
+    flow_sum: LaneArray(3),  # (2, H+2, S+2)
     serial: ti.template(),
     out: LaneArray(3),  # (2, H+2, S+2)
 ):
@@ -36,14 +40,14 @@ def _backward_flow(
     for row, position in ti.ndrange(out.shape[1] - 2, out.shape[2] - 2):
         y, s = row + 1, position + 1
         for k in ti.static(range(2)):
-            out[k, y, s] = bend[k, y, s] - flow[k, y, s]
+            out[k, y, s] = flow_sum[k, y, s] - flow[k, y, s]
 
 
 @operation
 def join_constraints(
     grid: LaneGrid,
-    # lane array, 3 components for each constraint: (p, q, c) of the previous frame, as constraints
-    # on the flow to the next frame
+    # lane array, 3 components for each constraint: (p, q, c) from the previous frame. They are
+    # written for the flow to the next frame: the sum of both flows is known.
     previous: LaneData,
     # lane array, 2 components: in [0, 1]: visibility of a pixel in the next frame, and in the
     # previous frame
@@ -55,7 +59,8 @@ def join_constraints(
     # lane array, 2 components: flow at which the robust weights of the tensor are computed,
     # px/frame
     flow: LaneData,
-    scales: Sequence[float],  # m_i ε² of each term in use (`tisfm.kernels.model.robust`)
+    # m ε² of each data term: its weight and its squared contrast (`tisfm.kernels.model.robust`)
+    scales: Sequence[float],
     # lane array, 3 components for each constraint: (p, q, c) of the next frame; overwritten by the
     # joint constraints
     out: LaneData,
@@ -65,8 +70,8 @@ def join_constraints(
 
     The joint constraint is (a A + b B) / max(1, a + b), with A and B the constraints of the next
     and the previous frame, and the weights a and b trust times mask. Where a pixel is visible in
-    both frames, this is the mean, which halves the noise of the frame that both share. Elsewhere it
-    is the constraint of the frame that shows the pixel.
+    both frames, this is the mean of both constraints, with half the noise of the shared frame.
+    Elsewhere it is the constraint of the frame that shows the pixel.
     """
     count = check_constraints(grid, out, scales)
     grid.check(previous, 3 * count, "previous")
@@ -79,7 +84,7 @@ def join_constraints(
     ):
         grid.check(array, n, name)
     return _join[grid.lanes].bind(
-        previous, trust, mask, previous_mask, flow, *finite_scales(scales), count, grid.serial, out,
+        previous, trust, mask, previous_mask, flow, *scale_pairs(scales), count, grid.serial, out,
         tensor,
     )  # fmt: skip
 
@@ -91,9 +96,9 @@ def _join(
     mask: LaneArray(3),  # (1, H+2, S+2)
     previous_mask: LaneArray(3),  # (1, H+2, S+2)
     flow: LaneArray(3),  # (2, H+2, S+2)
-    inverse0: ti.f32,
+    inverse_scale0: ti.f32,
     scale0: ti.f32,
-    inverse1: ti.f32,
+    inverse_scale1: ti.f32,
     scale1: ti.f32,
     count: ti.template(),
     serial: ti.template(),
@@ -114,8 +119,10 @@ def _join(
         )
         for k in ti.static(range(3 * count)):
             out[k, y, s] = entries[k]
-        lines = ti.static([entries[3 * k : 3 * k + 3] for k in range(count)])
-        scales = ti.static([(inverse0, scale0), (inverse1, scale1)])
-        _, sums = ti.static(robust_data(terms_of(lines), scales, flow[0, y, s], flow[1, y, s]))
+        constraints = ti.static([entries[3 * k : 3 * k + 3] for k in range(count)])
+        scales = ti.static([(inverse_scale0, scale0), (inverse_scale1, scale1)])
+        _, sums = ti.static(
+            robust_data(terms_of(constraints), scales, flow[0, y, s], flow[1, y, s])
+        )
         for k in ti.static(range(6)):
             tensor[k, y, s] = sums[k]

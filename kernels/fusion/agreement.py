@@ -18,20 +18,21 @@ def compare(
     other_inverse_depth: np.ndarray,
     other_deviation: np.ndarray,
     other_colors: np.ndarray,  # (H', W', 3) float32
-    # (H, W, 4) float32: modified by addition. Over the other views that agree: Σ 1/σ'² and Σ δ/σ'²,
-    # with δ the difference of their inverse depth from d, as seen from this view, and σ' its
-    # deviation. Then the number of views that agree, and the number that see through.
+    # (H, W, 4) float32: modified by addition. First Σ 1/σ'² and Σ δ/σ'² over the other views
+    # that agree. δ is the inverse depth of the other view, converted to this view, minus d, and σ'
+    # is its deviation. Then the number of views that agree, and the number that see through.
     sums: np.ndarray,
     colors: np.ndarray,  # (H, W, 3) float32: modified: the colours of views that agree are added
     *,
     projection: np.ndarray,  # (3, 4) float32: from this view to the other
     tolerance: float,  # deviations
 ) -> None:
-    """Compare every point of a view with the depth map of another view at the same position.
+    """Compare every point of a view with the depth map of another view where the point projects.
 
-    In the other view the point has inverse depth d' = d / g, with deviation σ |∂d'/∂d|. The other
-    view agrees with the point if its own inverse depth there differs by at most `tolerance`
-    combined deviations. It sees through the point if its own depth there is larger than that.
+    In the other view the point has inverse depth d' = d / g, with g the ratio of its depths in the
+    other view and in this view, and with deviation σ |∂d'/∂d|. The other view agrees with the point
+    if its own inverse depth there differs by at most `tolerance` combined deviations. It sees
+    through the point if its own inverse depth there is smaller by more.
     """
     check_map(inverse_depth, deviation)
     check_map(other_inverse_depth, other_deviation, "other_")

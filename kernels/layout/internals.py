@@ -88,14 +88,17 @@ def element_shape(array: Any) -> tuple[int, ...]:
 
 
 class Arguments:
-    """The arguments of a kernel by kind: their index, and their slot in a launch context."""
+    """The arguments of a kernel by kind: their index in a call, and their slot.
+
+    Slots count the arguments that are passed at a launch: all but constants.
+    """
 
     def __init__(self, kernel: Any) -> None:
         self.names: list[str] = []
         self.annotations: list[Any] = []
         self.constants: list[int] = []  # indices of ``ti.template()`` arguments
-        # (index, slot, axes, dtype, ndim): ``shape[:axes]`` is the shape without the axes of vector
-        # elements, `dtype` the type of a scalar, `ndim` the number of all axes
+        # (index, slot, axes, dtype, ndim): an array has `ndim` axes of scalars of type `dtype`. Its
+        # last axis may be the elements of a vector; ``shape[:axes]`` is the shape without them.
         self.arrays: list[tuple[int, int, int | None, Any, int]] = []
         self.floats: list[tuple[int, int]] = []  # (index, slot)
         self.integers: list[tuple[int, int]] = []
@@ -149,7 +152,7 @@ def check(parameters: Arguments, arguments: tuple) -> None:
 
 
 def compile_kernel(kernel: Any, arguments: tuple) -> tuple[Any, Any]:
-    """Compile a kernel for arguments; return the objects for `context` and for `launcher`."""
+    """Compile a kernel for arguments; return the forms that `context` and a program's launch need."""
     primal = kernel._primal
     compiled = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
     program_ = impl.get_runtime().prog

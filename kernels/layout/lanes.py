@@ -4,12 +4,12 @@ An image is cut into `lanes` vertical strips of equal width. Column x of the ima
 ``x // strip`` at strip position ``x % strip``. A lane array of k components is float32 of shape
 (k, H + 2·halo, strip + 2·halo, lanes), without the last axis if lanes = 1. Eastern and western
 neighbours lie in the same lane one strip position away, so a kernel loads and stores whole vectors
-of lanes. Red and black sites alternate along the strip in all lanes together (the strip is even).
+of lanes. The width of a strip is even, so red and black sites alternate alike in all lanes.
 
 The halo columns repeat the border columns of the neighbouring strips. Rows and columns outside the
 image are zero unless a function says otherwise. Columns from the image's width to
-``lanes * strip`` are padding: they have no data and no edge to the image, so the unknowns there
-stay zero.
+``lanes * strip`` are padding. Padding has no data, and no smoothness joins it to the image, so the
+unknowns of a solver stay zero there.
 
 On a GPU there is one lane, and the arrays of a grid stay on the device (``ti.ndarray``): `place`
 copies an array there, and `on_host` copies it back.
@@ -30,11 +30,12 @@ from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.launch import Kernel
 
 LANES = (1, 8, 16)
-CHUNK = 512  # iterations: Taichi's smallest share of a parallel loop for a thread
+CHUNK = 512  # iterations of a parallel loop: Taichi gives a thread at least as many
 # pixels: up to this size, one thread finishes before other threads have started
 MAX_SERIAL_PIXELS = 8192
 INDEX_MASK = 2**29 - 1  # most elements of a lane array
-MAX_COMPONENTS = 12  # of lane arrays: edge weights of 6 unknowns; plain images have at most 7
+# components of a lane array: weights of 6 unknowns on 2 edges; plain images have at most 7
+MAX_COMPONENTS = 12
 MAX_HALO = 4  # px: the halo of frames
 MAX_INDEX = 2**31 - 1  # of plain arrays: kernels have 32-bit indices
 
@@ -52,7 +53,7 @@ class LaneArray:
 class SumArray:
     """Annotation of a kernel argument that holds sums: float64, or float32 for one lane.
 
-    With one lane, blocks are summed in float32 anyway, and not every GPU has float64.
+    With one lane, kernels add up in float32 anyway, and not every GPU has float64.
     """
 
     ndim: int
@@ -120,10 +121,10 @@ def store_lane(array: ti.template(), k, y, s, lane: ti.template(), value):
         array[k, y, s] = value
 
 
-def planes_of(array: Any, count: int) -> list:
+def component_starts(array: Any, count: int) -> list:
     """Return the start indices of the components of a lane array, for `element`, while compiling.
 
-    Call it before loops, so that they are computed once.
+    Call it before loops, so that the indices are computed once.
     """
     plane = bind(array.shape[1] * array.shape[2])
     return [bind((k * plane) & INDEX_MASK) for k in range(count)]
@@ -133,8 +134,8 @@ def element(array: Any, index: Any) -> Any:
     """Return an element of a lane array by one index, while compiling.
 
     The address from three indices takes seven instructions at each access, because 32-bit indices
-    might overflow. If one index is a sum of few parts masked with `INDEX_MASK`, such as
-    ``(y * row + s) & SMALL`` with ``row = array.shape[2] & SMALL``, and a start of `planes_of`, the
+    might overflow. Here, `index` is the sum of a start of `component_starts` and of
+    ``(y * row + s) & INDEX_MASK`` with ``row = array.shape[2] & INDEX_MASK``. From the masks the
     compiler knows that no overflow is possible, and most of the sum becomes part of the load.
     """
     return internals.subscript(array, _indices(array, index))
@@ -155,7 +156,7 @@ def store(array: ti.template(), index, value):
 
 
 def _indices(array: Any, index: Any) -> list:
-    """Return three indices for one: (0, 0, index), or true ones if Taichi checks indices."""
+    """Return (0, 0, index), or, if Taichi checks indices, the component, row and position."""
     if not internals.checks_indices():
         return [0, 0, index]
     rows, row = array.shape[1], array.shape[2]
@@ -199,7 +200,7 @@ class LaneGrid:
             raise ValueError(f"lanes is {self.lanes}: expected 1, 8 or 16")
         if self.on_device and self.lanes != 1:
             raise ValueError(f"lanes is {self.lanes} and on_device is True: expected 1 lane there")
-        padded = (self.height + 2 * MAX_HALO) * (self.strip + 2 * MAX_HALO)
+        padded = (self.height + 2 * MAX_HALO) * (self.strip_width + 2 * MAX_HALO)
         if (
             MAX_COMPONENTS * padded > INDEX_MASK
             or MAX_COMPONENTS * self.height * self.width > MAX_INDEX
@@ -212,7 +213,7 @@ class LaneGrid:
             )
 
     @property
-    def strip(self) -> int:
+    def strip_width(self) -> int:
         """Columns per lane: even, so that red and black sites alternate equally in all lanes."""
         columns = -(-self.width // self.lanes)
         return columns + columns % 2
@@ -260,15 +261,17 @@ class LaneGrid:
         values: np.ndarray,  # (lanes · strip,) array: one value per column, padding included
         halo: int = 1,
     ) -> np.ndarray:  # (strip + 2·halo[, lanes]) float32, zero in the halo
-        """Return a column table from a value per column, as a NumPy array not yet `place`d."""
+        """Return a value for each column as a NumPy array in the layout of a row of lane arrays."""
         table = aligned_zeros(self._strip_shape(halo))
-        by_lane = np.asarray(values, np.float32).reshape(self.lanes, self.strip).T
-        table[halo : halo + self.strip] = by_lane.reshape(table[halo : halo + self.strip].shape)
+        by_lane = np.asarray(values, np.float32).reshape(self.lanes, self.strip_width).T
+        table[halo : halo + self.strip_width] = by_lane.reshape(
+            table[halo : halo + self.strip_width].shape
+        )
         return table
 
     def column_index(self) -> np.ndarray:
         """Return the index of every column, padding included, as float64."""
-        return np.arange(self.lanes * self.strip, dtype=np.float64)
+        return np.arange(self.lanes * self.strip_width, dtype=np.float64)
 
     def inside(self) -> np.ndarray:
         """Return a NumPy lane array of 1 component: 1 on pixels of the image, else 0."""
@@ -276,8 +279,11 @@ class LaneGrid:
         mask[0, 1:-1] = self.columns(self.column_index() < self.width)
         return mask
 
-    def open_edges(self) -> LaneData:
-        """Return a lane array of 2 components: 1 for an eastern, a southern neighbour, else 0."""
+    def edge_mask(self) -> LaneData:
+        """Return a lane array of 2 components: 1 if the image has an eastern, a southern neighbour.
+
+        Elsewhere it is 0.
+        """
         edges = aligned_zeros(self.shape(2))
         edges[0, 1:-1] = self.columns(self.column_index() < self.width - 1)
         edges[1, 1:-2] = self.columns(self.column_index() < self.width)
@@ -288,7 +294,7 @@ class LaneGrid:
         check_array(array, self.shape(components, halo), name)
 
     def check_columns(self, table: LaneData, name: str, halo: int = 1) -> None:
-        """Raise unless `table` is a column table of this grid."""
+        """Raise unless `table` has the shape that `columns` returns."""
         check_array(table, self._strip_shape(halo), name)
 
     def check_rows(self, table: LaneData, name: str) -> None:
@@ -301,7 +307,7 @@ class LaneGrid:
         check_array(image, size if components is None else (components, *size), name, aligned=False)
 
     def _strip_shape(self, halo: int) -> tuple[int, ...]:
-        columns = self.strip + 2 * halo
+        columns = self.strip_width + 2 * halo
         return (columns,) if self.lanes == 1 else (columns, self.lanes)
 
 

@@ -14,7 +14,7 @@ BLOCK = 16  # strip positions
 
 def block_sums(grid: LaneGrid, terms: int) -> np.ndarray:
     """Return zeros, (H, blocks, terms), into which a kernel writes the sums of all blocks."""
-    shape = (grid.height, -(-grid.strip // BLOCK), terms)
+    shape = (grid.height, -(-grid.strip_width // BLOCK), terms)
     return np.zeros(shape, np.float32 if grid.lanes == 1 else np.float64)
 
 

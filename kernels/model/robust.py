@@ -1,15 +1,17 @@
 """Robust terms: a constraint or an edge has less weight if its residual is large.
 
-A data term with weight m_i and q_i, the sum of its squared constraints
-(`tisfm.kernels.data.constraints`), contributes m_i ψ(q_i/m_i) to the energy, where
-ψ(q) = 2ε²(√(1 + q/ε²) − 1) (Charbonnier), computed as 2q/(1 + √(1 + q/ε²)). Its half-quadratic form
-is w q + m ε²(w + 1/w − 2), with its minimum at w = 1/√(1 + q/(m ε²)).
+The constraints (p, q, c) of data term i include its weight m_i (`tisfm.kernels.data.constraints`).
+Their squares add up to q_i, so q_i/m_i is free of the weight. The term contributes m_i ψ(q_i/m_i)
+to the energy, with ψ(q) = 2ε²(√(1 + q/ε²) − 1) (Charbonnier), computed as 2q/(1 + √(1 + q/ε²)). Its
+half-quadratic form is w q + m ε²(w + 1/w − 2), with its minimum at w = 1/√(1 + q/(m ε²)).
 
-An edge joins two neighbouring pixels. The auxiliary field b (eq. 10, 14) has one value per edge and
-component, b = 1/√(1 + s_k(Δρ̂_k/δ)²), or, if joint, one value per edge for all components,
-1/√(1 + Σ_k s_k(Δρ̂_k/δ)²). Weights are g·b. They are stored in a lane array of 2n components, n for
-eastern edges and then n for southern edges, or, if joint, of 2 components, eastern and southern.
-The kernels multiply them by α_k = α s_k.
+An edge joins two neighbouring pixels. ρ̂ are the n unknowns of a pixel, Δρ̂_k is the difference of
+unknown k along an edge, s_k the stiffness of this unknown, and δ the contrast. The auxiliary field
+b has one value per edge and unknown, b = 1/√(1 + s_k(Δρ̂_k/δ)²), or, if joint, one value per edge
+for all unknowns, 1/√(1 + Σ_k s_k(Δρ̂_k/δ)²). The weight of an edge is g·b, with g the image-driven
+factor. Weights are stored in a lane array of 2n components, n for eastern edges and then n for
+southern edges, or, if joint, of 2 components, eastern and southern. The kernels multiply them by
+α_k = α s_k, with α the strength of the smoothness.
 
 Python functions here that take Taichi expressions are called inside ``ti.static(...)``: they
 generate their arithmetic while a kernel is compiled.
@@ -40,31 +42,31 @@ def check_constraints(grid: LaneGrid, terms: LaneData, scales: Sequence[float]) 
 
 
 def terms_of(constraints: Any) -> list:
-    """Return a list of the constraints of each term, from all constraints of a pixel."""
+    """Return the constraints of each term: of three, the first is one term, the rest another."""
     if len(constraints) < 3:
         return [constraints]
     return [constraints[:1], constraints[1:]]
 
 
-def finite_scales(scales: Sequence[float]) -> tuple[float, ...]:
-    """Return 1/scale and scale of two terms; 0 and 0 for a quadratic term, which has w = 1."""
+def scale_pairs(scales: Sequence[float]) -> tuple[float, ...]:
+    """Return 1/s and s of two terms with scales s; 0 and 0 for infinite s, where w is 1."""
     pairs = [(1.0 / s, s) if np.isfinite(s) else (0.0, 0.0) for s in (*scales, np.inf)]
     return (*pairs[0], *pairs[1])
 
 
-def squares(lines: list, u: Any, v: Any) -> Any:
+def squares(constraints: list, u: Any, v: Any) -> Any:
     """Return the sum of the squares of a term's constraints (p, q, c)."""
     total: Any = 0.0
-    for p, q, c in lines:
+    for p, q, c in constraints:
         distance = bind(p * u + q * v + c)
         total = total + distance * distance
     return bind(total)
 
 
-def products(lines: list) -> list:
+def products(constraints: list) -> list:
     """Return the motion tensor of a term: Σ p², p q, q², p c, q c, c²."""
     tensor: list[Any] = [0.0] * 6
-    for p, q, c in lines:
+    for p, q, c in constraints:
         entries = (p * p, p * q, q * q, p * c, q * c, c * c)
         tensor = [total + entry for total, entry in zip(tensor, entries, strict=True)]
     return [bind(entry) for entry in tensor]
@@ -73,19 +75,20 @@ def products(lines: list) -> list:
 def robust_data(terms: list, scales: list, u: Any, v: Any) -> tuple[Any, list]:
     """Return the energy of a pixel's terms at a flow, and the tensor of its half-quadratic form.
 
-    `terms` are lists of constraints, `scales` pairs (1/s, s) of `finite_scales`. J_tt includes the
+    `terms` are lists of constraints, `scales` pairs (1/s, s) of `scale_pairs`. J_tt includes the
     penalty m ε²(w + 1/w − 2), so the quadratic form of the tensor is the half-quadratic energy.
     """
     energy: Any = 0.0
     tensor: list[Any] = [0.0] * 6
-    for lines, (inverse, scale) in zip(terms, scales, strict=False):
-        q = squares(lines, u, v)
+    for constraints, (inverse, scale) in zip(terms, scales, strict=False):
+        q = squares(constraints, u, v)
         root = bind(ti.sqrt(1.0 + inverse * q))
         factor = bind(1.0 / (root * (1.0 + root)))  # one division in place of two
         weight = bind((1.0 + root) * factor)
         energy = energy + 2.0 * q * (root * factor)
         tensor = [
-            total + weight * entry for total, entry in zip(tensor, products(lines), strict=True)
+            total + weight * entry
+            for total, entry in zip(tensor, products(constraints), strict=True)
         ]
         tensor[5] = tensor[5] + scale * (1.0 - weight) * (root - 1.0)  # m ε²(w + 1/w − 2)
     return bind(energy), [bind(entry) for entry in tensor]

@@ -13,7 +13,9 @@ from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.model import MIN_PIVOT
 
 PIVOT_FLOOR = 1e-6  # share of the diagonal entry, about ten float32 roundings
-DATA_FLOOR = 1e-6  # share of J: with a smaller D, rounding dominates the closed form
+# share of the matrix J that the diagonal D has at least in `woodbury_solve`: with less, rounding
+# dominates the closed form
+DATA_FLOOR = 1e-6
 
 
 def cholesky_solve(
@@ -37,7 +39,7 @@ def cholesky_solve(
             entry = matrix[i][j]
             for k in range(j):
                 entry = entry - lower[i][k] * lower[j][k]
-            lower[i][j] = bind(entry)  # entry of L D, until row i divides it by the pivot
+            lower[i][j] = bind(entry)  # L D: divided by the pivot of column j when j reaches row i
     x: list[Any] = [None] * n
     for i in range(n):
         entry = rhs[i]
@@ -65,10 +67,10 @@ def woodbury_solve(
 
         K = (I + J M)⁻¹ J = (J + det J · adj M) / (1 + tr(J M) + det J · det M).
 
-    For one channel and the translation model this is the paper's eq. 18 (whose third line must
-    read s3, not s1). The denominator is at least 1, so only D needs a floor: it must be at least
-    `DATA_FLOOR` times J. For a J of rank 1, det J = 0 holds only up to rounding, which costs up to
-    ‖J M‖ roundings of accuracy.
+    For grey images and three unknowns, the translation, this is eq. 18 of the paper that
+    docs/method.md cites (its third line must read s3, not s1). The denominator is at least 1, so
+    only D needs a floor: it must be at least `DATA_FLOOR` times J. For a J of rank 1, rounding
+    makes det J differ from 0. The error of x is then up to ‖J M‖ times that of one rounding.
     """
     j11, j12, j22 = tensor
     m11 = bind(_sum(a * a * d for (a, _), d in zip(columns, inverse, strict=True)))

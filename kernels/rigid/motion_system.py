@@ -10,7 +10,7 @@ from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import LaneArray, LaneData, SumArray, lane_count, lane_kernel
 from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
 from tisfm.kernels.model import MIN_DEPTH_RATIO, MIN_DIVISOR
-from tisfm.kernels.model.robust import check_constraints, finite_scales, products, squares, terms_of
+from tisfm.kernels.model.robust import check_constraints, products, scale_pairs, squares, terms_of
 from tisfm.kernels.rigid.epipolar import check_geometry
 from tisfm.kernels.solve.linear_system import LinearSystem
 
@@ -51,7 +51,7 @@ def motion_system(
     partial = block_sums(grid, 27)
     _motion_system[grid.lanes](
         constraints, inverse_depth, labels, system.weights, system.x_hat, system.y_hat,
-        np.ascontiguousarray(motions[label]), label, focal, *finite_scales(scales)[::2],
+        np.ascontiguousarray(motions[label]), label, focal, *scale_pairs(scales)[::2],
         min(depth_stiffness, 1e12), 1 / quarter_weight_residual, count, partial,
     )  # fmt: skip
     sums = add_blocks(partial)
@@ -71,8 +71,8 @@ def _motion_system(
     motion: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3, 4)
     label: ti.f32,
     focal: ti.f32,
-    inverse0: ti.f32,
-    inverse1: ti.f32,
+    inverse_scale0: ti.f32,
+    inverse_scale1: ti.f32,
     alpha: ti.f32,
     residual_scale: ti.f32,
     count: ti.template(),
@@ -107,7 +107,7 @@ def _motion_system(
             weight = 1.0 / (1.0 + residual_scale * residual)
             weight = is_label * weight * weight
             j11, j12, j22, j1, j2 = ti.static(
-                _weighted_tensor(parts, square, (inverse0, inverse1), weight)
+                _weighted_tensor(parts, square, (inverse_scale0, inverse_scale1), weight)
             )
             g1, g2 = j11 * u + j12 * v + j1, j12 * u + j22 * v + j2
             neighbours = weights[0, y, s] + weights[0, y, s - 1]

@@ -20,11 +20,11 @@ from tisfm.kernels.layout.lanes import (
     LaneData,
     LaneGrid,
     check_array,
+    component_starts,
     element,
     lane_count,
     lane_kernel,
     lane_of,
-    planes_of,
     refresh_halo,
     store_lane,
 )
@@ -40,7 +40,7 @@ def coarse_grid(grid: LaneGrid) -> LaneGrid:
 
 def halved_shape(grid: LaneGrid, components: int) -> tuple[int, ...]:
     """Return the shape of a halved array of a fine grid."""
-    shape = (components, coarse_grid(grid).height + 2, grid.strip // 2 + 2)
+    shape = (components, coarse_grid(grid).height + 2, grid.strip_width // 2 + 2)
     return shape if grid.lanes == 1 else (*shape, grid.lanes)
 
 
@@ -129,18 +129,18 @@ def _restrict_residual(
     for row, position in ti.ndrange(rows, strip):
         alphas = ti.static([bind(alpha[k]) for k in range(n)])
         stride = rho.shape[2] & INDEX_MASK
-        planes = ti.static(planes_of(rho, max(6, 2 * sets)))
+        starts = ti.static(component_starts(rho, max(6, 2 * sets)))
         total = ti.static([bind(0.0 * x_hat[1]) for _ in range(n)])
         for y in range(2 * row + 1, ti.min(2 * row + 2, height) + 1):
             for side in ti.static(range(2)):
                 s = 2 * position + 1 + side
                 i = (y * stride + s) & INDEX_MASK
                 columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
-                center = ti.static([bind(element(rho, i + planes[k])) for k in range(n)])
-                edges = ti.static(edges_at(weights, planes, stride, sets, i))
+                center = ti.static([bind(element(rho, i + starts[k])) for k in range(n)])
+                edges = ti.static(edges_at(weights, starts, stride, sets, i))
                 residual = ti.static(
                     residual_at(
-                        tensor, edges, columns, source if has_source else None, alphas, planes,
+                        tensor, edges, columns, source if has_source else None, alphas, starts,
                         stride, rho, center, i,
                     )
                 )  # fmt: skip

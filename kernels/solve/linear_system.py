@@ -1,4 +1,9 @@
-"""The linear system with fixed weights (eq. 16, 22–23), and its operations."""
+"""The linear system for ρ̂, the unknowns of every pixel, with fixed weights; its operations.
+
+Equations are numbered as in the paper (docs/method.md). A lane array holds an image as vertical
+strips (`tisfm.kernels.layout.lanes`). A halved array belongs to the grid of half the density
+(`tisfm.kernels.solve.coarsening`).
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,7 +22,10 @@ from tisfm.kernels.solve.weight_update import Sums, bind_update
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinearSystem:
-    """(GᵀJG + diag α_k b̄_k) ρ̂ = Σ α_k b_k,N ρ̂_N − Gᵀj at every pixel, with its four neighbours N.
+    """(GᵀJG + diag α_k b̄_k) ρ̂ = Σ α_k b_k,N ρ̂_N − Gᵀj at every pixel (eq. 16, 22–23).
+
+    N are its four neighbours, b_k,N the weight of unknown k on the edge to N, and b̄_k their sum.
+    G ρ̂ is the flow; J and j are the motion tensor of the data.
 
     The arrays are checked once, here. They are not copied: a change of an array changes the system.
 
@@ -27,12 +35,12 @@ class LinearSystem:
 
     grid: LaneGrid
     tensor: LaneData  # lane array, 6 components: motion tensor (J11, J12, J22, j1, j2, J_tt)
-    # lane array, 2n components, or 2 if all unknowns share them: g·b of every edge: eastern edges,
-    # then southern edges (`tisfm.kernels.model.robust`)
+    # lane array, 2n components, or 2 if all unknowns share them: weights of the eastern edges, then
+    # of the southern edges: g·b, from the image and the unknowns (`tisfm.kernels.model.robust`)
     weights: LaneData
     x_hat: LaneData  # normalised column coordinate x/f
     y_hat: LaneData  # (H + 2,) float32: normalised row coordinate y/f; row 0 is the halo
-    alpha: float  # α = λ̂β
+    alpha: float  # α, the strength of the smoothness: λ̂β of the paper
     # s_k, with α_k = α s_k; one for each unknown of a pixel
     stiffness: Sequence[float] | np.ndarray
 
@@ -55,7 +63,7 @@ class LinearSystem:
         return len(self.stiffness)
 
     @property
-    def sets(self) -> int:
+    def weights_per_edge(self) -> int:
         """Number of weights per edge: n, or 1 if all components share it."""
         return int(self.weights.shape[0]) // 2
 
@@ -110,9 +118,11 @@ class LinearSystem:
         scales: Sequence[float],
         along_line: bool = False,
     ) -> Callable[[], Sums]:
-        """Return a function that computes sums over ρ̂, and weights and tensor for ρ̂.
+        """Return a function that computes energies, change and size of ρ̂, and new weights.
 
-        The arguments are those of `tisfm.kernels.solve.weight_update.bind_update`.
+        It writes the weights and the tensor for ρ̂. `along_line` says that q is 0 in all
+        constraints (p, q, c). All arguments are those of
+        `tisfm.kernels.solve.weight_update.bind_update`.
         """
         self._check(rho=rho, previous=previous)
         self.grid.check(edges, 2, "edges")
@@ -135,7 +145,7 @@ class LinearSystem:
     def restrict(
         self,
         rho: LaneData,  # lane array, n components
-        out: LaneData,  # halved array, n components (`tisfm.kernels.solve.coarsening`)
+        out: LaneData,  # halved array, n components
         *,
         # lane array, n components: right-hand side c in place of −Gᵀj
         source: LaneData | None = None,

@@ -17,10 +17,10 @@ from tisfm.kernels.layout.lanes import (
     LaneArray,
     LaneData,
     LaneGrid,
+    component_starts,
     element,
     first_row,
     lane_kernel,
-    planes_of,
     refresh_halo,
     store,
 )
@@ -129,7 +129,7 @@ def _sweep(
         if task % chunk == 0:
             alphas = ti.static([bind(alpha[k]) for k in range(n)])
             stride = rho.shape[2] & INDEX_MASK
-            planes = ti.static(planes_of(rho, max(6, 2 * sets)))
+            starts = ti.static(component_starts(rho, max(6, 2 * sets)))
             band = task // chunk
             first, last = first_row(band, height, bands), first_row(band + 1, height, bands)
             first_black = ti.select(band > 0, first + 1, first)
@@ -144,7 +144,7 @@ def _sweep(
                     for pair in range(pairs):
                         s = 2 * pair + (row + color) % 2 + 1
                         relax_at(
-                            tensor, weights, x_hat, y_hat, source, alphas, stride, planes,
+                            tensor, weights, x_hat, y_hat, source, alphas, stride, starts,
                             relaxation, n, sets, closed_form, has_source, rho, row + 1, s,
                         )  # fmt: skip
                     for k in range(n):
@@ -155,13 +155,13 @@ def _sweep(
             if task % CHUNK == 0:
                 alphas = ti.static([bind(alpha[k]) for k in range(n)])
                 stride = rho.shape[2] & INDEX_MASK
-                planes = ti.static(planes_of(rho, max(6, 2 * sets)))
+                starts = ti.static(component_starts(rho, max(6, 2 * sets)))
                 border = task // CHUNK
                 row = first_row(border // 2 + 1, height, bands) - 1 + border % 2
                 for pair in range(pairs):
                     s = 2 * pair + (row + 1) % 2 + 1
                     relax_at(
-                        tensor, weights, x_hat, y_hat, source, alphas, stride, planes,
+                        tensor, weights, x_hat, y_hat, source, alphas, stride, starts,
                         relaxation, n, sets, closed_form, has_source, rho, row + 1, s,
                     )  # fmt: skip
                 for k in range(n):
@@ -191,9 +191,9 @@ def _sweep_sites(
             s = 2 * pair + (row + color) % 2 + 1
             alphas = ti.static([bind(alpha[k]) for k in range(n)])
             stride = rho.shape[2] & INDEX_MASK
-            planes = ti.static(planes_of(rho, max(6, 2 * sets)))
+            starts = ti.static(component_starts(rho, max(6, 2 * sets)))
             relax_at(
-                tensor, weights, x_hat, y_hat, source, alphas, stride, planes,
+                tensor, weights, x_hat, y_hat, source, alphas, stride, starts,
                 relaxation, n, sets, closed_form, has_source, rho, row + 1, s,
             )  # fmt: skip
 
@@ -201,31 +201,31 @@ def _sweep_sites(
 @ti.func
 def relax_at(
     tensor: ti.template(), weights: ti.template(), x_hat: ti.template(), y_hat: ti.template(),
-    source: ti.template(), alphas: ti.template(), stride, planes: ti.template(), relaxation,
+    source: ti.template(), alphas: ti.template(), stride, starts: ti.template(), relaxation,
     n: ti.template(), sets: ti.template(), closed_form: ti.template(), has_source: ti.template(),
     rho: ti.template(), y, s,
 ):  # fmt: skip
     """Solve one pixel (one vector of lanes) with over-relaxation."""
     i = (y * stride + s) & INDEX_MASK
     columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
-    center = ti.static([bind(element(rho, i + planes[k])) for k in range(n)])
-    edges = ti.static(edges_at(weights, planes, stride, sets, i))
-    j = ti.static([bind(element(tensor, i + planes[k])) for k in range(3)])
+    center = ti.static([bind(element(rho, i + starts[k])) for k in range(n)])
+    edges = ti.static(edges_at(weights, starts, stride, sets, i))
+    j = ti.static([bind(element(tensor, i + starts[k])) for k in range(3)])
     residual = ti.static(
         residual_at(
-            tensor, edges, columns, source if has_source else None, alphas, planes, stride, rho,
+            tensor, edges, columns, source if has_source else None, alphas, starts, stride, rho,
             center, i,
         )
     )  # fmt: skip
     step = ti.static(_solve(closed_form, alphas, edges, columns, j, residual))
     for k in ti.static(range(n)):
-        store(rho, i + planes[k], center[k] + relaxation * step[k])
+        store(rho, i + starts[k], center[k] + relaxation * step[k])
 
 
-def edges_at(weights: Any, planes: list, stride: Any, sets: int, i: Any) -> list:
+def edges_at(weights: Any, starts: list, stride: Any, sets: int, i: Any) -> list:
     """Return the weights of a pixel's E, W, S and N edges, lists of `sets`, while compiling."""
     return [
-        [bind(element(weights, index + planes[first + k])) for k in range(sets)]
+        [bind(element(weights, index + starts[first + k])) for k in range(sets)]
         for first, index in ((0, i), (0, i - 1), (sets, i), (sets, i - stride))
     ]
 
@@ -236,7 +236,7 @@ def residual_at(
     columns: list,
     source: Any,
     alphas: list,
-    planes: list,
+    starts: list,
     stride: Any,
     rho: Any,
     center: list,
@@ -248,7 +248,7 @@ def residual_at(
     """
     n = len(center)
     u, v = flow_of(columns, center)
-    j11, j12, j22, j1, j2 = (bind(element(tensor, i + planes[k])) for k in range(5))
+    j11, j12, j22, j1, j2 = (bind(element(tensor, i + starts[k])) for k in range(5))
     # Half the gradient of the data term by the flow, J(u, v)ᵀ + j.
     g1, g2 = j11 * u + j12 * v, j12 * u + j22 * v
     if source is None:
@@ -259,11 +259,11 @@ def residual_at(
     for k, (a, b) in enumerate(columns):
         smooth: Any = 0.0
         for side, index in zip(edges, neighbours, strict=True):
-            difference = element(rho, index + planes[k]) - center[k]
+            difference = element(rho, index + starts[k]) - center[k]
             smooth = smooth + repeat_shared(side, n)[k] * difference
         total = alphas[k] * smooth - a * g1 - b * g2
         if source is not None:
-            total = total + element(source, i + planes[k])
+            total = total + element(source, i + starts[k])
         residual.append(bind(total))
     return residual
 

@@ -15,19 +15,19 @@ from tisfm.kernels.layout.lanes import (
     LaneData,
     LaneGrid,
     SumArray,
+    component_starts,
     element,
     first_row,
     lane_count,
     lane_kernel,
     load,
-    planes_of,
     refresh_halo,
     store,
 )
 from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
 from tisfm.kernels.model import MIN_PIVOT
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
-from tisfm.kernels.model.robust import finite_scales, robust_data, terms_of
+from tisfm.kernels.model.robust import robust_data, scale_pairs, terms_of
 
 LINE = (0, 3, 5)  # J11, j1 and J_tt: the nonzero entries of a tensor along a line
 ROWS = 4  # rows of a band, which one thread processes at a time
@@ -87,7 +87,7 @@ def bind_update(
         (1.0 / contrast) ** 2,
         # With infinite δ, b is 1 and its penalty is 0.
         contrast * contrast if np.isfinite(contrast) else 0.0,
-        *finite_scales(scales),
+        *scale_pairs(scales),
         rho.shape[0],
         weights.shape[0] // 2,
         constraints.shape[0] // 3,
@@ -123,9 +123,9 @@ def _update(
     stiffness: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
     inverse_squared_contrast: ti.f32,
     squared_contrast: ti.f32,
-    inverse0: ti.f32,
+    inverse_scale0: ti.f32,
     scale0: ti.f32,
-    inverse1: ti.f32,
+    inverse_scale1: ti.f32,
     scale1: ti.f32,
     n: ti.template(),
     sets: ti.template(),
@@ -143,11 +143,11 @@ def _update(
     if ti.static(lane_count(rho) == 1):
         for index in range(height * blocks):
             stride = rho.shape[2] & INDEX_MASK
-            planes = ti.static(planes_of(rho, max(6, 3 * count, 2 * sets)))
+            starts = ti.static(component_starts(rho, max(6, 3 * count, 2 * sets)))
             _update_block(
                 terms, edges, x_hat, y_hat, rho, stiffness, inverse_squared_contrast,
-                squared_contrast, inverse0, scale0, inverse1, scale1, n, sets, count,
-                along_line, weights, tensor, previous, partial, stride, planes,
+                squared_contrast, inverse_scale0, scale0, inverse_scale1, scale1, n, sets, count,
+                along_line, weights, tensor, previous, partial, stride, starts,
                 index // blocks, index % blocks,
             )  # fmt: skip
     else:
@@ -157,16 +157,16 @@ def _update(
             if task % chunk == 0:
                 band = task // chunk
                 stride = rho.shape[2] & INDEX_MASK
-                planes = ti.static(planes_of(rho, max(6, 3 * count, 2 * sets)))
+                starts = ti.static(component_starts(rho, max(6, 3 * count, 2 * sets)))
                 for row in range(
                     first_row(band, height, bands), first_row(band + 1, height, bands)
                 ):
                     for block in range(blocks):
                         _update_block(
                             terms, edges, x_hat, y_hat, rho, stiffness, inverse_squared_contrast,
-                            squared_contrast, inverse0, scale0, inverse1, scale1, n, sets, count,
-                            along_line, weights, tensor, previous, partial, stride, planes, row,
-                            block,
+                            squared_contrast, inverse_scale0, scale0, inverse_scale1, scale1, n,
+                            sets, count, along_line, weights, tensor, previous, partial, stride,
+                            starts, row, block,
                         )  # fmt: skip
                     # The first column of a strip reads its western weight from the halo: the
                     # eastern weight of the neighbouring strip's last column.
@@ -178,9 +178,9 @@ def _update(
 def _update_block(
     terms: ti.template(), edges: ti.template(), x_hat: ti.template(), y_hat: ti.template(),
     rho: ti.template(), stiffness: ti.template(), inverse_squared_contrast, squared_contrast,
-    inverse0, scale0, inverse1, scale1, n: ti.template(), sets: ti.template(), count: ti.template(),
-    along_line: ti.template(), weights: ti.template(), tensor: ti.template(),
-    previous: ti.template(), partial: ti.template(), stride, planes: ti.template(), row, block,
+    inverse_scale0, scale0, inverse_scale1, scale1, n: ti.template(), sets: ti.template(),
+    count: ti.template(), along_line: ti.template(), weights: ti.template(), tensor: ti.template(),
+    previous: ti.template(), partial: ti.template(), stride, starts: ti.template(), row, block,
 ):  # fmt: skip
     """Update one block of a row."""
     y, strip = row + 1, rho.shape[2] - 2
@@ -189,28 +189,28 @@ def _update_block(
     for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
         s = position + 1
         i = (y * stride + s) & INDEX_MASK
-        center = ti.static([bind(element(rho, i + planes[k])) for k in range(n)])
+        center = ti.static([bind(element(rho, i + starts[k])) for k in range(n)])
         columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
         u, v = ti.static(flow_of(columns, center))
-        j = ti.static([bind(element(tensor, i + planes[k])) for k in range(6)])
+        j = ti.static([bind(element(tensor, i + starts[k])) for k in range(6)])
         half_data += u * (j[0] * u + 2.0 * (j[1] * v + j[3])) + v * (j[2] * v + 2.0 * j[4]) + j[5]
-        entries = ti.static([bind(element(terms, i + planes[k])) for k in range(3 * count)])
+        entries = ti.static([bind(element(terms, i + starts[k])) for k in range(3 * count)])
         lines = ti.static([entries[3 * k : 3 * k + 3] for k in range(count)])
-        scales = ti.static([(inverse0, scale0), (inverse1, scale1)])
+        scales = ti.static([(inverse_scale0, scale0), (inverse_scale1, scale1)])
         energy, sums = ti.static(robust_data(terms_of(lines), scales, u, v))
         data += energy
         for k in ti.static(LINE if along_line else range(6)):
-            store(tensor, i + planes[k], sums[k])
+            store(tensor, i + starts[k], sums[k])
         for side in ti.static(range(2)):  # east, south
-            g = load(edges, i + planes[side])
+            g = load(edges, i + starts[side])
             neighbour = i + 1 + side * (stride - 1)
             steps = ti.static(
-                [bind(element(rho, neighbour + planes[k]) - center[k]) for k in range(n)]
+                [bind(element(rho, neighbour + starts[k]) - center[k]) for k in range(n)]
             )
             squares = ti.static([bind(stiffness[k] * steps[k] * steps[k]) for k in range(n)])
             lengths = ti.static(squares if sets == n else [_sum(squares)])
             for k in ti.static(range(sets)):
-                index = i + planes[sets * side + k]
+                index = i + starts[sets * side + k]
                 square, old_weight = lengths[k], load(weights, index)
                 root = ti.sqrt(1.0 + inverse_squared_contrast * square)
                 factor = g / (root * (1.0 + root))  # one division, as slow as many products
@@ -223,7 +223,7 @@ def _update_block(
                 )
                 store(weights, index, factor * (1.0 + root))  # g b
         for k in ti.static(range(n)):
-            index = i + planes[k]
+            index = i + starts[k]
             step = center[k] - load(previous, index)
             change += step * step
             size += center[k] * center[k]

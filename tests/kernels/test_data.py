@@ -82,7 +82,10 @@ def test_warp_in_parallel_and_to_any_halo(lanes, halo, make_problem):
     flow[:, 40:50, 30:90] = 0
     in_lanes, mask = grid.allocate(1, halo=halo), grid.allocate(1)
     warp(grid, image, spline_taps(image), problem.to_lanes(flow), in_lanes, mask)
-    inner = slice(halo - 1, in_lanes.shape[1] - halo + 1), slice(halo - 1, grid.strip + halo + 1)
+    inner = (
+        slice(halo - 1, in_lanes.shape[1] - halo + 1),
+        slice(halo - 1, grid.strip_width + halo + 1),
+    )
     out = problem.from_lanes(in_lanes[:, inner[0], inner[1]])[0]
     expected, expected_mask = reference.warp(image, flow.astype(np.float64))
     np.testing.assert_allclose(out, expected, atol=3 * 255 * 256 * 2.0**-23)
@@ -196,9 +199,9 @@ def test_image_edges(size, lanes, strength, make_problem):
     frame = np.random.default_rng(9).uniform(0, 255, size=size).astype(np.float32)
     edges = image_edges_in_lanes(grid, frame, strength)
     close(problem.from_lanes(edges), reference.image_edges(frame, strength))
-    np.testing.assert_array_equal(edges > 0, grid.open_edges() > 0)  # in the padding as well
+    np.testing.assert_array_equal(edges > 0, grid.edge_mask() > 0)  # in the padding as well
     uniform = image_edges_in_lanes(grid, np.full(size, 7, np.float32), strength)
-    np.testing.assert_array_equal(uniform, grid.open_edges())
+    np.testing.assert_array_equal(uniform, grid.edge_mask())
 
 
 def test_image_edges_check_their_arguments():
@@ -310,7 +313,7 @@ def test_constraints_of_both_neighbours_are_refused(make_problem):
 
     grid = make_problem(6, 9, 6, 8).grid
     one, two, three, six = (grid.allocate(n) for n in (1, 2, 3, 6))
-    with pytest.raises(ValueError, match="bend"):
+    with pytest.raises(ValueError, match="flow_sum"):
         backward_flow(grid, two, one, two)
     with pytest.raises(ValueError, match="previous"):
         join_constraints(grid, two, two, one, one, two, (1.0,), three, six)

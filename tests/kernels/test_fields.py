@@ -30,7 +30,9 @@ def test_images_go_into_lanes_and_back(size, lanes, make_problem):
     rows = np.clip(np.arange(-IMAGE_HALO, size[0] + IMAGE_HALO), 0, size[0] - 1)
     for lane in range(lanes):
         columns = np.clip(
-            lane * grid.strip + np.arange(-IMAGE_HALO, grid.strip + IMAGE_HALO), 0, size[1] - 1
+            lane * grid.strip_width + np.arange(-IMAGE_HALO, grid.strip_width + IMAGE_HALO),
+            0,
+            size[1] - 1,
         )
         in_lane = array[0] if lanes == 1 else array[0, ..., lane]
         np.testing.assert_array_equal(in_lane, image[np.ix_(rows, columns)])

@@ -49,8 +49,8 @@ def test_all_rows_of_a_long_frame_are_computed(lanes):
     constraints = grid.allocate(3)
     constraints[0], constraints[2] = 1, -2  # D = 2
     options = {"contrast": 1.0, "scales": (np.inf,)}
-    sums = system.bind_weight_update(rho, previous, constraints, grid.open_edges(), **options)()
-    columns = lanes * grid.strip
+    sums = system.bind_weight_update(rho, previous, constraints, grid.edge_mask(), **options)()
+    columns = lanes * grid.strip_width
     assert sums.size == pytest.approx(np.sqrt(height * columns), rel=1e-6)
     system.sweep(rho, relaxation=1.0, sweeps=2)
     assert rho[0, 1:-1, 1:-1].min() > 1.4  # all of them were drawn to 2
@@ -58,8 +58,8 @@ def test_all_rows_of_a_long_frame_are_computed(lanes):
     image = np.arange(height * 4, dtype=np.float32).reshape(height, 4)
     warped, mask = grid.allocate(1, halo=IMAGE_HALO), grid.allocate(1)
     warp(grid, image, spline_taps(image), grid.allocate(2), warped, mask)
-    columns_of_first_lane = warped[0, 4:-4, 4 : 4 + grid.strip, 0]
-    np.testing.assert_array_equal(columns_of_first_lane, image[:, : grid.strip])
+    columns_of_first_lane = warped[0, 4:-4, 4 : 4 + grid.strip_width, 0]
+    np.testing.assert_array_equal(columns_of_first_lane, image[:, : grid.strip_width])
 
 
 LARGE = [(20_000, 20_000), (4, 5_000_000), (5_000_000, 4)]

@@ -239,7 +239,7 @@ def test_bad_values_are_refused(make):
 
 def halved_to_images(field, array):
     """Read a halved array as (k, h, w) by plain indexing."""
-    strip, width = field.grid.strip // 2, -(-field.grid.width // 2)
+    strip, width = field.grid.strip_width // 2, -(-field.grid.width // 2)
     inner = array if field.grid.lanes > 1 else array[..., None]
     return np.stack([inner[:, 1:-1, x % strip + 1, x // strip] for x in range(width)], axis=-1)
 
@@ -247,7 +247,7 @@ def halved_to_images(field, array):
 def images_to_halved(field, images):
     """Lay coarse images (k, h, w) into the halved layout of a field's grid."""
     out = allocate_halved(field, len(images))
-    strip, lanes = field.grid.strip // 2, field.grid.lanes
+    strip, lanes = field.grid.strip_width // 2, field.grid.lanes
     for lane in range(lanes):
         for position in range(strip + 2):
             x = lane * strip + position - 1

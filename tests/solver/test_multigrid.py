@@ -42,7 +42,7 @@ def to_halved(problem, images):
 
     grid = problem.grid
     out = np.zeros(halved_shape(grid, len(images)), np.float32)
-    strip = grid.strip // 2
+    strip = grid.strip_width // 2
     for lane in range(grid.lanes):
         for position in range(strip + 2):
             x = lane * strip + position - 1
@@ -56,7 +56,7 @@ def to_halved(problem, images):
 
 def from_halved(problem, array):
     """Read a halved array as (k, h, w) by plain indexing."""
-    strip = problem.grid.strip // 2
+    strip = problem.grid.strip_width // 2
     width = -(-problem.grid.width // 2)
     inner = array if problem.grid.lanes > 1 else array[..., None]
     return np.stack([inner[:, 1:-1, x % strip + 1, x // strip] for x in range(width)], axis=-1)

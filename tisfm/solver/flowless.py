@@ -63,14 +63,14 @@ class FlowlessFields:
         n, unknowns = self._count, self._unknowns
         matrix, vector = np.zeros((n, n)), np.zeros(n)
         for component, steps in enumerate(self._steps()):
-            k = min(component, system.sets - 1)
+            k = min(component, system.weights_per_edge - 1)
             alpha = float(system.alphas[component])
             rho = unknowns.to_image(unknowns.rho, component)
             for side, step in enumerate(steps):
                 # Every step is a function of the row times a function of the column.
                 rows, columns = (np.stack(parts) for parts in zip(*step[:n], strict=True))
                 products, slopes = _sums(
-                    unknowns.to_image(system.weights, k + side * system.sets),
+                    unknowns.to_image(system.weights, k + side * system.weights_per_edge),
                     rho,
                     rows,
                     columns,

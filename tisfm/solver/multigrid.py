@@ -102,7 +102,7 @@ class _Level:
         self._column_weights = interpolation_columns(grid)
         # Strips of the coarser grid have an even length; half of a strip here may be odd.
         self._halved: tuple[LaneData, LaneData, LaneData] | None = None
-        if grid.strip // 2 != coarse_grid(grid).strip:
+        if grid.strip_width // 2 != coarse_grid(grid).strip_width:
             self._halved = (
                 _halved(grid, 6),
                 _halved(grid, 2 * system.sets),

@@ -195,7 +195,7 @@ class _Transfer:
 
 def has_halved_layout(grid: LaneGrid) -> bool:
     """Return whether halved arrays of a grid have the layout of the coarser grid."""
-    return grid.strip // 2 == coarse_grid(grid).strip
+    return grid.strip_width // 2 == coarse_grid(grid).strip_width
 
 
 def allocate_halved(grid: LaneGrid, components: int) -> LaneData:

@@ -41,7 +41,7 @@ class Unknowns:
 
         By default 1, and 0 across the border; it can be set to the image-driven factor.
         """
-        return self.grid.open_edges()
+        return self.grid.edge_mask()
 
     def start_from(
         self,
@@ -51,7 +51,7 @@ class Unknowns:
         """Interpolate ρ̂, which must be zero, from a coarser level."""
         grid = self.grid
         is_even = ratio == 0.5 and grid.height % 2 == grid.width % 2 == 0
-        if not (is_even and grid.lanes > 1 and grid.strip == 2 * coarse.grid.strip):
+        if not (is_even and grid.lanes > 1 and grid.strip_width == 2 * coarse.grid.strip_width):
             prolong(grid, coarse.images(), self.rho, ratio=ratio)
             return
         # Every lane of this grid lies over one coarse lane, so whole vectors are interpolated.

@@ -20,9 +20,9 @@ from tisfm.kernels.layout.lanes import (
     LaneArray,
     LaneData,
     LaneGrid,
+    component_starts,
     element,
     lane_kernel,
-    planes_of,
     refresh_halo,
 )
 from tisfm.kernels.layout.launch import Launch, operation
@@ -106,10 +106,10 @@ def offset_columns(grid: LaneGrid) -> tuple[np.ndarray, np.ndarray]:
 @operation
 def restrict_residual(
     grid: LaneGrid,  # the fine grid
-    # arrays, numbers: attributes of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`,
+    # arrays, scalars: attributes of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`,
     # which has checked all arrays
     arrays: tuple[LaneData, ...],
-    numbers: tuple[float, ...],
+    scalars: tuple[float, ...],
     offsets: LaneData,  # the offsets of `offset_columns`
     rho: LaneData,  # lane array, 3 components
     # lane array, 3 components, or None: right-hand side in place of (−B, 0, 0)
@@ -123,7 +123,7 @@ def restrict_residual(
     """
     grid.check_columns(offsets, "offsets")
     check_halved(grid, out, COMPONENTS, "out")
-    half_h, spread, *_ = numbers
+    half_h, spread, *_ = scalars
     return _restrict_residual[grid.lanes].bind(
         *arrays, half_h, spread, offsets, rho if source is None else source, rho, grid.height,
         source is not None, grid.serial, out,
@@ -148,7 +148,7 @@ def _restrict_residual(
     ti.loop_config(serialize=serial)
     for row, position in ti.ndrange(rows, strip):
         stride = rho.shape[2] & INDEX_MASK
-        planes = ti.static(planes_of(rho, WEIGHTS))
+        starts = ti.static(component_starts(rho, WEIGHTS))
         depth, east, south = 0.0 * offsets[1], 0.0 * offsets[1], 0.0 * offsets[1]
         pair = ti.cast(2 * row + 1 < height, ti.f32)  # 0: an only child, at its parent's centre
         for y in range(2 * row + 1, ti.min(2 * row + 2, height) + 1):
@@ -156,12 +156,12 @@ def _restrict_residual(
             for side in ti.static(range(2)):
                 s = 2 * position + 1 + side
                 i = (y * stride + s) & INDEX_MASK
-                center = ti.static(center_at(rho, planes, i))
-                edges = ti.static(edges_at(weights, planes, stride, i))
-                stiffness = ti.static(stiffness_at(tensor, edges, planes, i, half_h, spread))
+                center = ti.static(center_at(rho, starts, i))
+                edges = ti.static(edges_at(weights, starts, stride, i))
+                stiffness = ti.static(stiffness_at(tensor, edges, starts, i, half_h, spread))
                 residual = ti.static(
                     residual_at(
-                        tensor, edges, stiffness, source if has_source else None, planes, stride,
+                        tensor, edges, stiffness, source if has_source else None, starts, stride,
                         rho, center, i, half_h,
                     )
                 )  # fmt: skip
@@ -214,7 +214,7 @@ def _add_correction(
     ti.loop_config(serialize=serial)
     for row, position in ti.ndrange(height, strip):
         stride = coarse.shape[2] & INDEX_MASK
-        planes = ti.static(planes_of(coarse, COMPONENTS))
+        starts = ti.static(component_starts(coarse, COMPONENTS))
         y = row // 2 + 1
         direction = 2.0 * ti.cast(row % 2, ti.f32) - 1.0
         next_row = ti.max(1, ti.min(y - 1 + 2 * (row % 2), rows))  # y itself at the border
@@ -230,10 +230,10 @@ def _add_correction(
                 (y * stride + parent) & INDEX_MASK,
                 (y * stride + neighbour) & INDEX_MASK,
             )
-            own_row = ti.static(_row_at(coarse, planes, first, second, tables, side, spacing))
+            own_row = ti.static(_row_at(coarse, starts, first, second, tables, side, spacing))
             third = (next_row * stride + parent) & INDEX_MASK
             fourth = (next_row * stride + neighbour) & INDEX_MASK
-            other_row = ti.static(_row_at(coarse, planes, third, fourth, tables, side, spacing))
+            other_row = ti.static(_row_at(coarse, starts, third, fourth, tables, side, spacing))
             for k in ti.static(range(COMPONENTS)):
                 change = 0.75 * own_row[k] + 0.25 * other_row[k]
                 if ti.static(k == 0):
@@ -246,15 +246,15 @@ def _add_correction(
 
 
 def _row_at(
-    coarse: Any, planes: list, first: Any, second: Any, tables: list, side: int, spacing: Any
+    coarse: Any, starts: list, first: Any, second: Any, tables: list, side: int, spacing: Any
 ) -> list:
     """Return the correction of a coarse row at a fine column, while compiling.
 
     `first` and `second` are the indices for `element` of the parent and of its neighbour.
     """
     parent_weight, neighbour_weight, outer = tables
-    own = [bind(element(coarse, first + planes[k])) for k in range(COMPONENTS)]
-    other = [bind(element(coarse, second + planes[k])) for k in range(COMPONENTS)]
+    own = [bind(element(coarse, first + starts[k])) for k in range(COMPONENTS)]
+    other = [bind(element(coarse, second + starts[k])) for k in range(COMPONENTS)]
     depth, *slopes = (
         parent_weight * a + neighbour_weight * b for a, b in zip(own, other, strict=True)
     )

@@ -10,9 +10,9 @@ from tisfm.kernels.layout.lanes import (
     LaneArray,
     LaneData,
     LaneGrid,
+    component_starts,
     first_row,
     lane_kernel,
-    planes_of,
     refresh_halo,
     store,
 )
@@ -30,10 +30,10 @@ from tisfm.kernels.solve.second_order.stencil import (
 
 def bind_sweeps(
     grid: LaneGrid,
-    # arrays, numbers: attributes of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`,
+    # arrays, scalars: attributes of a `tisfm.kernels.solve.second_order.system.SecondOrderSystem`,
     # which has checked all arrays
     arrays: tuple[LaneData, ...],
-    numbers: tuple[float, ...],
+    scalars: tuple[float, ...],
     rho: LaneData,  # lane array, 3 components: D, v₁, v₂; modified in place, halo included
     # lane array, 3 components, or None: right-hand side in place of (−B, 0, 0)
     source: LaneData | None,
@@ -44,7 +44,7 @@ def bind_sweeps(
     """Return a function that runs full red–black sweeps."""
     if not 0 < relaxation < 2:
         raise ValueError(f"relaxation is {relaxation}: expected a value in (0, 2)")
-    system = (*arrays, *numbers, rho if source is None else source, relaxation, source is not None)
+    system = (*arrays, *scalars, rho if source is None else source, relaxation, source is not None)
     if grid.lanes == 1:
         return repeat_launches((_sweep_sites[1].bind(*system, rho), sweeps))
     return sweeps_in_bands(_sweep[grid.lanes], system, rho, grid.height, sweeps)
@@ -74,7 +74,7 @@ def _sweep(
     for task in range(chunk * bands):
         if task % chunk == 0:
             stride = rho.shape[2] & INDEX_MASK
-            planes = ti.static(planes_of(rho, WEIGHTS))
+            starts = ti.static(component_starts(rho, WEIGHTS))
             band = task // chunk
             first, last = first_row(band, height, bands), first_row(band + 1, height, bands)
             first_black = ti.select(band > 0, first + 1, first)
@@ -90,7 +90,7 @@ def _sweep(
                         s = 2 * pair + (row + color) % 2 + 1
                         _relax_at(
                             tensor, weights, half_h, spread, depth_floor, slope_floor, source,
-                            stride, planes, relaxation, has_source, rho, row + 1, s,
+                            stride, starts, relaxation, has_source, rho, row + 1, s,
                         )  # fmt: skip
                     for k in range(COMPONENTS):
                         refresh_halo(rho, k, row + 1)
@@ -99,14 +99,14 @@ def _sweep(
         for task in range(CHUNK * 2 * (bands - 1)):
             if task % CHUNK == 0:
                 stride = rho.shape[2] & INDEX_MASK
-                planes = ti.static(planes_of(rho, WEIGHTS))
+                starts = ti.static(component_starts(rho, WEIGHTS))
                 border = task // CHUNK
                 row = first_row(border // 2 + 1, height, bands) - 1 + border % 2
                 for pair in range(pairs):
                     s = 2 * pair + (row + 1) % 2 + 1
                     _relax_at(
                         tensor, weights, half_h, spread, depth_floor, slope_floor, source, stride,
-                        planes, relaxation, has_source, rho, row + 1, s,
+                        starts, relaxation, has_source, rho, row + 1, s,
                     )  # fmt: skip
                 for k in range(COMPONENTS):
                     refresh_halo(rho, k, row + 1)
@@ -132,9 +132,9 @@ def _sweep_sites(
         for row, pair in ti.ndrange(height, pairs):
             s = 2 * pair + (row + color) % 2 + 1
             stride = rho.shape[2] & INDEX_MASK
-            planes = ti.static(planes_of(rho, WEIGHTS))
+            starts = ti.static(component_starts(rho, WEIGHTS))
             _relax_at(
-                tensor, weights, half_h, spread, depth_floor, slope_floor, source, stride, planes,
+                tensor, weights, half_h, spread, depth_floor, slope_floor, source, stride, starts,
                 relaxation, has_source, rho, row + 1, s,
             )  # fmt: skip
 
@@ -142,21 +142,21 @@ def _sweep_sites(
 @ti.func
 def _relax_at(
     tensor: ti.template(), weights: ti.template(), half_h, spread, depth_floor, slope_floor,
-    source: ti.template(), stride, planes: ti.template(), relaxation, has_source: ti.template(),
+    source: ti.template(), stride, starts: ti.template(), relaxation, has_source: ti.template(),
     rho: ti.template(), y, s,
 ):  # fmt: skip
     """Solve one pixel (one vector of lanes) with over-relaxation."""
     i = (y * stride + s) & INDEX_MASK
-    center = ti.static(center_at(rho, planes, i))
-    edges = ti.static(edges_at(weights, planes, stride, i))
-    stiffness = ti.static(stiffness_at(tensor, edges, planes, i, half_h, spread))
+    center = ti.static(center_at(rho, starts, i))
+    edges = ti.static(edges_at(weights, starts, stride, i))
+    stiffness = ti.static(stiffness_at(tensor, edges, starts, i, half_h, spread))
     residual = ti.static(
         residual_at(
             tensor,
             edges,
             stiffness,
             source if has_source else None,
-            planes,
+            starts,
             stride,
             rho,
             center,
@@ -165,6 +165,6 @@ def _relax_at(
         )
     )
     floors = ti.static((depth_floor, slope_floor))
-    step = ti.static(solve_at(tensor, edges, stiffness, planes, residual, i, half_h, floors))
+    step = ti.static(solve_at(tensor, edges, stiffness, starts, residual, i, half_h, floors))
     for k in ti.static(range(COMPONENTS)):
-        store(rho, i + planes[k], center[k] + relaxation * step[k])
+        store(rho, i + starts[k], center[k] + relaxation * step[k])

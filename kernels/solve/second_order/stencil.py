@@ -11,21 +11,21 @@ COMPONENTS = 3  # D, v₁, v₂
 WEIGHTS = 6  # a, b and c, each for the eastern and the southern edge
 
 
-def center_at(rho: Any, planes: list, i: Any) -> list:
+def center_at(rho: Any, starts: list, i: Any) -> list:
     """Return D, v₁ and v₂ of the pixel with index i (see `element`)."""
-    return [bind(element(rho, i + planes[k])) for k in range(COMPONENTS)]
+    return [bind(element(rho, i + starts[k])) for k in range(COMPONENTS)]
 
 
-def edges_at(weights: Any, planes: list, stride: Any, i: Any) -> list:
+def edges_at(weights: Any, starts: list, stride: Any, i: Any) -> list:
     """Return a, b and c of the edges of a pixel, each a list of E, W, S, N."""
     edge_indices = ((0, i), (0, i - 1), (1, i), (1, i - stride))
     return [
-        [bind(element(weights, index + planes[2 * kind + side])) for side, index in edge_indices]
+        [bind(element(weights, index + starts[2 * kind + side])) for side, index in edge_indices]
         for kind in range(3)
     ]
 
 
-def stiffness_at(tensor: Any, edges: list, planes: list, i: Any, half_h: Any, spread: Any) -> list:
+def stiffness_at(tensor: Any, edges: list, starts: list, i: Any, half_h: Any, spread: Any) -> list:
     """Return the stiffness of v₁ and v₂ of a pixel without the part of r: Σ b with a lower bound.
 
     The data of a coarse pixel lie away from its centre, so they determine the slope with the
@@ -33,7 +33,7 @@ def stiffness_at(tensor: Any, edges: list, planes: list, i: Any, half_h: Any, sp
     """
     first, second, _ = edges
     total = bind(second[0] + second[1] + second[2] + second[3])
-    data = bind(spread * element(tensor, i + planes[0]))
+    data = bind(spread * element(tensor, i + starts[0]))
     return [
         bind(ti.max(total, data - half_h * half_h * (first[side] + first[side + 1])))
         for side in (0, 2)
@@ -45,7 +45,7 @@ def residual_at(
     edges: list,
     stiffness: list,
     source: Any,
-    planes: list,
+    starts: list,
     stride: Any,
     rho: Any,
     center: list,
@@ -60,16 +60,16 @@ def residual_at(
     depth, *slopes = center
     first, second, third = edges
     neighbours = (i + 1, i - 1, i + stride, i - stride)
-    steps = [bind(element(rho, index + planes[0]) - depth) for index in neighbours]
-    depth_residual = 0.0 - element(tensor, i + planes[0]) * depth
+    steps = [bind(element(rho, index + starts[0]) - depth) for index in neighbours]
+    depth_residual = 0.0 - element(tensor, i + starts[0]) * depth
     if source is None:
-        depth_residual = depth_residual - element(tensor, i + planes[1])
+        depth_residual = depth_residual - element(tensor, i + starts[1])
     else:
-        depth_residual = depth_residual + element(source, i + planes[0])
+        depth_residual = depth_residual + element(source, i + starts[0])
     for weight, step in zip(third, steps, strict=True):
         depth_residual = depth_residual + weight * step
     neighbour_slopes = [
-        [bind(element(rho, index + planes[1 + k])) for index in neighbours] for k in range(2)
+        [bind(element(rho, index + starts[1 + k])) for index in neighbours] for k in range(2)
     ]
     residual = []
     for k, slope in enumerate(slopes):
@@ -87,13 +87,13 @@ def residual_at(
         b = bind(second[0] + second[1] + second[2] + second[3])
         slope_residual = slope_residual - (stiffness[k] - b) * slope
         if source is not None:
-            slope_residual = slope_residual + element(source, i + planes[1 + k])
+            slope_residual = slope_residual + element(source, i + starts[1 + k])
         residual.append(bind(slope_residual))
     return [bind(depth_residual), *residual]
 
 
 def solve_at(
-    tensor: Any, edges: list, stiffness: list, planes: list, residual: list, i: Any, half_h: Any,
+    tensor: Any, edges: list, stiffness: list, starts: list, residual: list, i: Any, half_h: Any,
     floors: tuple,
 ) -> list:  # fmt: skip
     """Return the step that makes the residual of a pixel zero, given its neighbours.
@@ -108,7 +108,7 @@ def solve_at(
     whose terms may all be zero.
     """
     first, _, third = edges
-    pivot = element(tensor, i + planes[0]) + third[0] + third[1] + third[2] + third[3] + floors[0]
+    pivot = element(tensor, i + starts[0]) + third[0] + third[1] + third[2] + third[3] + floors[0]
     right = residual[0]
     inverses, couplings = [], []
     for k in range(2):

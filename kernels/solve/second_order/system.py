@@ -1,4 +1,10 @@
-"""The linear system with fixed weights in D and its slopes, and its operations."""
+"""The linear system for inverse depth D and its slopes, with fixed edge weights; its operations.
+
+An edge joins two neighbouring pixels. Its energy is a r² + b |Δv|² + c (ΔD)², with r the part of ΔD
+that the slopes v do not predict (`tisfm.kernels.solve.second_order`). A lane array holds an image
+as vertical strips (`tisfm.kernels.layout.lanes`). A halved array belongs to the grid of half the
+density (`tisfm.kernels.solve.coarsening`).
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,7 +21,7 @@ from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
 from tisfm.kernels.solve.second_order.weight_update import bind_update
 from tisfm.kernels.solve.weight_update import Sums
 
-FLOOR = 1e-6  # share of α and β added to pivots, for pixels without data and without open edges
+FLOOR = 1e-6  # share of α and β added to pivots, for pixels without data and without neighbours
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,8 +44,8 @@ class SecondOrderSystem:
     beta: float
     gamma: float = 0.0
     spacing: float = 1.0  # h, px of the finest level
-    # variance of the positions of data around the centre of their pixel, along an axis, px² of the
-    # finest level; 0 on the finest grid
+    # px² of the finest level: a coarse pixel collects data of several fine pixels; this is the
+    # variance of their positions along an axis; 0 on the finest grid
     spread: float = 0.0
 
     def __post_init__(self) -> None:
@@ -58,7 +64,7 @@ class SecondOrderSystem:
         return self.tensor, self.weights
 
     @cached_property
-    def numbers(self) -> tuple[float, float, float, float]:
+    def scalars(self) -> tuple[float, float, float, float]:
         """h/2, the spread of the data, and the floors of the pivots of D and of the slopes."""
         slope_floor = FLOOR * (self.beta + self.spacing**2 * self.alpha)
         return (
@@ -80,7 +86,7 @@ class SecondOrderSystem:
         """Return a function that runs full red–black sweeps, in place, halo included."""
         self._check(rho=rho, source=rho if source is None else source)
         return bind_sweeps(
-            self.grid, self.arrays, self.numbers, rho, source, relaxation=relaxation, sweeps=sweeps
+            self.grid, self.arrays, self.scalars, rho, source, relaxation=relaxation, sweeps=sweeps
         )
 
     def bind_weight_update(
@@ -95,9 +101,11 @@ class SecondOrderSystem:
         anchor_scale: float,
         scales: Sequence[float] = (),
     ) -> Callable[[], Sums]:
-        """Return a function that computes sums over D, and weights and tensor for D and slopes.
+        """Return a function that computes energies, change and size of D, and new weights.
 
-        The arguments are those of `tisfm.kernels.solve.second_order.weight_update.bind_update`.
+        An anchor (w, D*) of `anchors` is a known inverse depth D* of weight w; beyond a difference
+        of `anchor_scale`, px/frame, it counts less. All arguments are those of
+        `tisfm.kernels.solve.second_order.weight_update.bind_update`.
         """
         self._check(rho=rho)
         self.grid.check(previous, 1, "previous")
@@ -120,10 +128,11 @@ class SecondOrderSystem:
 
     def bind_restrict(
         self,
-        # the offsets of `tisfm.kernels.solve.second_order.coarsening.offset_columns`
+        # offset of each column from the centre of its coarse column, in fine columns, as
+        # `tisfm.kernels.solve.second_order.coarsening.offset_columns` returns it
         offsets: LaneData,
         rho: LaneData,  # lane array, 3 components
-        out: LaneData,  # halved array, 3 components (`tisfm.kernels.solve.coarsening`)
+        out: LaneData,  # halved array, 3 components
         *,
         # lane array, 3 components: right-hand side in place of (−B, 0, 0)
         source: LaneData | None = None,
@@ -131,7 +140,7 @@ class SecondOrderSystem:
         """Return a function that writes the residuals at `rho`, summed over children."""
         self._check(rho=rho, source=rho if source is None else source)
         return restrict_residual.bind(
-            self.grid, self.arrays, self.numbers, offsets, rho, source, out
+            self.grid, self.arrays, self.scalars, offsets, rho, source, out
         )
 
     def bind_coarsen(

@@ -14,18 +14,18 @@ from tisfm.kernels.layout.lanes import (
     LaneData,
     LaneGrid,
     SumArray,
+    component_starts,
     element,
     first_row,
     lane_count,
     lane_kernel,
     load,
-    planes_of,
     refresh_halo,
     store,
 )
 from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
 from tisfm.kernels.model import MIN_PIVOT
-from tisfm.kernels.model.robust import finite_scales, robust_data, terms_of
+from tisfm.kernels.model.robust import robust_data, scale_pairs, terms_of
 from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
 from tisfm.kernels.solve.weight_update import ROWS, Sums
 
@@ -72,7 +72,7 @@ def bind_update(
         *stiffness,
         # With infinite δ, b is 1 and its penalty is 0.
         *(value for square in squared_contrasts for value in (1.0 / square, _finite(square))),
-        *finite_scales(scales or (np.inf,)),
+        *scale_pairs(scales or (np.inf,)),
         count,
         grid.serial,
         -(-grid.height // ROWS),
@@ -117,9 +117,9 @@ def _update(
     jump_square: ti.f32,
     inverse_anchor: ti.f32,
     anchor_square: ti.f32,
-    inverse0: ti.f32,
+    inverse_scale0: ti.f32,
     scale0: ti.f32,
-    inverse1: ti.f32,
+    inverse_scale1: ti.f32,
     scale1: ti.f32,
     count: ti.template(),
     serial: ti.template(),
@@ -134,17 +134,20 @@ def _update(
     if ti.static(lane_count(rho) == 1):
         for index in range(height * blocks):
             stride = rho.shape[2] & INDEX_MASK
-            planes = ti.static(planes_of(rho, max(WEIGHTS, 3 * count)))
+            starts = ti.static(component_starts(rho, max(WEIGHTS, 3 * count)))
             kinds = ti.static(
                 ((alpha, inverse_slope, slope_square), (beta, inverse_crease, crease_square),
                  (gamma, inverse_jump, jump_square))
             )  # fmt: skip
             scales = ti.static(
-                ((inverse_anchor, anchor_square), ((inverse0, scale0), (inverse1, scale1)))
+                (
+                    (inverse_anchor, anchor_square),
+                    ((inverse_scale0, scale0), (inverse_scale1, scale1)),
+                )
             )
             _update_block(
                 terms, anchors, edges, rho, half_h, kinds, scales, count, weights, tensor, previous,
-                partial, stride, planes, index // blocks, index % blocks,
+                partial, stride, starts, index // blocks, index % blocks,
             )  # fmt: skip
     else:
         chunk = ti.static(1 if serial else CHUNK)
@@ -153,13 +156,16 @@ def _update(
             if task % chunk == 0:
                 band = task // chunk
                 stride = rho.shape[2] & INDEX_MASK
-                planes = ti.static(planes_of(rho, max(WEIGHTS, 3 * count)))
+                starts = ti.static(component_starts(rho, max(WEIGHTS, 3 * count)))
                 kinds = ti.static(
                     ((alpha, inverse_slope, slope_square), (beta, inverse_crease, crease_square),
                      (gamma, inverse_jump, jump_square))
                 )  # fmt: skip
                 scales = ti.static(
-                    ((inverse_anchor, anchor_square), ((inverse0, scale0), (inverse1, scale1)))
+                    (
+                        (inverse_anchor, anchor_square),
+                        ((inverse_scale0, scale0), (inverse_scale1, scale1)),
+                    )
                 )
                 for row in range(
                     first_row(band, height, bands), first_row(band + 1, height, bands)
@@ -167,7 +173,7 @@ def _update(
                     for block in range(blocks):
                         _update_block(
                             terms, anchors, edges, rho, half_h, kinds, scales, count, weights,
-                            tensor, previous, partial, stride, planes, row, block,
+                            tensor, previous, partial, stride, starts, row, block,
                         )  # fmt: skip
                     # The first column of a strip reads its western weight from the halo: the
                     # eastern weight of the neighbouring strip's last column.
@@ -180,7 +186,7 @@ def _update_block(
     terms: ti.template(), anchors: ti.template(), edges: ti.template(), rho: ti.template(), half_h,
     kinds: ti.template(), scales: ti.template(), count: ti.template(), weights: ti.template(),
     tensor: ti.template(), previous: ti.template(), partial: ti.template(), stride,
-    planes: ti.template(), row, block,
+    starts: ti.template(), row, block,
 ):  # fmt: skip
     """Update one block of a row."""
     y, strip = row + 1, rho.shape[2] - 2
@@ -188,24 +194,24 @@ def _update_block(
     energy, half_energy, change, size = zero, zero, zero, zero
     for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
         i = (y * stride + position + 1) & INDEX_MASK
-        center = ti.static([bind(element(rho, i + planes[k])) for k in range(COMPONENTS)])
+        center = ti.static([bind(element(rho, i + starts[k])) for k in range(COMPONENTS)])
         depth = center[0]
-        a, b, c = load(tensor, i), load(tensor, i + planes[1]), load(tensor, i + planes[2])
+        a, b, c = load(tensor, i), load(tensor, i + starts[1]), load(tensor, i + starts[2])
         half_energy += (a * depth + 2.0 * b) * depth + c
-        value, sums = ti.static(_data_at(terms, anchors, scales, count, planes, depth, i))
+        value, sums = ti.static(_data_at(terms, anchors, scales, count, starts, depth, i))
         energy += value
         for k in ti.static(range(COMPONENTS)):
-            store(tensor, i + planes[k], sums[k])
+            store(tensor, i + starts[k], sums[k])
         for side in ti.static(range(2)):  # east, south
-            g = load(edges, i + planes[side])
+            g = load(edges, i + starts[side])
             other_index = i + 1 + side * (stride - 1)
             neighbour = ti.static(
-                [bind(element(rho, other_index + planes[k])) for k in range(COMPONENTS)]
+                [bind(element(rho, other_index + starts[k])) for k in range(COMPONENTS)]
             )
             squares = ti.static(_squares(center, neighbour, side, half_h))
             for kind in ti.static(range(3)):
                 stiffness, inverse, squared = ti.static(kinds[kind])
-                index = i + planes[2 * kind + side]
+                index = i + starts[2 * kind + side]
                 square, old_weight = squares[kind], load(weights, index)
                 full_weight = stiffness * g
                 root = ti.sqrt(1.0 + inverse * square)
@@ -224,11 +230,11 @@ def _update_block(
 
 
 def _data_at(
-    terms: Any, anchors: Any, scales: tuple, count: int, planes: list, depth: Any, i: Any
+    terms: Any, anchors: Any, scales: tuple, count: int, starts: list, depth: Any, i: Any
 ) -> tuple[Any, list]:
     """Return the energy of a pixel's data, and (A, B, C) of their half-quadratic form."""
     (inverse, squared), robust = scales
-    weight, target = (bind(element(anchors, i + planes[k])) for k in range(2))
+    weight, target = (bind(element(anchors, i + starts[k])) for k in range(2))
     distance = bind(depth - target)
     square = bind(distance * distance)
     root = bind(ti.sqrt(1.0 + inverse * square))
@@ -239,7 +245,7 @@ def _data_at(
     penalty = squared * (weight - trust) * (root - 1.0)
     quadratic = [trust, 0.0 - trust * target, trust * target * target + penalty]
     if count:
-        entries = [bind(element(terms, i + planes[k])) for k in range(3 * count)]
+        entries = [bind(element(terms, i + starts[k])) for k in range(3 * count)]
         lines = [(entries[3 * k], 0.0, entries[3 * k + 2]) for k in range(count)]
         value, sums = robust_data(terms_of(lines), list(robust), depth, 0.0)
         energy = energy + value
