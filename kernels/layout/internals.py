@@ -152,7 +152,7 @@ def check(parameters: Arguments, arguments: tuple) -> None:
 
 
 def compile_kernel(kernel: Any, arguments: tuple) -> tuple[Any, Any]:
-    """Compile a kernel for arguments; return the forms that `context` and a program's launch need."""
+    """Compile a kernel for arguments; return it for `context`, and as a program launches it."""
     primal = kernel._primal
     compiled = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
     program_ = impl.get_runtime().prog

@@ -56,8 +56,8 @@ def aggregate(
 
 def best_hypothesis(
     cost: np.ndarray,  # (H, W, N) float32
-    # (H, W) float32: number of the hypothesis with its fraction, from 0 to count − 1; the first of
-    # equals
+    # (H, W) float32: number of the hypothesis with its fraction, from 0 to count − 1; of equally
+    # good hypotheses the first
     out: np.ndarray,
     *,
     count: int,  # number of hypotheses among the N places; at least 2
