@@ -30,7 +30,7 @@ from tisfm.settings import PAPER_SMOOTHNESS
 from tisfm.solver.data_term import Constancy, DataTerm
 from tisfm.solver.multigrid import Multigrid
 from tisfm.solver.sampling import spline_taps
-from tisfm.solver.smoothness import image_edges_in_lanes, mean_step
+from tisfm.solver.smoothness import image_driven_factor, mean_step
 from tisfm.solver.unknowns import Unknowns
 
 SIZES = ((120, 160), (240, 320), (480, 640), (1080, 1920))  # px, height and width
@@ -83,7 +83,7 @@ class System:
         )
         grid = LaneGrid(height, width, runtime.lanes())
         self.unknowns = Unknowns(grid, Camera(FOCAL * width), 6)
-        self.unknowns.edges = image_edges_in_lanes(grid, frame0, IMAGE_EDGES)
+        self.unknowns.edges = image_driven_factor(grid, frame0, IMAGE_EDGES)
         term = DataTerm(grid, frame0, frame1, spline_taps(frame1), CONSTANCY, mean_step(frame0))
         self.system = LinearSystem(
             grid=grid,

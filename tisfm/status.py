@@ -29,8 +29,8 @@ class Status(str):
     - ``"no_texture"``: frame 0 has no gradient that could show motion, or too few reliable pixels
       to fit a motion.
     - ``"diverged"``: the numbers are useless. Somewhere the image motion exceeds half of the longer
-      side of the image, or more than half of the pixels leave the image (the whole side and 80 %,
-      if matched points, a 4×4 pose or the images confirm a large motion).
+      side of the image, or more than half of the pixels leave the image. If matched points, a 4×4
+      pose or the images confirm a large motion, the limits are the whole side and 80 %.
     - ``"unrelated"``: the frames have nothing in common, or some parts are alike and at rest while
       the others differ.
     - ``"aperture"``: the frames vary along one direction only, so motion along their stripes cannot
@@ -87,7 +87,10 @@ class Status(str):
 
 @dataclass(frozen=True, kw_only=True)
 class History:
-    """Record of all half-quadratic iterations, in order; all arrays have the same length."""
+    """Record of all half-quadratic iterations, in order; all arrays have the same length.
+
+    Equations are numbered as in the paper of Sekkati and Mitiche. ρ̂ are the unknowns of a pixel.
+    """
 
     level: np.ndarray  # (N,) int32: level of the pyramid, 0 the finest
     warp: np.ndarray  # (N,) int32: linearisation within the level
@@ -95,4 +98,4 @@ class History:
     energy: np.ndarray
     # (N,) float64: half-quadratic energy (eq. 8, 21) with the weights that the iteration used.
     half_quadratic: np.ndarray
-    change: np.ndarray  # (N,) float64: ‖change of ρ̂‖ / ‖ρ̂‖
+    change: np.ndarray  # (N,) float64: ‖change of ρ̂‖ / ‖ρ̂‖, over all pixels

@@ -192,15 +192,15 @@ def test_constancy_constraints_refuse_bad_weights(make_problem):
 @each_lanes
 @pytest.mark.parametrize("strength", [0.5, 2.0])
 def test_image_edges(size, lanes, strength, make_problem):
-    from tisfm.solver.smoothness import image_edges_in_lanes
+    from tisfm.solver.smoothness import image_driven_factor
 
     problem = make_problem(*size, 2, lanes)
     grid = problem.grid
     frame = np.random.default_rng(9).uniform(0, 255, size=size).astype(np.float32)
-    edges = image_edges_in_lanes(grid, frame, strength)
+    edges = image_driven_factor(grid, frame, strength)
     close(problem.from_lanes(edges), reference.image_edges(frame, strength))
     np.testing.assert_array_equal(edges > 0, grid.edge_mask() > 0)  # in the padding as well
-    uniform = image_edges_in_lanes(grid, np.full(size, 7, np.float32), strength)
+    uniform = image_driven_factor(grid, np.full(size, 7, np.float32), strength)
     np.testing.assert_array_equal(uniform, grid.edge_mask())
 
 

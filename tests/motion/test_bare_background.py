@@ -160,7 +160,7 @@ def test_a_limit_of_iterations_is_reported(scene):
     limited = replace(solution, converged=False)
     found = carry_background_depth(pyramid, settings, limited, labels, motion)
     assert found is not None
-    assert not found.converged and found.is_adjustable
+    assert not found.converged and found.is_limit_adjustable
     assert found.history[-1] == solution.history[-1]
     found = carry_background_depth(pyramid, settings, solution, labels, motion)
     assert found.converged and found.history[0] == solution.history[0]

@@ -9,7 +9,7 @@ import tisfm
 from tests.draws import nightly_except
 from tests.rendered import two_blocks
 from tisfm.formats import read_image
-from tisfm.motion.estimate import with_depth
+from tisfm.motion.estimate import make_estimate
 from tisfm.motion.frame_agreement import diverged_status
 from tisfm.motion.objects import depth as object_depth
 from tisfm.motion.objects.depth import restore_diverged_depth
@@ -57,7 +57,7 @@ def estimated(scene):
     expected = np.moveaxis(scene.flow, -1, 0).astype(np.float32)
 
     def finish(solution):
-        return with_depth(solution, labels, scene.camera, SETTINGS)
+        return make_estimate(solution, labels, scene.camera, SETTINGS)
 
     _, estimate = restore_diverged_depth(pyramid, SETTINGS, motions, labels, expected, finish)
     return estimate, labels, motions
@@ -184,7 +184,7 @@ def test_a_label_without_a_part_inside_the_image(scene, monkeypatch, known):
         np.stack([motion, motion]),
         labels,
         expected,
-        lambda solution: with_depth(solution, labels, scene.camera, SETTINGS),
+        lambda solution: make_estimate(solution, labels, scene.camera, SETTINGS),
     )
     check(estimate)
     assert estimate.inverse_depth[labels == 0].any()

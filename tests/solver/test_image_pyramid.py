@@ -60,7 +60,7 @@ def test_the_coarser_levels_are_a_pyramid_of_their_own(masked):
     assert coarse.cameras[0] == pyramid.cameras[2]
     assert coarse.contrast != pyramid.contrast
     assert coarse.frames1[0] is pyramid.frames1[2]
-    np.testing.assert_array_equal(coarse.taps1(0), pyramid.taps1(2))
+    np.testing.assert_array_equal(coarse.spline1(0), pyramid.spline1(2))
     if masked:
         for own, of_all in zip(coarse.valid_on(0), pyramid.valid_on(2), strict=True):
             np.testing.assert_array_equal(own, of_all)

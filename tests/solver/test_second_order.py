@@ -38,11 +38,11 @@ def minimiser_of(solver, anchors, frame, lanes, settings, *, lines=None, **optio
     """Return a minimiser, and its smoothness as the reference has it."""
     from tests.conftest import Problem
     from tisfm.kernels.layout.lanes import LaneGrid
-    from tisfm.solver.smoothness import image_edges_in_lanes
+    from tisfm.solver.smoothness import image_driven_factor
 
     height, width = frame.shape
     grid = LaneGrid(height, width, lanes)
-    edges = image_edges_in_lanes(grid, frame, settings.image_edges)
+    edges = image_driven_factor(grid, frame, settings.image_edges)
     layout = Problem(grid, *[None] * 7)
     if lines is not None:
         entries = np.zeros((len(lines), 3, height, width), np.float32)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tisfm.motion.estimate import Estimate, with_depth, without_depth
+from tisfm.motion.estimate import Estimate, make_depthless_estimate, make_estimate
 from tisfm.motion.first_motion import FirstMotion, first_motion
 from tisfm.motion.plane_sweep import PlaneSweep
 from tisfm.motion.rigid_depth import Refinement, RigidSolution, rigid_depth, scaled_translations
@@ -32,7 +32,7 @@ def camera_estimate(
     camera, level = pyramid.cameras[0], pyramid.last
     labels = np.zeros(pyramid.shape, np.int32)
     if pose is not None and pose.translation is not None and not pose.translation.any():
-        return without_depth(
+        return make_depthless_estimate(
             pyramid,
             settings,
             level=level,
@@ -90,7 +90,7 @@ def camera_estimate(
                 first_doubt = None if start.doubt == "uncertain" else start.doubt
                 start = replace(start, doubt=first_doubt or doubt)
         solution = textureless_depth(pyramid, settings, precise_motions[0])
-    misfit = 0.0  # the deviation of carried depth includes the misfit
+    flow_residual = 0.0  # the deviation of carried depth includes this residual
     if solution is None:
         # A sweep may be finer than the last level. Its depth is near the solution: few warps do.
         finest = sweep.finest if sweep.is_needed else level
@@ -100,8 +100,10 @@ def camera_estimate(
             if finest < level
             else joint_solution or estimate_jointly(level)
         )
-        misfit = start.residual
-    estimate = with_depth(solution, labels, camera, settings, unit=unit, misfit=misfit)
+        flow_residual = start.residual
+    estimate = make_estimate(
+        solution, labels, camera, settings, unit=unit, flow_residual=flow_residual
+    )
     estimate = replace(
         estimate,
         level=level,
@@ -131,7 +133,7 @@ def first_motion_estimate(
     pyramid: ImagePyramid, settings: Settings, start: FirstMotion, status: Status, *, level: int
 ) -> Estimate:
     """Return the estimate of a first motion without visible depth, with the reason as status."""
-    estimate = without_depth(
+    estimate = make_depthless_estimate(
         pyramid,
         settings,
         level=level,

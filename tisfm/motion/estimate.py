@@ -1,4 +1,8 @@
-"""The estimate of a pair: fields and status of any motion model, and those of rigid motions."""
+"""The estimate of a pair: its fields, its status, and how rigid motions give them.
+
+ρ̂ is the motion of a pixel as six unknowns, (τ, ω)·f, in px/frame: τ is the translation over depth,
+ω the rotation, and f the focal length. D is the inverse depth in px/frame.
+"""
 
 from dataclasses import dataclass
 
@@ -26,23 +30,24 @@ class Estimate:
     rho: np.ndarray  # (6, H, W) float32: ρ̂, px/frame
     flow: np.ndarray  # (2, H, W) float32: (u, v), px/frame
     inverse_depth: np.ndarray  # (H, W) float32
-    # (7, h, w) float32: as in `tisfm.kernels.solve.data_precision`, on the last level
+    # (7, h, w) float32: precision and residual of the data, and covariance of the flow given its
+    # neighbours, as in `tisfm.kernels.solve.data_precision`, on the last level
     precision: np.ndarray
-    level: int  # level of the pyramid whose frames decide which of two surfaces is hidden
-    normalized: bool  # whether the residual is in squared px
+    level: int  # level of the pyramid whose frames decide which pixels are occluded
+    normalized: bool  # whether the residual in `precision` is in squared px, not grey levels
     freedom: int  # {1, 2}: degrees of freedom of a pixel's flow
     history: Records  # list of (level, warp, Iteration)
     status: Status  # ``"converged"`` or ``"iteration_limit"``, or why no estimate was possible
-    motions: np.ndarray | None = None  # (K, 6) float64 or None
-    labels: np.ndarray | None = None  # (H, W) int32 or None
+    motions: np.ndarray | None = None  # (K, 6) float64 or None: twists (T, ω) of K rigid motions
+    labels: np.ndarray | None = None  # (H, W) int32 or None: index of each pixel's motion
     inverse_depth_std: np.ndarray | None = None  # (H, W) float32 or None
-    deviation_factor: float = 1.0  # factor of the deviations for errors that pixels share
+    deviation_factor: float = 1.0  # factor of `inverse_depth_std` for errors that pixels share
     # whether the first motion came from matched points, as for frames far apart
     uses_matches: bool = False
     # (h, w, 2) float32 or None: flow field that gave the first rigid motion, px of its level; None
-    # without depth
+    # for an estimate without depth
     start_flow: np.ndarray | None = None
-    start_level: int = 0  # level of the flow field
+    start_level: int = 0  # level of `start_flow`
 
 
 def no_motion_status(solution: Solution, *, is_textured: bool = True) -> Status | None:
@@ -68,17 +73,20 @@ def _has_nonzero(array: LaneData, components: int) -> bool:
 
 
 def iteration_status(
-    history: Records, converged: bool, settings: Settings, *, is_adjustable: bool = True
+    history: Records, converged: bool, settings: Settings, *, is_limit_adjustable: bool = True
 ) -> Status:
-    """Return the status of the last iterations, whose number the settings set if adjustable."""
+    """Return the status of the last iterations.
+
+    `is_limit_adjustable` says whether the settings can raise the number of iterations.
+    """
     last = history[-1][2]
-    if not converged and not is_adjustable:
+    if not converged and not is_limit_adjustable:
         return Status(
             "iteration_limit",
             f"depth still changed by {last.change:.1e} of its norm in the last iteration "
             f"(tolerance {settings.tolerance:g}): accept a higher tolerance",
         )
-    if settings.pyramid_levels == 1:  # the remaining error stops iterations
+    if settings.pyramid_levels == 1:  # then the estimated distance from the minimum ends them
         return _remaining_error_status(converged, settings)
     if not converged:
         option = "cycles" if settings.cycles else "sweeps"
@@ -95,7 +103,7 @@ def iteration_status(
 
 
 def _remaining_error_status(converged: bool, settings: Settings) -> Status:
-    """Return the status of iterations that an estimate of the remaining error stops."""
+    """Return the status of iterations that end near the minimum, by the estimated distance."""
     if converged:
         return Status(
             "converged",
@@ -124,7 +132,7 @@ def history_of(records: Records) -> History:
     )
 
 
-def with_depth(
+def make_estimate(
     solution: RigidSolution,
     labels: np.ndarray,  # (H, W) int32: index of each pixel's motion
     camera: Camera,
@@ -132,15 +140,15 @@ def with_depth(
     *,
     unit: float | None = None,  # ‖t‖ of a given motion; depth is then in its unit
     hidden_label: int | None = None,  # the label whose parallax is too small to return its depth
-    # Robust deviation of a flow field from the points that the motion allows, px. It shows errors
-    # that pixels share, so all deviations are multiplied by one factor that adds these errors to
-    # the median deviation.
-    misfit: float = 0.0,
+    # px: robust standard deviation of the flow field from the nearest flow that the motion allows
+    # at any depth. Above noise it shows errors that pixels share. One factor enlarges the
+    # deviations of all pixels, so that the median deviation includes these errors.
+    flow_residual: float = 0.0,
 ) -> Estimate:
-    """Return the estimate of a solution, with ‖T‖ = 1 and depth in that unit."""
+    """Return the estimate of rigid motions with depth; ‖T‖ = 1 is the unit of depth."""
     twists = np.empty((len(solution.motions), 6))
     twist_units = np.empty(len(twists), np.float32)  # d / D, for ‖T‖ = 1
-    output_units = np.empty(len(twists), np.float32)
+    output_units = np.empty(len(twists), np.float32)  # d / D, in the unit of the returned depth
     for label, motion in enumerate(solution.motions):
         length = float(np.linalg.norm(motion[:, 3]))
         if length == 0:
@@ -156,7 +164,7 @@ def with_depth(
         twist_units[hidden_label] = output_units[hidden_label] = 0
     factor = output_units[labels] if len(output_units) > 1 else output_units[0]
     deviation = solution.deviation()
-    deviation_factor = _deviation_factor(deviation, misfit)
+    deviation_factor = _deviation_factor(deviation, flow_residual)
     deviation *= factor * np.float32(deviation_factor)
     np.copyto(deviation, np.inf, where=factor == 0)
     flow, rho = _fields(
@@ -174,22 +182,25 @@ def with_depth(
         freedom=1,
         history=solution.history,
         status=iteration_status(
-            solution.history, solution.converged, settings, is_adjustable=solution.is_adjustable
+            solution.history,
+            solution.converged,
+            settings,
+            is_limit_adjustable=solution.is_limit_adjustable,
         ),
         motions=twists,
         labels=labels,
     )
 
 
-def _deviation_factor(deviation: np.ndarray, misfit: float) -> float:
-    """Return the factor of deviations of D, (H, W) px, for a misfit."""
-    if misfit <= DEPTH.max_noise_misfit:
+def _deviation_factor(deviation: np.ndarray, flow_residual: float) -> float:
+    """Return the factor of deviations of D, (H, W) px, for the errors of a flow residual, px."""
+    if flow_residual <= DEPTH.max_noise_residual:
         return 1.0
-    excess = (misfit**2 - DEPTH.max_noise_misfit**2) ** 0.5
-    return float(np.hypot(1, DEPTH.misfit_factor * excess / median(deviation.ravel())))
+    excess = (flow_residual**2 - DEPTH.max_noise_residual**2) ** 0.5
+    return float(np.hypot(1, DEPTH.excess_residual_factor * excess / median(deviation.ravel())))
 
 
-def without_depth(
+def make_depthless_estimate(
     pyramid: ImagePyramid,
     settings: Settings,
     *,
@@ -199,7 +210,7 @@ def without_depth(
     status: Status,
     history: Records,
 ) -> Estimate:
-    """Return an estimate without depth, with the flow of a rotation; translation is only stored."""
+    """Return an estimate without depth, with the flow of a rotation; translation is only kept."""
     height, width = pyramid.shape
     camera = pyramid.cameras[0]
     problem = flow_problem(settings, camera.focal, stiffness=(1.0, 1.0))  # for (u, v)

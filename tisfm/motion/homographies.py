@@ -36,9 +36,9 @@ def plane_poses(
     homography: np.ndarray,  # (3, 3): for normalised coordinates
     rays: Rays,
     *,
-    min_share: float = 0.5,  # least share of the rays that meet the plane before the camera
+    min_share: float = 0.5,  # least share of the rays that meet the plane in front
 ) -> list[Pose]:
-    """Return the motions that may have caused a homography: their plane lies before the camera."""
+    """Return the motions of a homography whose plane lies in front of the camera."""
     _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, np.eye(3))
     poses: list[Pose] = []
     for rotation, translation, normal in zip(rotations, translations, normals, strict=True):

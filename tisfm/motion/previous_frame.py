@@ -141,7 +141,7 @@ class PreviousFrame:
         """Return the residual of a flow of the last level in the next frame."""
         pyramid, level = self._pyramid, self._pyramid.last
         frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
-        return residual_of(frame0, frame1, flow, self._settings, taps1=pyramid.taps1(level))
+        return residual_of(frame0, frame1, flow, self._settings, spline1=pyramid.spline1(level))
 
     def _hidden(self, flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """Return the pixels of the last level that a flow hides in the next frame."""

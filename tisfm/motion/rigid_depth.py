@@ -32,7 +32,7 @@ class RigidSolution:
     density: float  # sampling density of the last level over that of the finest level
     history: Records  # list of (level, warp, Iteration)
     converged: bool
-    is_adjustable: bool = True  # whether the settings determine the number of iterations
+    is_limit_adjustable: bool = True  # whether the settings determine the number of iterations
 
     def deviation(self) -> np.ndarray:
         """Return the standard deviation of D, (H, W) float32.

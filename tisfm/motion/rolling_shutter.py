@@ -14,7 +14,7 @@ from tisfm.rigid import KnownPose, rigid_motion, rigid_twist
 from tisfm.settings import Settings
 from tisfm.shutter import UnrolledPixels, interpolation_nodes
 
-# Statuses of motions that frames are corrected by.
+# Statuses of an estimate whose motion is good enough to correct the frames.
 MOTION_STATUSES = ("converged", "iteration_limit", "uncertain", "pure_rotation", "little_parallax")
 
 
@@ -71,7 +71,7 @@ def global_shutter_pair(
 def _unrolling_maps(
     estimate: Estimate, camera: Camera, pose: KnownPose | None
 ) -> tuple[UnrolledPixels, UnrolledPixels] | None:
-    """Return the maps to both given frames; None if no motion is known."""
+    """Return the maps from global-shutter frames to both given frames; None without a motion."""
     shape = estimate.inverse_depth.shape
     if estimate.status not in MOTION_STATUSES or estimate.motions is None:
         return None
@@ -92,13 +92,16 @@ def _unrolling_maps(
 
 
 def _smooth_depth(inverse_depth: np.ndarray) -> np.ndarray:
-    """Return inverse depth smoothed to the spacing of nodes, (H, W): edges would tear frames."""
+    """Return inverse depth, (H, W), smoothed by a Gaussian: steps of depth would tear the frames.
+
+    Its standard deviation is the spacing of the grid on which the correction is computed.
+    """
     x = interpolation_nodes(inverse_depth.shape)[0, :, 0]
     return cv2.GaussianBlur(inverse_depth, (0, 0), float(x[1] - x[0]))
 
 
 def _depth_of_frame1(inverse_depth: np.ndarray, rate: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return the inverse depth of frame 1 at its nodes, (h, w), from that of frame 0, (H, W)."""
+    """Return the inverse depth of frame 1 on the grid, (h, w), from that of frame 0, (H, W)."""
     rotation, translation = rigid_motion(rate)
     center = np.array(camera.center_for(*inverse_depth.shape))
     nodes = interpolation_nodes(inverse_depth.shape)

@@ -98,10 +98,10 @@ class DepthSettings:
     max_quiet_residual: float = 0.15  # px: smoothness grows with the median residual above it
     outlier_residual: float = 1.5  # median residuals: a pixel with more hardly counts
     # estimate
-    # px: misfit of flow fields of rendered scenes, from noise alone. More is an error of lens,
-    # shutter or pose.
-    max_noise_misfit: float = 0.016
-    misfit_factor: float = 1.5  # error of D for each px of the excess
+    # px: residual of flow fields of rendered scenes under a rigid motion, from noise alone. More is
+    # an error of lens, shutter or pose.
+    max_noise_residual: float = 0.016
+    excess_residual_factor: float = 1.5  # error of D, px, for each px of more residual
     # textureless_depth
     min_matched_share: float = 0.02  # of the pixels: share of matches that is carried
     texture_window: int = 11  # px: its variance is compared with the noise

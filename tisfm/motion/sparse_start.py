@@ -1,4 +1,7 @@
-"""The start for frames far apart: a motion from matches, and depth from a plane sweep."""
+"""First motion and flow of frames far apart: a motion from matches, depth from a plane sweep.
+
+D is inverse depth in px/frame.
+"""
 
 from dataclasses import dataclass
 
@@ -40,7 +43,7 @@ class SparseStart:
 
 def sparse_start(
     pyramid: ImagePyramid,
-    level: int,  # level on which the images compare motions; the returned flow is on this level
+    level: int,  # level whose frames decide between motions; the returned flow is on this level
     # (rotation, translation) or None: motion of a flow field. It is kept if the matches fit it
     # nearly as well as their best motion. It decides between motions that fit the images equally
     # well.
@@ -81,9 +84,9 @@ def known_pose_start(
     level: int,
     pose: Pose,  # (rotation, translation): ‖t‖ = 1
 ) -> tuple[SparseStart | None, Status | None]:
-    """Return the start for a known motion, and why the motion is wrong.
+    """Return the start for a known motion, and a status if the motion seems wrong.
 
-    The first is None if too few matches agree with the motion. The second is None if no other
+    The start is None if too few matches agree with the motion. The status is None unless another
     motion fits the matches far better.
     """
     finest, matches = _matches(pyramid)
@@ -116,7 +119,7 @@ def _matches(pyramid: ImagePyramid) -> tuple[int, Matches]:
 
 
 class _SweptMotion:
-    """A level of the pyramid under one motion: depth by a plane sweep, and frame correlation."""
+    """The flow of one motion on a level, with depth from a plane sweep, and how well it matches."""
 
     def __init__(self, pyramid: ImagePyramid, level: int, motion: SparseMotion) -> None:
         self.motion = motion
@@ -128,7 +131,7 @@ class _SweptMotion:
         inverse_depth = nearest_points(
             motion.rays, motion.rotation, motion.translation
         ).inverse_depth
-        # D of the matches
+        # inverse depth D of the matches, px/frame
         match_depths = inverse_depth * (camera.focal / np.linalg.norm(scaled[:, 3]))
         max_depth = min(
             SPARSE.depth_margin * float(np.percentile(match_depths, SPARSE.depth_percentile)),

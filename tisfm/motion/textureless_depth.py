@@ -29,7 +29,7 @@ from tisfm.solver.second_order import (
     anchors_in_lanes,
     extend_depth,
 )
-from tisfm.solver.smoothness import image_edges_in_lanes
+from tisfm.solver.smoothness import image_driven_factor
 
 SECOND_ORDER = SecondOrderSettings(
     alpha=48.0, beta=196608.0, slope_contrast=0.1, crease_contrast=0.003, image_edges=5.0
@@ -106,7 +106,7 @@ def textureless_depth(
         density=pyramid.scales[level],
         history=history,
         converged=converged,
-        is_adjustable=False,
+        is_limit_adjustable=False,
         carried_deviation=_deviation(planes, unknowns.images()[0], pyramid),
     )
 
@@ -134,7 +134,7 @@ class _Level:
         self._minimiser = minimiser = SecondOrderMinimiser(
             grid,
             anchors_in_lanes(grid, np.stack([reliable, reliable * matched_depth])),
-            image_edges_in_lanes(grid, frame, SECOND_ORDER.image_edges, pyramid.valid0(level)),
+            image_driven_factor(grid, frame, SECOND_ORDER.image_edges, pyramid.valid0(level)),
             SECOND_ORDER,
             constraints=restricted,
             scales=[DEPTH.constraint_weight * scale for scale in data_term.scales],

@@ -1,4 +1,7 @@
-"""Coarse-to-fine estimation: a large motion is small on a coarse level of the pyramid."""
+"""Coarse-to-fine estimation: a large motion is small on a coarse level of the pyramid.
+
+ρ̂ are the unknowns of a pixel, such as the components of its motion, in px/frame.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,7 +15,7 @@ from tisfm.solver.data_term import Constancy, DataTerm
 from tisfm.solver.half_quadratic import Effort, HalfQuadratic, Iteration
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.sampling import enlarge
-from tisfm.solver.smoothness import Smoothness, image_edges_in_lanes
+from tisfm.solver.smoothness import Smoothness, image_driven_factor
 from tisfm.solver.three_frames import ThreeFrameData
 from tisfm.solver.unknowns import Unknowns
 
@@ -26,7 +29,7 @@ class Problem:
     constancy: Constancy
     smoothness: Smoothness  # its stiffness has a value for each unknown: 6, 3, 2 or 1
     effort: Effort
-    # takes the number of finer levels below a level, returns the linearisations on that level
+    # returns the number of linearisations on a level, from the number of finer levels that follow
     warps: Callable[[int], int]
 
     @property
@@ -51,7 +54,7 @@ class AdditionalData(Protocol):
     """Additional data for the last level, used after half of its linearisations."""
 
     def joint_data_term(self, unknowns: Unknowns, data_term: DataTerm) -> ThreeFrameData | None:
-        """Return a data term that writes the same constraints, or None to keep that of the pair.
+        """Return a data term that overwrites the constraints of `data_term`, or None to keep it.
 
         The unknowns may be changed.
         """
@@ -62,7 +65,7 @@ class Solution:
     """The result of coarse-to-fine estimation, on its last level."""
 
     unknowns: Unknowns  # ρ̂, px/frame
-    system: LinearSystem  # the system with the weights b of the last iteration
+    system: LinearSystem  # the system with the weights of edges of the last iteration
     level: int
     # list of (level, warp, Iteration): all half-quadratic iterations; level 0 is the finest
     history: Records
@@ -101,7 +104,7 @@ def coarse_to_fine(
             additional_data if level == last else None,
         )
         if release and level > last:
-            pyramid.release_taps1(level)
+            pyramid.release_spline1(level)
     assert solution is not None
     return solution
 
@@ -118,7 +121,7 @@ def unknowns_on(
     if problem.smoothness.image_edges > 0:
         strength = problem.smoothness.image_edges
         valid = pyramid.valid0(level)
-        unknowns.edges = image_edges_in_lanes(grid, frame0, strength, valid)
+        unknowns.edges = image_driven_factor(grid, frame0, strength, valid)
     return unknowns
 
 
@@ -130,7 +133,7 @@ def data_term_on(
         unknowns.grid,
         pyramid.frames0[level],
         pyramid.frames1[level],
-        pyramid.taps1(level),
+        pyramid.spline1(level),
         problem.constancy,
         pyramid.contrast,
         pyramid.valid_on(level),

@@ -51,7 +51,7 @@ class DataTerm:
         # frame0, frame1: (H, W) float32, grey levels
         frame0: np.ndarray,
         frame1: np.ndarray,
-        taps1: np.ndarray,  # ((H + 3)·W, 4) float32: `tisfm.solver.sampling.spline_taps` of frame 1
+        spline1: np.ndarray,  # ((H + 3)·W, 4) float32: `tisfm.solver.sampling.spline_taps` of frame 1
         constancy: Constancy,
         unit: float,  # mean |ΔI| between neighbours of frame 0, grey levels; the unit of ζ
         # tuple of two (H, W) bool: pixels of each frame that are used, by default all. Ignored
@@ -62,7 +62,7 @@ class DataTerm:
         self.grid, self.constancy, self._unit = grid, constancy, unit
         self.scales = constancy.scales  # `constancy.scales`
         self._frame1 = grid.place(frame1)
-        self._taps1 = grid.place(taps1, vectors=True)
+        self._spline1 = grid.place(spline1, vectors=True)
         # lane array, 1 component, halo `IMAGE_HALO`: frame 0
         self.lanes0 = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
         self._lanes1 = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
@@ -93,7 +93,7 @@ class DataTerm:
         grid = self.grid
         weighting = [] if self._weights is None else [self._weights.bind(flow, self.mask)]
         return join_launches(
-            warp.bind(grid, self._frame1, self._taps1, flow, self._lanes1, self.mask),
+            warp.bind(grid, self._frame1, self._spline1, flow, self._lanes1, self.mask),
             *weighting,
             self.bind_constraints(
                 self.lanes0, self._lanes1, self._derivatives, flow, self.mask, self.constraints,
@@ -140,13 +140,13 @@ class _PairWeights:
         self._weight0, self._weight1, self._inside = (grid.allocate(1) for _ in range(3))
         image_to_lanes(grid, valid0.astype(np.float32), self._weight0)
         image, taps = weight_taps(valid1.astype(np.float32))
-        self._image1, self._taps1 = grid.place(image), grid.place(taps, vectors=True)
+        self._image1, self._spline1 = grid.place(image), grid.place(taps, vectors=True)
 
     def bind(self, flow: LaneData, mask: LaneData) -> Callable[[], None]:
         """Return a function that multiplies a mask by the weights for a flow."""
         grid = self._grid
         return join_launches(
-            warp.bind(grid, self._image1, self._taps1, flow, self._weight1, self._inside),
+            warp.bind(grid, self._image1, self._spline1, flow, self._weight1, self._inside),
             multiply.bind(grid, self._weight0, mask),
             multiply.bind(grid, self._weight1, mask),
         )

@@ -32,7 +32,7 @@ class ImagePyramid:
         factor: float,  # ratio of neighbouring levels' sampling densities, in [0.5, 1)
         levels: int | None = None,  # most levels; by default `COARSEST_FRAME_SIDE` limits them
         presmoothing: float = 0.0,  # standard deviation of a Gaussian applied first, px
-        # the last level for coarse-to-fine estimation, or the coarsest level if that is finer
+        # last level of coarse-to-fine estimation; the coarsest level if there are fewer levels
         last: int = 0,
         # pixels of each frame that are used, (H, W) bool, by default all; ignored pixels must
         # already be filled from their surroundings
@@ -59,10 +59,10 @@ class ImagePyramid:
             self.frames0, self.frames1 = frames(grey0), wait_for_frames1()
         else:
             self.frames0, self.frames1 = frames(grey0), frames(grey1)
-        self._taps1 = [self._spline(level) for level in range(count)]
+        self._spline1 = [self._spline(level) for level in range(count)]
         if is_parallel:
             for level in reversed(range(self.last, count)):  # the coarsest is needed first
-                self._taps1[level] = start_beside(spline_taps, self.frames1[level])
+                self._spline1[level] = start_beside(spline_taps, self.frames1[level])
         self.masks: PixelMasks | None = None  # the used pixels; None if all are used
         if valid is not None:
             self.masks = PixelMasks(
@@ -79,19 +79,19 @@ class ImagePyramid:
         """Return the used pixels of frame 0 on a level, (h, w) bool; None for all."""
         return None if self.masks is None else self.masks.levels[level][0]
 
-    def taps1(self, level: int) -> np.ndarray:
-        """Return `tisfm.solver.sampling.spline_taps` of frame 1 at a level."""
-        return self._taps1[level]()
+    def spline1(self, level: int) -> np.ndarray:
+        """Return the spline coefficients of frame 1 at a level, as `spline_taps` orders them."""
+        return self._spline1[level]()
 
-    def release_taps1(self, level: int) -> None:
-        """Free the taps of a level; the next `taps1` computes them again."""
-        self._taps1[level] = self._spline(level)
+    def release_spline1(self, level: int) -> None:
+        """Free the spline coefficients of a level; the next `spline1` computes them again."""
+        self._spline1[level] = self._spline(level)
 
     def reversed(self) -> "ImagePyramid":
         """Return the pyramid with both frames exchanged."""
         other = copy(self)
         other.frames0, other.frames1 = self.frames1, self.frames0
-        other._taps1 = [other._spline(level) for level in range(self.levels)]
+        other._spline1 = [other._spline(level) for level in range(self.levels)]
         other.masks = None if self.masks is None else self.masks.reversed()
         other.contrast = mean_step(other.frames0[0], other.valid0(0))
         return other
@@ -105,7 +105,7 @@ class ImagePyramid:
             return self
         other = copy(self)
         other.frames0, other.frames1 = self.frames0[level:], self.frames1[level:]
-        other.cameras, other._taps1 = self.cameras[level:], self._taps1[level:]
+        other.cameras, other._spline1 = self.cameras[level:], self._spline1[level:]
         other.scales = [scale / self.scales[level] for scale in self.scales[level:]]
         other.levels, other.last = self.levels - level, max(0, self.last - level)
         other.shape = other.frames0[0].shape

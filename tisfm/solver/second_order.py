@@ -22,7 +22,7 @@ from tisfm.runtime import lane_grid
 from tisfm.solver.half_quadratic import Iteration
 from tisfm.solver.sampling import shrink
 from tisfm.solver.second_order_multigrid import Interpolation, SecondOrderMultigrid
-from tisfm.solver.smoothness import image_edges_in_lanes
+from tisfm.solver.smoothness import image_driven_factor
 
 MAX_COARSEST_SIDE = 40  # px: most for the longer side of the coarsest level
 QUADRATIC_CYCLES = 12  # iterations with quadratic costs on the coarsest level, before robust costs
@@ -206,7 +206,7 @@ def extend_depth(
         level_arrays = (
             grid,
             anchors_in_lanes(grid, anchors),
-            image_edges_in_lanes(grid, image, settings.image_edges),
+            image_driven_factor(grid, image, settings.image_edges),
         )
         minimiser = SecondOrderMinimiser(*level_arrays, settings, spacing=2.0**level)
         if coarse is None:

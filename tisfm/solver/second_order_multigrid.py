@@ -5,6 +5,9 @@ data. A sweep is less effective there than on fine grids: D and its slopes must 
 many pixels, but a sweep solves for the three unknowns of one pixel at a time. So from the second
 coarse grid on, each grid has twice as many sweeps as the next finer grid. All sweeps together cost
 as much as three sweeps of the finest grid.
+
+A lane array holds an image as vertical strips of even width (`tisfm.kernels.layout.lanes`). In a
+halved array, each strip holds half of a strip of the finer grid (`tisfm.kernels.solve.coarsening`).
 """
 
 from collections.abc import Callable
@@ -95,7 +98,7 @@ class Interpolation:
         rho: LaneData,
         spacing: float,  # h of the fine grid
     ) -> None:
-        # Strips of the coarse grid have an even length; half of a fine strip may be odd.
+        # Strips of the coarse grid have an even width; half of a fine strip may be odd.
         halved_array = coarse if has_halved_layout(grid) else allocate_halved(grid, COMPONENTS)
         _, outer = offset_columns(grid)
         tables = (*interpolation_columns(grid), outer)
@@ -194,7 +197,7 @@ class _Transfer:
 
 
 def has_halved_layout(grid: LaneGrid) -> bool:
-    """Return whether halved arrays of a grid have the layout of the coarser grid."""
+    """Return whether halved arrays of a grid are lane arrays of the coarser grid."""
     return grid.strip_width // 2 == coarse_grid(grid).strip_width
 
 

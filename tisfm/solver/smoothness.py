@@ -1,6 +1,8 @@
 """The smoothness term of the unknowns: its strength, and its image-driven factor.
 
-The image-driven factor weakens smoothness across edges of the image, where motion may have edges.
+The image-driven factor g weakens smoothness across contours of the image, where motion may change
+abruptly. An edge joins two neighbouring pixels. Equations are numbered as in the paper
+(docs/method.md). A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
 """
 
 from dataclasses import dataclass
@@ -16,12 +18,12 @@ MIN_GREY_STEP = 1e-5  # grey levels, about the resolution of float32: uniform fr
 
 @dataclass(frozen=True, kw_only=True)
 class Smoothness:
-    """α Σ g Φ_δ over all edges (eq. 6, 14)."""
+    """Smoothness of the unknowns: α Σ g Φ_δ over all edges, with Φ_δ a penalty (eq. 6, 14)."""
 
-    alpha: float  # α = λ̂β
+    alpha: float  # α, the strength of the smoothness: λ̂β of the paper
     contrast: float  # δ, px/frame; infinite for quadratic smoothness
     stiffness: tuple[float, ...]  # s_k of each unknown
-    joint: bool  # whether all unknowns share their edges
+    joint: bool  # whether all unknowns of a pixel share the weight of an edge
     image_edges: float  # κ of the image-driven factor; 0 for g = 1
 
 
@@ -43,7 +45,7 @@ def mean_step(frame: np.ndarray, valid: np.ndarray | None = None) -> float:
     return total / max(count, 1)
 
 
-def image_edges_in_lanes(
+def image_driven_factor(
     grid: LaneGrid,
     frame: np.ndarray,  # (H, W) float32: grey levels
     strength: float,  # κ; 0 for g = 1

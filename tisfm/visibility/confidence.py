@@ -9,7 +9,7 @@ CONFIDENCE_WINDOW = 15  # px: about the distance over which regularisation sprea
 ROUNDING = 1e-6  # share of the largest J11 + J22 below which an image counts as uniform
 HALF_SHARE_FACTOR = 4.0  # multiple of the median squared residual that halves the confidence
 # px, and grey levels if constraints are not normalised: the least value for the median residual.
-# Residuals of this size are harmless, even if those of a background at rest are all smaller.
+# In front of a background at rest the median is smaller, but residuals of this size are harmless.
 MIN_RESIDUAL, MIN_RESIDUAL_GREY = 0.05, 0.5
 
 
@@ -32,8 +32,9 @@ def confidence(
     free along one line only, the share is tr[J M (I + J M)⁻¹].
 
     The share is divided by 1 + r/(4·r̃), with r the mean squared residual in the window and r̃ its
-    median over the pixels with a gradient, but at least QUIET². Where the data constraints are
-    violated, mostly at occlusions, texture alone does not make the motion reliable.
+    median over the pixels with a gradient, but at least the square of `MIN_RESIDUAL`. Where the
+    data constraints are violated, mostly at occlusions, texture alone does not make the motion
+    reliable.
 
     Returns (H, W) float32 in [0, 1]; 0 for occluded pixels, and where the motion diverged to NaN.
     """

@@ -36,7 +36,7 @@ def occlusion(
     *,
     factor: int = 1,  # number of flow pixels per frame pixel, along a side
     # ((h + 3)·w, 4) float32: `tisfm.solver.sampling.spline_taps` of frame 1, if already computed
-    taps1: np.ndarray | None = None,
+    spline1: np.ndarray | None = None,
     # (H, W) bool: `leaves_image` of the flow, if already computed
     leaves: np.ndarray | None = None,
     # (H, W) float32: `residual_of` the flow or of nearly the same flow, if already computed
@@ -64,7 +64,7 @@ def occlusion(
         leaves = leaves_image(flow)
     flow = _finite(flow)
     if residual is None:
-        residual = residual_of(frame0, frame1, flow, settings, factor=factor, taps1=taps1)
+        residual = residual_of(frame0, frame1, flow, settings, factor=factor, spline1=spline1)
     sums = aligned_empty((*residual.shape, 4))
     hidden = np.empty(residual.shape, np.int32)
     splat(flow, residual, sums, any_order=any_order)
@@ -98,7 +98,7 @@ def occlusion_in(
         flow,
         settings,
         factor=2**level,
-        taps1=pyramid.taps1(level),
+        spline1=pyramid.spline1(level),
         leaves=leaves,
         residual=residual,
     )
@@ -124,7 +124,7 @@ def residual_of(
     settings: Settings,
     *,
     factor: int = 1,
-    taps1: np.ndarray | None = None,
+    spline1: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the residual of brightness and gradient for a flow, grey levels: (H, W) float32.
 
@@ -132,9 +132,9 @@ def residual_of(
     """
     flow = _finite(flow)
     if factor == 1:
-        return _residual(frame0, sample(frame1, flow, taps1), settings)
+        return _residual(frame0, sample(frame1, flow, spline1), settings)
     coarse = shrink(flow, factor, *frame0.shape) / np.float32(factor)
-    residual = _residual(frame0, sample(frame1, coarse, taps1), settings)
+    residual = _residual(frame0, sample(frame1, coarse, spline1), settings)
     return enlarge(residual[None], factor, *flow.shape[1:])[0]
 
 

@@ -177,7 +177,7 @@ def carry_background_depth(
         density=solution.density,
         history=first.history + last.history,
         converged=last.converged,
-        is_adjustable=last.is_adjustable,
+        is_limit_adjustable=last.is_limit_adjustable,
         carried_deviation=np.where(background, carried.deviation(), solution.deviation()),
     )
 

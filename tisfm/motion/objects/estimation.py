@@ -7,7 +7,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.motion.camera import first_motion_estimate
-from tisfm.motion.estimate import Estimate, with_depth
+from tisfm.motion.estimate import Estimate, make_estimate
 from tisfm.motion.first_motion import FirstMotion, first_motion, matched_motion
 from tisfm.motion.objects.boundaries import sharpen_labels
 from tisfm.motion.objects.candidates import motion_candidates, smallest_object
@@ -78,7 +78,7 @@ def objects_estimate(
     hidden_label = int(rank[0]) if is_rough and areas[0] else None
 
     def estimate_of(solution: RigidSolution) -> Estimate:
-        return with_depth(solution, labels, camera, settings, hidden_label=hidden_label)
+        return make_estimate(solution, labels, camera, settings, hidden_label=hidden_label)
 
     solution, estimate = restore_diverged_depth(
         pyramid,

@@ -14,7 +14,7 @@ from tisfm.kernels.layout.images import image_to_lanes
 from tisfm.motion.objects.settings import OBJECTS
 from tisfm.runtime import lane_grid
 from tisfm.solver.half_quadratic import Effort, HalfQuadratic
-from tisfm.solver.smoothness import MIN_GREY_STEP, Smoothness, image_edges_in_lanes, mean_step
+from tisfm.solver.smoothness import MIN_GREY_STEP, Smoothness, image_driven_factor, mean_step
 from tisfm.solver.unknowns import Unknowns
 
 POTTS_SMOOTHNESS = Smoothness(
@@ -57,7 +57,7 @@ class Potts:
     ) -> None:
         self._smoothness = replace(POTTS_SMOOTHNESS, alpha=POTTS_SMOOTHNESS.alpha * density)
         self._grid = lane_grid(*frame.shape)
-        self._edges = image_edges_in_lanes(self._grid, frame, POTTS_SMOOTHNESS.image_edges)
+        self._edges = image_driven_factor(self._grid, frame, POTTS_SMOOTHNESS.image_edges)
 
     def assign(
         self,

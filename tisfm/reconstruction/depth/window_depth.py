@@ -41,7 +41,7 @@ from tisfm.solver.second_order import (
     anchors_in_lanes,
     extend_depth,
 )
-from tisfm.solver.smoothness import image_edges_in_lanes, mean_step
+from tisfm.solver.smoothness import image_driven_factor, mean_step
 from tisfm.solver.unknowns import Unknowns
 
 Effort = Literal["fast", "balanced", "accurate"]
@@ -159,7 +159,7 @@ class _DepthRefinement:
         self._minimiser = minimiser = SecondOrderMinimiser(
             grid,
             anchors_in_lanes(grid, np.stack([weight, anchors[1]])),
-            image_edges_in_lanes(grid, frame, smoothness.image_edges),
+            image_driven_factor(grid, frame, smoothness.image_edges),
             smoothness,
             constraints=constraint,
             scales=[np.inf],
