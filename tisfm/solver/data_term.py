@@ -51,7 +51,8 @@ class DataTerm:
         # frame0, frame1: (H, W) float32, grey levels
         frame0: np.ndarray,
         frame1: np.ndarray,
-        spline1: np.ndarray,  # ((H + 3)·W, 4) float32: `tisfm.solver.sampling.spline_taps` of frame 1
+        # ((H + 3)·W, 4) float32: spline of frame 1 (`tisfm.solver.sampling.spline_taps`)
+        spline1: np.ndarray,
         constancy: Constancy,
         unit: float,  # mean |ΔI| between neighbours of frame 0, grey levels; the unit of ζ
         # tuple of two (H, W) bool: pixels of each frame that are used, by default all. Ignored
