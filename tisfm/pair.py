@@ -65,9 +65,9 @@ def interpret(
     pose : (4, 4) or (3, 3) array, optional
         A known motion, for ``motion="camera"``. Either (R, t; 0, 1), which takes points from frame
         0's camera axes to frame 1's, P₁ = R P₀ + t: depth then has the unit of t. Or R alone: the
-        direction of the translation is then estimated. With t, pixels without parallax are far:
-        their inverse depth is 0 within its deviation; only identical frames have no depth. If a
-        rolling shutter is undone, the pose is that between the middle rows.
+        direction of the translation is then estimated. With t, pixels without parallax count as
+        far: their inverse depth is 0 within its deviation. Only identical frames then get no depth.
+        If a rolling shutter is undone, the pose is that between the middle rows.
     mask : (H, W) or (2, H, W) array, optional
         Pixels to use, for both frames or for each; black, zero or False pixels are ignored, for
         example bonnets, logos and mattes. By default all are used.
@@ -182,7 +182,7 @@ def interpret_pair(
         estimate = objects_estimate(pyramid, settings, *prepared.greys)
     flow, deviation = estimate.flow, estimate.inverse_depth_std
     if pyramid.contrast == 0:
-        estimate.precision[...] = 0  # only gradients of frame 1 contribute
+        estimate.precision[...] = 0  # frame 0 is uniform: gradients of frame 1 alone show no motion
     with np.errstate(over="ignore", invalid="ignore"):  # ρ̂ may have diverged: the status says so
         leaves = leaves_image(flow)
         unseen = occlusion_in(

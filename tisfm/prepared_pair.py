@@ -51,7 +51,7 @@ def prepare_pair(
     """Return a pair ready for interpretation; the arguments are those of `interpret_pair`."""
     grey0, grey1 = grey_pair(frame0, frame1, stretch=stretch)
     frame = eight_bit(frame0, frame1, stretch=stretch)
-    valid = _counting_pixels(ignored, grey0.shape)
+    valid = _used_pixels(ignored, grey0.shape)
     if valid is not None:
         grey0, grey1 = fill_ignored(grey0, ~valid[0]), fill_ignored(grey1, ~valid[1])
     if camera is None and settings.motion != "field":
@@ -109,7 +109,7 @@ def ignored_pixels(mask: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[np.ndar
     return ~both[0], ~both[1]
 
 
-def _counting_pixels(
+def _used_pixels(
     ignored: tuple[np.ndarray | None, np.ndarray | None] | None, shape: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the pixels of both frames that are used, (H, W) bool; None if all are used."""

@@ -14,8 +14,8 @@ from tisfm.focal_guess import guess_camera
 from tisfm.interpretation import Interpretation
 from tisfm.running.pair_chunks import (
     check_sharable,
-    check_whole_levels,
     interpret_with_workers,
+    refuse_float_frames,
 )
 from tisfm.running.pairs import FrameSelection, PairSource, attach_poses
 from tisfm.running.pool import check_workers
@@ -191,7 +191,7 @@ def _interpret_shared(
     frames, pairs = source.open()
     with closing(pairs):
         first = next(pairs)
-        check_whole_levels(first)
+        refuse_float_frames(first)
         warned_count = _warn_of_skipped(frames, 0)
         camera = _camera_after(frames, first, camera, source.settings)
         result = first.interpret(camera=camera, settings=source.settings)

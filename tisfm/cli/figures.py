@@ -55,7 +55,10 @@ def figures(
     guess: bool = False,
     threads: int | None,
 ) -> int:
-    """Draw the paper's comparisons of settings for two image files; `guess` as for `run`."""
+    """Draw the paper's comparisons of settings for two image files.
+
+    `guess` says whether to guess the focal length from the EXIF data of the first file.
+    """
     pairs = FrameSource(tuple(frames))
     inputs = InputFiles(pairs.files)
     start_kernels(None, threads=threads)
@@ -86,8 +89,9 @@ def write_paper_figures(
 
     ``figure_lambda.png``: the preset ``"paper"`` with λ = 1e8 and 1e9 at f = 600 (Fig. 6).
     ``figure_presmoothing.png``: without and with a Gaussian applied to the frames first (Fig. 8).
-    ``figure_contrast.png``: the default preset with the paper's contrast, δ = 1 in the units of τ,
-    and with the default contrast. With the paper's contrast, b stays at 1 and no edge is preserved.
+    ``figure_contrast.png``: the default preset with the paper's contrast, δ = 1 in the units of
+    τ = T/Z, translation over depth, and with the default contrast. With the paper's contrast,
+    smoothness weakens nowhere and no edge is preserved.
     Both panels of a figure have the same grey scale.
 
     Parameters
@@ -96,8 +100,8 @@ def write_paper_figures(
         Made if it does not exist.
     frame0, frame1, camera
         As for `tisfm.interpret`.
-    known : mapping of Settings to (H, W), optional
-        Known inverse depth of these frames, by settings, which is not computed again.
+    known_depth : mapping of Settings to (H, W), optional
+        Inverse depth of these frames by settings, computed before; other settings are computed.
     inputs : InputFiles, optional
         Files that no figure may replace.
 

@@ -21,7 +21,7 @@ class GroupLimits:
 
 
 def group_limits(process: Path = _OWN_PROCESS) -> GroupLimits:
-    """Return the limits of a process, whose groups its folder in ``/proc`` lists.
+    """Return the limits of a process by its folder in ``/proc``, which lists its groups.
 
     Without control groups, or if they cannot be read, there is no limit.
     """

@@ -7,7 +7,7 @@ from typing import Any
 
 # A spreadsheet takes a cell that begins with one of these as a formula.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
-_QUOTE = "'"  # it makes a cell text, as in spreadsheets
+_QUOTE = "'"  # at the beginning of a cell, it tells spreadsheets that the cell is text
 
 
 def csv_table(

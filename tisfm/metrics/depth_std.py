@@ -20,8 +20,9 @@ def std_coverage(
     Parameters
     ----------
     inverse_depth, inverse_depth_std : array_like, shape (H, W)
-        Estimate, in any unit, and its standard deviation. Before comparing, the truth is scaled by
-        the median ratio of estimate and truth, over the pixels where the estimate is positive.
+        Estimate, in any unit, and its standard deviation. Before comparing, the true inverse depth
+        is multiplied by the median ratio of estimated and true inverse depth, over the pixels where
+        the estimate is positive.
     truth : array_like, shape (H, W)
         True depth; unknown where it is not finite and positive.
     mask : array_like, shape (H, W), optional
@@ -80,8 +81,8 @@ def error_in_deviations(
     ratio = found[counts] * true[counts]
     if not (ratio > 0).any():
         raise InputError(
-            f"no pixel of the {found.shape} inverse depth is positive where the truth is known and "
-            "counts: nothing can be compared"
+            f"no pixel of the {found.shape} inverse depth is positive where the truth is known "
+            "and the mask allows: nothing can be compared"
         )
     error = np.abs(found[counts] - np.median(ratio[ratio > 0]) / true[counts])
     with np.errstate(divide="ignore", invalid="ignore"):

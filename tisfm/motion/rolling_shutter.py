@@ -52,7 +52,7 @@ def global_shutter_pair(
         estimate = camera_estimate(
             pyramid_of(frame0, frame1, camera, settings, current_valid), settings, pose
         )
-        maps = _unrolling_maps(estimate, camera, pose)
+        maps = _global_shutter_maps(estimate, camera, pose)
         if maps is None:
             break
         ignored = [~map_.valid for map_ in maps]
@@ -68,7 +68,7 @@ def global_shutter_pair(
     return corrected
 
 
-def _unrolling_maps(
+def _global_shutter_maps(
     estimate: Estimate, camera: Camera, pose: KnownPose | None
 ) -> tuple[UnrolledPixels, UnrolledPixels] | None:
     """Return the maps from global-shutter frames to both given frames; None without a motion."""

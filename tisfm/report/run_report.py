@@ -67,12 +67,12 @@ class _Pair:
 
 @dataclass(frozen=True, kw_only=True)
 class _Run:
-    """The contents of a record; `focal` is px of frames of the size `focal_of` (H, W)."""
+    """The contents of a record; `focal`, px, belongs to frames of `focal_shape`, (H, W)."""
 
     pairs: Sequence[_Pair]
     settings: Settings
     focal: float
-    focal_of: tuple[int, int] | None
+    focal_shape: tuple[int, int] | None
     start: int
     step: int
     arch: str
@@ -100,7 +100,7 @@ def _read(folder: Path, record: Mapping[str, Any]) -> _Run:
             pairs=pairs,
             settings=Settings(**_as_tuples(record["settings"])),
             focal=float((record["camera"] if source is None else source)["focal"]),
-            focal_of=None if source is None else (int(source["height"]), int(source["width"])),
+            focal_shape=None if source is None else (int(source["height"]), int(source["width"])),
             start=int(record["start"]),
             step=int(record["step"]),
             arch=str(record["arch"]),
@@ -173,7 +173,7 @@ def _summary(
         *([("Frames", f"{shape[1]} × {shape[0]} px")] if shape else []),
         ("Preset", nearest_preset(run.settings)),
         ("Motion", run.settings.motion),
-        ("Focal length", f"{run.focal:.5g} px{at_size(run.focal_of or shape)}"),
+        ("Focal length", f"{run.focal:.5g} px{at_size(run.focal_shape or shape)}"),
         ("First frame, step", f"{run.start}, {run.step}"),
         ("Kernels ran on", run.arch),
         ("Version", run.version),

@@ -12,7 +12,9 @@ from tisfm.errors import OutOfRangeError
 from tisfm.status import Status
 
 Floats = NDArray[np.float32]
-_MIN_MOVED_Z = 1e-9  # Z of a moved ray below which it lies behind the camera; a bound on rounding
+# smallest Z of a pixel's ray, with Z = 1, after the motion; with less it points behind the camera.
+# The value exceeds rounding errors.
+_MIN_MOVED_Z = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,8 +27,8 @@ class ResultFrame:
     # (H, W) float32: in the inverse unit of the result; NaN if unknown
     inverse_depth: Floats = field(repr=False)
     status: Status
-    # factor of depth in a common scene: the mean inverse depth if each frame has its own scale,
-    # else 1
+    # factor that takes depth to the unit of the scene: the mean inverse depth if the scale of each
+    # frame is unknown, else 1
     scale: float = 1.0
     # (H, W) float32 or None: infinite if unknown
     inverse_depth_std: Floats | None = field(default=None, repr=False)
@@ -35,7 +37,8 @@ class ResultFrame:
     labels: NDArray[np.integer] | None = field(default=None, repr=False)
     # (H, W) bool or None: pixels that are not visible in the next frame
     hidden: NDArray[np.bool_] | None = field(default=None, repr=False)
-    # (6, H, W) float32 or None: (τ, ω)·f of the model in which every pixel has its own motion
+    # (6, H, W) float32 or None: (τ, ω)·f of the model in which every pixel has its own motion, with
+    # τ the translation over depth, ω the rotation, and f the focal length
     rho: Floats | None = field(default=None, repr=False)
     # (H, W, 2) float32 or None: image motion to the next frame, px, if the result stores it
     stored_flow: Floats | None = field(default=None, repr=False)

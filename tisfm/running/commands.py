@@ -18,7 +18,7 @@ from tisfm.reconstruction.result.renewal import CHUNKS
 MAX_ATTEMPTS = 3  # for a command whose process was killed; set by hand
 NOTE = "note: "  # beginning of a line with a note on how a source is read
 _USER_SIGNALS = (-signal.SIGINT, -signal.SIGTERM)  # exit codes after a signal of the user
-# Unlike -m, this does not import modules of the working folder instead of Python's.
+# With ``python -m``, a module in the working folder could replace one of Python. Here it cannot.
 _PROGRAM = (
     "import sys; sys.path.remove(''); from tisfm.cli.command_line import main; sys.exit(main())"
 )
@@ -26,7 +26,7 @@ _PROGRAM = (
 
 @dataclass(frozen=True, kw_only=True)
 class FinishedCommand:
-    """The end of a command."""
+    """How a command ended: its exit code and its last messages."""
 
     exit_code: int
     message: str  # the line that names the results, or else the last line
@@ -103,7 +103,7 @@ def _finished(exit_code: int, errors: str) -> FinishedCommand:
 
 
 def _output_state(output: Path) -> list[tuple[int, int, int] | None]:
-    """Return a state that changes when a run's record, or a request of chunks, is written."""
+    """Return a state that changes when the record of a run or of a run in chunks is written."""
     states: list[tuple[int, int, int] | None] = []
     for path in (output / RECORD, output / CHUNKS / REQUEST):
         try:

@@ -51,7 +51,7 @@ class Chunk:
     # record entries of the pairs that an earlier run finished, by their names
     finished_entries: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     presence: Path = Path()  # a file that exists as long as the parent process waits for the chunk
-    # lanes of the vectors of the CPU of the parent process
+    # float32 values in a vector register of the parent process's CPU; all processes need as many
     lanes: int = field(default_factory=runtime.cpu_lanes)
     version: str = __version__  # version of tisfm in the parent process
 
@@ -155,7 +155,7 @@ def interpret_with_workers(
         work=PairWork(camera=camera, settings=source.settings),
         first=first,
         end=len(pairs),
-        arch=runtime.running_arch(),  # type: ignore[arg-type]  # it is one that it takes
+        arch=runtime.running_arch(),  # type: ignore[arg-type]  # an arch of `runtime.start`
         threads=max(1, usable_cores() // workers),
         listing=pairs.listing,
     )
@@ -204,7 +204,7 @@ def check_sharable(source: Source, pairs: FrameSource) -> int:
         ) from None
 
 
-def check_whole_levels(pair: FramePair) -> None:
+def refuse_float_frames(pair: FramePair) -> None:
     """Raise InputError for frames with decimals: several processes would scale them differently."""
     if pair.frame0.dtype.kind == "f":
         raise InputError(
@@ -248,7 +248,7 @@ class _PairReader:
         # The files are compared before anything depends on them.
         source = FrameSource(chunk.source.source, stop=chunk.source.frames.stop)
         chunk.listing.check(source.listing, source.title)
-        self._whole = chunk.source
+        self._source = chunk.source
         self._opened, self._pairs = chunk.source.starting_at(chunk.first).open()
         self._opened.allow_no_pairs()
         self._next_pair: FramePair | None = None
@@ -268,7 +268,7 @@ class _PairReader:
             pair, self._next_pair = self._next_pair or next(self._pairs, None), None
             if pair is None:
                 return None
-            number = self._whole.number(pair)
+            number = self._source.number(pair)
             self.position = number
             if number >= chunk.end:
                 self._next_pair = pair  # for a later chunk

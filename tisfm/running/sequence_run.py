@@ -24,8 +24,8 @@ from tisfm.running.pair_chunks import (
     Chunk,
     FinishedChunk,
     check_sharable,
-    check_whole_levels,
     interpret_chunk,
+    refuse_float_frames,
     split_chunk,
 )
 from tisfm.running.pair_files import DEFAULT_OUTPUTS
@@ -152,7 +152,7 @@ class SequenceRun:
         if "flow" in self.outputs:
             require_writable_flow(f"frame {first.name0}", *first.frame0.shape[:2])
         if self.is_shared:
-            check_whole_levels(first)
+            refuse_float_frames(first)
         full, shape = first.full, first.frame0.shape
         following = chain([first], pairs)
         del first  # or it would stay in memory to the end

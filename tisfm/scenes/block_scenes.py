@@ -28,8 +28,8 @@ _COS, _SIN = math.cos(math.radians(25)), math.sin(math.radians(25))
 _ROOM = np.array([[1.0, 0.0, 0.0], [0.0, _COS, -_SIN], [0.0, _SIN, _COS]])
 _EYE_HEIGHT = 2.6  # of the camera above the floor, in the unit of the scene
 _WALL_DISTANCE = 9.0  # from the camera, in the unit of the scene
-_FINEST_WAVE = 4.0  # px, the finest wave without detail, in an image of this width:
-_REFERENCE_WIDTH = 320  # px
+_FINEST_WAVE = 4.0  # px: finest wave of a texture without detail, at the reference width
+_REFERENCE_WIDTH = 320  # px: width of an image
 
 # A block: position on the floor (right, ahead), edge lengths, rotation in degrees.
 _Block = tuple[tuple[float, float], tuple[float, float, float], float]
@@ -102,8 +102,8 @@ def two_blocks(
     if block_motions is None:
         along_floor = _ROOM @ np.array([[-0.014, 0.0, 0.04], [-0.014, 0.0, -0.04]]).T
         block_motions = np.hstack([along_floor.T, np.zeros((2, 3))])
-    own = finite(block_motions, (2, 6), "block_motions")
-    scene = _room(_TWO_BLOCKS, own, camera_motion, height, width, seed, focal, detail)
+    block_twists = finite(block_motions, (2, 6), "block_motions")
+    scene = _room(_TWO_BLOCKS, block_twists, camera_motion, height, width, seed, focal, detail)
     return scene.render(samples=samples, dtype=dtype)
 
 
@@ -151,8 +151,8 @@ def three_blocks(
     if block_motions is None:
         block_motions = np.zeros((3, 6))
         block_motions[:, :3] = (0.02, 0.0, 0.03), (-0.03, 0.02, 0.0), (0.01, -0.01, -0.05)
-    own = finite(block_motions, (3, 6), "block_motions")
-    scene = _room(_THREE_BLOCKS, own, camera_motion, height, width, seed, focal, detail)
+    block_twists = finite(block_motions, (3, 6), "block_motions")
+    scene = _room(_THREE_BLOCKS, block_twists, camera_motion, height, width, seed, focal, detail)
     return scene.render(samples=samples, dtype=dtype)
 
 
@@ -199,8 +199,8 @@ def static_scene(
     """
     if kind not in _STATIC_MOTIONS:
         raise InputError(f"kind is {kind!r}: expected one of {', '.join(map(repr, STATIC_KINDS))}")
-    own, motion = np.zeros((3, 6)), _STATIC_MOTIONS[kind]
-    scene = _room(_THREE_BLOCKS, own, motion, height, width, seed, focal, detail)
+    block_twists, motion = np.zeros((3, 6)), _STATIC_MOTIONS[kind]
+    scene = _room(_THREE_BLOCKS, block_twists, motion, height, width, seed, focal, detail)
     return scene.render(samples=samples, dtype=dtype)
 
 
@@ -216,11 +216,11 @@ def bare_patches(
 ) -> SyntheticPair:
     """Render a block before a wall, both with large parts of a single grey level.
 
-    A case that the paper leaves open (its remark (a)): motion is visible only around such a part.
-    One lies within the texture of the wall. The one on the block reaches the block's right edge,
-    behind which the wall is bare, too: there, only a step of grey separates them. Shapes scale with
-    the size; at the default size the parts are 70 to 110 px wide, and displacements are about 2 px
-    on the wall and 4 px on the block.
+    Motion is visible only around such a bare part, a case that the paper of Sekkati and Mitiche
+    leaves open (its remark (a)). One bare part lies within the texture of the wall. Another one on
+    the block reaches the block's right edge, and the wall behind this edge is bare, too: only a
+    step of grey separates the two. Shapes scale with the size; at the default size the parts are 70
+    to 110 px wide, and displacements are about 2 px on the wall and 4 px on the block.
 
     Parameters
     ----------
@@ -288,7 +288,7 @@ def bare_patches(
 
 def _room(
     blocks: list[_Block],
-    own: Floats,
+    block_twists: Floats,
     camera_motion: ArrayLike,
     height: int,
     width: int,
@@ -296,7 +296,7 @@ def _room(
     focal: float | None,
     detail: int | None,
 ) -> Scene:
-    """Return a scene with blocks in front of a wall; `own` are their twists in a fixed camera."""
+    """Return a scene with blocks in front of a wall; `block_twists` are in a fixed camera."""
     whole(1, height=height, width=width)
     static = -finite(camera_motion, (6,), "camera_motion")
     octaves = max(0, round(math.log2(width / _REFERENCE_WIDTH))) if detail is None else detail
@@ -318,7 +318,7 @@ def _room(
         center = _ROOM @ (right, _EYE_HEIGHT - size[1] / 2, ahead)
         turn, _ = rigid_motion((0, 0, 0, 0, math.radians(degrees), 0))
         look = paint(float(center[2]), label, 140, 52)
-        motion = static + own[label - 2]
+        motion = static + block_twists[label - 2]
         objects.append(
             Box(texture=look, center=center, size=size, axes=_ROOM @ turn, motion=motion)
         )

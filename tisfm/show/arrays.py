@@ -35,7 +35,7 @@ def as_image(name: str, values: ArrayLike) -> NDArray[Any]:
 
 
 def is_depth(values: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
-    """Return the values that are a valid depth or inverse depth: finite and positive."""
+    """Return where values are a valid depth or inverse depth: finite and positive."""
     return np.asarray(np.isfinite(values) & (values > 0))
 
 

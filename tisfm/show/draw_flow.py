@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 _WHEEL_PIXELS = 400  # width of the colour wheel beside a picture, px
 _FRAME_BRIGHTNESS = 0.6  # brightness of a frame under arrows, as a share
 _ARROW_SPACING = 0.17  # inches, in a panel of the size that `panel_size` gives
-_ARROW_LENGTH = 2.0  # of a motion as long as the limit, in spacings
-_MAX_ARROW = 3.0  # longest arrow, in limits
+_ARROW_LENGTH = 2.0  # arrow of a motion as long as the limit, over the spacing of arrows
+_MAX_ARROW = 3.0  # longest motion of an arrow, over the limit
 ARROW_STYLE: dict[str, Any] = {
     "angles": "xy",
     "scale_units": "xy",

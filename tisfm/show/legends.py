@@ -66,8 +66,7 @@ def flow_legend(
 
 
 def error_legend(
-    # errors at the bottom and at the top, whose colours smaller and larger errors
-    # share
+    # errors at the bottom and at the top; errors beyond them have the colour of the end
     limits: tuple[float, float],
     unit: str,  # unit of the errors
 ) -> Legend:

@@ -39,7 +39,7 @@ class SourceFrame:
     """A frame of a source."""
 
     index: int  # number in the source, from 0; skipped frames count
-    # stem of the image file; or the stem of the video, ``frame`` or ``webcam``, and the number
+    # stem of the image file; else the stem of the video, ``frame`` or ``webcam``, with the number
     name: str
     # seconds since the first frame of a video or webcam, or the time in the file name
     time: float | None

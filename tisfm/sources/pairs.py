@@ -38,8 +38,8 @@ class FramePair:
     # has no such pixels
     ignored0: np.ndarray | None = None
     ignored1: np.ndarray | None = None
-    # frames of the source from the first to the second one; the readout time of a camera, which is
-    # a share of one frame interval, is divided by it
+    # number of frames of the source from the first to the second one; divides the readout time of
+    # a camera, which is a share of the time between neighbouring frames
     interval: int = 1
     index: int = 0  # number of the first frame in the source
     _digests: tuple["Digest", "Digest"] | None = field(default=None, repr=False, compare=False)

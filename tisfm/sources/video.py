@@ -30,8 +30,8 @@ from tisfm.sources.video_checks import (
 )
 from tisfm.sources.video_containers import video_streams, why_without_frames
 
-# First bytes of playlists (HLS, FFmpeg's, XML such as DASH, tags before HLS). They only name other
-# files or URLs, which FFmpeg would open, wherever they are.
+# First bytes of playlists: HLS, FFmpeg's, XML such as DASH, and ID3 tags before HLS. Playlists only
+# name other files or URLs, which FFmpeg would open, wherever they are.
 _PLAYLIST_SIGNATURES = (b"#EXTM3U", b"ffconcat", b"<?xml", b"<MPD", b"ID3")
 MIN_AV_VERSION = 17  # major version of PyAV; older versions give other pixels than OpenCV
 
@@ -154,7 +154,7 @@ def open_video(
     if reason := why_without_frames(path):
         raise FormatError(
             f"{path} cannot be read: {reason}; copy it again, record it again, or rebuild its "
-            "table with a tool for that, such as untrunc"
+            "table of frames with a tool for that, such as untrunc"
         )
     if has_av():
         from tisfm.sources.av_video import AvVideo

@@ -28,10 +28,10 @@ def ends_early(
     return last < 0.98 * end - 3 * last / max(count - 1, 1)
 
 
-def cut_off_error(path: str, after: str, of: str) -> ValueError:
+def cut_off_error(path: str, after: str, total: str) -> ValueError:
     """Return the error for a video that ends before its stated end."""
     return InputError(
-        f"{path} ends after {after} of {of}: the file is cut off or damaged; the results up to "
+        f"{path} ends after {after} of {total}: the file is cut off or damaged; the results up to "
         "there are complete"
     )
 

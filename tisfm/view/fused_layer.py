@@ -42,7 +42,7 @@ class FusedLayer:
         box: Box | None,  # ((3,), (3,)) or None: clipping box
         size: float,  # of points, in the unit of the scene
     ) -> None:
-        """Show the fused scene of the piece of a frame, if it is on; make it first if needed."""
+        """Show the fused scene of a frame's piece if the user has chosen it; make it if needed."""
         kind, piece = self._controls.fused.value, int(self._result.piece[number])
         if kind == NOT_FUSED:
             self.clear()
@@ -50,7 +50,7 @@ class FusedLayer:
         if (kind, piece) != self._requested:
             self.clear()
             self._requested = kind, piece
-            self._note("It is read or fused now, which may take a while.")
+            self._note("The fused scene is read or made now, which may take a while.")
             arguments = kind, number, self._requested
             threading.Thread(
                 target=self._make, args=arguments, name="tisfm-view-fuse", daemon=True

@@ -84,8 +84,8 @@ class ChunkedRun:
 
     Attributes
     ----------
-    asked : dict
-        The request: everything that the result depends on.
+    request : dict
+        Everything that the result depends on: the frames and all options.
 
     Raises
     ------
@@ -199,8 +199,8 @@ class ChunkedRun:
 
     def result(
         self,
-        # ``finished(function, items)`` calls a function, which can be pickled, with each item, in
-        # any process. It yields (number of the item, result) in the order in which items finish.
+        # ``map_unordered(function, items)`` calls a function, which can be pickled, with each item,
+        # in any process. It yields (number of the item, result) in the order in which items finish.
         map_unordered: UnorderedMap,
         *,
         resume: bool = False,  # keep the complete chunks that lie in the folder
