@@ -79,7 +79,7 @@ def test_a_growing_run_is_served_until_ctrl_c(work_folder):
         assert_answers(url)
         shot = write_run(work_folder / "r", 2)
         write_record_of(work_folder / "r", shot, [0], "camera")
-        assert f"r at {url}" in process.stderr.readline()
+        assert f"r is shown at {url}" in process.stderr.readline()
         assert_answers(url)
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=PATIENCE)
