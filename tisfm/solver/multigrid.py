@@ -105,7 +105,7 @@ class _Level:
         if grid.strip_width // 2 != coarse_grid(grid).strip_width:
             self._halved = (
                 _halved(grid, 6),
-                _halved(grid, 2 * system.sets),
+                _halved(grid, 2 * system.weights_per_edge),
                 _halved(grid, system.components),
             )
 
@@ -128,7 +128,7 @@ class _Level:
             self.system,
             grid=grid,
             tensor=grid.allocate(6),
-            weights=grid.allocate(2 * self.system.sets),
+            weights=grid.allocate(2 * self.system.weights_per_edge),
             x_hat=unknowns.x_hat,
             y_hat=unknowns.y_hat,
         )
