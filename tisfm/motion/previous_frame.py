@@ -201,7 +201,7 @@ def fit_bend(
         inner_weight * (deviation < PREVIOUS.half_trust_deviation**2)
     ).sum() < PREVIOUS.min_fitting_share * inner_weight.sum():
         return None
-    side = (2 * PREVIOUS.mean_reach + 1, 2 * PREVIOUS.mean_reach + 1)
+    side = (2 * PREVIOUS.mean_radius + 1, 2 * PREVIOUS.mean_radius + 1)
     count = cv2.boxFilter(inner_weight, -1, side)
     mean_deviation = np.asarray(
         cv2.boxFilter(deviation * inner_weight, -1, side) / (count + np.float32(MIN_COUNT))
@@ -230,7 +230,7 @@ def _fit_affine(
     ----------
     He, Sun, Tang, "Guided image filtering", PAMI 35 (2013), 1397, doi 10.1109/TPAMI.2012.213.
     """
-    side = 2 * (PREVIOUS.reach // PREVIOUS.grid_step) + 1
+    side = 2 * (PREVIOUS.window_radius // PREVIOUS.grid_step) + 1
 
     def mean(image: np.ndarray) -> np.ndarray:
         return cv2.boxFilter(image, -1, (side, side), borderType=cv2.BORDER_REFLECT_101)

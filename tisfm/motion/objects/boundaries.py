@@ -37,7 +37,9 @@ def sharpen_labels(
     where a surface behind it is still visible. Where two surfaces go to the same target, the one
     whose grey levels match there is in front.
     """
-    window = np.ones((2 * OBJECTS.boundary_reach + 1, 2 * OBJECTS.boundary_reach + 1), np.uint8)
+    window = np.ones(
+        (2 * OBJECTS.max_boundary_shift + 1, 2 * OBJECTS.max_boundary_shift + 1), np.uint8
+    )
     nearby = np.stack(
         [cv2.dilate((labels == k).astype(np.uint8), window) > 0 for k in range(len(flows))]
     )

@@ -8,8 +8,8 @@ class FrameFlowSettings:
     """Image motion between frames."""
 
     # image_motion
-    min_pixels: int = 2**16  # of the shrunk frames
-    max_return_error: float = 0.5  # px from the start after forward and backward motion,
+    min_pixels: int = 2**16  # pixels of the shrunk frames
+    max_return_error: float = 0.5  # px: distance from the start after forward and backward motion,
     max_relative_return_error: float = 0.05  # plus this share of the length of the motion
 
 
