@@ -223,7 +223,11 @@ def _camera_after(
     source: FrameSource, pair: FramePair, camera: Camera | None, settings: Settings
 ) -> Camera | None:
     """Return the camera of the cropped and shrunk frames; None if `interpret` is to choose it."""
-    known = source.first_file or pair.full
+    known = source.first_file or pair.full_shape
     if camera is None and known is not None and settings.motion != "field":
         camera = guess_camera(known)
-    return camera if pair.full is None else source.camera_after(check_camera(camera), pair.full)
+    return (
+        camera
+        if pair.full_shape is None
+        else source.camera_after(check_camera(camera), pair.full_shape)
+    )

@@ -70,14 +70,14 @@ def test_the_camera_follows(options, camera):
 def test_without_crop_and_size_the_camera_is_the_same():
     camera = tisfm.Camera(50.0)
     source = FrameSource(FRAMES)
-    assert next(source.frames()).full is None
+    assert next(source.frames()).full_shape is None
     assert source.camera_after(camera, None) is camera
 
 
 def test_the_size_of_frames_is_known_before_reading():
     source = FrameSource(FRAMES, crop=(1, 2, 10, 8), size=5)
-    assert {frame.full for frame in source.frames()} == {(H, W)}
-    assert {pair.full for pair in source} == {(H, W)}
+    assert {frame.full_shape for frame in source.frames()} == {(H, W)}
+    assert {pair.full_shape for pair in source} == {(H, W)}
     assert {pair.frame1.shape for pair in source} == {(4, 5)}
 
 

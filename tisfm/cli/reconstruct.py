@@ -328,7 +328,7 @@ def _check_fits(file: Path, source: Source, frames: FrameSelection) -> None:
     with closing(frames.open(source).frames()) as images:
         first = next(images, None)
     if first is not None:
-        read_camera(file, first.full or first.image.shape[:2])
+        read_camera(file, first.full_shape or first.image.shape[:2])
 
 
 def _refuse_inside(file: Path, output: Path) -> None:

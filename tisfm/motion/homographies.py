@@ -60,8 +60,9 @@ def plane_status(
     References
     ----------
     Longuet-Higgins, "The reconstruction of a plane surface from two perspective projections",
-    Proc. R. Soc. Lond. B 227 (1986), doi 10.1098/rspb.1986.0030; Malis and Vargas, as in
-    `tisfm.motion.sparse_motion.sparse_motions`.
+    Proc. R. Soc. Lond. B 227 (1986), doi 10.1098/rspb.1986.0030; Malis and Vargas, "Deeper
+    understanding of the homography decomposition for vision-based control", INRIA report 6303,
+    2007.
     """
     sample = rays.subsample(max(1, rays.trust.size // SPARSE.plane_samples))
     homography, homography_error = _fit_homography(sample)

@@ -301,7 +301,6 @@ class PreviousFrameSettings:
     half_trust_deviation: float = 0.3  # px: deviation from the bend that halves the trust in it
     # px: the same for a pixel that the next frame hides
     half_trust_deviation_if_hidden: float = 1.0
-    # length of the bend of a steady motion over that of the backward flow,
     # length of the bend of a steady motion over that of the backward flow
     max_bend_ratio: float = 0.5
     max_bend_at_rest: float = 1.0  # px: length that is added to this limit

@@ -153,7 +153,7 @@ class SequenceRun:
             require_writable_flow(f"frame {first.name0}", *first.frame0.shape[:2])
         if self.is_shared:
             refuse_float_frames(first)
-        full, shape = first.full, first.frame0.shape
+        full, shape = first.full_shape, first.frame0.shape
         following = chain([first], pairs)
         del first  # or it would stay in memory to the end
         runtime.start(self.arch, threads=self.threads)

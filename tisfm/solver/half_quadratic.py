@@ -63,7 +63,7 @@ class HalfQuadratic:
         # (`tisfm.kernels.data.constraints`); used without a copy
         constraints: LaneData,
         *,
-        scales: Sequence[float],  # of the data terms (`tisfm.kernels.model.robust`)
+        scales: Sequence[float],  # scales of the data terms (`tisfm.kernels.model.robust`)
         smoothness: Smoothness,
         effort: Effort,
     ) -> None:

@@ -56,7 +56,7 @@ class SourceFrame:
     stretch: bool = True
     # height and width before cropping and shrinking, px; None if the frame is
     # unchanged
-    full: tuple[int, int] | None = None
+    full_shape: tuple[int, int] | None = None
 
 
 class FrameReader(Protocol):

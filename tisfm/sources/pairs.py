@@ -31,7 +31,7 @@ class FramePair:
     stretch: bool = True
     # height and width before cropping and shrinking, px; None if the frames are
     # unchanged
-    full: tuple[int, int] | None = None
+    full_shape: tuple[int, int] | None = None
     # times of the frames, s; None if unknown
     times: tuple[float, float] | None = None
     # ignored0, ignored1: (H, W) bool array or None: true where pixels are ignored; None if a frame

@@ -222,7 +222,7 @@ class FrameSource:
                         name1=frame.name,
                         frame1=frame.image,
                         stretch=frame.stretch,
-                        full=frame.full,
+                        full_shape=frame.full_shape,
                         times=times,
                         ignored0=before.ignored,
                         ignored1=frame.ignored,
@@ -323,7 +323,7 @@ class FrameSource:
             image=image,
             ignored=ignored,
             labels=labels,
-            full=full,
+            full_shape=full,
         )
 
     def _check_count(self, count: int) -> None:

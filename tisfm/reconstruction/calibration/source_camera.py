@@ -48,7 +48,7 @@ class SourceCamera:
         cls, source: FrameSource, given: Camera | Path | None, frame: SourceFrame
     ) -> "SourceCamera":
         """Return the given camera, the camera of a file, or a guess from the first frame."""
-        height, width = frame.full or frame.image.shape[:2]
+        height, width = frame.full_shape or frame.image.shape[:2]
         guess, given_calibration = None, GIVEN
         if isinstance(given, Path):
             full_camera = read_camera(given, (height, width))
@@ -56,13 +56,13 @@ class SourceCamera:
         elif given is not None:
             full_camera = given
         else:
-            guess = guess_focal(source.first_file or frame.full or frame.image.shape)
+            guess = guess_focal(source.first_file or frame.full_shape or frame.image.shape)
             full_camera = Camera(focal=guess.focal)
-        with_readout = source.camera_after(replace(full_camera, readout=1.0), frame.full)
+        with_readout = source.camera_after(replace(full_camera, readout=1.0), frame.full_shape)
         return cls(
             full_camera=full_camera,
             shape=(height, width),
-            used_camera=source.camera_after(full_camera, frame.full),
+            used_camera=source.camera_after(full_camera, frame.full_shape),
             row_share=with_readout.readout or 1.0,
             guess=guess,
             given_calibration=given_calibration,

@@ -40,7 +40,9 @@ class DepthSettings:
     # window_depth
     # largest number of cells of a keyframe; frames of 4:3 get 160×120, 320×240 and 640×480
     cells: tuple[int, int, int] = (2**15, 2**17, 2**19)
-    min_matched_share: float = 0.01  # of the cells: with fewer reliable matches, there is no depth
+    min_matched_share: float = (
+        0.01  # share of the cells: with fewer reliable matches, there is no depth
+    )
     # full weight of the data of a frame, over the weight of a matched cell
     data_weight: float = 8.0
     # share of a match's weight that stays under full data, as both use the same images

@@ -118,7 +118,7 @@ def refine_sim3(
 ) -> np.ndarray:
     """Return a similarity that fits points and poses, with weights from their residuals.
 
-    The rotation comes from the poses alone, where it is exact.
+    The rotation comes from the poses alone, whose rotations are exact.
     """
     rotation = mean_rotation(*poses)
     target, other = (np.vstack([k, one[:, :3, 3]]) for k, one in zip(points, poses, strict=True))

@@ -78,7 +78,7 @@ def open_database(
 
 
 class MatchDirections(Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]):
-    """Unit directions to matching points, for pairs of numbers of views; computed on access.
+    """Unit directions to matching points, by the ids of two views; computed on access.
 
     All of them together would need many times the memory of the views.
     """
