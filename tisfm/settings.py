@@ -54,10 +54,10 @@ class Settings:
     beta : float
         β of eq. 12; smoothness and β enter as α = λ̂β, which must be in [1e-6, 1e12] too.
     contrast : float or None
-        δ, px/frame: a larger difference between neighbours is an edge. In [1e-3, 1e6]; below,
-        rounding in float32 can make the energy rise. The same at every level. None for δ = 1 in the
-        units of τ and ω, that is f pixels: the paper's setting, with which smoothing is nearly
-        quadratic.
+        δ, px/frame: a larger difference between neighbours is an edge. In [1e-3, 1e6]: with smaller
+        values, rounding in float32 can make the energy rise. It is the same at every level. None
+        for δ = 1 in the units of τ and ω, that is f pixels: the paper's setting, with which
+        smoothing is nearly quadratic.
     joint_edges : bool
         Whether an edge in one component is an edge for all components. Otherwise every component
         has its own edges, as in the paper.
@@ -70,7 +70,8 @@ class Settings:
         κ: the smoothness across an edge of the image is divided by 1 + κ|ΔI| / mean |ΔI|; the mean
         smoothness stays the same. 0 in the paper.
     brightness : float
-        Weight of the constancy of brightness (eq. 4); 1 in the paper. It or `gradient` is above 0.
+        Weight of the constancy of brightness (eq. 4); 1 in the paper. `brightness` and `gradient`
+        must not both be 0.
     gradient : float
         Weight of the constancy of the brightness gradient, on which changes of illumination have
         little effect; 0 in the paper.
@@ -91,7 +92,8 @@ class Settings:
         freedom, so noise is the main disturbance, and weak gradients should have less weight than
         strong gradients.
     max_objects : int
-        Most motions that ``motion="objects"`` may find, including the background's; at most 255.
+        Maximum number of motions of ``motion="objects"``, including the motion of the background;
+        at most 255.
     align_scales : bool
         Whether objects that stand on the background take its scale where they touch it
         (``motion="objects"``). Otherwise every object's depth is in the unit of its own motion.
@@ -115,11 +117,12 @@ class Settings:
     warps : int
         Linearisations on the last level; at least 2 with ``motion="objects"``.
     coarse_warps : int
-        Most linearisations on each coarser level; a level has at most twice as many as the next
-        finer level. They cost little there, and finer levels cannot correct the errors of a coarse
-        level. Untextured regions are small on a coarse level, so they fill quickly.
+        Maximum number of linearisations on each coarser level; a level has at most twice as many as
+        the next finer level. They take little time there, and finer levels cannot correct the
+        errors of a coarse level. Untextured regions have few pixels on a coarse level, so they
+        quickly get the motion of their surroundings.
     outer_iterations : int
-        Most half-quadratic iterations per warp; at least 10 with ``motion="objects"``.
+        Maximum number of half-quadratic iterations per warp; at least 10 with ``motion="objects"``.
     sweeps : int
         Red–black sweeps per half-quadratic iteration; at most 1000, and at least 8 with
         ``motion="objects"``.

@@ -40,10 +40,10 @@ class Demo:
 
     In the first scene the camera moves sideways, and two textured blocks on a floor move
     independently. A table compares the preset paper, the default preset, and the method of Horn and
-    Schunck. In the second scene the camera moves forward and rotates before three static blocks. A
-    table compares the motions field and camera, and the motion objects on the first scene. DIR
-    receives the outputs of tisfm run for the first scene, and the paper's comparisons of settings;
-    DIR/camera and DIR/objects receive the outputs of these two motion models.
+    Schunck. In the second scene the camera moves forward and rotates in front of three static
+    blocks. A table compares the motions field and camera, and the motion objects on the first
+    scene. DIR receives the outputs of tisfm run for the first scene, and the paper's comparisons of
+    settings; DIR/camera and DIR/objects receive the outputs of these two motion models.
     """
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")] = Path("tisfm-demo")

@@ -43,7 +43,7 @@ class CameraOptions:
     between. The distortion is removed first."""
     aspect: float = 1.0
     """fy / fx, if pixels are not square; --focal is then the smaller of the two. Frames are
-    resampled first."""
+    first resampled to square pixels."""
     readout: float | None = None
     """Readout time of a rolling shutter, as a share of the time between two frames: the delay from
     the first row to the last; 0 if all rows are read at once. By default tisfm reconstruct

@@ -136,7 +136,9 @@ def save_points(points: PointCloud, path: str | os.PathLike[str]) -> None:
         points.save(path)
         return
     if suffix != ".glb" or not len(points):
-        what = "a GLB file cannot hold no points" if suffix == ".glb" else "expected .ply or .glb"
+        what = (
+            "a GLB file needs at least one point" if suffix == ".glb" else "expected .ply or .glb"
+        )
         raise InputError(f"path is {os.fspath(path)}: {what}")
     content = glb_points(points.positions * np.array([1, -1, -1], np.float32), points.colors)
     with atomic_write(path) as file:
