@@ -4,6 +4,8 @@ A constraint p u + q v + c = 0 is stored as (p, q, c), times the root of its wei
 term has one constraint, the gradient term two. A term is the sum of its squared constraints; its
 motion tensor (J11, J12, J22, j1, j2, J_tt) is the sum of their (p², p q, q², p c, q c, c²). The
 number of constraints determines the terms: 1 is brightness, 2 gradient, 3 brightness and gradient.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
 """
 
 from collections.abc import Sequence

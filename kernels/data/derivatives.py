@@ -1,4 +1,7 @@
-"""Spatial and temporal derivatives of a pair of frames."""
+"""Spatial and temporal derivatives of a pair of frames.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
+"""
 
 import taichi as ti
 

@@ -1,4 +1,7 @@
-"""Warping of frame 1 to frame 0 by the current image motion."""
+"""Warping of frame 1 to frame 0 by the current image motion.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
+"""
 
 from typing import Any
 

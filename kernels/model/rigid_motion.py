@@ -3,6 +3,8 @@
 The number of components determines the model: 6 for rigid motion (τ, ω), 3 for translation (τ),
 2 for the image motion itself (G = identity, for Horn and Schunck), 1 for image motion along a known
 line (G = (1, 0)ᵀ, see `tisfm.kernels.rigid.epipolar`).
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
 """
 
 from typing import Any

@@ -4,6 +4,8 @@ A pixel x̂ = (x̂, ŷ, 1) with inverse depth d on a surface that moves by P₁ 
 to π(R x̂ + d t). The unknown of the solver is D = f·d. Near a current D₀ the flow is
 (u, v) = (u₀, v₀) + (D − D₀) a, with a = ∂(u, v)/∂D the direction of the epipolar line. A constraint
 on the flow is then a constraint on D.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
 """
 
 import numpy as np

@@ -1,4 +1,7 @@
-"""Normal equations of a rigid motion, with every pixel's inverse depth eliminated."""
+"""Normal equations of a rigid motion, with every pixel's inverse depth eliminated.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
+"""
 
 from collections.abc import Sequence
 from typing import Any

@@ -7,6 +7,8 @@ couples the two. Depth can be eliminated only after all frames are added.
 
 With fixed motions, the data term of a frame along its epipolar line is A D² + 2 B D + C. These
 three numbers of each pixel are added up over the frames.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
 """
 
 import numpy as np

@@ -6,6 +6,8 @@ that result have the *halved* layout of the fine grid; its strips are half as lo
 If the strips of the coarse grid differ, `relayout` converts between the two layouts.
 
 `prolong` interpolates the unknowns between levels of a pyramid with any ratio of densities.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
 """
 
 from dataclasses import replace

@@ -1,4 +1,7 @@
-"""Precision of a pixel's image motion from its data, and its covariance from its neighbours."""
+"""Precision of a pixel's image motion from its data, and its covariance from its neighbours.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
+"""
 
 import numpy as np
 import taichi as ti

@@ -1,4 +1,7 @@
-"""Minimum of the energy in the plane of two directions: one step of conjugate gradients."""
+"""Minimum of the energy in the plane of two directions: one step of conjugate gradients.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
+"""
 
 import numpy as np
 import taichi as ti

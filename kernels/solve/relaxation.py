@@ -3,6 +3,8 @@
 At each pixel, B = GᵀJG + α·diag(b̄), and the update is ρ̂ ← ρ̂ + ω_r·B⁻¹(c − Bρ̂). The iteration is
 the same as with the solution of Bρ̂ = c, but it has differences of neighbours in place of
 differences of large numbers, and its limit stays right where a pivot floor is active.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
 """
 
 from collections.abc import Callable

@@ -1,4 +1,7 @@
-"""One level of the pyramid under known rigid motions: depth, data, and a step for the motions."""
+"""One level of the pyramid under known rigid motions: depth, data, and a step for the motions.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
+"""
 
 import cv2
 import numpy as np

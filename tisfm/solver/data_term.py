@@ -1,4 +1,7 @@
-"""The data term: constraints of the images on the flow, computed anew at every warp."""
+"""The data term: constraints of the images on the flow, computed anew at every warp.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
+"""
 
 import math
 from collections.abc import Callable

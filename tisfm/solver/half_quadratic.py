@@ -1,4 +1,7 @@
-"""The half-quadratic algorithm (Table 1), within one linearisation."""
+"""The half-quadratic algorithm (Table 1), within one linearisation.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
+"""
 
 import math
 from collections.abc import Callable, Sequence

@@ -3,6 +3,8 @@
 The energy is that of `tisfm.kernels.solve.second_order`. On a level of spacing h the contrasts are
 multiplied by h and the data of the finer pixels are added up; all else stays the same. The energy
 of a field is then the same on every level, up to discretisation.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
 """
 
 import math

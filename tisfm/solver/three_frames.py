@@ -1,4 +1,7 @@
-"""The data term of a frame with its next and its previous frame: one set of constraints."""
+"""The data term of a frame with its next and its previous frame: one set of constraints.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
+"""
 
 from collections.abc import Callable
 

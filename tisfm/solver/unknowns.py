@@ -1,4 +1,7 @@
-"""The unknown ρ̂ on one level of the pyramid, as a lane array."""
+"""The unknown ρ̂ on one level of the pyramid, as a lane array.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
+"""
 
 from collections.abc import Callable, Sequence
 from functools import cached_property

@@ -7,6 +7,8 @@ coarse weight is half the sum of the two fine weights that it replaces.
 Corrections are interpolated so that r stays the same: the slopes bilinearly, and D as their
 integral. Between two coarse pixels at distance H, this is linear interpolation plus
 −t(1 − t) H Δv/2, with t = ¼ from the nearer pixel.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
 """
 
 from typing import Any

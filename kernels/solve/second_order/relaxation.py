@@ -1,4 +1,7 @@
-"""Red–black Gauss–Seidel sweeps over D and its slopes, with over-relaxation."""
+"""Red–black Gauss–Seidel sweeps over D and its slopes, with over-relaxation.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
+"""
 
 from collections.abc import Callable
 

@@ -1,4 +1,7 @@
-"""Update of weights and tensor in a half-quadratic iteration, with energies, in a single pass."""
+"""Update of weights and tensor in a half-quadratic iteration, with energies, in a single pass.
+
+A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
+"""
 
 from collections.abc import Callable, Sequence
 from typing import Any

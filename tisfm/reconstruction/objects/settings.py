@@ -33,13 +33,8 @@ class ObjectSettings:
     static_counts: tuple[int, int] = (8, 32)  # smallest and largest number of static positions
     min_depth_ratio: float = 0.05  # depth of a point in another frame over its depth in this frame
     # path_evidence
-    path_steps: tuple[int, ...] = (
-        1,
-        2,
-        3,
-        5,
-        8,
-    )  # frames before and after, for one depth
+    # frames before and after in which one depth has to fit
+    path_steps: tuple[int, ...] = (1, 2, 3, 5, 8)
     depth_rounds: int = 3  # reweighted rounds of the robust fit of depth
     outlier_error: float = 3.0  # px per root of the frame distance: an error with half the weight
     # standard deviation of static points from a usable camera path, as a share of the longer side
