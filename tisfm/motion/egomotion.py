@@ -30,7 +30,7 @@ class TooFewPixelsError(InputError):
 
 @dataclass(frozen=True, kw_only=True)
 class CameraMotion:
-    """One rigid motion of the whole scene before the camera, P₁ = R P₀ + t.
+    """One rigid motion of the whole scene in front of the camera, P₁ = R P₀ + t.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ def camera_motion(
     and direction of translation. The starts are essential matrices by random sampling (USAC) and
     translations along each axis. The smaller of the two rotations of an essential matrix is taken,
     because frames are close in time. The best result is kept, with the sign of t that puts the
-    scene before the camera.
+    scene in front of the camera.
 
     Parameters
     ----------

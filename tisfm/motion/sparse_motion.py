@@ -205,7 +205,7 @@ def _without_duplicates(motions: list[_AnyMotion]) -> list[_AnyMotion]:
 
 
 def _is_inlier(rays: Rays, pose: Pose, max_distance: float) -> np.ndarray:
-    """Return which matches lie near their epipolar line and before the camera, (N,) bool."""
+    """Return which matches lie near their epipolar line and in front, (N,) bool."""
     points = nearest_points(rays, *pose)
     return (np.abs(points.distance) <= max_distance) & (points.inverse_depth > 0)
 

@@ -37,8 +37,8 @@ class Model:
 
     poses: dict[int, np.ndarray]  # dict of int to (4, 4) float64: camera to world, by frame
     points: TrackPoints  # positions of tracks, in the world
-    # How well the model explains the matches of its views (`MatchScore`). It is 0 for a model from
-    # submaps and for a continued model.
+    # How well the model explains the matches of its views (`MatchScore`). It is 0 for a model that
+    # is joined from submaps (models of parts of the sequence) or continues an earlier model.
     score: float = 0.0
 
 

@@ -71,5 +71,5 @@ class PathSolution:
     # the estimate, if the focal length was to be estimated and a path was found
     focal: FocalEstimate | None
     # how well the models explain the matches of views: the sum of `Model.score`, which is 0 for
-    # models from submaps and for continued models
+    # models that are joined from submaps or continue an earlier model
     score: float

@@ -102,9 +102,9 @@ def _shape(values: Any) -> tuple[int, int]:
 
 def calibration_in(
     path: str | os.PathLike[str],  # a file or folder that `tisfm.camera_file.read_camera` reads
-    # Focal length of the frames that the file was read for, px. Their size may differ from the size
-    # in the file. The returned focal length and deviation are px of these frames; the message is
-    # that of the file.
+    # px: focal length of the frames of the source, whose size may differ from the size in the file.
+    # The returned focal length and deviation are px of these frames; the message is that of the
+    # file.
     focal: float,
 ) -> Calibration:
     """Return the calibration in the file of a camera; "given" if the file states no origin.
