@@ -23,8 +23,8 @@ class ObjectSettings:
     static_prior: float = 0.3  # frames: weight of the prior that a pixel is static
     passed_evidence: float = 0.8  # share of a frame's evidence that is passed on to the next frame
     compare_window: int = 5  # px: side of the window in which images are compared
-    # grey levels by which every static position has to match worse than a position without
-    # difference, for full evidence of motion
+    # grey levels: evidence of motion has its full weight if a pixel matches exactly where it moves
+    # and differs by this much at every static position
     full_evidence_difference: float = 4.0
     min_support: float = 0.05  # factor of evidence of motion that grey levels do not support
     # largest static inverse depth that is tried, over the largest one of clearly static pixels
