@@ -110,7 +110,7 @@ def test_damaged_streams_are_refused(data):
     ids=str,
 )
 def test_other_packings_are_refused(about):
-    with pytest.raises(ValueError, match="is packed"):
+    with pytest.raises(ValueError, match="packed"):
         Packing.from_json(about, FIXED)
 
 
