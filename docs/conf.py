@@ -27,12 +27,7 @@ LOG = logging.getLogger(__name__)
 
 project = "tisfm"
 release = version = tisfm.__version__
-extensions = [
-    "myst_nb",
-    "numpydoc",
-    "sphinx.ext.autodoc",
-    "sphinx_copybutton",
-]
+extensions = ["myst_nb", "numpydoc", "sphinx.ext.autodoc", "sphinx_copybutton"]
 ziamath.config.svg2 = False  # glyphs as outlines: pages with many formulas share no names
 nb_execution_mode = "auto"
 nb_execution_raise_on_error = True

@@ -104,11 +104,7 @@ def test_frames_are_interpolated_linearly_between_pixels():
 
 
 @pytest.mark.parametrize(
-    ("motion", "wide"),
-    [
-        ("field", False),
-        pytest.param("camera", True, marks=pytest.mark.nightly),
-    ],
+    ("motion", "wide"), [("field", False), pytest.param("camera", True, marks=pytest.mark.nightly)]
 )
 def test_long_frames_are_interpreted(motion, wide):
     frame0 = texture((6, LONG)).astype(np.uint8)

@@ -81,10 +81,7 @@ def test_end_point_error_on_middlebury(shared_data, preset, bar):
 
 @pytest.mark.parametrize(
     ("name", "bar"),
-    [
-        ("yosemite_clouds", 2.4),
-        pytest.param("yosemite_cloudless", 1.5, marks=pytest.mark.nightly),
-    ],
+    [("yosemite_clouds", 2.4), pytest.param("yosemite_cloudless", 1.5, marks=pytest.mark.nightly)],
 )
 def test_angular_error_on_yosemite(shared_data, name, bar):
     (pair,) = flows(shared_data, "accurate", name)

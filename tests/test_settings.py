@@ -359,12 +359,7 @@ def test_camera_is_frozen():
         tisfm.Camera().focal = 3.0
 
 
-@given(
-    scale=st.floats(0.1, 4),
-    focal=positive,
-    x=st.floats(-500, 500),
-    y=st.floats(-500, 500),
-)
+@given(scale=st.floats(0.1, 4), focal=positive, x=st.floats(-500, 500), y=st.floats(-500, 500))
 def test_scaled_camera_sees_the_same_rays(scale, focal, x, y):
     """Pixel x of an image lies at (x + ½)·scale − ½ on the resampled one; its ray stays."""
     camera = tisfm.Camera(focal=focal)

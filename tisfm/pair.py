@@ -264,12 +264,7 @@ def keep_pair(
     `result` is the result of `interpret_pair` for the other arguments.
     """
     prepared = prepare_pair(
-        frame0,
-        frame1,
-        camera=camera,
-        settings=result.settings,
-        ignored=ignored,
-        stretch=stretch,
+        frame0, frame1, camera=camera, settings=result.settings, ignored=ignored, stretch=stretch
     )
     flow = np.stack(cv2.split(result.flow))
     _keep(window, prepared.pyramid, flow, result.occlusion, result.status)

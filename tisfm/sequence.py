@@ -12,11 +12,7 @@ from tisfm.camera import Camera, check_camera
 from tisfm.errors import InputError
 from tisfm.focal_guess import guess_camera
 from tisfm.interpretation import Interpretation
-from tisfm.running.pair_chunks import (
-    check_sharable,
-    interpret_with_workers,
-    refuse_float_frames,
-)
+from tisfm.running.pair_chunks import check_sharable, interpret_with_workers, refuse_float_frames
 from tisfm.running.pairs import FrameSelection, PairSource, attach_poses
 from tisfm.running.pool import check_workers
 from tisfm.settings import Settings, check_settings

@@ -10,13 +10,7 @@ from bench.shared import problems
 from bench.shared.problems import Problem, in_single_precision
 from tisfm.kernels.layout.lanes import LaneData, aligned_zeros
 from tisfm.kernels.model import MIN_DIVISOR, readout
-from tisfm.kernels.rigid import (
-    epipolar,
-    motion_system,
-    plane_sweep,
-    semi_global,
-    shared_depth,
-)
+from tisfm.kernels.rigid import epipolar, motion_system, plane_sweep, semi_global, shared_depth
 from tisfm.reconstruction.depth.settings import DEPTH
 
 DEPTH_WEIGHT = 3.0  # weight of the smoothness of depth while the motion changes

@@ -20,10 +20,7 @@ def motion_matrix(camera: Camera, height: int, width: int, components: int) -> A
     x, y, one = rays(camera, height, width)
     zero = np.zeros_like(x)
     rigid = np.array(
-        [
-            [one, zero, -x, -x * y, 1 + x * x, -y],
-            [zero, one, -y, -(1 + y * y), x * y, x],
-        ]
+        [[one, zero, -x, -x * y, 1 + x * x, -y], [zero, one, -y, -(1 + y * y), x * y, x]]
     )
     return rigid[:, :components]
 
@@ -33,11 +30,7 @@ def flow(motion: Array, rho: Array) -> Array:
     return np.einsum("ckyx,kyx->cyx", motion, rho)
 
 
-def brightness_tensor(
-    gradients: tuple[Array, Array, Array],
-    flow0: Array,
-    mask: Array,
-) -> Array:
+def brightness_tensor(gradients: tuple[Array, Array, Array], flow0: Array, mask: Array) -> Array:
     """Return J11, J12, J22, j1, j2, J_tt, (6, H, W): eq. 3 squared, for the total flow.
 
     `flow0`, (2, H, W), is the flow that warped frame 1 of the gradients.

@@ -5,17 +5,12 @@ import pytest
 
 import tisfm
 
-pytestmark = [
-    pytest.mark.filterwarnings("ignore::tisfm.focal_guess.GuessedFocalWarning"),
-]
+pytestmark = [pytest.mark.filterwarnings("ignore::tisfm.focal_guess.GuessedFocalWarning")]
 
 
 def path_of(source, **options):
     found = tisfm.reconstruct(
-        source,
-        settings=tisfm.Settings.preset("fast", motion="camera"),
-        depth_of="none",
-        **options,
+        source, settings=tisfm.Settings.preset("fast", motion="camera"), depth_of="none", **options
     )
     assert (found.piece == 0).all() and set(found.status) == {"converged"}
     return np.asarray(found.poses)

@@ -14,11 +14,7 @@ H, W = 24, 40
 ENDINGS = {".npz", "_depth.png", "_depth16.png", "_anaglyph.png", "_figure.png"}
 RECORDS = {"run.json", "run.csv"}
 # -c so that a test does not depend on where scripts were installed.
-TISFM = (
-    sys.executable,
-    "-c",
-    "import sys; from tisfm.cli import main; sys.exit(main())",
-)
+TISFM = (sys.executable, "-c", "import sys; from tisfm.cli import main; sys.exit(main())")
 
 
 def make_frames(count, seed=3):

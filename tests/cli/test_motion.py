@@ -105,10 +105,7 @@ def test_all_files_of_camera_motion_agree(tisfm_run):
 def test_negative_inverse_depth_has_no_depth(tmp_path):
     """As it is in the depth of the result: black, 0, and not in the mean that sets the range."""
     result = tisfm.interpret(
-        SCENE.frame0,
-        SCENE.frame1,
-        camera=tisfm.Camera(W),
-        settings=tisfm.Settings(motion="camera"),
+        SCENE.frame0, SCENE.frame1, camera=tisfm.Camera(W), settings=tisfm.Settings(motion="camera")
     )
     changed = result.inverse_depth.copy()
     changed[:, : W // 2] = -100 * changed[:, : W // 2]
@@ -185,10 +182,7 @@ def test_a_pair_without_depth_does_not_set_the_ranges(tisfm_run):
 
 def test_several_motions_are_lines_of_one_file(tmp_path):
     result = tisfm.interpret(
-        SCENE.frame0,
-        SCENE.frame1,
-        camera=tisfm.Camera(W),
-        settings=tisfm.Settings(motion="camera"),
+        SCENE.frame0, SCENE.frame1, camera=tisfm.Camera(W), settings=tisfm.Settings(motion="camera")
     )
     labels = np.zeros((H, W), np.int32)
     labels[20:40, 30:60] = 1

@@ -14,15 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.cli.command_line import (
-    TISFM,
-    H,
-    W,
-    assert_one_line,
-    files,
-    make_frames,
-    record,
-)
+from tests.cli.command_line import TISFM, H, W, assert_one_line, files, make_frames, record
 from tests.waiting import PATIENCE, started, wait_for
 from tisfm.camera import Camera
 from tisfm.formats import write_png

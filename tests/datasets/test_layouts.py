@@ -110,11 +110,7 @@ def test_middlebury_of_one_folder_alone(data):
 
 @pytest.mark.parametrize(
     ("images", "calibration", "focal"),
-    [
-        ("image_2", "calib_cam_to_cam", 702),
-        ("colored_0", "calib", 702),
-        ("image_0", "calib", 700),
-    ],
+    [("image_2", "calib_cam_to_cam", 702), ("colored_0", "calib", 702), ("image_0", "calib", 700)],
 )
 def test_kitti_of_both_years(data, images, calibration, focal):
     make_kitti(data, images, calibration)

@@ -5,9 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tests.datasets.made import (
-    label,
-)
+from tests.datasets.made import label
 from tisfm.datasets import find_pairs
 from tisfm.formats import read_image
 

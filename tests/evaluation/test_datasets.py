@@ -8,9 +8,7 @@ from tisfm.datasets import find_pairs
 from tisfm.evaluation import pairs
 from tisfm.evaluation.pairs import evaluate
 from tisfm.focal_guess import GuessedFocalWarning
-from tisfm.metrics import (
-    pose_errors,
-)
+from tisfm.metrics import pose_errors
 from tisfm.motion.egomotion import camera_motion
 
 

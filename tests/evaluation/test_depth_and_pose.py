@@ -25,12 +25,7 @@ from tisfm.evaluation.pair_tables import evaluation_tables
 from tisfm.evaluation.pairs import evaluate
 from tisfm.formats import read_image
 from tisfm.lens import Undistortion
-from tisfm.metrics import (
-    DepthErrors,
-    PoseErrors,
-    depth_errors,
-    endpoint_error,
-)
+from tisfm.metrics import DepthErrors, PoseErrors, depth_errors, endpoint_error
 from tisfm.rigid import pose_matrix
 
 

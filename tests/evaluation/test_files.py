@@ -23,10 +23,7 @@ from tisfm.evaluation import files, pairs
 from tisfm.evaluation.files import EvaluationWriter
 from tisfm.evaluation.pairs import evaluate
 from tisfm.formats import read_flo, read_image
-from tisfm.metrics import (
-    FlowErrors,
-    endpoint_error,
-)
+from tisfm.metrics import FlowErrors, endpoint_error
 from tisfm.show import UNKNOWN_COLOR
 
 

@@ -4,12 +4,8 @@ import os
 
 import pytest
 
-from tests.formats.written import (
-    contents,
-)
-from tisfm.formats import (
-    atomic_write,
-)
+from tests.formats.written import contents
+from tisfm.formats import atomic_write
 
 
 def test_atomic_write_replaces_on_success(tmp_path):

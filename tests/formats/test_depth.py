@@ -9,14 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image, PngImagePlugin
 
-from tests.formats.written import (
-    FINITE_OR_NOT,
-    GREY8,
-    GREY16,
-    PROPERTY,
-    SHAPES,
-    contents,
-)
+from tests.formats.written import FINITE_OR_NOT, GREY8, GREY16, PROPERTY, SHAPES, contents
 from tisfm.formats import (
     FormatError,
     choose_depth_scale,

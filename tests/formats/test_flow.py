@@ -9,15 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from tests.formats.written import (
-    COLOUR8,
-    FINITE_OR_NOT,
-    GREY8,
-    GREY16,
-    PROPERTY,
-    SHAPES,
-    contents,
-)
+from tests.formats.written import COLOUR8, FINITE_OR_NOT, GREY8, GREY16, PROPERTY, SHAPES, contents
 from tisfm.formats import (
     FormatError,
     read_flo,

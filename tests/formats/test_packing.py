@@ -24,11 +24,7 @@ def again(array, *, row_axis=0, step=None):
     return unpack(stream, known, array.dtype, row_axis=row_axis)
 
 
-@given(
-    data=st.data(),
-    kind=st.sampled_from(["u1", "<u2", "<i4", "?"]),
-    row_axis=st.integers(0, 1),
-)
+@given(data=st.data(), kind=st.sampled_from(["u1", "<u2", "<i4", "?"]), row_axis=st.integers(0, 1))
 def test_whole_numbers_survive_packing(data, kind, row_axis):
     array = data.draw(arrays.arrays(kind, SIDES))
     found = again(array, row_axis=row_axis)

@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 
 from bench import reference
-from tests.kernels.compared import (
-    SIZES,
-    close,
-    each_lanes,
-    each_size,
-    padding,
-)
+from tests.kernels.compared import SIZES, close, each_lanes, each_size, padding
 from tests.lanes import LANES
 from tests.pairwise import pairwise
 

@@ -4,15 +4,7 @@ import numpy as np
 import pytest
 
 from bench import reference
-from tests.kernels.compared import (
-    MODELS,
-    SIZES,
-    close,
-    each_lanes,
-    each_size,
-    of_each,
-    padding,
-)
+from tests.kernels.compared import MODELS, SIZES, close, each_lanes, each_size, of_each, padding
 from tests.lanes import LANES
 from tests.pairwise import pairwise
 

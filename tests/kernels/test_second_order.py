@@ -130,12 +130,7 @@ def test_one_sweep_is_the_reference_sweep(size, lanes, spacing, relaxation, sour
         rho, relaxation=relaxation, source=None if source is None else field.to_lanes(source)
     )()
     reference.second_order_sweep(
-        field.tensor,
-        field.weights,
-        expected,
-        spacing=spacing,
-        relaxation=relaxation,
-        source=source,
+        field.tensor, field.weights, expected, spacing=spacing, relaxation=relaxation, source=source
     )
     # Floors of the pivots are a millionth of α and β, of which the least weights are 1/200.
     magnitude = np.abs(expected).max()

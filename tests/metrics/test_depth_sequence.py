@@ -109,10 +109,7 @@ def test_nothing_in_common_has_no_flicker(pair):
 
 
 @PATIENT
-@given(
-    powers=st.lists(st.floats(-30, 30), min_size=1, max_size=40),
-    parts=st.integers(1, 4),
-)
+@given(powers=st.lists(st.floats(-30, 30), min_size=1, max_size=40), parts=st.integers(1, 4))
 def test_the_median_of_many(powers, parts):
     values = np.exp(powers)
     collected = LogMedian()

@@ -79,10 +79,7 @@ def test_relative_errors(evo, paths, step):
     scale = absolute_errors(whole, truth).scale
     errors = relative_errors(whole, truth, step=step, scale=scale)
     options = ["-as", "-d", step, "-u", "f", "--all_pairs"]
-    for relation, expected in (
-        ("trans_part", errors.translation),
-        ("angle_deg", errors.rotation),
-    ):
+    for relation, expected in (("trans_part", errors.translation), ("angle_deg", errors.rotation)):
         value = evo("evo_rpe", "kitti", *files, *options, "-r", relation)
         assert value == pytest.approx(expected, abs=DIGITS)
 

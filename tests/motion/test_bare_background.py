@@ -174,8 +174,7 @@ def test_too_little_parallax_is_not_interpolated(scene):
 
 
 @pytest.mark.parametrize(
-    ("folder", "first"),
-    [("tartanair", 2), pytest.param("hololens", 8, marks=pytest.mark.nightly)],
+    ("folder", "first"), [("tartanair", 2), pytest.param("hololens", 8, marks=pytest.mark.nightly)]
 )
 def test_bare_walls_at_rest_have_no_label_of_their_own(shared_data, folder, first):
     """Noise in bare windows fits two motions; their edges fit the interpolated background."""

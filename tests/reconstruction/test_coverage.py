@@ -51,9 +51,7 @@ def model_of(*motions):
         for number, pose in poses.items()
     }
     return SimpleNamespace(
-        cameras={1: colmap_camera(CAMERA, SHAPE)},
-        images=images,
-        reg_image_ids=lambda: list(images),
+        cameras={1: colmap_camera(CAMERA, SHAPE)}, images=images, reg_image_ids=lambda: list(images)
     )
 
 

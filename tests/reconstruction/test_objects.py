@@ -163,11 +163,7 @@ def test_masked_pixels_have_no_object():
     mask = np.full(film().frames.shape[1:], 255, np.uint8)
     mask[:, :80] = 0
     result = tisfm.reconstruct(
-        list(film().frames[:5]),
-        camera=film().camera,
-        settings=OBJECTS,
-        mask=mask,
-        depth_of="none",
+        list(film().frames[:5]), camera=film().camera, settings=OBJECTS, mask=mask, depth_of="none"
     )
     assert not any(result.labels(k)[:, :80].any() for k in range(len(result)))
 

@@ -57,11 +57,7 @@ def test_focal_length_beyond_the_limits_leaves_parallax():
 @pytest.mark.parametrize("translation", [(0.4, 0, 0), (0, -0.4, 0.05), (0.05, 0.05, -0.2)])
 def test_plane_has_parallax_beyond_a_rotation_but_not_beyond_a_homography(depth, translation):
     if translation[2] < 0 and depth is not tilted:
-        translation = (
-            0.4,
-            0.3,
-            0,
-        )  # motion straight towards a plane looks like a zoom
+        translation = (0.4, 0.3, 0)  # motion straight towards a plane looks like a zoom
     pair = matches(depth, np.array(translation), (0.01, 0.02, 0.0))
     assert np.median(beyond_homography(*pair)) < 3 * NOISE
     assert np.median(beyond_rotation(*pair)) > 6 * NOISE

@@ -6,13 +6,7 @@ import pytest
 
 from tisfm.camera import Camera
 from tisfm.rigid import pose_matrix
-from tisfm.shutter import (
-    Rolling,
-    UnrolledFrame,
-    motion_rates,
-    moved_by_twist,
-    points_at_middle_row,
-)
+from tisfm.shutter import Rolling, UnrolledFrame, motion_rates, moved_by_twist, points_at_middle_row
 
 CAMERA, SHAPE = Camera(focal=120.0, center=(83.0, 55.0)), (121, 160)
 TWIST = np.array([0.1, -0.04, 0.16, 0.08, -0.12, 0.1])

@@ -3,9 +3,7 @@
 import pytest
 
 from tests import rendered
-from tisfm.scenes import (
-    STATIC_KINDS,
-)
+from tisfm.scenes import STATIC_KINDS
 
 
 @pytest.fixture(scope="module")

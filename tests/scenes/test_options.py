@@ -7,16 +7,7 @@ import pytest
 
 from tests.scenes.small import PAINT, TURNING, small_scene
 from tisfm.camera import Camera
-from tisfm.scenes import (
-    Box,
-    Patch,
-    Plane,
-    Scene,
-    Texture,
-    rigid_motion,
-    static_scene,
-    two_blocks,
-)
+from tisfm.scenes import Box, Patch, Plane, Scene, Texture, rigid_motion, static_scene, two_blocks
 
 
 def test_the_same_call_gives_the_same_pair():
@@ -106,16 +97,10 @@ def test_any_size(size):
             r"axes has shape \(2, 2\)",
         ),
         (lambda: small_scene(width=-4), "width is -4"),
-        (
-            lambda: Scene(objects=[], camera=Camera(), height=2, width=2),
-            "objects is empty",
-        ),
+        (lambda: Scene(objects=[], camera=Camera(), height=2, width=2), "objects is empty"),
         (
             lambda: Scene(
-                objects=[Plane(texture=PAINT, point=(0, 0, -1))],
-                camera=Camera(),
-                height=2,
-                width=2,
+                objects=[Plane(texture=PAINT, point=(0, 0, -1))], camera=Camera(), height=2, width=2
             ).render(),
             "background Plane",
         ),

@@ -6,16 +6,7 @@ import pytest
 
 from tests.scenes.small import PAINT, rays_of, small_scene
 from tisfm.camera import Camera
-from tisfm.scenes import (
-    STATIC_KINDS,
-    Box,
-    Patch,
-    Plane,
-    Scene,
-    Texture,
-    bare_patches,
-    two_blocks,
-)
+from tisfm.scenes import STATIC_KINDS, Box, Patch, Plane, Scene, Texture, bare_patches, two_blocks
 
 
 def warped_back(pair, flow):

@@ -7,12 +7,7 @@ from hypothesis import strategies as st
 
 from tests.scenes.small import PAINT, TURNING, rays_of, series_exponential, small_scene
 from tisfm.camera import Camera
-from tisfm.scenes import (
-    STATIC_KINDS,
-    Box,
-    Plane,
-    Scene,
-)
+from tisfm.scenes import STATIC_KINDS, Box, Plane, Scene
 
 
 @pytest.mark.parametrize("name", ["two_blocks", *STATIC_KINDS])

@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from tests.sources.made import (
-    FRAMES,
-    QUICK,
-    H,
-    W,
-    make_video,
-    numbered,
-)
+from tests.sources.made import FRAMES, QUICK, H, W, make_video, numbered
 from tisfm.formats import FormatError, write_png
 from tisfm.sources import FrameSource
 

@@ -9,12 +9,7 @@ import pytest
 from PIL import ExifTags, Image
 
 import tisfm
-from tests.sources.made import (
-    FRAMES,
-    Counted,
-    H,
-    W,
-)
+from tests.sources.made import FRAMES, Counted, H, W
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.rigid import pose_matrix
 from tisfm.running.pairs import attach_poses

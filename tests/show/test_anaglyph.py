@@ -8,12 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from tisfm.show import (
-    anaglyph,
-    dubois,
-    second_view,
-    stereo_view,
-)
+from tisfm.show import anaglyph, dubois, second_view, stereo_view
 from tisfm.show.anaglyph import _MATRICES
 
 PROPERTY = settings(max_examples=60)
@@ -112,7 +107,7 @@ def test_holes_show_the_background():
         np.int64,
         hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=14),
         elements=st.integers(0, 8),
-    ),
+    )
 )
 @example(shifts=np.array([[5, 3, 3, 3]]))
 def test_only_holes_are_filled_otherwise(shifts):
@@ -247,12 +242,7 @@ def test_pictures_of_any_depth_give_the_same_anaglyph():
 def test_anaglyph_is_of_two_eyes():
     image = np.random.default_rng(0).integers(0, 256, (8, 100, 3), dtype=np.uint8)
     depth = np.linspace(0.1, 1, 800).reshape(8, 100)
-    given = {
-        "disparity": 0.05,
-        "screen": 0.3,
-        "limit": 0.8,
-        "crop": False,
-    }
+    given = {"disparity": 0.05, "screen": 0.3, "limit": 0.8, "crop": False}
     left, right = (stereo_view(image, depth, eye=eye, **given) for eye in (0, 1))
     assert np.array_equal(left, image)
     assert np.array_equal(anaglyph(image, depth, **given), dubois(left, right))

@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from tisfm.show import (
-    anaglyph,
-    depth_grey,
-    flow_to_color,
-    inverse_depth_limit,
-)
+from tisfm.show import anaglyph, depth_grey, flow_to_color, inverse_depth_limit
 
 
 def test_limit_counts_finite_positive_values_only():

@@ -7,13 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tisfm.show import (
-    color_wheel,
-    flow_radius,
-    flow_to_color,
-    quiver_points,
-    usual_length,
-)
+from tisfm.show import color_wheel, flow_radius, flow_to_color, quiver_points, usual_length
 
 PROPERTY = settings(max_examples=60)
 

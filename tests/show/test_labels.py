@@ -5,11 +5,7 @@ import pytest
 from matplotlib.legend import Legend
 
 from tests.show.drawn import scene
-from tisfm.show import (
-    draw_labels,
-    label_colors,
-    label_overlay,
-)
+from tisfm.show import draw_labels, label_colors, label_overlay
 
 
 def test_colours_of_labels_are_far_from_each_other():

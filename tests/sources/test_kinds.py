@@ -10,13 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tisfm
-from tests.sources.made import (
-    FRAMES,
-    H,
-    W,
-    check_frames,
-    numbered,
-)
+from tests.sources.made import FRAMES, H, W, check_frames, numbered
 from tisfm.formats import write_png
 from tisfm.formats.image_names import natural_sort_key
 from tisfm.sources import FrameSource

@@ -12,12 +12,7 @@ import tisfm
 from tisfm.camera import Camera
 from tisfm.cli.console import print_full_width, print_source_notes, start_kernels, tell
 from tisfm.cli.progress import STAGES, TimeEstimate, progress_bar
-from tisfm.datasets import (
-    SEQUENCE_LAYOUTS,
-    DatasetSequence,
-    LoadedSequence,
-    find_sequences,
-)
+from tisfm.datasets import SEQUENCE_LAYOUTS, DatasetSequence, LoadedSequence, find_sequences
 from tisfm.errors import InputError, is_user_error
 from tisfm.evaluation.files import EVALUATION_RECORD
 from tisfm.evaluation.moving_objects import (

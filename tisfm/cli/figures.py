@@ -123,10 +123,7 @@ def write_paper_figures(
     comparisons = {
         "figure_lambda.png": (
             "Smoothness λ (Fig. 6)",
-            {
-                "λ = 1e8": paper,
-                "λ = 1e9": replace(paper, smoothness=10 * PAPER_SMOOTHNESS),
-            },
+            {"λ = 1e8": paper, "λ = 1e9": replace(paper, smoothness=10 * PAPER_SMOOTHNESS)},
         ),
         "figure_presmoothing.png": (
             "Smoothing the frames first (Fig. 8)",

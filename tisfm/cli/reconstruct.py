@@ -209,11 +209,7 @@ def reconstruct(options: Reconstruct) -> int:
     tell_device(options.arch)
     stages = StageTimes()
     estimates = {stage: TimeEstimate(f"frames, {text}") for stage, text in STAGES.items()}
-    with (
-        progress_bar() as bar,
-        watch_interrupt(is_endless) as is_interrupted,
-        print_source_notes(),
-    ):
+    with progress_bar() as bar, watch_interrupt(is_endless) as is_interrupted, print_source_notes():
         warnings.simplefilter("ignore", GuessedFocalWarning)  # printed at the end
         warnings.simplefilter("ignore", SoftwareVulkanWarning)  # tell_device printed it
         task = bar.add_task("", total=None)

@@ -284,9 +284,7 @@ LAYOUTS: dict[str, Rule] = {
         step=3,
     ),
     "calibrated": Rule(
-        find_calibrated,
-        "images/ with camera.txt and poses.txt or depth/NAME.png",
-        step=1,
+        find_calibrated, "images/ with camera.txt and poses.txt or depth/NAME.png", step=1
     ),
 }
 """The rules of the layouts, by name."""

@@ -194,10 +194,7 @@ def _mean_flow(errors: Sequence[FlowErrors | None]) -> FlowErrors | None:
 
 
 def _summary(
-    kind: type[_Errors],
-    errors: Sequence[_Errors],
-    reduce: Callable[[list[Any]], Any],
-    **given: Any,
+    kind: type[_Errors], errors: Sequence[_Errors], reduce: Callable[[list[Any]], Any], **given: Any
 ) -> _Errors:
     """Reduce each error separately over the pairs that have it, except for given values."""
     reduced: dict[str, Any] = {}

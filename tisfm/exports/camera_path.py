@@ -228,10 +228,7 @@ def write_gltf_cameras(
 
 
 def write_chan(
-    result: Reconstruction,
-    folder: str | os.PathLike[str],
-    *,
-    frames: Iterable[int] | None = None,
+    result: Reconstruction, folder: str | os.PathLike[str], *, frames: Iterable[int] | None = None
 ) -> list[Path]:
     """Write the camera as Nuke reads it, ``camera.chan``, and its lens, ``lens.json``.
 

@@ -314,10 +314,7 @@ def _model(
     return Format(write=write_files, check=check, notes=describe, bytes_per_pixel=0.5)
 
 
-def _path(
-    write: Callable[..., Files],
-    describe: Callable[[ExportRequest], list[str]],
-) -> Format:
+def _path(write: Callable[..., Files], describe: Callable[[ExportRequest], list[str]]) -> Format:
     def write_files(export: ExportRequest, progress: Progress) -> Files:
         return write(
             export.sequence,

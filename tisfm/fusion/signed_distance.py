@@ -204,13 +204,7 @@ def _in_frustum(
     height, width = view.inverse_depth.shape
     farthest = 1 / view.inverse_depth[view.inverse_depth > 0].min() + truncation
     sides = np.array(  # each is positive inside
-        [
-            [1, 0, 0.5],
-            [-1, 0, width - 0.5],
-            [0, 1, 0.5],
-            [0, -1, height - 0.5],
-            [0, 0, 1],
-        ]
+        [[1, 0, 0.5], [-1, 0, width - 0.5], [0, 1, 0.5], [0, -1, height - 0.5], [0, 0, 1]]
     )
     extent = np.maximum(across @ sides.T, 0).sum(axis=0)
     is_inside = (corners @ sides.T + extent >= 0).all(axis=1)

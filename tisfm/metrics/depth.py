@@ -61,10 +61,7 @@ class DepthErrors:
 
 
 def depth_errors(
-    depth: ArrayLike,
-    truth: ArrayLike,
-    mask: ArrayLike | None = None,
-    align: str | None = "median",
+    depth: ArrayLike, truth: ArrayLike, mask: ArrayLike | None = None, align: str | None = "median"
 ) -> DepthErrors:
     """Compare a depth map with the truth.
 
@@ -128,10 +125,7 @@ def depth_errors(
 
 
 def depth_error_map(
-    depth: ArrayLike,
-    truth: ArrayLike,
-    mask: ArrayLike | None = None,
-    align: str | None = "median",
+    depth: ArrayLike, truth: ArrayLike, mask: ArrayLike | None = None, align: str | None = "median"
 ) -> NDArray[np.float64]:
     """Return the relative error of the depth, |d - d*| / d*, at each pixel.
 

@@ -80,10 +80,7 @@ def pose_errors(pose: ArrayLike, truth: ArrayLike) -> PoseErrors:
         # An arc cosine would lose small angles to rounding.
         cross = np.linalg.norm(np.cross(translation, true_translation))
         direction = float(np.degrees(np.arctan2(cross, translation @ true_translation)))
-    return PoseErrors(
-        direction=direction,
-        rotation=float(np.degrees(turn.magnitude())),
-    )
+    return PoseErrors(direction=direction, rotation=float(np.degrees(turn.magnitude())))
 
 
 def _rigid(name: str, pose: ArrayLike) -> tuple[NDArray, NDArray]:

@@ -11,10 +11,4 @@ from tisfm.report.page import check_report
 from tisfm.report.reconstruction_report import write_reconstruction_report
 from tisfm.report.run_report import write_run_report
 
-__all__ = [
-    "REPORT",
-    "check_report",
-    "is_report",
-    "write_reconstruction_report",
-    "write_run_report",
-]
+__all__ = ["REPORT", "check_report", "is_report", "write_reconstruction_report", "write_run_report"]

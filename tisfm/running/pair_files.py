@@ -14,13 +14,7 @@ from tisfm.errors import InputError
 from tisfm.folders.files import file_checksum
 from tisfm.folders.result_folder import InputFiles
 from tisfm.folders.run_record import ENDINGS
-from tisfm.formats import (
-    atomic_write,
-    choose_depth_scale,
-    write_depth_png,
-    write_flo,
-    write_png,
-)
+from tisfm.formats import atomic_write, choose_depth_scale, write_depth_png, write_flo, write_png
 from tisfm.interpretation import Interpretation
 from tisfm.machine.text import printable
 from tisfm.rigid import rigid_motion

@@ -353,13 +353,7 @@ def _furniture(motion: Floats, width: int, seed: int) -> list[Box]:
 
     def add(wall: Floats, center: Triple, size: Triple, texture: Texture) -> None:
         boxes.append(
-            Box(
-                texture=texture,
-                center=_AXES @ center,
-                size=size,
-                axes=_AXES @ wall,
-                motion=motion,
-            )
+            Box(texture=texture, center=_AXES @ center, size=size, axes=_AXES @ wall, motion=motion)
         )
 
     def on_far(across: float, down: float, size: Triple, texture: Texture) -> None:

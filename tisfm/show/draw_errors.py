@@ -13,12 +13,7 @@ from tisfm.metrics.depth_std import error_in_deviations
 from tisfm.metrics.valid_pixels import is_known
 from tisfm.show.arrays import as_flow, as_map, is_depth, require_same_size
 from tisfm.show.axes import name_axis, plot_axes, style_plot
-from tisfm.show.color_maps import (
-    DEPTH_ERROR_RANGE,
-    ERROR_RANGE,
-    check_error_limits,
-    error_to_color,
-)
+from tisfm.show.color_maps import DEPTH_ERROR_RANGE, ERROR_RANGE, check_error_limits, error_to_color
 from tisfm.show.draw_maps import Bar, draw_with_bar
 from tisfm.show.palette import ESTIMATE, FAINT, INK, color_ramp
 from tisfm.show.ticks import doublings

@@ -299,11 +299,7 @@ def _mark_ends(
 
 
 def _set_up_axes(
-    axes: Axes,
-    sizes: Sizes,
-    lines: list[NDArray[np.float64]],
-    view: PathView,
-    unit: str,
+    axes: Axes, sizes: Sizes, lines: list[NDArray[np.float64]], view: PathView, unit: str
 ) -> None:
     """Give both axes one scale, and name them."""
     _, _, across, up = _VIEWS[view]

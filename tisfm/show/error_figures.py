@@ -67,11 +67,7 @@ def error_figure(
 
 
 def flow_figure(
-    flow: ArrayLike,
-    truth: ArrayLike,
-    *,
-    title: str | None = None,
-    limit: float | None = None,
+    flow: ArrayLike, truth: ArrayLike, *, title: str | None = None, limit: float | None = None
 ) -> Figure:
     """Show a flow beside the true flow, as colours of one range.
 

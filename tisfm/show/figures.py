@@ -18,14 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.checks import refuse_masked, unmasked_mask
 from tisfm.errors import InputError
 from tisfm.formats import atomic_write
-from tisfm.show.arrays import (
-    as_flow,
-    as_image,
-    as_map,
-    as_uint8,
-    check_limit,
-    require_same_size,
-)
+from tisfm.show.arrays import as_flow, as_image, as_map, as_uint8, check_limit, require_same_size
 from tisfm.show.axes import show_picture
 from tisfm.show.color_maps import UNCERTAINTY_RANGE, inverse_depth_limit
 from tisfm.show.draw_flow import draw_arrows, draw_flow
@@ -333,10 +326,7 @@ def rigid_figure(
 
 
 def panel_figure(
-    panels: Sequence[tuple[str, ArrayLike]],
-    *,
-    columns: int | None = None,
-    title: str | None = None,
+    panels: Sequence[tuple[str, ArrayLike]], *, columns: int | None = None, title: str | None = None
 ) -> Figure:
     """Show pictures side by side, such as the depth at two settings (Fig. 6 and 8 of the paper).
 

@@ -97,10 +97,7 @@ def usual_length(flow: ArrayLike) -> float:
 
 
 def flow_to_color(
-    flow: ArrayLike,
-    *,
-    limit: float | None = None,
-    beyond: Literal["darker", "same"] = "darker",
+    flow: ArrayLike, *, limit: float | None = None, beyond: Literal["darker", "same"] = "darker"
 ) -> NDArray[np.uint8]:
     """Show flow as colours: direction as hue, length as saturation.
 

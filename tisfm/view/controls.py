@@ -113,11 +113,7 @@ def build_controls(server: "ViserServer", result: ResultFrames, *, most_points: 
         handles["size"] = gui.add_slider("Size", min=0.5, max=4, step=0.1, initial_value=1.2)
         thousands = max(1, round(most_points / 1000))
         handles["most"] = gui.add_slider(
-            "Thousands, at most",
-            min=1,
-            max=max(500, thousands),
-            step=1,
-            initial_value=thousands,
+            "Thousands, at most", min=1, max=max(500, thousands), step=1, initial_value=thousands
         )
         handles["min_confidence"] = gui.add_slider(
             "Least confidence",

@@ -120,9 +120,4 @@ def _differences(array: Any, starts: list, i: Any, other: Any, side: int, half_h
         [bind(element(array, index + starts[k])) for k in range(COMPONENTS)] for index in (i, other)
     )
     step, first, second = (bind(end - start) for end, start in zip(neighbour, center, strict=True))
-    return [
-        bind(step - half_h * (center[1 + side] + neighbour[1 + side])),
-        first,
-        second,
-        step,
-    ]
+    return [bind(step - half_h * (center[1 + side] + neighbour[1 + side])), first, second, step]

@@ -185,10 +185,7 @@ def test_parallax_excludes_the_rotation():
     wall = np.full(SIZE, 2.0)
     wall[0] = np.nan
     pair = replace(
-        small_entries("sideways-f300")[0].load(),
-        depth=wall,
-        pose=pose,
-        camera=tisfm.Camera(50.0),
+        small_entries("sideways-f300")[0].load(), depth=wall, pose=pose, camera=tisfm.Camera(50.0)
     )
     assert parallax_of(pair) == pytest.approx(2.5)
     turned = pose_matrix([-0.1, 0, 0, 0, 0.05, 0])

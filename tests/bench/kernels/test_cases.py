@@ -26,12 +26,7 @@ def test_every_kernel_has_its_traffic():
 
 # Not timed: no reference improves or carries displacements of all pixels at once, those of fusion,
 # rendering, merging and edges go point by point.
-AS_A_WHOLE = {
-    "rigid.flow_search",
-    "rigid.depth_maps",
-    "fusion.agreement",
-    "fusion.distance_field",
-}
+AS_A_WHOLE = {"rigid.flow_search", "rigid.depth_maps", "fusion.agreement", "fusion.distance_field"}
 PARTS = {("data.image_edges", "scale"), ("solve.line_search", "subtract")}
 
 
@@ -58,8 +53,7 @@ def test_every_public_kernel_is_timed():
 
 
 @pytest.mark.parametrize(
-    ("lanes", "on_device"),
-    [(cpu_lanes(), False), pytest.param(1, True, marks=pytest.mark.nightly)],
+    ("lanes", "on_device"), [(cpu_lanes(), False), pytest.param(1, True, marks=pytest.mark.nightly)]
 )
 def test_timed_kernels_agree_with_the_reference(lanes, on_device):
     problem = Problem(23, 34)

@@ -25,11 +25,7 @@ def test_the_worker_needs_nothing_of_this_project():
 @pytest.fixture
 def dis(tmp_path):
     peer = Peer(
-        "OpenCV DIS fast",
-        python=Path(sys.executable),
-        threads=1,
-        folder=tmp_path,
-        timeout=PATIENCE,
+        "OpenCV DIS fast", python=Path(sys.executable), threads=1, folder=tmp_path, timeout=PATIENCE
     )
     yield peer
     peer.close()

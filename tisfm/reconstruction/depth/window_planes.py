@@ -11,10 +11,7 @@ from tisfm.camera import Camera
 from tisfm.kernels.rigid.patch_match import MAX_SLOPE
 from tisfm.kernels.rigid.view_search import MAX_FRAMES, ViewSearch
 from tisfm.kernels.rigid.windows import MAX_GREY
-from tisfm.motion.matched_planes import (
-    grey_scale,
-    noise_deviation,
-)
+from tisfm.motion.matched_planes import grey_scale, noise_deviation
 from tisfm.motion.settings import DEPTH as PAIR_DEPTH
 from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.geometry.rays import pinhole_rays

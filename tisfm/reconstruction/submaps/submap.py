@@ -127,11 +127,7 @@ class SubmapBuilder:
         ]
 
     def _make_submap(
-        self,
-        graph: ViewGraph,
-        reconstruction: Any,
-        views: Sequence[View],
-        numbers: Sequence[int],
+        self, graph: ViewGraph, reconstruction: Any, views: Sequence[View], numbers: Sequence[int]
     ) -> Submap:
         model = graph.model(reconstruction)
         mapped = [k for k, view in enumerate(views) if view.frame in model.poses]
