@@ -229,7 +229,7 @@ def test_candidates_of_one_view_are_dropped_where_they_are_too_many(monkeypatch)
     views = [*walls(3, size=(30, 40)), wall(depth=1.0, size=(30, 40))]
     expected = fused_mesh(views, voxel=0.1)
     count = len(
-        signed_distance._blocks(
+        signed_distance._select_blocks(
             PosedViews(views, max_relative_std=0.1, max_depth=None), 0.05, 0.2, 1
         )
     )

@@ -184,7 +184,7 @@ def test_a_packed_disparity_that_is_too_large(tmp_path):
     file = io.BytesIO()
     about = {"descr": "|u1", "fortran_order": False, "shape": (2**20, 2**20)}
     header.write_array_header_1_0(file, about)
-    with pytest.raises(FormatError, match=f"at most {MAX_IMAGE_PIXELS}"):
+    with pytest.raises(FormatError, match=f"at most {MAX_IMAGE_PIXELS:,}"):
         read_disparity(file_of(tmp_path, file.getvalue(), "x.npy"))
 
 

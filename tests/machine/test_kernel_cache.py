@@ -136,7 +136,7 @@ print(time.time(), flush=True)
 def test_a_turn_that_never_comes_is_not_waited_for(cache, monkeypatch):
     import fcntl
 
-    monkeypatch.setattr("tisfm.machine.kernel_cache._LONGEST_WAIT", 0.1)
+    monkeypatch.setattr("tisfm.machine.kernel_cache._MAX_LOCK_WAIT", 0.1)
     with open(cache / "tisfm.turn", "w") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
         begin = time.monotonic()
