@@ -59,7 +59,7 @@ def test_rigid_motion_at_small_and_large_angles(angle):
     R, t = rigid_motion([*T, *(angle * axis)])
     along = (axis @ T) * axis
     across = T - along
-    # The arc of a circle: V T rotates and shortens only what is across the axis.
+    # The arc of a circle: V T rotates and shortens only the part of T across the axis.
     chord = math.sin(angle) / angle if angle > 1e-8 else 1 - angle**2 / 6
     bulge = 2 * math.sin(angle / 2) ** 2 / angle if angle > 1e-8 else angle / 2
     expected = along + chord * across + bulge * np.cross(axis, across)

@@ -161,7 +161,7 @@ def _look_along_ray(
 
 @ti.func
 def _mean(inverse_depth: ti.template(), deviation: ti.template(), row, column, expected):
-    """Return Σw, Σw·d and Σw·σ over those of the four pixels around that show the surface."""
+    """Return Σw, Σw·d and Σw·σ of the pixels that show the surface, among the four around."""
     sums = ti.Vector([0.0, 0.0, 0.0])
     left, top = ti.cast(ti.floor(column), ti.i32), ti.cast(ti.floor(row), ti.i32)
     for j, i in ti.static(ti.ndrange(2, 2)):
@@ -208,8 +208,8 @@ def merge_depths(
     inverse_depths: np.ndarray,
     deviations: np.ndarray,  # (N, H, W) float32: their standard deviations; finite
     # out, out_deviation: (H, W) float32, means of the sources that agree, with the weights (d/σ)²;
-    # 0 where there is no depth. The deviation is a mean too, not smaller than those of the sources,
-    # since sources share images.
+    # 0 where there is no depth. The deviation is the mean of the deviations of the sources: it does
+    # not shrink, since sources share images.
     out: np.ndarray,
     out_deviation: np.ndarray,
     *,

@@ -2,8 +2,8 @@
 
 A small change (δt, δω) of a frame's motion adds d δt + δω × (R x̂ + d t) to R x̂ + d t, and
 B (δt, δω) to the flow; a change δD adds a δD to the flow. With e = J u + j, a frame adds BᵀJB and
-Bᵀe to the equations of its own motion, and aᵀJa and aᵀe to those of every pixel's depth; aᵀJB
-couples the two. Depth can be eliminated only after all frames are added.
+Bᵀe to the equations of its own motion, and aᵀJa and aᵀe to the equation of every pixel's depth;
+aᵀJB couples the two. Depth can be eliminated only after all frames are added.
 
 With fixed motions, the data term of a frame along its epipolar line is A D² + 2 B D + C. These
 three numbers of each pixel are added up over the frames.
@@ -66,7 +66,7 @@ def add_frame(
     # lane array, 6 components for each frame: aᵀJB of all frames; the 6 components of this frame
     # are overwritten
     slopes: LaneData,
-    sums: LaneData,  # lane array, 2 components: aᵀJa and aᵀe; those of this frame are added
+    sums: LaneData,  # lane array, 2 components: aᵀJa and aᵀe, added for this frame
     *,
     number: int,  # index of the frame
     motion: np.ndarray,  # (3, 4) float32: R and t

@@ -156,7 +156,7 @@ class LinearSystem:
 
     def coarsen(
         self,
-        # tensor, weights: halved arrays, 6 components and as many as those of this system
+        # tensor, weights: halved arrays, 6 and 2 · `weights_per_edge` components
         tensor: LaneData,
         weights: LaneData,
     ) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from tisfm.kernels.layout.buffers import ALIGNMENT, MAX_REUSED_BYTES, MIN_REUSED_BYTES, Buffers
 
-COUNT = MIN_REUSED_BYTES  # floats: four times what is kept at least
+COUNT = MIN_REUSED_BYTES  # floats, so four times the bytes of the smallest reused block
 
 
 def address(array):

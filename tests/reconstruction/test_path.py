@@ -77,7 +77,7 @@ def test_no_frame_has_no_path():
     assert (path.pieces, path.missing, len(path.observations)) == ((), {}, 0)
 
 
-@pytest.mark.nightly  # the next test compares the bits with those of another process
+@pytest.mark.nightly  # the next test compares the bits with another process
 def test_same_bits_twice():
     assert bits() == bits()
 

@@ -187,7 +187,7 @@ def test_stream_corrects_a_readout():
         if readout is None:
             assert abs(about.readout - READOUT) < 3 * about.readout_std < 0.4
         else:
-            assert about.readout == 0  # given: nothing is estimated
+            assert about.readout == 0  # a given readout is not estimated
         shares = np.divide(errors(found), errors(ignored))
         # Of the path, of depth and of pictures; measured: 0.24, 0.47 and 0.82. Most of the
         # remaining difference of pictures is noise, aliasing and JPEG.

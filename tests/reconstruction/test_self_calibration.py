@@ -436,7 +436,7 @@ def test_impossible_calibrations_are_refused(changes):
 
 
 def test_camera_file_keeps_its_calibration(found, tmp_path):
-    """Three frames are enough: nothing is estimated."""
+    """Three frames suffice, because the focal length is not estimated again."""
     again = path_of(few(), camera=found.folder, folder=tmp_path / "again")
     assert again.calibration == found.calibration and again.camera == found.camera
     assert json.loads((tmp_path / "again" / "camera.json").read_text())["origin"] == "estimated"

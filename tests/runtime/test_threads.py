@@ -1,4 +1,4 @@
-"""Threads: those of Taichi, their cores, and those of the calling program."""
+"""Threads of Taichi, their cores, and threads of the calling program."""
 
 import os
 import threading

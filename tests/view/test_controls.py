@@ -58,7 +58,7 @@ def status(page):
     return page.controls.status.content
 
 
-OF_A_RUN = (  # name, value, and what it changes
+RUN_CONTROLS = (  # name, value, and the output that it changes
     ("color", "confidence", legend),
     ("shape", "surface", kind_of_points),
     ("size", 3.0, size_of_points),
@@ -70,7 +70,7 @@ OF_A_RUN = (  # name, value, and what it changes
     ("measure", True, distance),
     ("frame", 1, status),
 )
-OF_A_RECONSTRUCTION = (
+RECONSTRUCTION_CONTROLS = (
     ("follow", True, sees_camera),
     ("with_frame", False, sees_points),
     ("path", False, nodes),
@@ -95,12 +95,12 @@ def assert_controls_work(page, controls):
 
 def test_controls_of_a_run(opened, tmp_path):
     write_run(tmp_path / "r", 2)
-    assert_controls_work(opened(tmp_path / "r"), OF_A_RUN)
+    assert_controls_work(opened(tmp_path / "r"), RUN_CONTROLS)
 
 
 def test_controls_of_a_reconstruction(opened, tmp_path):
     write_reconstruction(tmp_path / "r", 3, things=True)
-    assert_controls_work(opened(tmp_path / "r"), OF_A_RECONSTRUCTION)
+    assert_controls_work(opened(tmp_path / "r"), RECONSTRUCTION_CONTROLS)
 
 
 def test_play_is_a_button_that_becomes_pause(opened, tmp_path):
