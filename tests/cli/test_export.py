@@ -83,9 +83,8 @@ def test_frames_and_unit_are_chosen(tisfm_run, work_folder):
     expected = result.poses[1::2, :3, 3] * 7 / length
     np.testing.assert_allclose(found.poses[:, :3, 3], expected, rtol=1e-9)
     assert names(work_folder / "out" / "depth-pfm") == ["f1.pfm", "f3.pfm", "f5.pfm"]
-    assert (
-        len(names(work_folder / "walk")) == 6 + 6 + 2
-    )  # depth, frames: the export writes no file there
+    # Depth, frames, and two more files: the export writes nothing into the folder.
+    assert len(names(work_folder / "walk")) == 6 + 6 + 2
 
 
 def test_a_unit_is_that_of_a_piece(tisfm_run, work_folder):
