@@ -12,11 +12,12 @@ from tisfm.errors import InputError, InputTypeError
 _MIN_SIMILARITY = 0.6  # of a suggested word: ratio of `difflib`, 0 to 1; the default there
 
 Floats = NDArray[np.float64]
-# Type of a dataclass field: array_like as an argument, a read-only float64 array once checked.
+# Type of a dataclass field. The constructor takes any array_like; the field is a read-only float64
+# array.
 Vector = Any
 
 
-def finite(value: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
+def check_finite(value: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
     """Return a read-only float64 copy; raise ValueError if not finite or of another shape."""
     refuse_masked(value, name, "expected numbers without a mask")
     array = np.array(value, dtype=np.float64)
@@ -28,15 +29,15 @@ def finite(value: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
     return array
 
 
-def whole(least: int, **values: object) -> None:
-    """Raise ValueError unless the values are whole numbers of at least `least`, which is 0 or 1."""
+def check_whole_numbers(minimum: int, **values: object) -> None:
+    """Raise ValueError unless all values are whole numbers of at least `minimum`, 0 or 1."""
     for name, value in values.items():
-        if not isinstance(value, int | np.integer) or value < least:
-            kind = "positive" if least else "non-negative"
+        if not isinstance(value, int | np.integer) or value < minimum:
+            kind = "positive" if minimum else "non-negative"
             raise InputError(f"{name} is {value!r}: expected a {kind} whole number")
 
 
-def check_count(poses: int, frames: int) -> None:
+def check_pose_count(poses: int, frames: int) -> None:
     """Raise ValueError unless there are as many poses as frames."""
     if poses != frames:
         raise InputError(f"poses are {poses}, but there are {frames} frames: expected one for each")
@@ -49,24 +50,24 @@ def refuse_masked(
     advice: str | None = None,
 ) -> None:
     """Raise ValueError if an array has masked values: NumPy's functions would drop the mask."""
-    hidden, total = _masked(values)
-    if hidden:
+    masked, total = _count_masked(values)
+    if masked:
         advice = advice or f"fill them first, for instance by {name}.filled(np.nan)"
-        raise InputError(f"{name} has {hidden} of {total} values masked: {advice}")
+        raise InputError(f"{name} has {masked} of {total} values masked: {advice}")
 
 
-def unmasked(
+def check_unmasked(
     values: ArrayLike, name: str, dtype: DTypeLike | None = None, *, advice: str | None = None
 ) -> NDArray[Any]:
-    """Return values as a plain array; raise as `refuse_masked` does."""
+    """Return values as a plain array; raise ValueError if some values are masked."""
     refuse_masked(values, name, advice)
     return np.asarray(values, dtype)
 
 
-def unmasked_mask(values: ArrayLike, name: str) -> NDArray[np.bool_]:
-    """Return where a mask is nonzero; raise if it is not a mask, or as `refuse_masked` does."""
+def check_mask(values: ArrayLike, name: str) -> NDArray[np.bool_]:
+    """Return where a mask is nonzero; raise if it is not a mask, or if some values are masked."""
     advice = f"fill them first, for instance by {name}.filled(0)"
-    mask = unmasked(values, name, advice=advice)
+    mask = check_unmasked(values, name, advice=advice)
     if mask.dtype.kind not in "biuf":
         raise InputTypeError(f"{name} is of type {mask.dtype}: expected True and False, or numbers")
     if mask.dtype.kind == "f" and np.isnan(mask).any():
@@ -74,17 +75,17 @@ def unmasked_mask(values: ArrayLike, name: str) -> NDArray[np.bool_]:
     return mask.astype(bool)
 
 
-def _masked(values: object) -> tuple[int, int]:
+def _count_masked(values: object) -> tuple[int, int]:
     """Return the number of masked values, and the number of all values."""
     if isinstance(values, np.ma.MaskedArray):
         return int(np.ma.count_masked(values)), values.size
     if not isinstance(values, Sequence) or isinstance(values, str | bytes):
         return 0, getattr(values, "size", 1)
-    counts = [_masked(item) for item in values]
-    return sum(hidden for hidden, _ in counts), sum(total for _, total in counts)
+    counts = [_count_masked(item) for item in values]
+    return sum(masked for masked, _ in counts), sum(total for _, total in counts)
 
 
-def nearest(word: str, candidates: Iterable[str]) -> str | None:
+def find_similar_word(word: str, candidates: Iterable[str]) -> str | None:
     """Return the known word most similar to `word`; None if no word is similar.
 
     If exactly one known word begins with `word`, that word is returned.
@@ -98,7 +99,7 @@ def nearest(word: str, candidates: Iterable[str]) -> str | None:
     return lower[similar[0]] if similar else None
 
 
-def hint(word: str, candidates: Iterable[str]) -> str:
-    """Return ", did you mean …?" with the nearest known word, for an error; "" without one."""
-    suggestion = nearest(word, candidates)
+def spelling_hint(word: str, candidates: Iterable[str]) -> str:
+    """Return ", did you mean …?" with the most similar known word; "" if no word is similar."""
+    suggestion = find_similar_word(word, candidates)
     return f", did you mean {suggestion!r}?" if suggestion else ""

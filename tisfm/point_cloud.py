@@ -9,7 +9,7 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from tisfm.camera import Camera, check_pinhole
-from tisfm.checks import refuse_masked, unmasked
+from tisfm.checks import check_unmasked, refuse_masked
 from tisfm.errors import InputError, InputTypeError
 
 # Farthest point, median depths: where inverse depth is nearly 0, its noise moves points far away.
@@ -137,9 +137,9 @@ def point_cloud(
         _check_number(max_depth, "max_depth", "a number of median depths, or None")
         if not max_depth > 0:
             raise InputError(f"max_depth is {max_depth:g}: expected a positive number, or None")
-    depth = unmasked(depth, "depth")
+    depth = check_unmasked(depth, "depth")
     frame, confidence, occlusion = (
-        unmasked(array, name, advice=f"fill them first, for instance by {name}.filled(0)")
+        check_unmasked(array, name, advice=f"fill them first, for instance by {name}.filled(0)")
         for name, array in (("frame", frame), ("confidence", confidence), ("occlusion", occlusion))
     )
     kept = np.isfinite(depth) & (depth > 0) & (confidence >= min_confidence)

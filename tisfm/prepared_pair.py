@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from tisfm import runtime
 from tisfm.camera import Camera, check_camera
-from tisfm.checks import unmasked_mask
+from tisfm.checks import check_mask
 from tisfm.errors import InputError, InputTypeError
 from tisfm.focal_guess import guess_camera
 from tisfm.frames import eight_bit, grey_pair
@@ -98,7 +98,7 @@ def ignored_pixels(mask: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[np.ndar
             f"mask is the path {os.fspath(mask)!r}: expected an array; read the file, for "
             "instance by tisfm.formats.read_image"
         )
-    valid = unmasked_mask(mask, "mask")
+    valid = check_mask(mask, "mask")
     both = np.stack([valid, valid]) if valid.ndim == 2 else valid
     if both.shape != (2, *shape):
         height, width = shape

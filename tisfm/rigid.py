@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import Floats, finite, refuse_masked
+from tisfm.checks import Floats, check_finite, refuse_masked
 from tisfm.errors import InputError, InputTypeError
 
 __all__ = ["pose_matrix", "rigid_motion", "rigid_twist"]
@@ -50,7 +50,7 @@ def rigid_motion(motion: ArrayLike) -> tuple[Floats, Floats]:
     >>> translation.tolist()
     [0.0, 0.0, 1.0]
     """
-    twist = finite(motion, (6,), "motion")
+    twist = check_finite(motion, (6,), "motion")
     velocity, spin = twist[:3], twist[3:]
     angle = float(np.linalg.norm(spin))
     cross = np.array([[0.0, -spin[2], spin[1]], [spin[2], 0.0, -spin[0]], [-spin[1], spin[0], 0.0]])
@@ -92,7 +92,10 @@ def rigid_twist(rotation: ArrayLike, translation: ArrayLike) -> Floats:
     >>> bool(np.allclose(rigid_twist(*rigid_motion(twist)), twist))
     True
     """
-    matrix, offset = finite(rotation, (3, 3), "rotation"), finite(translation, (3,), "translation")
+    matrix, offset = (
+        check_finite(rotation, (3, 3), "rotation"),
+        check_finite(translation, (3,), "translation"),
+    )
     # The axis times twice the sine, with the cosine from the trace, is accurate at small angles.
     axis = np.array(
         [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]

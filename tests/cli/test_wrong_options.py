@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.cli.command_line import TISFM, assert_one_line
-from tisfm.checks import hint, nearest
+from tisfm.checks import find_similar_word, spelling_hint
 from tisfm.cli import progress, reconstruct
 from tisfm.cli.command_line import COMMANDS, _command
 from tisfm.cli.options import FrameOptions
@@ -141,9 +141,9 @@ def test_the_options_of_a_command_are_those_of_its_help(tisfm_run):
 
 @given(st.text(max_size=12), st.lists(st.text(max_size=12), max_size=5))
 def test_wrong_names_have_suggestions(word, known):
-    found = nearest(word, known)
+    found = find_similar_word(word, known)
     assert found is None or found in known
-    assert hint(word, known) == ("" if found is None else f", did you mean {found!r}?")
+    assert spelling_hint(word, known) == ("" if found is None else f", did you mean {found!r}?")
 
 
 def test_the_time_of_a_run_is_estimated_once(monkeypatch):

@@ -18,7 +18,7 @@ import cv2
 import tyro
 from tyro.conf import subcommand
 
-from tisfm.checks import hint
+from tisfm.checks import spelling_hint
 from tisfm.cli.console import tell_error
 from tisfm.cli.options import SettingsOptions
 from tisfm.cli.parsing import LIST_OPTIONS, WrongOptionError, parse, suggestion, wrapped_help
@@ -186,7 +186,7 @@ def _print_completion(shells: Sequence[str]) -> int:
     shell = shells[0]
     if shell not in SHELLS:
         raise WrongOptionError(
-            f"--completion is {shell!r}{hint(shell, SHELLS)}: expected {', '.join(SHELLS)}"
+            f"--completion is {shell!r}{spelling_hint(shell, SHELLS)}: expected {', '.join(SHELLS)}"
         )
     try:
         script = io.StringIO()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from rich.progress import Progress
 from tyro.conf import Positional, UseAppendAction, arg
 
-from tisfm.checks import hint
+from tisfm.checks import spelling_hint
 from tisfm.cli.console import tell
 from tisfm.cli.progress import LARGE_OUTPUT, progress_bar
 from tisfm.errors import InputError
@@ -155,7 +155,7 @@ def _formats(names: Sequence[str]) -> "dict[str, Format]":
 
     unknown = [name for name in names if name not in FORMATS]
     if unknown or not names:
-        meant = hint(unknown[0], FORMATS) if unknown else ""
+        meant = spelling_hint(unknown[0], FORMATS) if unknown else ""
         what = f"{unknown[0]!r} is not a format{meant}" if unknown else "no format is given"
         listed = "" if meant else f": expected some of {', '.join(FORMATS)}"
         raise InputError(f"--to: {what}{listed}")

@@ -30,7 +30,7 @@ from typing import (
 import tyro
 from tyro import _errors, _strings
 
-from tisfm.checks import nearest
+from tisfm.checks import find_similar_word
 from tisfm.errors import InputError
 
 T = TypeVar("T")
@@ -130,7 +130,7 @@ def option_types(command: type) -> dict[str, Any]:
 
 def suggestion(word: str, words: Iterable[str]) -> str:
     """Return ": did you mean …?" with the nearest known word; "" if none is similar."""
-    found = nearest(word, words)
+    found = find_similar_word(word, words)
     return "" if found is None else f": did you mean {found}?"
 
 

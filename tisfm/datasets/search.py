@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
-from tisfm.checks import whole
+from tisfm.checks import check_whole_numbers
 from tisfm.datasets.pair import DatasetPair
 from tisfm.datasets.pair_layouts import LAYOUTS, Layout, Rule
 from tisfm.datasets.sequence import LoadedSequence
@@ -151,7 +151,7 @@ class DatasetSequence:
         ValueError
             If `step` is not a positive whole number.
         """
-        whole(1, step=step)
+        check_whole_numbers(1, step=step)
         loaded = SEQUENCE_LAYOUTS[self.layout].load(self.folder)
         loaded = loaded.take(range(0, len(loaded.frames), step))
         if len(loaded.frames) < 2:

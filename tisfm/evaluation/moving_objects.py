@@ -11,7 +11,7 @@ from rich.text import Text
 
 from tisfm.camera_file import NAME as CAMERA
 from tisfm.camera_file import read_camera
-from tisfm.checks import whole
+from tisfm.checks import check_whole_numbers
 from tisfm.errors import InputError
 from tisfm.formats import IMAGE_SUFFIXES, FormatError
 from tisfm.formats.image_names import sort_by_name
@@ -70,7 +70,7 @@ def compare_masks(
     >>> compare_masks("bodies", "bodies/masks").iou  # with itself
     1.0
     """
-    whole(1, step=step)
+    check_whole_numbers(1, step=step)
     true_files = _pictures(true_masks(truth))[::step]
     folder = Path(result)
     if not folder.is_dir():

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
-from tisfm.checks import unmasked
+from tisfm.checks import check_unmasked
 from tisfm.errors import InputError
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.image_headers import missing_part
@@ -51,7 +51,7 @@ def choose_depth_scale(depth: ArrayLike) -> float:
     >>> bool(0 < choose_depth_scale(depth) * 6.5 <= 65535)
     True
     """
-    values = unmasked(depth, "depth", np.float64)
+    values = check_unmasked(depth, "depth", np.float64)
     valid = values[_is_valid(values)]
     if valid.size == 0:
         raise InputError(
@@ -92,7 +92,7 @@ def write_depth_png(path: str | os.PathLike[str], depth: ArrayLike, *, scale: fl
     >>> bool(np.allclose(read_depth_png("depth.png"), depth, rtol=1e-3))
     True
     """
-    values = unmasked(depth, "depth", np.float64)
+    values = check_unmasked(depth, "depth", np.float64)
     if values.ndim != 2 or values.size == 0:
         raise InputError(f"depth is {values.shape}, expected (H, W) with some pixels")
     _check_scale(scale)

@@ -9,7 +9,7 @@ import struct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import unmasked
+from tisfm.checks import check_unmasked
 from tisfm.errors import InputError, InputTypeError
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.reading import FormatError, read_bytes
@@ -100,7 +100,7 @@ def write_tagged(
 
 def as_real(name: str, values: ArrayLike) -> NDArray[np.generic]:
     """Return an array of real numbers without a mask, or raise an error that names it."""
-    array = unmasked(values, name)
+    array = check_unmasked(values, name)
     if array.dtype.kind not in "iuf":
         raise InputTypeError(
             f"{name} has dtype {array.dtype}, expected real numbers, such as float32"

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from tisfm.checks import unmasked
+from tisfm.checks import check_unmasked
 from tisfm.errors import InputError, InputTypeError
 from tisfm.formats.atomic import atomic_write
 from tisfm.formats.image_headers import (
@@ -141,7 +141,9 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any]) -> None:
     >>> int(read_image("deep.png").max())
     40000
     """
-    image = unmasked(image, "image", advice="fill them first, for instance by image.filled(0)")
+    image = check_unmasked(
+        image, "image", advice="fill them first, for instance by image.filled(0)"
+    )
     image = image.astype(image.dtype.newbyteorder("="), copy=False)
     if image.dtype not in (np.uint8, np.uint16):
         raise InputTypeError(f"image has dtype {image.dtype}, expected uint8 or uint16: convert it")

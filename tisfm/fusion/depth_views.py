@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera, check_pinhole
-from tisfm.checks import Floats, refuse_masked, unmasked
+from tisfm.checks import Floats, check_unmasked, refuse_masked
 from tisfm.errors import InputError, InputTypeError
 from tisfm.rigid import is_rotation
 
@@ -38,10 +38,10 @@ class DepthView:
     camera: Camera  # without distortion
 
     def __post_init__(self) -> None:
-        inverse_depth = unmasked(self.inverse_depth, "inverse_depth", np.float32)
+        inverse_depth = check_unmasked(self.inverse_depth, "inverse_depth", np.float32)
         if inverse_depth.ndim != 2 or not inverse_depth.size:
             raise InputError(f"inverse_depth is {inverse_depth.shape}: expected (H, W)")
-        std = unmasked(self.inverse_depth_std, "inverse_depth_std", np.float32)
+        std = check_unmasked(self.inverse_depth_std, "inverse_depth_std", np.float32)
         if std.shape != inverse_depth.shape:
             raise InputError(
                 f"inverse_depth_std is {std.shape} but inverse_depth is {inverse_depth.shape}: "
@@ -245,7 +245,7 @@ def _scaled(pose: Floats, unit: float) -> Floats:
 
 
 def _checked_pose(pose: Floats) -> Floats:
-    matrix = np.array(unmasked(pose, "pose"), dtype=float)
+    matrix = np.array(check_unmasked(pose, "pose"), dtype=float)
     if matrix.shape != (4, 4):
         raise InputError(f"pose is {matrix.shape}: expected (4, 4), camera to world")
     if not np.isfinite(matrix).all():

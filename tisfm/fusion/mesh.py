@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm import runtime
-from tisfm.checks import refuse_masked, whole
+from tisfm.checks import check_whole_numbers, refuse_masked
 from tisfm.errors import InputError, MissingPackageError
 from tisfm.formats import atomic_write
 from tisfm.formats.glb import glb_surface
@@ -149,7 +149,7 @@ def fused_mesh(
     1996, doi 10.1145/237170.237269; Lewiner et al., "Efficient implementation of marching cubes'
     cases with topological guarantees", 2003, doi 10.1080/10867651.2003.10487582.
     """
-    whole(1, agreeing=agreeing)
+    check_whole_numbers(1, agreeing=agreeing)
     for name, value in (("voxel", voxel), ("truncation", truncation)):
         if value is not None:
             check_positive(value, name)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm import runtime
-from tisfm.checks import Floats, whole
+from tisfm.checks import Floats, check_whole_numbers
 from tisfm.fusion.depth_views import DepthView, PosedDepth, PosedViews, ViewSummary, check_positive
 from tisfm.point_cloud import MAX_MEDIAN_DEPTHS, PointCloud
 
@@ -96,7 +96,7 @@ def fused_points(
 
     Raises TypeError, ValueError if an option or a view is not valid.
     """
-    whole(1, agreeing=agreeing)
+    check_whole_numbers(1, agreeing=agreeing)
     if voxel is not None:
         check_positive(voxel, "voxel")
     posed_views = PosedViews(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import unmasked
+from tisfm.checks import check_unmasked
 from tisfm.errors import InputError
 
 _MIN_SPREAD = 1e-12  # of the largest coordinate: points that spread less count as one point
@@ -91,7 +91,7 @@ def align(points: ArrayLike, truth: ArrayLike, *, with_scale: bool = True) -> Si
 
 
 def _points(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    array = unmasked(values, name, np.float64)
+    array = check_unmasked(values, name, np.float64)
     if array.ndim != 2 or array.shape[1] != 3 or not len(array):
         raise InputError(f"{name} are {array.shape}: expected (N, 3), N at least 1")
     if not np.isfinite(array).all():

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import unmasked
+from tisfm.checks import check_unmasked
 from tisfm.errors import InputError
 from tisfm.metrics.depth_sequence import MAX_DEPTH_RATIO, MIN_DEPTH_RATIO
 from tisfm.metrics.valid_pixels import is_known, mask_or_all
@@ -169,8 +169,8 @@ def _depths(
     """
     if align not in ("median", None):
         raise InputError(f"align is {align!r}: expected 'median' or None")
-    estimate = unmasked(depth, "depth", np.float64)
-    true = unmasked(truth, "truth", np.float64)
+    estimate = check_unmasked(depth, "depth", np.float64)
+    true = check_unmasked(truth, "truth", np.float64)
     if estimate.shape != true.shape or true.ndim != 2:
         raise InputError(
             f"depth is {estimate.shape} and truth is {true.shape}: expected the same shape, (H, W)"

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import unmasked
+from tisfm.checks import check_unmasked
 from tisfm.errors import InputError
 from tisfm.metrics.valid_pixels import is_known
 
@@ -99,7 +99,7 @@ def certain_error(
     0.0
     """
     inverse, true, known = _maps(inverse_depth, truth)
-    sigma = unmasked(deviation, "deviation", np.float64)
+    sigma = check_unmasked(deviation, "deviation", np.float64)
     if sigma.shape != known.shape:
         raise InputError(
             f"deviation is {sigma.shape} and inverse_depth is {known.shape}: expected the same "
@@ -208,8 +208,8 @@ def known_share(inverse_depth: ArrayLike, truth: ArrayLike) -> float:
 
 def _maps(inverse_depth: ArrayLike, truth: ArrayLike) -> tuple[NDArray, NDArray, NDArray]:
     """Return inverse depth and truth as float64, and where the truth is known."""
-    inverse = unmasked(inverse_depth, "inverse_depth", np.float64)
-    true = unmasked(truth, "truth", np.float64)
+    inverse = check_unmasked(inverse_depth, "inverse_depth", np.float64)
+    true = check_unmasked(truth, "truth", np.float64)
     if inverse.shape != true.shape or true.ndim != 2:
         raise InputError(
             f"inverse_depth is {inverse.shape} and truth is {true.shape}: expected the same shape, "

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import unmasked, unmasked_mask
+from tisfm.checks import check_mask, check_unmasked
 from tisfm.errors import InputError
 
 
@@ -64,9 +64,9 @@ def error_in_deviations(
     Parameters and exceptions are those of `std_coverage`. The result is 0 for an infinite deviation
     and NaN for a deviation of NaN.
     """
-    found = unmasked(inverse_depth, "inverse_depth", np.float64)
-    deviation = unmasked(inverse_depth_std, "inverse_depth_std", np.float64)
-    true = unmasked(truth, "truth", np.float64)
+    found = check_unmasked(inverse_depth, "inverse_depth", np.float64)
+    deviation = check_unmasked(inverse_depth_std, "inverse_depth_std", np.float64)
+    true = check_unmasked(truth, "truth", np.float64)
     counts = np.isfinite(true) & (true > 0)
     shapes = {"inverse_depth_std": deviation.shape, "truth": true.shape}
     if mask is not None:
@@ -77,7 +77,7 @@ def error_in_deviations(
                 f"inverse_depth is {found.shape} and {name} is {shape}: expected the same shape"
             )
     if mask is not None:
-        counts &= unmasked_mask(mask, "mask")
+        counts &= check_mask(mask, "mask")
     ratio = found[counts] * true[counts]
     if not (ratio > 0).any():
         raise InputError(

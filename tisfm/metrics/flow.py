@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import unmasked
+from tisfm.checks import check_unmasked
 from tisfm.errors import InputError
 from tisfm.metrics.valid_pixels import is_known, mask_or_all
 
@@ -251,8 +251,8 @@ def flow_errors(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = N
 
 def _flows(flow: ArrayLike, truth: ArrayLike, mask: ArrayLike | None) -> tuple[NDArray, ...]:
     """Check a pair of flows; return them in float64 with the map of pixels that count."""
-    estimate = unmasked(flow, "flow", np.float64)
-    truth = unmasked(truth, "truth", np.float64)
+    estimate = check_unmasked(flow, "flow", np.float64)
+    truth = check_unmasked(truth, "truth", np.float64)
     if estimate.shape != truth.shape or truth.ndim != 3 or truth.shape[-1] != 2:
         raise InputError(
             f"flow is {estimate.shape} and truth is {truth.shape}: expected the same shape, "

@@ -7,7 +7,7 @@ from itertools import zip_longest
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import unmasked
+from tisfm.checks import check_unmasked
 from tisfm.errors import InputError, InputTypeError
 
 _LABEL_COUNT = 256  # labels are from 0 to 255
@@ -226,7 +226,9 @@ def _overlaps(
 
 
 def _check_labels(values: object, name: str) -> NDArray:
-    array = unmasked(values, name, advice=f"fill them first, for instance by {name}.filled(0)")  # type: ignore[arg-type]
+    array = check_unmasked(
+        values, name, advice=f"fill them first, for instance by {name}.filled(0)"
+    )  # type: ignore[arg-type]
     if array.dtype.kind not in "biu":
         raise InputTypeError(f"{name} is of type {array.dtype}: expected whole numbers")
     if array.ndim != 2:

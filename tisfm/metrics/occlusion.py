@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from tisfm.checks import unmasked_mask
+from tisfm.checks import check_mask
 from tisfm.errors import InputError
 from tisfm.metrics.valid_pixels import mask_or_all
 
@@ -92,7 +92,7 @@ def occlusion_scores(
     >>> scores.precision, scores.recall
     (1.0, 0.5)
     """
-    estimated, true = unmasked_mask(occlusion, "occlusion"), unmasked_mask(truth, "truth")
+    estimated, true = check_mask(occlusion, "occlusion"), check_mask(truth, "truth")
     if estimated.shape != true.shape or estimated.ndim != 2:
         raise InputError(
             f"occlusion is {estimated.shape} and truth is {true.shape}: both must be (H, W)"

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import unmasked
+from tisfm.checks import check_unmasked
 from tisfm.errors import InputError
 from tisfm.rigid import is_rotation
 
@@ -85,7 +85,7 @@ def pose_errors(pose: ArrayLike, truth: ArrayLike) -> PoseErrors:
 
 def _rigid(name: str, pose: ArrayLike) -> tuple[NDArray, NDArray]:
     """Check a rigid motion; return its rotation and translation."""
-    matrix = unmasked(pose, name, np.float64, advice="expected a matrix without a mask")
+    matrix = check_unmasked(pose, name, np.float64, advice="expected a matrix without a mask")
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise InputError(
             f"{name} is {matrix.shape} {matrix.tolist()}: expected a finite (4, 4) matrix"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import unmasked, whole
+from tisfm.checks import check_unmasked, check_whole_numbers
 from tisfm.errors import InputError
 from tisfm.metrics.alignment import align
 
@@ -224,7 +224,7 @@ def relative_errors(
     >>> round(relative_errors(found, truth).translation, 6)  # a frame
     0.1
     """
-    whole(1, step=step)
+    check_whole_numbers(1, step=step)
     estimated, true = _check_both(poses, truth)
     first = np.arange(max(0, len(estimated) - step))
     residuals = _residual_motions(estimated, true, first, first + step, scale)
@@ -300,7 +300,7 @@ def drift(
         raise InputError(f"lengths are {list(lengths)}: expected positive numbers")
     if every is None:
         every = 1 if is_short else KITTI_START_INTERVAL
-    whole(1, every=every)
+    check_whole_numbers(1, every=every)
     starts = np.arange(0, len(known), every)
     translations, rotations = [], []
     for length in lengths:
@@ -363,7 +363,7 @@ def _check_both(poses: ArrayLike, truth: ArrayLike) -> tuple[NDArray, NDArray]:
 
 def check_poses(values: ArrayLike, name: str) -> NDArray[np.float64]:
     """Return poses as float64; raise ValueError unless they are (N, 4, 4)."""
-    array = unmasked(values, name, np.float64)
+    array = check_unmasked(values, name, np.float64)
     if array.ndim != 3 or array.shape[1:] != (4, 4):
         raise InputError(f"{name} are {array.shape}: expected (N, 4, 4)")
     return array

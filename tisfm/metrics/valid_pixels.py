@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import unmasked_mask
+from tisfm.checks import check_mask
 from tisfm.errors import InputError
 
 MAX_KNOWN_VALUE = 1e9
@@ -20,7 +20,7 @@ def mask_or_all(mask: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.bo
     """Return where pixels count: where the mask is nonzero, or everywhere without a mask."""
     if mask is None:
         return np.ones(shape, bool)
-    mask_or_all = unmasked_mask(mask, "mask")
+    mask_or_all = check_mask(mask, "mask")
     if mask_or_all.shape != shape:
         raise InputError(f"mask is {mask_or_all.shape}: expected the shape of the truth, {shape}")
     return mask_or_all

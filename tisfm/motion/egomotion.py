@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tisfm.camera import Camera, check_pinhole
-from tisfm.checks import unmasked
+from tisfm.checks import check_unmasked
 from tisfm.errors import InputError
 from tisfm.motion.epipolar_fit import (
     FreeUnknowns,
@@ -130,8 +130,8 @@ def camera_motion(
     [1.0, 0.0, 0.0]
     """
     check_pinhole(camera, "give the camera of the result, or camera.pinhole()")
-    flow = unmasked(flow, "flow")
-    confidence = unmasked(
+    flow = check_unmasked(flow, "flow")
+    confidence = check_unmasked(
         confidence, "confidence", advice="fill them first, for instance by confidence.filled(0)"
     )
     rays = sample_rays(flow, confidence, camera)

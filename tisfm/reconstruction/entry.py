@@ -13,7 +13,7 @@ import numpy.typing as npt
 from tisfm import runtime
 from tisfm.camera import Camera, check_camera
 from tisfm.camera_file import camera_file_path, read_camera
-from tisfm.checks import check_count, refuse_masked
+from tisfm.checks import check_pose_count, refuse_masked
 from tisfm.errors import InputError, InputTypeError
 from tisfm.reconstruction.path.given_poses import poses_of_frames
 from tisfm.reconstruction.progress import DepthOf, Progress
@@ -199,7 +199,7 @@ def reconstruct(
     if given is not None and frames.times is not None:  # before the long computation
         poses_of_frames(given, frames.times)
     elif given is not None and given.times is None and frames.count is not None:
-        check_count(len(given.poses), len(frames) + 1)
+        check_pose_count(len(given.poses), len(frames) + 1)
     camera, stated = checked_camera(camera)
     if calibrate == "radial" and stated is not None and stated.distortion is not None:
         raise InputError('the camera has distortion, which calibrate="radial" is to find: drop it')

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tisfm.checks import hint
+from tisfm.checks import spelling_hint
 from tisfm.errors import InputError
 from tisfm.folders.files import file_checksum
 from tisfm.folders.result_folder import InputFiles
@@ -225,7 +225,7 @@ def check_outputs(outputs: Collection[str]) -> tuple[str, ...]:
     if unknown or not outputs:
         fault = "no output is given"
         if unknown:
-            fault = f"{unknown[0]!r} is not an output{hint(unknown[0], ENDINGS)}"
+            fault = f"{unknown[0]!r} is not an output{spelling_hint(unknown[0], ENDINGS)}"
         raise InputError(f"outputs: {fault}: expected some of {', '.join(ENDINGS)}")
     return tuple(output for output in ENDINGS if output in outputs)
 

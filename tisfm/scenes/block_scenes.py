@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tisfm.camera import Camera
-from tisfm.checks import Floats, finite, whole
+from tisfm.checks import Floats, check_finite, check_whole_numbers
 from tisfm.errors import InputError
 from tisfm.rigid import rigid_motion
 
@@ -102,7 +102,7 @@ def two_blocks(
     if block_motions is None:
         along_floor = _ROOM @ np.array([[-0.014, 0.0, 0.04], [-0.014, 0.0, -0.04]]).T
         block_motions = np.hstack([along_floor.T, np.zeros((2, 3))])
-    block_twists = finite(block_motions, (2, 6), "block_motions")
+    block_twists = check_finite(block_motions, (2, 6), "block_motions")
     scene = _room(_TWO_BLOCKS, block_twists, camera_motion, height, width, seed, focal, detail)
     return scene.render(samples=samples, dtype=dtype)
 
@@ -151,7 +151,7 @@ def three_blocks(
     if block_motions is None:
         block_motions = np.zeros((3, 6))
         block_motions[:, :3] = (0.02, 0.0, 0.03), (-0.03, 0.02, 0.0), (0.01, -0.01, -0.05)
-    block_twists = finite(block_motions, (3, 6), "block_motions")
+    block_twists = check_finite(block_motions, (3, 6), "block_motions")
     scene = _room(_THREE_BLOCKS, block_twists, camera_motion, height, width, seed, focal, detail)
     return scene.render(samples=samples, dtype=dtype)
 
@@ -249,8 +249,8 @@ def bare_patches(
     >>> bool(0.1 < scene.textured.mean() < 0.9)
     True
     """
-    whole(1, height=height, width=width)
-    motion = -finite(camera_motion, (6,), "camera_motion")
+    check_whole_numbers(1, height=height, width=width)
+    motion = -check_finite(camera_motion, (6,), "camera_motion")
     octaves = max(0, round(math.log2(width / _REFERENCE_WIDTH)))
 
     def paint(depth: float, number: int, mean: float, patches: tuple[Patch, ...]) -> Texture:
@@ -297,8 +297,8 @@ def _room(
     detail: int | None,
 ) -> Scene:
     """Return a scene with blocks in front of a wall; `block_twists` are in a fixed camera."""
-    whole(1, height=height, width=width)
-    static = -finite(camera_motion, (6,), "camera_motion")
+    check_whole_numbers(1, height=height, width=width)
+    static = -check_finite(camera_motion, (6,), "camera_motion")
     octaves = max(0, round(math.log2(width / _REFERENCE_WIDTH))) if detail is None else detail
 
     def paint(depth: float, label: int, mean: float, contrast: float) -> Texture:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.camera import Camera
-from tisfm.checks import Floats, whole
+from tisfm.checks import Floats, check_whole_numbers
 from tisfm.errors import InputError
 from tisfm.rigid import pose_matrix
 
@@ -172,7 +172,7 @@ def bodies_film(
     """
     path = check_film(poses, height, width, noise)
     check_readout(readout)
-    whole(0, bodies=bodies)
+    check_whole_numbers(0, bodies=bodies)
     if bodies > len(_FLIGHTS):
         raise InputError(f"bodies is {bodies}: expected {len(_FLIGHTS)} at most")
     camera = Camera(focal=FOCAL * width if focal is None else focal)
@@ -236,7 +236,7 @@ def bodies_path(count: int = 40) -> Floats:
     >>> bodies_path(20).shape
     (20, 4, 4)
     """
-    whole(1, count=count)
+    check_whole_numbers(1, count=count)
     at = 40 * np.abs((np.arange(count) / 40 + 1) % 2 - 1)
     return np.array([pose_matrix((0.022 * k, 0, 0.006 * k, 0, -0.003 * k, 0)) for k in at])
 

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.checks import Floats, Vector, finite
+from tisfm.checks import Floats, Vector, check_finite
 from tisfm.errors import InputError
 
 from .texture import Texture
@@ -58,7 +58,7 @@ class Plane:
     motion: Vector = (0.0,) * 6
 
     def __post_init__(self) -> None:
-        normal = finite(self.normal, (3,), "normal")
+        normal = check_finite(self.normal, (3,), "normal")
         if not normal.any():
             raise InputError("normal is (0, 0, 0): expected a direction")
         object.__setattr__(self, "normal", normal / np.linalg.norm(normal))
@@ -238,4 +238,4 @@ def _bounds_of(
 
 def _freeze(item: Plane | Box, **shapes: tuple[int, ...]) -> None:
     for name, shape in shapes.items():
-        object.__setattr__(item, name, finite(getattr(item, name), shape, name))
+        object.__setattr__(item, name, check_finite(getattr(item, name), shape, name))

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.camera import Camera, check_pinhole
-from tisfm.checks import Floats, finite, whole
+from tisfm.checks import Floats, check_finite, check_whole_numbers
 from tisfm.errors import InputError, InputTypeError
 from tisfm.rigid import rigid_motion, rigid_twist
 
@@ -113,7 +113,7 @@ class Scene:
     width: int
 
     def __post_init__(self) -> None:
-        whole(1, height=self.height, width=self.width)
+        check_whole_numbers(1, height=self.height, width=self.width)
         check_pinhole(self.camera, "scenes are rendered by a pinhole")
         object.__setattr__(self, "objects", tuple(self.objects))
         if not self.objects:
@@ -143,7 +143,7 @@ class Scene:
         ValueError
             If an option is not valid, or some ray hits no object.
         """
-        whole(1, samples=samples)
+        check_whole_numbers(1, samples=samples)
         check_dtype(dtype)
         before = [ObjectView(item, np.eye(3), np.zeros(3)) for item in self.objects]
         after = [ObjectView(item, *rigid_motion(item.motion)) for item in self.objects]
@@ -204,7 +204,7 @@ class Scene:
 
     def frame_from(self, pose: ArrayLike, *, samples: int = 3) -> NDArray:
         """Return the frame of one view alone, (H, W) float32, as `seen_from` does."""
-        whole(1, samples=samples)
+        check_whole_numbers(1, samples=samples)
         return self._frame(self._views_from(pose), samples)
 
     def depth_and_labels(self, pose: ArrayLike) -> tuple[Floats, NDArray[np.int32]]:
@@ -218,7 +218,7 @@ class Scene:
         return depth, labels
 
     def _views_from(self, pose: ArrayLike) -> list[ObjectView]:
-        matrix = finite(pose, (4, 4), "pose")
+        matrix = check_finite(pose, (4, 4), "pose")
         turn = matrix[:3, :3].T
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
             raise InputError(f"pose is {matrix.tolist()}: expected a rotation and a translation")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.camera import Camera
-from tisfm.checks import Floats, finite, whole
+from tisfm.checks import Floats, check_finite, check_whole_numbers
 from tisfm.errors import InputError
 from tisfm.rigid import pose_matrix, rigid_motion, rigid_twist
 
@@ -136,7 +136,7 @@ def room(
     """
     _check_picture(height, width, noise, blur)
     check_dtype(dtype)
-    motion = -finite(camera_motion, (6,), "camera_motion")
+    motion = -check_finite(camera_motion, (6,), "camera_motion")
     camera = Camera(focal=FOCAL * width if focal is None else focal)
     objects: list[Plane | Box] = [*_walls(motion, width, seed), *_furniture(motion, width, seed)]
     scene = Scene(objects=objects, camera=camera, height=height, width=width)
@@ -252,7 +252,7 @@ def room_objects(width: int, seed: int, *, textured: bool) -> list[Plane | Box]:
 
 
 def _check_picture(height: int, width: int, noise: float, blur: float) -> None:
-    whole(1, height=height, width=width)
+    check_whole_numbers(1, height=height, width=width)
     for name, value in (("noise", noise), ("blur", blur)):
         if not 0 <= value < math.inf:
             raise InputError(f"{name} is {value!r}: expected a number of at least 0")

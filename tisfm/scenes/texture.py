@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.checks import Floats, finite, whole
+from tisfm.checks import Floats, check_finite, check_whole_numbers
 from tisfm.errors import InputError
 
 # The noise tile has TILE / SAMPLES_PER_WAVE waves along each side; octaves are rotated and shifted
@@ -56,8 +56,8 @@ class Patch:
     grey: float
 
     def __post_init__(self) -> None:
-        finite(self.center, (2,), "center")
-        if not (finite(self.size, (2,), "size") > 0).all():
+        check_finite(self.center, (2,), "center")
+        if not (check_finite(self.size, (2,), "size") > 0).all():
             raise InputError(f"size is {self.size}: expected positive edge lengths")
         if not 0 <= self.grey <= 255:
             raise InputError(f"grey is {self.grey}: expected a grey level in [0, 255]")
@@ -112,8 +112,8 @@ class Texture:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.wavelength) and self.wavelength > 0):
             raise InputError(f"wavelength is {self.wavelength}: expected a positive length")
-        whole(1, octaves=self.octaves)
-        whole(0, detail=self.detail, seed=self.seed)
+        check_whole_numbers(1, octaves=self.octaves)
+        check_whole_numbers(0, detail=self.detail, seed=self.seed)
         if not 0 <= self.contrast <= min(self.mean, 255 - self.mean):
             span = f"{self.mean} ± {self.contrast}"
             raise InputError(f"mean ± contrast is {span}: expected grey levels in [0, 255]")

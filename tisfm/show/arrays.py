@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import unmasked
+from tisfm.checks import check_unmasked
 from tisfm.errors import InputError, InputTypeError
 from tisfm.frames import in_unit_range
 
@@ -83,7 +83,7 @@ def as_rgb(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def _real(name: str, values: ArrayLike) -> NDArray[Any]:
     """Return an array of real numbers, or raise an error that names it."""
-    array = unmasked(values, name)
+    array = check_unmasked(values, name)
     if array.dtype.kind not in "iuf":
         raise InputTypeError(f"{name} has dtype {array.dtype}, expected real numbers")
     return array

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import unmasked_mask
+from tisfm.checks import check_mask
 from tisfm.show.arrays import as_image, as_map, as_uint8, check_limit, require_same_size
 from tisfm.show.axes import draw_bar, legend_axes, picture_axes, show_picture, without_formulas
 from tisfm.show.color_maps import (
@@ -72,7 +72,7 @@ def draw_image(
     """
     (picture,) = as_uint8(as_image("image", image))
     if hidden is not None:
-        mask = unmasked_mask(hidden, "hidden")
+        mask = check_mask(hidden, "hidden")
         require_same_size("hidden", mask, "image", picture)
         picture = _tint(picture, mask)
     target = picture_axes(*picture.shape[:2]) if axes is None else axes

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import unmasked
+from tisfm.checks import check_unmasked
 from tisfm.errors import InputError
 from tisfm.metrics import Similarity, align
 from tisfm.show.axes import (
@@ -374,14 +374,14 @@ def _has_pose(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def _check_poses(name: str, poses: ArrayLike) -> NDArray[np.float64]:
-    array = unmasked(poses, name, np.float64)
+    array = check_unmasked(poses, name, np.float64)
     if array.ndim != 3 or array.shape[1:] != (4, 4):
         raise InputError(f"{name} has the shape {array.shape}, expected (N, 4, 4)")
     return array
 
 
 def _check_piece(piece: ArrayLike) -> NDArray[np.integer]:
-    array = unmasked(piece, "piece")
+    array = check_unmasked(piece, "piece")
     if array.ndim != 1:
         raise InputError(f"piece has the shape {array.shape}, expected (N,)")
     if array.dtype.kind not in "iu" and array.size:

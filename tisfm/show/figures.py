@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import refuse_masked, unmasked_mask
+from tisfm.checks import check_mask, refuse_masked
 from tisfm.errors import InputError
 from tisfm.formats import atomic_write
 from tisfm.show.arrays import as_flow, as_image, as_map, as_uint8, check_limit, require_same_size
@@ -134,7 +134,7 @@ def comparison_figure(
     if truth_flow is not None:
         flows["truth"] = as_flow("truth_flow", truth_flow)
     true_depth = _optional_map("truth_inverse_depth", truth_inverse_depth)
-    hidden = None if occlusion is None else unmasked_mask(occlusion, "occlusion")
+    hidden = None if occlusion is None else check_mask(occlusion, "occlusion")
     arrays = {
         "inverse_depth": depth,
         "truth_inverse_depth": true_depth,
@@ -254,7 +254,7 @@ def rigid_figure(
     motion, trust = as_flow("flow", flow), as_map("confidence", confidence)
     true_motion = None if truth_flow is None else as_flow("truth_flow", truth_flow)
     true_depth = _optional_map("truth_inverse_depth", truth_inverse_depth)
-    hidden = None if occlusion is None else unmasked_mask(occlusion, "occlusion")
+    hidden = None if occlusion is None else check_mask(occlusion, "occlusion")
     refuse_masked(labels, "labels", "fill them first, for instance by labels.filled(0)")
     arrays = {
         "inverse_depth": depth,

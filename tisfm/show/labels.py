@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import unmasked
+from tisfm.checks import check_unmasked
 from tisfm.errors import InputError, InputTypeError
 from tisfm.show.arrays import as_image, as_uint8, require_same_size
 from tisfm.show.palette import category_colors, colors_of_categories
@@ -76,7 +76,9 @@ def label_overlay(image: ArrayLike, labels: ArrayLike) -> NDArray[np.uint8]:
     (48, 64, 3)
     """
     (picture,) = as_uint8(as_image("image", image))
-    label = unmasked(labels, "labels", advice="fill them first, for instance by labels.filled(0)")
+    label = check_unmasked(
+        labels, "labels", advice="fill them first, for instance by labels.filled(0)"
+    )
     if label.dtype.kind not in "iu":
         raise InputTypeError(f"labels has dtype {label.dtype}, expected integers")
     if label.ndim != 2:

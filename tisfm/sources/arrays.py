@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tisfm.checks import unmasked
+from tisfm.checks import check_unmasked
 from tisfm.errors import InputError, InputTypeError
 from tisfm.sources.frame_reader import RawFrame, is_path
 
@@ -49,5 +49,5 @@ class Arrays:
                 )
             name = f"{self.prefix}_{index:06d}"
             # Interpreting the pair refuses masked values, and names the frame.
-            frame = item if isinstance(item, np.ma.MaskedArray) else unmasked(item, name)
+            frame = item if isinstance(item, np.ma.MaskedArray) else check_unmasked(item, name)
             yield RawFrame(index=index, name=name, image=frame)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.typing import NDArray
 
-from tisfm.checks import unmasked
+from tisfm.checks import check_unmasked
 from tisfm.errors import InputError, InputTypeError
 from tisfm.formats.label_picture import has_colour_palette, read_label_picture
 from tisfm.sources.frame_reader import is_integer, is_path
@@ -186,7 +186,7 @@ class LabelReader:
 
 def check_labels(values: Any, title: str) -> NDArray[np.uint8]:
     """Return the labels of a frame, (H, W) uint8, or raise TypeError or ValueError."""
-    array = unmasked(values, title)
+    array = check_unmasked(values, title)
     if array.ndim == 3:
         raise InputError(
             f"{title} have the shape {array.shape}, as colours do: expected (H, W) of numbers; a "

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.typing import NDArray
 
-from tisfm.checks import unmasked_mask
+from tisfm.checks import check_mask
 from tisfm.errors import InputError, InputTypeError
 from tisfm.formats import read_image
 from tisfm.sources.frame_reader import is_path
@@ -125,7 +125,7 @@ class MaskReader:
         elif is_path(item):
             title, used = os.fspath(item), _nonzero(read_image(item))
         else:
-            title, used = f"the mask of frame {name}", unmasked_mask(item, "mask")
+            title, used = f"the mask of frame {name}", check_mask(item, "mask")
         if used.shape != shape[:2]:
             raise InputError(
                 f"{title} is {used.shape} but frame {name} is {shape[:2]}: expected a mask of "

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tisfm.checks import unmasked
+from tisfm.checks import check_unmasked
 from tisfm.errors import InputError
 from tisfm.rigid import is_rotation
 
@@ -56,7 +56,7 @@ def check_poses(
     poses: ArrayLike,
 ) -> NDArray[np.float64]:  # (N, 4, 4) float64 ndarray: all NaN for a missing pose
     """Return poses as float64; raise ValueError unless each is a rigid motion, or has NaN."""
-    given = unmasked(poses, "poses", np.float64)
+    given = check_unmasked(poses, "poses", np.float64)
     if given.ndim != 3 or given.shape[1:] != (4, 4):
         raise InputError(f"poses are {given.shape}: expected (N, 4, 4)")
     missing = np.isnan(given).any(axis=(1, 2))
@@ -71,7 +71,7 @@ def check_poses(
 
 def check_times(times: ArrayLike, count: int) -> NDArray[np.float64]:
     """Return times as float64; raise ValueError unless they are `count` increasing numbers."""
-    given = unmasked(times, "times", np.float64)
+    given = check_unmasked(times, "times", np.float64)
     if given.shape != (count,):
         raise InputError(f"times are {given.shape}: expected ({count},), one for every pose")
     wrong = np.flatnonzero(~(np.diff(given) > 0))

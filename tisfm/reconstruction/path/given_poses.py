@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tisfm.checks import check_count
+from tisfm.checks import check_pose_count
 from tisfm.errors import InputError
 from tisfm.status import Status
 from tisfm.trajectory import Trajectory
@@ -57,4 +57,4 @@ def check_poses_count(given: Trajectory, count: int) -> None:
             f"poses are {len(given.poses)} with times, but the {count} frames have no times "
             "that increase: expected one pose for each frame, or times for all frames"
         )
-    check_count(len(given.poses), count)
+    check_pose_count(len(given.poses), count)
