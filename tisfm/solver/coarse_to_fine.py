@@ -29,7 +29,8 @@ class Problem:
     constancy: Constancy
     smoothness: Smoothness  # its stiffness has a value for each unknown: 6, 3, 2 or 1
     effort: Effort
-    # returns the number of linearisations on a level, from the number of finer levels that follow
+    # takes the number of finer levels that follow a level; returns the number of linearisations on
+    # this level
     warps: Callable[[int], int]
 
     @property
@@ -41,7 +42,7 @@ class Problem:
 class LevelChange(Protocol):
     """A change of the unknowns between the levels of the pyramid."""
 
-    level: int  # the level for `apply`, which is called after half of its linearisations
+    level: int  # the level for `apply`, which is called after half of the level's linearisations
 
     def apply(self, unknowns: Unknowns) -> bool:
         """Change the unknowns; return whether they changed, so that the level needs more warps."""
@@ -51,7 +52,7 @@ class LevelChange(Protocol):
 
 
 class AdditionalData(Protocol):
-    """Additional data for the last level, used after half of its linearisations."""
+    """Additional data for the last level, used after half of the level's linearisations."""
 
     def joint_data_term(self, unknowns: Unknowns, data_term: DataTerm) -> ThreeFrameData | None:
         """Return a data term that overwrites the constraints of `data_term`, or None to keep it.
@@ -77,7 +78,7 @@ def coarse_to_fine(
     problem: Problem,
     *,
     last: int = 0,  # the last level to compute
-    release: bool = False,  # whether to free the splines of each level but the last after use
+    release: bool = False,  # whether to free the splines of every level above the last after use
     level_change: LevelChange | None = None,
     additional_data: AdditionalData | None = None,
 ) -> Solution:
@@ -172,7 +173,7 @@ def _estimate_level(
     change: Callable[[Unknowns], bool] | None = None,
     additional_data: AdditionalData | None = None,
 ) -> Solution:
-    """Estimate ρ̂ on one level, starting at its present value, and append to the history."""
+    """Estimate ρ̂ on one level from the present ρ̂, and append iterations to the history."""
     data_term = data_term_on(pyramid, level, problem, unknowns)
     minimiser = minimiser_on(problem, unknowns, data_term)
     flow = unknowns.grid.allocate(2, zeros=False)

@@ -1,6 +1,7 @@
 """The data term: constraints of the images on the flow, computed anew at every warp.
 
-A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
+Equations are numbered as in the paper (docs/method.md). A lane array holds an image as vertical
+strips (`tisfm.kernels.layout.lanes`).
 """
 
 import math
@@ -22,16 +23,16 @@ from tisfm.solver.sampling import weight_taps
 class Constancy:
     """The constancy assumptions about both frames, and their weights."""
 
-    # brightness, gradient: Weights of the constancy of brightness (eq. 4) and of its gradient.
+    # brightness, gradient: weights of the constancy of brightness (eq. 4) and of its gradient
     brightness: float
     gradient: float
-    # ζ, as a share of the mean |ΔI| between neighbours of frame 0; None for constraints without
-    # normalisation
+    # ζ as a share of the mean |ΔI| between neighbours of frame 0: squared constraints are divided
+    # by |∇I|² + ζ². None for constraints without normalisation.
     normalization: float | None
     # ε, px/frame (grey levels if constraints are not normalised); infinite for a quadratic data
     # term
     contrast: float = math.inf
-    derivatives: str = "five_tap"
+    derivatives: str = "five_tap"  # scheme of the image derivatives, or "cube"
 
     @property
     def count(self) -> int:
@@ -64,15 +65,15 @@ class DataTerm:
         valid: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:
         self.grid, self.constancy, self._unit = grid, constancy, unit
-        self.scales = constancy.scales  # `constancy.scales`
+        self.scales = constancy.scales
         self._frame1 = grid.place(frame1)
         self._spline1 = grid.place(spline1, vectors=True)
         # lane array, 1 component, halo `IMAGE_HALO`: frame 0
         self.lanes0 = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
         self._lanes1 = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
         self._derivatives = grid.allocate(3, halo=DERIVATIVE_HALO, zeros=False)
-        # lane array, 1 component: 1 where a pixel is used and moves to inside frame 1, by the flow
-        # of the last linearisation
+        # lane array, 1 component: 1 at a used pixel that the flow of the last linearisation moves
+        # to a point inside frame 1
         self.mask = grid.allocate(1, zeros=False)
         # lane array, 3 components for each constraint: (p, q, c)
         # (`tisfm.kernels.data.constraints`); each linearisation overwrites them
@@ -95,10 +96,10 @@ class DataTerm:
     ) -> Callable[[], None]:
         """Return a function that warps frame 1 by a flow and writes `constraints` for it."""
         grid = self.grid
-        weighting = [] if self._weights is None else [self._weights.bind(flow, self.mask)]
+        weight_launches = [] if self._weights is None else [self._weights.bind(flow, self.mask)]
         return join_launches(
             warp.bind(grid, self._frame1, self._spline1, flow, self._lanes1, self.mask),
-            *weighting,
+            *weight_launches,
             self.bind_constraints(
                 self.lanes0, self._lanes1, self._derivatives, flow, self.mask, self.constraints,
                 tensor,

@@ -1,7 +1,9 @@
-"""Correction of ρ̂ along fields without image motion, for which sweeps and cycles are slow.
+"""Correction of ρ̂ along fields without image motion, which sweeps and cycles correct slowly.
 
-Four fields of ρ̂ have no image motion, Gρ̂ = 0: τ along the line of sight, and each component of ω
-with the τ that cancels its image motion,
+ρ̂ = (τ, ω)·f are the unknowns of a pixel: τ is the translation over depth, ω the rotation, and f the
+focal length. Gρ̂ is their image motion at the pixel (x̂, ŷ) for f = 1. Four fields of ρ̂ have no image
+motion, Gρ̂ = 0: τ along the line of sight, and each component of ω with the τ that cancels its image
+motion,
 
     (x̂, ŷ, 1, 0, 0, 0),            (x̂ŷ, 1 + ŷ², 0, 1, 0, 0),
     (−1 − x̂², −x̂ŷ, 0, 0, 1, 0),    (ŷ, −x̂, 0, 0, 0, 1).
@@ -18,8 +20,9 @@ import numpy as np
 from tisfm.kernels.solve.linear_system import LinearSystem
 from tisfm.solver.unknowns import Unknowns
 
-MIN_SINGULAR_VALUE = 1e-12  # relative singular value below which fields count as dependent
-BAND = 64  # rows computed at a time, in float64
+# share of the largest singular value below which fields count as dependent
+MIN_SINGULAR_VALUE = 1e-12
+BAND_ROWS = 64  # image rows that are computed at a time, in float64
 
 
 class FlowlessFields:
@@ -45,11 +48,11 @@ class FlowlessFields:
         if not (np.isfinite(matrix).all() and np.isfinite(vector).all()):
             return  # ρ̂ has diverged; the status of the result will say so
         scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(np.float64).tiny))
-        shares, *_ = np.linalg.lstsq(
+        scaled_multiples, *_ = np.linalg.lstsq(
             matrix / np.outer(scale, scale), vector / scale, MIN_SINGULAR_VALUE
         )
         unknowns = self._unknowns
-        for component, (rows, columns) in enumerate(self._fields(shares / scale)):
+        for component, (rows, columns) in enumerate(self._fields(scaled_multiples / scale)):
             image = unknowns.to_image(unknowns.rho, component)
             for band in _bands(len(image)):
                 image[band] += rows[:, band].T @ columns
@@ -58,7 +61,8 @@ class FlowlessFields:
     def _normal_equations(self, system: LinearSystem) -> tuple[np.ndarray, np.ndarray]:
         """Return the matrix and the right-hand side for the multiples of the fields, float64.
 
-        Only τ1 and τ2 of the fields vary from pixel to pixel, so only their differences count.
+        Only the first two components of a field, τ1 and τ2, vary from pixel to pixel, so the
+        equations contain the differences of these components alone.
         """
         n, unknowns = self._count, self._unknowns
         matrix, vector = np.zeros((n, n)), np.zeros(n)
@@ -69,7 +73,7 @@ class FlowlessFields:
             for side, step in enumerate(steps):
                 # Every step is a function of the row times a function of the column.
                 rows, columns = (np.stack(parts) for parts in zip(*step[:n], strict=True))
-                products, slopes = _sums(
+                products, slopes = _sum_steps(
                     unknowns.to_image(system.weights, k + side * system.weights_per_edge),
                     rho,
                     rows,
@@ -83,7 +87,7 @@ class FlowlessFields:
     def _steps(self) -> Sequence[Sequence[Sequence[tuple[np.ndarray, np.ndarray]]]]:
         """Return the differences of τ1 and τ2, to the east and to the south, of every field.
 
-        Each is the product of a function of the row and a function of the column.
+        Each difference is the product of a function of the row and a function of the column.
         """
         x, y, pitch = self._x, self._y, 1 / self._unknowns.camera.focal
         one_x, one_y = np.full(x.shape, pitch), np.ones(y.shape)
@@ -113,15 +117,15 @@ class FlowlessFields:
 
 def _bands(height: int) -> Iterator[slice]:
     """Yield the rows of an image in bands."""
-    return (slice(first, min(first + BAND, height)) for first in range(0, height, BAND))
+    return (slice(first, min(first + BAND_ROWS, height)) for first in range(0, height, BAND_ROWS))
 
 
-def _sums(
-    # weights, rho: (H, W) array, b of the edges along an axis, and a component of ρ̂
+def _sum_steps(
+    # weights, rho: (H, W): weights b of the edges along an axis, and a component of ρ̂
     weights: np.ndarray,
     rho: np.ndarray,
-    # rows, columns: (n, H'), (n, W') array: functions of the row and of the column. Their product
-    # is the step of each field from a pixel to the next along the axis.
+    # rows, columns: (n, H') and (n, W'): functions of the row and of the column. Their product is
+    # the step of each field from a pixel to the next pixel along the axis.
     rows: np.ndarray,
     columns: np.ndarray,
     *,
@@ -132,12 +136,12 @@ def _sums(
     products, slopes = np.zeros((n, n)), np.zeros(n)
     for band in _bands(rows.shape[1]):
         row, weight = rows[:, band], weights[band, : columns.shape[1]]
-        reach = slice(band.start, band.stop + (axis == 0))
-        slopes += _weighted(weight * np.diff(rho[reach], axis=axis), row, columns)
-        products += _weighted(weight, row[:, None] * row, columns[:, None] * columns)
+        rho_rows = slice(band.start, band.stop + (axis == 0))
+        slopes += _weighted_sums(weight * np.diff(rho[rho_rows], axis=axis), row, columns)
+        products += _weighted_sums(weight, row[:, None] * row, columns[:, None] * columns)
     return products, slopes
 
 
-def _weighted(image: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def _weighted_sums(image: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return Σ image · row · column over the pixels, for every pair of row and column functions."""
     return np.asarray(((rows @ image) * columns).sum(axis=-1))

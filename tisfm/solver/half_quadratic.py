@@ -1,6 +1,8 @@
 """The half-quadratic algorithm (Table 1), within one linearisation.
 
-A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
+ρ̂ are the unknowns of a pixel, and b are the weights of edges between neighbours. Equations and
+tables are numbered as in the paper (docs/method.md). A lane array holds an image as vertical strips
+(`tisfm.kernels.layout.lanes`).
 """
 
 import math
@@ -18,24 +20,24 @@ from tisfm.solver.multigrid import Multigrid
 from tisfm.solver.smoothness import Smoothness
 from tisfm.solver.unknowns import Unknowns
 
-MIN_ITERATIONS = 2  # if the limit allows: the first spreads data over short distances only
+MIN_ITERATIONS = 2  # the first iteration spreads data over short distances only
 TRANSLATION_COMPONENTS = 3  # unknowns of the smallest model that has motions without image motion
 MIN_CONFIRMATIONS = 2  # consecutive iterations whose estimate of the remaining error must be small
-MIN_CONTRACTION = 2 / 3  # least contraction assumed for errors: early changes may shrink faster
+MIN_CONTRACTION = 2 / 3  # assumed ratio of successive errors, at least: changes may shrink faster
 
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
     """The number of iterations for a linearisation, and the condition to stop."""
 
-    # outer_iterations, sweeps: most half-quadratic iterations, and sweeps in each
+    # outer_iterations, sweeps: largest number of half-quadratic iterations, and sweeps in each
     outer_iterations: int
     sweeps: int
     relaxation: float  # over-relaxation of the sweeps, in (0, 2)
     # Iterations stop when ‖change of ρ̂‖ ≤ tolerance · ‖ρ̂‖. If `is_thorough`, they stop when the
     # estimate of ‖error of ρ̂‖ is at most tolerance · ‖ρ̂‖.
     tolerance: float
-    solver: str
+    solver: str  # how the linear system of a pixel is solved
     cycles: int = 0  # multigrid cycles in place of sweeps; 0 for sweeps
     # Whether to iterate close to the minimum. This is needed with one pyramid level, since no
     # coarser level gives a good start. It takes at least three iterations, or four with sweeps.
@@ -46,8 +48,8 @@ class Effort:
 class Iteration:
     """Record of one half-quadratic iteration."""
 
-    energy: float  # Energy (eq. 6, 20) after the iteration; it never rises within a warp.
-    # Half-quadratic energy (eq. 8, 21) with the weights of the system that was solved.
+    energy: float  # energy (eq. 6, 20) after the iteration; it never rises within a warp
+    # half-quadratic energy (eq. 8, 21) with the weights of the system that was solved
     half_quadratic: float
     change: float  # ‖change of ρ̂‖ / ‖ρ̂‖; 0 if ρ̂ is zero
 
@@ -55,8 +57,8 @@ class Iteration:
 class HalfQuadratic:
     """Alternates b (eq. 10) and ρ̂ (eq. 16, 23) on one level.
 
-    If other code changes ρ̂ or the constraints, call `update` before `minimise`: it computes weights
-    and tensor anew. `minimise` itself keeps them up to date.
+    If other code changes ρ̂ or the constraints, call `update` before `minimise`: `update` computes
+    weights and tensor anew. `minimise` itself keeps them up to date.
     """
 
     def __init__(
@@ -73,7 +75,8 @@ class HalfQuadratic:
         self._unknowns, self._constraints, self._scales = unknowns, constraints, scales
         self._contrast, self._effort = smoothness.contrast, effort
         grid, n = unknowns.grid, unknowns.components
-        is_shared = smoothness.joint or not np.isfinite(smoothness.contrast)  # then b is 1
+        # with an infinite contrast, b is 1
+        has_shared_weights = smoothness.joint or not np.isfinite(smoothness.contrast)
         has_flowless_fields = effort.is_thorough and n >= TRANSLATION_COMPONENTS
         self._flowless = FlowlessFields(unknowns) if has_flowless_fields else None
         self._previous = grid.allocate(n, zeros=False)  # ρ̂ at the last update
@@ -81,7 +84,7 @@ class HalfQuadratic:
             LinearSystem(
                 grid=grid,
                 tensor=grid.allocate(6),
-                weights=grid.allocate(2 if is_shared else 2 * n),
+                weights=grid.allocate(2 if has_shared_weights else 2 * n),
                 x_hat=unknowns.x_hat,
                 y_hat=unknowns.y_hat,
                 alpha=smoothness.alpha,
@@ -101,8 +104,8 @@ class HalfQuadratic:
     def minimise(self) -> tuple[list[Iteration], bool]:
         """Iterate at least twice, until ρ̂ hardly changes or the iterations run out.
 
-        Returns the iterations, and whether the last relative change was within the
-        tolerance; if thorough, whether the estimated error was.
+        Returns the iterations, and whether the last relative change was within the tolerance. With
+        `Effort.is_thorough`, it returns whether the estimated error was within the tolerance.
         """
         if self._effort.is_thorough:
             return self._minimise_to_error_bound()
@@ -171,22 +174,22 @@ class HalfQuadratic:
         )
 
     def _solver_step(self) -> Callable[[], None]:
-        """Return a function that improves ρ̂ as a solution of the current system."""
+        """Return the function that brings ρ̂ nearer to the solution of the current system."""
         if not self._effort.cycles:
             return self._sweep
-        self._with_multigrid().restart()
+        self._get_multigrid().restart()
         return lambda: self._cycle(has_new_rho=False)
 
     def _cycle(self, *, has_new_rho: bool) -> None:
         """Run multigrid cycles; `has_new_rho` if other code changed ρ̂ since the last cycle."""
-        multigrid = self._with_multigrid()
+        multigrid = self._get_multigrid()
         if has_new_rho:
             multigrid.restart()
         multigrid.coarsen()
         for _ in range(max(self._effort.cycles, 1)):
             multigrid.descend()
 
-    def _with_multigrid(self) -> Multigrid:
+    def _get_multigrid(self) -> Multigrid:
         if self._multigrid is None:
             self._multigrid = Multigrid(self._unknowns, self.system, solver=self._effort.solver)
         return self._multigrid
@@ -196,15 +199,16 @@ def remaining_error(changes: Sequence[float]) -> float:
     """Return an estimate of the error of ρ̂ from its last relative changes, one per iteration.
 
     If every change is q times the previous change, all later changes add up to q/(1 − q) times the
-    last change. q is the greater of the last two ratios, but at least ⅔. Infinite if changes grow.
+    last change. q is the greater of the last two ratios, but at least ⅔. The result
+    is infinite if changes grow.
     """
     if not changes or changes[-1] == 0:
         return 0.0 if changes else math.inf
     if len(changes) == 1:
         return math.inf
-    last = changes[-3:]
+    latest = changes[-3:]
     ratios = [
-        change / previous if previous > 0 else math.inf for previous, change in pairwise(last)
+        change / previous if previous > 0 else math.inf for previous, change in pairwise(latest)
     ]
     contraction = max(*ratios, MIN_CONTRACTION)
     return changes[-1] * contraction / (1 - contraction) if contraction < 1 else math.inf

@@ -15,8 +15,8 @@ from tisfm.solver.sampling import spline_taps
 from tisfm.solver.smoothness import mean_step
 from tisfm.threads import start_beside
 
-COARSEST_FRAME_SIDE = 12  # px
-MIN_PARALLEL_PIXELS = 1 << 16  # least number of pixels for which a second thread saves time
+COARSEST_FRAME_SIDE = 12  # px: the shorter side of the coarsest frames is at least as long
+MIN_PARALLEL_PIXELS = 1 << 16  # pixels of the smallest frame for which a second thread saves time
 
 
 class ImagePyramid:
@@ -30,9 +30,9 @@ class ImagePyramid:
         camera: Camera,  # pinhole camera of the finest level
         *,
         factor: float,  # ratio of neighbouring levels' sampling densities, in [0.5, 1)
-        levels: int | None = None,  # most levels; by default `COARSEST_FRAME_SIDE` limits them
+        levels: int | None = None,  # most levels; None: as many as `COARSEST_FRAME_SIDE` allows
         presmoothing: float = 0.0,  # standard deviation of a Gaussian applied first, px
-        # last level of coarse-to-fine estimation; the coarsest level if there are fewer levels
+        # last level of coarse-to-fine estimation; the coarsest level in a pyramid of fewer levels
         last: int = 0,
         # pixels of each frame that are used, (H, W) bool, by default all; ignored pixels must
         # already be filled from their surroundings
@@ -49,19 +49,19 @@ class ImagePyramid:
         self.scales = [factor**level for level in range(count)]
         self.cameras = [camera] + [camera.scaled(s, height, width) for s in self.scales[1:]]
 
-        def frames(grey: np.ndarray) -> list[np.ndarray]:
+        def build_frames(grey: np.ndarray) -> list[np.ndarray]:
             return gaussian_pyramid(smooth(grey, presmoothing), factor, count)
 
         is_parallel = runtime.threads() > 1 and grey0.size >= MIN_PARALLEL_PIXELS
         if is_parallel:
             # OpenCV's filters and kernels on coarse levels use one thread each.
-            wait_for_frames1 = start_beside(frames, grey1)
-            self.frames0, self.frames1 = frames(grey0), wait_for_frames1()
+            wait_for_frames1 = start_beside(build_frames, grey1)
+            self.frames0, self.frames1 = build_frames(grey0), wait_for_frames1()
         else:
-            self.frames0, self.frames1 = frames(grey0), frames(grey1)
+            self.frames0, self.frames1 = build_frames(grey0), build_frames(grey1)
         self._spline1 = [self._spline(level) for level in range(count)]
         if is_parallel:
-            for level in reversed(range(self.last, count)):  # the coarsest is needed first
+            for level in reversed(range(self.last, count)):  # the coarsest level is needed first
                 self._spline1[level] = start_beside(spline_taps, self.frames1[level])
         self.masks: PixelMasks | None = None  # the used pixels; None if all are used
         if valid is not None:
@@ -89,29 +89,29 @@ class ImagePyramid:
 
     def reversed(self) -> "ImagePyramid":
         """Return the pyramid with both frames exchanged."""
-        other = copy(self)
-        other.frames0, other.frames1 = self.frames1, self.frames0
-        other._spline1 = [other._spline(level) for level in range(self.levels)]
-        other.masks = None if self.masks is None else self.masks.reversed()
-        other.contrast = mean_step(other.frames0[0], other.valid0(0))
-        return other
+        result = copy(self)
+        result.frames0, result.frames1 = self.frames1, self.frames0
+        result._spline1 = [result._spline(level) for level in range(self.levels)]
+        result.masks = None if self.masks is None else self.masks.reversed()
+        result.contrast = mean_step(result.frames0[0], result.valid0(0))
+        return result
 
     def coarser(self, level: int) -> "ImagePyramid":
         """Return the pyramid of `level`, as its finest level, and all coarser levels.
 
-        It shares frames and splines with this pyramid.
+        The new pyramid shares frames and splines with this pyramid.
         """
         if level == 0:
             return self
-        other = copy(self)
-        other.frames0, other.frames1 = self.frames0[level:], self.frames1[level:]
-        other.cameras, other._spline1 = self.cameras[level:], self._spline1[level:]
-        other.scales = [scale / self.scales[level] for scale in self.scales[level:]]
-        other.levels, other.last = self.levels - level, max(0, self.last - level)
-        other.shape = other.frames0[0].shape
-        other.masks = None if self.masks is None else self.masks.coarser(level)
-        other.contrast = mean_step(other.frames0[0], other.valid0(0))
-        return other
+        result = copy(self)
+        result.frames0, result.frames1 = self.frames0[level:], self.frames1[level:]
+        result.cameras, result._spline1 = self.cameras[level:], self._spline1[level:]
+        result.scales = [scale / self.scales[level] for scale in self.scales[level:]]
+        result.levels, result.last = self.levels - level, max(0, self.last - level)
+        result.shape = result.frames0[0].shape
+        result.masks = None if self.masks is None else self.masks.coarser(level)
+        result.contrast = mean_step(result.frames0[0], result.valid0(0))
+        return result
 
     def _spline(self, level: int) -> Callable[[], np.ndarray]:
         return cache(partial(spline_taps, self.frames1[level]))

@@ -4,8 +4,12 @@ Sweeps reduce smooth errors slowly. On a grid of half the density the same error
 a sweep costs a quarter. A V-cycle sweeps once, solves for the correction on the coarser grid in the
 same way, adds the correction and sweeps once more.
 
-The coarse system has averaged motion tensors, at the coarse pixels' own x̂, ŷ, and averaged edge
-weights.
+The coarse system has averaged motion tensors and averaged edge weights. Its image coordinates x̂ and
+ŷ are those of the coarse pixels.
+
+ρ̂ are the unknowns of a pixel. Equations are numbered as in the paper (docs/method.md). A lane array
+holds an image as vertical strips (`tisfm.kernels.layout.lanes`). In a halved array, each strip
+holds half of a strip of the finer grid (`tisfm.kernels.solve.coarsening`).
 """
 
 from collections.abc import Callable
@@ -24,9 +28,10 @@ from tisfm.solver.unknowns import Unknowns
 
 # The data hardly distinguish rotation from translation, and errors between the two extend over the
 # whole image. Only an accurate solution of the coarsest system removes them quickly.
-COARSEST_GRID_SIDE = 2  # px
+COARSEST_GRID_SIDE = 2  # px: largest shorter side of the coarsest grid
 COARSEST_SWEEPS = 32
-RELAXATION = 1.2  # of the smoother; 1 and 1.4 need more cycles, see bench/results/solvers.md
+# over-relaxation of the sweeps; 1 and 1.4 need more cycles, see bench/results/solvers.md
+RELAXATION = 1.2
 
 
 class Multigrid:
@@ -37,7 +42,7 @@ class Multigrid:
         unknowns: Unknowns,  # `cycle` and `descend` modify their `rho` in place
         system: LinearSystem,  # the system to solve; its tensor and weights are used without a copy
         *,
-        solver: str,  # how each pixel's system is solved
+        solver: str,  # how the linear system of a pixel is solved
         relaxation: float = RELAXATION,  # over-relaxation of the sweeps, in (0, 2)
     ) -> None:
         grid = unknowns.grid
@@ -55,7 +60,7 @@ class Multigrid:
             fine.coarsen(coarse)
 
     def restart(self) -> None:
-        """Drop the last step and start at the present ρ̂; necessary if other code changed it."""
+        """Drop the last step and start at the present ρ̂; necessary if other code changed ρ̂."""
         finest = self._levels[0].unknowns
         finest.grid.copy(finest.rho, self._previous)
         self._step.fill(0)
@@ -89,7 +94,7 @@ class _Level:
         self,
         unknowns: Unknowns,
         system: LinearSystem,
-        source: LaneData | None = None,
+        source: LaneData | None = None,  # right-hand side of a correction
         *,
         solver: str,
         relaxation: float,
@@ -100,13 +105,13 @@ class _Level:
         self.size = grid.height, grid.width
         self.smooth = self.bind_smooth(1)
         self._column_weights = interpolation_columns(grid)
-        # Strips of the coarser grid have an even length; half of a strip here may be odd.
-        self._halved: tuple[LaneData, LaneData, LaneData] | None = None
+        # Strips of the coarser grid have an even width; half of a strip of this grid may be odd.
+        self._halved_arrays: tuple[LaneData, LaneData, LaneData] | None = None
         if grid.strip_width // 2 != coarse_grid(grid).strip_width:
-            self._halved = (
-                _halved(grid, 6),
-                _halved(grid, 2 * system.weights_per_edge),
-                _halved(grid, system.components),
+            self._halved_arrays = (
+                _allocate_halved(grid, 6),
+                _allocate_halved(grid, 2 * system.weights_per_edge),
+                _allocate_halved(grid, system.components),
             )
 
     def bind_smooth(self, sweeps: int) -> Callable[[], None]:
@@ -137,30 +142,30 @@ class _Level:
 
     def coarsen(self, coarse: "_Level") -> None:
         """Compute the system of the next coarser level."""
-        if self._halved is None:
+        if self._halved_arrays is None:
             self.system.coarsen(coarse.system.tensor, coarse.system.weights)
             return
-        tensor, weights, _ = self._halved
+        tensor, weights, _ = self._halved_arrays
         self.system.coarsen(tensor, weights)
         relayout(coarse.unknowns.grid, tensor, coarse.system.tensor)
         relayout(coarse.unknowns.grid, weights, coarse.system.weights)
 
     def restrict(self, coarse: "_Level") -> None:
         """Restrict the residual to the coarser level, and set its correction to zero."""
-        halved = coarse._source if self._halved is None else self._halved[2]
-        self.system.restrict(self.unknowns.rho, halved, source=self._source)
-        if halved is not coarse._source:
-            relayout(coarse.unknowns.grid, halved, coarse._source)
+        coarse_source = coarse._source if self._halved_arrays is None else self._halved_arrays[2]
+        self.system.restrict(self.unknowns.rho, coarse_source, source=self._source)
+        if coarse_source is not coarse._source:
+            relayout(coarse.unknowns.grid, coarse_source, coarse._source)
         coarse.unknowns.rho.fill(0)
 
     def add_correction(self, coarse: "_Level") -> None:
         """Add the correction of the coarser level."""
         correction = coarse.unknowns.rho
-        if self._halved is not None:
-            correction = self._halved[2]
+        if self._halved_arrays is not None:
+            correction = self._halved_arrays[2]
             relayout(coarse.unknowns.grid, coarse.unknowns.rho, correction)
         add_correction(self.unknowns.grid, correction, self._column_weights, self.unknowns.rho)
 
 
-def _halved(grid: LaneGrid, components: int) -> LaneData:
+def _allocate_halved(grid: LaneGrid, components: int) -> LaneData:
     return grid.place(aligned_zeros(halved_shape(grid, components)))

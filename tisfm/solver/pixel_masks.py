@@ -12,7 +12,7 @@ import numpy as np
 
 from tisfm.solver.sampling import target_pixels
 
-RIM = 3  # px of a level: side of the square around a used pixel that has no ignored pixel
+USED_SQUARE = 3  # px of a level: side of the square around a used pixel without ignored pixels
 MAX_IGNORED_SHARE = 0.5  # share of a coarse pixel's area that may be ignored
 
 
@@ -32,7 +32,7 @@ class PixelMasks:
 
     @cached_property
     def levels(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """The pixels of both frames, (h, w) bool, whose stencils have used pixels only."""
+        """Pixels of both frames, (h, w) bool, whose stencils contain used pixels only."""
         first, second = (
             [_resize_mask(valid, shape) for shape in self._shapes] for valid in self.original
         )
@@ -41,7 +41,7 @@ class PixelMasks:
     def ignored_pixels(
         self,
         flow: np.ndarray,  # (2, h, w) float32: px/frame of the level
-        level: int | None = None,  # by default the finest, with the masks as given
+        level: int | None = None,  # by default the finest level, with the original masks
     ) -> np.ndarray:  # (h, w) bool
         """Return the pixels that are ignored, or move to an ignored pixel of frame 1."""
         valid0, valid1 = self.original if level is None else self.levels[level]
@@ -63,7 +63,10 @@ def fill_ignored(
     image: np.ndarray,  # (H, W) float32
     ignored: np.ndarray,  # (H, W) bool
 ) -> np.ndarray:  # (H, W) float32: 0 if all pixels are ignored
-    """Return an image whose ignored pixels are means of used pixels, farther inside over more."""
+    """Return an image whose ignored pixels are means of used pixels around them.
+
+    The mean of a pixel farther inside an ignored region is over more used pixels.
+    """
     if ignored.all():
         return np.zeros_like(image)
     weight = (~ignored).astype(np.float32)
@@ -88,8 +91,8 @@ def _fill(image: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _resize_mask(valid: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return the pixels of a level that are used and have used pixels only around them."""
+    """Return the used pixels of a level that have only used pixels around them."""
     size = shape[::-1]
     share = cv2.resize(valid.astype(np.float32), size, interpolation=cv2.INTER_AREA)
     is_used = (share > 1 - MAX_IGNORED_SHARE).astype(np.uint8)
-    return cv2.erode(is_used, np.ones((RIM, RIM), np.uint8)) > 0
+    return cv2.erode(is_used, np.ones((USED_SQUARE, USED_SQUARE), np.uint8)) > 0

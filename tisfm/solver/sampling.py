@@ -11,15 +11,15 @@ import numpy as np
 
 from tisfm import runtime
 
-FAR_FLOW = 1e7  # px/frame: leads outside any image
-_POLE = math.sqrt(3) - 2
-_REACH = 12  # px: farther taps of the filter are below 1e-7, less than float32 resolves
-# Inverse of the filter (1, 4, 1)/6, which computes values at pixels from coefficients.
-_INVERSE = math.sqrt(3) * _POLE ** np.abs(np.arange(-_REACH, _REACH + 1))
+FAR_FLOW = 1e7  # px/frame: a flow of this length leads outside any image
+_POLE = math.sqrt(3) - 2  # of the filter that computes the coefficients of a cubic B-spline
+_FILTER_RADIUS = 12  # px: weights farther out are below 1e-7, less than float32 resolves
+# The filter (1, 4, 1)/6 computes pixels from coefficients; its inverse is the filter here.
+_FILTER = math.sqrt(3) * _POLE ** np.abs(np.arange(-_FILTER_RADIUS, _FILTER_RADIUS + 1))
 
 
 def spline_coefficients(
-    image: np.ndarray,  # (H, W) float32: mirrored at the centres of its border pixels
+    image: np.ndarray,  # (H, W) float32; mirrored at the centres of its border pixels
 ) -> np.ndarray:  # (H, W) float32
     """Return the coefficients of the cubic B-spline through all pixels of an image.
 
@@ -28,7 +28,7 @@ def spline_coefficients(
     Unser, "Splines: a perfect fit for signal and image processing", IEEE Signal Processing
     Magazine 16 (1999) 22–38, doi 10.1109/79.799930.
     """
-    return cv2.sepFilter2D(image, -1, _INVERSE, _INVERSE, borderType=cv2.BORDER_REFLECT_101)
+    return cv2.sepFilter2D(image, -1, _FILTER, _FILTER, borderType=cv2.BORDER_REFLECT_101)
 
 
 def spline_taps(
@@ -37,27 +37,27 @@ def spline_taps(
     """Return the coefficients of an image's spline in the layout of the kernels, rows of four.
 
     Returns ((H + 3)·W, 4) float32 in aligned memory. Row r·W + x holds the coefficients of columns
-    x − 1 to x + 2 in image row r − 1. A sample between rows y and y + 1 and columns x and x + 1
-    needs r = y to y + 3. Beyond the border, coefficients are mirrored at the centres of the border
-    pixels.
+    x − 1 to x + 2 in image row r − 1. A sample between image rows y and y + 1 and columns x and
+    x + 1 needs r = y to y + 3. Beyond the border, coefficients are mirrored at the centres of the
+    border pixels.
     """
-    return _taps(spline_coefficients(image))
+    return _taps_of(spline_coefficients(image))
 
 
 def weight_taps(
     weight: np.ndarray,  # (H, W) float32
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return weights smoothed by a B-spline, (H, W) float32, and the taps of that spline.
+    """Return weights smoothed by a B-spline, (H, W) float32, and `spline_taps` of this spline.
 
     The coefficients are the weights themselves. Samples then stay within the range of the weights;
     a spline through the weights would overshoot.
     """
     smoothing = np.array([1, 4, 1]) / 6
     border = cv2.BORDER_REFLECT_101
-    return cv2.sepFilter2D(weight, -1, smoothing, smoothing, borderType=border), _taps(weight)
+    return cv2.sepFilter2D(weight, -1, smoothing, smoothing, borderType=border), _taps_of(weight)
 
 
-def _taps(coefficients: np.ndarray) -> np.ndarray:
+def _taps_of(coefficients: np.ndarray) -> np.ndarray:
     """Return coefficients, (H, W) float32, in the layout of `spline_taps`."""
     from tisfm.kernels.layout.lanes import aligned_empty
 
@@ -75,16 +75,16 @@ def sample(
     # ((H + 3)·W, 4) float32: `spline_taps` of the image, if already computed
     taps: np.ndarray | None = None,
 ) -> np.ndarray:  # (H, W) float32
-    """Return an image sampled at the ends of a flow, by its cubic spline with repeated borders."""
-    grid = runtime.lane_grid(*image.shape)  # first: it starts Taichi before kernels are imported
+    """Return an image sampled at the ends of flow vectors by its cubic spline; borders repeat."""
+    grid = runtime.lane_grid(*image.shape)  # starts Taichi, which must precede the imports
     from tisfm.kernels.data.warp import warp
     from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images
     from tisfm.kernels.layout.lanes import aligned_empty
 
-    motion, inside, warped = (grid.allocate(n, zeros=False) for n in (2, 1, 1))
+    motion, mask, warped = (grid.allocate(n, zeros=False) for n in (2, 1, 1))
     for component, values in enumerate(flow):
         image_to_lanes(grid, values, motion, component=component)
-    warp(grid, image, spline_taps(image) if taps is None else taps, motion, warped, inside)
+    warp(grid, image, spline_taps(image) if taps is None else taps, motion, warped, mask)
     out = aligned_empty(image.shape)
     lanes_to_images(grid, warped, out[None])
     return out
@@ -116,8 +116,8 @@ def enlarge(images: np.ndarray, factor: int, height: int, width: int) -> np.ndar
         if fine.shape == size[::-1]:
             cv2.resize(coarse, size, dst=fine, interpolation=cv2.INTER_LINEAR)
         else:
-            larger = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
-            fine[...] = _crop_or_extend(larger, height, width)
+            resized = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
+            fine[...] = _crop_or_extend(resized, height, width)
     return out
 
 
@@ -126,9 +126,9 @@ def shrink(images: np.ndarray, factor: int, height: int, width: int) -> np.ndarr
 
     Returns (n, height, width) float32.
     """
-    resized = (_crop_or_extend(fine, factor * height, factor * width) for fine in images)
+    frames = (_crop_or_extend(fine, factor * height, factor * width) for fine in images)
     size = (width, height)
-    return np.stack([cv2.resize(fine, size, interpolation=cv2.INTER_AREA) for fine in resized])
+    return np.stack([cv2.resize(fine, size, interpolation=cv2.INTER_AREA) for fine in frames])
 
 
 def _crop_or_extend(image: np.ndarray, height: int, width: int) -> np.ndarray:

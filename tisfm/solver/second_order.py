@@ -1,8 +1,9 @@
 """Inverse depth with second-order smoothness: planes of any slant have no cost.
 
-The energy is that of `tisfm.kernels.solve.second_order`. On a level of spacing h the contrasts are
-multiplied by h and the data of the finer pixels are added up; all else stays the same. The energy
-of a field is then the same on every level, up to discretisation.
+D is inverse depth, px/frame, and v₁ and v₂ are its slopes. Anchors are measurements D* with weights
+w, and ρ are the unknowns (D, v₁, v₂) of a pixel. `tisfm.kernels.solve.second_order` defines the
+energy. On a level of spacing h, contrasts are multiplied by h, and the data of the finer pixels are
+added up. The energy of a field is then the same on every level, up to discretisation.
 
 A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
 """
@@ -26,8 +27,8 @@ from tisfm.solver.sampling import shrink
 from tisfm.solver.second_order_multigrid import Interpolation, SecondOrderMultigrid
 from tisfm.solver.smoothness import image_driven_factor
 
-MAX_COARSEST_SIDE = 40  # px: most for the longer side of the coarsest level
-QUADRATIC_CYCLES = 12  # iterations with quadratic costs on the coarsest level, before robust costs
+MAX_COARSEST_SIDE = 40  # px: largest longer side of the coarsest level
+QUADRATIC_ITERATIONS = 12  # with quadratic costs, on the coarsest level, before robust costs
 ITERATIONS = 3  # half-quadratic iterations on the finest level
 COARSE_ITERATIONS = 2  # additional iterations on each coarser level
 
@@ -39,14 +40,14 @@ class SecondOrderSettings:
     Raises ValueError if a value is out of its range.
     """
 
-    # alpha, beta, gamma: Weights of r (ΔD minus the slopes), Δv and ΔD, relative to an anchor of
+    # alpha, beta, gamma: weights of r (ΔD minus the slopes), Δv and ΔD, relative to an anchor of
     # weight 1 at a pixel. If anchors are farther apart than √(β/α) px, slopes continue unchanged
     # between them. γ > 0 limits how far D continues along a slope; it may be 0.
     alpha: float = 6.0
     beta: float = 3072.0
     gamma: float = 0.02
-    # Contrasts of r, px, of Δv, px per px, and of ΔD, px: a larger value counts as a crease or a
-    # jump. Infinite for no jumps and creases.
+    # contrasts of r (px), of Δv (px per px) and of ΔD (px): a larger value counts as a crease or a
+    # jump; infinite for neither creases nor jumps
     slope_contrast: float = 0.15
     crease_contrast: float = 0.0005
     jump_contrast: float = 0.1
@@ -90,14 +91,14 @@ class SecondOrderMinimiser:
         self,
         grid: LaneGrid,
         anchors: LaneData,  # lane array, 2 components: w and D*, used without a copy; 0 in padding
-        edges: LaneData,  # lane array, 2 components: g; 0 across the border
+        edges: LaneData,  # lane array, 2 components: factor g of smoothness; 0 across the border
         settings: SecondOrderSettings,
         *,
         spacing: float = 1.0,  # h, px of the finest level
         # lane array, 3 components for each of 1 to 3 constraints: (p, 0, c) of p D + c = 0, used
         # without a copy; 0 in padding
         constraints: LaneData | None = None,
-        scales: Sequence[float] = (),  # scales of their terms (`tisfm.kernels.model.robust`)
+        scales: Sequence[float] = (),  # scales of the terms (`tisfm.kernels.model.robust`)
         cycles: int = 1,  # multigrid cycles in each iteration
     ) -> None:
         if cycles < 1:
@@ -129,7 +130,7 @@ class SecondOrderMinimiser:
         )
 
     def start_from(self, coarse: "SecondOrderMinimiser") -> None:
-        """Interpolate ρ, which must be zero, from the level of half the density."""
+        """Interpolate ρ from the level of half the density; ρ must be zero before."""
         Interpolation(self.grid, coarse.rho, self.rho, self._spacing)()
 
     def update(self) -> Sums:
@@ -138,13 +139,13 @@ class SecondOrderMinimiser:
 
     def minimise(
         self,
-        iterations: int,  # most iterations
+        iterations: int,  # largest number of iterations
         *,
         tolerance: float = 0.0,  # bound of ‖change of D‖ / ‖D‖
     ) -> tuple[list[Iteration], bool]:
         """Iterate until D hardly changes or the iterations run out.
 
-        Returns the number of iterations, and whether the last relative change was within the
+        Returns the records of the iterations, and whether the last relative change was within the
         tolerance.
         """
         records: list[Iteration] = []
@@ -174,7 +175,7 @@ class SecondOrderMinimiser:
 
 def extend_depth(
     target: np.ndarray,  # (H, W) float32: measurements D*, px/frame; any value where `weight` is 0
-    # (H, W) float32: weights of the measurements: 0 without a measurement, 1 for a single good
+    # (H, W) float32, weights of the measurements: 0 without a measurement, 1 for a single good
     # measurement
     weight: np.ndarray,
     frame: np.ndarray,  # (H, W) float32: grey levels; depth may jump or bend at their edges
@@ -200,7 +201,7 @@ def extend_depth(
         return np.zeros(frame.shape, np.float32), np.zeros((2, *frame.shape), np.float32)
     levels = [(anchors, np.ascontiguousarray(frame))]
     while max(levels[-1][1].shape) > MAX_COARSEST_SIDE:
-        levels.append(_coarser(*levels[-1]))
+        levels.append(_coarsen(*levels[-1]))
     coarse: SecondOrderMinimiser | None = None
     for level in reversed(range(len(levels))):
         anchors, image = levels[level]
@@ -212,12 +213,12 @@ def extend_depth(
         )
         minimiser = SecondOrderMinimiser(*level_arrays, settings, spacing=2.0**level)
         if coarse is None:
-            first = SecondOrderMinimiser(*level_arrays, settings.quadratic(), spacing=2.0**level)
+            start = SecondOrderMinimiser(*level_arrays, settings.quadratic(), spacing=2.0**level)
             mean = (anchors[0] * anchors[1]).sum(dtype=np.float64) / weight_sum
-            image_to_lanes(grid, np.full(image.shape, mean, np.float32), first.rho)
-            first.update()
-            first.minimise(QUADRATIC_CYCLES)
-            grid.copy(first.rho, minimiser.rho)
+            image_to_lanes(grid, np.full(image.shape, mean, np.float32), start.rho)
+            start.update()
+            start.minimise(QUADRATIC_ITERATIONS)
+            grid.copy(start.rho, minimiser.rho)
         else:
             minimiser.start_from(coarse)
         minimiser.update()
@@ -236,7 +237,7 @@ def anchors_in_lanes(grid: LaneGrid, anchors: np.ndarray) -> LaneData:
     return out
 
 
-def _coarser(anchors: np.ndarray, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _coarsen(anchors: np.ndarray, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return anchors and frame for the level of half the density.
 
     A coarse weight is the sum of the finer weights, so that the data energy of a field stays the

@@ -1,4 +1,4 @@
-"""Multigrid for inverse depth and its slopes (`tisfm.kernels.solve.second_order`).
+"""Multigrid for inverse depth D and its slopes v₁ and v₂ (`tisfm.kernels.solve.second_order`).
 
 With second-order smoothness, only coarse grids carry a correction across a wide region without
 data. A sweep is less effective there than on fine grids: D and its slopes must change together over
@@ -25,10 +25,10 @@ from tisfm.kernels.solve.second_order.coarsening import add_correction, offset_c
 from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
 from tisfm.kernels.solve.second_order.system import SecondOrderSystem
 
-COARSEST_GRID_SIDE = 4  # px: most for the longer side of the coarsest grid
-COARSEST_SWEEPS = 32
+COARSEST_GRID_SIDE = 4  # px: largest longer side of the coarsest grid
+COARSEST_SWEEPS = 32  # on the coarsest grid, in place of a correction
 MAX_SWEEPS = 32  # on a grid, before and again after a correction
-RELAXATION = 1.2  # of the smoother
+RELAXATION = 1.2  # over-relaxation of the sweeps
 
 
 class SecondOrderMultigrid:
@@ -63,7 +63,7 @@ class SecondOrderMultigrid:
             transfer.coarsen()
 
     def restart(self) -> None:
-        """Drop the last step and start at the present ρ; necessary if other code changed it."""
+        """Drop the last step and start at the present ρ; necessary if other code changed ρ."""
         self._system.grid.copy(self._rho, self._previous)
         self._step.fill(0)
 
@@ -129,7 +129,7 @@ class _Level:
         self,
         system: SecondOrderSystem,
         rho: LaneData,
-        source: LaneData | None,
+        source: LaneData | None,  # right-hand side of a correction; None on the finest grid
         *,
         relaxation: float,
         sweeps: int,

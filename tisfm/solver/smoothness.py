@@ -23,21 +23,20 @@ class Smoothness:
     alpha: float  # α, the strength of the smoothness: λ̂β of the paper
     contrast: float  # δ, px/frame; infinite for quadratic smoothness
     stiffness: tuple[float, ...]  # s_k of each unknown
-    joint: bool  # whether all unknowns of a pixel share the weight of an edge
+    joint: bool  # whether all unknowns share the weight of an edge
     image_edges: float  # κ of the image-driven factor; 0 for g = 1
 
 
 def mean_step(frame: np.ndarray, valid: np.ndarray | None = None) -> float:
     """Return the mean |ΔI| between neighbours of a frame, (H, W): its contrast.
 
-    With `valid`, (H, W) bool, the mean is over pairs of neighbours that are both used; 0 if there
-    are none.
+    With `valid`, (H, W) bool, the mean is over pairs of used neighbours; 0 without such pairs.
     """
     if valid is not None:
-        across, down = valid[:, 1:] & valid[:, :-1], valid[1:] & valid[:-1]
-        total = float(np.abs(np.diff(frame, axis=1))[across].sum(dtype=np.float64))
-        total += float(np.abs(np.diff(frame, axis=0))[down].sum(dtype=np.float64))
-        return total / max(int(across.sum()) + int(down.sum()), 1)
+        is_row_pair, is_column_pair = valid[:, 1:] & valid[:, :-1], valid[1:] & valid[:-1]
+        total = float(np.abs(np.diff(frame, axis=1))[is_row_pair].sum(dtype=np.float64))
+        total += float(np.abs(np.diff(frame, axis=0))[is_column_pair].sum(dtype=np.float64))
+        return total / max(int(is_row_pair.sum()) + int(is_column_pair.sum()), 1)
     height, width = frame.shape
     count = height * (width - 1) + (height - 1) * width
     total = cv2.norm(frame[:, 1:], frame[:, :-1], cv2.NORM_L1) if width > 1 else 0.0
@@ -54,8 +53,8 @@ def image_driven_factor(
 ) -> LaneData:  # lane array, 2 components: eastern and southern edges; 0 across the border
     """Return g = c/(1 + κ|ΔI|/m) of every edge, with m the mean |ΔI| and c such that mean g is 1.
 
-    g depends only on the contrast of an edge relative to the mean contrast of the frame. The mean
-    strength of the smoothness stays the same.
+    g depends only on the contrast of an edge relative to the mean contrast of the frame. It keeps
+    the mean strength of the smoothness.
     """
     out = grid.allocate(2)
     mean_difference = max(mean_step(frame, valid), MIN_GREY_STEP)

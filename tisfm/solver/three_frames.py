@@ -33,7 +33,7 @@ class ThreeFrameData:
         taps: np.ndarray,
         # (2, H, W) float32: sum of the flows to the next and to the previous frame, px/frame
         bend: np.ndarray,
-        # two (H, W) float32: in [0, 1]: visibility of each pixel in the next frame, and in the
+        # two (H, W) float32, in [0, 1]: visibility of each pixel in the next frame, and in the
         # previous frame
         trust: tuple[np.ndarray, np.ndarray],
     ) -> None:
@@ -64,7 +64,7 @@ class ThreeFrameData:
             pair.bind_linearise(flow),
             backward_flow.bind(grid, flow, self._bend, self._flow),
             warp.bind(grid, self._frame, self._taps, self._flow, self._lanes, self._mask),
-            # From the previous frame to this frame, so that I_t has the sign of a forward flow.
+            # Time runs from the previous to this frame, so I_t has the sign of a forward flow.
             pair.bind_constraints(
                 self._lanes, pair.lanes0, self._derivatives, flow, self._mask, self._constraints
             ),

@@ -1,6 +1,8 @@
 """The unknown ρ̂ on one level of the pyramid, as a lane array.
 
-A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
+ρ̂ are the unknowns of a pixel, such as the components of its motion, in px/frame. Equations are
+numbered as in the paper (docs/method.md). A lane array holds an image as vertical strips
+(`tisfm.kernels.layout.lanes`).
 """
 
 from collections.abc import Callable, Sequence
@@ -40,9 +42,10 @@ class Unknowns:
 
     @cached_property
     def edges(self) -> LaneData:
-        """Lane array of 2 components: g of the eastern and the southern edge of every pixel.
+        """Lane array of 2 components: factor g of the eastern and the southern edge of a pixel.
 
-        By default 1, and 0 across the border; it can be set to the image-driven factor.
+        By default, g is 1, and 0 across the border. `tisfm.solver.smoothness.image_driven_factor`
+        may replace it.
         """
         return self.grid.edge_mask()
 
@@ -51,10 +54,10 @@ class Unknowns:
         coarse: "Unknowns",
         ratio: float,  # sampling density of the coarser level divided by the density of this level
     ) -> None:
-        """Interpolate ρ̂, which must be zero, from a coarser level."""
+        """Interpolate ρ̂ from a coarser level; ρ̂ must be zero before."""
         grid = self.grid
-        is_even = ratio == 0.5 and grid.height % 2 == grid.width % 2 == 0
-        if not (is_even and grid.lanes > 1 and grid.strip_width == 2 * coarse.grid.strip_width):
+        is_half = ratio == 0.5 and grid.height % 2 == grid.width % 2 == 0
+        if not (is_half and grid.lanes > 1 and grid.strip_width == 2 * coarse.grid.strip_width):
             prolong(grid, coarse.images(), self.rho, ratio=ratio)
             return
         # Every lane of this grid lies over one coarse lane, so whole vectors are interpolated.
@@ -76,7 +79,7 @@ class Unknowns:
         self,
         step: Sequence[np.ndarray],  # two (H, W) float32: px/frame of this level
     ) -> None:
-        """Add a step to the first two unknowns, which displace a pixel by their own values."""
+        """Add a step to the first two unknowns; their values displace a pixel directly."""
         for component, values in enumerate(step):
             self.set_image(component, self.to_image(self.rho, component) + values)
 
