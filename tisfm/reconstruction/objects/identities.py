@@ -28,7 +28,7 @@ from tisfm.reconstruction.objects.tracked_objects import (
 
 
 class ObjectTracker:
-    """Labels moving objects, frame by frame."""
+    """Assignment of labels to moving objects, frame by frame."""
 
     def __init__(
         self,
@@ -68,7 +68,7 @@ class ObjectTracker:
             counts = np.bincount(propagated[region], minlength=1)
             counts[0] = 0
             min_pixels = min(
-                OBJECTS.min_propagated * region.sum(), smallest_object(region.size) / 2
+                OBJECTS.min_propagated_share * region.sum(), smallest_object(region.size) / 2
             )
             ids = [int(k) for k in np.flatnonzero(counts) if counts[k] >= min_pixels]
             if not ids:
@@ -90,27 +90,27 @@ class ObjectTracker:
         propagated: np.ndarray,
         motions: SmoothMotions,
     ) -> None:
-        """Assign each pixel of a region to the object whose motion it follows.
+        """Assign each pixel of a region to the object whose motion fits the pixel best.
 
-        Pixels that follow no known motion become an object that was occluded, or a new one.
+        Connected pixels that no known motion fits become an object that was occluded, or a new one.
         """
-        errors: dict[int, np.ndarray] = {}  # error of each motion, px
-        # smallest error of a pixel, in standard deviations of the motion
+        errors: dict[int, np.ndarray] = {}  # by object id: distance of pixels from its motion, px
+        # smallest error of each pixel, in standard deviations of the motion
         min_deviations = np.full(region.shape, np.inf, np.float32)
-        scale = np.inf
+        min_deviation = np.inf
         for number in ids:
             obj = self._objects[number]
             is_tracked = obj.last_frame == frame - 1
             pixels = region & (propagated == number)
             if pixels.sum() < OBJECTS.min_motion_pixels:
                 pixels = region & (labels == number)
-            visible = pixels.sum() / max(1, obj.mask.sum()) if is_tracked else 1.0
-            terms: Terms = 3 if visible >= OBJECTS.min_affine_visible else 1
-            if visible >= OBJECTS.min_quadratic_visible:
+            visible_share = pixels.sum() / max(1, obj.mask.sum()) if is_tracked else 1.0
+            terms: Terms = 3 if visible_share >= OBJECTS.min_affine_visible_share else 1
+            if visible_share >= OBJECTS.min_quadratic_visible_share:
                 terms = 6
             velocity = obj.velocity if is_tracked else None
             errors[number], deviation = motions.residuals_from(pixels, velocity, terms=terms)
-            scale = min(scale, deviation)
+            min_deviation = min(min_deviation, deviation)
             min_deviations = np.minimum(min_deviations, errors[number] / deviation)
             if is_tracked:
                 errors[number][~self._predicted_mask(obj)] = np.inf
@@ -121,23 +121,23 @@ class ObjectTracker:
             part = components == k
             if statistics[k, cv2.CC_STAT_AREA] < smallest_object(region.size):
                 continue
-            own_errors, _ = motions.residuals_from(part)
-            nearest = np.min([error[part] for error in errors.values()], axis=0)
-            if np.median(own_errors[part]) > OBJECTS.max_new_object_error * np.median(nearest):
+            part_errors, _ = motions.residuals_from(part)
+            min_errors = np.min([error[part] for error in errors.values()], axis=0)
+            if np.median(part_errors[part]) > OBJECTS.max_new_error_ratio * np.median(min_errors):
                 continue
-            others = np.where(part, 0, labels), np.where(part, 0, propagated)
-            number = self._find_object(frame, part, *others)
-            labels[part], errors[number] = number, own_errors
+            other_labels = np.where(part, 0, labels), np.where(part, 0, propagated)
+            number = self._find_object(frame, part, *other_labels)
+            labels[part], errors[number] = number, part_errors
         if len(errors) < 2:
             return
         left, top, width, height = cv2.boundingRect(np.uint8(region))
         window = np.s_[top : top + height, left : left + width]
-        distances = np.stack([error[window] for error in errors.values()])
-        distances = np.minimum(distances, OBJECTS.max_motion_error)
-        nearest = distances.min(axis=0)
-        # Where no motion fits, only a clear difference counts.
-        tolerance = scale**2 + (OBJECTS.relative_error_tolerance * nearest) ** 2
-        costs = np.minimum((distances**2 - nearest**2) / tolerance, OBJECTS.max_motion_cost)
+        clipped_errors = np.stack([error[window] for error in errors.values()])
+        clipped_errors = np.minimum(clipped_errors, OBJECTS.max_motion_error)
+        min_errors = clipped_errors.min(axis=0)
+        # Where no motion fits, only a clear difference between errors counts.
+        tolerance = min_deviation**2 + (OBJECTS.relative_error_tolerance * min_errors) ** 2
+        costs = np.minimum((clipped_errors**2 - min_errors**2) / tolerance, OBJECTS.max_motion_cost)
         numbers = np.array(list(errors))
         costs += OBJECTS.identity_change_cost * (labels[window] != numbers[:, None, None])
         has_motion = motions.valid[window] & region[window]
@@ -148,7 +148,7 @@ class ObjectTracker:
 
     @staticmethod
     def _predicted_mask(obj: TrackedObject, *, enlarge: bool = True) -> np.ndarray:
-        """Return the mask of an object predicted for the next frame, enlarged if `enlarge`."""
+        """Return the predicted mask of an object in the next frame, dilated if `enlarge`."""
         x, y = obj.velocity
         shifted = cv2.warpAffine(
             np.uint8(obj.mask), np.array([[1, 0, x], [0, 1, y]]), obj.mask.shape[::-1]
@@ -161,18 +161,18 @@ class ObjectTracker:
     def _find_object(
         self, frame: int, region: np.ndarray, labels: np.ndarray, propagated: np.ndarray
     ) -> int:
-        """Return the id of the occluded object that reappears in a region, or of a new one."""
+        """Return the id of the occluded object that reappears in a region, or of a new object."""
         visible_ids = set(np.unique(labels)) | set(np.unique(propagated))
         size = region.sum()
         candidates = [
             obj
             for obj in self._objects.values()
-            if obj.id not in visible_ids and size > OBJECTS.min_reappeared * obj.mask.sum()
+            if obj.id not in visible_ids and size > OBJECTS.min_reappeared_share * obj.mask.sum()
         ]
         histogram = self._histogram(frame, region)
-        reappeared = most_similar_object(candidates, frame, mask_position(region), histogram)
-        if reappeared:
-            return reappeared
+        reappeared_id = most_similar_object(candidates, frame, mask_position(region), histogram)
+        if reappeared_id:
+            return reappeared_id
         number = 1 + max(self._objects, default=0)
         self._objects[number] = TrackedObject(
             id=number,
@@ -190,7 +190,7 @@ class ObjectTracker:
         regions: Sequence[tuple[np.ndarray, bool]],
         motions: SmoothMotions,
     ) -> None:
-        """Update the state of the objects in a frame, and count the pairs that touch."""
+        """Update the state of the objects in a frame, and count their touching pairs."""
         flow = motions.flow
         for number in np.unique(labels[labels > 0]):
             obj, mask = self._objects[number], labels == number
@@ -198,7 +198,7 @@ class ObjectTracker:
             is_unoccluded = not (neighbourhood & (labels > 0) & ~mask).any()
             is_tracked = obj.last_frame == frame - 1
             predicted = self._predicted_mask(obj, enlarge=False) if is_tracked else mask
-            min_visible = OBJECTS.min_quadratic_visible * predicted.sum()
+            min_visible = OBJECTS.min_quadratic_visible_share * predicted.sum()
             is_reliable = is_unoccluded or mask.sum() >= min_visible
             obj.mask = mask if is_unoccluded else predicted | mask if is_reliable else predicted
             obj.last_frame = frame
@@ -208,8 +208,8 @@ class ObjectTracker:
                 obj.velocity, obj.histogram = velocity, self._histogram(frame, mask)
             surroundings = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
             surroundings &= labels == 0
-            around = flow[surroundings] if surroundings.any() else np.zeros((1, 2))
-            obj.motions[frame] = velocity - np.median(around, axis=0)
+            surrounding_flow = flow[surroundings] if surroundings.any() else np.zeros((1, 2))
+            obj.motions[frame] = velocity - np.median(surrounding_flow, axis=0)
             obj.positions[frame] = mask_position(mask)
         components = cv2.connectedComponents((labels > 0).astype(np.uint8), connectivity=4)[1]
         for region, has_core in regions:
@@ -223,13 +223,13 @@ class ObjectTracker:
                     self._touching_frames[pair] = self._touching_frames.get(pair, 0) + 1
 
     def _propagate(self, frame: int, previous: np.ndarray) -> np.ndarray:
-        """Return the labels of the previous frame, propagated by the image motion; 0 for none."""
+        """Return the labels of the previous frame, propagated by the image motion; 0 if unknown."""
         backward = self._motion.backward(frame)
         propagated = sample_image(
             previous.astype(np.float32), pixel_grid(previous.shape) + backward, nearest=True
         )
-        consistent = consistency_mask(backward, self._motion.forward(frame - 1)) > 0
-        return np.where(consistent, propagated.astype(np.int32), 0)
+        is_consistent = consistency_mask(backward, self._motion.forward(frame - 1)) > 0
+        return np.where(is_consistent, propagated.astype(np.int32), 0)
 
     def _histogram(self, frame: int, mask: np.ndarray) -> np.ndarray:
         grey = self._motion.grey(frame)[mask]

@@ -13,43 +13,43 @@ from tisfm.reconstruction.objects.settings import OBJECTS
 def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np.ndarray:
     """Return labels with refined boundaries, (H, W) int32.
 
-    The motion on each side of a boundary is continued beyond it. A pixel takes the label whose
-    motion the next or the previous frame supports. Behind a moving object, at least one of the two
-    frames shows the pixel.
+    The motion of each label is continued across its boundary. A pixel takes the label whose motion
+    leads to similar grey levels in the next or the previous frame. At least one of these two frames
+    shows a pixel that a moving object hides in the other frame.
     """
     numbers = np.unique(labels)
     if len(numbers) < 2:
         return labels
     grey, grid = motion.grey(frame), pixel_grid(labels.shape)
     window = np.ones((2 * OBJECTS.max_boundary_shift + 1,) * 2, np.uint8)
-    rim = np.ones((OBJECTS.rim_width, OBJECTS.rim_width), np.uint8)
-    surroundings = np.stack([cv2.dilate(np.uint8(labels == k), window) > 0 for k in numbers])
-    band = surroundings.sum(axis=0) > 1
+    square = np.ones((OBJECTS.rim_width, OBJECTS.rim_width), np.uint8)
+    is_near = np.stack([cv2.dilate(np.uint8(labels == k), window) > 0 for k in numbers])
+    band = is_near.sum(axis=0) > 1
     differences = np.full((len(numbers), *labels.shape), np.inf, np.float32)
     for chain in motion.chained_flows(frame, 1):
         flow, other = chain.positions - grid, motion.grey(chain.frame)
         for index, number in enumerate(numbers):
             mask = labels == number
-            core = cv2.erode(np.uint8(mask), rim) > 0
-            source = core if core.sum() >= OBJECTS.min_core_pixels else mask
-            continued = _continued_flow(flow, source)
-            difference = np.abs(sample_image(other, grid + continued) - grey)
-            x, y = np.moveaxis(grid + continued, -1, 0)
-            outside = (x < 0) | (y < 0) | (x > labels.shape[1] - 1) | (y > labels.shape[0] - 1)
-            difference = np.where(outside, np.inf, cv2.blur(difference, (3, 3)))
+            core = cv2.erode(np.uint8(mask), square) > 0
+            source_mask = core if core.sum() >= OBJECTS.min_core_pixels else mask
+            extended_flow = _extend_flow(flow, source_mask)
+            difference = np.abs(sample_image(other, grid + extended_flow) - grey)
+            x, y = np.moveaxis(grid + extended_flow, -1, 0)
+            is_outside = (x < 0) | (y < 0) | (x > labels.shape[1] - 1) | (y > labels.shape[0] - 1)
+            difference = np.where(is_outside, np.inf, cv2.blur(difference, (3, 3)))
             differences[index] = np.minimum(differences[index], difference)
     indices = np.searchsorted(numbers, labels)[None]
-    own = np.take_along_axis(differences, indices, axis=0)
-    scale = OBJECTS.difference_offset + 1.5 * float(np.median(own[np.isfinite(own)]))
+    current = np.take_along_axis(differences, indices, axis=0)
+    scale = OBJECTS.difference_offset + 1.5 * float(np.median(current[np.isfinite(current)]))
     costs = np.minimum((differences / scale) ** 2, OBJECTS.max_boundary_cost)
     costs += OBJECTS.boundary_change_cost * (labels != numbers[:, None, None])
-    costs[~surroundings] = 2 * OBJECTS.max_boundary_cost
+    costs[~is_near] = 2 * OBJECTS.max_boundary_cost
     weight = np.where(band, OBJECTS.boundary_weight, 1).astype(np.float32)
     best = numbers[Potts(grey).assign(costs.astype(np.float32), weight)]
     return np.where(band, best, labels).astype(np.int32)
 
 
-def _continued_flow(flow: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def _extend_flow(flow: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Return a flow, (H, W, 2), continued beyond a mask from the nearest pixel inside."""
     _, nearest = cv2.distanceTransformWithLabels(
         np.uint8(~mask), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
@@ -63,14 +63,14 @@ def _continued_flow(flow: np.ndarray, mask: np.ndarray) -> np.ndarray:
 def propagate_labels(
     motion: ImageMotion,
     labelled_frames: Sequence[int],  # frames that have labels, in order; at least one
-    # returns the labels of such a frame, (H, W), in the size of the frames of the image motion
+    # returns the labels of a labelled frame, (H, W), in the size of the image motion
     labels_of: Callable[[int], np.ndarray],
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield the frames without labels and labels for them, (H, W) int32, from the nearest frame.
+    """Yield every frame without labels, and labels from its nearest labelled frame, (H, W) int32.
 
-    A pixel takes the label of its position in the frame before. Where forward and backward motion
-    disagree, as at surfaces that were hidden, the neighbours and the image edges decide.
-    `refine_boundaries` refines the boundaries in every frame. The labels of hidden pixels are lost.
+    Labels pass from frame to frame. A pixel takes the label of its position in the frame before.
+    Where forward and backward motion disagree, as at surfaces that were hidden, neighbouring pixels
+    and image edges decide. The labels of hidden pixels are lost.
     """
     for index, frame in enumerate(labelled_frames):
         previous = labelled_frames[index - 1] if index else -frame - 1
@@ -88,8 +88,8 @@ def _propagate(motion: ImageMotion, frame: int, other: int, labels: np.ndarray) 
     """Return the labels of a frame, (H, W) int32, from the labels of a neighbour frame."""
     numbers = np.unique(labels)
     chain = motion.chained_flow(frame, other)
-    shares = np.stack([sample_image(np.float32(labels == k), chain.positions) for k in numbers])
-    costs = np.where(chain.valid, OBJECTS.propagation_cost * (1 - shares), 0).astype(np.float32)
+    coverage = np.stack([sample_image(np.float32(labels == k), chain.positions) for k in numbers])
+    costs = np.where(chain.valid, OBJECTS.propagation_cost * (1 - coverage), 0).astype(np.float32)
     weight = np.where(chain.valid, OBJECTS.consistent_weight, OBJECTS.inconsistent_weight)
     best = numbers[Potts(motion.grey(frame)).assign(costs, weight.astype(np.float32))]
     return refine_boundaries(best, motion, frame)

@@ -2,8 +2,8 @@
 
 The image motion of a static point fits the motion of the camera with some depth. In two frames, an
 object that moves along epipolar lines looks like static points at another depth. Over several
-frames, hardly any such object fits one static depth. For this reason evidence is accumulated along
-the image motion.
+frames, one static depth hardly ever fits such an object. For this reason evidence is accumulated
+along the image motion.
 """
 
 from collections.abc import Sequence
@@ -24,17 +24,17 @@ class Evidence:
     """Evidence of several frames on whether pixels move on their own."""
 
     # (H, W) float32: sum over frames: positive for a pixel that moves on its own, negative for a
-    # static one
+    # static pixel
     total: np.ndarray
     weight: np.ndarray  # (H, W) float32: number of frames with evidence; each counts 1 at most
 
     @classmethod
     def of_arrays(cls, total: np.ndarray, weight: np.ndarray) -> "Evidence":
-        """Return the object with these arrays."""
+        """Return the evidence with these arrays."""
         return cls(total=total.astype(np.float32), weight=weight.astype(np.float32))
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """Return its arrays, with 11 significant bits."""
+        """Return the arrays of the evidence, with 11 significant bits."""
         return self.total.astype(np.float16), self.weight.astype(np.float16)
 
     def mean(self) -> np.ndarray:
@@ -44,10 +44,10 @@ class Evidence:
         )
 
     def combine_with(self, multi_frame: "Evidence") -> "Evidence":
-        """Return this evidence of frame pairs together with that of many frames.
+        """Return the sum of this evidence, of frame pairs, and the evidence of many frames.
 
-        A pixel that looks static in two frames may move along epipolar lines. Evidence for a static
-        pixel counts only where many frames support it.
+        A pixel that looks static in two frames may move along epipolar lines. For this reason, two
+        frames count as evidence of a static pixel only where many frames show a static pixel.
         """
         valid = (self.total > 0) | (multi_frame.total < 0)
         return self._add_where(valid, multi_frame)
@@ -60,7 +60,7 @@ class Evidence:
         )
 
     def override_with(self, other: "Evidence") -> "Evidence":
-        """Return the sum; static evidence of this one counts only where `other` is unknown."""
+        """Return the sum; where `other` has evidence, this evidence counts only for motion."""
         valid = (self.total > 0) | (other.weight == 0)
         return self._add_where(valid, other)
 
@@ -71,11 +71,11 @@ class Evidence:
 
 
 def frame_evidence(motion: ImageMotion, frame: int) -> Evidence:
-    """Return the evidence of the image motion from a frame to others.
+    """Return the evidence of the image motion from a frame to its neighbour frames.
 
-    One rigid motion is fitted to the image motion between two frames, where it is consistent.
-    The evidence of a pixel depends on its distance from the nearest position of a static point, in
-    standard deviations of static pixels.
+    Between two frames, one rigid motion is fitted to the valid image motion. The evidence of a
+    pixel depends on its distance, in the other frame, from the nearest possible position of a
+    static point. The unit of this distance is the standard deviation of static pixels.
     """
     shape, camera = motion.grey(frame).shape, motion.camera()
     total, weight = (np.zeros(shape, np.float32) for _ in range(2))
@@ -89,23 +89,23 @@ def frame_evidence(motion: ImageMotion, frame: int) -> Evidence:
         except TooFewPixelsError:
             continue
         deviation = fit.residual + OBJECTS.flow_deviation * max(shape) * chain.steps**0.5
-        static = StaticMotion(fit.rotation, fit.translation, camera, shape)
-        inverse_depth = static.nearest(chain.positions)
-        error = np.linalg.norm(static.positions(inverse_depth) - chain.positions, axis=-1)
-        vote = evidence_of_error(error / deviation / OBJECTS.neutral_deviations)
-        static_depths = inverse_depth[chain.valid & (vote < 0)]
-        view = motion.grey(chain.frame), chain.positions, chain.valid, static
+        static_motion = StaticMotion(fit.rotation, fit.translation, camera, shape)
+        inverse_depth = static_motion.nearest_inverse_depth(chain.positions)
+        error = np.linalg.norm(static_motion.positions(inverse_depth) - chain.positions, axis=-1)
+        score = evidence_of_error(error / deviation / OBJECTS.neutral_deviations)
+        static_depths = inverse_depth[chain.valid & (score < 0)]
+        view = motion.grey(chain.frame), chain.positions, chain.valid, static_motion
         support = support_of_motion(grey, [view], inverse_depth, static_depths)
-        frame_weight = np.where(vote > 0, support, 1)
+        frame_weight = np.where(score > 0, support, 1)
         frame_weight *= chain.valid
-        total += frame_weight * vote
+        total += frame_weight * score
         weight += frame_weight
-    comparisons = 2 * len(OBJECTS.pair_steps)
-    return Evidence(total=total / comparisons, weight=weight / comparisons)
+    comparison_count = 2 * len(OBJECTS.pair_steps)
+    return Evidence(total=total / comparison_count, weight=weight / comparison_count)
 
 
 def evidence_of_error(error: np.ndarray) -> np.ndarray:
-    """Return the evidence of one frame, (H, W), from errors; an error of 1 gives evidence 0."""
+    """Return the evidence of one frame, (H, W), from relative errors; an error of 1 gives 0."""
     return np.clip(error**2 - 1, OBJECTS.static_evidence, OBJECTS.moving_evidence)
 
 
@@ -113,12 +113,12 @@ def accumulate_evidence(motion: ImageMotion, evidence: Sequence[Evidence]) -> Se
     """Return the evidence of every frame, accumulated along the image motion in both directions."""
     forward, backward = _accumulate(motion, evidence, 1), _accumulate(motion, evidence, -1)
     result = DiskCache(Evidence.arrays, Evidence.of_arrays)
-    for frame, own in enumerate(evidence):
+    for frame, own_evidence in enumerate(evidence):
         from_earlier, from_later = forward[frame], backward[len(evidence) - 1 - frame]
         result.append(
             Evidence(
-                total=from_earlier.total + from_later.total - own.total,
-                weight=from_earlier.weight + from_later.weight - own.weight,
+                total=from_earlier.total + from_later.total - own_evidence.total,
+                weight=from_earlier.weight + from_later.weight - own_evidence.weight,
             )
         )
     return result
@@ -127,27 +127,27 @@ def accumulate_evidence(motion: ImageMotion, evidence: Sequence[Evidence]) -> Se
 def _accumulate(
     motion: ImageMotion, evidence: Sequence[Evidence], direction: int
 ) -> DiskCache[Evidence]:
-    """Return the evidence accumulated from earlier frames, or, with direction −1, from later ones.
+    """Return evidence accumulated over earlier frames, or, with direction −1, over later frames.
 
     The result has the frames in the order of accumulation.
     """
     result, previous = DiskCache(Evidence.arrays, Evidence.of_arrays), None
     for frame in range(len(evidence))[::direction]:
-        own = evidence[frame]
+        accumulated = evidence[frame]
         if previous is not None:
             chain = motion.chained_flow(frame, frame - direction)
-            factor = np.float32(OBJECTS.passed_evidence) * chain.valid
-            own = Evidence(
-                total=own.total + factor * sample_image(previous.total, chain.positions),
-                weight=own.weight + factor * sample_image(previous.weight, chain.positions),
+            factor = np.float32(OBJECTS.passed_evidence_share) * chain.valid
+            accumulated = Evidence(
+                total=accumulated.total + factor * sample_image(previous.total, chain.positions),
+                weight=accumulated.weight + factor * sample_image(previous.weight, chain.positions),
             )
-        result.append(own)
-        previous = own
+        result.append(accumulated)
+        previous = accumulated
     return result
 
 
 class StaticMotion:
-    """Positions of static points in another frame, by inverse depth, under one camera motion."""
+    """Projection of static points from a frame to another frame, under one camera motion."""
 
     def __init__(
         self,
@@ -173,7 +173,7 @@ class StaticMotion:
         return cls(relative[:3, :3], relative[:3, 3], camera, shape)
 
     def positions(self, inverse_depth: np.ndarray | float) -> np.ndarray:
-        """Return positions, (H, W, 2) float32, of points with an inverse depth, 1/unit of t."""
+        """Return the positions of points, (H, W, 2) float32, px, by inverse depth, 1/unit of t."""
         point = [
             ray + np.float32(inverse_depth) * component
             for ray, component in zip(cv2.split(self._rays), self._translation, strict=True)
@@ -182,15 +182,15 @@ class StaticMotion:
         x, y = self._center
         return cv2.merge([point[0] * scale + x, point[1] * scale + y])
 
-    def inverse_depth(self, inverse_depth: np.ndarray) -> np.ndarray:
-        """Return the inverse depth in the other frame, (H, W) float32."""
+    def other_inverse_depth(self, inverse_depth: np.ndarray) -> np.ndarray:
+        """Return the inverse depth of these points in the other frame, (H, W) float32."""
         depth = self._rays[..., 2] + inverse_depth * self._translation[2]
         return inverse_depth / np.maximum(depth, np.float32(OBJECTS.min_depth_ratio))
 
     def slope_and_residual(
         self, inverse_depth: np.ndarray, positions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the derivative of positions by inverse depth, and the error of the positions, px.
+        """Return the derivative of the positions by inverse depth, and the errors of positions, px.
 
         (H, W, 2) float32 each.
         """
@@ -208,8 +208,8 @@ class StaticMotion:
         residual = positions - self._center - cv2.merge([projected_x, projected_y])
         return cv2.merge(slope), residual
 
-    def nearest(self, positions: np.ndarray) -> np.ndarray:
-        """Return the inverse depth, (H, W) float32, whose position is nearest to given ones."""
+    def nearest_inverse_depth(self, positions: np.ndarray) -> np.ndarray:
+        """Return the inverse depth, (H, W) float32, whose positions are nearest to `positions`."""
         target = (positions - self._center) / self._focal
         t12, t3 = self._translation[:2], self._translation[2]
         min_depth = np.float32(OBJECTS.min_depth_ratio)
@@ -225,33 +225,43 @@ class StaticMotion:
 
 def support_of_motion(
     grey: np.ndarray,  # (H, W) float32
-    # sequence of (other, positions, valid, static): another frame, (H, W) float32; the position of
-    # each pixel in it, (H, W, 2) float32; where this position is known, (H, W) bool; and the motion
-    # of static points
+    # sequence of (other, positions, valid, static_motion): another frame, (H, W) float32; the
+    # position of each pixel in it, (H, W, 2) float32; where this position is known, (H, W) bool;
+    # and the motion of static points
     views: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, StaticMotion]],
-    # (H, W) float32: the inverse depth whose static position is nearest to these positions
-    nearest: np.ndarray,
+    # (H, W) float32: the inverse depth whose static positions are nearest to these positions
+    nearest_inverse_depth: np.ndarray,
     static_depths: np.ndarray,  # (N,) float32: inverse depths of static points
 ) -> np.ndarray:  # (H, W) float32: from `OBJECTS.min_support` to 1
     """Return a factor of evidence of motion: 1 where all static positions match clearly worse.
 
     In an area without texture all positions look alike, and the image motion is arbitrary. Where
     the image motion is wrong, some static depth fits the images as well or better. One depth has to
-    fit all given frames.
+    fit all frames of `views`.
     """
-    largest = float(np.quantile(static_depths, 0.99)) if len(static_depths) else 0.0
-    max_inverse = largest * OBJECTS.max_inverse_depth_factor
+    max_static_inverse_depth = (
+        float(np.quantile(static_depths, 0.99)) if len(static_depths) else 0.0
+    )
+    max_inverse_depth = max_static_inverse_depth * OBJECTS.max_inverse_depth_factor
     shifts = [
-        np.median(np.linalg.norm(static.positions(max_inverse) - static.positions(0.0), axis=-1))
-        for *_, static in views
+        np.median(
+            np.linalg.norm(
+                static_motion.positions(max_inverse_depth) - static_motion.positions(0.0), axis=-1
+            )
+        )
+        for *_, static_motion in views
     ]
-    count = int(np.clip(max(shifts) / OBJECTS.static_step, *OBJECTS.static_counts))
+    count = int(np.clip(max(shifts) / OBJECTS.static_position_step, *OBJECTS.static_position_range))
     difference = _mean_difference(grey, [view[:3] for view in views])
     min_difference = np.full(grey.shape, np.inf, np.float32)
-    candidates: list[np.ndarray | float] = [nearest, *np.linspace(0, max_inverse, count).tolist()]
+    candidates: list[np.ndarray | float] = [
+        nearest_inverse_depth,
+        *np.linspace(0, max_inverse_depth, count).tolist(),
+    ]
     for inverse_depth in candidates:
         static_views = [
-            (other, static.positions(inverse_depth), valid) for other, _, valid, static in views
+            (other, static_motion.positions(inverse_depth), valid)
+            for other, _, valid, static_motion in views
         ]
         min_difference = np.minimum(min_difference, _mean_difference(grey, static_views))
     support = (min_difference - difference) / (OBJECTS.full_evidence_difference + difference)
@@ -261,7 +271,7 @@ def support_of_motion(
 def _mean_difference(
     grey: np.ndarray, views: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]
 ) -> np.ndarray:
-    """Return the mean difference of pixels and positions in other frames, grey levels, (H, W)."""
+    """Return the mean difference of pixels from positions in other frames, grey levels, (H, W)."""
     total, count = np.zeros(grey.shape, np.float32), np.zeros(grey.shape, np.float32)
     for other, positions, valid in views:
         total += valid * grey_difference(other, positions, grey)
@@ -270,9 +280,9 @@ def _mean_difference(
 
 
 def grey_difference(other: np.ndarray, positions: np.ndarray, grey: np.ndarray) -> np.ndarray:
-    """Return the difference of two frames at positions, grey levels, (H, W) float32.
+    """Return the mean difference of `grey` from another frame at positions, in a window.
 
-    It is averaged over windows.
+    The result is in grey levels, (H, W) float32.
     """
-    side = OBJECTS.compare_window
+    side = OBJECTS.comparison_window
     return cv2.blur(np.abs(sample_image(other, positions) - grey), (side, side))

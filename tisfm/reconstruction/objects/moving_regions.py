@@ -16,29 +16,32 @@ from tisfm.reconstruction.objects.settings import OBJECTS
 def find_moving_regions(
     grey: np.ndarray,  # (H, W) float32
     evidence: Evidence,
-    object_mask: np.ndarray,  # (H, W) bool: pixels of objects that moved in earlier frames
+    object_mask: np.ndarray,  # (H, W) bool: expected pixels of objects that moved in earlier frames
 ) -> Iterator[tuple[np.ndarray, bool]]:
-    """Yield the connected parts of a frame that move, (H, W) bool, and whether they have a core."""
-    mean = evidence.mean()
-    core = (mean > OBJECTS.core_evidence) & (evidence.weight > OBJECTS.min_core_weight)
-    mean += np.float32(OBJECTS.known_object_bonus) * object_mask
-    mean -= np.float32(OBJECTS.region_evidence)
-    costs = np.stack([2 * np.clip(mean, 0, 3), 4 * np.clip(-mean, 0, 1)])
+    """Yield moving connected regions of a frame, (H, W) bool, and whether they have a core."""
+    mean_evidence = evidence.mean()
+    core_pixels = (mean_evidence > OBJECTS.core_evidence) & (
+        evidence.weight > OBJECTS.min_core_weight
+    )
+    mean_evidence += np.float32(OBJECTS.known_object_bonus) * object_mask
+    mean_evidence -= np.float32(OBJECTS.region_evidence)
+    costs = np.stack([2 * np.clip(mean_evidence, 0, 3), 4 * np.clip(-mean_evidence, 0, 1)])
     weight = (evidence.weight + OBJECTS.static_prior) / OBJECTS.full_weight_frames
     weight = OBJECTS.max_data_weight * np.clip(weight, OBJECTS.min_data_share, 1)
-    moving = Potts(grey).assign(costs.astype(np.float32), weight.astype(np.float32)) == 1
+    is_moving = Potts(grey).assign(costs.astype(np.float32), weight.astype(np.float32)) == 1
     count, components, statistics, _ = cv2.connectedComponentsWithStats(
-        moving.astype(np.uint8), connectivity=4
+        is_moving.astype(np.uint8), connectivity=4
     )
-    cores = np.bincount(components[core], minlength=count)
-    smallest = smallest_object(grey.size)
+    core_areas = np.bincount(components[core_pixels], minlength=count)
+    min_area = smallest_object(grey.size)
     for component in range(1, count):
         area = statistics[component, cv2.CC_STAT_AREA]
-        if area >= smallest:
-            min_core = max(OBJECTS.min_core_area * smallest, OBJECTS.min_core_share * area)
-            yield components == component, bool(cores[component] >= min_core)
+        if area >= min_area:
+            min_core_area = max(OBJECTS.min_core_ratio * min_area, OBJECTS.min_core_share * area)
+            yield components == component, bool(core_areas[component] >= min_core_area)
 
 
+# Terms of the polynomial motion model: 1 velocity, 3 affine motion, 6 quadratic motion.
 Terms = Literal[1, 3, 6]
 
 
@@ -60,15 +63,15 @@ class SmoothMotions:
     def residuals_from(
         self,
         mask: np.ndarray,  # (H, W) bool
-        # (2,) array: velocity of most of the mask, px/frame, if known
+        # (2,) array: velocity of most pixels of the mask, px/frame, if known
         velocity: np.ndarray | None = None,
         *,
-        # {1, 3, 6}: largest model: 1 is one velocity, 3 an affine, 6 a quadratic motion
+        # {1, 3, 6}: terms of the largest model: 1 velocity, 3 affine motion, 6 quadratic motion
         terms: Terms = 6,
     ) -> tuple[np.ndarray, float]:
         """Return each pixel's distance from the smooth motion of a mask, (H, W) px; 0 if unknown.
 
-        Also return the standard deviation of the mask's own motion from its smooth motion, px.
+        The second result is the standard deviation of the mask's pixels from this motion, px.
         """
         total, count = np.zeros(mask.shape, np.float32), np.zeros(mask.shape, np.float32)
         deviations = []
@@ -89,13 +92,13 @@ class SmoothMotions:
 def smooth_motion(
     flow: np.ndarray,  # (H, W, 2) float32
     mask: np.ndarray,  # (H, W) bool
-    # (2,) array: expected velocity, px/frame: pixels near it count most in the first round
+    # (2,) array: px/frame: pixels near the expected velocity count most in the first round
     expected: np.ndarray | None = None,
-    # {1, 3, 6}: 1 is one velocity, 3 an affine, 6 a quadratic motion. With few pixels, the motion
-    # is affine at most.
+    # {1, 3, 6}: 1 velocity, 3 affine motion, 6 quadratic motion. With few pixels, the motion is
+    # affine at most.
     terms: Terms = 6,
 ) -> np.ndarray:
-    """Return the smooth motion, (H, W, 2) float32, that fits a flow within a mask, robustly."""
+    """Return a smooth motion, (H, W, 2) float32, fitted robustly to a flow within a mask."""
     rows, columns = np.nonzero(mask)
     center = np.array([np.median(columns), np.median(rows)])
     size = max(1.0, float(max(np.ptp(columns), np.ptp(rows))) / 2)
@@ -108,11 +111,11 @@ def smooth_motion(
     weight = np.ones(len(flow_samples))
     if expected is not None:
         distance = np.linalg.norm(flow_samples - expected, axis=1)
-        weight = 1 / (1 + (distance / OBJECTS.start_tolerance) ** 2) ** 2
+        weight = 1 / (1 + (distance / OBJECTS.velocity_tolerance) ** 2) ** 2
     for _ in range(5):
-        weighted = samples * weight[:, None]
-        gram = weighted.T @ samples + 1e-6 * len(flow_samples) * np.eye(samples.shape[1])
-        coefficients = np.linalg.solve(gram, weighted.T @ flow_samples)
+        weighted_samples = samples * weight[:, None]
+        gram = weighted_samples.T @ samples + 1e-6 * len(flow_samples) * np.eye(samples.shape[1])
+        coefficients = np.linalg.solve(gram, weighted_samples.T @ flow_samples)
         residual = np.linalg.norm(samples @ coefficients - flow_samples, axis=1)
         weight = 1 / (1 + (residual / max(1.48 * np.median(residual), 0.05)) ** 2)
     return np.float32(basis @ coefficients)

@@ -1,8 +1,8 @@
 """Moving objects in the world: the scale, the path and the depth of each.
 
-The motion of an object gives its path in a unit of its own. The scale is the factor from this unit
-to the unit of the world. A known size gives it, or the contact of the object with the ground, or,
-roughly, the depth around the object.
+The motion of an object gives its path in an arbitrary unit. The scale is the factor from this unit
+to the unit of the world. The scale comes from a known size, or from the contact of the object with
+the ground, or, roughly, from the depth around the object.
 """
 
 from collections.abc import Callable, Mapping
@@ -33,11 +33,11 @@ def find_object_scale(
     # known length of the object, as `longest_side` measures it, in the unit of the world
     size: float | None = None,
 ) -> tuple[float, ScaleFrom]:
-    """Return the scale of an object, and its source."""
+    """Return the scale of an object, and the source of the scale."""
     if size is not None:
-        length = longest_side(path.points())
-        return (size / length, "size") if length > 0 else (1.0, "none")
-    contacts, surroundings = [], []
+        box_length = longest_side(path.points())
+        return (size / box_length, "size") if box_length > 0 else (1.0, "none")
+    contact_scales, ring_scales = [], []
     for depth in path.depths:
         frame = path.frames[depth.frame]
         background, labels = static_depth(frame), labels_of(frame)
@@ -46,32 +46,32 @@ def find_object_scale(
         if not valid.any() or not np.isfinite(background).any():
             continue
         combined = np.where(object_pixels, depth.inverse_depth, background).astype(np.float32)
-        contact = contact_scale(combined, labels, object_pixels & ~valid, object_id)
-        if contact is not None:
-            contacts.append(1 / contact)
+        contact_factor = contact_scale(combined, labels, object_pixels & ~valid, object_id)
+        if contact_factor is not None:
+            contact_scales.append(1 / contact_factor)
         window = np.ones((2 * OBJECTS.ring_width + 1,) * 2, np.uint8)
         ring = (cv2.dilate(np.uint8(object_pixels), window) > 0) & (labels == 0) & (background > 0)
         if ring.any():
-            # The object occludes its surroundings, so it is at least as near as their nearest part.
+            # The object occludes its surroundings. So it is at least as near as their nearest part.
             nearest = np.quantile(background[ring], 0.9)
-            surroundings.append(float(np.median(depth.inverse_depth[valid]) / nearest))
-    if len(contacts) >= max(2, len(path.depths) / 4):
-        return float(np.median(contacts)), "contact"
-    if surroundings:
-        return float(np.median(surroundings)), "around"
+            ring_scales.append(float(np.median(depth.inverse_depth[valid]) / nearest))
+    if len(contact_scales) >= max(2, len(path.depths) / 4):
+        return float(np.median(contact_scales)), "contact"
+    if ring_scales:
+        return float(np.median(ring_scales)), "around"
     return 1.0, "none"
 
 
 def trimmed_extent(points: np.ndarray) -> np.ndarray:
-    """Return the extent of points, (N, 3), along each axis, (3,), without the outermost ones."""
-    low, high = np.quantile(points, [OBJECTS.trimmed_points, 1 - OBJECTS.trimmed_points], axis=0)
+    """Return the extent of points, (N, 3), along each axis, (3,), without the outermost points."""
+    low, high = np.quantile(points, [OBJECTS.trimmed_share, 1 - OBJECTS.trimmed_share], axis=0)
     return np.asarray(high - low)
 
 
 def longest_side(points: np.ndarray) -> float:
     """Return the longest side of the box with the least surface around points, (N, 3).
 
-    It does not depend on the orientation of the points. `trimmed_extent` measures the sides.
+    `trimmed_extent` measures the sides. They do not depend on the orientation of the points.
     """
     sample = points[:: 1 + len(points) // OBJECTS.max_box_points]
     random = np.random.default_rng(0)
@@ -85,11 +85,11 @@ def objects_with_depth(
     frames: PreparedFrames,  # with labels
     folder: Path,  # the folder of the depth files
     poses: np.ndarray,  # (N, 4, 4) array: camera to world; NaN for a frame without a pose
-    # (N,) int array: the piece of each frame; −1 for none. Objects are placed in the largest piece.
+    # (N,) int array: the piece of each frame; −1 for none. Objects get poses in the largest piece.
     piece: np.ndarray,
     settings: Settings,
     *,
-    with_depth: bool = True,  # whether depth is found in addition to paths
+    with_depth: bool = True,  # whether depth is computed in addition to paths
     # known lengths of objects by their ids, in the unit of the poses
     sizes: Mapping[int, float] | None = None,
 ) -> tuple[MovingObject, ...]:
@@ -98,25 +98,25 @@ def objects_with_depth(
     def static_depth(frame: int) -> np.ndarray:
         return read_depth(folder, frame, frames.shape)[0]
 
-    valid = piece[piece >= 0]
-    largest = int(np.bincount(valid).argmax()) if len(valid) else 0
-    world = np.where((piece == largest)[:, None, None], poses, np.nan)
-    result = []
+    valid_pieces = piece[piece >= 0]
+    largest = int(np.bincount(valid_pieces).argmax()) if len(valid_pieces) else 0
+    world_poses = np.where((piece == largest)[:, None, None], poses, np.nan)
+    moving_objects = []
     for obj in labelled_objects(len(poses), frames.labels):
         path = find_object_path(obj, frames, settings, with_depth=with_depth)
         if isinstance(path, str):
-            result.append(replace(obj, message=path))
+            moving_objects.append(replace(obj, message=path))
             continue
-        has_pose = np.asarray(np.isfinite(world[path.frames]).all(axis=(1, 2)))
-        poses_in_world = {k: pose for k, pose in path.model.poses.items() if has_pose[k]}
-        if not poses_in_world:
-            result.append(replace(obj, message=NO_PATH))
+        has_pose = np.asarray(np.isfinite(world_poses[path.frames]).all(axis=(1, 2)))
+        object_poses = {k: pose for k, pose in path.model.poses.items() if has_pose[k]}
+        if not object_poses:
+            moving_objects.append(replace(obj, message=NO_PATH))
             continue
-        depths = [depth for depth in path.depths if depth.frame in poses_in_world]
-        path = replace(path, model=replace(path.model, poses=poses_in_world), depths=depths)
+        depths = [depth for depth in path.depths if depth.frame in object_poses]
+        path = replace(path, model=replace(path.model, poses=object_poses), depths=depths)
         size = (sizes or {}).get(obj.id)
         scale, scale_from = find_object_scale(path, obj.id, static_depth, frames.labels, size)
-        result.append(with_world_path(obj, path, world, scale, scale_from))
+        moving_objects.append(with_world_path(obj, path, world_poses, scale, scale_from))
         for depth in path.depths:
             frame = path.frames[depth.frame]
             if not depth_path(folder, frame).exists():
@@ -126,7 +126,7 @@ def objects_with_depth(
             inverse_depth[object_pixels] = depth.inverse_depth[object_pixels] / scale
             deviation[object_pixels] = depth.deviation[object_pixels] / scale
             write_depth(folder, frame, inverse_depth, deviation)
-    return tuple(result)
+    return tuple(moving_objects)
 
 
 def with_world_path(
@@ -136,16 +136,16 @@ def with_world_path(
     scale: float,  # length of the unit of `path`, in the unit of the world
     scale_from: ScaleFrom,
 ) -> MovingObject:
-    """Return an object with its path in the world."""
+    """Return an object with its path and its extent in the world."""
     points = path.points()
-    centering = np.eye(4)
-    centering[:3, 3] = -np.median(points, axis=0)
-    indices = {frame: k for k, frame in enumerate(obj.frames)}
+    center_shift = np.eye(4)
+    center_shift[:3, 3] = -np.median(points, axis=0)
+    frame_indices = {frame: k for k, frame in enumerate(obj.frames)}
     object_poses = obj.poses.copy()
     for number, pose in path.model.poses.items():
         frame = path.frames[number]
-        object_to_camera = np.linalg.inv(centering @ pose)  # in the unit of `path`
+        object_to_camera = np.linalg.inv(center_shift @ pose)  # in the unit of `path`
         object_to_camera[:3, 3] *= scale
-        object_poses[indices[frame]] = poses[frame] @ object_to_camera
+        object_poses[frame_indices[frame]] = poses[frame] @ object_to_camera
     extent = scale * trimmed_extent(points)
     return replace(obj, poses=object_poses, extent=extent, scale_from=scale_from)

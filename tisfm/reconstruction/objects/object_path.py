@@ -1,7 +1,7 @@
 """Path and depth of a moving object, in its own axes.
 
-In the axes of the object, the object rests and the camera moves. For this reason path and depth are
-found as in a static scene, from the pixels of the object alone.
+In the axes of the object, the object rests and the camera moves. For this reason path and depth
+come from the same methods as in a static scene, applied to the pixels of the object alone.
 """
 
 from collections.abc import Iterable, Sequence
@@ -28,19 +28,19 @@ BOX_ALIGNMENT = 16
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectPath:
-    """Path and depth of an object, in its own unit and axes."""
+    """Path and depth of an object, in the axes of the object and an arbitrary unit."""
 
     frames: list[int]  # frames of the sequence; `model` and `depths` use the indices of this list
     model: Piece  # poses, camera to object, and the points of the object
     depths: list[FrameDepth]
 
     def points(self) -> np.ndarray:
-        """Return the object's points, (N, 3)."""
+        """Return the points of the object, (N, 3)."""
         return np.array([*self.model.points.values()]).reshape(-1, 3)
 
 
 class _ObjectFrames:
-    """The frames that show an object; only pixels of the object count."""
+    """The frames that show an object; only pixels of the object are used."""
 
     def __init__(
         self,
@@ -72,11 +72,11 @@ def find_object_path(
     frames: PreparedFrames,  # with labels
     settings: Settings,
     *,
-    with_depth: bool = True,  # whether depth is found in addition to the path
+    with_depth: bool = True,  # whether depth is computed in addition to the path
 ) -> ObjectPath | str:
     """Return the path and depth of an object, or the reason why it has none."""
-    areas = {frame: (frames.labels(frame) == obj.id).sum() for frame in obj.frames}
-    numbers = [frame for frame, area in areas.items() if area >= OBJECTS.min_object_pixels]
+    pixel_counts = {frame: (frames.labels(frame) == obj.id).sum() for frame in obj.frames}
+    numbers = [frame for frame, count in pixel_counts.items() if count >= OBJECTS.min_object_pixels]
     if len(numbers) < OBJECTS.min_path_frames:
         return f"it is too small, or seen in fewer than {OBJECTS.min_path_frames} frames"
     object_frames = _ObjectFrames(frames, numbers, obj.id)
@@ -85,12 +85,12 @@ def find_object_path(
     cells = min(
         TRACKS.cells * frame_side / max(object_side, 1.0), frame_side / OBJECTS.min_track_distance
     )
-    rim = np.ones((OBJECTS.track_rim, OBJECTS.track_rim), np.uint8)
+    square = np.ones((OBJECTS.track_rim, OBJECTS.track_rim), np.uint8)
 
     def tracker_input(number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         grey = np.rint(object_frames.grey(number)).clip(0, 255).astype(np.uint8)
-        inside = cv2.erode(np.uint8(object_frames.used_pixels(number)), rim)
-        return grey, inside == 0, object_frames.flow(number)
+        eroded_mask = cv2.erode(np.uint8(object_frames.used_pixels(number)), square)
+        return grey, eroded_mask == 0, object_frames.flow(number)
 
     try:
         path = find_path(
@@ -105,11 +105,11 @@ def find_object_path(
     if not path.pieces:
         return "its motion gives no depth: it hardly turns or changes its distance, or is not rigid"
     piece = max(path.pieces, key=lambda piece: len(piece.poses))
-    without_depth = ObjectPath(frames=numbers, model=piece, depths=[])
+    object_path = ObjectPath(frames=numbers, model=piece, depths=[])
     if not with_depth:
-        return without_depth
+        return object_path
     depths = find_object_depths(object_frames, piece, path.observations, settings)
-    return replace(without_depth, depths=depths)
+    return replace(object_path, depths=depths)
 
 
 def find_object_depths(
@@ -124,9 +124,9 @@ def find_object_depths(
     """
     crop = _CroppedFrames(frames, _bounding_box(frames, piece.poses))
     top, left = crop.corner
-    cropped = [replace(each, points=each.points - (left, top)) for each in observations]
+    tracks = [replace(item, points=item.points - (left, top)) for item in observations]
     depths = PieceDepths(
-        crop, piece, cropped, settings, effort=depth_effort(settings), uncropped_shape=frames.shape
+        crop, piece, tracks, settings, effort=depth_effort(settings), uncropped_shape=frames.shape
     )
     return [crop.uncrop(depth) for depth in depths]
 
@@ -149,12 +149,12 @@ def _bounding_box(frames: Frames, numbers: Iterable[int]) -> tuple[slice, slice]
 
 
 class _CroppedFrames:
-    """Crops of frames, with their camera."""
+    """Crops of frames, and the camera of the crops."""
 
     def __init__(
         self,
         frames: Frames,
-        box: tuple[slice, slice],  # (slice, slice): rows and columns
+        box: tuple[slice, slice],  # rows and columns of the crop in the frame, px
     ) -> None:
         self._frames, self._box = frames, box
         rows, columns = box

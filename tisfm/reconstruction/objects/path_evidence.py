@@ -3,8 +3,9 @@
 In two frames, an object that moves along epipolar lines looks like static points at another depth.
 Over many frames, such a motion hardly ever fits one depth. An object that drives ahead of a vehicle
 moves along the same lines as the camera: in any number of frames it looks like a static object that
-is farther away. But it stands on the ground. If its apparent depth lies below the ground, and it
-hides points that would hide it at this depth, then it moves on its own.
+is farther away. But the object stands on the ground. The apparent depth of a pixel is the depth
+of a static point with the image motion of the pixel. If the apparent depth of an object lies below
+the ground, and the object hides points nearer than its apparent depth, then the object moves.
 """
 
 from collections.abc import Iterator, Sequence
@@ -38,7 +39,7 @@ def path_evidence(
 ) -> tuple[Evidence, np.ndarray] | None:
     """Return the evidence of many frames on a frame's pixels, under known poses, or None.
 
-    Also return the inverse depth, (H, W) float32, that fits these frames best.
+    The second result is the inverse depth, (H, W) float32, that fits these frames best.
     """
     pose = poses[frame]
     if pose is None:
@@ -46,9 +47,9 @@ def path_evidence(
     shape = motion.grey(frame).shape
     views: list[tuple[ChainedFlow, StaticMotion]] = []
     for chain in motion.chained_flows(frame, max(OBJECTS.path_steps)):
-        other = poses[chain.frame]
-        if chain.steps in OBJECTS.path_steps and other is not None:
-            views.append((chain, StaticMotion.between(pose, other, camera, shape)))
+        other_pose = poses[chain.frame]
+        if chain.steps in OBJECTS.path_steps and other_pose is not None:
+            views.append((chain, StaticMotion.between(pose, other_pose, camera, shape)))
     if len(views) < 2:
         return None
     inverse_depth, error = _joint_depth(views, shape)
@@ -60,23 +61,24 @@ def path_evidence(
     if deviation > OBJECTS.max_path_error * max(shape):
         return None
     deviation += OBJECTS.flow_deviation / 2 * max(shape)  # many frames are more certain than one
-    vote = evidence_of_error(error / (deviation * OBJECTS.neutral_deviations))
-    static_depths = inverse_depth[static_pixels & (vote < 0)]
-    last_views = {chain.frame > frame: (chain, static) for chain, static in views}  # by side
-    compared = [
+    score = evidence_of_error(error / (deviation * OBJECTS.neutral_deviations))
+    static_depths = inverse_depth[static_pixels & (score < 0)]
+    # one before and one after the frame
+    longest_chains = {chain.frame > frame: (chain, static) for chain, static in views}
+    compared_views = [
         (motion.grey(chain.frame), chain.positions, chain.valid, static)
-        for chain, static in last_views.values()
+        for chain, static in longest_chains.values()
     ]
-    support = support_of_motion(motion.grey(frame), compared, inverse_depth, static_depths)
-    weight = np.where(vote > 0, support, 1) * np.minimum(count / len(views) * 2, 1) * (count >= 2)
-    evidence = Evidence(total=np.float32(vote * weight), weight=np.float32(weight))
+    support = support_of_motion(motion.grey(frame), compared_views, inverse_depth, static_depths)
+    weight = np.where(score > 0, support, 1) * np.minimum(count / len(views) * 2, 1) * (count >= 2)
+    evidence = Evidence(total=np.float32(score * weight), weight=np.float32(weight))
     return evidence, inverse_depth
 
 
 def _joint_depth(
     views: Sequence[tuple[ChainedFlow, StaticMotion]], shape: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the inverse depth that fits all views best, and its error, px, (H, W) each."""
+    """Return the inverse depth that fits all views best, and its RMS error, px, (H, W) each."""
     inverse_depth = np.zeros(shape, np.float32)
     for fit_round in range(OBJECTS.depth_rounds):
         squares, products = np.full(shape, 1e-12, np.float32), np.zeros(shape, np.float32)
@@ -106,21 +108,21 @@ class StaticDepth:
 
     @classmethod
     def empty(cls, shape: tuple[int, ...]) -> "StaticDepth":
-        """Return a depth without static pixels."""
+        """Return a `StaticDepth` without static pixels."""
         return cls(inverse_depth=np.zeros(shape, np.float32), static_pixels=np.zeros(shape, bool))
 
     @classmethod
     def of_arrays(cls, inverse_depth: np.ndarray, static_pixels: np.ndarray) -> "StaticDepth":
-        """Return the object with these arrays."""
+        """Return the `StaticDepth` with these arrays."""
         return cls(inverse_depth=inverse_depth.astype(np.float32), static_pixels=static_pixels)
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """Return its arrays; the unit of depth is arbitrary, so all bits are kept."""
+        """Return the arrays with all bits, since the unit of depth is arbitrary."""
         return self.inverse_depth, self.static_pixels
 
 
-class BelowGround:
-    """Finds objects whose apparent depth lies below the ground."""
+class BelowGroundSearch:
+    """The search for moving objects whose apparent depth lies below the ground."""
 
     def __init__(
         self,
@@ -146,30 +148,30 @@ class BelowGround:
         moving_pixels: np.ndarray,  # (H, W) bool: pixels that are known to move
     ) -> Evidence | None:
         """Return the evidence of pixels whose apparent depth lies below the ground, or None."""
-        plane = self._steady_ground(frame)
+        plane = self._median_ground(frame)
         if plane is None:
             return None
         ground, apparent = self._rays @ plane, self._depths[frame].inverse_depth
-        below = (
+        is_below = (
             (ground > OBJECTS.min_inverse_depth_share * np.abs(ground).max())
-            & (apparent * OBJECTS.min_below_ground < ground)
+            & (apparent * OBJECTS.min_below_ground_ratio < ground)
             & ~moving_pixels
         )
-        regions = list(_inner_regions(below))
+        regions = list(_inner_regions(is_below))
         if not regions:
             return None
-        hiding = self._hiding_pixels(frame)
-        mask = np.zeros(below.shape, bool)
+        hiding_pixels = self._hiding_pixels(frame)
+        mask = np.zeros(is_below.shape, bool)
         for region in regions:
             min_points = OBJECTS.min_hidden_points * region.sum() ** 0.5
-            mask |= region & (np.count_nonzero(hiding & region) > min_points)
+            mask |= region & (np.count_nonzero(hiding_pixels & region) > min_points)
         if not mask.any():
             return None
-        weight = np.float32(mask * self._refuted_ground(frame, ground))
+        weight = np.float32(mask * self._ground_contradiction(frame, ground))
         return Evidence(total=OBJECTS.moving_evidence * weight, weight=weight)
 
     def _fit_ground(self, depth: StaticDepth) -> np.ndarray | None:
-        """Return the ground plane, (3,), or None. Its product with a ray is the inverse depth."""
+        """Return the ground plane, (3,), or None; plane · ray is its inverse depth."""
         lower_half = depth.static_pixels & (self._rays[..., 1] > 0)
         rays, inverse_depth = self._rays[lower_half], depth.inverse_depth[lower_half]
         if len(rays) < OBJECTS.min_ground_share * depth.static_pixels.size:
@@ -177,14 +179,16 @@ class BelowGround:
         random = np.random.default_rng(0)
         sample = random.integers(len(rays), size=min(OBJECTS.ground_sample, len(rays)))
         triples = random.integers(len(rays), size=(OBJECTS.ground_trials, 3))
-        solvable = np.abs(np.linalg.det(rays[triples])) > 1e-9
-        planes = np.linalg.solve(rays[triples[solvable]], inverse_depth[triples[solvable], None])
+        is_solvable = np.abs(np.linalg.det(rays[triples])) > 1e-9
+        planes = np.linalg.solve(
+            rays[triples[is_solvable]], inverse_depth[triples[is_solvable], None]
+        )
         planes = planes[..., 0]
         planes = planes[_is_upright(planes)]
         if not len(planes):
             return None
-        fits = _plane_inliers(rays[sample] @ planes.T, inverse_depth[sample, None])
-        plane = planes[np.argmax(fits.sum(axis=0))]
+        is_inlier = _plane_inliers(rays[sample] @ planes.T, inverse_depth[sample, None])
+        plane = planes[np.argmax(is_inlier.sum(axis=0))]
         for _ in range(OBJECTS.ground_rounds):
             inliers = _plane_inliers(rays @ plane, inverse_depth)
             if inliers.sum() < OBJECTS.min_ground_share * depth.static_pixels.size:
@@ -192,68 +196,70 @@ class BelowGround:
             plane = np.linalg.lstsq(rays[inliers], inverse_depth[inliers], rcond=None)[0]
         return plane if _is_upright(plane) else None
 
-    def _steady_ground(self, frame: int) -> np.ndarray | None:
+    def _median_ground(self, frame: int) -> np.ndarray | None:
         """Return the median ground plane, (3,), of the frames around a frame.
 
-        None if the height of the camera above the ground changes, or too few frames show it.
+        Return None if the camera's height above the ground changes, or few frames show the ground.
         """
         window = slice(max(0, frame - OBJECTS.height_frames), frame + OBJECTS.height_frames + 1)
         planes = [plane for plane in self._grounds[window] if plane is not None]
-        min_planes = max(3, OBJECTS.min_ground_frames * len(self._grounds[window]))
+        min_planes = max(3, OBJECTS.min_ground_frame_share * len(self._grounds[window]))
         if self._poses[frame] is None or len(planes) < min_planes:
             return None
         plane = np.median(planes, axis=0)
-        low, high = np.quantile(np.array(planes)[:, 1], (0.1, 0.9))
-        return plane if high - low < OBJECTS.max_height_change * plane[1] else None
+        min_height, max_height = np.quantile(np.array(planes)[:, 1], (0.1, 0.9))
+        return plane if max_height - min_height < OBJECTS.max_height_change * plane[1] else None
 
     def _hiding_pixels(self, frame: int) -> np.ndarray:
         """Return the pixels, (H, W) bool, that hide static points nearer than their apparent depth.
 
-        The static points are known from other frames. The image motion loses them on the way to
-        this frame. At their projected position, this frame has other grey levels and a larger
-        apparent depth.
+        The static points are known from other frames. The chained image motion from there to this
+        frame is invalid. At the projected position of a hidden point, this frame has other grey
+        levels and a larger apparent depth.
         """
-        hiding = np.zeros(self._rays.shape[:2], bool)
-        grey, own = self._motion.grey(frame), self._depths[frame]
+        hiding_pixels = np.zeros(self._rays.shape[:2], bool)
+        grey, own_depth = self._motion.grey(frame), self._depths[frame]
         limit = grey.shape[1] - 1, grey.shape[0] - 1
-        for number in [*self._frames_at(frame, -1), *self._frames_at(frame, 1)]:
+        for number in [*self._frames_with_pose(frame, -1), *self._frames_with_pose(frame, 1)]:
             other, other_grey = self._depths[number], self._motion.grey(number)
             static = self._static_motion(number, frame)
             positions = static.positions(other.inverse_depth)
-            expected = static.inverse_depth(other.inverse_depth)
+            expected_inverse_depth = static.other_inverse_depth(other.inverse_depth)
             inside = ((positions > 0) & (positions < limit)).all(axis=-1)
-            apparent = sample_image(own.inverse_depth, positions)
-            hidden = other.static_pixels & inside & ~self._motion.chained_flow(number, frame).valid
-            hidden &= apparent * OBJECTS.min_below_ground < expected
-            hidden &= sample_image(np.float32(own.static_pixels), positions) > 0.5
+            apparent = sample_image(own_depth.inverse_depth, positions)
+            is_hidden = (
+                other.static_pixels & inside & ~self._motion.chained_flow(number, frame).valid
+            )
+            is_hidden &= apparent * OBJECTS.min_below_ground_ratio < expected_inverse_depth
+            is_hidden &= sample_image(np.float32(own_depth.static_pixels), positions) > 0.5
             difference = grey_difference(grey, positions, other_grey)
-            hidden &= difference > OBJECTS.min_hidden_difference
-            x, y = np.rint(positions[hidden]).astype(int).T
-            hiding[y, x] = True
-        return hiding
+            is_hidden &= difference > OBJECTS.min_hidden_difference
+            x, y = np.rint(positions[is_hidden]).astype(int).T
+            hiding_pixels[y, x] = True
+        return hiding_pixels
 
-    def _refuted_ground(self, frame: int, ground: np.ndarray) -> np.ndarray:
-        """Return how clearly the images refute that a pixel lies on the ground, (H, W), 0 to 1."""
+    def _ground_contradiction(self, frame: int, ground: np.ndarray) -> np.ndarray:
+        """Return how strongly the images contradict that a pixel is ground, (H, W), 0 to 1."""
         grey, depth = self._motion.grey(frame), self._depths[frame].inverse_depth
-        refutation = np.zeros(depth.shape, np.float32)
+        contradiction = np.zeros(depth.shape, np.float32)
         for direction in (-1, 1):
-            numbers = self._frames_at(frame, direction)
+            numbers = self._frames_with_pose(frame, direction)
             if not numbers:
                 continue
             static, other = self._static_motion(frame, numbers[-1]), self._motion.grey(numbers[-1])
             difference = grey_difference(other, static.positions(depth), grey)
             gain = grey_difference(other, static.positions(ground), grey) - difference
-            refutation = np.maximum(
-                refutation, gain / (OBJECTS.full_evidence_difference + difference)
+            contradiction = np.maximum(
+                contradiction, gain / (OBJECTS.full_evidence_difference + difference)
             )
-        return np.clip(refutation, 0, 1)
+        return np.clip(contradiction, 0, 1)
 
     def _static_motion(self, frame: int, other: int) -> StaticMotion:
         pose, other_pose = self._poses[frame], self._poses[other]
         assert pose is not None and other_pose is not None
         return StaticMotion.between(pose, other_pose, self._camera, self._rays.shape)
 
-    def _frames_at(self, frame: int, direction: int) -> list[int]:
+    def _frames_with_pose(self, frame: int, direction: int) -> list[int]:
         """Return the frames with poses, `hidden_steps` before (−1) or after (1) a frame."""
         numbers = [frame + direction * steps for steps in OBJECTS.hidden_steps]
         count = len(self._poses)
@@ -261,7 +267,7 @@ class BelowGround:
 
 
 def _is_upright(planes: np.ndarray) -> np.ndarray:
-    """Return which planes, (..., 3), are ground below an upright camera."""
+    """Return whether planes, (..., 3), are the ground below an upright camera, (...) bool."""
     slope_x, slope_y, center = np.moveaxis(planes, -1, 0)
     is_level = np.abs(slope_x) < OBJECTS.max_roll_slope * slope_y
     return is_level & (np.abs(center) < OBJECTS.max_pitch_slope * slope_y)
@@ -272,7 +278,7 @@ def _plane_inliers(plane_depth: np.ndarray, inverse_depth: np.ndarray) -> np.nda
 
 
 def _inner_regions(mask: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield the large connected parts, (H, W) bool, that touch neither side of the frame."""
+    """Yield the large connected parts, (H, W) bool, that do not touch the frame's sides."""
     opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     count, labels, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
     width = mask.shape[1]

@@ -1,4 +1,4 @@
-"""Labels of moving objects in every frame, and the camera path of the static rest."""
+"""Labels of moving objects in every frame, and the camera path from the static pixels."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -17,7 +17,7 @@ from tisfm.reconstruction.objects.motion_evidence import (
     accumulate_evidence,
     frame_evidence,
 )
-from tisfm.reconstruction.objects.path_evidence import BelowGround, StaticDepth, path_evidence
+from tisfm.reconstruction.objects.path_evidence import BelowGroundSearch, StaticDepth, path_evidence
 from tisfm.reconstruction.objects.settings import OBJECTS
 from tisfm.reconstruction.objects.tracked_objects import MAX_OBJECTS
 from tisfm.reconstruction.path.path_solver import CameraPath
@@ -25,7 +25,7 @@ from tisfm.reconstruction.result.calibration import Calibrate
 
 
 class SequenceLabels:
-    """Finds the moving objects of a sequence, frame by frame."""
+    """The search for the moving objects of a sequence."""
 
     def __init__(
         self,
@@ -43,10 +43,10 @@ class SequenceLabels:
 
     def labels(
         self,
-        # sequence of (4, 4) array or None: camera to world, if the path is known; the evidence of
-        # many frames under this path is added. None for a frame without a pose.
+        # sequence of (4, 4) array or None: camera to world, None for a frame without a pose. With
+        # poses, the evidence of many frames under this path is added.
         poses: Sequence[np.ndarray | None] | None = None,
-        camera: Camera | None = None,  # the pinhole, for the frames, with which the path was found
+        camera: Camera | None = None,  # the pinhole camera of the path, for the frames
     ) -> Iterator[np.ndarray]:
         """Yield the labels of every frame, (H, W) uint8: 0 for static pixels, or an object id."""
         ground = None
@@ -56,61 +56,65 @@ class SequenceLabels:
             for frame in range(len(self._motion)):
                 self._evidence.append(frame_evidence(self._motion, frame))
         self._accumulated = accumulate_evidence(self._motion, self._evidence)
-        tracked = ObjectTracker(self._motion, self._accumulated).labels()
-        for frame_labels in tracked if ground is None else self._with_ground(tracked, ground):
+        labels = ObjectTracker(self._motion, self._accumulated).labels()
+        for frame_labels in labels if ground is None else self._with_ground(labels, ground):
             yield enlarge_labels(frame_labels, self._motion.scale, self._shape)
 
-    def _add_path(self, poses: Sequence[np.ndarray | None], camera: Camera) -> BelowGround:
+    def _add_path(self, poses: Sequence[np.ndarray | None], camera: Camera) -> BelowGroundSearch:
         """Add the evidence of the camera path, and return the search below the ground."""
         small_camera = self._motion.camera(camera)
         combined = DiskCache(Evidence.arrays, Evidence.of_arrays)
         depths = DiskCache(StaticDepth.arrays, StaticDepth.of_arrays)
-        for frame, own in enumerate(self._evidence):
+        for frame, pair_evidence in enumerate(self._evidence):
             moving_pixels = self._accumulated[frame].mean() > OBJECTS.region_evidence
             path_result = path_evidence(self._motion, frame, poses, small_camera, moving_pixels)
             if path_result is None:
-                combined.append(own)
+                combined.append(pair_evidence)
                 depths.append(StaticDepth.empty(moving_pixels.shape))
                 continue
             multi_frame, inverse_depth = path_result
-            combined.append(own.combine_with(multi_frame))
+            combined.append(pair_evidence.combine_with(multi_frame))
             max_total = OBJECTS.max_static_mean * multi_frame.weight
             static_pixels = ~moving_pixels & (multi_frame.weight > OBJECTS.min_static_weight)
             static_pixels &= multi_frame.total < max_total
             depths.append(StaticDepth(inverse_depth=inverse_depth, static_pixels=static_pixels))
         self._evidence = combined
-        return BelowGround(self._motion, poses, small_camera, depths)
+        return BelowGroundSearch(self._motion, poses, small_camera, depths)
 
     def _with_ground(
-        self, tracked: Iterator[np.ndarray], ground: BelowGround
+        self, labels: Iterator[np.ndarray], ground: BelowGroundSearch
     ) -> Iterator[np.ndarray]:
-        """Yield the labels of every frame, with objects below the ground added.
+        """Yield the labels of every frame, with objects below the ground added under new ids.
 
-        They get ids of their own. Their lower boundary on the ground is unknown, so a region below
-        the ground may run into another moving object.
+        The lower boundary of such an object on the ground is unknown. For this reason its region
+        may extend into another moving object, which keeps its label.
         """
-        stored: DiskCache[np.ndarray] = DiskCache(lambda labels: (labels,), lambda labels: labels)
+        cache: DiskCache[np.ndarray] = DiskCache(lambda labels: (labels,), lambda labels: labels)
         evidence = DiskCache(Evidence.arrays, Evidence.of_arrays)
-        count, has_any = 0, False
-        for frame, frame_labels in enumerate(tracked):
-            stored.append(frame_labels)
-            count = max(count, int(frame_labels.max()))
-            static = self._evidence[frame].with_static_pixels(frame_labels > 0)
+        max_id, has_objects = 0, False
+        for frame, frame_labels in enumerate(labels):
+            cache.append(frame_labels)
+            max_id = max(max_id, int(frame_labels.max()))
+            static_evidence = self._evidence[frame].with_static_pixels(frame_labels > 0)
             below_ground = ground.evidence(frame, frame_labels > 0)
-            has_any |= below_ground is not None
-            evidence.append(static if below_ground is None else static.override_with(below_ground))
-        if not has_any:
-            yield from stored
+            has_objects |= below_ground is not None
+            evidence.append(
+                static_evidence
+                if below_ground is None
+                else static_evidence.override_with(below_ground)
+            )
+        if not has_objects:
+            yield from cache
             return
         accumulated = accumulate_evidence(self._motion, evidence)
         other_labels = ObjectTracker(self._motion, accumulated).labels()
-        for frame_labels, other in zip(stored, other_labels, strict=True):
-            is_new = (frame_labels == 0) & (other > 0) & (other <= MAX_OBJECTS - count)
-            yield np.where(is_new, other + np.uint8(count), frame_labels)
+        for frame_labels, other in zip(cache, other_labels, strict=True):
+            is_new = (frame_labels == 0) & (other > 0) & (other <= MAX_OBJECTS - max_id)
+            yield np.where(is_new, other + np.uint8(max_id), frame_labels)
 
 
 def enlarge_labels(
-    labels: np.ndarray,  # (h, w) array
+    labels: np.ndarray,  # (h, w) array: labels of the shrunk frames
     scale: float,  # pixels of the shrunk frames per pixel of the frames
     shape: Sequence[int],  # height and width of the frames, px
 ) -> np.ndarray:
@@ -130,20 +134,20 @@ def enlarge_labels(
 
 
 def find_static_path(
-    frames: PreparedFrames,  # the labels are stored in them
-    search: SequenceLabels | None,  # with all frames added; None if the frames have given labels
-    # Returns the path of the frames in their present state. Its argument states which camera
-    # parameters are calibrated.
+    frames: PreparedFrames,  # this function stores the labels in the frames
+    search: SequenceLabels | None,  # with all frames added; None if the user gave labels
+    # returns the path of the frames with their current labels and camera; its argument states which
+    # camera parameters are calibrated
     find_path: Callable[[Calibrate | None], CameraPath],
     # sets the camera of the frames to that of a path, and prepares the frames anew if needed
     set_camera: Callable[[CameraPath], None],
 ) -> CameraPath:
-    """Label the moving objects, unless labels are given, and return the path of the static rest.
+    """Label the moving objects, unless labels are given, and return the path of the static pixels.
 
-    The first labels need no path. With the path that follows, many frames give evidence for better
-    labels; if a label changes, the path is found again. If the path has a lens distortion or a
-    rolling shutter, the frames are undistorted first, and all starts again as if this camera had
-    been given.
+    The first labels need no path. With the path from these labels, many frames give evidence for
+    better labels; if a label changes, the path is found again. If the path has a lens distortion or
+    a rolling shutter, the frames are undistorted first, and labels and path are found again as if
+    the user had given this camera.
     """
     if search is not None:
         _set_labels(frames, search.labels())
@@ -166,7 +170,7 @@ def find_static_path(
 
 
 def label_remaining_frames(frames: PreparedFrames, labelled_frames: Sequence[int]) -> None:
-    """Propagate the labels of the `labelled_frames`, in order, to the frames without labels."""
+    """Propagate the labels of `labelled_frames`, in order, to the frames without labels."""
     if len(labelled_frames) == frames.count:
         return
     motion = ImageMotion(frames.camera, TRACKING_SETTINGS)
@@ -183,14 +187,14 @@ def label_remaining_frames(frames: PreparedFrames, labelled_frames: Sequence[int
 
 
 def _set_labels(frames: PreparedFrames, labels: Iterable[np.ndarray]) -> bool:
-    """Label every frame, and return whether any label changed."""
+    """Store the labels of every frame, and return whether any label changed."""
     return any(
         [frames.set_labels(number, frame_labels) for number, frame_labels in enumerate(labels)]
     )
 
 
 def _largest_piece_poses(path: CameraPath, count: int) -> list[np.ndarray | None]:
-    """Return the poses of the largest piece, by frame."""
+    """Return the poses of the largest piece, by frame, (4, 4) each; None in other frames."""
     poses: list[np.ndarray | None] = [None] * count
     if path.pieces:
         largest = max(path.pieces, key=lambda piece: len(piece.poses))

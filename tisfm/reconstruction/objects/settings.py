@@ -1,8 +1,8 @@
 """Tuned numbers of moving objects; without another source, a number was set by hand.
 
-Evidence of a pixel is −1 (static) to 3 (moving). Its weight counts frames, each from 0 to 1.
-A data weight, 0 to 1, is the weight of the cost of a pixel's label against smooth labels.
-The size of an object is the square root of its area in px.
+Evidence of a pixel is −1 (static) to 3 (moving). The weight of the evidence is a number of frames;
+each frame adds 0 to 1. A data weight, 0 to 1, weighs a pixel's label cost against
+differences between neighbouring labels. The size of an object is the square root of its area in px.
 """
 
 from dataclasses import dataclass
@@ -17,20 +17,24 @@ class ObjectSettings:
     # standard deviation of the image motion, as a share of the longer side of the frame; the
     # residual of the fitted camera motion is added
     flow_deviation: float = 1.5e-4
-    neutral_deviations: float = 3.0  # standard deviations off the camera's motion with evidence 0
+    # standard deviations: distance from the camera's motion with evidence 0
+    neutral_deviations: float = 3.0
     static_evidence: float = -1.0  # evidence of one frame for a clearly static pixel
     moving_evidence: float = 3.0  # largest evidence of one frame, for a moving pixel
     static_prior: float = 0.3  # frames: weight of the prior that a pixel is static
-    passed_evidence: float = 0.8  # share of a frame's evidence that is passed on to the next frame
-    compare_window: int = 5  # px: side of the window in which images are compared
+    # share of a frame's evidence that is passed on to the next frame
+    passed_evidence_share: float = 0.8
+    comparison_window: int = 5  # px: side of the window in which images are compared
     # grey levels: evidence of motion has its full weight if a pixel matches exactly where it moves
     # and differs by this much at every static position
     full_evidence_difference: float = 4.0
     min_support: float = 0.05  # factor of evidence of motion that grey levels do not support
-    # largest static inverse depth that is tried, over the largest one of clearly static pixels
+    # largest inverse depth of a static position that is tried, over the largest inverse depth of
+    # clearly static pixels
     max_inverse_depth_factor: float = 3.0
-    static_step: float = 2.0  # px between two static positions that are tried
-    static_counts: tuple[int, int] = (8, 32)  # smallest and largest number of static positions
+    static_position_step: float = 2.0  # px between two static positions that are tried
+    # smallest and largest number of static positions that are tried
+    static_position_range: tuple[int, int] = (8, 32)
     min_depth_ratio: float = 0.05  # depth of a point in another frame over its depth in this frame
     # path_evidence
     # frames before and after in which one depth has to fit
@@ -40,7 +44,7 @@ class ObjectSettings:
     # standard deviation of static points from a usable camera path, as a share of the longer side
     max_path_error: float = 1.5e-3
     # sequence_labels
-    min_static_weight: float = 0.3  # frames: weight of the evidence that a static depth needs
+    min_static_weight: float = 0.3  # frames: weight of the evidence of a static pixel
     min_ground_share: float = 0.03  # share of the pixels that show the ground
     max_roll_slope: float = 0.15  # tangent of the roll of an upright camera above the ground
     max_pitch_slope: float = 0.4  # tangent of the pitch of an upright camera above the ground
@@ -52,8 +56,9 @@ class ObjectSettings:
     # keeps its height
     max_height_change: float = 0.3
     height_frames: int = 10  # frames before and after with which this height is compared
-    min_ground_frames: float = 0.5  # share of these frames that need a ground plane
-    min_below_ground: float = 1.3  # depth of a pixel below the ground over the depth of the ground
+    min_ground_frame_share: float = 0.5  # share of these frames that need a ground plane
+    # depth of a pixel below the ground over the depth of the ground
+    min_below_ground_ratio: float = 1.3
     # inverse depth of the ground at a pixel over its largest one in the frame; farther ground is
     # not searched for objects
     min_inverse_depth_share: float = 0.2
@@ -64,7 +69,7 @@ class ObjectSettings:
     region_evidence: float = -0.3  # mean evidence at the boundary of a moving region
     core_evidence: float = 0.3  # mean evidence in the core of a region, which a new object needs
     min_core_weight: float = 1.5  # frames: weight of the evidence of a pixel in the core
-    min_core_area: float = 0.25  # pixels of a core over the pixels of the smallest object
+    min_core_ratio: float = 0.25  # pixels of a core over the pixels of the smallest object
     min_core_share: float = 0.15  # pixels of a core over the pixels of its region
     known_object_bonus: float = 0.4  # mean evidence that is added where a known object is expected
     full_weight_frames: float = 4.0  # frames: weight of the evidence with the full data weight
@@ -73,26 +78,29 @@ class ObjectSettings:
     min_motion_pixels: int = 30  # pixels that the fit of a smooth motion needs
     min_quadratic_pixels: int = 400  # pixels that the fit of a quadratic motion needs
     # px/frame from the expected velocity: a pixel with a quarter of the weight in the first round
-    start_tolerance: float = 1.0
+    velocity_tolerance: float = 1.0
     min_motion_deviation: float = 0.2  # px: standard deviation from a smooth motion
     # identities
-    min_propagated: float = 0.1  # share of a region with the label of an object that it may show
-    min_reappeared: float = 0.2  # visible share of an occluded object that is recognised
+    # share of a region with the label of an object that it may show
+    min_propagated_share: float = 0.1
+    min_reappeared_share: float = 0.2  # visible share of an occluded object that is recognised
     histogram_bins: int = 16  # bins of a histogram of grey levels
     search_margin: float = 0.1  # margin around the predicted mask of an object, over its size
-    min_quadratic_visible: float = 0.5  # visible share of an object, for a quadratic motion
-    # visible share of an object, for an affine motion; below it, only a velocity is fitted
-    min_affine_visible: float = 0.15
+    min_quadratic_visible_share: float = 0.5  # visible share of an object, for a quadratic motion
+    # visible share of an object, for an affine motion; with a smaller share, a velocity is fitted
+    min_affine_visible_share: float = 0.15
     max_motion_deviations: float = 4.0  # standard deviations of an object's pixel from its motion
-    # median error of a new object's pixels from a motion of their own, over their median error from
-    # the nearest known motion
-    max_new_object_error: float = 0.5
+    # median error of a new object's pixels from the motion fitted to them, over their median error
+    # from the nearest known motion
+    max_new_error_ratio: float = 0.5
     max_motion_error: float = 1e3  # px: limit of the errors of a motion
     # share of a pixel's smallest error: where no motion fits, a smaller difference between the
     # errors of two motions hardly counts
     relative_error_tolerance: float = 0.5
-    max_motion_cost: float = 16.0  # largest cost of a motion: its squared error over the usual one
-    identity_change_cost: float = 2.0  # cost of another label than the propagated one, same unit
+    # largest cost of a motion: its squared error over the usual square
+    max_motion_cost: float = 16.0
+    # the same unit: cost of a label other than the propagated label
+    identity_change_cost: float = 2.0
     known_motion_weight: float = 0.5  # data weight of pixels of a region with known motion
     unknown_motion_weight: float = 0.02  # data weight of all other pixels
     # tracked_objects
@@ -102,34 +110,36 @@ class ObjectSettings:
     distance_growth: float = 0.1  # relative growth of this limit with each occluded frame
     min_frames: int = 4  # frames that show an object
     # Two touching objects are parts of one object if their motions differ by at most
-    # `max_same_motion` of the faster motion and they touch in `min_touching` of the frames with the
-    # smaller one. They are, too, if their motions differ by at most `max_similar_motion` and they
-    # touch in `min_touching_similar` of the frames with the smaller one and in
-    # `min_touching_common` of the frames with both.
-    max_same_motion: float = 0.3
+    # `max_same_motion_difference`, a share of the faster motion, and if they touch in
+    # `min_touching` of the frames with the smaller object. They are also parts of one object
+    # if their motions differ by at most `max_similar_motion_difference`, and if they touch in
+    # `min_similar_touching` of the frames with the smaller object and in
+    # `min_common_touching` of the frames with both objects.
+    max_same_motion_difference: float = 0.3
     min_touching: float = 0.7
-    max_similar_motion: float = 0.9
-    min_touching_similar: float = 0.3
-    min_touching_common: float = 0.6
+    max_similar_motion_difference: float = 0.9
+    min_similar_touching: float = 0.3
+    min_common_touching: float = 0.6
     # label_propagation
     max_boundary_shift: int = 10  # px by which a refined boundary moves
-    rim_width: int = 5  # px: side of the square that erodes a mask to where its motion is reliable
-    min_core_pixels: int = 30  # pixels of an eroded mask; below it, the whole mask is used
+    rim_width: int = 5  # px: side of the square that erodes a mask; its rim has unreliable motion
+    min_core_pixels: int = 30  # pixels of an eroded mask; if it has fewer, the whole mask is used
     difference_offset: float = 2.0  # grey levels that are added to the median difference
     boundary_change_cost: float = 2.0  # cost of a changed label, in squared usual differences
     max_boundary_cost: float = 16.0  # largest cost of a label, in squared usual differences
     boundary_weight: float = 0.5  # data weight of pixels near a boundary
-    propagation_cost: float = 6.0  # cost of another label than the propagated one
+    propagation_cost: float = 6.0  # cost of a label other than the propagated label
     consistent_weight: float = 0.5  # data weight of pixels where forward and backward motion agree
     inconsistent_weight: float = 0.02  # data weight of all other pixels
     # object_path
     min_path_frames: int = 3  # frames that show an object with a path
     min_object_pixels: int = 400  # pixels of the object in each of these frames
-    track_rim: int = 5  # px: side of the square that erodes a mask to the pixels that get tracks
+    track_rim: int = 5  # px: side of the square that erodes a mask; its rim gets no tracks
     min_track_distance: int = 6  # px between two tracks
     box_margin: int = 24  # px: margin around an object in which depth is computed too
     # object_depth
-    trimmed_points: float = 0.03  # share of the points at each end of an axis outside the extent
+    # share of the points, at each end of an axis, that the extent leaves out
+    trimmed_share: float = 0.03
     # px: width of the ring around an object whose static depth may give the distance of the object
     ring_width: int = 15
     box_trials: int = 2000  # random orientations that are tried for the smallest box

@@ -1,4 +1,4 @@
-"""Tracked moving objects: their state, their similarity, and which of them are one object."""
+"""Tracked moving objects: their state, their similarity, and the union of parts of one object."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -7,19 +7,19 @@ import numpy as np
 
 from tisfm.reconstruction.objects.settings import OBJECTS
 
-# Largest label: in given labels, 255 marks ignored pixels.
+# Largest label: in labels of the user, 255 marks ignored pixels.
 MAX_OBJECTS = 254
 
 
 @dataclass(kw_only=True)
 class TrackedObject:
-    """The state of an object."""
+    """The state of a tracked object."""
 
     id: int
     last_frame: int  # the last frame in which it was labelled
     mask: np.ndarray  # (H, W) bool: its mask in that frame, with its occluded parts
     velocity: np.ndarray  # (2,) float64: its mean motion in that frame, px/frame
-    histogram: np.ndarray  # (BINS,) float64: its grey-level histogram; the sum is 1
+    histogram: np.ndarray  # (B,) float64: its grey-level histogram; the sum is 1
     core_frames: int = 0  # number of frames in which its region has a core (`find_moving_regions`)
     pixel_count: int = 0  # its labelled pixels in all frames
     # dict of int to (2,) float64: by frame: its mean motion minus the motion of its surroundings,
@@ -40,17 +40,17 @@ def most_similar_object(
     objects: Iterable[TrackedObject],
     frame: int,
     position: np.ndarray,  # (3,) float64: centre and size of a region, as in `mask_position`
-    histogram: np.ndarray,  # (BINS,) float64: its grey-level histogram
+    histogram: np.ndarray,  # (B,) float64: grey-level histogram of the region
 ) -> int:
-    """Return the id of the object, occluded before a frame, that a region shows; 0 for none."""
+    """Return the id of the occluded object that reappears in a region of a frame; 0 for none."""
     max_similarity, best_id = 0.0, 0
     for obj in objects:
-        gap = frame - obj.last_frame
-        if not 0 < gap <= OBJECTS.max_occlusion + 1 or not obj.mask.any():
+        interval = frame - obj.last_frame
+        if not 0 < interval <= OBJECTS.max_occlusion + 1 or not obj.mask.any():
             continue
-        own_position = mask_position(obj.mask)
-        expected = own_position[:2] + gap * obj.velocity
-        limit = max(position[2], own_position[2]) * (1 + OBJECTS.distance_growth * gap)
+        last_position = mask_position(obj.mask)
+        expected = last_position[:2] + interval * obj.velocity
+        limit = max(position[2], last_position[2]) * (1 + OBJECTS.distance_growth * interval)
         distance = float(np.linalg.norm(position[:2] - expected) / limit)
         overlap = float(np.sqrt(histogram * obj.histogram).sum())
         if distance >= OBJECTS.max_distance or overlap <= OBJECTS.min_histogram_overlap:
@@ -62,24 +62,25 @@ def most_similar_object(
 
 def final_labels(
     objects: Mapping[int, TrackedObject],  # by id
-    touching_frames: Mapping[tuple[int, int], int],  # number of frames, by the two ids in order
+    # number of frames in which two objects touch, by their ids in increasing order
+    touching_frames: Mapping[tuple[int, int], int],
     frame_count: int,  # frames of the sequence
 ) -> np.ndarray:
-    """Return the final label of each object, (K,) uint8; 0 for an object that is dropped.
+    """Return the final label of each object, (K,) uint8, by its id; 0 for a rejected object.
 
-    Parts of one object, and an object before and after an occlusion, get one label.
+    Parts of one object get one label. An object keeps its label after an occlusion.
     """
     count = 1 + max(objects, default=0)
-    root = np.arange(count)  # the object that each object is a part of
+    root = np.arange(count)  # by id: the object that this object is a part of
     by_size = sorted(objects, key=lambda k: objects[k].pixel_count)
     for index, smaller in enumerate(by_size):
-        larger = [
+        larger_objects = [
             k
             for k in by_size[index + 1 :]
             if _is_part_of(objects[smaller], objects[k], touching_frames.get(_pair(smaller, k), 0))
         ]
-        if larger:
-            root[smaller] = larger[-1]  # the largest
+        if larger_objects:
+            root[smaller] = larger_objects[-1]  # the largest object
     for smaller in reversed(by_size):  # larger objects first
         root[smaller] = root[root[smaller]]
     for later in sorted(objects):  # objects that reappear
@@ -104,19 +105,19 @@ def _pair(first: int, second: int) -> tuple[int, int]:
 
 
 def _earlier_object(objects: Mapping[int, TrackedObject], later: int, root: np.ndarray) -> int:
-    """Return the object, occluded earlier, that looks like a later one; 0 for none."""
+    """Return the id of an earlier, occluded object that looks like a later object; 0 for none."""
     obj = objects[later]
     frames = [f for k in np.flatnonzero(root == later) for f in objects[int(k)].motions]
     first = min(frames, default=-1)
-    if first not in obj.positions:  # also if the refined boundary left no pixel of the object
+    if first not in obj.positions:  # as when the refined boundary left no pixel of the object
         return 0
     return most_similar_object(objects.values(), first, obj.positions[first], obj.histogram)
 
 
 def _is_part_of(smaller: TrackedObject, larger: TrackedObject, touching_frames: int) -> bool:
-    """Return whether an object is a part of another one: they touch and move alike."""
+    """Return whether an object is a part of a larger object: they touch, and move similarly."""
     frames = sorted(smaller.motions.keys() & larger.motions.keys())
-    if touching_frames < max(1, OBJECTS.min_touching_similar * len(smaller.motions)) or not frames:
+    if touching_frames < max(1, OBJECTS.min_similar_touching * len(smaller.motions)) or not frames:
         return False
     motions = np.array([[obj.motions[f] for f in frames] for obj in (smaller, larger)])
     speed = np.median(np.linalg.norm(motions, axis=2).max(axis=0))
@@ -124,10 +125,10 @@ def _is_part_of(smaller: TrackedObject, larger: TrackedObject, touching_frames: 
     difference = float(distance / max(speed, 1e-9))  # as a share of the faster motion
     if (
         touching_frames >= OBJECTS.min_touching * len(smaller.motions)
-        and difference < OBJECTS.max_same_motion
+        and difference < OBJECTS.max_same_motion_difference
     ):
         return True
     return (
-        touching_frames >= OBJECTS.min_touching_common * len(frames)
-        and difference < OBJECTS.max_similar_motion
+        touching_frames >= OBJECTS.min_common_touching * len(frames)
+        and difference < OBJECTS.max_similar_motion_difference
     )
